@@ -1,0 +1,65 @@
+"""The project's one error tree.
+
+Every class is also the builtin that fits, so `except ValueError` and `except KeyError` keep working. A message
+says what was given, what is allowed and how to mend it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from grasp_env.force.solution import ForceSolution
+
+
+class GraspError(ValueError):
+    """Base of every error this project raises on purpose."""
+
+
+class InvalidInputError(GraspError):
+    """An argument has the wrong shape, is not finite, or lies outside its range."""
+
+
+class UnknownNameError(GraspError, KeyError):
+    """A method, rule, preset or option name that does not exist."""
+
+    def __init__(self, kind: str, given: object, allowed: Iterable[str]) -> None:
+        self.given = given
+        self.allowed = tuple(allowed)
+        super().__init__(f"unknown {kind} {given!r}: choose one of {', '.join(map(repr, self.allowed))}")
+
+    def __str__(self) -> str:  # KeyError would print the repr of the message
+        return str(self.args[0])
+
+
+class RankDeficientGraspError(GraspError):
+    """rank(G) < 6: the contacts cannot balance every wrench, whatever their forces."""
+
+
+class InfeasibleWrenchError(GraspError):
+    """No force strictly inside the friction cones balances the wrench.
+
+    Attributes:
+        solution: the `ForceSolution` with status `INFEASIBLE` and, in `certificate`, the separating twist (6,).
+    """
+
+    def __init__(self, message: str, solution: ForceSolution | None = None) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+
+class InfeasibleStartError(GraspError):
+    """An initial-force rule has no balanced, strictly feasible force for this grasp and wrench."""
+
+
+class NotConvergedError(GraspError, RuntimeError):
+    """`ForceSolution.raise_for_status` on a solution that did not reach its tolerance."""
+
+
+class ModelFileError(GraspError, OSError):
+    """A saved model that is missing, damaged, or of another schema."""
+
+
+class SimulationError(GraspError, RuntimeError):
+    """The simulator diverged, was closed, or cannot do what was asked."""
