@@ -1,0 +1,44 @@
+"""Compiled contact geometry for control loops; `contact.contact_frames` and `grasp.grasp_matrix` are the plain twins."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+TANGENT_SWITCH = 0.9
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def contact_geometry(positions, normals, friction):
+    """Frames (N, 3, 3), G (6, 3N) and G in cone coordinates (6, 3N) of contacts (N, 3) with inward unit normals."""
+    count = positions.shape[0]
+    frames = np.empty((count, 3, 3))
+    matrix = np.empty((6, 3 * count))
+    cone_matrix = np.empty((6, 3 * count))
+    for k in range(count):
+        nx, ny, nz = normals[k]
+        if abs(nx) > TANGENT_SWITCH:
+            ox, oy, oz = -ny * nx, 1.0 - ny * ny, -ny * nz
+        else:
+            ox, oy, oz = 1.0 - nx * nx, -nx * ny, -nx * nz
+        length = math.sqrt(ox * ox + oy * oy + oz * oz)
+        ox, oy, oz = ox / length, oy / length, oz / length
+        frames[k, 0, 0], frames[k, 1, 0], frames[k, 2, 0] = nx, ny, nz
+        frames[k, 0, 1], frames[k, 1, 1], frames[k, 2, 1] = ox, oy, oz
+        frames[k, 0, 2] = ny * oz - nz * oy
+        frames[k, 1, 2] = nz * ox - nx * oz
+        frames[k, 2, 2] = nx * oy - ny * ox
+        x, y, z = positions[k]
+        for axis in range(3):
+            fx, fy, fz = frames[k, 0, axis], frames[k, 1, axis], frames[k, 2, axis]
+            column = 3 * k + axis
+            matrix[0, column], matrix[1, column], matrix[2, column] = fx, fy, fz
+            matrix[3, column] = y * fz - z * fy
+            matrix[4, column] = z * fx - x * fz
+            matrix[5, column] = x * fy - y * fx
+            scale = friction[k] if axis == 0 else 1.0
+            for row in range(6):
+                cone_matrix[row, column] = matrix[row, column] / scale
+    return frames, matrix, cone_matrix

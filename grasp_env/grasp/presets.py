@@ -1,0 +1,60 @@
+"""Named grasps, as data."""
+
+from __future__ import annotations
+
+from grasp_env._check import Array
+from grasp_env.errors import UnknownNameError
+from grasp_env.grasp.grasp import Grasp
+
+_CONTACTS: dict[str, tuple[list[list[float]], list[list[float]], float]] = {
+    # a thumb on one z face of a 0.1 m cuboid, three fingers on the other (the paper's Sec. IV, placement ours)
+    "paper_cuboid": (
+        [[0.0, 0.0, -0.05], [0.0, 0.03, 0.05], [-0.03, -0.02, 0.05], [0.03, -0.02, 0.05]],
+        [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]],
+        0.4,
+    ),
+    # three fingers around a disc of 40 mm radius
+    "tripod": (
+        [[0.04, 0.0, 0.0], [-0.02, 0.034641016151377546, 0.0], [-0.02, -0.034641016151377546, 0.0]],
+        [[-1.0, 0.0, 0.0], [0.5, -0.8660254037844386, 0.0], [0.5, 0.8660254037844386, 0.0]],
+        0.5,
+    ),
+    # a thumb against four fingers on the same cuboid
+    "five_finger_cuboid": (
+        [[0.0, 0.0, -0.05], [-0.03, 0.03, 0.05], [0.03, 0.03, 0.05], [-0.03, -0.03, 0.05], [0.03, -0.03, 0.05]],
+        [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, -1.0]],
+        0.4,
+    ),
+}
+PRESETS = tuple(_CONTACTS)
+
+
+def preset(name: str, friction: float | Array | None = None) -> Grasp:
+    """The named grasp; `friction` replaces its own coefficient.
+
+    Raises:
+        UnknownNameError: no preset of that name.
+
+    Example:
+        >>> preset("tripod").n_contacts
+        3
+    """
+    if name not in _CONTACTS:
+        raise UnknownNameError("preset", name, PRESETS)
+    positions, normals, own = _CONTACTS[name]
+    return Grasp.from_contacts(positions, normals, own if friction is None else friction)
+
+
+def paper_cuboid(friction: float | Array | None = None) -> Grasp:
+    """The reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4."""
+    return preset("paper_cuboid", friction)
+
+
+def tripod(friction: float | Array | None = None) -> Grasp:
+    """Three fingers around a disc, mu = 0.5."""
+    return preset("tripod", friction)
+
+
+def five_finger_cuboid(friction: float | Array | None = None) -> Grasp:
+    """Thumb against four fingers on the cuboid, mu = 0.4."""
+    return preset("five_finger_cuboid", friction)

@@ -1,0 +1,76 @@
+"""Wrenches to balance: the paper's two examples and samplers (the generator is passed in)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from grasp_env._check import Array, Wrench
+from grasp_env.errors import InvalidInputError
+
+PAPER_CONSTANT: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
+"""The constant external wrench of the paper's Sec. IV.A [N, N m]."""
+FORCE_RADIUS, MOMENT_RADIUS = 2.0, 0.05
+"""The standard held-out ball: |force| <= 2 N, |moment| <= 0.05 N m."""
+MAGNITUDE_LENGTH = 0.05
+"""[m] the length that turns a moment into a force in `magnitude` (of the order of the grasp's length)."""
+
+
+def paper_path(time: float | Array) -> Array:
+    """W_ext(t) of the paper's Sec. IV.B: time [s], scalar or (T,) -> (6,) or (T, 6) [N, N m].
+
+    Example:
+        >>> paper_path(0.0)
+        array([1. , 1. , 3. , 0. , 0.2, 0. ])
+    """
+    t = np.asarray(time, dtype=np.float64)
+    c, s = np.cos(np.pi * t), np.sin(np.pi * t)
+    c2, s2 = np.cos(0.5 * np.pi * t) ** 2, np.sin(0.5 * np.pi * t) ** 2
+    return np.stack([c, c**2, 8.0 * c2 - 5.0, 0.2 * s, 0.2 * c, s2], axis=-1)
+
+
+def magnitude(wrench: Array) -> Array:
+    """|(force, moment / 0.05 m)| [N] of wrenches (..., 6)."""
+    scaled = np.concatenate([wrench[..., :3], wrench[..., 3:] / MAGNITUDE_LENGTH], axis=-1)
+    return np.sqrt((scaled**2).sum(axis=-1))
+
+
+def sample_ball(rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS):
+    """(count, 6) wrenches, force uniform in a ball of radius `force` [N], moment in one of `moment` [N m]."""
+    if count < 1:
+        raise InvalidInputError(f"count must be >= 1, got {count}")
+    return np.concatenate([_ball(rng, count) * force, _ball(rng, count) * moment], axis=1)
+
+
+def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0) -> Array:
+    """(count, 6) wrenches, directions uniform on the 6-sphere of (force, moment / 0.05 m), log-uniform magnitude."""
+    direction = rng.standard_normal((count, 6))
+    direction /= np.sqrt((direction**2).sum(axis=1))[:, None]
+    wrench = direction * np.exp(rng.uniform(np.log(low), np.log(high), (count, 1)))
+    wrench[:, 3:] *= MAGNITUDE_LENGTH
+    return wrench
+
+
+def sample_path(rng: np.random.Generator, count: int, step: float = 0.03) -> Array:
+    """(count, 6) wrenches of a smooth random walk in the standard ball: each moves by about `step` of a radius."""
+    path = np.empty((count, 6))
+    point = sample_ball(rng, 1)[0]
+    for k in range(count):
+        path[k] = point
+        move = np.concatenate([_ball(rng, 1)[0] * FORCE_RADIUS, _ball(rng, 1)[0] * MOMENT_RADIUS])
+        point = point + step * move
+        for part, radius in ((slice(0, 3), FORCE_RADIUS), (slice(3, 6), MOMENT_RADIUS)):
+            norm = float(np.sqrt((point[part] ** 2).sum()))
+            if norm > radius:  # reflect at the surface of the ball
+                point[part] *= (2.0 * radius - norm) / norm
+    return path
+
+
+def _ball(rng: np.random.Generator, count: int) -> Array:
+    direction = rng.standard_normal((count, 3))
+    direction /= np.sqrt((direction**2).sum(axis=1))[:, None]
+    return direction * rng.random((count, 1)) ** (1.0 / 3.0)
+
+
+def constant(wrench: Wrench, count: int) -> Array:
+    """(count, 6): the same wrench `count` times."""
+    return np.tile(np.asarray(wrench, dtype=np.float64), (count, 1))
