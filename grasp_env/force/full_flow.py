@@ -1,0 +1,88 @@
+"""The full linearly constrained gradient flow on vec(P) (paper, Eqs. 6-12): dense, the oracle of the reduction."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from grasp_env._check import Array, ContactForces
+from grasp_env.errors import InvalidInputError
+from grasp_env.force.description import description_matrix
+from grasp_env.force.objective import Objective
+from grasp_env.grasp.grasp import Grasp
+
+MAX_CONTACTS = 8
+"""The dense projector has (9 N^2)^2 entries: 2.7 MB at N = 8, 6.5 GB at N = 100."""
+
+
+def constraints(grasp: Grasp) -> Array:
+    """A of Eq. 9: 6N structure rows (A_1, Eq. 6) over 6 balance rows (A_2, Eq. 8), (6N + 6, 9 N^2).
+
+    vec stacks columns. The structure rows of block i say: the two zeros, the two equalities of the diagonal, the two
+    symmetries. The balance rows read u, o, t at the entries (1, 1), (3, 1) and (3, 2) of each block, so that
+    A vec(P) = [0; -w] with w the external wrench (Eq. 2).
+
+    Raises:
+        InvalidInputError: more than eight contacts, where the dense projector no longer fits.
+    """
+    count = grasp.n_contacts
+    if count > MAX_CONTACTS:
+        raise InvalidInputError(
+            f"the full flow is dense: {count} contacts given, at most {MAX_CONTACTS}; use another method"
+        )
+    size = 3 * count
+    structure = np.zeros((6 * count, size * size))
+    balance = np.zeros((6, size * size))
+    for block in range(count):
+
+        def entry(row: int, column: int, block: int = block) -> int:
+            return (3 * block + column) * size + 3 * block + row
+
+        rows = structure[6 * block : 6 * block + 6]
+        rows[0, entry(0, 1)] = 1.0
+        rows[1, entry(1, 0)] = 1.0
+        for line, (plus, minus) in enumerate(
+            (((0, 0), (1, 1)), ((0, 0), (2, 2)), ((2, 0), (0, 2)), ((2, 1), (1, 2))), 2
+        ):
+            rows[line, entry(*plus)] = 1.0
+            rows[line, entry(*minus)] = -1.0
+        for column, place in enumerate(((0, 0), (2, 0), (2, 1))):
+            balance[:, entry(*place)] = grasp.cone_matrix[:, 3 * block + column]
+    return np.concatenate([structure, balance])
+
+
+def projector(grasp: Grasp) -> Array:
+    """Q = I - A^T (A A^T)^-1 A, (9 N^2, 9 N^2): 144 x 144 for four fingers (Eq. 11)."""
+    a = constraints(grasp)
+    return np.eye(a.shape[1]) - a.T @ np.linalg.solve(a @ a.T, a)
+
+
+def start(force: ContactForces, grasp: Grasp) -> Array:
+    """vec(P_0) of a force (N, 3)."""
+    return description_matrix(force, grasp.friction).reshape(-1, order="F")
+
+
+def drive(state: Array, objective: Objective) -> Array:
+    """vec(P^-1 W_i P^-1 - W_p) at vec(P)."""
+    inverse = np.linalg.inv(_matrix(state))
+    eye = np.eye(len(inverse))
+    return (objective.barrier_weight * inverse @ inverse - objective.force_weight * eye).reshape(-1, order="F")
+
+
+def value(state: Array, objective: Objective) -> float:
+    """tr(W_p P) + tr(W_i P^-1) at vec(P) (Eq. 10), +inf unless P > 0."""
+    eigenvalues = np.linalg.eigvalsh(_matrix(state))
+    if eigenvalues[0] <= 0.0:
+        return float("inf")
+    return float(objective.force_weight * eigenvalues.sum() + objective.barrier_weight * (1.0 / eigenvalues).sum())
+
+
+def cone_coordinates(state: Array) -> Array:
+    """VP (3N,) of vec(P): the entries (1, 1), (3, 1), (3, 2) of each block (Eq. 18)."""
+    matrix = _matrix(state)
+    i = np.arange(0, len(matrix), 3)
+    return np.stack([matrix[i, i], matrix[i + 2, i], matrix[i + 2, i + 1]], axis=1).reshape(-1)
+
+
+def _matrix(state: Array) -> Array:
+    size = round(len(state) ** 0.5)
+    return state.reshape(size, size, order="F")

@@ -1,0 +1,136 @@
+"""Initial-force rules: anything callable as rule(grasp, wrench) -> (N, 3) force, balanced and strictly feasible."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from grasp_env._check import ContactForces, Wrench
+from grasp_env.errors import InfeasibleStartError, UnknownNameError
+from grasp_env.force.basis import OfflineBasis
+from grasp_env.force.description import to_cone, to_force
+from grasp_env.force.feasibility import phase_one
+from grasp_env.force.objective import Objective
+from grasp_env.force.start_kernels import ray_interval
+from grasp_env.grasp.grasp import Grasp
+
+SQUEEZE = 1.1
+"""The factor by which single-value and Lagrange starts exceed the least feasible squeeze."""
+LAGRANGE_WEIGHTS = np.array([1.0, 10.0, 10.0])
+"""W of the Lagrange start, per contact: a tangential newton costs ten times a normal one."""
+
+
+class InitialForceRule(Protocol):
+    """A start: rule(grasp, wrench (6,)) -> force (N, 3) [N]."""
+
+    def __call__(self, grasp: Grasp, wrench: Wrench, /) -> ContactForces: ...
+
+
+@dataclass(frozen=True)
+class LinearCombination:
+    """The paper's start: non-negative combination of the 12 offline optima (Sec. III, Eqs. 32-34).
+
+    `printed=True` leaves out the rest force that keeps it away from P = 0 at small wrenches; it then has no start
+    at w = 0.
+    """
+
+    objective: Objective = field(default_factory=Objective)
+    printed: bool = False
+
+    def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        if self.printed and not wrench.any():
+            raise InfeasibleStartError(
+                "the printed linear combination is zero at w = 0, which is not inside the cones; "
+                "use initial='linear_combination', which adds the rest force"
+            )
+        return OfflineBasis.of(grasp, self.objective).combine(wrench, self.printed)
+
+
+@dataclass(frozen=True)
+class SingleValue:
+    """f_0 = -G^+ w + k f_rest, k = max(1.1 k_min, 1): the singular-value start (our definition, see README).
+
+    k_min is the least factor that is strictly feasible. The floor of 1 matters only for small wrenches, where
+    k_min vanishes and -G^+ w + 1.1 k_min f_rest would have a singular P.
+    """
+
+    objective: Objective = field(default_factory=Objective)
+
+    def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        rest = OfflineBasis.of(grasp, self.objective).cone_forces[12]
+        particular = to_cone(-(grasp.pseudoinverse @ wrench).reshape(-1, 3), grasp.friction)
+        low, _ = ray_interval(particular, rest)
+        return to_force(particular + max(SQUEEZE * low, 1.0) * rest, grasp.friction)
+
+
+@dataclass(frozen=True)
+class Lagrange:
+    """argmin (f - k n)^T W (f - k n) s.t. G f = -w by multipliers, W = diag(1, 10, 10) (our definition).
+
+    n are the unit normal forces. The solution is affine in k, so the strictly feasible k form an interval, found in
+    closed form: k = max(1.1 k_min, the normal force of f_rest), at most the middle of the interval.
+
+    Raises:
+        InfeasibleStartError: no k is strictly feasible, which happens on many grasps.
+    """
+
+    objective: Objective = field(default_factory=Objective)
+
+    def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        rest = OfflineBasis.of(grasp, self.objective).cone_forces[12]
+        scaled = grasp.matrix / np.tile(LAGRANGE_WEIGHTS, grasp.n_contacts)
+        normals = np.tile([1.0, 0.0, 0.0], grasp.n_contacts)
+        solve = scaled.T @ np.linalg.solve(scaled @ grasp.matrix.T, np.stack([wrench, grasp.matrix @ normals], axis=1))
+        point = to_cone((-solve[:, 0]).reshape(-1, 3), grasp.friction)
+        ray = to_cone((normals - solve[:, 1]).reshape(-1, 3), grasp.friction)
+        low, high = ray_interval(point, ray)
+        if not low < high:
+            raise InfeasibleStartError(
+                "the Lagrange start has no strictly feasible squeeze k for this grasp and wrench; "
+                "use initial='linear_combination'"
+            )
+        floor = float((rest[0::3] / grasp.friction).mean())
+        return to_force(point + min(max(SQUEEZE * low, floor), 0.5 * (low + high)) * ray, grasp.friction)
+
+
+@dataclass(frozen=True)
+class PhaseOne:
+    """Any strictly feasible force, from an interior-point phase one: slow, needs no force closure."""
+
+    objective: Objective = field(default_factory=Objective)
+
+    def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        answer = phase_one(grasp, wrench)
+        if answer.force is None:
+            raise InfeasibleStartError("no force strictly inside the cones balances the wrench")
+        return answer.force
+
+
+RULES: dict[str, Callable[[Objective], InitialForceRule]] = {
+    "linear_combination": LinearCombination,
+    "linear_combination_printed": lambda objective: LinearCombination(objective, printed=True),
+    "single_value": SingleValue,
+    "lagrange": Lagrange,
+    "phase_one": PhaseOne,
+}
+"""Names of the start rules; "previous" lives in `ForceOptimizer`, which remembers."""
+
+
+def initial_rule(name: str, objective: Objective | None = None) -> InitialForceRule:
+    """The rule of that name for the given Phi.
+
+    Raises:
+        UnknownNameError: no rule of that name.
+
+    Example:
+        >>> initial_rule("newest")
+        Traceback (most recent call last):
+        grasp_env.errors.UnknownNameError: unknown initial-force rule 'newest': choose one of 'linear_combination', \
+'linear_combination_printed', 'single_value', 'lagrange', 'phase_one'
+    """
+    if name not in RULES:
+        raise UnknownNameError("initial-force rule", name, RULES)
+    return RULES[name](objective or Objective())

@@ -1,0 +1,256 @@
+"""Compiled building blocks in cone coordinates: Phi, its derivatives, the 6 x 6 Schur complement, the dual bound.
+
+Everything here works on flat cone coordinates x = (u_1, o_1, t_1, u_2, ...), u = mu * normal [N], with `cone_matrix`
+(6, 3N) the grasp matrix in those coordinates. `objective.py`, `newton.py` and `reduced_flow.py` hold the plain numpy
+twins that the tests compare with. Kernels are compiled at first use and cached on disk.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+
+@compiled
+def phi(x, omega, lam):
+    """Phi = sum 3 omega u + lam (1/u + 2u/(u^2 - s^2)); +inf unless strictly inside every cone (Eqs. 10, 30, 31)."""
+    total = 0.0
+    for i in range(0, x.size, 3):
+        u = x[i]
+        d = u * u - x[i + 1] * x[i + 1] - x[i + 2] * x[i + 2]
+        if not (u > 0.0 and d > 0.0):
+            return np.inf
+        total += 3.0 * omega * u + lam * (1.0 / u + 2.0 * u / d)
+    return total
+
+
+@compiled
+def cone_slack(x):
+    """min over contacts of u - sqrt(o^2 + t^2) [N]; > 0 strictly inside."""
+    slack = np.inf
+    for i in range(0, x.size, 3):
+        slack = min(slack, x[i] - math.sqrt(x[i + 1] * x[i + 1] + x[i + 2] * x[i + 2]))
+    return slack
+
+
+@compiled
+def gradient(x, omega, lam, out):
+    """Gradient of Phi into `out` (3N,)."""
+    for i in range(0, x.size, 3):
+        u, o, t = x[i], x[i + 1], x[i + 2]
+        s2 = o * o + t * t
+        d = u * u - s2
+        scale = lam / (d * d)
+        out[i] = 3.0 * omega - lam / (u * u) - 2.0 * scale * (u * u + s2)
+        out[i + 1] = 4.0 * scale * u * o
+        out[i + 2] = 4.0 * scale * u * t
+
+
+@compiled
+def inverse_hessian(x, lam, out):
+    """Inverse of the 3 x 3 Hessian blocks of Phi into `out` (N, 3, 3).
+
+    In axes (u, radial, around) the block is [[a, b, 0], [b, c, 0], [0, 0, e]] with e = 4 u lam / d^2.
+    """
+    for k in range(x.size // 3):
+        u, o, t = x[3 * k], x[3 * k + 1], x[3 * k + 2]
+        s2 = o * o + t * t
+        s = math.sqrt(s2)
+        d = u * u - s2
+        d3 = lam / (d * d * d)
+        a = 2.0 * lam / (u * u * u) + 4.0 * u * (u * u + 3.0 * s2) * d3
+        b = -4.0 * s * (3.0 * u * u + s2) * d3
+        c = 4.0 * u * (u * u + 3.0 * s2) * d3
+        e = 4.0 * u * d * d3
+        determinant = a * c - b * b
+        ia, ib, ic, ie = c / determinant, -b / determinant, a / determinant, 1.0 / e
+        if s > 0.0:
+            co, ct = o / s, t / s
+        else:
+            co, ct = 1.0, 0.0
+        block = out[k]
+        block[0, 0] = ia
+        block[0, 1] = block[1, 0] = ib * co
+        block[0, 2] = block[2, 0] = ib * ct
+        block[1, 1] = ic * co * co + ie * ct * ct
+        block[1, 2] = block[2, 1] = (ic - ie) * co * ct
+        block[2, 2] = ic * ct * ct + ie * co * co
+
+
+@compiled
+def schur(cone_matrix, blocks, half, out):
+    """out (6, 6) = G B G^T for block-diagonal B = `blocks` (N, 3, 3); `half` (3N, 6) receives B G^T."""
+    out[:] = 0.0
+    for k in range(blocks.shape[0]):
+        block = blocks[k]
+        for row in range(3):
+            for j in range(6):
+                half[3 * k + row, j] = (
+                    block[row, 0] * cone_matrix[j, 3 * k]
+                    + block[row, 1] * cone_matrix[j, 3 * k + 1]
+                    + block[row, 2] * cone_matrix[j, 3 * k + 2]
+                )
+        for i in range(6):
+            for j in range(i + 1):
+                total = 0.0
+                for row in range(3):
+                    total += cone_matrix[i, 3 * k + row] * half[3 * k + row, j]
+                out[i, j] += total
+
+
+@compiled
+def cholesky(matrix):
+    """Lower Cholesky factor in place (lower triangle); False when not positive definite."""
+    n = matrix.shape[0]
+    for j in range(n):
+        pivot = matrix[j, j]
+        for k in range(j):
+            pivot -= matrix[j, k] * matrix[j, k]
+        if not pivot > 0.0:
+            return False
+        pivot = math.sqrt(pivot)
+        matrix[j, j] = pivot
+        for i in range(j + 1, n):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = total / pivot
+    return True
+
+
+@compiled
+def cholesky_solve(factor, b):
+    """Solves L L^T y = b in place."""
+    n = factor.shape[0]
+    for i in range(n):
+        total = b[i]
+        for k in range(i):
+            total -= factor[i, k] * b[k]
+        b[i] = total / factor[i, i]
+    for i in range(n - 1, -1, -1):
+        total = b[i]
+        for k in range(i + 1, n):
+            total -= factor[k, i] * b[k]
+        b[i] = total / factor[i, i]
+
+
+@compiled
+def residual(cone_matrix, x, wrench, out):
+    """out (6,) = G f + w."""
+    for i in range(6):
+        total = wrench[i]
+        for j in range(x.size):
+            total += cone_matrix[i, j] * x[j]
+        out[i] = total
+
+
+@compiled
+def newton_step(x, cone_matrix, wrench, omega, lam, step, multipliers):
+    """Equality-constrained Newton step into `step` (3N,) and its multipliers (6,); returns the squared decrement.
+
+    step = -H^-1 (grad Phi - G^T nu), S nu = G H^-1 grad Phi - (G f + w), S = G H^-1 G^T. A negative return value
+    means that S was not positive definite in floating point.
+    """
+    size = x.size
+    g = np.empty(size)
+    blocks = np.empty((size // 3, 3, 3))
+    half = np.empty((size, 6))
+    s = np.empty((6, 6))
+    gradient(x, omega, lam, g)
+    inverse_hessian(x, lam, blocks)
+    schur(cone_matrix, blocks, half, s)
+    residual(cone_matrix, x, wrench, multipliers)
+    for i in range(6):
+        total = -multipliers[i]
+        for j in range(size):
+            total += half[j, i] * g[j]
+        multipliers[i] = total
+    if not cholesky(s):
+        return -1.0
+    cholesky_solve(s, multipliers)
+    decrement = 0.0
+    for k in range(size // 3):
+        for row in range(3):
+            total = 0.0
+            for i in range(6):
+                total += half[3 * k + row, i] * multipliers[i]
+            for column in range(3):
+                total -= blocks[k, row, column] * g[3 * k + column]
+            step[3 * k + row] = total
+    for j in range(size):
+        slope = g[j]
+        for i in range(6):
+            slope -= cone_matrix[i, j] * multipliers[i]
+        decrement -= slope * step[j]
+    return decrement
+
+
+@compiled
+def step_to_boundary(x, step):
+    """Largest a with x + a * step inside every cone (np.inf: all of the ray is inside), x strictly inside."""
+    limit = np.inf
+    for i in range(0, x.size, 3):
+        u, o, t = x[i], x[i + 1], x[i + 2]
+        du, do, dt = step[i], step[i + 1], step[i + 2]
+        a = du * du - do * do - dt * dt
+        b = u * du - o * do - t * dt
+        c = u * u - o * o - t * t
+        # a r^2 + 2 b r + c = 0, c > 0: the least positive root, in the form that does not cancel
+        if a < 0.0 or b < 0.0:
+            discriminant = b * b - a * c
+            if discriminant >= 0.0:
+                denominator = math.sqrt(discriminant) - b
+                if denominator > 0.0:
+                    limit = min(limit, c / denominator)
+    return limit
+
+
+@compiled
+def lower_bound(multipliers, cone_matrix, wrench, omega, lam):
+    """Dual value of Phi at any multipliers (6,): a certified lower bound of min Phi (-inf: none).
+
+    g(nu) = sum_i min_x [phi_i(x) - (G_i^T nu) . x] - nu . w. With a = 3 omega - y_u, b = |(y_o, y_t)|, p = u + s and
+    r = (u - s)/(u + s) the inner minimum is min over r of 2 sqrt(lam c1(r) c2(r)), c1 = (a - b + (a + b) r)/2,
+    c2 = 1 + 1/r + 2/(1 + r); its stationary r is the fixed point of r^2 = k / (1 + 2 (1 - k)/(1 + r)^2),
+    k = (a - b)/(a + b), a contraction with factor below 0.16. The value's error is quadratic in that of r.
+    """
+    total = 0.0
+    for i in range(6):
+        total -= multipliers[i] * wrench[i]
+    for j in range(0, cone_matrix.shape[1], 3):
+        yu, yo, yt = 0.0, 0.0, 0.0
+        for i in range(6):
+            yu += cone_matrix[i, j] * multipliers[i]
+            yo += cone_matrix[i, j + 1] * multipliers[i]
+            yt += cone_matrix[i, j + 2] * multipliers[i]
+        a = 3.0 * omega - yu
+        b = math.sqrt(yo * yo + yt * yt)
+        if not a > b:
+            return -np.inf
+        k = (a - b) / (a + b)
+        r = math.sqrt(k)
+        for _ in range(9):
+            r = math.sqrt(k / (1.0 + 2.0 * (1.0 - k) / ((1.0 + r) * (1.0 + r))))
+        c1 = 0.5 * (a - b + (a + b) * r)
+        total += 2.0 * math.sqrt(lam * c1 * (1.0 + 1.0 / r + 2.0 / (1.0 + r)))
+    return total
+
+
+@compiled
+def certified_bound(x, cone_matrix, wrench, omega, lam, step, multipliers):
+    """Lower bound of min Phi from the Newton multipliers at x; `step` and `multipliers` are work space."""
+    if newton_step(x, cone_matrix, wrench, omega, lam, step, multipliers) < 0.0:
+        return -np.inf
+    return lower_bound(multipliers, cone_matrix, wrench, omega, lam)
+
+
+@compiled
+def relative_gap(value, bound):
+    """(Phi - bound) / bound, +inf without a positive bound."""
+    if bound > 0.0:
+        return max(0.0, (value - bound) / bound)
+    return np.inf

@@ -1,0 +1,87 @@
+"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound: the plain numpy twin of `kernels.py`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_env._check import Array, positive
+
+
+@dataclass(frozen=True)
+class Objective:
+    """The paper's objective (Eqs. 10, 27-31) with W_p = omega I and W_i = lambda I.
+
+    Per contact, in cone coordinates (u, o, t) and with s^2 = o^2 + t^2:
+    3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29 print W_p.)
+
+    Attributes:
+        force_weight: omega > 0, the price of squeezing.
+        barrier_weight: lambda > 0 [N^2 at omega = 1], the price of coming close to a cone.
+    """
+
+    force_weight: float = 1.0
+    barrier_weight: float = 0.01
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "force_weight", positive(self.force_weight, "force_weight"))
+        object.__setattr__(self, "barrier_weight", positive(self.barrier_weight, "barrier_weight"))
+
+    def value(self, x: Array) -> float:
+        """Phi at flat cone coordinates (3N,); +inf outside the open cones.
+
+        Example:
+            >>> round(Objective(1.0, 0.01).value(np.array([0.5, 0.0, 0.0])), 12)
+            1.56
+        """
+        u, o, t = x.reshape(-1, 3).T
+        d = u**2 - o**2 - t**2
+        if not ((u > 0).all() and (d > 0).all()):
+            return float("inf")
+        return float((3 * self.force_weight * u + self.barrier_weight * (1 / u + 2 * u / d)).sum())
+
+    def gradient(self, x: Array) -> Array:
+        """Gradient of Phi, (3N,)."""
+        u, o, t = x.reshape(-1, 3).T
+        d = u**2 - o**2 - t**2
+        du = 3 * self.force_weight - self.barrier_weight * (1 / u**2 + 2 * (u**2 + o**2 + t**2) / d**2)
+        return np.stack([du, 4 * self.barrier_weight * u * o / d**2, 4 * self.barrier_weight * u * t / d**2], 1).ravel()
+
+    def hessian(self, x: Array) -> Array:
+        """The 3 x 3 diagonal blocks of the Hessian of Phi, (N, 3, 3)."""
+        u, o, t = x.reshape(-1, 3).T
+        s2 = o**2 + t**2
+        d = u**2 - s2
+        blocks = np.empty((len(u), 3, 3))
+        blocks[:, 0, 0] = 2 / u**3 + 4 * u * (u**2 + 3 * s2) / d**3
+        for row, (a, b) in enumerate(((o, t), (t, o)), start=1):
+            blocks[:, 0, row] = blocks[:, row, 0] = -4 * a * (3 * u**2 + s2) / d**3
+            blocks[:, row, row] = 4 * u / d**2 + 16 * u * a**2 / d**3
+            blocks[:, row, 3 - row] = 16 * u * a * b / d**3
+        return self.barrier_weight * blocks
+
+    def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
+        """The dual value at multipliers nu (6,): no balanced force has a smaller Phi; -inf where it says nothing.
+
+        Derived in `kernels.lower_bound`; here r is the positive root of the stationarity condition written as a
+        quartic, an independent check of the kernel's fixed point.
+
+        Args:
+            multipliers: (6,) nu with grad Phi = G^T nu at the optimum.
+            cone_matrix: (6, 3N), G in cone coordinates.
+            wrench: (6,) external wrench.
+        """
+        y = (cone_matrix.T @ multipliers).reshape(-1, 3)
+        total = -float(multipliers @ wrench)
+        for yu, yo, yt in y:
+            a, b = 3 * self.force_weight - yu, float(np.hypot(yo, yt))
+            if not a > b:
+                return float("-inf")
+            k = (a - b) / (a + b)
+            # r^2 ((1 + r)^2 + 2) = k ((1 + r)^2 + 2 r^2)
+            roots = np.roots([1.0, 2.0, 3.0 - 3.0 * k, -2.0 * k, -k])
+            r = float(max(root.real for root in roots if abs(root.imag) < 1e-9))
+            c1 = (a - b + (a + b) * r) / 2
+            total += 2 * float(np.sqrt(self.barrier_weight * c1 * (1 + 1 / r + 2 / (1 + r))))
+        return total

@@ -1,0 +1,72 @@
+"""Repair of a candidate force: balanced, strictly feasible and never worse in Phi than a safe one, by construction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from grasp_env._check import Array, ContactForces, Wrench
+from grasp_env.errors import UnknownNameError
+from grasp_env.force.basis import OfflineBasis
+from grasp_env.force.description import to_cone, to_force
+from grasp_env.force.objective import Objective
+from grasp_env.force.start_kernels import best_on_segment, tangent
+from grasp_env.grasp.grasp import Grasp
+
+Correction = Literal["tangent", "pseudoinverse"]
+CORRECTIONS: tuple[Correction, ...] = ("tangent", "pseudoinverse")
+
+
+@dataclass(frozen=True)
+class Repair:
+    """Moves a candidate into the cones along the segment to the offline basis' combination.
+
+    The candidate first gets the least-norm correction -G^+ (G f + w), so a candidate that is balanced stays. Then
+    the force of least Phi on the segment from the combination (strictly feasible) to it is taken: never worse than
+    the paper's start, and never worse than the candidate where that is feasible.
+    """
+
+    objective: Objective = field(default_factory=Objective)
+
+    def __call__(self, grasp: Grasp, wrench: Wrench, candidate: ContactForces) -> ContactForces:
+        """(N, 3) repaired force [N]; see the class."""
+        flat = np.asarray(candidate, dtype=np.float64).reshape(-1)
+        flat = flat - grasp.pseudoinverse @ (grasp.matrix @ flat + wrench)
+        safe = to_cone(OfflineBasis.of(grasp, self.objective).combine(wrench), grasp.friction)
+        out = np.empty_like(flat)
+        x = to_cone(flat, grasp.friction)
+        if not np.isfinite(x).all():
+            x = safe.copy()
+        best_on_segment(safe, x, self.objective.force_weight, self.objective.barrier_weight, out)
+        return to_force(out, grasp.friction)
+
+
+def carry_over(
+    grasp: Grasp, wrench: Wrench, previous: ContactForces, objective: Objective, correction: Correction = "tangent"
+) -> ContactForces:
+    """A previous optimum carried to a new grasp and wrench, and repaired.
+
+    Args:
+        grasp: the grasp as it is now.
+        wrench: (6,) the wrench to balance now.
+        previous: (N, 3) the force that was optimal before [N].
+        objective: Phi.
+        correction: "pseudoinverse": the least-norm change that restores balance; "tangent": the change that is
+            least in the Hessian of Phi at the previous force, which also follows the optimum to first order.
+
+    Raises:
+        UnknownNameError: another correction.
+    """
+    if correction not in CORRECTIONS:
+        raise UnknownNameError("correction", correction, CORRECTIONS)
+    candidate: Array = np.asarray(previous, dtype=np.float64)
+    if correction == "tangent":
+        x = to_cone(previous, grasp.friction)
+        out = np.empty_like(x)
+        u, o, t = x.reshape(-1, 3).T
+        inside = (u > np.hypot(o, t)).all()
+        if inside and tangent(x, grasp.cone_matrix.copy(), wrench, objective.barrier_weight, out):
+            candidate = to_force(out, grasp.friction)
+    return Repair(objective)(grasp, wrench, candidate)
