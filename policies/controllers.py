@@ -1,0 +1,30 @@
+"""Controllers with stable-baselines3's `predict`, so that one evaluator scores the paper, a learned start, an agent."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Policy(Protocol):
+    """What `stable_baselines3.common.evaluation.evaluate_policy` needs."""
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], Any]: ...
+
+
+class ZeroPolicy:
+    """No adjustment of the initial force: the environment's own start rule, the paper's by default."""
+
+    def __init__(self, action_size: int = 6) -> None:
+        self.action_size = action_size
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], Any]:
+        """Zeros of the action's shape, one row per environment where observations are batched."""
+        shape = np.shape(observation)[:-1]
+        return np.zeros((*shape, self.action_size), dtype=np.float32), state
