@@ -1,0 +1,1 @@
+"""Training, evaluation and reports, with the `grasp` program (`training.cli`)."""

@@ -1,0 +1,231 @@
+"""Grasp forces of a simulated four-finger hand: solve, fit, evaluate, report, demo, warmup."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from grasp_env.errors import GraspError
+from grasp_env.force import InitialForceRule, optimize_force
+from grasp_env.grasp import presets
+from policies import LearnedInitialForce
+from training.settings import EvaluateConfig, FitConfig
+
+
+@dataclass(frozen=True)
+class Solve:
+    """Optimise one grasp force and print it.
+
+    Attributes:
+        wrench: external wrench on the object: fx fy fz [N] mx my mz [N m].
+        preset: the named grasp.
+        friction: replaces the preset's coefficient.
+        initial: start rule, or "learned" for the shipped network.
+        method: reduced_flow, full_flow or newton.
+        barrier_weight: lambda [N^2].
+        tolerance: relative gap.
+        json: print JSON for machines.
+    """
+
+    wrench: tuple[float, float, float, float, float, float] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
+    preset: str = "paper_cuboid"
+    friction: float | None = None
+    initial: str = "linear_combination"
+    method: str = "reduced_flow"
+    barrier_weight: float = 0.01
+    tolerance: float = 1e-4
+    json: bool = False
+
+
+@dataclass(frozen=True)
+class Report:
+    """Rebuild a run's report from its saved trials; nothing is solved.
+
+    Attributes:
+        run: the run's folder.
+    """
+
+    run: tyro.conf.Positional[Path]
+
+
+@dataclass(frozen=True)
+class Demo:
+    """Roll out the hand and save a picture or a video.
+
+    Attributes:
+        out: .png for a picture, .mp4 or .gif for a video.
+        wrench: none, constant, paper_path or random.
+        seconds: simulated time.
+        initial: start rule, or "learned" for the shipped network.
+        seed: of the episode.
+    """
+
+    out: Path = Path("hand.mp4")
+    wrench: str = "paper_path"
+    seconds: float = 2.0
+    initial: str = "linear_combination"
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Warmup:
+    """Compile and cache every kernel now, so that the first call of a control loop is fast."""
+
+
+@dataclass(frozen=True)
+class Fit(FitConfig):
+    """Train a network that predicts the initial force, and save it as two files.
+
+    Attributes:
+        out: their common stem.
+    """
+
+    out: Path = Path("runs/fit/four_finger")
+
+
+@dataclass(frozen=True)
+class Evaluate(EvaluateConfig):
+    """Fit a network, compare all starts, roll out the hand, write the report."""
+
+
+Command = (
+    Annotated[Solve, tyro.conf.subcommand("solve")]
+    | Annotated[Fit, tyro.conf.subcommand("fit")]
+    | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
+    | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Warmup, tyro.conf.subcommand("warmup")]
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one sub-command.
+
+    Returns:
+        0; 2 after an error of the project, told in one line on stderr; 130 after an interrupt.
+    """
+    command = tyro.cli(Command, prog="grasp", description=__doc__, args=arguments)  # type: ignore[arg-type]
+    try:
+        _HANDLERS[type(command)](command)
+    except GraspError as error:
+        sys.stderr.write(f"grasp: {error}\n")
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("grasp: interrupted\n")
+        return 130
+    return 0
+
+
+def _rule(name: str) -> str | InitialForceRule:
+    if name == "learned":
+        return LearnedInitialForce.pretrained()
+    return name
+
+
+def _solve(command: Solve) -> None:
+    grasp = presets.preset(command.preset, command.friction)
+    solution = optimize_force(
+        grasp,
+        np.array(command.wrench),
+        initial=_rule(command.initial),
+        method=command.method,
+        barrier_weight=command.barrier_weight,
+        tolerance=command.tolerance,
+    )
+    if command.json:
+        numbers = {
+            "force": solution.force.tolist(),
+            "status": solution.status.value,
+            "iterations": solution.iterations,
+            "trials": solution.trials,
+            "objective": solution.objective,
+            "optimality_gap": solution.optimality_gap,
+            "equilibrium_residual": solution.equilibrium_residual,
+            "cone_margin": solution.cone_margin,
+            "total_normal_force": solution.total_normal_force,
+        }
+        sys.stdout.write(json.dumps(numbers) + "\n")
+        return
+    table = Table("contact", "normal [N]", "o [N]", "t [N]", "mu n - |tangential| [N]", title=f"{command.preset}: {solution.status.value}")
+    for k, (normal, o, t) in enumerate(solution.force):
+        margin = grasp.friction[k] * normal - float(np.hypot(o, t))
+        table.add_row(str(k), f"{normal:.4f}", f"{o:.4f}", f"{t:.4f}", f"{margin:.4f}")
+    console = Console()
+    console.print(table)
+    console.print(
+        f"{solution.method} from {solution.initial}: {solution.iterations} iterations ({solution.trials} trials), "
+        f"certified gap {solution.optimality_gap:.1e}, balance residual {solution.equilibrium_residual:.1e} N, "
+        f"total normal force {solution.total_normal_force:.3f} N",
+        highlight=False,
+    )
+
+
+def _fit(command: Fit) -> None:
+    from training.fit import fit, save_fit
+    from training.runs import Run
+
+    Run.create(command.out.parent, "")
+    settings = FitConfig(**{name: getattr(command, name) for name in FitConfig.__dataclass_fields__})
+    result = fit(settings, progress=sys.stderr.isatty(), command=" ".join(["grasp", *sys.argv[1:]]))
+    path = save_fit(result, command.out)
+    gap = result.checkpoint.card["held_out_gap_second_order"]
+    Console().print(f"{path}: held-out gap {gap['median']:.1e} median, {gap['p99']:.1e} p99", highlight=False)
+
+
+def _evaluate(command: Evaluate) -> None:
+    from training.evaluate import evaluate
+
+    metrics = evaluate(EvaluateConfig(**{name: getattr(command, name) for name in EvaluateConfig.__dataclass_fields__}))
+    _print_claims(metrics["claims"])
+
+
+def _report(command: Report) -> None:
+    from training.report import build_report, report_path
+    from training.runs import Run
+
+    run = Run.open(command.run, "run.json")
+    _print_claims(build_report(run)["claims"])
+    Console().print(str(report_path(run)), highlight=False)
+
+
+def _demo(command: Demo) -> None:
+    from training.demo import record
+
+    record(command.out, command.wrench, command.seconds, _rule(command.initial), command.seed)
+    Console().print(str(command.out), highlight=False)
+
+
+def _warmup(command: Warmup) -> None:
+    from training.demo import warm_up
+
+    Console().print(f"kernels compiled and cached in {warm_up():.1f} s", highlight=False)
+
+
+def _print_claims(claims: list[dict[str, Any]]) -> None:
+    table = Table("claim", "asked", "measured", "met")
+    for row in sorted(claims, key=lambda row: row["met"]):
+        table.add_row(row["claim"], row["asked"], row["measured"], "yes" if row["met"] else "NO")
+    Console().print(table)
+
+
+_HANDLERS: dict[type, Callable[[Any], None]] = {
+    Solve: _solve,
+    Fit: _fit,
+    Evaluate: _evaluate,
+    Report: _report,
+    Demo: _demo,
+    Warmup: _warmup,
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+"""Roll-outs of the simulated hand: what happened at every step, for every scenario and start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from grasp_env.force import InitialForceRule
+from policies.controllers import Policy, ZeroPolicy
+
+SCENARIOS: dict[str, dict[str, Any]] = {
+    "gravity": {"wrench": "none"},
+    "constant": {"wrench": "constant"},
+    "paper_path": {"wrench": "paper_path"},
+    "random": {"wrench": "random"},
+}
+SCENARIO_LABELS = {
+    "gravity": "gravity alone",
+    "constant": "gravity + the paper's constant wrench",
+    "paper_path": "gravity + W_ext(t) x 0.1",
+    "random": "gravity + random wrench (Ornstein-Uhlenbeck, 0.6 N / 0.02 N m per axis)",
+}
+HOLD_SCENARIOS = ("gravity", "constant", "paper_path")
+_SCALARS = (
+    "iterations", "trials", "drift", "tilt", "slip", "slip_distance", "force_error", "peak_torque", "time",
+    "optimality_gap",
+)  # fmt: skip
+_ARRAYS = ("commanded_force", "measured_force", "wrench", "touching")
+
+
+def roll_out(
+    scenario: str,
+    initial_force: str | InitialForceRule,
+    seed: int,
+    steps: int = 100,
+    policy: Policy | None = None,
+) -> dict[str, np.ndarray]:
+    """One episode through the public environment.
+
+    Args:
+        scenario: a key of `SCENARIOS`.
+        initial_force: the environment's start rule.
+        seed: of the episode.
+        steps: agent steps at 50 Hz.
+        policy: the agent; None: no adjustment.
+
+    Returns:
+        Arrays over the steps taken: the scalars and arrays of `info`, "reward", and "failure" (a string, "" if held).
+    """
+    env = gym.make("grasp_env:FourFingerGrasp-v0", initial_force=initial_force, **SCENARIOS[scenario])
+    try:
+        policy = policy or ZeroPolicy()
+        observation, info = env.reset(seed=seed)
+        rows: list[dict[str, Any]] = []
+        rewards = []
+        for _ in range(steps):
+            action, _ = policy.predict(observation, deterministic=True)
+            observation, reward, terminated, truncated, info = env.step(action)
+            rows.append(info)
+            rewards.append(float(reward))
+            if terminated or truncated:
+                break
+        out = {name: np.array([row[name] for row in rows]) for name in (*_SCALARS, *_ARRAYS)}
+        return {**out, "reward": np.array(rewards), "failure": np.array(info["failure"])}
+    finally:
+        env.close()
+
+
+def roll_out_all(
+    rules: dict[str, str | InitialForceRule], episodes: int, seed: int, tick: Callable[[], None]
+) -> dict[str, np.ndarray]:
+    """Every scenario x start: deterministic scenarios once, the random one `episodes` times with paired seeds.
+
+    Returns:
+        "<scenario>/<start>/<episode>/<column>" arrays.
+    """
+    out: dict[str, np.ndarray] = {}
+    for scenario in SCENARIOS:
+        for episode in range(episodes if scenario == "random" else 1):
+            for key, rule in rules.items():
+                rows = roll_out(scenario, rule, seed + episode)
+                out.update({f"{scenario}/{key}/{episode}/{column}": value for column, value in rows.items()})
+                tick()
+    return out
+
+
+def picture() -> np.ndarray:
+    """(480, 480, 3) the hand holding the cuboid, rendered without a display."""
+    from grasp_env.env import FourFingerGrasp
+
+    env = FourFingerGrasp(render_mode="rgb_array")
+    try:
+        env.reset(seed=0)
+        frame = env.render()
+        assert frame is not None
+        return frame
+    finally:
+        env.close()

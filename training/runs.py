@@ -1,0 +1,158 @@
+"""Run folders: where a command's outputs go, written whole or not at all, with what is needed to repeat it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_env.errors import InvalidInputError
+
+_PACKAGES = ("numpy", "scipy", "numba", "torch", "gymnasium", "stable-baselines3", "pybullet")
+
+
+class Run:
+    """One folder `<out>/<name>` of outputs; every file appears under its name only when it is complete."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @classmethod
+    def create(cls, out: str | Path, name: str) -> Run:
+        """Makes the folder and checks that it can be written, before any work is done.
+
+        Raises:
+            InvalidInputError: the folder cannot be made or written.
+        """
+        folder = Path(out) / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            probe = folder / f".probe-{os.getpid()}"
+            probe.write_bytes(b"")
+            probe.unlink()
+        except OSError as error:
+            raise InvalidInputError(f"cannot write to {folder} ({error.strerror}): choose another --out") from None
+        return cls(folder)
+
+    @classmethod
+    def open(cls, folder: str | Path, needs: str) -> Run:
+        """An existing run that holds the file `needs`.
+
+        Raises:
+            InvalidInputError: there is no such run.
+        """
+        folder = Path(folder)
+        if not (folder / needs).is_file():
+            raise InvalidInputError(f"{folder} is not a finished run: {needs} is missing; run `grasp evaluate` first")
+        return cls(folder)
+
+    def path(self, name: str) -> Path:
+        """Path of a file of this run; its folder exists."""
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def write(self, name: str, writer: Callable[[Path], object]) -> Path:
+        """Calls writer(temporary path), then renames: an interrupted write leaves no half file."""
+        path = self.path(name)
+        temporary = path.with_name(f".{os.getpid()}.{path.name}")
+        try:
+            writer(temporary)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        return path
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Writes a text file."""
+        return self.write(name, lambda path: path.write_text(text, encoding="utf-8"))
+
+    def write_json(self, name: str, value: Any) -> Path:
+        """Writes JSON; not-a-number and infinity are refused."""
+        return self.write_text(name, json.dumps(value, indent=2, allow_nan=False, default=_plain) + "\n")
+
+    def read_json(self, name: str) -> Any:
+        """Reads JSON."""
+        return json.loads(self.path(name).read_text(encoding="utf-8"))
+
+    def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> Path:
+        """Writes a compressed .npz without pickles."""
+
+        def save(path: Path) -> None:
+            with path.open("wb") as file:
+                np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+        return self.write(name, save)
+
+    def read_arrays(self, name: str) -> dict[str, np.ndarray]:
+        """Reads an .npz; object arrays are refused."""
+        with np.load(self.path(name), allow_pickle=False) as file:
+            return {key: file[key] for key in file.files}
+
+
+def default_name(kind: str) -> str:
+    """`<kind>-<date>-<time>`."""
+    return f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def provenance() -> dict[str, Any]:
+    """Machine, versions, commit and command of this process."""
+    return {
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "time": time.strftime("%Y-%m-%d %H:%M:%S %Z"),
+        "machine": {
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+            "system": f"{platform.system()} {platform.release()}",
+            "python": platform.python_version(),
+        },
+        "versions": {name: _version(name) for name in _PACKAGES},
+        "commit": _commit(),
+    }
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"cannot write {type(value).__name__} as JSON")
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _commit() -> str:
+    try:
+        here = Path(__file__).parent
+        run = subprocess.run(
+            ["git", "-C", str(here), "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=10
+        )
+        return run.stdout.strip() or "unknown"
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"

@@ -1,0 +1,49 @@
+"""The few statistics the reports quote."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+_RESAMPLES = 1000
+
+
+def summary(values: np.ndarray) -> dict[str, Any]:
+    """Median with a 95 % bootstrap interval, p95, p99 and maximum of finite values (n,); zeros counted in `n`.
+
+    Example:
+        >>> summary(np.arange(101.0))["median"], summary(np.arange(101.0))["p99"]
+        (50.0, 99.0)
+    """
+    values = np.asarray(values, dtype=np.float64)
+    if values.size == 0:
+        return {"n": 0, "median": None, "median_low": None, "median_high": None, "p95": None, "p99": None, "max": None}
+    low, high = median_interval(values)
+    p50, p95, p99 = np.percentile(values, [50, 95, 99])
+    return {
+        "n": int(values.size),
+        "median": float(p50),
+        "median_low": low,
+        "median_high": high,
+        "p95": float(p95),
+        "p99": float(p99),
+        "max": float(values.max()),
+    }
+
+
+def median_interval(values: np.ndarray, seed: int = 0) -> tuple[float, float]:
+    """95 % percentile bootstrap interval of the median."""
+    rng = np.random.default_rng(seed)
+    picks = rng.integers(0, values.size, (_RESAMPLES, values.size))
+    low, high = np.percentile(np.median(values[picks], axis=1), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def ratio_interval(numerator: np.ndarray, denominator: np.ndarray, seed: int = 0) -> tuple[float, float, float]:
+    """median(numerator) / median(denominator) of paired samples, with a 95 % paired bootstrap interval."""
+    rng = np.random.default_rng(seed)
+    picks = rng.integers(0, numerator.size, (_RESAMPLES, numerator.size))
+    tops, bottoms = np.median(numerator[picks], axis=1), np.median(denominator[picks], axis=1)
+    low, high = np.percentile(tops / np.maximum(bottoms, 1e-12), [2.5, 97.5])
+    return float(np.median(numerator) / max(float(np.median(denominator)), 1e-12)), float(low), float(high)
