@@ -47,7 +47,7 @@ class EnvConfig:
     random_force: float = 0.6
     random_moment: float = 0.02
     random_time: float = 0.3
-    gravity: tuple[float, ...] = (0.0, -9.81, 0.0)
+    gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
     object_mass: float = 0.2
     friction: float = 0.4
     friction_margin: float = 0.85

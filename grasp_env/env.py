@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +14,12 @@ from grasp_env._check import as_wrench
 from grasp_env.config import EnvConfig
 from grasp_env.control import ForceLoop, rotation_vector
 from grasp_env.disturbance import sample_disturbance
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownNameError
+from grasp_env.errors import (
+    GraspError,
+    InvalidInputError,
+    SimulationError,
+    UnknownNameError,
+)
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.reward import reward_terms
 from grasp_env.sim import Camera, Scene, SceneConfig
@@ -89,7 +94,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         >>> env.close()
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
 
     def __init__(
         self,
@@ -145,9 +150,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._observed = self._observe(scene)
         return self._observed, self._info(scene, reward_terms(self.config, True, 0, 0.0))
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One agent step; see the class.
 
         Raises:
@@ -190,7 +193,12 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             return None
         if self._camera is None:
             self._camera = Camera(scene)
-        return self._camera.render()
+        return self._camera.capture()
+
+    @property
+    def scene(self) -> Scene:
+        """The simulation, for cameras and measurements."""
+        return self._open_scene()
 
     def close(self) -> None:
         """Frees the simulator; twice is fine."""

@@ -50,7 +50,9 @@ class Checkpoint:
         """Writes `<path>.safetensors` and `<path>.json`, each under a temporary name first."""
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        tensors = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in self.weights.items()}
+        tensors: dict[str, np.ndarray] = {
+            name: np.ascontiguousarray(value, dtype=np.float32) for name, value in self.weights.items()
+        }
         tensors["reference"] = np.ascontiguousarray(self.reference, dtype=np.float64)
         blob = save(tensors)
         meta = {
@@ -86,9 +88,13 @@ class Checkpoint:
         try:
             blob = file.read_bytes()
         except OSError as error:
-            raise ModelFileError(f"model weights {file}: {error.strerror}; a model is two files, .safetensors and .json") from None
+            raise ModelFileError(
+                f"model weights {file}: {error.strerror}; a model is two files, .safetensors and .json"
+            ) from None
         if hashlib.sha256(blob).hexdigest() != meta.get("sha256"):
-            raise ModelFileError(f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; copy both files again or train anew")
+            raise ModelFileError(
+                f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; copy both files again or train anew"
+            )
         try:
             tensors = load(blob)
             reference = tensors.pop("reference")
@@ -106,7 +112,9 @@ class Checkpoint:
                 card=dict(meta["card"]),
             )
         except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-            raise ModelFileError(f"model {stem}: incomplete or malformed ({error!r}); train anew with `grasp fit`") from None
+            raise ModelFileError(
+                f"model {stem}: incomplete or malformed ({error!r}); train anew with `grasp fit`"
+            ) from None
         checkpoint._check_shapes(stem)
         return checkpoint
 
@@ -124,8 +132,14 @@ class Checkpoint:
             want[f"layers.{layer}.bias"] = (outputs,)
         got = {name: value.shape for name, value in self.weights.items()}
         ends = (N_FEATURES, 3 * self.n_contacts - 6)
-        if got != want or (self.sizes[0], self.sizes[-1]) != ends or self.reference.shape != (3 * self.n_contacts, ends[1]):
-            raise ModelFileError(f"model {stem}: weights of shapes {got} do not fit sizes {self.sizes} for {self.n_contacts} contacts")
+        if (
+            got != want
+            or (self.sizes[0], self.sizes[-1]) != ends
+            or self.reference.shape != (3 * self.n_contacts, ends[1])
+        ):
+            raise ModelFileError(
+                f"model {stem}: weights of shapes {got} do not fit sizes {self.sizes} for {self.n_contacts} contacts"
+            )
         if not all(np.isfinite(value).all() for value in (*self.weights.values(), self.reference)):
             raise ModelFileError(f"model {stem}: weights are not finite; train anew with `grasp fit`")
 
@@ -134,12 +148,16 @@ def _read_meta(file: Path) -> dict[str, Any]:
     try:
         meta = json.loads(file.read_text())
     except OSError as error:
-        raise ModelFileError(f"model description {file}: {error.strerror}; a model is two files, .safetensors and .json") from None
+        raise ModelFileError(
+            f"model description {file}: {error.strerror}; a model is two files, .safetensors and .json"
+        ) from None
     except ValueError as error:
         raise ModelFileError(f"model description {file} is not JSON ({error})") from None
     schema = meta.get("schema") if isinstance(meta, dict) else None
     if schema != SCHEMA:
-        raise ModelFileError(f"model description {file} has schema {schema!r}, this version reads {SCHEMA!r}: train anew with `grasp fit`")
+        raise ModelFileError(
+            f"model description {file} has schema {schema!r}, this version reads {SCHEMA!r}: train anew with `grasp fit`"
+        )
     return meta
 
 

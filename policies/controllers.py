@@ -13,7 +13,9 @@ class Policy(Protocol):
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[NDArray[np.float32], Any]: ...
+    ) -> tuple[NDArray[np.float32], Any]:
+        """(action(s), state)."""
+        ...
 
 
 class ZeroPolicy:

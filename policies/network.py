@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 
 def activation(x: Tensor) -> Tensor:
-    """x (1 + x / sqrt(1 + x^2)) / 2: smooth, SiLU-shaped, vectorises in the compiled inference."""
+    """X (1 + x / sqrt(1 + x^2)) / 2: smooth, SiLU-shaped, vectorises in the compiled inference."""
     return 0.5 * x * (1.0 + x * torch.rsqrt(1.0 + x * x))
 
 
@@ -19,9 +20,10 @@ class Network(nn.Module):
     def __init__(self, inputs: int, hidden: Sequence[int], outputs: int) -> None:
         super().__init__()
         sizes = [inputs, *hidden, outputs]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
 
     def forward(self, x: Tensor) -> Tensor:
+        """(B, inputs) -> (B, outputs)."""
         for layer in self.layers[:-1]:
             x = activation(layer(x))
         return self.layers[-1](x)

@@ -155,7 +155,14 @@ def _solve(command: Solve) -> None:
         }
         sys.stdout.write(json.dumps(numbers) + "\n")
         return
-    table = Table("contact", "normal [N]", "o [N]", "t [N]", "mu n - |tangential| [N]", title=f"{command.preset}: {solution.status.value}")
+    table = Table(
+        "contact",
+        "normal [N]",
+        "o [N]",
+        "t [N]",
+        "mu n - |tangential| [N]",
+        title=f"{command.preset}: {solution.status.value}",
+    )
     for k, (normal, o, t) in enumerate(solution.force):
         margin = grasp.friction[k] * normal - float(np.hypot(o, t))
         table.add_row(str(k), f"{normal:.4f}", f"{o:.4f}", f"{t:.4f}", f"{margin:.4f}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -86,7 +87,7 @@ def generate(
 
     edges = np.linspace(0, count, workers + 1).astype(int)
     with ThreadPoolExecutor(workers) as pool:
-        worst = max(pool.map(work, (slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))))
+        worst = max(pool.map(work, (slice(a, b) for a, b in pairwise(edges))))
     if worst > 1e-6:
         raise NotConvergedError(f"a training label has a relative gap of {worst:.2g}")
     return Dataset(wrenches, friction, coordinates, metric)

@@ -35,9 +35,7 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> dict[str
     fitted = LearnedInitialForce(result.checkpoint)
     learned: dict[str, InitialForceRule] = {"learned_fitted": fitted, "learned_shipped": shipped}
     grasp = presets.preset(config.fit.preset)
-    optimizer = ForceOptimizer(
-        grasp, force_weight=config.fit.force_weight, barrier_weight=config.fit.barrier_weight
-    )
+    optimizer = ForceOptimizer(grasp, force_weight=config.fit.force_weight, barrier_weight=config.fit.barrier_weight)
     starts = make_starts(optimizer.objective, learned)
     sets = wrench_sets(config.wrenches, config.seed)
     with _progress(console) as bar:
@@ -78,6 +76,10 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> dict[str
 
 
 def _progress(console: Console) -> Progress:
-    columns = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}"), TimeElapsedColumn()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total}"),
+        TimeElapsedColumn(),
+    )
     return Progress(*columns, console=console, disable=not console.is_terminal)
-

@@ -28,7 +28,7 @@ COLOURS = {
 }
 FINGERS = ("thumb", "middle finger", "left finger", "right finger")
 _FINGER_COLOURS = ("#b3261e", "#1f5fa8", "#2e8b57", "#c08a3e")
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "font.size": 10,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -69,7 +69,9 @@ def iterations_ecdf(trials: Trials) -> Figure:
         share = np.arange(1, len(order) + 1) / len(order)
         style = {"linestyle": "--"} if key == "linear_combination_printed" else {}
         axes.step(order[keep] + 1, share[keep], where="post", color=COLOURS[key], label=label, **style)
-    axes.set(xscale="log", xlabel="1 + accepted steps to a relative gap of 1e-4", ylabel="share of wrenches", ylim=(0, 1))
+    axes.set(
+        xscale="log", xlabel="1 + accepted steps to a relative gap of 1e-4", ylabel="share of wrenches", ylim=(0, 1)
+    )
     axes.legend(fontsize=8, frameon=False, loc="lower right")
     return figure
 

@@ -138,7 +138,13 @@ def _schedule(done: float) -> float:
 
 
 def _card(
-    config: FitConfig, grasp: Grasp, command: str, steps: int, prepared: float, total: float, curve: list[tuple[float, ...]]
+    config: FitConfig,
+    grasp: Grasp,
+    command: str,
+    steps: int,
+    prepared: float,
+    total: float,
+    curve: list[tuple[float, ...]],
 ) -> dict[str, Any]:
     _, _, median, p95, p99 = curve[-1]
     return {

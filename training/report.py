@@ -102,7 +102,7 @@ def number(value: float | None, digits: int = 3) -> str:
     """
     if value is None:
         return "–"
-    if value == 0 or float(value).is_integer() and abs(value) < 1e5:
+    if value == 0 or (float(value).is_integer() and abs(value) < 1e5):
         return f"{value:.0f}"
     if abs(value) >= 10**digits:
         return f"{value:.0f}"

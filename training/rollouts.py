@@ -8,7 +8,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from grasp_env.env import FourFingerGrasp
 from grasp_env.force import InitialForceRule
+from grasp_env.sim import Camera, CameraConfig
 from policies.controllers import Policy, ZeroPolicy
 
 SCENARIOS: dict[str, dict[str, Any]] = {
@@ -87,15 +89,11 @@ def roll_out_all(
     return out
 
 
-def picture() -> np.ndarray:
-    """(480, 480, 3) the hand holding the cuboid, rendered without a display."""
-    from grasp_env.env import FourFingerGrasp
-
-    env = FourFingerGrasp(render_mode="rgb_array")
+def picture(size: int = 640) -> np.ndarray:
+    """(size, size, 3) the hand holding the cuboid, rendered without a display."""
+    env = FourFingerGrasp()
     try:
         env.reset(seed=0)
-        frame = env.render()
-        assert frame is not None
-        return frame
+        return Camera(env.scene, CameraConfig(width=size, height=size, supersampling=3)).capture()
     finally:
         env.close()

@@ -36,7 +36,7 @@ def descend(
     rule: AdaptiveStep,
     max_iterations: int,
 ) -> Descent:
-    """state <- state + alpha * direction(state) while Phi decreases (paper, Eqs. 12 and 26).
+    """State <- state + alpha * direction(state) while Phi decreases (paper, Eqs. 12 and 26).
 
     Args:
         state: vec(P) for the full flow, VP for the reduced one.

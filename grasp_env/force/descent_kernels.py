@@ -129,7 +129,7 @@ def newton(x, cone_matrix, wrench, omega, lam, tolerance, max_iterations, trace)
         if iterations >= max_iterations:
             return LIMIT, iterations, trials, value, bound
         alpha = min(1.0, 0.95 * step_to_boundary(x, step))
-        accepted = False
+        accepted, trial = False, value
         for _ in range(60):
             trials += 1
             for i in range(size):

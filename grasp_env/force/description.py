@@ -51,7 +51,7 @@ def description_matrix(force: ContactForces, friction: Array) -> Array:
 
 
 def cone_margin(force: ContactForces, friction: Array) -> float:
-    """min over contacts of mu * normal - sqrt(o^2 + t^2) [N]: the least eigenvalue of P; > 0 strictly inside.
+    """Min over contacts of mu * normal - sqrt(o^2 + t^2) [N]: the least eigenvalue of P; > 0 strictly inside.
 
     Example:
         >>> cone_margin(np.array([[10.0, 3.0, 0.0]]), np.array([0.4]))

@@ -34,7 +34,7 @@ class Feasibility:
 
 
 def phase_one(grasp: Grasp, wrench: Wrench) -> Feasibility:
-    """min s s.t. G x + r w = 0, x_i + s e inside cone i, r + s > 0, sum (u_i + s) + r + s = 1, by a barrier path.
+    """Min s s.t. G x + r w = 0, x_i + s e inside cone i, r + s > 0, sum (u_i + s) + r + s = 1, by a barrier path.
 
     The homogeneous variable r and the last equation make the set bounded whatever the grasp: s < 0 proves that x / r
     is strictly feasible; multipliers of a centred iterate with a positive dual value prove that nothing is. About thirty

@@ -26,7 +26,9 @@ LAGRANGE_WEIGHTS = np.array([1.0, 10.0, 10.0])
 class InitialForceRule(Protocol):
     """A start: rule(grasp, wrench (6,)) -> force (N, 3) [N]."""
 
-    def __call__(self, grasp: Grasp, wrench: Wrench, /) -> ContactForces: ...
+    def __call__(self, grasp: Grasp, wrench: Wrench, /) -> ContactForces:
+        """(N, 3) [N]; raises `InfeasibleStartError` where the rule has no such force."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class LinearCombination:
     printed: bool = False
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        """The start (N, 3) [N]; see the class."""
         if self.printed and not wrench.any():
             raise InfeasibleStartError(
                 "the printed linear combination is zero at w = 0, which is not inside the cones; "
@@ -60,6 +63,7 @@ class SingleValue:
     objective: Objective = field(default_factory=Objective)
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        """The start (N, 3) [N]; see the class."""
         rest = OfflineBasis.of(grasp, self.objective).cone_forces[12]
         particular = to_cone(-(grasp.pseudoinverse @ wrench).reshape(-1, 3), grasp.friction)
         low, _ = ray_interval(particular, rest)
@@ -80,6 +84,7 @@ class Lagrange:
     objective: Objective = field(default_factory=Objective)
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        """The start (N, 3) [N]; see the class."""
         rest = OfflineBasis.of(grasp, self.objective).cone_forces[12]
         scaled = grasp.matrix / np.tile(LAGRANGE_WEIGHTS, grasp.n_contacts)
         normals = np.tile([1.0, 0.0, 0.0], grasp.n_contacts)
@@ -103,6 +108,7 @@ class PhaseOne:
     objective: Objective = field(default_factory=Objective)
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        """The start (N, 3) [N]; see the class."""
         answer = phase_one(grasp, wrench)
         if answer.force is None:
             raise InfeasibleStartError("no force strictly inside the cones balances the wrench")

@@ -30,7 +30,7 @@ def phi(x, omega, lam):
 
 @compiled
 def cone_slack(x):
-    """min over contacts of u - sqrt(o^2 + t^2) [N]; > 0 strictly inside."""
+    """Min over contacts of u - sqrt(o^2 + t^2) [N]; > 0 strictly inside."""
     slack = np.inf
     for i in range(0, x.size, 3):
         slack = min(slack, x[i] - math.sqrt(x[i + 1] * x[i + 1] + x[i + 2] * x[i + 2]))
@@ -83,7 +83,7 @@ def inverse_hessian(x, lam, out):
 
 @compiled
 def schur(cone_matrix, blocks, half, out):
-    """out (6, 6) = G B G^T for block-diagonal B = `blocks` (N, 3, 3); `half` (3N, 6) receives B G^T."""
+    """Out (6, 6) = G B G^T for block-diagonal B = `blocks` (N, 3, 3); `half` (3N, 6) receives B G^T."""
     out[:] = 0.0
     for k in range(blocks.shape[0]):
         block = blocks[k]
@@ -140,7 +140,7 @@ def cholesky_solve(factor, b):
 
 @compiled
 def residual(cone_matrix, x, wrench, out):
-    """out (6,) = G f + w."""
+    """Out (6,) = G f + w."""
     for i in range(6):
         total = wrench[i]
         for j in range(x.size):

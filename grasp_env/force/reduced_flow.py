@@ -6,6 +6,7 @@ The compiled loop is `descent_kernels.reduced_flow`; the functions here are its 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from grasp_env._check import Array
 from grasp_env.force.full_flow import projector
@@ -16,7 +17,7 @@ METRIC = np.array([3.0, 2.0, 2.0])
 """|P|_F^2 = 3 u^2 + 2 o^2 + 2 t^2 per contact."""
 
 
-def picked_rows(count: int) -> Array:
+def picked_rows(count: int) -> NDArray[np.int_]:
     """Eq. 19, zero-based, for N = `count` contacts: the rows of Q that move u, o and t of each contact.
 
     Printed for four contacts as m = 39 floor((i-1)/3) + 2^(2^(i - 3 floor((i-1)/3) - 1)) - 1, one-based; 39 is
@@ -31,7 +32,7 @@ def picked_rows(count: int) -> Array:
     return (9 * count + 3) * block + offset - 1
 
 
-def picked_columns(count: int) -> Array:
+def picked_columns(count: int) -> NDArray[np.int_]:
     """Eq. 21, zero-based: the columns n, n + 1, n + 2 of Q that meet the 3 x 3 blocks of VWP, (9N,).
 
     Printed for four contacts as n = 39 floor((j-1)/3) + 12 (j - 3 floor((j-1)/3) - 1) + 1, one-based.

@@ -26,7 +26,7 @@ BASIS_ITERATIONS = 200
 
 @compiled
 def combine(basis, wrench, printed, out):
-    """out (3N,) = sum E_k f_k (+ max(0, 1 - sum E_k) f_rest unless `printed`), E_k = max(0, +-w_k) (Eqs. 33, 34).
+    """Out (3N,) = sum E_k f_k (+ max(0, 1 - sum E_k) f_rest unless `printed`), E_k = max(0, +-w_k) (Eqs. 33, 34).
 
     basis: (13, 3N), the optima for +e_1..+e_6, -e_1..-e_6 and for w = 0.
     """
@@ -94,7 +94,7 @@ def ray_interval(point, ray):
 
 @compiled
 def tangent(x, cone_matrix, wrench, lam, out):
-    """out = x + H^-1 G^T (G H^-1 G^T)^-1 (-(G f + w)), H the Hessian of Phi at x; False when S lost definiteness.
+    """Out = x + H^-1 G^T (G H^-1 G^T)^-1 (-(G f + w)), H the Hessian of Phi at x; False when S lost definiteness.
 
     The predictor of the optimum when the wrench (or G) has moved away from the one that x balances.
     """
@@ -168,7 +168,7 @@ def best_on_segment(safe, candidate, omega, lam, out):
 
 @compiled
 def squeeze_scale(x, omega, lam):
-    """k > 0 of least Phi(k x) for x strictly inside: Phi(k x) = k a + b / k."""
+    """K > 0 of least Phi(k x) for x strictly inside: Phi(k x) = k a + b / k."""
     force, barrier = 0.0, 0.0
     for i in range(0, x.size, 3):
         u = x[i]
@@ -213,9 +213,7 @@ def offline_basis(basis, warm, interior, cone_matrix, pseudoinverse, omega, lam)
                     x[j] = total
                 low, _ = ray_interval(x, basis[12])
                 x[:] = x + max(1.1 * low, 1.0) * basis[12]
-        code, _, _, value, bound = newton(
-            x, cone_matrix, wrench, omega, lam, BASIS_TOLERANCE, BASIS_ITERATIONS, no_trace
-        )
+        _, _, _, value, bound = newton(x, cone_matrix, wrench, omega, lam, BASIS_TOLERANCE, BASIS_ITERATIONS, no_trace)
         if not bound > 0.0:
             return np.inf
         worst = max(worst, (value - bound) / bound)

@@ -63,25 +63,25 @@ class Grasp:
             >>> Grasp.from_contacts(g.positions, g.normals, 0.4).matrix.shape
             (6, 12)
         """
-        positions = as_array(positions, (None, 3), "positions")
-        normals = as_array(normals, (positions.shape[0], 3), "normals")
-        friction = _friction(friction, positions.shape[0])
-        lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+        points: Array = as_array(positions, (None, 3), "positions")
+        inward: Array = as_array(normals, (len(points), 3), "normals")
+        coefficients = _friction(friction, len(points))
+        lengths = np.sqrt(np.einsum("ij,ij->i", inward, inward))
         off = np.abs(lengths - 1.0)
         if off.size and off.max() > UNIT_TOLERANCE:
             worst = int(off.argmax())
             raise InvalidInputError(
-                f"normals must be unit vectors into the object; normal {worst} is {normals[worst].tolist()} with "
+                f"normals must be unit vectors into the object; normal {worst} is {inward[worst].tolist()} with "
                 f"length {lengths[worst]:.6g}: divide it by its length"
             )
-        normals = normals / lengths[:, None]
-        frames, matrix, cone_matrix = contact_geometry(positions, normals, friction)
-        centre = positions.mean(axis=0) if len(positions) else np.zeros(3)
-        length = float(np.sqrt(((positions - centre) ** 2).sum() / len(positions))) if len(positions) else 0.0
-        pseudoinverse = _checked_pseudoinverse(matrix, length, len(positions))
-        for array in (positions, normals, friction, frames, matrix, pseudoinverse, cone_matrix):
+        inward = inward / lengths[:, None]
+        frames, matrix, cone_matrix = contact_geometry(points, inward, coefficients)
+        centre = points.mean(axis=0) if len(points) else np.zeros(3)
+        length = float(np.sqrt(((points - centre) ** 2).sum() / len(points))) if len(points) else 0.0
+        pseudoinverse = _checked_pseudoinverse(matrix, length, len(points))
+        for array in (points, inward, coefficients, frames, matrix, pseudoinverse, cone_matrix):
             array.flags.writeable = False
-        return cls(positions, normals, friction, frames, matrix, length, pseudoinverse, cone_matrix)
+        return cls(points, inward, coefficients, frames, matrix, length, pseudoinverse, cone_matrix)
 
     @property
     def n_contacts(self) -> int:
@@ -141,9 +141,9 @@ def _friction(value: ArrayLike, count: int) -> Array:
 def _checked_pseudoinverse(matrix: Array, length: float, count: int) -> Array:
     scale = np.ones(6)
     scale[3:] = length if length > 0.0 else 1.0
-    u, s, vt = np.linalg.svd(matrix / scale[:, None], full_matrices=False) if count else (0, np.zeros(1), 0)
+    u, s, vt = np.linalg.svd(matrix / scale[:, None], full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
-        rank = int((s > RANK_TOLERANCE * max(s[0], 1e-300)).sum())
+        rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())
         raise RankDeficientGraspError(
             f"rank(G) = {rank} < 6 with {count} contacts: some wrenches cannot be balanced. Use at least three "
             "contacts that do not lie on one line"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from grasp_env._check import Array, Wrench
 from grasp_env.errors import InvalidInputError
@@ -15,7 +16,7 @@ MAGNITUDE_LENGTH = 0.05
 """[m] the length that turns a moment into a force in `magnitude` (of the order of the grasp's length)."""
 
 
-def paper_path(time: float | Array) -> Array:
+def paper_path(time: ArrayLike) -> Array:
     """W_ext(t) of the paper's Sec. IV.B: time [s], scalar or (T,) -> (6,) or (T, 6) [N, N m].
 
     Example:
