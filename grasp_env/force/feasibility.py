@@ -34,7 +34,7 @@ class Feasibility:
 
 
 def phase_one(grasp: Grasp, wrench: Wrench) -> Feasibility:
-    """Min s s.t. G x + r w = 0, x_i + s e inside cone i, r + s > 0, sum (u_i + s) + r + s = 1, by a barrier path.
+    """Min s s.t. G x + r w = 0, x_i + s e inside cone i, r + s > 0, s > -1, sum (u_i + s) + r + s = 1.
 
     The homogeneous variable r and the last equation make the set bounded whatever the grasp: s < 0 proves that x / r
     is strictly feasible; multipliers of a centred iterate with a positive dual value prove that nothing is. About thirty
@@ -68,15 +68,16 @@ def phase_one(grasp: Grasp, wrench: Wrench) -> Feasibility:
     for _ in range(400):
         gradient, hessian = _barrier(y, cones)
         kkt[:size, :size] = hessian
-        right = np.concatenate([gradient, [weight], columns @ (y - s * e), [e @ y - 1.0]])
+        kkt[size, size] = 1.0 / (s + 1.0) ** 2
+        right = np.concatenate([gradient, [weight - 1.0 / (s + 1.0)], columns @ (y - s * e), [e @ y - 1.0]])
         step = np.linalg.solve(kkt, -right)
         dy, ds, multipliers = step[:size], float(step[size]), step[size + 1 :] / weight
-        decrement = float(dy @ hessian @ dy)
+        decrement = float(dy @ hessian @ dy) + ds * ds * kkt[size, size]
         alpha = 1.0 if decrement < 0.05 else 1.0 / (1.0 + decrement**0.5)
         y, s = y + alpha * dy, s + alpha * ds
         if decrement >= 0.05:
             continue
-        gap = (2 * grasp.n_contacts + 1) / weight
+        gap = (2 * grasp.n_contacts + 2) / weight
         if s < -gap:  # interior, and deep compared with how deep it can be
             x = y - s * e
             return Feasibility(to_force(x[:cones] * (norm / x[-1] if loaded else 1.0), grasp.friction), None)

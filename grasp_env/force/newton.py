@@ -27,6 +27,6 @@ def newton_step(x: Array, cone_matrix: Array, wrench: Wrench, objective: Objecti
     kkt[size:, :size] = cone_matrix
     kkt[:size, size:] = -cone_matrix.T
     gradient = objective.gradient(x)
-    solution: Array = np.linalg.solve(kkt, -np.concatenate([gradient, cone_matrix @ x + wrench]))
+    solution = np.linalg.solve(kkt, -np.concatenate([gradient, cone_matrix @ x + wrench])).astype(np.float64)
     step, multipliers = solution[:size], solution[size:]
     return step, multipliers, float(-(gradient - cone_matrix.T @ multipliers) @ step)

@@ -57,17 +57,18 @@ def ray_interval(point, ray):
         c = pu * pu - po * po - pt * pt
         discriminant = b * b - a * c
         one, two = 0.0, np.inf
-        if a > 0.0:  # the ray ends inside one of the two opposite cones
-            if discriminant > 0.0:
-                root = math.sqrt(discriminant)
-                far = (root - b) / a if b <= 0.0 else -c / (root + b)
-                near = c / (root - b) if b < 0.0 else (-root - b) / a
-                if ru > 0.0:
-                    one = far
-                else:
-                    two = near
-            elif not ru > 0.0:
-                two = -1.0
+        if a > 0.0:  # the ray ends inside one of the two opposite cones, so b^2 >= a c but for rounding
+            root = math.sqrt(max(discriminant, 0.0))
+            if b > 0.0:
+                near, far = -(root + b) / a, -c / (root + b)
+            elif root - b > 0.0:
+                near, far = c / (root - b), (root - b) / a
+            else:
+                near, far = 0.0, 0.0
+            if ru > 0.0:
+                one = far
+            else:
+                two = near
         elif a < 0.0:
             if discriminant > 0.0:
                 root = math.sqrt(discriminant)
