@@ -224,7 +224,13 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             tick += 1
             return torques
 
-        scene.settle(controller)
+        try:
+            scene.settle(controller)
+        except GraspError as error:
+            raise SimulationError(
+                f"the hand could not close on the object: {error}; lower friction_margin (now "
+                f"{self.config.friction_margin}), raise barrier_weight, or make the object lighter"
+            ) from error
 
     def _simulate(self, scene: Scene) -> None:
         config = self.config
@@ -233,7 +239,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             for _ in range(config.control_rate // config.agent_rate):
                 external = self._external()
                 torques = self._loop.torques(scene, external)
-                self._peak_torque = max(self._peak_torque, float(np.abs(torques).max()))
+                peak = min(float(np.abs(torques).max()), scene.config.hand.torque_limit)
+                self._peak_torque = max(self._peak_torque, peak)
                 for _ in range(config.physics_rate // config.control_rate):
                     scene.step(torques, external)
                 contacts = scene.contacts()

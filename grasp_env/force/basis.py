@@ -77,10 +77,14 @@ class OfflineBasis:
         return known[objective]
 
     def moved_to(self, grasp: Grasp) -> OfflineBasis:
-        """The basis of a nearby grasp, each optimum carried over by the tangent correction and re-optimised."""
-        basis = self.compute(grasp, self.objective, warm=self)
-        _REMEMBERED.setdefault(grasp, {})[self.objective] = basis
-        return basis
+        """The basis of a nearby grasp, each optimum carried over by the tangent correction and re-optimised.
+
+        A basis that `grasp` already has is returned as it is, so that going back to a grasp gives the same bits.
+        """
+        known = _REMEMBERED.setdefault(grasp, {})
+        if self.objective not in known:
+            known[self.objective] = self.compute(grasp, self.objective, warm=self)
+        return known[self.objective]
 
     @property
     def forces(self) -> Array:
