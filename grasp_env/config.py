@@ -23,6 +23,7 @@ class EnvConfig:
         wrench_scale: factor on "constant" and "paper_path"; None: 1 for "constant", 0.1 for "paper_path". W_ext peaks
             at 1 N m about z, which takes 153 N of normal force from this grasp; a tenth keeps every joint below
             1 N m, what a motor of this size gives.
+        wrench_known: whether the controller is told the external wrench; if not, only the pose feedback sees it.
         random_force, random_moment: [N], [N m] standard deviation per axis of "random".
         random_time: [s] its correlation time.
         gravity: (3,) [m/s^2] in the world frame; y points up.
@@ -44,6 +45,7 @@ class EnvConfig:
     wrench: str = "constant"
     wrench_value: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
     wrench_scale: float | None = None
+    wrench_known: bool = True
     random_force: float = 0.6
     random_moment: float = 0.02
     random_time: float = 0.3

@@ -6,11 +6,11 @@ import numpy as np
 
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.config import EnvConfig
-from grasp_env.force import ForceOptimizer, ForceSolution, Repair
+from grasp_env.force import ForceOptimizer, ForceSolution, OfflineBasis, Repair
 from grasp_env.force.description import to_cone, to_force
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.force.kernels import cone_slack
-from grasp_env.force.start_kernels import tangent
+from grasp_env.force.start_kernels import best_on_segment, combine, tangent
 from grasp_env.grasp import Grasp, null_space_basis, presets, reference_basis
 from grasp_env.grasp.kernels import contact_geometry
 from grasp_env.sim.scene import ObjectState, Scene
@@ -27,7 +27,7 @@ class ForceLoop:
         solution: the last optimisation.
         force: (N, 3) the commanded contact forces [N], contact frames.
         wrench: (6,) the wrench that they balance [N, N m], object frame.
-        clipped: control steps in which the tangent correction left the solver's cones and was cut back.
+        repaired: control steps in which the tangent correction left the solver's cones and was repaired.
     """
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
@@ -65,7 +65,7 @@ class ForceLoop:
         self.solution: ForceSolution | None = None
         self.force = np.zeros((4, 3))
         self.wrench = np.zeros(6)
-        self.clipped = 0
+        self.repaired = 0
 
     def wrench_to_balance(self, state: ObjectState, external: Wrench) -> Wrench:
         """External wrench + gravity - pose feedback, (6,) [N, N m], object frame."""
@@ -112,12 +112,25 @@ class ForceLoop:
         if not tangent(x, cone_matrix, self.wrench, self.config.barrier_weight, moved):
             moved[:] = x
         if not cone_slack(moved) > 0.0:
-            # give up a little balance (the pose feedback takes it back), never the friction cone
-            tangential = np.hypot(moved[1::3], moved[2::3])
-            moved[0::3] = np.maximum(moved[0::3], 1.05 * tangential)
-            self.clipped += 1
+            moved = self._repaired(moved, cone_matrix)
+            self.repaired += 1
         self.force: ContactForces = to_force(moved, self.friction)
         return scene.grasp_torques(np.einsum("nij,nj->ni", frames, self.force))
+
+    def _repaired(self, moved: Array, cone_matrix: Array) -> Array:
+        """Back into the cones: towards the offline basis' combination, which any wrench leaves strictly inside."""
+        objective = self.optimizer.objective
+        basis = OfflineBasis.of(self.grasp, objective)
+        combined, safe, out = np.empty_like(moved), np.empty_like(moved), np.empty_like(moved)
+        combine(basis.cone_forces, self.wrench, False, combined)
+        balanced = tangent(combined, cone_matrix, self.wrench, objective.barrier_weight, safe)  # G moved since
+        if balanced and cone_slack(safe) > 0.0:
+            best_on_segment(safe, moved, objective.force_weight, objective.barrier_weight, out)
+            return out
+        # give up a little balance (the pose feedback takes it back), never the friction cone
+        out[:] = moved
+        out[0::3] = np.maximum(moved[0::3], 1.05 * np.hypot(moved[1::3], moved[2::3]))
+        return out
 
 
 def rotation_vector(rotation: Array) -> Array:

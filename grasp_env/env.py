@@ -73,7 +73,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     The same keys at every reset and step: `iterations`, `trials`, `status`, `objective`, `optimality_gap`,
     `cone_margin` of the optimisation; `wrench` (6,), `commanded_force` (4, 3), `measured_force` (4, 3), `force_error`
     [N], `touching` (4,), `slip` [m/s], `slip_distance` [m], `drift` [m], `tilt` [rad], `peak_torque` [N m],
-    `clipped_controls`, `time` [s], `failure`, `is_success`, and the reward terms.
+    `repaired_controls`, `time` [s], `failure`, `is_success`, and the reward terms.
 
     ## Reset options
     `options={"wrench": (6,)}` replaces the episode's external wrench by a constant one [N, N m].
@@ -146,7 +146,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._failure = ""
         self._peak_torque = 0.0
         self._started = True
-        self._loop.wrench = self._loop.wrench_to_balance(scene.state(), self._disturbance[0])
+        self._loop.wrench = self._loop.wrench_to_balance(scene.state(), self._told(self._external()))
         self._observed = self._observe(scene)
         return self._observed, self._info(scene, reward_terms(self.config, True, 0, 0.0))
 
@@ -164,7 +164,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             raise SimulationError(f"the episode ended ({self._failure}): call reset()")
         adjustment = self._adjustment(action)
         try:
-            self._loop.optimise(scene, self._external(), adjustment)
+            self._loop.optimise(scene, self._told(self._external()), adjustment)
         except GraspError:
             self._failure = "force_optimisation"
         else:
@@ -238,7 +238,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         try:
             for _ in range(config.control_rate // config.agent_rate):
                 external = self._external()
-                torques = self._loop.torques(scene, external)
+                torques = self._loop.torques(scene, self._told(external))
                 peak = min(float(np.abs(torques).max()), scene.config.hand.torque_limit)
                 self._peak_torque = max(self._peak_torque, peak)
                 for _ in range(config.physics_rate // config.control_rate):
@@ -252,6 +252,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _external(self) -> NDArray[np.float64]:
         return self._disturbance[min(self._ticks, len(self._disturbance) - 1)]
+
+    def _told(self, external: NDArray[np.float64]) -> NDArray[np.float64]:
+        return external if self.config.wrench_known else np.zeros(6)
 
     def _lost(self, scene: Scene) -> str:
         state = scene.state()
@@ -311,7 +314,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             "drift": drift,
             "tilt": tilt,
             "peak_torque": self._peak_torque,
-            "clipped_controls": self._loop.clipped,
+            "repaired_controls": self._loop.repaired,
             "time": self._ticks / self.config.control_rate,
             "failure": self._failure,
             "is_success": not self._failure,

@@ -15,7 +15,7 @@ from grasp_env.grasp import presets
 from policies import LearnedInitialForce
 from training.fit import fit, save_fit
 from training.report import build_report, report_path
-from training.rollouts import SCENARIOS, picture, roll_out_all
+from training.rollouts import RANDOM_SCENARIOS, SCENARIOS, picture, roll_out_all
 from training.runs import Run, provenance
 from training.settings import EvaluateConfig
 from training.starts import compare, make_starts, save, time_starts, traces, wrench_sets
@@ -54,7 +54,7 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> dict[str
             "previous_tangent": "previous",
             **learned,
         }
-        episodes = (len(SCENARIOS) - 1 + config.episodes) * len(rules)
+        episodes = (len(SCENARIOS) + len(RANDOM_SCENARIOS) * (config.episodes - 1)) * len(rules)
         task = bar.add_task("rolling out the hand", total=episodes)
         run.write_arrays("rollouts.npz", roll_out_all(rules, config.episodes, config.seed, lambda: bar.advance(task)))
     run.write("figures/hand.png", lambda path: imageio.imwrite(path, picture(), extension=".png"))

@@ -28,6 +28,7 @@ COLOURS = {
 }
 FINGERS = ("thumb", "middle finger", "left finger", "right finger")
 _FINGER_COLOURS = ("#b3261e", "#1f5fa8", "#2e8b57", "#c08a3e")
+_SCENARIO_COLOURS = (*_FINGER_COLOURS, "#7a4fa3")
 _STYLE: Any = {
     "font.size": 10,
     "axes.spines.top": False,
@@ -41,7 +42,7 @@ _STYLE: Any = {
 
 def convergence(traces: Trials) -> Figure:
     """Relative gap of Phi against accepted steps, per start, on the paper's constant wrench (the paper's Fig. 3)."""
-    figure, axes = _new(7.2, 4.2)
+    figure, axes = _new(9.2, 4.2)
     for key, label in LABELS.items():
         if f"{key}/trace" in traces:
             values = traces[f"{key}/trace"]
@@ -50,13 +51,13 @@ def convergence(traces: Trials) -> Figure:
     axes.axhline(TOLERANCE, color="black", linewidth=0.8, linestyle=":")
     axes.annotate("1e-4", (1.0, TOLERANCE), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8)
     axes.set(xlabel="accepted steps of the reduced flow", ylabel="(Phi - min Phi) / min Phi", ylim=(1e-8, None))
-    axes.legend(fontsize=8, frameon=False)
+    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
 def iterations_ecdf(trials: Trials) -> Figure:
     """Share of held-out wrenches solved within k accepted steps, per start."""
-    figure, axes = _new(7.2, 4.2)
+    figure, axes = _new(9.2, 4.2)
     for key, label in LABELS.items():
         name = f"ball/{key}/iterations"
         if name not in trials:
@@ -72,7 +73,7 @@ def iterations_ecdf(trials: Trials) -> Figure:
     axes.set(
         xscale="log", xlabel="1 + accepted steps to a relative gap of 1e-4", ylabel="share of wrenches", ylim=(0, 1)
     )
-    axes.legend(fontsize=8, frameon=False, loc="lower right")
+    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
@@ -106,7 +107,8 @@ def start_against_optimum(trials: Trials) -> Figure:
             panel.plot(times, force, color=COLOURS[key], linestyle="--", linewidth=1.2, label=f"start: {LABELS[key]}")
         panel.set_title(FINGERS[finger], fontsize=9)
         panel.set(ylim=(0, None))
-    axes[0, 0].legend(fontsize=7, frameon=False)
+    handles, names = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=3)
     for panel in axes[1]:
         panel.set_xlabel("time [s]")
     for panel in axes[:, 0]:
@@ -117,12 +119,12 @@ def start_against_optimum(trials: Trials) -> Figure:
 def rollout(rollouts: Trials, start: str = "linear_combination") -> Figure:
     """The simulated hand: drift, commanded against measured thumb force, iterations, for every scenario."""
     figure, (top, middle, bottom) = _new(7.2, 7.2, rows=3)
-    for colour, (scenario, label) in zip(_FINGER_COLOURS, SCENARIO_LABELS.items(), strict=True):
+    for colour, (scenario, label) in zip(_SCENARIO_COLOURS, SCENARIO_LABELS.items(), strict=True):
         base = f"{scenario}/{start}/0"
         if f"{base}/time" not in rollouts:
             continue
         times = rollouts[f"{base}/time"]
-        top.semilogy(times, np.maximum(rollouts[f"{base}/drift"] * 1e3, 1e-6), color=colour, label=label)
+        top.semilogy(times, np.maximum(rollouts[f"{base}/drift"] * 1e3, 1e-10), color=colour, label=label)
         middle.plot(times, rollouts[f"{base}/commanded_force"][:, 0, 0], color=colour)
         middle.plot(times, rollouts[f"{base}/measured_force"][:, 0, 0], color="black", linestyle=":", linewidth=1.2)
         bottom.plot(times, rollouts[f"{base}/iterations"], color=colour)

@@ -146,7 +146,7 @@ def claims(trials: Trials, metrics: dict[str, Any]) -> list[dict[str, Any]]:
             {
                 "claim": f"the paper's pipeline holds the cuboid for {row['seconds']:.0f} s, scenario {scenario}",
                 "asked": "drift below 1 mm, no contact lost",
-                "measured": f"drift {row['max_drift_mm']:.4f} mm, contacts {'kept' if row['contact_always'] else 'lost'}",
+                "measured": f"drift {row['max_drift_mm']:.2g} mm, contacts {'kept' if row['contact_always'] else 'lost'}",
                 "met": bool(
                     row["held"] == row["episodes"] and row["contact_always"] and row["max_drift_mm"] < DRIFT_LIMIT * 1e3
                 ),

@@ -18,14 +18,17 @@ SCENARIOS: dict[str, dict[str, Any]] = {
     "constant": {"wrench": "constant"},
     "paper_path": {"wrench": "paper_path"},
     "random": {"wrench": "random"},
+    "unknown": {"wrench": "random", "wrench_known": False},
 }
 SCENARIO_LABELS = {
     "gravity": "gravity alone",
     "constant": "gravity + the paper's constant wrench",
     "paper_path": "gravity + W_ext(t) x 0.1",
     "random": "gravity + random wrench (Ornstein-Uhlenbeck, 0.6 N / 0.02 N m per axis)",
+    "unknown": "the same random wrench, not told to the controller: pose feedback alone",
 }
 HOLD_SCENARIOS = ("gravity", "constant", "paper_path")
+RANDOM_SCENARIOS = ("random", "unknown")
 _SCALARS = (
     "iterations", "trials", "drift", "tilt", "slip", "slip_distance", "force_error", "peak_torque", "time",
     "optimality_gap",
@@ -74,14 +77,14 @@ def roll_out(
 def roll_out_all(
     rules: dict[str, str | InitialForceRule], episodes: int, seed: int, tick: Callable[[], None]
 ) -> dict[str, np.ndarray]:
-    """Every scenario x start: deterministic scenarios once, the random one `episodes` times with paired seeds.
+    """Every scenario x start: deterministic scenarios once, the random ones `episodes` times with paired seeds.
 
     Returns:
         "<scenario>/<start>/<episode>/<column>" arrays.
     """
     out: dict[str, np.ndarray] = {}
     for scenario in SCENARIOS:
-        for episode in range(episodes if scenario == "random" else 1):
+        for episode in range(episodes if scenario in RANDOM_SCENARIOS else 1):
             for key, rule in rules.items():
                 rows = roll_out(scenario, rule, seed + episode)
                 out.update({f"{scenario}/{key}/{episode}/{column}": value for column, value in rows.items()})

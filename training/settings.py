@@ -61,7 +61,7 @@ class EvaluateConfig:
         name: of this run; empty: evaluate-<date>-<time>.
         wrenches: number of held-out wrenches (ball and smooth set each).
         timed: number of wrenches whose calls are timed.
-        episodes: of the random scenario, per start.
+        episodes: of each random scenario, per start.
         seed: of the held-out wrenches and the roll-outs; the network's is `fit.seed`.
         quick: a small version that ends in about a minute and says that it is quick.
         fit: how the network of this run is fitted.
