@@ -1,0 +1,122 @@
+"""The one door to PyBullet: its import, its connection and its silence.
+
+PyBullet prints from C when it is imported and when it connects, so both happen with the standard
+streams turned away. The rest of the package uses the raw module, `bullet`, with an explicit
+client number: the wrapper class PyBullet offers costs three times as much per call.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from grasp_env.errors import SimulationError
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Send what C code prints to both standard streams to nowhere while the block runs."""
+    _flush()
+    sink, kept = os.open(os.devnull, os.O_WRONLY), {}
+    try:
+        for stream in (1, 2):
+            with suppress(OSError):  # a process may have no standard streams
+                kept[stream] = os.dup(stream)
+                os.dup2(sink, stream)
+        yield
+    finally:
+        _flush()  # the streams buffer: empty them before they are given back
+        for stream, copy in kept.items():
+            os.dup2(copy, stream)
+            os.close(copy)
+        os.close(sink)
+
+
+def _flush() -> None:
+    """Empty the output buffers of Python and of C."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    if os.name == "posix":
+        ctypes.CDLL(None).fflush(None)
+
+
+with silenced():
+    import pybullet as bullet
+
+__all__ = ["Client", "bullet", "silenced"]
+
+
+def _has_display() -> bool:
+    """Whether a window can be opened: PyBullet ends the whole process where it cannot."""
+    if not sys.platform.startswith("linux"):
+        return True
+    display = os.environ.get("DISPLAY", "")
+    if not display.startswith(":"):
+        return bool(display)
+    number = display[1:].split(".")[0]
+    return os.path.exists(f"/tmp/.X11-unix/X{number}")
+
+
+def _disconnect(number: int) -> None:
+    """Close a connection; quiet when PyBullet has closed it already, as a closed window does."""
+    if bullet.isConnected(number):
+        bullet.disconnect(number)
+
+
+class Client:
+    """One connection to a PyBullet server inside this process.
+
+    Args:
+        gui: Open a window instead of computing without one.
+
+    Raises:
+        SimulationError: A window was asked for and there is no display, or no connection is left.
+    """
+
+    def __init__(self, gui: bool = False) -> None:
+        if gui and not _has_display():
+            raise SimulationError(
+                f"a window was asked for but there is no display (DISPLAY="
+                f"{os.environ.get('DISPLAY')!r}); use render_mode='rgb_array' or gui=False, or "
+                "run under a display such as xvfb-run"
+            )
+        with silenced():
+            number = bullet.connect(bullet.GUI if gui else bullet.DIRECT)
+        if number < 0:
+            raise SimulationError(
+                "PyBullet gave no connection; it allows 1024 in one process: close scenes that are no longer used"
+            )
+        self._number: int | None = number
+        self._finalizer = weakref.finalize(self, _disconnect, number)
+
+    @property
+    def number(self) -> int:
+        """The number raw PyBullet calls take as `physicsClientId`.
+
+        Raises:
+            SimulationError: The client is closed.
+        """
+        if self._number is None:
+            raise SimulationError("the simulation is closed; make a new Scene from its config")
+        return self._number
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._number is None
+
+    def close(self) -> None:
+        """Disconnect; calling it again does nothing."""
+        self._number = None
+        self._finalizer()
+
+    def __reduce__(self) -> str:
+        raise SimulationError(
+            "a simulation cannot be copied or pickled: both copies would drive one server; make "
+            "a new Scene from its config"
+        )
