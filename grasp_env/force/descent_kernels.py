@@ -9,11 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_env.force.kernels import (
+    balance_factor,
     certified_bound,
     compiled,
     lower_bound,
     newton_step,
     phi,
+    rebalance,
     relative_gap,
     step_to_boundary,
 )
@@ -112,6 +114,9 @@ def newton(x, cone_matrix, wrench, omega, lam, tolerance, max_iterations, trace)
     step = np.empty(size)
     candidate = np.empty(size)
     multipliers = np.empty(6)
+    factor = np.empty((6, 6))
+    left = np.empty(6)
+    balance_factor(cone_matrix, factor)
     value = phi(x, omega, lam)
     bound = -np.inf
     iterations, trials = 0, 0
@@ -134,6 +139,8 @@ def newton(x, cone_matrix, wrench, omega, lam, tolerance, max_iterations, trace)
             trials += 1
             for i in range(size):
                 candidate[i] = x[i] + alpha * step[i]
+            # forces at very different depths in their cones make S ill-conditioned: 1e-8 of balance per step
+            rebalance(candidate, cone_matrix, wrench, factor, left)
             trial = phi(candidate, omega, lam)
             if trial < value - 1e-4 * alpha * decrement or (trial <= value and decrement < 1e-9 * value):
                 accepted = True

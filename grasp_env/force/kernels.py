@@ -149,6 +149,30 @@ def residual(cone_matrix, x, wrench, out):
 
 
 @compiled
+def balance_factor(cone_matrix, out):
+    """Cholesky factor of G G^T (6, 6) into `out`, for `rebalance`."""
+    for i in range(6):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(cone_matrix.shape[1]):
+                total += cone_matrix[i, k] * cone_matrix[j, k]
+            out[i, j] = total
+    return cholesky(out)
+
+
+@compiled
+def rebalance(x, cone_matrix, wrench, factor, left):
+    """Takes the least-norm correction -G^T (G G^T)^-1 (G f + w) off x; `left` (6,) is work space."""
+    residual(cone_matrix, x, wrench, left)
+    cholesky_solve(factor, left)
+    for j in range(x.size):
+        total = 0.0
+        for i in range(6):
+            total += cone_matrix[i, j] * left[i]
+        x[j] -= total
+
+
+@compiled
 def newton_step(x, cone_matrix, wrench, omega, lam, step, multipliers):
     """Equality-constrained Newton step into `step` (3N,) and its multipliers (6,); returns the squared decrement.
 
