@@ -15,6 +15,9 @@ Wrench: TypeAlias = Array
 ContactForces: TypeAlias = Array
 """(N, 3): force of each finger on the object [N] as (normal, o, t) in that contact's frame."""
 
+LARGEST = 1e12
+"""[N], [N m] beyond which numbers are mistakes, and squares of squares would overflow."""
+
 
 def as_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Array:
     """Returns `value` as a finite float64 array of `shape` (None: any length).
@@ -43,8 +46,11 @@ def as_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
 
 
 def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
-    """(6,) finite wrench [N, N m]; see `as_array`."""
-    return as_array(value, (6,), name)
+    """(6,) finite wrench [N, N m] with components up to 1e12; see `as_array`."""
+    wrench = as_array(value, (6,), name)
+    if np.abs(wrench).max() > LARGEST:
+        raise InvalidInputError(f"{name} must have components up to {LARGEST:g} N and N m, got {wrench.tolist()}")
+    return wrench
 
 
 def positive(value: float, name: str) -> float:

@@ -23,12 +23,12 @@ class OfflineBasis:
     Every grasp with force closure has one; it balances only for that grasp's G: when contacts move, take `moved_to`.
 
     Attributes:
-        grasp: the grasp it balances.
+        friction: (N,) of the grasp it balances. (Not the grasp itself: a basis must not keep its grasp alive.)
         objective: the Phi whose optima it holds.
         cone_forces: (13, 3N) the optima in cone coordinates, unit wrenches first, rest last.
     """
 
-    grasp: Grasp
+    friction: Array
     objective: Objective
     cone_forces: Array = field(repr=False)
 
@@ -49,11 +49,11 @@ class OfflineBasis:
         objective = objective or Objective()
         cone_pseudoinverse = grasp.pseudoinverse.copy()
         cone_pseudoinverse[0::3] *= grasp.friction[:, None]
-        if warm is not None and warm.grasp.n_contacts == grasp.n_contacts:
+        if warm is not None and len(warm.friction) == grasp.n_contacts:
             cone_forces = warm.cone_forces.copy()
             interior = np.zeros(3 * grasp.n_contacts)
             if _solve(cone_forces, True, interior, grasp, cone_pseudoinverse, objective):
-                return cls(grasp, objective, cone_forces)
+                return cls(grasp.friction, objective, cone_forces)
         answer = phase_one(grasp, np.zeros(6))
         if answer.force is None:
             raise InfeasibleStartError(
@@ -63,9 +63,10 @@ class OfflineBasis:
         cone_forces = np.empty((13, 3 * grasp.n_contacts))
         if not _solve(cone_forces, False, to_cone(answer.force, grasp.friction), grasp, cone_pseudoinverse, objective):
             raise InfeasibleStartError(
-                "the offline basis did not converge: the grasp is too close to losing force closure"
+                f"the offline basis did not converge at barrier_weight={objective.barrier_weight}: raise it, or the grasp "
+                "is too close to losing force closure"
             )
-        return cls(grasp, objective, cone_forces)
+        return cls(grasp.friction, objective, cone_forces)
 
     @classmethod
     def of(cls, grasp: Grasp, objective: Objective | None = None) -> OfflineBasis:
@@ -89,12 +90,12 @@ class OfflineBasis:
     @property
     def forces(self) -> Array:
         """(12, N, 3) the optimal forces of +e_1..+e_6, -e_1..-e_6 [N]."""
-        return np.stack([to_force(x, self.grasp.friction) for x in self.cone_forces[:12]])
+        return np.stack([to_force(x, self.friction) for x in self.cone_forces[:12]])
 
     @property
     def rest(self) -> ContactForces:
         """(N, 3) argmin Phi at w = 0: the internal squeeze [N]."""
-        return to_force(self.cone_forces[12], self.grasp.friction)
+        return to_force(self.cone_forces[12], self.friction)
 
     def combine(self, wrench: Wrench, printed: bool = False) -> ContactForces:
         """Non-negative combination sum E_k f_k with w = sum E_k (+-e_k) (Eqs. 33 and 34): (N, 3) [N].
@@ -104,7 +105,7 @@ class OfflineBasis:
         """
         x = np.empty(self.cone_forces.shape[1])
         combine(self.cone_forces, wrench, printed, x)
-        return to_force(x, self.grasp.friction)
+        return to_force(x, self.friction)
 
 
 # weak keys: a basis goes with its grasp

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
+from grasp_env.force.descent_kernels import CONVERGED, LIMIT, SHORTEST, STALLED
 from grasp_env.force.step_size import AdaptiveStep
 
 
@@ -56,8 +56,11 @@ def descend(
         if result.iterations >= max_iterations:
             return result
         move = direction(result.state)
+        # |vec(P)| and |VP| differ, but their ratio to the step's length is the same to a factor of 2
+        length, size = float(np.linalg.norm(move)), float(np.linalg.norm(result.state))
+        alpha = max(alpha, SHORTEST * size / length) if length > 0.0 else alpha
         while True:
-            if not alpha * np.linalg.norm(move) > 1e-16 * np.linalg.norm(result.state):
+            if not alpha * length > 1e-16 * size:
                 result.code = STALLED
                 return result
             result.trials += 1

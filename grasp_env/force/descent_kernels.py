@@ -6,6 +6,8 @@ further decrease in floating point. Their numpy twins are `reduced_flow.py` and 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from grasp_env.force.kernels import (
@@ -21,6 +23,8 @@ from grasp_env.force.kernels import (
 )
 
 CONVERGED, LIMIT, STALLED = 0, 1, 2
+SHORTEST = 1e-10
+"""The first trial of an iteration moves x by at least this fraction of its length."""
 
 
 @compiled
@@ -87,6 +91,8 @@ def reduced_flow(
         scale = 0.0
         for i in range(size):
             scale += x[i] * x[i]
+        # a step far shorter than x, left from a start near the apex, grows from here instead of stalling
+        alpha = max(alpha, SHORTEST * math.sqrt(scale / norm)) if norm > 0.0 else alpha
         while True:
             if not alpha * alpha * norm > 1e-32 * scale:
                 if not known:

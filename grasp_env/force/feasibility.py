@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces, Wrench
+from grasp_env._check import Array, ContactForces, Wrench, as_wrench
 from grasp_env.force.description import to_force
 from grasp_env.grasp.grasp import Grasp
 
@@ -49,6 +49,7 @@ def phase_one(grasp: Grasp, wrench: Wrench) -> Feasibility:
         >>> phase_one(presets.tripod(), np.zeros(6)).feasible
         True
     """
+    wrench = as_wrench(wrench)
     scale = np.concatenate([np.ones(3), np.full(3, grasp.length)])
     g = grasp.cone_matrix / scale[:, None]
     cones = g.shape[1]

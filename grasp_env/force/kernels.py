@@ -225,11 +225,10 @@ def step_to_boundary(x, step):
         c = u * u - o * o - t * t
         # a r^2 + 2 b r + c = 0, c > 0: the least positive root, in the form that does not cancel
         if a < 0.0 or b < 0.0:
-            discriminant = b * b - a * c
-            if discriminant >= 0.0:
-                denominator = math.sqrt(discriminant) - b
-                if denominator > 0.0:
-                    limit = min(limit, c / denominator)
+            # b^2 >= a c but for rounding: no ray from inside a cone misses its surface and the opposite cone's
+            denominator = math.sqrt(max(b * b - a * c, 0.0)) - b
+            if denominator > 0.0:
+                limit = min(limit, c / denominator)
     return limit
 
 

@@ -21,7 +21,7 @@ from grasp_env.force.kernels import phi
 from grasp_env.force.objective import Objective
 from grasp_env.force.oracle import full_flow
 from grasp_env.force.reduced_flow import reduced_projector
-from grasp_env.force.repair import Correction, carry_over
+from grasp_env.force.repair import CORRECTIONS, Correction, carry_over
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep
 from grasp_env.grasp.grasp import Grasp
@@ -70,6 +70,8 @@ class ForceOptimizer:
             raise UnknownNameError("method", method, METHODS)
         if not isinstance(max_iterations, int | np.integer) or max_iterations < 0:
             raise InvalidInputError(f"max_iterations must be an integer >= 0, got {max_iterations!r}")
+        if correction not in CORRECTIONS:
+            raise UnknownNameError("correction", correction, CORRECTIONS)
         self.objective = Objective(force_weight, barrier_weight)
         self.method = method
         self.tolerance = positive(tolerance, "tolerance")
@@ -119,8 +121,8 @@ class ForceOptimizer:
         return self._start(as_wrench(wrench), self.initial if initial is None else initial)[1]
 
     def _start(self, wrench: Wrench, initial: Initial) -> tuple[str, ContactForces]:
-        if isinstance(initial, np.ndarray):
-            return "given", initial
+        if isinstance(initial, np.ndarray | list | tuple):
+            return "given", np.asarray(initial)
         previous = initial if isinstance(initial, ForceSolution) else self.previous
         name = "previous" if isinstance(initial, ForceSolution) else initial
         _check_name(name)
@@ -251,6 +253,10 @@ def _check_name(initial: object) -> None:
     allowed = (*RULES, "previous")
     if isinstance(initial, str) and initial not in allowed:
         raise UnknownNameError("initial-force rule", initial, allowed)
+    if not (isinstance(initial, str | ForceSolution | np.ndarray | list | tuple) or callable(initial)):
+        raise InvalidInputError(
+            f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {initial!r}"
+        )
 
 
 def optimize_force(

@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces, Wrench
-from grasp_env.errors import UnknownNameError
+from grasp_env._check import LARGEST, Array, ContactForces, Wrench
+from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.description import to_cone, to_force
 from grasp_env.force.objective import Objective
@@ -31,14 +31,23 @@ class Repair:
     objective: Objective = field(default_factory=Objective)
 
     def __call__(self, grasp: Grasp, wrench: Wrench, candidate: ContactForces) -> ContactForces:
-        """(N, 3) repaired force [N]; see the class."""
-        flat = np.asarray(candidate, dtype=np.float64).reshape(-1)
-        flat = flat - grasp.pseudoinverse @ (grasp.matrix @ flat + wrench)
+        """(N, 3) repaired force [N]; see the class.
+
+        A candidate that is not finite, or beyond 1e12 N, counts as no candidate: the combination is returned.
+
+        Raises:
+            InvalidInputError: the candidate has another shape.
+        """
+        flat = np.asarray(candidate, dtype=np.float64)
+        if flat.shape != (grasp.n_contacts, 3):
+            raise InvalidInputError(f"candidate must have shape ({grasp.n_contacts}, 3), got {flat.shape}")
         safe = to_cone(OfflineBasis.of(grasp, self.objective).combine(wrench), grasp.friction)
-        out = np.empty_like(flat)
-        x = to_cone(flat, grasp.friction)
-        if not np.isfinite(x).all():
+        flat = flat.reshape(-1)
+        if np.abs(flat).max() < LARGEST:  # also false for nan
+            x = to_cone((flat - grasp.pseudoinverse @ (grasp.matrix @ flat + wrench)).reshape(-1, 3), grasp.friction)
+        else:
             x = safe.copy()
+        out = np.empty_like(x)
         best_on_segment(safe, x, self.objective.force_weight, self.objective.barrier_weight, out)
         return to_force(out, grasp.friction)
 

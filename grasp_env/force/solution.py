@@ -53,7 +53,8 @@ class ForceSolution:
         method: the method's name.
         initial: the name of the start rule.
         objective_trace: Phi of every iterate, when asked for; else empty.
-        certificate: (6,) for INFEASIBLE: a twist v with G_i^T v in the dual cone of every contact and v . w > 0.
+        certificate: (6,) for INFEASIBLE: a twist v with G_i^T v in the dual cone of every contact and v . w > 0
+            (= 0: only forces on the boundary of the cones balance it); see `Feasibility`.
     """
 
     force: ContactForces

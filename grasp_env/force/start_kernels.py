@@ -46,7 +46,7 @@ def combine(basis, wrench, printed, out):
 
 @compiled
 def ray_interval(point, ray):
-    """(low, high): the k >= 0 with point + k * ray strictly inside every cone; low > high when there are none."""
+    """(low, high): the k >= 0 with point + k * ray strictly inside every cone; low >= high when there are none."""
     low, high = 0.0, np.inf
     for i in range(0, point.size, 3):
         pu, po, pt = point[i], point[i + 1], point[i + 2]
@@ -72,8 +72,8 @@ def ray_interval(point, ray):
         elif a < 0.0:
             if discriminant > 0.0:
                 root = math.sqrt(discriminant)
-                first = (root - b) / a
-                second = (-root - b) / a
+                q = -(b + root) if b >= 0.0 else root - b
+                first, second = q / a, c / q
                 one, two = min(first, second), max(first, second)
                 if not pu + 0.5 * (one + two) * ru > 0.0:
                     two = one - 1.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 
 from grasp_env._check import positive
 from grasp_env.errors import InvalidInputError
@@ -27,7 +28,7 @@ class AdaptiveStep:
 
     def __post_init__(self) -> None:
         positive(self.first, "first")
-        if not 1.0 <= self.grow < 1e6:
-            raise InvalidInputError(f"grow must be a finite factor >= 1, got {self.grow}")
-        if not 0.0 < self.shrink < 1.0:
-            raise InvalidInputError(f"shrink must lie in (0, 1), got {self.shrink}")
+        if not (isinstance(self.grow, Real) and 1.0 <= self.grow < 1e6):
+            raise InvalidInputError(f"grow must be a finite factor >= 1, got {self.grow!r}")
+        if not (isinstance(self.shrink, Real) and 0.0 < self.shrink < 1.0):
+            raise InvalidInputError(f"shrink must lie in (0, 1), got {self.shrink!r}")

@@ -39,7 +39,7 @@ def preset(name: str, friction: float | Array | None = None) -> Grasp:
         >>> preset("tripod").n_contacts
         3
     """
-    if name not in _CONTACTS:
+    if not isinstance(name, str) or name not in _CONTACTS:
         raise UnknownNameError("preset", name, PRESETS)
     positions, normals, own = _CONTACTS[name]
     return Grasp.from_contacts(positions, normals, own if friction is None else friction)
