@@ -40,7 +40,7 @@ def episode(steps: int = 20, seed: int = 3, action: np.ndarray = ZERO, **setting
 
 def test_gymnasium_check_with_rendering():
     class Headless(FourFingerGrasp):  # the checker opens every mode, and "human" needs a display
-        metadata = {**FourFingerGrasp.metadata, "render_modes": ["rgb_array"]}
+        metadata = {**FourFingerGrasp.metadata, "render_modes": ["rgb_array"]}  # noqa: RUF012
 
     gym.register("Headless-v0", entry_point=Headless, max_episode_steps=100)
     env = gym.make("Headless-v0", render_mode="rgb_array", wrench="random")

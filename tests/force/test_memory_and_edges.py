@@ -1,0 +1,87 @@
+"""Regressions: grasps die with their last reference, tiny printed starts converge, wild candidates are refused kindly."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+
+from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.force import ForceOptimizer, OfflineBasis, Repair, Status, optimize_force, phase_one
+from grasp_env.force.basis import _REMEMBERED
+from grasp_env.force.kernels import step_to_boundary
+from grasp_env.grasp import Grasp, presets
+
+
+def test_a_remembered_basis_does_not_keep_its_grasp_alive():
+    grasp = presets.tripod()
+    OfflineBasis.of(grasp)
+    alive = weakref.ref(grasp)
+    del grasp
+    gc.collect()
+    assert alive() is None
+
+
+def test_moving_does_not_pile_up_bases():
+    grasp = presets.paper_cuboid()
+    optimizer = ForceOptimizer(grasp)
+    optimizer.solve(np.zeros(6))
+    gc.collect()
+    before = len(_REMEMBERED)
+    for _ in range(100):
+        optimizer.move_to(Grasp.from_contacts(grasp.positions, grasp.normals, 0.4))
+    gc.collect()
+    assert len(_REMEMBERED) <= before + 1
+
+
+def test_going_back_to_a_grasp_gives_the_same_bits():
+    one, two = presets.paper_cuboid(), presets.paper_cuboid(0.35)
+    optimizer = ForceOptimizer(one)
+    first = optimizer.solve([1, 0, 0, 0, 0, 0]).force
+    optimizer.move_to(two)
+    optimizer.solve([1, 0, 0, 0, 0, 0])
+    optimizer.move_to(one)
+    np.testing.assert_array_equal(optimizer.solve([1, 0, 0, 0, 0, 0]).force, first)
+
+
+@pytest.mark.parametrize("method", ["reduced_flow", "full_flow"])
+def test_the_printed_start_of_a_tiny_wrench_converges(method):
+    """It starts at Phi = 6e8 next to the apex, jumps far, and once kept the tiny step it had there."""
+    wrench = [1e-9, 0, 0, 0, 0, 0]
+    solution = optimize_force(presets.paper_cuboid(), wrench, initial="linear_combination_printed", method=method)
+    assert solution.status is Status.OPTIMAL
+
+
+def test_step_to_boundary_through_the_apex():
+    rng = np.random.default_rng(0)
+    for _ in range(2000):
+        x = np.array([1.0, *rng.uniform(-0.6, 0.6, 2)])
+        factor = rng.uniform(0.1, 3.0)
+        # the discriminant is zero: a double root has half the digits
+        assert step_to_boundary(x, -factor * x) == pytest.approx(1.0 / factor, rel=1e-6)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
+def test_repair_of_wild_candidates_is_the_combination(value):
+    grasp, wrench = presets.paper_cuboid(), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
+    safe = OfflineBasis.of(grasp).combine(wrench)
+    np.testing.assert_allclose(Repair()(grasp, wrench, np.full((4, 3), value)), safe, rtol=1e-14)
+
+
+def test_wrong_kinds():
+    grasp = presets.paper_cuboid()
+    for initial in (3, None, {}):
+        with pytest.raises(InvalidInputError, match="initial must be"):
+            optimize_force(grasp, np.zeros(6), initial=initial)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInputError, match="shape"):
+        Repair()(grasp, np.zeros(6), np.zeros((3, 3)))
+    with pytest.raises(InvalidInputError, match="1e\\+12"):
+        optimize_force(grasp, [1e200] * 6)
+    with pytest.raises(InvalidInputError, match="finite"):
+        phase_one(grasp, np.full(6, np.nan))
+    with pytest.raises(UnknownNameError, match="'none'"):
+        ForceOptimizer(grasp, correction="none")  # type: ignore[arg-type]
+    with pytest.raises(UnknownNameError, match="preset"):
+        presets.preset(["a"])  # type: ignore[arg-type]

@@ -1,0 +1,136 @@
+"""`ForceOptimizer`, the control loop's form, and what a `ForceSolution` says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import GRASPS, PAPER_WRENCH
+
+from grasp_env.force import METHODS, ForceOptimizer, LinearCombination, Status, cone_margin, optimize_force
+from grasp_env.force.repair import Correction
+from grasp_env.grasp import Grasp, presets
+from grasp_env.grasp import wrench as wrenches
+
+LIGHT = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
+
+
+def _shifted(grasp: Grasp, shift: float) -> Grasp:
+    positions = grasp.positions.copy()
+    positions[0, 0] += shift
+    return Grasp.from_contacts(positions, grasp.normals, grasp.friction)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", GRASPS)
+def test_optimizer_and_function_are_the_same(name: str, method: str) -> None:
+    once = optimize_force(GRASPS[name], LIGHT, method=method)
+    optimizer = ForceOptimizer(GRASPS[name], method=method)
+    for _ in range(2):
+        again = optimizer.solve(LIGHT)
+        np.testing.assert_array_equal(again.force, once.force)
+        assert (again.iterations, again.trials, again.objective) == (once.iterations, once.trials, once.objective)
+
+
+@pytest.mark.parametrize("correction", ["tangent", "pseudoinverse"])
+def test_previous_starts_with_the_combination_and_then_remembers(correction: Correction) -> None:
+    grasp = presets.paper_cuboid()
+    optimizer = ForceOptimizer(grasp, initial="previous", correction=correction)
+    first = optimizer.solve(PAPER_WRENCH)
+    assert first.initial == "linear_combination"
+    np.testing.assert_allclose(first.initial_force, LinearCombination()(grasp, PAPER_WRENCH), rtol=1e-15)
+    again = optimizer.solve(PAPER_WRENCH)
+    assert (again.initial, again.iterations) == ("previous", 0)
+    # a function call with the solution is the same carry-over
+    other = optimize_force(grasp, 1.03 * PAPER_WRENCH, initial=again)
+    if correction == "tangent":
+        np.testing.assert_array_equal(other.force, optimizer.solve(1.03 * PAPER_WRENCH).force)
+
+
+def test_warm_starts_on_the_papers_path_save_steps() -> None:
+    path = wrenches.paper_path(np.linspace(0.0, 2.0, 200)) * np.repeat([1.0, 0.05], 3)
+    grasp = presets.paper_cuboid()
+    warm, cold = ForceOptimizer(grasp, initial="previous"), ForceOptimizer(grasp)
+    steps = np.array([(warm.solve(w).iterations, cold.solve(w).iterations) for w in path])
+    # the notes measure none against tens of steps
+    assert np.median(steps[:, 0]) <= 1
+    assert steps[:, 0].sum() < 0.2 * steps[:, 1].sum()
+
+
+def test_forces_along_the_papers_path_are_continuous_and_valid() -> None:
+    times = np.linspace(0.0, 2.0, 200)
+    path = wrenches.paper_path(times) * np.repeat([1.0, 0.05], 3)
+    grasp = presets.paper_cuboid()
+    optimizer = ForceOptimizer(grasp, initial="previous", method="newton", tolerance=1e-9)
+    solutions = [optimizer.solve(w).raise_for_status() for w in path]
+    forces = np.array([solution.force for solution in solutions])
+    for solution in solutions:
+        assert solution.cone_margin > 0.0
+        assert solution.equilibrium_residual <= 1e-10 * np.abs(solution.force).max()
+    # the wrench moves by up to 0.13 N a sample; the optimum follows it with the gain of G^+ and the squeeze, about ten
+    moves = np.abs(np.diff(forces, axis=0)).max(axis=(1, 2))
+    assert moves.max() < 10.0 * np.abs(np.diff(path[:, :3], axis=0)).max()
+
+
+def test_moving_the_grasp_keeps_basis_and_solution_useful() -> None:
+    grasp = presets.paper_cuboid()
+    optimizer = ForceOptimizer(grasp, initial="previous", tolerance=1e-6)
+    optimizer.solve(PAPER_WRENCH)
+    moved = _shifted(grasp, 0.0005)
+    optimizer.move_to(moved)
+    warm = optimizer.solve(PAPER_WRENCH)
+    cold = optimize_force(_shifted(grasp, 0.0005), PAPER_WRENCH, tolerance=1e-6)
+    assert warm.initial == "previous"
+    assert warm.iterations < cold.iterations
+    assert warm.equilibrium_residual < 1e-12
+    assert warm.objective == pytest.approx(cold.objective, rel=2e-6)
+    # and the other rules read the new grasp
+    for rule in ("linear_combination", "single_value", "lagrange", "phase_one"):
+        start = optimizer.start(PAPER_WRENCH, initial=rule)
+        assert moved.residual(start, PAPER_WRENCH) < 1e-11
+        assert cone_margin(start, moved.friction) > 0.0
+
+
+def test_moving_to_another_number_of_contacts_forgets_the_solution() -> None:
+    optimizer = ForceOptimizer(presets.paper_cuboid(), initial="previous")
+    optimizer.solve(LIGHT)
+    optimizer.move_to(presets.five_finger_cuboid())
+    assert optimizer.previous is None
+    solution = optimizer.solve(LIGHT)
+    assert solution.initial == "linear_combination"
+    assert solution.force.shape == (5, 3)
+
+
+def test_start_is_what_solve_starts_from() -> None:
+    optimizer = ForceOptimizer(presets.tripod())
+    for initial in (None, "single_value", "lagrange", "phase_one"):
+        start = optimizer.start(LIGHT, initial=initial)
+        solution = optimizer.solve(LIGHT, initial=initial)
+        np.testing.assert_allclose(solution.initial_force, start, rtol=3e-16)
+
+
+def test_trace_is_kept_only_when_asked_for() -> None:
+    grasp = presets.paper_cuboid()
+    for method in METHODS:
+        assert optimize_force(grasp, PAPER_WRENCH, method=method).objective_trace.size == 0
+        traced = optimize_force(grasp, PAPER_WRENCH, method=method, trace=True)
+        assert len(traced.objective_trace) == traced.iterations + 1
+
+
+def test_a_solution_certifies_itself() -> None:
+    solution = optimize_force(presets.paper_cuboid(), PAPER_WRENCH)
+    assert solution.raise_for_status() is solution
+    assert solution.optimality_gap == (solution.objective - solution.lower_bound) / solution.lower_bound
+    assert 0.0 < solution.optimality_gap <= 1e-4
+    assert solution.total_normal_force == solution.force[:, 0].sum()
+    assert solution.certificate is None
+    for status in Status:
+        assert status.help.endswith((".", "it."))
+
+
+def test_flow_methods_take_the_same_steps() -> None:
+    """One flow in two coordinates: the same count of steps and trials, whatever the number of fingers."""
+    for grasp in GRASPS.values():
+        full = optimize_force(grasp, LIGHT, method="full_flow", initial="single_value")
+        reduced = optimize_force(grasp, LIGHT, method="reduced_flow", initial="single_value")
+        assert (full.iterations, full.trials) == (reduced.iterations, reduced.trials)
+        np.testing.assert_allclose(full.force, reduced.force, rtol=0, atol=1e-9 * np.abs(full.force).max())

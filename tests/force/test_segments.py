@@ -1,0 +1,201 @@
+"""Rays, segments, repair and carry-over: dense scans, and never worse than a safe force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import PAPER_WRENCH, closure_grasps
+
+from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, carry_over, cone_margin, optimize_force
+from grasp_env.force.description import to_cone, to_force
+from grasp_env.force.kernels import cone_slack, phi, step_to_boundary
+from grasp_env.force.repair import CORRECTIONS, Correction
+from grasp_env.force.start_kernels import best_on_segment, combine, ray_interval
+from grasp_env.grasp import Grasp, presets, wrench
+
+OBJECTIVE = Objective()
+GRASPS = [presets.tripod(), presets.paper_cuboid(), presets.five_finger_cuboid(), *closure_grasps()[:5]]
+GRID = np.arange(0, 64 * 64) / 64.0  # dyadic: with small integers the scan below has no rounding at all
+
+
+def inside(point: np.ndarray, ray: np.ndarray) -> np.ndarray:
+    """Which k of GRID have point + k * ray strictly inside every cone."""
+    u, o, t = (point.reshape(-1, 3)[None] + GRID[:, None, None] * ray.reshape(-1, 3)[None]).transpose(2, 0, 1)
+    return ((u > 0.0) & (u * u > o * o + t * t)).all(axis=1)
+
+
+@pytest.mark.parametrize("contacts", [1, 2, 4])
+def test_ray_interval_against_an_exact_scan(contacts: int) -> None:
+    # integers from -3 to 3 hit every degenerate case: zero rays, zero points, rays and points on the cone, rays
+    # through the apex, rays along the cone that start on it
+    rng = np.random.default_rng(contacts)
+    found = {True: 0, False: 0}
+    for _ in range(4000):
+        point = rng.integers(-3, 4, 3 * contacts).astype(float)
+        ray = rng.integers(-3, 4, 3 * contacts).astype(float)
+        ray[0::3] = np.abs(ray[0::3]) if rng.random() < 0.5 else ray[0::3]
+        low, high = ray_interval(point, ray)
+        scan = inside(point, ray)
+        # roots of quadratics with integer coefficients: off by some 1e-16 relative, grid points at them are left out
+        clear = (np.abs(GRID - low) > 1e-9 * (1 + GRID)) & (np.abs(GRID - high) > 1e-9 * (1 + GRID))
+        claimed = (low < GRID) & (high > GRID)
+        assert (claimed == scan)[clear].all(), (point, ray, low, high)
+        if scan.any():
+            assert low < high
+        found[bool(scan.any())] += 1
+    assert min(found.values()) > 20
+
+
+def test_ray_interval_on_real_numbers() -> None:
+    rng = np.random.default_rng(9)
+    for kind in range(2000):
+        point, ray = rng.standard_normal(9) * 10.0 ** rng.uniform(-3, 3), rng.standard_normal(9)
+        if kind % 4 == 0:
+            ray[0::3] = np.hypot(ray[1::3], ray[2::3]) * rng.uniform(1.0, 2.0, 3)  # into the cones
+        if kind % 7 == 0:
+            point = -rng.random() * ray  # through the apex
+        low, high = ray_interval(point, ray)
+        scan = inside(point, ray)
+        # near a tangent root half the digits are lost: 1e-6 of the scale of k is left out
+        clear = (np.abs(GRID - low) > 1e-6 * (1 + GRID)) & (np.abs(GRID - high) > 1e-6 * (1 + GRID))
+        assert (((low < GRID) & (high > GRID)) == scan)[clear].all(), (point, ray, low, high)
+
+
+@pytest.mark.parametrize("contacts", [1, 2, 4])
+def test_step_to_boundary_against_an_exact_scan(contacts: int) -> None:
+    rng = np.random.default_rng(20 + contacts)
+    endless = 0
+    for _ in range(4000):
+        x = rng.integers(-3, 4, 3 * contacts).astype(float)
+        x[0::3] = np.floor(np.hypot(x[1::3], x[2::3])) + 1.0
+        step = rng.integers(-3, 4, 3 * contacts).astype(float)
+        step[0::3] = np.abs(step[0::3]) + rng.integers(0, 3) if rng.random() < 0.5 else step[0::3]
+        limit = step_to_boundary(x, step)
+        scan = inside(x, step)
+        clear = np.abs(GRID - limit) > 1e-9 * (1 + GRID)  # see above
+        assert ((limit > GRID) == scan)[clear].all(), (x, step, limit)
+        endless += limit == np.inf
+    assert endless > 100
+
+
+@pytest.mark.parametrize("grasp", GRASPS, ids=lambda grasp: f"N{grasp.n_contacts}")
+def test_best_on_segment_is_the_best_of_the_segment(grasp: Grasp) -> None:
+    rng = np.random.default_rng(30)
+    basis = OfflineBasis.of(grasp)
+    thetas = np.linspace(0.0, 1.0, 1001)
+    for _ in range(100):
+        load = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
+        safe = to_cone(basis.combine(load), grasp.friction)
+        candidate = safe + rng.standard_normal(safe.size) * safe.max() * 10.0 ** rng.uniform(-3, 0)
+        out = np.empty_like(safe)
+        theta = best_on_segment(safe, candidate, 1.0, 0.01, out)
+        assert 0.0 <= theta <= 1.0
+        value = phi(out, 1.0, 0.01)
+        assert cone_slack(out) > 0.0
+        assert value <= phi(safe, 1.0, 0.01)
+        assert value <= phi(candidate, 1.0, 0.01)
+        scan = min(phi(safe + k * (candidate - safe), 1.0, 0.01) for k in thetas)
+        # twelve halvings end within 1e-3 of theta: far less than a tenth of what the segment can gain
+        assert value - scan <= 0.1 * (phi(safe, 1.0, 0.01) - scan) + 1e-12 * value
+
+
+def wild(rng: np.random.Generator, safe: np.ndarray) -> np.ndarray:
+    kind = rng.integers(0, 6)
+    if kind == 0:
+        return safe * rng.uniform(-2.0, 2.0)
+    candidate = safe + rng.standard_normal(safe.size) * 10.0 ** rng.uniform(-6, 8)
+    if kind == 1:
+        candidate[rng.integers(0, safe.size)] = rng.choice([np.nan, np.inf, -np.inf])
+    if kind == 2:
+        candidate = np.zeros_like(safe)
+    return candidate
+
+
+def test_repair_of_twenty_thousand_candidates_is_never_worse_than_the_basis() -> None:
+    rng = np.random.default_rng(31)
+    better = 0
+    for k in range(20_000):
+        grasp = GRASPS[k % len(GRASPS)]
+        if k < len(GRASPS):
+            OfflineBasis.of(grasp)
+        load = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03] * 10.0 ** rng.uniform(-3, 1)
+        safe = np.empty(3 * grasp.n_contacts)
+        combine(OfflineBasis.of(grasp).cone_forces, load, False, safe)
+        candidate = wild(rng, safe)
+        flat = to_force(candidate, grasp.friction).reshape(-1)
+        if np.isfinite(flat).all():  # the steps of `Repair`, without its set-up
+            flat = flat - grasp.pseudoinverse @ (grasp.matrix @ flat + load)
+            x = to_cone(flat, grasp.friction)
+        else:
+            x = safe.copy()
+        out = np.empty_like(safe)
+        best_on_segment(safe, x, 1.0, 0.01, out)
+        assert phi(out, 1.0, 0.01) <= phi(safe, 1.0, 0.01)
+        assert cone_slack(out) > 0.0
+        force = to_force(out, grasp.friction)
+        # what a candidate of 1e8 N leaves of its balance is 1e-7 N, times the part of it that is taken
+        assert grasp.residual(force, load) <= 1e-9 * (np.abs(force).max() + np.abs(load).max() / grasp.length)
+        better += phi(out, 1.0, 0.01) < phi(safe, 1.0, 0.01)
+    assert better > 2000
+
+
+def test_repair_through_the_class() -> None:
+    rng = np.random.default_rng(32)
+    repair = Repair(OBJECTIVE)
+    for k in range(400):
+        grasp = GRASPS[k % len(GRASPS)]
+        load = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
+        safe = to_cone(OfflineBasis.of(grasp).combine(load), grasp.friction)
+        candidate = to_force(wild(rng, safe), grasp.friction)
+        if np.isinf(candidate).any():
+            candidate[:] = np.nan  # an infinite one overflows inside numpy before the class sees it
+        force = repair(grasp, load, candidate)
+        assert OBJECTIVE.value(to_cone(force, grasp.friction)) <= OBJECTIVE.value(safe)
+        assert cone_margin(force, grasp.friction) > 0.0
+        assert grasp.residual(force, load) <= 1e-9 * (np.abs(force).max() + np.abs(load).max() / grasp.length)
+        # what is good already is kept: the optimum stays where it is
+    solution = optimize_force(GRASPS[1], PAPER_WRENCH, method="newton", tolerance=1e-10)
+    np.testing.assert_allclose(repair(GRASPS[1], PAPER_WRENCH, solution.force), solution.force, rtol=1e-12, atol=1e-12)
+
+
+def moved(grasp: Grasp, rng: np.random.Generator, size: float) -> Grasp:
+    normals = grasp.normals + size * rng.standard_normal(grasp.normals.shape)
+    positions = grasp.positions + size * grasp.length * rng.standard_normal(grasp.positions.shape)
+    return Grasp.from_contacts(positions, normals / np.linalg.norm(normals, axis=1)[:, None], grasp.friction)
+
+
+@pytest.mark.parametrize("correction", CORRECTIONS)
+@pytest.mark.parametrize("grasp", GRASPS, ids=lambda grasp: f"N{grasp.n_contacts}")
+def test_carry_over_to_another_grasp_and_wrench(grasp: Grasp, correction: Correction) -> None:
+    rng = np.random.default_rng(33)
+    load = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
+    previous = optimize_force(grasp, load, method="newton", tolerance=1e-8).force
+    for size in (0.0, 1e-3, 1e-2, 3e-2):
+        there = moved(grasp, rng, size)
+        OfflineBasis.of(grasp).moved_to(there)
+        for jump in (0.0, 1e-2, 0.3, 30.0):
+            target = load + jump * rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
+            force = carry_over(there, target, previous, OBJECTIVE, correction)
+            assert cone_margin(force, there.friction) > 0.0
+            # rounding of G^+ and of the 12-basis
+            assert there.residual(force, target) <= 1e-10 * (np.abs(force).max() + np.abs(target).max() / there.length)
+            safe = to_cone(OfflineBasis.of(there).combine(target), there.friction)
+            assert OBJECTIVE.value(to_cone(force, there.friction)) <= OBJECTIVE.value(safe)
+
+
+@pytest.mark.parametrize("grasp", GRASPS[:4], ids=lambda grasp: f"N{grasp.n_contacts}")
+def test_tangent_beats_the_pseudoinverse_on_small_steps(grasp: Grasp) -> None:
+    path = wrench.sample_path(np.random.default_rng(34), 60, step=0.03)
+    optimizer = ForceOptimizer(grasp, method="newton", tolerance=1e-10)
+    optima = [optimizer.solve(load) for load in path]
+    excess = {
+        name: [
+            OBJECTIVE.value(to_cone(carry_over(grasp, path[k], optima[k - 1].force, OBJECTIVE, name), grasp.friction))
+            / optima[k].objective
+            - 1.0
+            for k in range(1, len(path))
+        ]
+        for name in CORRECTIONS
+    }
+    # first order against zeroth order: an order of magnitude at 3 % steps, whatever the grasp
+    assert np.median(excess["tangent"]) < 0.1 * np.median(excess["pseudoinverse"])

@@ -1,0 +1,248 @@
+"""Wrong input raises the project's error, which is also the matching builtin and names what was given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from problems import GRASPS, PAPER_WRENCH
+
+from grasp_env.errors import (
+    GraspError,
+    InfeasibleStartError,
+    InfeasibleWrenchError,
+    InvalidInputError,
+    UnknownNameError,
+)
+from grasp_env.force import (
+    METHODS,
+    RULES,
+    AdaptiveStep,
+    ForceOptimizer,
+    LinearCombination,
+    Objective,
+    Status,
+    carry_over,
+    initial_rule,
+    optimize_force,
+)
+from grasp_env.grasp import Grasp, presets
+
+GRASP = presets.paper_cuboid()
+
+
+@pytest.mark.parametrize(
+    ("wrench", "message"),
+    [
+        (np.zeros(5), r"wrench must have shape \(6,\), got \(5,\)"),
+        (np.zeros((6, 1)), r"wrench must have shape \(6,\), got \(6, 1\)"),
+        (0.0, r"wrench must have shape \(6,\), got \(\)"),
+        (None, "wrench must"),
+        ("down", "wrench must be numbers"),
+        ([1.0, 2.0, 3.0, [4.0], 5.0, 6.0], "wrench must be numbers"),
+        ([0.0, 0.0, np.nan, 0.0, 0.0, 0.0], r"wrench must be finite, got \[0\.0, 0\.0, nan"),
+        ([0.0, 0.0, 0.0, np.inf, 0.0, 0.0], r"wrench must be finite, got .*inf"),
+        ([-np.inf, 0.0, 0.0, 0.0, 0.0, 0.0], r"wrench must be finite, got \[-inf"),
+    ],
+)
+@pytest.mark.parametrize("initial", ["linear_combination", "phase_one", "previous"])
+def test_wrench(wrench: object, message: str, initial: str) -> None:
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        optimize_force(GRASP, wrench, initial=initial)
+    assert isinstance(caught.value, ValueError)
+    with pytest.raises(InvalidInputError, match=message):
+        ForceOptimizer(GRASP, initial=initial).start(wrench)
+
+
+@pytest.mark.parametrize("option", ["tolerance", "force_weight", "barrier_weight"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, -np.inf, "much", None, [1.0, 2.0]])
+def test_positive_options(option: str, value: object) -> None:
+    with pytest.raises(InvalidInputError, match=f"{option} must be") as caught:
+        optimize_force(GRASP, PAPER_WRENCH, **{option: value})
+    given = str(value) if isinstance(value, float) else repr(value)
+    assert given in str(caught.value)
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize("value", [-1, 1.5, 10.0, np.nan, "ten", None])
+def test_max_iterations(value: object) -> None:
+    with pytest.raises(InvalidInputError, match="max_iterations must be an integer >= 0, got") as caught:
+        optimize_force(GRASP, PAPER_WRENCH, max_iterations=value)
+    assert repr(value) in str(caught.value)
+
+
+def test_numpy_integers_are_integers() -> None:
+    solution = optimize_force(GRASP, PAPER_WRENCH, max_iterations=np.int64(3), tolerance=1e-9)
+    assert (solution.iterations, solution.status) == (3, Status.ITERATION_LIMIT)
+
+
+@pytest.mark.parametrize(
+    ("kind", "call", "allowed"),
+    [
+        ("method", lambda name: optimize_force(GRASP, PAPER_WRENCH, method=name), METHODS),
+        ("initial-force rule", lambda name: optimize_force(GRASP, PAPER_WRENCH, initial=name), (*RULES, "previous")),
+        ("initial-force rule", lambda name: ForceOptimizer(GRASP, initial=name), (*RULES, "previous")),
+        ("initial-force rule", lambda name: ForceOptimizer(GRASP).solve(PAPER_WRENCH, initial=name), RULES),
+        ("initial-force rule", lambda name: ForceOptimizer(GRASP).start(PAPER_WRENCH, initial=name), RULES),
+        ("initial-force rule", initial_rule, RULES),
+        ("preset", presets.preset, presets.PRESETS),
+        (
+            "correction",
+            lambda name: carry_over(GRASP, PAPER_WRENCH, np.ones((4, 3)), Objective(), name),
+            ("tangent", "pseudoinverse"),
+        ),
+    ],
+)
+@pytest.mark.parametrize("name", ["simplex", "", "Newton"])
+def test_names(kind: str, call: Callable[[str], object], allowed: tuple[str, ...], name: str) -> None:
+    with pytest.raises(UnknownNameError, match=f"^unknown {kind} {name!r}: choose one of") as caught:
+        call(name)
+    assert isinstance(caught.value, KeyError)
+    assert isinstance(caught.value, ValueError)
+    for choice in allowed:
+        assert repr(choice) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"first": 0.0}, "first must be finite and > 0, got 0.0"),
+        ({"first": -1.0}, "first must be finite and > 0, got -1.0"),
+        ({"first": np.nan}, "first must be finite"),
+        ({"first": np.inf}, "first must be finite"),
+        ({"first": "a"}, "first must be a number > 0, got 'a'"),
+        ({"grow": 0.99}, "grow must be a finite factor >= 1, got 0.99"),
+        ({"grow": np.nan}, "grow must be"),
+        ({"grow": np.inf}, "grow must be"),
+        ({"shrink": 0.0}, r"shrink must lie in \(0, 1\), got 0.0"),
+        ({"shrink": 1.0}, r"shrink must lie in \(0, 1\), got 1.0"),
+        ({"shrink": np.nan}, "shrink must lie"),
+    ],
+)
+def test_step_rule(given: dict, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        AdaptiveStep(**given)
+
+
+class _Named:
+    """A rule with a name of its own, which messages and solutions carry."""
+
+    name = "my rule"
+
+    def __init__(self, force: object) -> None:
+        self.force = force
+
+    def __call__(self, grasp: Grasp, wrench: np.ndarray) -> object:
+        return self.force
+
+
+_SQUEEZE = np.array(
+    [[3.0, 0.0, 0.0], [1.2, 0.0, 0.0], [0.9, 0.0, 0.0], [0.9, 0.0, 0.0]]
+)  # balanced: moments 1.2 * 0.03
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (lambda good: good[:3], r"initial force must have shape \(4, 3\), got \(3, 3\)"),
+        (lambda good: good.reshape(-1), r"initial force must have shape \(4, 3\), got \(12,\)"),
+        (lambda _: None, "initial force must"),
+        (lambda _: "strong", "initial force must be numbers"),
+        (lambda good: np.where(np.eye(4, 3) > 0.0, np.nan, good), "initial force must be finite, got .*nan"),
+        (lambda good: good + np.inf, "initial force must be finite, got .*inf"),
+        (lambda good: 1.01 * good, r"misses balance by .* N \(G f \+ w = 0.*Repair"),
+        (lambda good: -good, "misses balance"),
+        (lambda good: good + [[1e-4, 0.0, 0.0]] * 4, "misses balance by 0.000"),
+        (np.zeros_like, "misses balance"),
+        (lambda good: good - 3.0 * _SQUEEZE, r"leaves the friction cones \(margin -.* N\).*Repair"),
+    ],
+    ids=["rows", "flat", "none", "text", "nan", "inf", "scaled", "negative", "slightly off", "zero", "outside"],
+)
+def test_a_rule_that_breaks_its_promise(broken: Callable[[np.ndarray], object], message: str) -> None:
+    force = broken(LinearCombination()(GRASP, PAPER_WRENCH))
+    for call in (
+        lambda: optimize_force(GRASP, PAPER_WRENCH, initial=_Named(force)),
+        lambda: ForceOptimizer(GRASP).solve(PAPER_WRENCH, initial=_Named(force)),
+    ):
+        with pytest.raises(InfeasibleStartError, match=f"initial-force rule 'my rule'.*{message}") as caught:
+            call()
+        assert isinstance(caught.value, ValueError)
+        assert not isinstance(caught.value, InfeasibleWrenchError)
+    if isinstance(force, np.ndarray):
+        with pytest.raises(InfeasibleStartError, match=message):
+            optimize_force(GRASP, PAPER_WRENCH, initial=force)
+
+
+def test_a_rule_within_rounding_of_balance_is_taken() -> None:
+    good = LinearCombination()(GRASP, PAPER_WRENCH)
+    solution = optimize_force(GRASP, PAPER_WRENCH, initial=_Named(good * (1.0 + 1e-12)))
+    assert solution.status is Status.OPTIMAL
+    assert solution.initial == "my rule"
+    assert optimize_force(GRASP, PAPER_WRENCH, initial=good).initial == "given"
+
+
+def test_no_force_at_no_wrench_is_not_a_start() -> None:
+    # balanced, but P = 0
+    with pytest.raises(InfeasibleStartError, match="leaves the friction cones"):
+        optimize_force(GRASP, np.zeros(6), initial=np.zeros((4, 3)))
+
+
+def test_a_rule_never_changes_the_wrench_it_was_given_or_the_callers() -> None:
+    wrench = PAPER_WRENCH.copy()
+    optimize_force(GRASP, wrench)
+    np.testing.assert_array_equal(wrench, PAPER_WRENCH)
+
+
+def test_a_previous_solution_with_another_number_of_contacts() -> None:
+    five = optimize_force(GRASPS["cuboid, 5"], PAPER_WRENCH)
+    with pytest.raises(InfeasibleStartError, match="previous solution has 5 contacts, the grasp 4"):
+        optimize_force(GRASP, PAPER_WRENCH, initial=five)
+
+
+@pytest.mark.parametrize("initial", [*RULES, "previous"])
+@pytest.mark.parametrize("method", METHODS)
+def test_an_infeasible_wrench_carries_its_proof(initial: str, method: str) -> None:
+    floor = Grasp.from_contacts([[0.03, 0, 0], [-0.03, 0.02, 0], [-0.02, -0.03, 0]], [[0.0, 0.0, 1.0]] * 3, 0.4)
+    lift = np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])  # contacts only push up; nothing pulls down
+    with pytest.raises(InfeasibleWrenchError, match=r"\[0\.0, 0\.0, 2\.0, .*certificate.*add contacts") as caught:
+        optimize_force(floor, lift, initial=initial, method=method)
+    solution = caught.value.solution
+    assert solution is not None
+    assert solution.status is Status.INFEASIBLE
+    assert solution.method == method
+    np.testing.assert_array_equal(solution.wrench, lift)
+    assert np.isfinite(solution.force).all()
+    twist = solution.certificate
+    assert twist is not None
+    assert twist @ lift > 0.0
+    y = (floor.cone_matrix.T @ twist).reshape(-1, 3)
+    assert (y[:, 0] >= np.hypot(y[:, 1], y[:, 2])).all()
+    with pytest.raises(InfeasibleWrenchError):
+        solution.raise_for_status()
+
+
+@pytest.mark.parametrize("magnitude", [1e-300, 1e-30, 1e-12, 1e6, 1e9])
+@pytest.mark.parametrize("method", ["reduced_flow", "newton"])
+@pytest.mark.parametrize("initial", ["linear_combination", "single_value", "lagrange"])
+def test_extreme_wrenches_end_soon_with_numbers(magnitude: float, method: str, initial: str) -> None:
+    try:
+        solution = optimize_force(
+            GRASP, magnitude * PAPER_WRENCH, method=method, initial=initial, max_iterations=500, trace=True
+        )
+    except GraspError:
+        return
+    assert np.isfinite(solution.force).all()
+    assert np.isfinite(solution.objective)
+    assert not np.isnan([solution.lower_bound, solution.optimality_gap, solution.equilibrium_residual]).any()
+    assert solution.cone_margin > 0.0
+    assert solution.trials < 500 * 100
+
+
+def test_every_project_error_is_a_grasp_error() -> None:
+    from grasp_env import errors
+
+    classes = [c for c in vars(errors).values() if isinstance(c, type) and issubclass(c, Exception)]
+    assert len(classes) > 5
+    assert all(issubclass(c, GraspError) for c in classes)
+    assert issubclass(GraspError, ValueError)

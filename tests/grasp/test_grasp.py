@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import GRASPS, random_grasp
+
+from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, UnknownNameError
+from grasp_env.grasp import Grasp, presets
+
+POSITIONS = presets.tripod().positions
+NORMALS = presets.tripod().normals
+
+
+@pytest.mark.parametrize("name", GRASPS)
+def test_pseudoinverse_is_the_least_norm_answer(name: str) -> None:
+    grasp = GRASPS[name]
+    # condition number of G about 40 on these grasps: 1e-13 leaves a factor of ten over rounding
+    np.testing.assert_allclose(grasp.pseudoinverse, np.linalg.pinv(grasp.matrix), rtol=0, atol=1e-13 * 40)
+    np.testing.assert_allclose(grasp.matrix @ grasp.pseudoinverse, np.eye(6), atol=1e-13)
+
+
+def test_pseudoinverse_does_not_depend_on_where_moments_are_scaled() -> None:
+    rng = np.random.default_rng(3)
+    for count in range(3, 8):
+        grasp = random_grasp(rng, count)
+        error = grasp.matrix @ grasp.pseudoinverse - np.eye(6)
+        assert np.abs(error).max() < 1e-11  # condition numbers reach 1e3 on random grasps
+        # least norm: the answer has no part in the null space
+        null = np.linalg.svd(grasp.matrix)[2][6:]
+        assert np.abs(null @ grasp.pseudoinverse).max() < 1e-9 * np.abs(grasp.pseudoinverse).max()
+
+
+def test_a_grasp_is_immutable() -> None:
+    grasp = presets.tripod()
+    for array in (grasp.positions, grasp.normals, grasp.friction, grasp.frames, grasp.matrix, grasp.cone_matrix):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+    with pytest.raises(AttributeError):
+        grasp.length = 1.0  # type: ignore[misc]
+
+
+def test_the_callers_arrays_are_neither_kept_nor_frozen() -> None:
+    positions, normals, friction = POSITIONS.copy(), NORMALS.copy(), np.full(3, 0.5)
+    grasp = Grasp.from_contacts(positions, normals, friction)
+    positions[0], normals[0], friction[0] = 9.0, 9.0, 9.0
+    np.testing.assert_array_equal(grasp.positions, POSITIONS)
+    np.testing.assert_array_equal(grasp.friction, np.full(3, 0.5))
+
+
+def test_presets_by_name_and_their_friction() -> None:
+    for name in presets.PRESETS:
+        assert presets.preset(name, 0.7).friction.tolist() == [0.7] * presets.preset(name).n_contacts
+    np.testing.assert_array_equal(presets.paper_cuboid().positions[0], [0.0, 0.0, -0.05])
+    np.testing.assert_array_equal(presets.paper_cuboid().normals[:, 2], [1.0, -1.0, -1.0, -1.0])
+    assert (presets.paper_cuboid().friction == 0.4).all()
+    grasp = presets.tripod()
+    np.testing.assert_array_equal(grasp.with_friction([0.1, 0.2, 0.3]).friction, [0.1, 0.2, 0.3])
+
+
+def test_residual_is_the_largest_component_with_moments_over_length() -> None:
+    grasp = presets.paper_cuboid()
+    nothing = np.zeros((4, 3))
+    assert grasp.residual(nothing, np.array([0.0, -3.0, 0.0, 0.0, 0.0, 0.0])) == 3.0
+    moment = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
+    assert grasp.residual(nothing, moment) == pytest.approx(2.0 / grasp.length, rel=1e-15)
+    assert moment[5] == 2.0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("which", ["positions", "normals", "friction"])
+def test_values_that_are_not_finite(which: str, bad: float) -> None:
+    given = {"positions": POSITIONS.copy(), "normals": NORMALS.copy(), "friction": np.full(3, 0.5)}
+    given[which].reshape(-1)[1] = bad
+    with pytest.raises(InvalidInputError, match=rf"{which} must be finite, got .*{bad}") as caught:
+        Grasp.from_contacts(**given)
+    assert isinstance(caught.value, ValueError)
+
+
+@pytest.mark.parametrize(
+    ("which", "value", "message"),
+    [
+        ("positions", np.zeros((3, 2)), r"positions must have shape \(N, 3\), got \(3, 2\)"),
+        ("positions", [], r"positions must have shape \(N, 3\), got \(0,\)"),
+        ("positions", "here", "positions must be numbers"),
+        ("positions", [[0.0, 0.0, 0.0], [1.0]], "positions must be numbers"),
+        ("positions", None, r"positions must have shape"),
+        ("normals", NORMALS[:2], r"normals must have shape \(3, 3\), got \(2, 3\)"),
+        ("normals", NORMALS * [[1.0], [0.0], [1.0]], r"normal 1 is .* with length 0: divide"),
+        ("normals", NORMALS * 1.01, r"normal \d is .* with length 1.01: divide"),
+        ("friction", np.full(2, 0.5), r"friction must have shape \(3,\), got \(2,\)"),
+        ("friction", np.full((3, 1), 0.5), r"friction must have shape \(3,\), got \(3, 1\)"),
+        ("friction", 0.0, r"friction must be > 0 at every contact, got \[0\.0, 0\.0, 0\.0\]"),
+        ("friction", [0.5, -0.1, 0.5], r"friction must be > 0 at every contact, got \[0\.5, -0\.1, 0\.5\]"),
+        ("friction", "rough", "friction must be numbers"),
+    ],
+)
+def test_wrong_geometry(which: str, value: object, message: str) -> None:
+    given: dict = {"positions": POSITIONS, "normals": NORMALS, "friction": 0.5}
+    given[which] = value
+    with pytest.raises(InvalidInputError, match=message) as caught:
+        Grasp.from_contacts(**given)
+    assert isinstance(caught.value, ValueError)
+
+
+_LINE = np.array([[0.0, 0.0, 0.0], [0.01, 0.02, 0.03], [0.02, 0.04, 0.06], [-0.03, -0.06, -0.09]])
+
+
+@pytest.mark.parametrize(
+    ("positions", "count"),
+    [
+        (np.empty((0, 3)), 0),
+        (POSITIONS[:1], 1),
+        (POSITIONS[:2], 2),
+        (_LINE, 4),
+        (_LINE + 0.2, 4),
+        (np.zeros((4, 3)), 4),
+        (np.full((3, 3), 0.1), 3),
+    ],
+    ids=["none", "one", "two", "line", "line, off the origin", "one point", "one point, off the origin"],
+)
+def test_rank_deficient_contacts(positions: np.ndarray, count: int) -> None:
+    normals = np.tile([0.6, 0.0, 0.8], (count, 1))
+    with pytest.raises(RankDeficientGraspError, match=rf"rank\(G\) = [0-5] < 6 with {count} contacts") as caught:
+        Grasp.from_contacts(positions, normals, 0.5)
+    assert isinstance(caught.value, GraspError)
+
+
+def test_normals_within_rounding_of_unit_length_are_normalised() -> None:
+    grasp = Grasp.from_contacts(POSITIONS, NORMALS * (1.0 + 5e-7), 0.5)
+    np.testing.assert_allclose(np.linalg.norm(grasp.normals, axis=1), 1.0, atol=3e-16)
+
+
+def test_unknown_preset_names_the_choices() -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown preset 'cube'.*'paper_cuboid'") as caught:
+        presets.preset("cube")
+    assert isinstance(caught.value, KeyError)
+    assert isinstance(caught.value, ValueError)
+    assert caught.value.allowed == presets.PRESETS
+
+
+@pytest.mark.parametrize("force", [np.zeros(9), np.zeros((4, 3)), np.full((3, 3), np.nan)])
+def test_wrench_of_a_wrong_force(force: np.ndarray) -> None:
+    with pytest.raises(InvalidInputError, match="force must"):
+        presets.tripod().wrench(force)

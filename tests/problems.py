@@ -1,0 +1,187 @@
+"""Named problems with known optima, random grasps, and solvers that share no code with the package."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.linalg import null_space
+from scipy.optimize import linprog, minimize
+
+from grasp_env.grasp import Grasp, presets, wrench
+
+PAPER_WRENCH = np.array(wrench.PAPER_CONSTANT)
+FACETS = 32
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A grasp, a wrench, the weights of Phi, and what is known about the optimum.
+
+    Attributes:
+        optimum: min Phi, found once by `solve_by_scipy`.
+        total_normal: sum of the normal forces at the optimum [N], from the project's notes; None where unknown.
+    """
+
+    name: str
+    grasp: Grasp
+    wrench: np.ndarray
+    force_weight: float
+    barrier_weight: float
+    optimum: float
+    total_normal: float | None = None
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def uneven(preset: Grasp) -> Grasp:
+    """The preset with its first finger moved by (1, 0.5, 2) mm: no symmetry that would hide an error."""
+    positions = preset.positions.copy()
+    positions[0] += (0.001, 0.0005, 0.002)
+    return Grasp.from_contacts(positions, preset.normals, preset.friction)
+
+
+GRASPS = {
+    "tripod": presets.tripod(),
+    "cuboid, 4": presets.paper_cuboid(),
+    "cuboid, 5": presets.five_finger_cuboid(),
+    "tripod, uneven": uneven(presets.tripod()),
+    "cuboid, 5, uneven": uneven(presets.five_finger_cuboid()),
+}
+"""Grasps with force closure for every number of fingers that the paper allows."""
+
+_LIGHT = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
+PROBLEMS = (
+    Problem("paper, lambda 0.01", GRASPS["cuboid, 4"], PAPER_WRENCH, 1.0, 0.01, 12.253093871456, 9.36),
+    Problem("paper, lambda 0.1", GRASPS["cuboid, 4"], PAPER_WRENCH, 1.0, 0.1, 16.888750549924, 11.14),
+    Problem("paper, lambda 1", GRASPS["cuboid, 4"], PAPER_WRENCH, 1.0, 1.0, 32.939795925213, 17.32),
+    Problem("paper, heavy", GRASPS["cuboid, 4"], 20.0 * PAPER_WRENCH, 1.0, 0.01, 207.892749127),
+    Problem("paper, no wrench", GRASPS["cuboid, 4"], np.zeros(6), 1.0, 0.01, 2.688205134854),
+    Problem("paper, omega 2", GRASPS["cuboid, 4"], PAPER_WRENCH, 2.0, 0.1, 29.708887511358),
+    Problem("tripod, light", GRASPS["tripod"], _LIGHT, 1.0, 0.01, 3.594370132241),
+    Problem("tripod, no wrench", GRASPS["tripod"], np.zeros(6), 1.0, 0.01, 1.8),
+    Problem("tripod, uneven", GRASPS["tripod, uneven"], _LIGHT, 1.0, 0.01, 3.550711735837),
+    Problem("five fingers, paper", GRASPS["cuboid, 5"], PAPER_WRENCH, 1.0, 0.01, 12.599085309391),
+    Problem("five fingers, light", GRASPS["cuboid, 5"], _LIGHT, 1.0, 0.1, 10.838980458048),
+    Problem("five fingers, uneven", GRASPS["cuboid, 5, uneven"], PAPER_WRENCH, 1.0, 0.01, 12.448223260946),
+)
+CONIC_LEAST = 8.58473
+"""Least total normal force of the reference grasp under the paper's wrench, exact cones, no barrier [N]."""
+
+
+def random_grasp(rng: np.random.Generator, count: int, cap: float = -1.0) -> Grasp:
+    """`count` contacts on an ellipsoid, friction 0.3 to 1; `cap`: least z of the direction to a contact."""
+    axes = rng.uniform(0.03, 0.06, 3)
+    directions: list[np.ndarray] = []
+    while len(directions) < count:
+        direction = rng.standard_normal(3)
+        direction /= np.linalg.norm(direction)
+        if direction[2] >= cap:
+            directions.append(direction)
+    positions = np.array(directions) * axes
+    normals = -positions / axes**2
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return Grasp.from_contacts(positions, normals, rng.uniform(0.3, 1.0, count))
+
+
+@cache
+def closure_grasps(number: int = 24, seed: int = 7) -> tuple[Grasp, ...]:
+    """Random grasps of 3 to 7 contacts with force closure, judged by `pyramid_margin` and not by the package."""
+    rng = np.random.default_rng(seed)
+    grasps: list[Grasp] = []
+    while len(grasps) < number:
+        grasp = random_grasp(rng, 3 + len(grasps) % 5)
+        # a tenth of the force as slack: far from losing closure, so that tolerances are about rounding
+        if pyramid_margin(grasp, np.zeros(6), inner=True, limited=True)[0] > 0.1:
+            grasps.append(grasp)
+    return tuple(grasps)
+
+
+def pyramid_margin(
+    grasp: Grasp, load: np.ndarray, inner: bool, limited: bool = False
+) -> tuple[float, np.ndarray | None]:
+    """(largest s <= 1, force): balance with pyramids of 32 facets in place of the cones, slack s on every facet.
+
+    The inner pyramid lies inside its cone, the outer one contains it: s > 0 inside proves that a strictly feasible force
+    exists; no s > 0 outside proves that none does. (-inf, None) when there is no force at all. `limited`: the mean of
+    friction * normal is 1, so that s says how deep in the cones the best internal force lies.
+    """
+    count = grasp.n_contacts
+    angles = 2.0 * np.pi * np.arange(FACETS) / FACETS
+    apothem = np.cos(np.pi / FACETS) if inner else 1.0
+    rows = np.zeros((FACETS * count, 3 * count + 1))
+    for k in range(count):
+        block = rows[FACETS * k : FACETS * (k + 1)]
+        block[:, 3 * k] = -apothem * grasp.friction[k]
+        block[:, 3 * k + 1] = np.cos(angles)
+        block[:, 3 * k + 2] = np.sin(angles)
+    rows[:, -1] = 1.0
+    scale = np.array([1.0, 1.0, 1.0] + [0.03] * 3)  # moments by a length, for the solver's absolute tolerance
+    mean = np.append((np.array([1.0, 0.0, 0.0]) * grasp.friction[:, None]).reshape(-1) / count, 0.0)
+    answer = linprog(
+        -np.eye(3 * count + 1)[-1],
+        A_ub=rows,
+        b_ub=np.zeros(len(rows)),
+        A_eq=np.vstack([np.column_stack([grasp.matrix, np.zeros(6)]) / scale[:, None], *[mean] * limited]),
+        b_eq=np.append(-load / scale, [1.0] * limited),
+        bounds=[(None, None)] * (3 * count) + [(0.0, 1.0)],
+        method="highs",
+    )
+    return (float(answer.x[-1]), answer.x[:-1].reshape(-1, 3)) if answer.status == 0 else (-np.inf, None)
+
+
+def solve_by_scipy(problem: Problem) -> tuple[float, np.ndarray]:
+    """(min Phi, force (N, 3)) by scipy's trust region on f = f0 + N z; Phi and derivatives as traces of 3 x 3 matrices."""
+    grasp = problem.grasp
+    _, first = pyramid_margin(grasp, problem.wrench, inner=True)
+    assert first is not None
+    unit = np.zeros((3, 3, 3))  # P = u E_0 + o E_1 + t E_2
+    unit[0] = np.eye(3)
+    unit[1, 0, 2] = unit[1, 2, 0] = unit[2, 1, 2] = unit[2, 2, 1] = 1.0
+    basis = null_space(grasp.matrix)
+    offset = first.reshape(-1)
+    # the solver's exact balance: what linprog leaves of G f + w is taken out once
+    offset = offset - np.linalg.lstsq(grasp.matrix, grasp.matrix @ offset + problem.wrench)[0]
+    scale = np.ones(3 * grasp.n_contacts)
+    scale[0::3] = grasp.friction
+
+    def matrices(z: np.ndarray) -> np.ndarray:
+        x = (scale * (offset + basis @ z)).reshape(-1, 3)
+        return np.einsum("nj,jab->nab", x, unit)
+
+    def value(z: np.ndarray) -> float:
+        p = matrices(z)
+        if np.linalg.eigvalsh(p).min() <= 0.0:
+            return np.inf
+        inverse = np.linalg.inv(p)
+        return float(np.einsum("naa->", problem.force_weight * p + problem.barrier_weight * inverse))
+
+    def pull_back(in_cone: np.ndarray) -> np.ndarray:
+        return basis.T @ (scale * in_cone.reshape(-1))
+
+    def gradient(z: np.ndarray) -> np.ndarray:
+        inverse = np.linalg.inv(matrices(z))
+        per_unit = np.einsum("jaa->j", unit) * problem.force_weight
+        return pull_back(per_unit - problem.barrier_weight * np.einsum("nab,nbc,jca->nj", inverse, inverse, unit))
+
+    def hessian(z: np.ndarray) -> np.ndarray:
+        inverse = np.linalg.inv(matrices(z))
+        product = np.einsum("nab,jbc->njac", inverse, unit)
+        blocks = 2.0 * problem.barrier_weight * np.einsum("njab,nkbc,nca->njk", product, product, inverse)
+        full = np.zeros((len(scale), len(scale)))
+        for k, block in enumerate(blocks):
+            full[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = 0.5 * (block + block.T)
+        scaled = scale[:, None] * basis
+        return scaled.T @ full @ scaled
+
+    answer = minimize(
+        value,
+        np.zeros(basis.shape[1]),
+        jac=gradient,
+        hess=hessian,
+        method="trust-exact",
+        options={"gtol": 1e-9, "maxiter": 2000},
+    )
+    return float(answer.fun), (offset + basis @ answer.x).reshape(-1, 3)
