@@ -38,8 +38,7 @@ def fit(config: FitConfig, progress: bool = False, command: str = "training.fit.
         progress: show a progress bar.
         command: recorded in the model card.
     """
-    if config.threads:
-        torch.set_num_threads(config.threads)
+    torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     rng = np.random.default_rng(config.seed)
     grasp = presets.preset(config.preset)

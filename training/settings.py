@@ -24,7 +24,8 @@ class FitConfig:
         low, high: [N] range of |(force, moment / 0.05 m)| of the training wrenches.
         friction_low, friction_high: range of the friction coefficient.
         force_weight, barrier_weight: the Phi to learn.
-        threads: torch threads (0: torch's own choice).
+        threads: torch threads. One repeats bit by bit, and for networks this small more gain little; where another
+            process takes one of two cores, two threads were measured 50 times slower than one.
     """
 
     preset: str = "paper_cuboid"
@@ -41,11 +42,13 @@ class FitConfig:
     friction_high: float = 0.6
     force_weight: float = 1.0
     barrier_weight: float = 0.01
-    threads: int = 0
+    threads: int = 1
 
     def __post_init__(self) -> None:
         if self.seconds <= 0 and self.steps <= 0:
             raise InvalidInputError(f"give seconds > 0 or steps > 0, got seconds={self.seconds}, steps={self.steps}")
+        if self.threads < 1:
+            raise InvalidInputError(f"threads must be >= 1, got {self.threads}")
         if self.samples < 2 * self.batch_size:
             raise InvalidInputError(f"samples must be at least two batches ({2 * self.batch_size}), got {self.samples}")
         if not 0 < self.low < self.high or not 0 < self.friction_low < self.friction_high:
