@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from grasp_env.force.kernels import compiled
+from grasp_env._compile import compiled
 from grasp_env.force.start_kernels import best_on_segment, combine
 
 

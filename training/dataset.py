@@ -9,10 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from grasp_env._compile import compiled
 from grasp_env.errors import NotConvergedError
 from grasp_env.force import Objective, OfflineBasis
 from grasp_env.force.descent_kernels import newton
-from grasp_env.force.kernels import cholesky, compiled, inverse_hessian
+from grasp_env.force.kernels import cholesky, inverse_hessian
 from grasp_env.force.start_kernels import combine
 from grasp_env.grasp import Grasp, null_space_basis
 from grasp_env.grasp.wrench import sample_magnitudes
@@ -122,7 +123,7 @@ def _label(wrenches, friction, matrix, null_space, basis, basis_friction, omega,
                 cone_matrix[i, j] = matrix[i, j] / ratio
             for k in range(dimension):
                 scaled[j, k] = null_space[j, k] * ratio
-        _, _, _, value, bound = newton(x, cone_matrix, wrenches[sample], omega, lam, 1e-10, 200, nothing)
+        _, _, _, value, bound = newton(x, cone_matrix, wrenches[sample], omega, lam, 1e-10, np.nan, 200, nothing)
         worst = max(worst, (value - bound) / bound)
         inverse_hessian(x, lam, blocks)
         reduced[:] = 0.0

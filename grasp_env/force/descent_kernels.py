@@ -10,10 +10,10 @@ import math
 
 import numpy as np
 
+from grasp_env._compile import compiled
 from grasp_env.force.kernels import (
     balance_factor,
     certified_bound,
-    compiled,
     lower_bound,
     newton_step,
     phi,
@@ -114,7 +114,7 @@ def reduced_flow(
 
 
 @compiled
-def newton(x, cone_matrix, wrench, omega, lam, tolerance, max_iterations, trace):
+def newton(x, cone_matrix, wrench, omega, lam, tolerance, optimum, max_iterations, trace):
     """Damped Newton on Phi under G f + w = 0; x (3N,) strictly feasible, overwritten. See `reduced_flow`."""
     size = x.size
     step = np.empty(size)
@@ -124,7 +124,8 @@ def newton(x, cone_matrix, wrench, omega, lam, tolerance, max_iterations, trace)
     left = np.empty(6)
     balance_factor(cone_matrix, factor)
     value = phi(x, omega, lam)
-    bound = -np.inf
+    known = optimum == optimum
+    bound = optimum if known else -np.inf
     iterations, trials = 0, 0
     while True:
         if iterations < trace.size:
@@ -134,7 +135,8 @@ def newton(x, cone_matrix, wrench, omega, lam, tolerance, max_iterations, trace)
             # rounding at the optimum, or a Schur complement that lost definiteness
             code = CONVERGED if relative_gap(value, bound) <= tolerance else STALLED
             return code, iterations, trials, value, bound
-        bound = max(bound, lower_bound(multipliers, cone_matrix, wrench, omega, lam))
+        if not known:
+            bound = max(bound, lower_bound(multipliers, cone_matrix, wrench, omega, lam))
         if relative_gap(value, bound) <= tolerance:
             return CONVERGED, iterations, trials, value, bound
         if iterations >= max_iterations:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -68,8 +70,10 @@ class ForceOptimizer:
         """
         if method not in METHODS:
             raise UnknownNameError("method", method, METHODS)
-        if not isinstance(max_iterations, int | np.integer) or max_iterations < 0:
+        if not isinstance(max_iterations, int | np.integer) or isinstance(max_iterations, bool) or max_iterations < 0:
             raise InvalidInputError(f"max_iterations must be an integer >= 0, got {max_iterations!r}")
+        if not isinstance(step_rule, AdaptiveStep | None):
+            raise InvalidInputError(f"step_rule must be an AdaptiveStep or None, got {step_rule!r}")
         if correction not in CORRECTIONS:
             raise UnknownNameError("correction", correction, CORRECTIONS)
         self.objective = Objective(force_weight, barrier_weight)
@@ -88,7 +92,9 @@ class ForceOptimizer:
     def move_to(self, grasp: Grasp) -> None:
         """The contacts moved: re-optimise the offline basis from the old one, keep the previous solution."""
         if self.grasp.n_contacts == grasp.n_contacts:
-            OfflineBasis.of(self.grasp, self.objective).moved_to(grasp)
+            # a grasp without force closure has no basis; rules that need one will say so
+            with suppress(InfeasibleStartError):
+                OfflineBasis.of(self.grasp, self.objective).moved_to(grasp)
         else:
             self.previous = None
         self._set_grasp(grasp)
@@ -112,7 +118,8 @@ class ForceOptimizer:
         wrench = as_wrench(wrench)
         name, start = self._start(wrench, self.initial if initial is None else initial)
         x = self._checked_start(start, wrench, name)
-        solution = self._descend(x, wrench, name, float("nan") if optimum is None else float(optimum), trace)
+        known = float("nan") if optimum is None else positive(optimum, "optimum")
+        solution = self._descend(x, wrench, name, known, trace)
         self.previous = solution
         return solution
 
@@ -166,7 +173,7 @@ class ForceOptimizer:
             )
         elif self.method == "newton":
             code, iterations, trials, value, bound = descent_kernels.newton(
-                x, self._matrix, wrench, omega, lam, self.tolerance, self.max_iterations, record
+                x, self._matrix, wrench, omega, lam, self.tolerance, optimum, self.max_iterations, record
             )
         else:
             rule = self.step_rule

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from grasp_env._check import LARGEST, Array, ContactForces, Wrench
+from grasp_env._check import LARGEST, Array, ContactForces, Wrench, as_wrench
 from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.description import to_cone, to_force
@@ -36,8 +36,9 @@ class Repair:
         A candidate that is not finite, or beyond 1e12 N, counts as no candidate: the combination is returned.
 
         Raises:
-            InvalidInputError: the candidate has another shape.
+            InvalidInputError: the candidate has another shape, or the wrench is not finite.
         """
+        wrench = as_wrench(wrench)
         flat = np.asarray(candidate, dtype=np.float64)
         if flat.shape != (grasp.n_contacts, 3):
             raise InvalidInputError(f"candidate must have shape ({grasp.n_contacts}, 3), got {flat.shape}")

@@ -45,7 +45,7 @@ class ForceSolution:
         iterations: accepted steps.
         trials: all steps tried, rejected ones included.
         objective: Phi of `force`.
-        lower_bound: a dual bound: no balanced force has a smaller Phi (-inf: none found).
+        lower_bound: a dual bound: no balanced force has a smaller Phi (-inf: none found); with `optimum` given, that.
         equilibrium_residual: largest |component| of G f + w, moments divided by the grasp's length [N].
         cone_margin: min over contacts of mu * normal - |tangential| [N]; > 0 strictly inside.
         wrench: (6,) the external wrench that `force` balances [N, N m].

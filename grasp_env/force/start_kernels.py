@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from grasp_env._compile import compiled
 from grasp_env.force.descent_kernels import newton
 from grasp_env.force.kernels import (
     cholesky,
     cholesky_solve,
-    compiled,
     cone_slack,
     gradient,
     inverse_hessian,
@@ -214,7 +214,9 @@ def offline_basis(basis, warm, interior, cone_matrix, pseudoinverse, omega, lam)
                     x[j] = total
                 low, _ = ray_interval(x, basis[12])
                 x[:] = x + max(1.1 * low, 1.0) * basis[12]
-        _, _, _, value, bound = newton(x, cone_matrix, wrench, omega, lam, BASIS_TOLERANCE, BASIS_ITERATIONS, no_trace)
+        _, _, _, value, bound = newton(
+            x, cone_matrix, wrench, omega, lam, BASIS_TOLERANCE, np.nan, BASIS_ITERATIONS, no_trace
+        )
         if not bound > 0.0:
             return np.inf
         worst = max(worst, (value - bound) / bound)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from grasp_env._compile import compiled
 
 TANGENT_SWITCH = 0.9
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled
 def contact_geometry(positions, normals, friction):
     """Frames (N, 3, 3), G (6, 3N) and G in cone coordinates (6, 3N) of contacts (N, 3) with inward unit normals."""
     count = positions.shape[0]

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from grasp_env._compile import compiled
 from grasp_env.sim.kinematics import (
     HandKinematics,
     trace_finger,
@@ -58,7 +58,7 @@ class Snapshot(NamedTuple):
     gravity_torques: np.ndarray
 
 
-@njit(cache=True)
+@compiled
 def _write_rotation(quaternion, rotation):
     """Write the rotation matrix of a unit quaternion (x, y, z, w)."""
     x, y, z, w = quaternion
@@ -69,7 +69,7 @@ def _write_rotation(quaternion, rotation):
     rotation[1, 2], rotation[2, 1] = 2 * (y * z - x * w), 2 * (y * z + x * w)
 
 
-@njit(cache=True)
+@compiled
 def _nearest_on_box(center, half_extents, point, normal):
     """Write the box's surface point nearest to `center` and the inward normal.
 
@@ -92,7 +92,7 @@ def _nearest_on_box(center, half_extents, point, normal):
     return -depth
 
 
-@njit(cache=True)
+@compiled
 def _slip_speed(relative, normal):
     """Length of the part of a velocity that is orthogonal to a unit normal."""
     along, squared = 0.0, 0.0
@@ -103,7 +103,7 @@ def _slip_speed(relative, normal):
     return math.sqrt(squared)
 
 
-@njit(cache=True)
+@compiled
 def _observe(
     bases, rotations, lengths, masses, fractions, radius, half_extents, gravity, reading
 ):  # fmt: skip

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from grasp_env._compile import compiled
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand import HandDescription
 
 
-@njit(cache=True)
+@compiled
 def trace_finger(base, rotation, lengths, angles, origins, axes):
     """Write the joints of one finger: origins (4, 3), the last one the tip, and axes (3, 3)."""
     swing_cos, swing_sin = math.cos(angles[0]), math.sin(angles[0])
@@ -33,7 +33,7 @@ def trace_finger(base, rotation, lengths, angles, origins, axes):
         origins[3, k] = origins[2, k] + lengths[2] * (second_cos * hang + second_sin * press)
 
 
-@njit(cache=True)
+@compiled
 def write_point_jacobian(origins, axes, point, jacobian):
     """Write the velocity of a point of the distal link per joint speed, (3, 3)."""
     for j in range(3):
@@ -43,7 +43,7 @@ def write_point_jacobian(origins, axes, point, jacobian):
         jacobian[2, j] = axes[j, 0] * y - axes[j, 1] * x
 
 
-@njit(cache=True)
+@compiled
 def write_gravity_torques(origins, axes, masses, fractions, gravity, torques):
     """Write the torques of one finger that carry the weight of its links, (3,)."""
     center, lever = np.empty(3), np.empty((3, 3))
@@ -58,7 +58,7 @@ def write_gravity_torques(origins, axes, masses, fractions, gravity, torques):
                 torques[j] -= masses[link] * gravity[k] * lever[k, j]
 
 
-@njit(cache=True)
+@compiled
 def _hand_tips(bases, rotations, lengths, angles):
     tips, origins, axes = np.empty((len(bases), 3)), np.empty((4, 3)), np.empty((3, 3))
     for i in range(len(bases)):

@@ -1,0 +1,32 @@
+"""`compiled`: numba with an on-disk cache that notices when a kernel of another file changed.
+
+numba's cache compares the source file of the function it holds, not those of the functions compiled into it: after an
+edit of `kernels.py` the cached loops in `descent_kernels.py` would keep the old code, without a word. So the stamp of
+every cached kernel here includes a hash of all the sources that kernels may come from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+_ROOT = Path(__file__).parent
+_SOURCES = hashlib.sha256(
+    b"".join(
+        path.read_bytes() for folder in ("force", "grasp", "sim") for path in sorted((_ROOT / folder).glob("*.py"))
+    )
+).hexdigest()
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compiles at the first call, caches on disk, releases the GIL; division by zero gives inf as in numpy."""
+    dispatcher = njit(cache=True, nogil=True, error_model="numpy")(function)
+    # numba has no public hook for the stamp; without a cache (NUMBA_DISABLE_JIT) there is nothing to mark
+    file = getattr(getattr(dispatcher, "_cache", None), "_cache_file", None)
+    if file is not None:
+        file._source_stamp = (file._source_stamp, _SOURCES)
+    return dispatcher

@@ -1,0 +1,50 @@
+"""A kernel's cache notices when a kernel of another file changes (numba's own does not)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import grasp_env
+from grasp_env._compile import _SOURCES
+from grasp_env.force import descent_kernels
+
+PACKAGE = Path(grasp_env.__file__).parent
+CODE = """
+import numpy as np
+from grasp_env.force.start_kernels import squeeze_scale
+from grasp_env.force.start_kernels import best_on_segment
+a, out = np.array([1.0, 0.0, 0.0]), np.empty(3)
+best_on_segment(a, 2 * a, 1.0, 0.01, out)
+print(out[0])
+"""
+
+
+def test_stamp_is_in_force():
+    assert descent_kernels.newton._cache._cache_file._source_stamp[1] == _SOURCES
+
+
+def test_an_edit_of_a_callee_is_noticed(tmp_path):
+    shutil.copytree(PACKAGE, tmp_path / "grasp_env", ignore=shutil.ignore_patterns("__pycache__", "sim"))
+    (tmp_path / "grasp_env" / "sim").mkdir()
+    # a PYTHONPATH entry beats the editable installation of this checkout
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+
+    def run() -> float:
+        run = subprocess.run(
+            [sys.executable, "-c", CODE], cwd=tmp_path, env=environment, capture_output=True, text=True
+        )
+        assert run.returncode == 0, run.stderr
+        return float(run.stdout)
+
+    before = run()
+    kernels = tmp_path / "grasp_env" / "force" / "kernels.py"
+    text = kernels.read_text()
+    edited = text.replace("total += 3.0 * omega * u + lam", "total -= 3.0 * omega * u + lam")
+    assert edited != text
+    kernels.write_text(edited)
+    # Phi with the other sign prefers the far end of the segment
+    assert (before, run()) == (1.0, 2.0)
