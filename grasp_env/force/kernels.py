@@ -148,6 +148,16 @@ def residual(cone_matrix, x, wrench, out):
 
 
 @compiled
+def worst_residual(x, cone_matrix, wrench, length, out):
+    """Largest |component| of G f + w, moments divided by `length` [N]; `out` (6,) is work space."""
+    residual(cone_matrix, x, wrench, out)
+    worst = 0.0
+    for i in range(6):
+        worst = max(worst, abs(out[i]) if i < 3 else abs(out[i]) / length)
+    return worst
+
+
+@compiled
 def balance_factor(cone_matrix, out):
     """Cholesky factor of G G^T (6, 6) into `out`, for `rebalance`."""
     for i in range(6):

@@ -19,7 +19,7 @@ from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.description import cone_margin, to_cone, to_force
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.initial import RULES, InitialForceRule, initial_rule
-from grasp_env.force.kernels import phi
+from grasp_env.force.kernels import cone_slack, phi, worst_residual
 from grasp_env.force.objective import Objective
 from grasp_env.force.oracle import full_flow
 from grasp_env.force.reduced_flow import reduced_projector
@@ -200,8 +200,8 @@ class ForceOptimizer:
             trials=trials,
             objective=value,
             lower_bound=bound,
-            equilibrium_residual=self.grasp.residual(force, wrench),
-            cone_margin=cone_margin(force, self.grasp.friction),
+            equilibrium_residual=worst_residual(x, self._matrix, wrench, self.grasp.length, self._work),
+            cone_margin=cone_slack(x),
             wrench=wrench,
             initial_force=to_force(first, self.grasp.friction),
             method=self.method,
@@ -215,18 +215,17 @@ class ForceOptimizer:
             force = as_array(start, (self.grasp.n_contacts, 3), "initial force")
         except InvalidInputError as error:
             raise InfeasibleStartError(f"initial-force rule {name!r}: {error}") from None
-        residual = self.grasp.residual(force, wrench)
-        scale = (
-            float(np.abs(force).max())
-            + float(np.abs(wrench[:3]).max())
-            + float(np.abs(wrench[3:]).max()) / self.grasp.length
+        x = to_cone(force, self.grasp.friction)
+        residual = worst_residual(x, self._matrix, wrench, self.grasp.length, self._work)
+        # w itself is the residual of no force
+        scale = float(np.abs(force).max()) + worst_residual(
+            0.0 * x, self._matrix, wrench, self.grasp.length, self._work
         )
         if residual > BALANCE_TOLERANCE * scale:
             raise InfeasibleStartError(
                 f"initial-force rule {name!r} misses balance by {residual:.3g} N (G f + w = 0, w the wrench ON the object); "
                 "add -G^+ (G f + w), or pass it through grasp_env.force.Repair"
             )
-        x = to_cone(force, self.grasp.friction)
         if not phi(x, 1.0, 1.0) < np.inf:
             raise InfeasibleStartError(
                 f"initial-force rule {name!r} leaves the friction cones (margin {cone_margin(force, self.grasp.friction):.3g} N); "
@@ -253,6 +252,7 @@ class ForceOptimizer:
     def _set_grasp(self, grasp: Grasp) -> None:
         self.grasp = grasp
         self._matrix = grasp.cone_matrix.copy()
+        self._work = np.empty(6)
         self._projector = reduced_projector(grasp)
 
 
