@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+import numpy as np
+
 from grasp_env._check import as_array, positive
 from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force import METHODS
@@ -21,8 +23,9 @@ class EnvConfig:
             W_ext(t)), "random" (an Ornstein-Uhlenbeck disturbance).
         wrench_value: [N, N m] of "constant"; the paper's by default.
         wrench_scale: factor on "constant" and "paper_path"; None: 1 for "constant", 0.1 for "paper_path". W_ext peaks
-            at 1 N m about z, which takes 153 N of normal force from this grasp; a tenth keeps every joint below
-            1 N m, what a motor of this size gives.
+            at 1 N m about z, which takes 153 N of normal force and 9 N m at the joints; a tenth keeps them near 1 N m,
+            what motors of a hand this size give (the simulated joints allow 12 N m).
+        wrench_delay: control steps by which the controller is told the external wrench late.
         wrench_known: whether the controller is told the external wrench; if not, only the pose feedback sees it.
         random_force, random_moment: [N], [N m] standard deviation per axis of "random".
         random_time: [s] its correlation time.
@@ -45,6 +48,7 @@ class EnvConfig:
     wrench: str = "constant"
     wrench_value: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
     wrench_scale: float | None = None
+    wrench_delay: int = 0
     wrench_known: bool = True
     random_force: float = 0.6
     random_moment: float = 0.02
@@ -81,6 +85,12 @@ class EnvConfig:
         # tuples survive JSON and hashing; lists from a JSON file become tuples
         object.__setattr__(self, "wrench_value", tuple(as_array(self.wrench_value, (6,), "wrench_value").tolist()))
         object.__setattr__(self, "gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.type == "int" and (not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 0):
+                raise InvalidInputError(f"{item.name} must be an integer >= 0, got {value!r}")
+            if item.type == "float" and as_array(value, (), item.name) < 0.0:
+                raise InvalidInputError(f"{item.name} must be >= 0, got {value!r}")
         for name in (
             "object_mass", "friction", "friction_margin", "force_weight", "barrier_weight", "tolerance", "agent_rate",
             "random_time", "action_scale", "max_drift", "max_tilt", "max_contact_gap",

@@ -89,14 +89,16 @@ class ForceLoop:
         Raises:
             RankDeficientGraspError, InfeasibleWrenchError, InfeasibleStartError: the contacts cannot balance it.
         """
+        self.solution = None  # nothing stale is left when this raises
         contacts = scene.contacts()
         self.grasp = Grasp.from_contacts(contacts.points, contacts.normals, self.friction)
         self.optimizer.move_to(self.grasp)
         self.wrench = self.wrench_to_balance(scene.state(), external)
-        start = self.optimizer.start(self.wrench)
+        start = None
         if adjustment is not None and adjustment.any():
             basis = null_space_basis(self.grasp, self.reference)
-            start = self._repair(self.grasp, self.wrench, start + (basis @ adjustment).reshape(-1, 3))
+            moved = self.optimizer.start(self.wrench) + (basis @ adjustment).reshape(-1, 3)
+            start = self._repair(self.grasp, self.wrench, moved)
         self.solution = self.optimizer.solve(self.wrench, initial=start)
         self.force = self.solution.force
         return self.solution

@@ -1,38 +1,48 @@
-"""The external wrench over an episode, sampled at the control rate when the episode starts."""
+"""The external wrench over an episode, one value per control step."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env._check import Array, Wrench
 from grasp_env.config import EnvConfig
 from grasp_env.grasp.wrench import paper_path
 
 
-def sample_disturbance(config: EnvConfig, rng: np.random.Generator, count: int) -> Array:
-    """(count, 6) external wrenches [N, N m], object frame, one per control step of the episode.
+class Disturbance:
+    """External wrenches [N, N m], object frame, by control step; "random" is drawn as far as it is asked for.
 
     Args:
         config: which wrench, and how strong.
-        rng: used by "random" only.
-        count: control steps.
+        rng: source of the seed of "random"; drawn from once, whatever the wrench.
     """
-    if config.wrench == "constant":
-        return np.tile(config.scale * np.array(config.wrench_value), (count, 1))
-    if config.wrench == "paper_path":
-        return config.scale * paper_path(np.arange(count) / config.control_rate)
-    if config.wrench == "random":
-        return _ornstein_uhlenbeck(config, rng, count)
-    return np.zeros((count, 6))
 
+    def __init__(self, config: EnvConfig, rng: np.random.Generator) -> None:
+        self.config = config
+        self._rng = np.random.default_rng(int(rng.integers(2**63)))
+        self._constant = config.scale * np.array(config.wrench_value)
+        self._path = np.zeros((1, 6))  # starts at rest, as the settled hand does
 
-def _ornstein_uhlenbeck(config: EnvConfig, rng: np.random.Generator, count: int) -> Array:
-    deviation = np.repeat([config.random_force, config.random_moment], 3)
-    keep = np.exp(-1.0 / (config.control_rate * config.random_time))
-    noise = rng.standard_normal((count, 6)) * deviation
-    path = np.empty((count, 6))
-    value = np.zeros(6)  # starts at rest, as the settled hand does
-    for k in range(count):
-        path[k] = value
-        value = keep * value + np.sqrt(1.0 - keep**2) * noise[k]
-    return path
+    def at(self, step: int) -> Wrench:
+        """The wrench (6,) during control step `step` >= 0."""
+        kind = self.config.wrench
+        if kind == "constant":
+            return self._constant.copy()
+        if kind == "paper_path":
+            return self.config.scale * paper_path(step / self.config.control_rate)
+        if kind == "random":
+            while step >= len(self._path):
+                self._path = np.concatenate([self._path, self._ornstein_uhlenbeck(500)])
+            return self._path[step].copy()
+        return np.zeros(6)
+
+    def _ornstein_uhlenbeck(self, count: int) -> Array:
+        """The next `count` values, from the last one on."""
+        config = self.config
+        deviation = np.repeat([config.random_force, config.random_moment], 3)
+        keep = np.exp(-1.0 / (config.control_rate * config.random_time))
+        noise = np.sqrt(1.0 - keep**2) * deviation * self._rng.standard_normal((count, 6))
+        value = self._path[-1]
+        for row in noise:
+            value = row[:] = keep * value + row
+        return noise

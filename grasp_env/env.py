@@ -10,10 +10,9 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from grasp_env import observation
-from grasp_env._check import as_wrench
 from grasp_env.config import EnvConfig
 from grasp_env.control import ForceLoop, rotation_vector
-from grasp_env.disturbance import sample_disturbance
+from grasp_env.disturbance import Disturbance
 from grasp_env.errors import (
     GraspError,
     InvalidInputError,
@@ -23,9 +22,6 @@ from grasp_env.errors import (
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.reward import reward_terms
 from grasp_env.sim import Camera, Scene, SceneConfig
-
-MAX_SECONDS = 60.0
-"""Disturbances are sampled for this long at reset; the time limit of `gym.make` is 2 s."""
 
 
 class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickle):
@@ -70,7 +66,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     "simulation_diverged"). Truncation is the time limit's: 100 steps = 2 s under `gym.make`.
 
     ## Info
-    The same keys at every reset and step: `iterations`, `trials`, `status`, `objective`, `optimality_gap`,
+    The same keys at every reset and step: `iterations`, `trials`, `status` (a `Status`, "none" at reset, "failed"), `objective`, `optimality_gap`,
     `cone_margin` of the optimisation; `wrench` (6,), `commanded_force` (4, 3), `measured_force` (4, 3), `force_error`
     [N], `touching` (4,), `slip` [m/s], `slip_distance` [m], `drift` [m], `tilt` [rad], `peak_torque` [N m],
     `repaired_controls`, `time` [s], `failure`, `is_success`, and the reward terms.
@@ -122,7 +118,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._scene: Scene | None = Scene(scene, gui=render_mode == "human")
         self._camera: Camera | None = None
         self._nominal = np.array(scene.contact_points)
-        self._disturbance: NDArray[np.float64] = np.zeros((1, 6))
+        self._disturbance = Disturbance(self.config.override(wrench="none"), np.random.default_rng(0))
         self._started = False
         self._settle()
 
@@ -132,12 +128,12 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         """Back to the settled grasp, with a new disturbance; see the class."""
         super().reset(seed=seed)
         scene = self._open_scene()
-        count = round(MAX_SECONDS * self.config.control_rate)
-        self._disturbance = sample_disturbance(self.config, self.np_random, count)
+        self._disturbance = Disturbance(self.config, self.np_random)
         for name, value in (options or {}).items():
             if name != "wrench":
                 raise UnknownNameError("reset option", name, ("wrench",))
-            self._disturbance = np.tile(as_wrench(value, "options['wrench']"), (count, 1))
+            constant = self.config.override(wrench="constant", wrench_value=tuple(value), wrench_scale=1.0)
+            self._disturbance = Disturbance(constant, self.np_random)
         scene.reset()
         self._loop.reset()
         self._ticks = 0
@@ -146,7 +142,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._failure = ""
         self._peak_torque = 0.0
         self._started = True
-        self._loop.wrench = self._loop.wrench_to_balance(scene.state(), self._told(self._external()))
+        self._loop.wrench = self._loop.wrench_to_balance(scene.state(), self._told())
         self._observed = self._observe(scene)
         return self._observed, self._info(scene, reward_terms(self.config, True, 0, 0.0))
 
@@ -164,7 +160,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             raise SimulationError(f"the episode ended ({self._failure}): call reset()")
         adjustment = self._adjustment(action)
         try:
-            self._loop.optimise(scene, self._told(self._external()), adjustment)
+            self._loop.optimise(scene, self._told(), adjustment)
         except GraspError:
             self._failure = "force_optimisation"
         else:
@@ -172,12 +168,11 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         if not self._failure:
             self._failure = self._lost(scene)
         solution = self._loop.solution
-        solved = solution is not None and self._failure != "force_optimisation"
         terms = reward_terms(
             self.config,
             not self._failure,
-            solution.iterations if solved else self.config.max_iterations,  # type: ignore[union-attr]
-            solution.total_normal_force if solved else 0.0,  # type: ignore[union-attr]
+            solution.iterations if solution else self.config.max_iterations,
+            solution.total_normal_force if solution else 0.0,
         )
         if self._failure != "simulation_diverged":
             self._observed = self._observe(scene)
@@ -210,6 +205,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     def _settle(self) -> None:
         scene = self._open_scene()
         external = np.zeros(6)
+        # a rule that does not fit this grasp says so itself, before the hand moves
+        self._loop.optimizer.start(self._loop.wrench_to_balance(scene.state(), external))
         every = self.config.physics_rate // self.config.control_rate
         solve_every = self.config.physics_rate // self.config.agent_rate
         tick = 0
@@ -237,8 +234,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         dt = 1.0 / config.control_rate
         try:
             for _ in range(config.control_rate // config.agent_rate):
-                external = self._external()
-                torques = self._loop.torques(scene, self._told(external))
+                external = self._disturbance.at(self._ticks)
+                torques = self._loop.torques(scene, self._told())
                 peak = min(float(np.abs(torques).max()), scene.config.hand.torque_limit)
                 self._peak_torque = max(self._peak_torque, peak)
                 for _ in range(config.physics_rate // config.control_rate):
@@ -250,11 +247,10 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         except SimulationError:
             self._failure = "simulation_diverged"
 
-    def _external(self) -> NDArray[np.float64]:
-        return self._disturbance[min(self._ticks, len(self._disturbance) - 1)]
-
-    def _told(self, external: NDArray[np.float64]) -> NDArray[np.float64]:
-        return external if self.config.wrench_known else np.zeros(6)
+    def _told(self) -> NDArray[np.float64]:
+        """What the controller knows of the external wrench now; nothing of it before the episode starts."""
+        tick = self._ticks - self.config.wrench_delay
+        return self._disturbance.at(tick) if self.config.wrench_known and tick >= 0 else np.zeros(6)
 
     def _lost(self, scene: Scene) -> str:
         state = scene.state()
@@ -300,7 +296,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         return {
             "iterations": solution.iterations if solution else 0,
             "trials": solution.trials if solution else 0,
-            "status": solution.status.value if solution else "none",
+            "status": solution.status.value if solution else ("failed" if self._failure else "none"),
             "objective": solution.objective if solution else 0.0,
             "optimality_gap": min(solution.optimality_gap, 1e9) if solution else 0.0,
             "cone_margin": solution.cone_margin if solution else 0.0,

@@ -48,8 +48,8 @@ class Checkpoint:
 
     def save(self, path: str | Path) -> Path:
         """Writes `<path>.safetensors` and `<path>.json`, each under a temporary name first."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        stem = _stem(path)
+        stem.parent.mkdir(parents=True, exist_ok=True)
         tensors: dict[str, np.ndarray] = {
             name: np.ascontiguousarray(value, dtype=np.float32) for name, value in self.weights.items()
         }
@@ -67,9 +67,9 @@ class Checkpoint:
             "friction_range": list(self.friction_range),
             "card": self.card,
         }
-        _replace(path.with_suffix(".safetensors"), blob)
-        _replace(path.with_suffix(".json"), (json.dumps(meta, indent=2) + "\n").encode())
-        return path.with_suffix(".safetensors")
+        _replace(_file(stem, ".safetensors"), blob)
+        _replace(_file(stem, ".json"), (json.dumps(meta, indent=2) + "\n").encode())
+        return _file(stem, ".safetensors")
 
     @classmethod
     def load(cls, path: str | Path) -> Checkpoint:
@@ -81,10 +81,9 @@ class Checkpoint:
         Raises:
             ModelFileError: missing, not JSON, another schema, changed weights, or shapes that do not fit.
         """
-        path = Path(path)
-        stem = path.with_suffix("") if path.suffix in (".safetensors", ".json") else path
-        meta = _read_meta(stem.with_suffix(".json"))
-        file = stem.with_suffix(".safetensors")
+        stem = _stem(path)
+        meta = _read_meta(_file(stem, ".json"))
+        file = _file(stem, ".safetensors")
         try:
             blob = file.read_bytes()
         except OSError as error:
@@ -142,6 +141,15 @@ class Checkpoint:
             )
         if not all(np.isfinite(value).all() for value in (*self.weights.values(), self.reference)):
             raise ModelFileError(f"model {stem}: weights are not finite; train anew with `grasp fit`")
+
+
+def _stem(path: str | Path) -> Path:
+    path = Path(path)
+    return path.with_suffix("") if path.suffix in (".safetensors", ".json") else path
+
+
+def _file(stem: Path, suffix: str) -> Path:
+    return stem.with_name(stem.name + suffix)  # with_suffix would take "model.v2" for a suffix
 
 
 def _read_meta(file: Path) -> dict[str, Any]:

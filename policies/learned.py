@@ -21,7 +21,8 @@ class LearnedInitialForce:
 
     The network maps wrench and friction to null-space coordinates of the grasp, so balance holds whatever it says.
     The force of least Phi on the segment from the 12-basis' combination of the grasp AS IT IS NOW to the prediction is
-    returned: never worse in Phi than the paper's start, per call, by construction. It was trained on one grasp;
+    returned: never worse in Phi than the paper's start, per call, by construction, in the Phi it was trained for (a
+    `ForceOptimizer` with other weights repairs it again in its own). It was trained on one grasp;
     where contacts have moved a little, the null space moves along continuously.
 
     Attributes:

@@ -46,7 +46,7 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> dict[str
         run.write_arrays("timing.npz", time_starts(grasp, sets["ball"][: config.timed], starts, optimizer))
         bar.advance(task)
         constant = sets["constant"][0]
-        near = ForceOptimizer(grasp, method="newton", barrier_weight=config.fit.barrier_weight).solve(0.97 * constant)
+        near = optimizer.solve(0.97 * constant)  # the wrench before it, 3 % away
         run.write_arrays("traces.npz", traces(grasp, constant, starts, optimizer, near))
         rules: dict[str, str | InitialForceRule] = {
             "single_value": "single_value",
@@ -56,7 +56,10 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> dict[str
         }
         episodes = (len(SCENARIOS) + len(RANDOM_SCENARIOS) * (config.episodes - 1)) * len(rules)
         task = bar.add_task("rolling out the hand", total=episodes)
-        run.write_arrays("rollouts.npz", roll_out_all(rules, config.episodes, config.seed, lambda: bar.advance(task)))
+        run.write_arrays(
+            "rollouts.npz",
+            roll_out_all(rules, config.episodes, config.seed, optimizer.objective, lambda: bar.advance(task)),
+        )
     run.write("figures/hand.png", lambda path: imageio.imwrite(path, picture(), extension=".png"))
     run.write_json(
         "run.json",

@@ -28,7 +28,7 @@ COLOURS = {
 }
 FINGERS = ("thumb", "middle finger", "left finger", "right finger")
 _FINGER_COLOURS = ("#b3261e", "#1f5fa8", "#2e8b57", "#c08a3e")
-_SCENARIO_COLOURS = (*_FINGER_COLOURS, "#7a4fa3")
+_SCENARIO_COLOURS = (*_FINGER_COLOURS, "#7a4fa3", "#5b5b5b")
 _STYLE: Any = {
     "font.size": 10,
     "axes.spines.top": False,

@@ -114,15 +114,18 @@ _COLUMNS = (
 )  # fmt: skip
 
 
+def _steps(trials: Trials, key: str) -> np.ndarray:
+    """Iterations on the held-out ball, infinite where there was no start or no convergence."""
+    return np.where(trials[f"ball/{key}/status"] == 0, trials[f"ball/{key}/iterations"], np.inf)
+
+
 def claims(trials: Trials, metrics: dict[str, Any]) -> list[dict[str, Any]]:
     """What this project set out to show, each with the number asked for, the number measured and the verdict."""
     out = []
     for key in ("learned_fitted", "learned_shipped"):
         if f"ball/{key}/iterations" not in trials:
             continue
-        ratio, low, high = ratio_interval(
-            trials[f"ball/{key}/iterations"], trials["ball/linear_combination/iterations"]
-        )
+        ratio, low, high = ratio_interval(_steps(trials, key), _steps(trials, "linear_combination"))
         out.append(
             {
                 "claim": f"{LABELS[key]}: median iterations over the 12-basis's, held-out ball, gap {TOLERANCE:g}",
@@ -131,10 +134,11 @@ def claims(trials: Trials, metrics: dict[str, Any]) -> list[dict[str, Any]]:
                 "met": bool(ratio <= 0.25),
             }
         )
-        worse = trials[f"ball/{key}/start_gap"] > trials["ball/linear_combination/start_gap"] * (1 + 1e-9) + 1e-12
+        limit = trials["ball/linear_combination/start_gap"] * (1 + 1e-9) + 1e-12
+        worse = ~(trials[f"ball/{key}/start_gap"] <= limit)  # a start that does not exist (nan) is worse
         out.append(
             {
-                "claim": f"{LABELS[key]}: starts worse in Phi than the 12-basis's, held-out ball",
+                "claim": f"{LABELS[key]}: starts worse in Phi than the 12-basis's, held-out ball (a check: the repair guarantees it)",
                 "asked": "0",
                 "measured": f"{int(worse.sum())} of {worse.size}",
                 "met": bool(not worse.any()),

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from grasp_env.env import FourFingerGrasp
-from grasp_env.force import InitialForceRule
+from grasp_env.force import InitialForceRule, Objective
 from grasp_env.sim import Camera, CameraConfig
 from policies.controllers import Policy, ZeroPolicy
 
@@ -18,6 +18,7 @@ SCENARIOS: dict[str, dict[str, Any]] = {
     "constant": {"wrench": "constant"},
     "paper_path": {"wrench": "paper_path"},
     "random": {"wrench": "random"},
+    "late": {"wrench": "random", "wrench_delay": 1},
     "unknown": {"wrench": "random", "wrench_known": False},
 }
 SCENARIO_LABELS = {
@@ -25,10 +26,11 @@ SCENARIO_LABELS = {
     "constant": "gravity + the paper's constant wrench",
     "paper_path": "gravity + W_ext(t) x 0.1",
     "random": "gravity + random wrench (Ornstein-Uhlenbeck, 0.6 N / 0.02 N m per axis)",
+    "late": "the same random wrench, told to the controller 4 ms late",
     "unknown": "the same random wrench, not told to the controller: pose feedback alone",
 }
 HOLD_SCENARIOS = ("gravity", "constant", "paper_path")
-RANDOM_SCENARIOS = ("random", "unknown")
+RANDOM_SCENARIOS = ("random", "late", "unknown")
 _SCALARS = (
     "iterations", "trials", "drift", "tilt", "slip", "slip_distance", "force_error", "peak_torque", "time",
     "optimality_gap",
@@ -42,6 +44,7 @@ def roll_out(
     seed: int,
     steps: int = 100,
     policy: Policy | None = None,
+    objective: Objective | None = None,
 ) -> dict[str, np.ndarray]:
     """One episode through the public environment.
 
@@ -51,11 +54,19 @@ def roll_out(
         seed: of the episode.
         steps: agent steps at 50 Hz.
         policy: the agent; None: no adjustment.
+        objective: Phi of the hand's solver; None: the default.
 
     Returns:
         Arrays over the steps taken: the scalars and arrays of `info`, "reward", and "failure" (a string, "" if held).
     """
-    env = gym.make("grasp_env:FourFingerGrasp-v0", initial_force=initial_force, **SCENARIOS[scenario])
+    objective = objective or Objective()
+    env = gym.make(
+        "grasp_env:FourFingerGrasp-v0",
+        initial_force=initial_force,
+        force_weight=objective.force_weight,
+        barrier_weight=objective.barrier_weight,
+        **SCENARIOS[scenario],
+    )
     try:
         policy = policy or ZeroPolicy()
         observation, info = env.reset(seed=seed)
@@ -75,7 +86,7 @@ def roll_out(
 
 
 def roll_out_all(
-    rules: dict[str, str | InitialForceRule], episodes: int, seed: int, tick: Callable[[], None]
+    rules: dict[str, str | InitialForceRule], episodes: int, seed: int, objective: Objective, tick: Callable[[], None]
 ) -> dict[str, np.ndarray]:
     """Every scenario x start: deterministic scenarios once, the random ones `episodes` times with paired seeds.
 
@@ -86,7 +97,7 @@ def roll_out_all(
     for scenario in SCENARIOS:
         for episode in range(episodes if scenario in RANDOM_SCENARIOS else 1):
             for key, rule in rules.items():
-                rows = roll_out(scenario, rule, seed + episode)
+                rows = roll_out(scenario, rule, seed + episode, objective=objective)
                 out.update({f"{scenario}/{key}/{episode}/{column}": value for column, value in rows.items()})
                 tick()
     return out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from grasp_env._check import positive
 from grasp_env.errors import InvalidInputError
 from training.runs import default_name
 
@@ -47,8 +48,13 @@ class FitConfig:
     def __post_init__(self) -> None:
         if self.seconds <= 0 and self.steps <= 0:
             raise InvalidInputError(f"give seconds > 0 or steps > 0, got seconds={self.seconds}, steps={self.steps}")
-        if self.threads < 1:
-            raise InvalidInputError(f"threads must be >= 1, got {self.threads}")
+        for name, least in (("threads", 1), ("batch_size", 1), ("seed", 0), ("steps", 0)):
+            if getattr(self, name) < least:
+                raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
+        if not self.hidden or min(self.hidden) < 1:
+            raise InvalidInputError(f"hidden must be widths >= 1, got {self.hidden}")
+        for name in ("learning_rate", "force_weight", "barrier_weight"):
+            positive(getattr(self, name), name)
         if self.samples < 2 * self.batch_size:
             raise InvalidInputError(f"samples must be at least two batches ({2 * self.batch_size}), got {self.samples}")
         if not 0 < self.low < self.high or not 0 < self.friction_low < self.friction_high:
@@ -80,9 +86,14 @@ class EvaluateConfig:
     fit: FitConfig = field(default_factory=FitConfig)
 
     def __post_init__(self) -> None:
-        for name in ("wrenches", "timed", "episodes"):
-            if getattr(self, name) < 1:
-                raise InvalidInputError(f"{name} must be >= 1, got {getattr(self, name)}")
+        for name, least in (("wrenches", 1), ("timed", 1), ("episodes", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
+        if self.fit.preset != "paper_cuboid":
+            raise InvalidInputError(
+                f"the simulated hand holds the preset 'paper_cuboid', got fit.preset={self.fit.preset!r}: use `grasp fit` "
+                "for other grasps"
+            )
 
     def resolved(self) -> EvaluateConfig:
         """The settings in force: `quick` shrinks everything but the protocol."""

@@ -86,13 +86,7 @@ def compare(
         start itself, and "optimum/force", "optimum/objective".
     """
     count, n = len(wrenches), grasp.n_contacts
-    newton = ForceOptimizer(
-        grasp,
-        method="newton",
-        force_weight=optimizer.objective.force_weight,
-        barrier_weight=optimizer.objective.barrier_weight,
-        tolerance=1e-10,
-    )
+    newton = _newton(grasp, optimizer.objective, 1e-10)
     out = {"optimum/force": np.zeros((count, n, 3)), "optimum/objective": np.zeros(count)}
     for key in starts:
         for column, fill in (("iterations", -1), ("trials", -1), ("status", 3)):
@@ -126,13 +120,7 @@ def traces(
     grasp: Grasp, w: np.ndarray, starts: dict[str, Start], optimizer: ForceOptimizer, before: ForceSolution
 ) -> dict[str, np.ndarray]:
     """Relative gap of every iterate (to 1e-8) per start on one wrench, for the convergence figure."""
-    best = ForceOptimizer(
-        grasp,
-        method="newton",
-        force_weight=optimizer.objective.force_weight,
-        barrier_weight=optimizer.objective.barrier_weight,
-        tolerance=1e-12,
-    ).solve(w)
+    best = _newton(grasp, optimizer.objective, 1e-12).solve(w)
     fine = ForceOptimizer(
         grasp,
         force_weight=optimizer.objective.force_weight,
@@ -163,7 +151,7 @@ def time_starts(
     for key in starts:
         out[f"{key}/start_us"] = np.full(len(wrenches), np.nan)
         out[f"{key}/total_us"] = np.full(len(wrenches), np.nan)
-    newton = ForceOptimizer(grasp, method="newton", barrier_weight=optimizer.objective.barrier_weight)
+    newton = _newton(grasp, optimizer.objective, 1e-4)
     optima = [newton.solve(w) for w in wrenches]
     for warm in (True, False):
         for k, w in enumerate(wrenches[:10] if warm else wrenches):
@@ -186,6 +174,16 @@ def time_starts(
 def save(run: Run, name: str, sets: Iterable[tuple[str, dict[str, np.ndarray]]]) -> None:
     """Writes all trials as one .npz with keys "<set>/<start>/<column>"."""
     run.write_arrays(name, {f"{key}/{inner}": value for key, arrays in sets for inner, value in arrays.items()})
+
+
+def _newton(grasp: Grasp, objective: Objective, tolerance: float) -> ForceOptimizer:
+    return ForceOptimizer(
+        grasp,
+        method="newton",
+        force_weight=objective.force_weight,
+        barrier_weight=objective.barrier_weight,
+        tolerance=tolerance,
+    )
 
 
 def _forget(rule: InitialForceRule) -> Start:

@@ -45,5 +45,6 @@ def ratio_interval(numerator: np.ndarray, denominator: np.ndarray, seed: int = 0
     rng = np.random.default_rng(seed)
     picks = rng.integers(0, numerator.size, (_RESAMPLES, numerator.size))
     tops, bottoms = np.median(numerator[picks], axis=1), np.median(denominator[picks], axis=1)
-    low, high = np.percentile(tops / np.maximum(bottoms, 1e-12), [2.5, 97.5])
+    ratios = np.sort(np.minimum(tops / np.maximum(bottoms, 1e-12), 1e12))  # infinite medians stay comparable
+    low, high = ratios[int(0.025 * _RESAMPLES)], ratios[int(0.975 * _RESAMPLES)]
     return float(np.median(numerator) / max(float(np.median(denominator)), 1e-12)), float(low), float(high)

@@ -23,7 +23,7 @@ from grasp_env.force.kernels import cone_slack, phi, worst_residual
 from grasp_env.force.objective import Objective
 from grasp_env.force.oracle import full_flow
 from grasp_env.force.reduced_flow import reduced_projector
-from grasp_env.force.repair import CORRECTIONS, Correction, carry_over
+from grasp_env.force.repair import CORRECTIONS, Correction, Repair, carry_over
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep
 from grasp_env.grasp.grasp import Grasp
@@ -145,7 +145,11 @@ class ForceOptimizer:
                 return "previous", carry_over(self.grasp, wrench, previous.force, self.objective, self.correction)
             if isinstance(name, str):
                 return name, self._rule(name)(self.grasp, wrench)
-            return getattr(name, "name", None) or type(name).__name__, name(self.grasp, wrench)
+            force = name(self.grasp, wrench)
+            if getattr(name, "objective", self.objective) != self.objective:
+                # made for another Phi, in which its guarantees hold: give them in this one
+                force = Repair(self.objective)(self.grasp, wrench, force)
+            return getattr(name, "name", None) or type(name).__name__, force
         except InfeasibleStartError as error:
             self._raise_if_infeasible(wrench, error)
             raise

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from grasp_env.config import EnvConfig
 from grasp_env.control import ForceLoop, rotation_vector
-from grasp_env.disturbance import sample_disturbance
+from grasp_env.disturbance import Disturbance
 from grasp_env.grasp.wrench import paper_path
 from grasp_env.sim.scene import ObjectState
 
@@ -45,17 +45,27 @@ def test_wrench_to_balance_signs():
 
 
 def test_disturbances():
-    rng = np.random.default_rng(0)
-    count = 30_000
-    constant = sample_disturbance(EnvConfig(wrench="constant"), rng, 3)
-    np.testing.assert_array_equal(constant, np.tile([1, 0.5, -0.6, -0.1, 0.2, 0], (3, 1)))
-    path = sample_disturbance(EnvConfig(wrench="paper_path"), rng, 500)
-    np.testing.assert_allclose(path[125], 0.1 * paper_path(0.5))
-    noise = sample_disturbance(EnvConfig(wrench="random"), rng, count)
+    def sample(count: int, **settings) -> np.ndarray:
+        source = Disturbance(EnvConfig(**settings), np.random.default_rng(0))
+        return np.array([source.at(k) for k in range(count)])
+
+    np.testing.assert_array_equal(sample(3, wrench="constant"), np.tile([1, 0.5, -0.6, -0.1, 0.2, 0], (3, 1)))
+    np.testing.assert_allclose(sample(500, wrench="paper_path")[125], 0.1 * paper_path(0.5))
+    noise = sample(30_000, wrench="random")
     # 120 s at a correlation time of 0.3 s is about 200 independent draws per axis: 3 sigma is 15 %
     np.testing.assert_allclose(noise[:, :3].std(axis=0), 0.6, rtol=0.2)
     np.testing.assert_allclose(noise[:, 3:].std(axis=0), 0.02, rtol=0.2)
     lag = 75  # one correlation time
     correlation = [np.corrcoef(noise[:-lag, k], noise[lag:, k])[0, 1] for k in range(6)]
     np.testing.assert_allclose(np.mean(correlation), np.exp(-1), atol=0.1)
-    assert not sample_disturbance(EnvConfig(wrench="none"), rng, 4).any()
+    assert not sample(4, wrench="none").any()
+
+
+def test_random_does_not_depend_on_how_it_is_asked():
+    one = Disturbance(EnvConfig(wrench="random"), np.random.default_rng(4))
+    two = Disturbance(EnvConfig(wrench="random"), np.random.default_rng(4))
+    far = one.at(20_000)  # 80 s: beyond any fixed length
+    for k in (0, 700, 20_000):
+        last = two.at(k)
+    np.testing.assert_array_equal(far, last)
+    assert not np.array_equal(one.at(20_000), one.at(19_999))

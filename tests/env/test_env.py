@@ -154,6 +154,36 @@ def test_initial_force_takes_any_rule():
     assert episode(5, initial_force="previous")[1][-1]["iterations"] <= 1
 
 
+def test_a_rule_that_breaks_mid_episode_ends_it_without_stale_numbers():
+    broken = False
+
+    def rule(grasp, wrench):
+        force = initial_rule("linear_combination")(grasp, wrench)
+        return force * np.nan if broken else force
+
+    env = FourFingerGrasp(initial_force=rule)
+    env.reset(seed=0)
+    assert env.step(ZERO)[4]["status"] == "optimal"
+    broken = True
+    obs, reward, terminated, _, info = env.step(ZERO)
+    assert terminated
+    assert (info["failure"], info["status"], info["iterations"]) == ("force_optimisation", "failed", 0)
+    assert np.isfinite(obs).all()
+    assert np.isfinite(reward)
+    env.close()
+
+
+def test_wrench_told_late_or_not_at_all_moves_the_object():
+    """Feedback 200 N/m: 1 N constant that is never told displaces by 5 mm, a step told 4 ms late by much less."""
+    still, late, never = (
+        episode(steps=100, wrench_value=(1, 0, 0, 0, 0, 0), **settings)[1]
+        for settings in ({}, {"wrench_delay": 1}, {"wrench_known": False})
+    )
+    assert max(info["drift"] for info in still) < 1e-6
+    assert 1e-5 < max(info["drift"] for info in late) < 1e-3
+    assert abs(never[-1]["drift"] - 1 / 200) < 0.02 / 200  # 2 %: the last of the transient
+
+
 def test_reward_is_the_sum_of_its_terms_and_punishes_iterations():
     env = FourFingerGrasp()
     env.reset(seed=0)
@@ -216,6 +246,12 @@ def test_vector_environments_agree_with_single():
         ({"object_mass": float("nan")}, InvalidInputError),
         ({"control_rate": 333}, InvalidInputError),
         ({"wrench_value": (1, 2)}, InvalidInputError),
+        ({"agent_rate": 50.0}, InvalidInputError),
+        ({"iteration_cost": float("nan")}, InvalidInputError),
+        ({"held_reward": "a"}, InvalidInputError),
+        ({"random_force": float("nan")}, InvalidInputError),
+        ({"position_gain": -1.0}, InvalidInputError),
+        ({"wrench_delay": -1}, InvalidInputError),
     ],
 )
 def test_wrong_settings(settings, error):

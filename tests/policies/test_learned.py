@@ -92,6 +92,22 @@ def test_learned_in_the_solver_is_optimal_and_keeps_its_name(rule):
     assert solution.initial == "learned"
 
 
+@pytest.mark.parametrize("barrier_weight", [0.001, 0.1, 1.0])
+def test_with_another_phi_it_is_repaired_in_that_one(rule, barrier_weight):
+    grasp = presets.paper_cuboid()
+    optimizer = ForceOptimizer(grasp, initial=rule, barrier_weight=barrier_weight)
+    basis = OfflineBasis.of(grasp, optimizer.objective)
+    for w in wrench.sample_ball(np.random.default_rng(5), 100):
+        start = optimizer.objective.value(to_cone(optimizer.start(w), grasp.friction))
+        assert start <= optimizer.objective.value(to_cone(basis.combine(w), grasp.friction)) * (1 + 1e-12)
+
+
+def test_names_with_dots_do_not_collide(rule, tmp_path):
+    one, two = (rule.checkpoint.save(tmp_path / f"model.v{k}") for k in (1, 2))
+    assert one != two
+    assert LearnedInitialForce.load(tmp_path / "model.v2")
+
+
 def test_covers(rule):
     assert rule.covers(np.array(wrench.PAPER_CONSTANT), 0.4)
     assert not rule.covers(np.array([100.0, 0, 0, 0, 0, 0]), 0.4)

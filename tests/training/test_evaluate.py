@@ -95,6 +95,14 @@ def test_claims_can_fail(run):
     assert not next(met for claim, met in verdicts.items() if "constant" in claim)
 
 
+def test_a_start_that_does_not_exist_fails_its_claims(run):
+    trials, metrics = dict(run.read_arrays("trials.npz")), run.read_json("metrics.json")
+    for column, value in (("iterations", -1), ("status", 3), ("start_gap", np.nan)):
+        trials[f"ball/learned_shipped/{column}"] = np.full(20, value)
+    verdicts = [row["met"] for row in metrics_module.claims(trials, metrics) if "learned, shipped" in row["claim"]]
+    assert verdicts == [False, False]
+
+
 def test_summary_and_ratio():
     values = np.concatenate([np.zeros(50), np.ones(50)])
     got = summary(values)

@@ -55,7 +55,19 @@ def test_a_short_fit_learns_and_repeats():
     assert steps["learned"] < steps["basis"]
 
 
-@pytest.mark.parametrize("wrong", [{"seconds": 0.0}, {"samples": 10}, {"low": 0.0}, {"friction_low": 0.9}])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"seconds": 0.0},
+        {"samples": 10},
+        {"low": 0.0},
+        {"friction_low": 0.9},
+        {"batch_size": 0},
+        {"seed": -1},
+        {"learning_rate": float("nan")},
+        {"hidden": (0,)},
+    ],
+)
 def test_wrong_settings(wrong):
     with pytest.raises(InvalidInputError):
         FitConfig(**wrong)
