@@ -10,6 +10,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from grasp_env import observation
+from grasp_env._check import as_wrench
 from grasp_env.config import EnvConfig
 from grasp_env.control import ForceLoop, rotation_vector
 from grasp_env.disturbance import Disturbance
@@ -132,7 +133,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         for name, value in (options or {}).items():
             if name != "wrench":
                 raise UnknownNameError("reset option", name, ("wrench",))
-            constant = self.config.override(wrench="constant", wrench_value=tuple(value), wrench_scale=1.0)
+            given = tuple(as_wrench(value, "options['wrench']").tolist())
+            constant = self.config.override(wrench="constant", wrench_value=given, wrench_scale=1.0)
             self._disturbance = Disturbance(constant, self.np_random)
         scene.reset()
         self._loop.reset()

@@ -218,10 +218,9 @@ def _warmup(command: Warmup) -> None:
 
 
 def _print_claims(claims: list[dict[str, Any]]) -> None:
-    table = Table("claim", "asked", "measured", "met")
     for row in sorted(claims, key=lambda row: row["met"]):
-        table.add_row(row["claim"], row["asked"], row["measured"], "yes" if row["met"] else "NO")
-    Console().print(table)
+        verdict = "met   " if row["met"] else "MISSED"
+        sys.stdout.write(f"{verdict}  {row['claim']}\n        asked {row['asked']}; measured {row['measured']}\n")
 
 
 _HANDLERS: dict[type, Callable[[Any], None]] = {

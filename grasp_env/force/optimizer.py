@@ -83,8 +83,9 @@ class ForceOptimizer:
         self.step_rule = step_rule or AdaptiveStep()
         self.correction: Correction = correction
         _check_name(initial)
-        self.initial = initial
-        self.previous: ForceSolution | None = None
+        # a solution is where the first call starts; the next ones start from their own previous one
+        self.previous: ForceSolution | None = initial if isinstance(initial, ForceSolution) else None
+        self.initial: Initial = "previous" if isinstance(initial, ForceSolution) else initial
         self._rules: dict[str, InitialForceRule] = {}
         self.grasp = grasp
         self._set_grasp(grasp)

@@ -70,6 +70,16 @@ def test_repair_of_wild_candidates_is_the_combination(value):
     np.testing.assert_allclose(Repair()(grasp, wrench, np.full((4, 3), value)), safe, rtol=1e-14)
 
 
+def test_an_optimizer_made_with_a_solution_goes_on_from_its_own():
+    grasp = presets.paper_cuboid()
+    first = optimize_force(grasp, [1, 0, 0, 0, 0, 0])
+    optimizer = ForceOptimizer(grasp, initial=first)
+    for k in range(1, 30):  # far from `first` in the end, 3 % at a time
+        solution = optimizer.solve([1 + 0.03 * k, 0.03 * k, 0, 0, 0, 0])
+        assert solution.initial == "previous"
+    assert solution.iterations <= 1
+
+
 def test_wrong_kinds():
     grasp = presets.paper_cuboid()
     for initial in (3, None, {}):
