@@ -118,19 +118,19 @@ def start_against_optimum(trials: Trials) -> Figure:
 
 def rollout(rollouts: Trials, start: str = "linear_combination") -> Figure:
     """The simulated hand: drift, commanded against measured thumb force, iterations, for every scenario."""
-    figure, (top, middle, bottom) = _new(7.2, 7.2, rows=3)
+    figure, (top, middle, bottom) = _new(7.2, 8.2, rows=3)
     for colour, (scenario, label) in zip(_SCENARIO_COLOURS, SCENARIO_LABELS.items(), strict=True):
         base = f"{scenario}/{start}/0"
         if f"{base}/time" not in rollouts:
             continue
         times = rollouts[f"{base}/time"]
-        top.semilogy(times, np.maximum(rollouts[f"{base}/drift"] * 1e3, 1e-10), color=colour, label=label)
+        top.semilogy(times, np.maximum(rollouts[f"{base}/drift"] * 1e3, 1e-6), color=colour, label=label)
         middle.plot(times, rollouts[f"{base}/commanded_force"][:, 0, 0], color=colour)
         middle.plot(times, rollouts[f"{base}/measured_force"][:, 0, 0], color="black", linestyle=":", linewidth=1.2)
         bottom.plot(times, rollouts[f"{base}/iterations"], color=colour)
     top.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
-    top.set(ylabel="object drift [mm]")
-    top.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(0.0, 1.35), ncols=1)
+    top.set(ylabel="object drift [mm]\n(at least 1e-6 drawn)")
+    figure.legend(fontsize=8, frameon=False, loc="outside upper left")
     middle.set(ylabel="thumb normal force [N]\n(dotted: measured)")
     bottom.set(xlabel="time [s]", ylabel="flow iterations")
     return figure
