@@ -150,7 +150,7 @@ class ForceOptimizer:
             if getattr(name, "objective", self.objective) != self.objective:
                 # made for another Phi, in which its guarantees hold: give them in this one
                 force = Repair(self.objective)(self.grasp, wrench, force)
-            return getattr(name, "name", None) or type(name).__name__, force
+            return getattr(name, "name", None) or getattr(name, "__name__", type(name).__name__), force
         except InfeasibleStartError as error:
             self._raise_if_infeasible(wrench, error)
             raise
