@@ -85,17 +85,17 @@ class EnvConfig:
         # tuples survive JSON and hashing; lists from a JSON file become tuples
         object.__setattr__(self, "wrench_value", tuple(as_array(self.wrench_value, (6,), "wrench_value").tolist()))
         object.__setattr__(self, "gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))
+        for name in (
+            "object_mass", "friction", "friction_margin", "force_weight", "barrier_weight", "tolerance", "agent_rate",
+            "random_time", "action_scale", "max_drift", "max_tilt", "max_contact_gap",
+        ):  # fmt: skip
+            positive(getattr(self, name), name)
         for item in fields(self):
             value = getattr(self, item.name)
             if item.type == "int" and (not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 0):
                 raise InvalidInputError(f"{item.name} must be an integer >= 0, got {value!r}")
             if item.type == "float" and as_array(value, (), item.name) < 0.0:
                 raise InvalidInputError(f"{item.name} must be >= 0, got {value!r}")
-        for name in (
-            "object_mass", "friction", "friction_margin", "force_weight", "barrier_weight", "tolerance", "agent_rate",
-            "random_time", "action_scale", "max_drift", "max_tilt", "max_contact_gap",
-        ):  # fmt: skip
-            positive(getattr(self, name), name)
         for slow, fast in (("agent_rate", "control_rate"), ("control_rate", "physics_rate")):
             low, high = getattr(self, slow), getattr(self, fast)
             if high < low or high % low:

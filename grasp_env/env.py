@@ -36,7 +36,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     ## Action space
     `Box(-1, 1, (6,), float32)`: an adjustment of the initial force along six internal forces (null-space coordinates,
-    times `action_scale` newtons). The six directions are squeezes along the lines between two contacts
+    times `action_scale` newtons); beyond +-1 it is clipped. The six directions are squeezes along the lines between two contacts
     (thumb-middle, thumb-left, thumb-right, middle-left, middle-right, left-right), orthonormalised, and move
     continuously with the contacts. Zero is the paper. An adjusted start is repaired: the force of least Phi between
     the linear combination and it.
@@ -103,6 +103,10 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         EzPickle.__init__(self, render_mode, initial_force, config, **settings)
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise UnknownNameError("render_mode", render_mode, self.metadata["render_modes"])
+        if not isinstance(config, EnvConfig | None):
+            raise InvalidInputError(
+                f"config must be an EnvConfig or None, got {config!r}; single settings are keywords"
+            )
         self.config = (config or EnvConfig()).override(**settings)
         self.metadata = {**self.metadata, "render_fps": self.config.agent_rate}
         self.render_mode = render_mode
@@ -208,7 +212,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         scene = self._open_scene()
         external = np.zeros(6)
         # a rule that does not fit this grasp says so itself, before the hand moves
-        self._loop.optimizer.start(self._loop.wrench_to_balance(scene.state(), external))
+        self._loop.optimizer.solve(self._loop.wrench_to_balance(scene.state(), external))
+        self._loop.reset()
         every = self.config.physics_rate // self.config.control_rate
         solve_every = self.config.physics_rate // self.config.agent_rate
         tick = 0

@@ -24,10 +24,10 @@ class InvalidInputError(GraspError):
 class UnknownNameError(GraspError, KeyError):
     """A method, rule, preset or option name that does not exist."""
 
-    def __init__(self, kind: str, given: object, allowed: Iterable[str]) -> None:
+    def __init__(self, kind: str, given: object, allowed: Iterable[str], hint: str = "") -> None:
         self.given = given
         self.allowed = tuple(allowed)
-        super().__init__(f"unknown {kind} {given!r}: choose one of {', '.join(map(repr, self.allowed))}")
+        super().__init__(f"unknown {kind} {given!r}: choose one of {', '.join(map(repr, self.allowed))}{hint}")
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return str(self.args[0])

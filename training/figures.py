@@ -132,7 +132,7 @@ def rollout(rollouts: Trials, start: str = "linear_combination") -> Figure:
     top.set(ylabel="object drift [mm]\n(at least 1e-6 drawn)")
     figure.legend(fontsize=8, frameon=False, loc="outside upper left")
     middle.set(ylabel="thumb normal force [N]\n(dotted: measured)")
-    bottom.set(xlabel="time [s]", ylabel="flow iterations")
+    bottom.set(xlabel=f"time [s]   (start: {LABELS[start]})", ylabel="flow iterations")
     return figure
 
 

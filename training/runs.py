@@ -31,9 +31,11 @@ class Run:
         """Makes the folder and checks that it can be written, before any work is done.
 
         Raises:
-            InvalidInputError: the folder cannot be made or written.
+            InvalidInputError: the folder cannot be made or written, or holds a finished run.
         """
         folder = Path(out) / name
+        if (folder / "run.json").exists():
+            raise InvalidInputError(f"{folder} holds a finished run: choose another name or remove it")
         try:
             folder.mkdir(parents=True, exist_ok=True)
             probe = folder / f".probe-{os.getpid()}"

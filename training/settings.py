@@ -22,9 +22,12 @@ class FitConfig:
         batch_size: wrenches per optimisation step.
         learning_rate: peak of the one-cycle schedule.
         seed: of data, weights and batches.
-        low, high: [N] range of |(force, moment / 0.05 m)| of the training wrenches.
-        friction_low, friction_high: range of the friction coefficient.
-        force_weight, barrier_weight: the Phi to learn.
+        low: [N] least |(force, moment / 0.05 m)| of the training wrenches.
+        high: [N] largest.
+        friction_low: least friction coefficient.
+        friction_high: largest.
+        force_weight: omega of the Phi to learn.
+        barrier_weight: lambda of the Phi to learn [N^2].
         threads: torch threads. One repeats bit by bit, and for networks this small more gain little; where another
             process takes one of two cores, two threads were measured 50 times slower than one.
     """

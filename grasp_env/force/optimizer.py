@@ -264,7 +264,8 @@ class ForceOptimizer:
 def _check_name(initial: object) -> None:
     allowed = (*RULES, "previous")
     if isinstance(initial, str) and initial not in allowed:
-        raise UnknownNameError("initial-force rule", initial, allowed)
+        hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in initial else ""
+        raise UnknownNameError("initial-force rule", initial, allowed, hint)
     if not (isinstance(initial, str | ForceSolution | np.ndarray | list | tuple) or callable(initial)):
         raise InvalidInputError(
             f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {initial!r}"

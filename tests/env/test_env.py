@@ -184,6 +184,11 @@ def test_wrench_told_late_or_not_at_all_moves_the_object():
     assert abs(never[-1]["drift"] - 1 / 200) < 0.02 / 200  # 2 %: the last of the transient
 
 
+def test_a_rule_that_does_not_balance_says_so_when_the_hand_is_made():
+    with pytest.raises(GraspError, match="misses balance"):
+        FourFingerGrasp(initial_force=lambda grasp, wrench: np.ones((4, 3)))
+
+
 def test_reward_is_the_sum_of_its_terms_and_punishes_iterations():
     env = FourFingerGrasp()
     env.reset(seed=0)
@@ -252,6 +257,7 @@ def test_vector_environments_agree_with_single():
         ({"random_force": float("nan")}, InvalidInputError),
         ({"position_gain": -1.0}, InvalidInputError),
         ({"wrench_delay": -1}, InvalidInputError),
+        ({"config": 3}, InvalidInputError),
     ],
 )
 def test_wrong_settings(settings, error):

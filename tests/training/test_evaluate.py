@@ -136,7 +136,11 @@ def test_cli_errors_and_json(tmp_path, capsys):
     assert answer["status"] == "optimal"
     assert answer["equilibrium_residual"] < 1e-9
     assert main(["solve", "--initial", "best"]) == 2
-    assert "'best'" in capsys.readouterr().err
+    assert "'learned'" in capsys.readouterr().err
+    assert main(["solve", "--json", "--wrench", "1000", "500", "-600", "-100", "200", "0"]) == 2
+    out, error = capsys.readouterr()
+    assert json.loads(out)["status"] == "iteration_limit"  # and what it says is JSON, without Infinity
+    assert "max_iterations" in error
     assert main(["solve", "--preset", "hexapod"]) == 2
     assert main(["report", str(tmp_path)]) == 2
     assert "run.json is missing" in capsys.readouterr().err
@@ -145,6 +149,16 @@ def test_cli_errors_and_json(tmp_path, capsys):
     assert main(["evaluate", "--out", str(blocked)]) == 2
     assert "cannot write" in capsys.readouterr().err
     assert main(["demo", "--out", str(tmp_path / "hand.avi")]) == 2
+
+
+def test_a_finished_run_is_not_overwritten(run, capsys):
+    assert main(["evaluate", "--quick", "--out", str(run.folder.parent), "--name", run.folder.name]) == 2
+    assert "finished run" in capsys.readouterr().err
+
+
+def test_solve_from_a_fitted_model(run, capsys):
+    assert main(["solve", "--json", "--initial", str(run.folder / "model" / "four_finger")]) == 0
+    assert json.loads(capsys.readouterr().out)["status"] == "optimal"
 
 
 def test_demo_picture_and_video(tmp_path):
