@@ -10,6 +10,7 @@ from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import Objective, OfflineBasis
 from grasp_env.grasp import Grasp, null_space_basis
+from grasp_env.grasp.wrench import magnitude
 from policies.checkpoint import Checkpoint
 from policies.kernels import predict, predict_repaired
 
@@ -103,10 +104,9 @@ class LearnedInitialForce:
 
     def covers(self, wrench: Wrench, friction: float) -> bool:
         """Whether wrench and friction lie in the training range; elsewhere the repair still guards the start."""
-        length = self.checkpoint.features.length
-        magnitude = float(np.sqrt((wrench[:3] ** 2).sum() + ((wrench[3:] / length) ** 2).sum()))
         low, high = self.checkpoint.friction_range
-        return magnitude <= self.checkpoint.magnitude_range[1] and low <= friction <= high
+        size = float(magnitude(wrench, self.checkpoint.features.length))
+        return size <= self.checkpoint.magnitude_range[1] and low <= friction <= high
 
     def _prepare(self, grasp: Grasp) -> None:
         if grasp is self._grasp:

@@ -186,13 +186,13 @@ def _solve(command: Solve) -> None:
 
 
 def _fit(command: Fit) -> None:
-    from training.fit import fit, save_fit
+    from training.fit import fit
     from training.runs import Run
 
     Run.create(command.out.parent, "")
     settings = FitConfig(**{name: getattr(command, name) for name in FitConfig.__dataclass_fields__})
     result = fit(settings, progress=sys.stderr.isatty(), command=" ".join(["grasp", *sys.argv[1:]]))
-    path = save_fit(result, command.out)
+    path = result.checkpoint.save(command.out)
     gap = result.checkpoint.card["held_out_gap_second_order"]
     Console().print(f"{path}: held-out gap {gap['median']:.1e} median, {gap['p99']:.1e} p99", highlight=False)
 

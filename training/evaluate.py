@@ -13,7 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from grasp_env.force import ForceOptimizer, InitialForceRule
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce
-from training.fit import fit, save_fit
+from training.fit import fit
 from training.report import build_report, report_path
 from training.rollouts import RANDOM_SCENARIOS, SCENARIOS, picture, roll_out_all
 from training.runs import Run, provenance
@@ -31,7 +31,7 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> dict[str
     shipped = LearnedInitialForce.pretrained()
     console.print(f"fitting a network for {config.fit.seconds:.0f} s" if not config.fit.steps else "fitting a network")
     result = fit(config.fit, progress=shown, command="grasp evaluate")
-    save_fit(result, run.path("model/four_finger"))
+    result.checkpoint.save(run.path("model/four_finger"))
     fitted = LearnedInitialForce(result.checkpoint)
     learned: dict[str, InitialForceRule] = {"learned_fitted": fitted, "learned_shipped": shipped}
     grasp = presets.preset(config.fit.preset)

@@ -6,7 +6,6 @@ import platform
 import time
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -68,11 +67,6 @@ def fit(config: FitConfig, progress: bool = False, command: str = "training.fit.
         ),
         np.array(curve),
     )
-
-
-def save_fit(result: FitResult, path: str | Path) -> Path:
-    """Saves the checkpoint at `path` (stem); returns the weights' file."""
-    return result.checkpoint.save(path)
 
 
 def gaps(network: Network, tensors: tuple[torch.Tensor, ...]) -> torch.Tensor:

@@ -34,13 +34,10 @@ def start_metrics(trials: Trials) -> dict[str, Any]:
                 continue
             status = trials[f"{group}/{key}/status"]
             exists = status != 3
-            if key.startswith("previous") and len(status):
-                exists_count, skipped = int(exists.sum()), 1  # the first wrench has no previous one
-            else:
-                exists_count, skipped = int(exists.sum()), 0
+            count = int(status.size) - int(key.startswith("previous"))  # the first wrench has no previous one
             out[group][key] = {
-                "wrenches": int(status.size) - skipped,
-                "no_start": int(status.size) - skipped - exists_count,
+                "wrenches": count,
+                "no_start": count - int(exists.sum()),
                 "not_converged": int(((status == 1) | (status == 2)).sum()),
                 "iterations": summary(trials[f"{group}/{key}/iterations"][exists]),
                 "trials": summary(trials[f"{group}/{key}/trials"][exists]),

@@ -29,9 +29,9 @@ def paper_path(time: ArrayLike) -> Array:
     return np.stack([c, c**2, 8.0 * c2 - 5.0, 0.2 * s, 0.2 * c, s2], axis=-1)
 
 
-def magnitude(wrench: Array) -> Array:
-    """|(force, moment / 0.05 m)| [N] of wrenches (..., 6)."""
-    scaled = np.concatenate([wrench[..., :3], wrench[..., 3:] / MAGNITUDE_LENGTH], axis=-1)
+def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
+    """|(force, moment / length)| [N] of wrenches (..., 6)."""
+    scaled = np.concatenate([wrench[..., :3], wrench[..., 3:] / length], axis=-1)
     return np.sqrt((scaled**2).sum(axis=-1))
 
 
