@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench
+from grasp_env.errors import NotConvergedError
 from grasp_env.force.description import to_force
 from grasp_env.grasp.grasp import Grasp
 
@@ -43,6 +44,9 @@ def phase_one(grasp: Grasp, wrench: Wrench) -> Feasibility:
     Args:
         grasp: the grasp.
         wrench: (6,) external wrench; zero asks for a strictly interior internal force (force closure).
+
+    Raises:
+        NotConvergedError: neither a force nor a proof after 400 steps (slow is not infeasible).
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -89,7 +93,7 @@ def phase_one(grasp: Grasp, wrench: Wrench) -> Feasibility:
             twist = -multipliers[:6] / scale
             return Feasibility(None, twist / max(float(np.abs(twist).max()), 1e-300))
         weight *= 8.0
-    return Feasibility(None, None)
+    raise NotConvergedError(f"phase one found neither a force nor a proof for wrench {wrench.tolist()} in 400 steps")
 
 
 def _barrier(y: Array, cones: int) -> tuple[Array, Array]:
