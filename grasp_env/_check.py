@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,7 +53,7 @@ def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
     return wrench
 
 
-def positive(value: float, name: str) -> float:
+def positive(value: Any, name: str) -> float:
     """A finite float > 0, or `InvalidInputError`."""
     try:
         number = float(value)

@@ -7,13 +7,15 @@ import numpy as np
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.config import EnvConfig
 from grasp_env.force import ForceOptimizer, ForceSolution, OfflineBasis, Repair
-from grasp_env.force.description import to_cone, to_force
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.force.kernels import cone_slack
 from grasp_env.force.start_kernels import best_on_segment, combine, tangent
 from grasp_env.grasp import Grasp, null_space_basis, presets, reference_basis
 from grasp_env.grasp.kernels import contact_geometry
 from grasp_env.sim.scene import ObjectState, Scene
+
+_NO_TANGENTS = np.zeros((0, 3))
+"""Tangents by the default rule."""
 
 
 class ForceLoop:
@@ -45,6 +47,8 @@ class ForceLoop:
             max_iterations=config.max_iterations,
         )
         self._nominal = nominal
+        self._cone_divisor = nominal.models.cone_divisor.copy()
+        self._weights = self.optimizer.objective.weights(4)
         self._repair = Repair(self.optimizer.objective)
         damping = 2.0 * np.sqrt(config.position_gain * config.object_mass)
         inertia = config.object_mass * 0.1**2 / 6.0  # of a 0.1 m cube: only sets the damping
@@ -107,16 +111,16 @@ class ForceLoop:
         """Joint torques (12,) [N m] for the next control step: the last optimum, carried along."""
         assert self.solution is not None, "call optimise first"
         contacts = scene.contacts()
-        frames, _, cone_matrix = contact_geometry(contacts.points, contacts.normals, self.friction)
+        frames, _, cone_matrix = contact_geometry(contacts.points, contacts.normals, self._cone_divisor, _NO_TANGENTS)
         self.wrench = self.wrench_to_balance(scene.state(), external)
-        x = to_cone(self.solution.force, self.friction)
+        x = self.grasp.to_cone(self.solution.force)
         moved = np.empty_like(x)
-        if not tangent(x, cone_matrix, self.wrench, self.config.barrier_weight, moved):
+        if not tangent(x, cone_matrix, self.wrench, self._weights, moved):
             moved[:] = x
         if not cone_slack(moved) > 0.0:
             moved = self._repaired(moved, cone_matrix)
             self.repaired += 1
-        self.force: ContactForces = to_force(moved, self.friction)
+        self.force: ContactForces = self.grasp.to_force(moved)
         return scene.grasp_torques(np.einsum("nij,nj->ni", frames, self.force))
 
     def _repaired(self, moved: Array, cone_matrix: Array) -> Array:
@@ -125,9 +129,9 @@ class ForceLoop:
         basis = OfflineBasis.of(self.grasp, objective)
         combined, safe, out = np.empty_like(moved), np.empty_like(moved), np.empty_like(moved)
         combine(basis.cone_forces, self.wrench, False, combined)
-        balanced = tangent(combined, cone_matrix, self.wrench, objective.barrier_weight, safe)  # G moved since
+        balanced = tangent(combined, cone_matrix, self.wrench, self._weights, safe)  # G moved since
         if balanced and cone_slack(safe) > 0.0:
-            best_on_segment(safe, moved, objective.force_weight, objective.barrier_weight, out)
+            best_on_segment(safe, moved, self._weights, out)
             return out
         # give up a little balance (the pose feedback takes it back), never the friction cone
         out[:] = moved

@@ -68,7 +68,7 @@ def predict(wrench, friction, normalisation, sizes, weights, pseudoinverse, null
 
 @compiled
 def predict_repaired(
-    wrench, friction, frictions, normalisation, sizes, weights, pseudoinverse, null_space, basis, omega, lam, out
+    wrench, friction, frictions, normalisation, sizes, weights, pseudoinverse, null_space, basis, phi_weights, out
 ):
     """`predict`, then the force of least Phi between the 12-basis' combination and it; returns the share theta."""
     size = out.size
@@ -83,7 +83,7 @@ def predict_repaired(
     combine(basis, wrench, False, safe)
     if not finite:
         x[:] = safe
-    theta = best_on_segment(safe, x, omega, lam, out)
+    theta = best_on_segment(safe, x, phi_weights, out)
     for i in range(size // 3):
         out[3 * i] /= frictions[i]
     return theta

@@ -80,8 +80,7 @@ class LearnedInitialForce:
             self._pseudoinverse,
             self._null_space,
             self._basis,
-            self.objective.force_weight,
-            self.objective.barrier_weight,
+            self._phi_weights,
             out,
         )
         return out.reshape(-1, 3)
@@ -116,12 +115,18 @@ class LearnedInitialForce:
                 f"this model knows {self.checkpoint.n_contacts} contacts, the grasp has {grasp.n_contacts}; "
                 "use initial='linear_combination'"
             )
+        if set(grasp.models.names) != {"hard"} or (grasp.models.cone_scale[:, 1:] != 1.0).any():
+            raise InfeasibleStartError(
+                f"this model knows hard contacts with round friction cones, the grasp has {grasp.models.names}; "
+                "use initial='linear_combination'"
+            )
         basis = OfflineBasis.of(grasp, self.objective)
         self._basis: Array = basis.cone_forces
         self._pseudoinverse: Array = grasp.pseudoinverse.copy()  # kernels take writable arrays: one signature
         self._null_space: Array = null_space_basis(grasp, self.checkpoint.reference)
         self._frictions: Array = grasp.friction.copy()
         self._friction = float(grasp.friction.mean())
+        self._phi_weights: Array = self.objective.weights(grasp.n_contacts)
         self._grasp = grasp
 
     def __reduce__(self) -> tuple[type[LearnedInitialForce], tuple[Checkpoint]]:

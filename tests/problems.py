@@ -71,6 +71,11 @@ CONIC_LEAST = 8.58473
 """Least total normal force of the reference grasp under the paper's wrench, exact cones, no barrier [N]."""
 
 
+def weights(x: np.ndarray, omega: float = 1.0, lam: float = 0.01) -> np.ndarray:
+    """(N, 2) the weights of Phi as kernels take them, for cone coordinates (3N,)."""
+    return np.tile([omega, lam], (len(x) // 3, 1))
+
+
 def random_grasp(rng: np.random.Generator, count: int, cap: float = -1.0) -> Grasp:
     """`count` contacts on an ellipsoid, friction 0.3 to 1; `cap`: least z of the direction to a contact."""
     axes = rng.uniform(0.03, 0.06, 3)

@@ -18,7 +18,7 @@ import numpy as np
 from grasp_env.force.start_kernels import squeeze_scale
 from grasp_env.force.start_kernels import best_on_segment
 a, out = np.array([1.0, 0.0, 0.0]), np.empty(3)
-best_on_segment(a, 2 * a, 1.0, 0.01, out)
+best_on_segment(a, 2 * a, np.array([[1.0, 0.01]]), out)
 print(out[0])
 """
 
@@ -43,7 +43,7 @@ def test_an_edit_of_a_callee_is_noticed(tmp_path):
     before = run()
     kernels = tmp_path / "grasp_env" / "force" / "kernels.py"
     text = kernels.read_text()
-    edited = text.replace("total += 3.0 * omega * u + lam", "total -= 3.0 * omega * u + lam")
+    edited = text.replace("total += 3.0 * weights", "total -= 3.0 * weights")
     assert edited != text
     kernels.write_text(edited)
     # Phi with the other sign prefers the far end of the segment

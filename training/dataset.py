@@ -80,8 +80,7 @@ def generate(
             null_space,
             basis,
             frictions[0],
-            objective.force_weight,
-            objective.barrier_weight,
+            objective.weights(grasp.n_contacts),
             coordinates[part],
             metric[part],
         )
@@ -103,7 +102,7 @@ def batches(count: int, size: int, rng: np.random.Generator) -> Iterator[np.ndar
 
 
 @compiled
-def _label(wrenches, friction, matrix, null_space, basis, basis_friction, omega, lam, coordinates, metric):
+def _label(wrenches, friction, matrix, null_space, basis, basis_friction, weights, coordinates, metric):
     size, dimension = null_space.shape
     x = np.empty(size)
     cone_matrix = np.empty((6, size))
@@ -123,9 +122,9 @@ def _label(wrenches, friction, matrix, null_space, basis, basis_friction, omega,
                 cone_matrix[i, j] = matrix[i, j] / ratio
             for k in range(dimension):
                 scaled[j, k] = null_space[j, k] * ratio
-        _, _, _, value, bound = newton(x, cone_matrix, wrenches[sample], omega, lam, 1e-10, np.nan, 200, nothing)
+        _, _, _, value, bound = newton(x, cone_matrix, wrenches[sample], weights, 1e-10, np.nan, 200, nothing)
         worst = max(worst, (value - bound) / bound)
-        inverse_hessian(x, lam, blocks)
+        inverse_hessian(x, weights, blocks)
         reduced[:] = 0.0
         for c in range(size // 3):
             hessian = np.linalg.inv(blocks[c])

@@ -15,7 +15,6 @@ from grasp_env.force import (
     Objective,
     initial_rule,
 )
-from grasp_env.force.description import to_cone
 from grasp_env.force.repair import Correction, carry_over
 from grasp_env.grasp import Grasp, wrench
 from training.runs import Run
@@ -104,7 +103,7 @@ def compare(
             except InfeasibleStartError:
                 continue
             solution = optimizer.solve(w, initial=force, optimum=best.objective)
-            begin = optimizer.objective.value(to_cone(force, grasp.friction))
+            begin = optimizer.objective.value(grasp.to_cone(force))
             out[f"{key}/iterations"][k] = solution.iterations
             out[f"{key}/trials"][k] = solution.trials
             out[f"{key}/status"][k] = ("optimal", "iteration_limit", "stalled").index(solution.status.value)

@@ -9,7 +9,6 @@ import numpy as np
 
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError
-from grasp_env.force.description import to_cone, to_force
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.objective import Objective
 from grasp_env.force.start_kernels import combine, offline_basis
@@ -26,12 +25,12 @@ class OfflineBasis:
     Every grasp with force closure has one; it balances only for that grasp's G: when contacts move, take `moved_to`.
 
     Attributes:
-        friction: (N,) of the grasp it balances. (Not the grasp itself: a basis must not keep its grasp alive.)
+        cone_divisor: (N, 3) of the grasp it balances. (Not the grasp itself: a basis must not keep its grasp alive.)
         objective: the Phi whose optima it holds.
         cone_forces: (13, 3N) the optima in cone coordinates, unit wrenches first, rest last.
     """
 
-    friction: Array
+    cone_divisor: Array
     objective: Objective
     cone_forces: Array = field(repr=False)
 
@@ -50,13 +49,12 @@ class OfflineBasis:
             InfeasibleStartError: the grasp has no force closure, so some unit wrench has no force.
         """
         objective = objective or Objective()
-        cone_pseudoinverse = grasp.pseudoinverse.copy()
-        cone_pseudoinverse[0::3] *= grasp.friction[:, None]
-        if warm is not None and len(warm.friction) == grasp.n_contacts:
+        cone_pseudoinverse = grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None]
+        if warm is not None and len(warm.cone_divisor) == grasp.n_contacts:
             cone_forces = warm.cone_forces.copy()
             interior = np.zeros(3 * grasp.n_contacts)
             if _solve(cone_forces, True, interior, grasp, cone_pseudoinverse, objective):
-                return cls(grasp.friction, objective, cone_forces)
+                return cls(grasp.models.cone_divisor, objective, cone_forces)
         answer = phase_one(grasp, np.zeros(6))
         if answer.force is None:
             raise InfeasibleStartError(
@@ -64,12 +62,12 @@ class OfflineBasis:
                 "use initial='phase_one', which needs a force for this wrench only"
             )
         cone_forces = np.empty((13, 3 * grasp.n_contacts))
-        if not _solve(cone_forces, False, to_cone(answer.force, grasp.friction), grasp, cone_pseudoinverse, objective):
+        if not _solve(cone_forces, False, grasp.to_cone(answer.force), grasp, cone_pseudoinverse, objective):
             raise InfeasibleStartError(
                 f"the offline basis did not converge at barrier_weight={objective.barrier_weight}: raise it, or the grasp "
                 "is too close to losing force closure"
             )
-        return cls(grasp.friction, objective, cone_forces)
+        return cls(grasp.models.cone_divisor, objective, cone_forces)
 
     @classmethod
     def of(cls, grasp: Grasp, objective: Objective | None = None) -> OfflineBasis:
@@ -93,12 +91,12 @@ class OfflineBasis:
     @property
     def forces(self) -> Array:
         """(12, N, 3) the optimal forces of +e_1..+e_6, -e_1..-e_6 [N]."""
-        return np.stack([to_force(x, self.friction) for x in self.cone_forces[:12]])
+        return self.cone_forces[:12].reshape(12, -1, 3) / self.cone_divisor
 
     @property
     def rest(self) -> ContactForces:
         """(N, 3) argmin Phi at w = 0: the internal squeeze [N]."""
-        return to_force(self.cone_forces[12], self.friction)
+        return self.cone_forces[12].reshape(-1, 3) / self.cone_divisor
 
     def combine(self, wrench: Wrench, printed: bool = False) -> ContactForces:
         """Non-negative combination sum E_k f_k with w = sum E_k (+-e_k) (Eqs. 33 and 34): (N, 3) [N].
@@ -108,7 +106,7 @@ class OfflineBasis:
         """
         x = np.empty(self.cone_forces.shape[1])
         combine(self.cone_forces, wrench, printed, x)
-        return to_force(x, self.friction)
+        return x.reshape(-1, 3) / self.cone_divisor
 
 
 # weak keys: a basis goes with its grasp
@@ -124,7 +122,6 @@ def _solve(
         interior,
         grasp.cone_matrix.copy(),  # kernels take writable arrays only: one compiled signature
         pseudoinverse,
-        objective.force_weight,
-        objective.barrier_weight,
+        objective.weights(grasp.n_contacts),
     )
     return bool(worst < ACCEPTED_GAP)

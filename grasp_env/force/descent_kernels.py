@@ -28,10 +28,11 @@ SHORTEST = 1e-10
 
 
 @compiled
-def flow_matrix(x, omega, lam, out):
+def flow_matrix(x, weights, out):
     """VWP (9N,): the 3 x 3 blocks of P^-1 W_i P^-1 - W_p, column by column (paper, Eqs. 22-25)."""
     for k in range(x.size // 3):
         u, o, t = x[3 * k], x[3 * k + 1], x[3 * k + 2]
+        omega, lam = weights[k]
         scale = 1.0 / (u * (u * u - o * o - t * t))
         a, b, c = (u * u - t * t) * scale, o * t * scale, -u * o * scale
         d, e, f = (u * u - o * o) * scale, -u * t * scale, u * u * scale
@@ -46,7 +47,7 @@ def flow_matrix(x, omega, lam, out):
 
 @compiled
 def reduced_flow(
-    x, projector, cone_matrix, wrench, omega, lam, first, grow, shrink, tolerance, optimum, max_iterations, trace
+    x, projector, cone_matrix, wrench, weights, first, grow, shrink, tolerance, optimum, max_iterations, trace
 ):
     """VP_{k+1} = VP_k + alpha_k Q_bar VWP_k (paper, Eq. 26) with steps that stay inside and decrease Phi.
 
@@ -67,7 +68,7 @@ def reduced_flow(
     multipliers = np.empty(6)
     known = optimum == optimum
     bound = optimum if known else -np.inf
-    value = phi(x, omega, lam)
+    value = phi(x, weights)
     alpha = first
     iterations, trials, next_check = 0, 0, 0
     while True:
@@ -75,12 +76,12 @@ def reduced_flow(
             trace[iterations] = value
         if not known and iterations >= next_check:
             next_check = iterations + max(1, iterations // 8)
-            bound = max(bound, certified_bound(x, cone_matrix, wrench, omega, lam, step, multipliers))
+            bound = max(bound, certified_bound(x, cone_matrix, wrench, weights, step, multipliers))
         if relative_gap(value, bound) <= tolerance:
             return CONVERGED, iterations, trials, value, bound
         if iterations >= max_iterations:
             return LIMIT, iterations, trials, value, bound
-        flow_matrix(x, omega, lam, drive)
+        flow_matrix(x, weights, drive)
         norm = 0.0
         for i in range(size):
             total = 0.0
@@ -96,14 +97,14 @@ def reduced_flow(
         while True:
             if not alpha * alpha * norm > 1e-32 * scale:
                 if not known:
-                    last = certified_bound(x, cone_matrix, wrench, omega, lam, step, multipliers)
+                    last = certified_bound(x, cone_matrix, wrench, weights, step, multipliers)
                     bound = max(bound, last)
                 code = CONVERGED if relative_gap(value, bound) <= tolerance else STALLED
                 return code, iterations, trials, value, bound
             trials += 1
             for i in range(size):
                 candidate[i] = x[i] + alpha * direction[i]
-            trial = phi(candidate, omega, lam)
+            trial = phi(candidate, weights)
             if trial < value:
                 break
             alpha *= shrink
@@ -114,7 +115,7 @@ def reduced_flow(
 
 
 @compiled
-def newton(x, cone_matrix, wrench, omega, lam, tolerance, optimum, max_iterations, trace):
+def newton(x, cone_matrix, wrench, weights, tolerance, optimum, max_iterations, trace):
     """Damped Newton on Phi under G f + w = 0; x (3N,) strictly feasible, overwritten. See `reduced_flow`."""
     size = x.size
     step = np.empty(size)
@@ -123,20 +124,20 @@ def newton(x, cone_matrix, wrench, omega, lam, tolerance, optimum, max_iteration
     factor = np.empty((6, 6))
     left = np.empty(6)
     balance_factor(cone_matrix, factor)
-    value = phi(x, omega, lam)
+    value = phi(x, weights)
     known = optimum == optimum
     bound = optimum if known else -np.inf
     iterations, trials = 0, 0
     while True:
         if iterations < trace.size:
             trace[iterations] = value
-        decrement = newton_step(x, cone_matrix, wrench, omega, lam, step, multipliers)
+        decrement = newton_step(x, cone_matrix, wrench, weights, step, multipliers)
         if decrement < 0.0:
             # rounding at the optimum, or a Schur complement that lost definiteness
             code = CONVERGED if relative_gap(value, bound) <= tolerance else STALLED
             return code, iterations, trials, value, bound
         if not known:
-            bound = max(bound, lower_bound(multipliers, cone_matrix, wrench, omega, lam))
+            bound = max(bound, lower_bound(multipliers, cone_matrix, wrench, weights))
         if relative_gap(value, bound) <= tolerance:
             return CONVERGED, iterations, trials, value, bound
         if iterations >= max_iterations:
@@ -149,7 +150,7 @@ def newton(x, cone_matrix, wrench, omega, lam, tolerance, optimum, max_iteration
                 candidate[i] = x[i] + alpha * step[i]
             # forces at very different depths in their cones make S ill-conditioned: 1e-8 of balance per step
             rebalance(candidate, cone_matrix, wrench, factor, left)
-            trial = phi(candidate, omega, lam)
+            trial = phi(candidate, weights)
             if trial < value - 1e-4 * alpha * decrement or (trial <= value and decrement < 1e-9 * value):
                 accepted = True
                 break

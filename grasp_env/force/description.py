@@ -5,7 +5,7 @@ friction cone sqrt(o^2 + t^2) < mu * normal. Eigenvalues: u, u + s, u - s with s
 
 | paper | here |
 |---|---|
-| VP | cone coordinates x = (u, o, t) per contact, `to_cone` |
+| VP | cone coordinates x = (u, o, t) per contact, `Grasp.to_cone` |
 | P | `description_matrix` |
 | Q, Q_bar | `full_flow.projector`, `reduced_flow.picked_projector` |
 | VWP | `reduced_flow.flow_vector` |
@@ -20,20 +20,6 @@ import numpy as np
 from grasp_env._check import Array, ContactForces
 
 
-def to_cone(force: ContactForces, friction: Array) -> Array:
-    """Forces (N, 3) [N] -> flat cone coordinates VP = (u, o, t), u = mu * normal (Eq. 18): (3N,) [N]."""
-    x = np.array(force, dtype=np.float64).reshape(-1)
-    x[0::3] *= friction
-    return x
-
-
-def to_force(x: Array, friction: Array) -> ContactForces:
-    """Flat cone coordinates (3N,) -> forces (N, 3) (normal, o, t) [N]."""
-    force = np.array(x, dtype=np.float64).reshape(-1, 3)
-    force[:, 0] /= friction
-    return force
-
-
 def description_matrix(force: ContactForces, friction: Array) -> Array:
     """P, the (3N, 3N) block-diagonal description matrix of forces (N, 3) (Eqs. 4 and 5).
 
@@ -43,7 +29,8 @@ def description_matrix(force: ContactForces, friction: Array) -> Array:
                [0., 4., 2.],
                [1., 2., 4.]])
     """
-    x = to_cone(force, friction).reshape(-1, 3)
+    x = np.array(force, dtype=np.float64)
+    x[:, 0] *= friction
     matrix = np.zeros((3 * len(x), 3 * len(x)))
     for k, (u, o, t) in enumerate(x):
         matrix[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = [[u, 0.0, o], [0.0, u, t], [o, t, u]]

@@ -8,7 +8,6 @@ import numpy as np
 
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench
 from grasp_env.errors import NotConvergedError
-from grasp_env.force.description import to_force
 from grasp_env.grasp.grasp import Grasp
 
 _GAP = 1e-9
@@ -85,7 +84,7 @@ def phase_one(grasp: Grasp, wrench: Wrench) -> Feasibility:
         gap = (2 * grasp.n_contacts + 2) / weight
         if s < -gap:  # interior, and deep compared with how deep it can be
             x = y - s * e
-            return Feasibility(to_force(x[:cones] * (norm / x[-1] if loaded else 1.0), grasp.friction), None)
+            return Feasibility(grasp.to_force(x[:cones] * (norm / x[-1] if loaded else 1.0)), None)
         dual = -multipliers @ kkt[size + 1 :, :size]
         blocks = dual[:cones].reshape(-1, 3)
         in_dual_cones = (blocks[:, 0] >= np.hypot(blocks[:, 1], blocks[:, 2])).all() and (dual[cones:] >= 0.0).all()

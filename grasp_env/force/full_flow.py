@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces
+from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
 from grasp_env.force.description import description_matrix
 from grasp_env.force.objective import Objective
@@ -56,24 +56,25 @@ def projector(grasp: Grasp) -> Array:
     return np.eye(a.shape[1]) - a.T @ np.linalg.solve(a @ a.T, a)
 
 
-def start(force: ContactForces, grasp: Grasp) -> Array:
-    """vec(P_0) of a force (N, 3)."""
-    return description_matrix(force, grasp.friction).reshape(-1, order="F")
+def start(x: Array) -> Array:
+    """vec(P_0) of cone coordinates (3N,)."""
+    return description_matrix(x.reshape(-1, 3), np.ones(len(x) // 3)).reshape(-1, order="F")
 
 
 def drive(state: Array, objective: Objective) -> Array:
     """vec(P^-1 W_i P^-1 - W_p) at vec(P)."""
     inverse = np.linalg.inv(_matrix(state))
-    eye = np.eye(len(inverse))
-    return (objective.barrier_weight * inverse @ inverse - objective.force_weight * eye).reshape(-1, order="F")
+    omega, lam = np.repeat(objective.weights(len(inverse) // 3), 3, axis=0).T
+    return (inverse * lam @ inverse - np.diag(omega)).reshape(-1, order="F")
 
 
 def value(state: Array, objective: Objective) -> float:
     """tr(W_p P) + tr(W_i P^-1) at vec(P) (Eq. 10), +inf unless P > 0."""
-    eigenvalues = np.linalg.eigvalsh(_matrix(state))
-    if eigenvalues[0] <= 0.0:
+    matrix = _matrix(state)
+    if np.linalg.eigvalsh(matrix)[0] <= 0.0:
         return float("inf")
-    return float(objective.force_weight * eigenvalues.sum() + objective.barrier_weight * (1.0 / eigenvalues).sum())
+    omega, lam = np.repeat(objective.weights(len(matrix) // 3), 3, axis=0).T
+    return float(omega @ np.diag(matrix) + lam @ np.diag(np.linalg.inv(matrix)))
 
 
 def cone_coordinates(state: Array) -> Array:

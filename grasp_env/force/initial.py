@@ -11,7 +11,6 @@ import numpy as np
 from grasp_env._check import ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError, UnknownNameError
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.description import to_cone, to_force
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.objective import Objective
 from grasp_env.force.start_kernels import ray_interval
@@ -65,9 +64,9 @@ class SingleValue:
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """The start (N, 3) [N]; see the class."""
         rest = OfflineBasis.of(grasp, self.objective).cone_forces[12]
-        particular = to_cone(-(grasp.pseudoinverse @ wrench).reshape(-1, 3), grasp.friction)
+        particular = grasp.to_cone(-(grasp.pseudoinverse @ wrench).reshape(-1, 3))
         low, _ = ray_interval(particular, rest)
-        return to_force(particular + max(SQUEEZE * low, 1.0) * rest, grasp.friction)
+        return grasp.to_force(particular + max(SQUEEZE * low, 1.0) * rest)
 
 
 @dataclass(frozen=True)
@@ -89,8 +88,8 @@ class Lagrange:
         scaled = grasp.matrix / np.tile(LAGRANGE_WEIGHTS, grasp.n_contacts)
         normals = np.tile([1.0, 0.0, 0.0], grasp.n_contacts)
         solve = scaled.T @ np.linalg.solve(scaled @ grasp.matrix.T, np.stack([wrench, grasp.matrix @ normals], axis=1))
-        point = to_cone((-solve[:, 0]).reshape(-1, 3), grasp.friction)
-        ray = to_cone((normals - solve[:, 1]).reshape(-1, 3), grasp.friction)
+        point = grasp.to_cone((-solve[:, 0]).reshape(-1, 3))
+        ray = grasp.to_cone((normals - solve[:, 1]).reshape(-1, 3))
         low, high = ray_interval(point, ray)
         if not low < high:
             raise InfeasibleStartError(
@@ -98,7 +97,7 @@ class Lagrange:
                 "use initial='linear_combination'"
             )
         floor = float((rest[0::3] / grasp.friction).mean())
-        return to_force(point + min(max(SQUEEZE * low, floor), 0.5 * (low + high)) * ray, grasp.friction)
+        return grasp.to_force(point + min(max(SQUEEZE * low, floor), 0.5 * (low + high)) * ray)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Compiled building blocks in cone coordinates: Phi, its derivatives, the 6 x 6 Schur complement, the dual bound.
 
 Everything here works on flat cone coordinates x = (u_1, o_1, t_1, u_2, ...), u = mu * normal [N], with `cone_matrix`
-(6, 3N) the grasp matrix in those coordinates. `objective.py`, `newton.py` and `reduced_flow.py` hold the plain numpy
+(6, 3N) the grasp matrix in those coordinates and `weights` (N, 2) the omega and lambda of each contact. `objective.py`, `newton.py` and `reduced_flow.py` hold the plain numpy
 twins that the tests compare with. Kernels are compiled at first use and cached on disk.
 """
 
@@ -15,7 +15,7 @@ from grasp_env._compile import compiled
 
 
 @compiled
-def phi(x, omega, lam):
+def phi(x, weights):
     """Phi = sum 3 omega u + lam (1/u + 2u/(u^2 - s^2)); +inf unless strictly inside every cone (Eqs. 10, 30, 31)."""
     total = 0.0
     for i in range(0, x.size, 3):
@@ -23,7 +23,7 @@ def phi(x, omega, lam):
         d = u * u - x[i + 1] * x[i + 1] - x[i + 2] * x[i + 2]
         if not (u > 0.0 and d > 0.0):
             return np.inf
-        total += 3.0 * omega * u + lam * (1.0 / u + 2.0 * u / d)
+        total += 3.0 * weights[i // 3, 0] * u + weights[i // 3, 1] * (1.0 / u + 2.0 * u / d)
     return total
 
 
@@ -37,12 +37,13 @@ def cone_slack(x):
 
 
 @compiled
-def gradient(x, omega, lam, out):
+def gradient(x, weights, out):
     """Gradient of Phi into `out` (3N,)."""
     for i in range(0, x.size, 3):
         u, o, t = x[i], x[i + 1], x[i + 2]
         s2 = o * o + t * t
         d = u * u - s2
+        omega, lam = weights[i // 3]
         scale = lam / (d * d)
         out[i] = 3.0 * omega - lam / (u * u) - 2.0 * scale * (u * u + s2)
         out[i + 1] = 4.0 * scale * u * o
@@ -50,7 +51,7 @@ def gradient(x, omega, lam, out):
 
 
 @compiled
-def inverse_hessian(x, lam, out):
+def inverse_hessian(x, weights, out):
     """Inverse of the 3 x 3 Hessian blocks of Phi into `out` (N, 3, 3).
 
     In axes (u, radial, around) the block is [[a, b, 0], [b, c, 0], [0, 0, e]] with e = 4 u lam / d^2.
@@ -60,6 +61,7 @@ def inverse_hessian(x, lam, out):
         s2 = o * o + t * t
         s = math.sqrt(s2)
         d = u * u - s2
+        lam = weights[k, 1]
         d3 = lam / (d * d * d)
         a = 2.0 * lam / (u * u * u) + 4.0 * u * (u * u + 3.0 * s2) * d3
         b = -4.0 * s * (3.0 * u * u + s2) * d3
@@ -182,7 +184,7 @@ def rebalance(x, cone_matrix, wrench, factor, left):
 
 
 @compiled
-def newton_step(x, cone_matrix, wrench, omega, lam, step, multipliers):
+def newton_step(x, cone_matrix, wrench, weights, step, multipliers):
     """Equality-constrained Newton step into `step` (3N,) and its multipliers (6,); returns the squared decrement.
 
     step = -H^-1 (grad Phi - G^T nu), S nu = G H^-1 grad Phi - (G f + w), S = G H^-1 G^T. A negative return value
@@ -193,8 +195,8 @@ def newton_step(x, cone_matrix, wrench, omega, lam, step, multipliers):
     blocks = np.empty((size // 3, 3, 3))
     half = np.empty((size, 6))
     s = np.empty((6, 6))
-    gradient(x, omega, lam, g)
-    inverse_hessian(x, lam, blocks)
+    gradient(x, weights, g)
+    inverse_hessian(x, weights, blocks)
     schur(cone_matrix, blocks, half, s)
     residual(cone_matrix, x, wrench, multipliers)
     for i in range(6):
@@ -242,7 +244,7 @@ def step_to_boundary(x, step):
 
 
 @compiled
-def lower_bound(multipliers, cone_matrix, wrench, omega, lam):
+def lower_bound(multipliers, cone_matrix, wrench, weights):
     """Dual value of Phi at any multipliers (6,): a certified lower bound of min Phi (-inf: none).
 
     g(nu) = sum_i min_x [phi_i(x) - (G_i^T nu) . x] - nu . w. With a = 3 omega - y_u, b = |(y_o, y_t)|, p = u + s and
@@ -259,6 +261,7 @@ def lower_bound(multipliers, cone_matrix, wrench, omega, lam):
             yu += cone_matrix[i, j] * multipliers[i]
             yo += cone_matrix[i, j + 1] * multipliers[i]
             yt += cone_matrix[i, j + 2] * multipliers[i]
+        omega, lam = weights[j // 3]
         a = 3.0 * omega - yu
         b = math.sqrt(yo * yo + yt * yt)
         if not a > b:
@@ -273,11 +276,11 @@ def lower_bound(multipliers, cone_matrix, wrench, omega, lam):
 
 
 @compiled
-def certified_bound(x, cone_matrix, wrench, omega, lam, step, multipliers):
+def certified_bound(x, cone_matrix, wrench, weights, step, multipliers):
     """Lower bound of min Phi from the Newton multipliers at x; `step` and `multipliers` are work space."""
-    if newton_step(x, cone_matrix, wrench, omega, lam, step, multipliers) < 0.0:
+    if newton_step(x, cone_matrix, wrench, weights, step, multipliers) < 0.0:
         return -np.inf
-    return lower_bound(multipliers, cone_matrix, wrench, omega, lam)
+    return lower_bound(multipliers, cone_matrix, wrench, weights)
 
 
 @compiled

@@ -2,31 +2,62 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env._check import Array, positive
+from grasp_env._check import Array, as_array, positive
+from grasp_env.errors import InvalidInputError
+
+Weight = float | Sequence[float]
+"""One weight for all contacts, or one per contact (the diagonal blocks of W_p, W_i)."""
 
 
 @dataclass(frozen=True)
 class Objective:
-    """The paper's objective (Eqs. 10, 27-31) with W_p = omega I and W_i = lambda I.
+    """The paper's objective (Eqs. 10, 27-31) with W_p = omega I and W_i = lambda I, or omega_i I, lambda_i I per contact.
 
     Per contact, in cone coordinates (u, o, t) and with s^2 = o^2 + t^2:
     3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29 print W_p.)
 
     Attributes:
-        force_weight: omega > 0, the price of squeezing.
-        barrier_weight: lambda > 0 [N^2 at omega = 1], the price of coming close to a cone.
+        force_weight: omega > 0, the price of squeezing; a number, or a sequence with one per contact.
+        barrier_weight: lambda > 0 [N^2 at omega = 1], the price of coming close to a cone; the same.
     """
 
-    force_weight: float = 1.0
-    barrier_weight: float = 0.01
+    force_weight: Weight = 1.0
+    barrier_weight: Weight = 0.01
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "force_weight", positive(self.force_weight, "force_weight"))
-        object.__setattr__(self, "barrier_weight", positive(self.barrier_weight, "barrier_weight"))
+        for name in ("force_weight", "barrier_weight"):
+            value = getattr(self, name)
+            if not isinstance(value, Sequence | np.ndarray) or isinstance(value, str):
+                object.__setattr__(self, name, positive(value, name))
+            else:
+                each = as_array(value, (None,), name)
+                object.__setattr__(self, name, tuple(positive(v, f"{name}[{k}]") for k, v in enumerate(each)))
+
+    def weights(self, count: int) -> Array:
+        """(N, 2) omega and lambda of each of `count` contacts.
+
+        Raises:
+            InvalidInputError: weights for another number of contacts.
+
+        Example:
+            >>> Objective([1.0, 2.0], 0.01).weights(2)
+            array([[1.  , 0.01],
+                   [2.  , 0.01]])
+        """
+        out = np.empty((count, 2))
+        for column, name in enumerate(("force_weight", "barrier_weight")):
+            value = getattr(self, name)
+            if np.ndim(value) == 1 and len(value) != count:
+                raise InvalidInputError(
+                    f"{name} has {len(value)} entries, the grasp {count} contacts: give one or {count}"
+                )
+            out[:, column] = value
+        return out
 
     def value(self, x: Array) -> float:
         """Phi at flat cone coordinates (3N,); +inf outside the open cones.
@@ -39,14 +70,16 @@ class Objective:
         d = u**2 - o**2 - t**2
         if not ((u > 0).all() and (d > 0).all()):
             return float("inf")
-        return float((3 * self.force_weight * u + self.barrier_weight * (1 / u + 2 * u / d)).sum())
+        omega, lam = self.weights(len(u)).T
+        return float((3 * omega * u + lam * (1 / u + 2 * u / d)).sum())
 
     def gradient(self, x: Array) -> Array:
         """Gradient of Phi, (3N,)."""
         u, o, t = x.reshape(-1, 3).T
         d = u**2 - o**2 - t**2
-        du = 3 * self.force_weight - self.barrier_weight * (1 / u**2 + 2 * (u**2 + o**2 + t**2) / d**2)
-        return np.stack([du, 4 * self.barrier_weight * u * o / d**2, 4 * self.barrier_weight * u * t / d**2], 1).ravel()
+        omega, lam = self.weights(len(u)).T
+        du = 3 * omega - lam * (1 / u**2 + 2 * (u**2 + o**2 + t**2) / d**2)
+        return np.stack([du, 4 * lam * u * o / d**2, 4 * lam * u * t / d**2], 1).ravel()
 
     def hessian(self, x: Array) -> Array:
         """The 3 x 3 diagonal blocks of the Hessian of Phi, (N, 3, 3)."""
@@ -59,7 +92,7 @@ class Objective:
             blocks[:, 0, row] = blocks[:, row, 0] = -4 * a * (3 * u**2 + s2) / d**3
             blocks[:, row, row] = 4 * u / d**2 + 16 * u * a**2 / d**3
             blocks[:, row, 3 - row] = 16 * u * a * b / d**3
-        return self.barrier_weight * blocks
+        return self.weights(len(u))[:, 1, None, None] * blocks
 
     def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
         """The dual value at multipliers nu (6,): no balanced force has a smaller Phi; -inf where it says nothing.
@@ -74,8 +107,8 @@ class Objective:
         """
         y = (cone_matrix.T @ multipliers).reshape(-1, 3)
         total = -float(multipliers @ wrench)
-        for yu, yo, yt in y:
-            a, b = 3 * self.force_weight - yu, float(np.hypot(yo, yt))
+        for (yu, yo, yt), (omega, lam) in zip(y, self.weights(len(y)), strict=True):
+            a, b = 3 * omega - yu, float(np.hypot(yo, yt))
             if not a > b:
                 return float("-inf")
             k = (a - b) / (a + b)
@@ -83,5 +116,5 @@ class Objective:
             roots = np.roots([1.0, 2.0, 3.0 - 3.0 * k, -2.0 * k, -k])
             r = float(max(root.real for root in roots if abs(root.imag) < 1e-9))
             c1 = (a - b + (a + b) * r) / 2
-            total += 2 * float(np.sqrt(self.barrier_weight * c1 * (1 + 1 / r + 2 / (1 + r))))
+            total += 2 * float(np.sqrt(lam * c1 * (1 + 1 / r + 2 / (1 + r))))
         return total

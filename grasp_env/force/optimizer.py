@@ -16,11 +16,10 @@ from grasp_env.errors import (
 )
 from grasp_env.force import descent_kernels
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.description import cone_margin, to_cone, to_force
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.initial import RULES, InitialForceRule, initial_rule
 from grasp_env.force.kernels import cone_slack, phi, worst_residual
-from grasp_env.force.objective import Objective
+from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.oracle import full_flow
 from grasp_env.force.reduced_flow import reduced_projector
 from grasp_env.force.repair import CORRECTIONS, Correction, Repair, carry_over
@@ -56,8 +55,8 @@ class ForceOptimizer:
         *,
         initial: Initial = "linear_combination",
         method: str = "reduced_flow",
-        force_weight: float = 1.0,
-        barrier_weight: float = 0.01,
+        force_weight: Weight = 1.0,
+        barrier_weight: Weight = 0.01,
         tolerance: float = 1e-4,
         max_iterations: int = MAX_ITERATIONS,
         step_rule: AdaptiveStep | None = None,
@@ -163,7 +162,6 @@ class ForceOptimizer:
     def _descend(self, x: Array, wrench: Wrench, name: str, optimum: float, trace: bool) -> ForceSolution:
         first = x.copy()
         record = np.full(self.max_iterations + 1 if trace else 0, np.nan)
-        omega, lam = self.objective.force_weight, self.objective.barrier_weight
         if self.method == "full_flow":
             code, iterations, trials, value, bound = full_flow(
                 self.grasp,
@@ -178,7 +176,7 @@ class ForceOptimizer:
             )
         elif self.method == "newton":
             code, iterations, trials, value, bound = descent_kernels.newton(
-                x, self._matrix, wrench, omega, lam, self.tolerance, optimum, self.max_iterations, record
+                x, self._matrix, wrench, self._weights, self.tolerance, optimum, self.max_iterations, record
             )
         else:
             rule = self.step_rule
@@ -187,8 +185,7 @@ class ForceOptimizer:
                 self._projector,
                 self._matrix,
                 wrench,
-                omega,
-                lam,
+                self._weights,
                 rule.first,
                 rule.grow,
                 rule.shrink,
@@ -197,7 +194,7 @@ class ForceOptimizer:
                 self.max_iterations,
                 record,
             )
-        force = to_force(x, self.grasp.friction)
+        force = self.grasp.to_force(x)
         return ForceSolution(
             force=force,
             status=_STATUS[code],
@@ -208,7 +205,7 @@ class ForceOptimizer:
             equilibrium_residual=worst_residual(x, self._matrix, wrench, self.grasp.length, self._work),
             cone_margin=cone_slack(x),
             wrench=wrench,
-            initial_force=to_force(first, self.grasp.friction),
+            initial_force=self.grasp.to_force(first),
             method=self.method,
             initial=name,
             objective_trace=record[: iterations + 1],
@@ -220,7 +217,7 @@ class ForceOptimizer:
             force = as_array(start, (self.grasp.n_contacts, 3), "initial force")
         except InvalidInputError as error:
             raise InfeasibleStartError(f"initial-force rule {name!r}: {error}") from None
-        x = to_cone(force, self.grasp.friction)
+        x = self.grasp.to_cone(force)
         residual = worst_residual(x, self._matrix, wrench, self.grasp.length, self._work)
         # w itself is the residual of no force
         scale = float(np.abs(force).max()) + worst_residual(
@@ -231,9 +228,9 @@ class ForceOptimizer:
                 f"initial-force rule {name!r} misses balance by {residual:.3g} N (G f + w = 0, w the wrench ON the object); "
                 "add -G^+ (G f + w), or pass it through grasp_env.force.Repair"
             )
-        if not phi(x, 1.0, 1.0) < np.inf:
+        if not phi(x, self._weights) < np.inf:
             raise InfeasibleStartError(
-                f"initial-force rule {name!r} leaves the friction cones (margin {cone_margin(force, self.grasp.friction):.3g} N); "
+                f"initial-force rule {name!r} leaves the friction cones (margin {self.grasp.cone_margin(force):.3g} N); "
                 "pass it through grasp_env.force.Repair"
             )
         return x
@@ -257,6 +254,7 @@ class ForceOptimizer:
     def _set_grasp(self, grasp: Grasp) -> None:
         self.grasp = grasp
         self._matrix = grasp.cone_matrix.copy()
+        self._weights = self.objective.weights(grasp.n_contacts)
         self._work = np.empty(6)
         self._projector = reduced_projector(grasp)
 
@@ -278,8 +276,8 @@ def optimize_force(
     *,
     initial: Initial = "linear_combination",
     method: str = "reduced_flow",
-    force_weight: float = 1.0,
-    barrier_weight: float = 0.01,
+    force_weight: Weight = 1.0,
+    barrier_weight: Weight = 0.01,
     tolerance: float = 1e-4,
     max_iterations: int = MAX_ITERATIONS,
     step_rule: AdaptiveStep | None = None,
@@ -296,8 +294,8 @@ def optimize_force(
             "phase_one", any callable rule(grasp, wrench) -> (N, 3), an (N, 3) force, or a previous `ForceSolution`
             to carry over.
         method: "reduced_flow" (the paper's 3N x 9N flow), "full_flow" (dense, N <= 8), "newton".
-        force_weight: omega, the price of squeezing.
-        barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1].
+        force_weight: omega, the price of squeezing; one for all contacts or one each.
+        barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1]; one or one each.
         tolerance: relative certified gap of Phi at which to stop.
         max_iterations: most accepted steps.
         step_rule: the flows' step rule; None: `AdaptiveStep()`.

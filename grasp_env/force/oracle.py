@@ -7,7 +7,6 @@ import numpy as np
 from grasp_env._check import Array, Wrench
 from grasp_env.force import full_flow as full
 from grasp_env.force.descent import descend
-from grasp_env.force.description import to_force
 from grasp_env.force.kernels import certified_bound, relative_gap
 from grasp_env.force.objective import Objective
 from grasp_env.force.step_size import AdaptiveStep
@@ -29,6 +28,7 @@ def full_flow(
     q = full.projector(grasp)
     matrix = grasp.cone_matrix.copy()
     step, multipliers = np.empty_like(x), np.empty(6)
+    weights = objective.weights(grasp.n_contacts)
     bound = -np.inf if np.isnan(optimum) else optimum
     next_check = 0
 
@@ -37,12 +37,11 @@ def full_flow(
         if np.isnan(optimum) and iterations >= next_check:
             next_check = iterations + max(1, iterations // 8)
             here = full.cone_coordinates(state)
-            weights = objective.force_weight, objective.barrier_weight
-            bound = max(bound, certified_bound(here, matrix, wrench, *weights, step, multipliers))
+            bound = max(bound, certified_bound(here, matrix, wrench, weights, step, multipliers))
         return relative_gap(value, bound) <= tolerance
 
     result = descend(
-        full.start(to_force(x, grasp.friction), grasp),
+        full.start(x),
         lambda state: q @ full.drive(state, objective),
         lambda state: full.value(state, objective),
         converged,

@@ -71,8 +71,8 @@ def reduced_projector(grasp: Grasp) -> Array:
 def flow_vector(x: Array, objective: Objective) -> Array:
     """VWP (9N,): the blocks P_i^-1 W_i P_i^-1 - W_p at VP = x, column by column (Eqs. 22-25)."""
     parts = []
-    for u, o, t in x.reshape(-1, 3):
+    for (u, o, t), (omega, lam) in zip(x.reshape(-1, 3), objective.weights(len(x) // 3), strict=True):
         inverse = np.linalg.inv(np.array([[u, 0.0, o], [0.0, u, t], [o, t, u]]))
-        block = objective.barrier_weight * inverse @ inverse - objective.force_weight * np.eye(3)
+        block = lam * inverse @ inverse - omega * np.eye(3)
         parts.append(block.reshape(-1, order="F"))
     return np.concatenate(parts)

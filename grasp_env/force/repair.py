@@ -10,7 +10,6 @@ import numpy as np
 from grasp_env._check import LARGEST, Array, ContactForces, Wrench, as_wrench
 from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.description import to_cone, to_force
 from grasp_env.force.objective import Objective
 from grasp_env.force.start_kernels import best_on_segment, tangent
 from grasp_env.grasp.grasp import Grasp
@@ -42,15 +41,15 @@ class Repair:
         flat = np.asarray(candidate, dtype=np.float64)
         if flat.shape != (grasp.n_contacts, 3):
             raise InvalidInputError(f"candidate must have shape ({grasp.n_contacts}, 3), got {flat.shape}")
-        safe = to_cone(OfflineBasis.of(grasp, self.objective).combine(wrench), grasp.friction)
+        safe = grasp.to_cone(OfflineBasis.of(grasp, self.objective).combine(wrench))
         flat = flat.reshape(-1)
         if np.abs(flat).max() < LARGEST:  # also false for nan
-            x = to_cone((flat - grasp.pseudoinverse @ (grasp.matrix @ flat + wrench)).reshape(-1, 3), grasp.friction)
+            x = grasp.to_cone((flat - grasp.pseudoinverse @ (grasp.matrix @ flat + wrench)).reshape(-1, 3))
         else:
             x = safe.copy()
         out = np.empty_like(x)
-        best_on_segment(safe, x, self.objective.force_weight, self.objective.barrier_weight, out)
-        return to_force(out, grasp.friction)
+        best_on_segment(safe, x, self.objective.weights(grasp.n_contacts), out)
+        return grasp.to_force(out)
 
 
 def carry_over(
@@ -73,10 +72,10 @@ def carry_over(
         raise UnknownNameError("correction", correction, CORRECTIONS)
     candidate: Array = np.asarray(previous, dtype=np.float64)
     if correction == "tangent":
-        x = to_cone(previous, grasp.friction)
+        x = grasp.to_cone(previous)
         out = np.empty_like(x)
         u, o, t = x.reshape(-1, 3).T
         inside = (u > np.hypot(o, t)).all()
-        if inside and tangent(x, grasp.cone_matrix.copy(), wrench, objective.barrier_weight, out):
-            candidate = to_force(out, grasp.friction)
+        if inside and tangent(x, grasp.cone_matrix.copy(), wrench, objective.weights(grasp.n_contacts), out):
+            candidate = grasp.to_force(out)
     return Repair(objective)(grasp, wrench, candidate)

@@ -94,7 +94,7 @@ def ray_interval(point, ray):
 
 
 @compiled
-def tangent(x, cone_matrix, wrench, lam, out):
+def tangent(x, cone_matrix, wrench, weights, out):
     """Out = x + H^-1 G^T (G H^-1 G^T)^-1 (-(G f + w)), H the Hessian of Phi at x; False when S lost definiteness.
 
     The predictor of the optimum when the wrench (or G) has moved away from the one that x balances.
@@ -104,7 +104,7 @@ def tangent(x, cone_matrix, wrench, lam, out):
     half = np.empty((size, 6))
     s = np.empty((6, 6))
     r = np.empty(6)
-    inverse_hessian(x, lam, blocks)
+    inverse_hessian(x, weights, blocks)
     schur(cone_matrix, blocks, half, s)
     residual(cone_matrix, x, wrench, r)
     if not cholesky(s):
@@ -119,7 +119,7 @@ def tangent(x, cone_matrix, wrench, lam, out):
 
 
 @compiled
-def best_on_segment(safe, candidate, omega, lam, out):
+def best_on_segment(safe, candidate, weights, out):
     """The force of least Phi on the segment from `safe` (strictly inside) to `candidate`, into `out`; returns theta.
 
     Phi is convex along the segment: its slope is driven to zero by bisection inside the cones, to a thousandth of theta. The
@@ -127,8 +127,8 @@ def best_on_segment(safe, candidate, omega, lam, out):
     """
     size = safe.size
     move = candidate - safe
-    value_safe = phi(safe, omega, lam)
-    value_candidate = phi(candidate, omega, lam)
+    value_safe = phi(safe, weights)
+    value_candidate = phi(candidate, weights)
     low, high = 0.0, 1.0
     g = np.empty(size)
     if value_candidate == np.inf:
@@ -140,13 +140,13 @@ def best_on_segment(safe, candidate, omega, lam, out):
     for _ in range(40):
         for j in range(size):
             out[j] = safe[j] + theta * move[j]
-        value = phi(out, omega, lam)
+        value = phi(out, weights)
         if value < best_value:
             best, best_value = theta, value
         if value == np.inf:
             high = theta
         else:
-            gradient(out, omega, lam, g)
+            gradient(out, weights, g)
             slope = 0.0
             for j in range(size):
                 slope += g[j] * move[j]
@@ -168,19 +168,20 @@ def best_on_segment(safe, candidate, omega, lam, out):
 
 
 @compiled
-def squeeze_scale(x, omega, lam):
+def squeeze_scale(x, weights):
     """K > 0 of least Phi(k x) for x strictly inside: Phi(k x) = k a + b / k."""
     force, barrier = 0.0, 0.0
     for i in range(0, x.size, 3):
         u = x[i]
         d = u * u - x[i + 1] * x[i + 1] - x[i + 2] * x[i + 2]
+        omega, lam = weights[i // 3]
         force += 3.0 * omega * u
         barrier += lam * (1.0 / u + 2.0 * u / d)
     return math.sqrt(barrier / force)
 
 
 @compiled
-def offline_basis(basis, warm, interior, cone_matrix, pseudoinverse, omega, lam):
+def offline_basis(basis, warm, interior, cone_matrix, pseudoinverse, weights):
     """Fills `basis` (13, 3N) with argmin Phi for +-e_k and for w = 0; returns the worst relative gap (inf: failed).
 
     Args:
@@ -198,14 +199,14 @@ def offline_basis(basis, warm, interior, cone_matrix, pseudoinverse, omega, lam)
         if row < 12:
             wrench[row % 6] = 1.0 if row < 6 else -1.0
         started = False
-        if warm and tangent(basis[row], cone_matrix, wrench, lam, x):
+        if warm and tangent(basis[row], cone_matrix, wrench, weights, x):
             # twice: the second correction takes the rounding of the first out of the balance
-            started = cone_slack(x) > 0.0 and tangent(x, cone_matrix, wrench, lam, basis[row])
+            started = cone_slack(x) > 0.0 and tangent(x, cone_matrix, wrench, weights, basis[row])
             started = started and cone_slack(basis[row]) > 0.0
             x[:] = basis[row]
         if not started:
             if row == 12:
-                x[:] = interior * squeeze_scale(interior, omega, lam)
+                x[:] = interior * squeeze_scale(interior, weights)
             else:
                 for j in range(size):
                     total = 0.0
@@ -215,7 +216,7 @@ def offline_basis(basis, warm, interior, cone_matrix, pseudoinverse, omega, lam)
                 low, _ = ray_interval(x, basis[12])
                 x[:] = x + max(1.1 * low, 1.0) * basis[12]
         _, _, _, value, bound = newton(
-            x, cone_matrix, wrench, omega, lam, BASIS_TOLERANCE, np.nan, BASIS_ITERATIONS, no_trace
+            x, cone_matrix, wrench, weights, BASIS_TOLERANCE, np.nan, BASIS_ITERATIONS, no_trace
         )
         if not bound > 0.0:
             return np.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from grasp_env._check import Array, ContactForces, Wrench, as_array
 from grasp_env.errors import InvalidInputError, RankDeficientGraspError
+from grasp_env.grasp.contact_model import ContactModels
 from grasp_env.grasp.kernels import contact_geometry
 
 UNIT_TOLERANCE = 1e-6
@@ -19,18 +21,22 @@ RANK_TOLERANCE = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """Point contacts with friction on a rigid object. Make one with `Grasp.from_contacts`.
+    """Contacts with friction on a rigid object. Make one with `Grasp.from_contacts`.
 
     Balance is G f + w = 0 (paper, Eq. 2) with w the external wrench ON the object and f the stacked contact
-    forces (normal, o, t), each finger's force ON the object.
+    forces (normal, o, t), each finger's force ON the object. Soft contacts add their torsion about the normal.
 
     Attributes:
         positions: (N, 3) contact points [m], object frame.
         normals: (N, 3) inward unit normals, object frame.
-        friction: (N,) Coulomb coefficients > 0.
+        friction: (N,) Coulomb coefficients; sqrt(mu_o mu_t) where elliptic, 0 where frictionless.
         frames: (N, 3, 3) columns (n, o, t) in object coordinates.
         matrix: G, (6, 3N), columns (normal, o, t) per contact.
         length: [m] root mean square distance of the contacts from their centre; scales moments.
+        pseudoinverse: G^+, (3N, 6): the least-norm forces that make a unit wrench (with `torsion_matrix` where soft).
+        cone_matrix: G in cone coordinates x: (6, 3N); cone_matrix @ grasp.to_cone(f) = matrix @ f.
+        models: contact models, elliptic and torsional friction, and the scaling of cone coordinates.
+        torsion_matrix: (6, N) wrench of a unit torsion [1/m]; zero columns unless soft.
     """
 
     positions: Array
@@ -40,32 +46,52 @@ class Grasp:
     matrix: Array = field(repr=False)
     length: float = field(repr=False)
     pseudoinverse: Array = field(repr=False)
-    """G^+, (3N, 6): the least-norm forces that make a unit wrench."""
     cone_matrix: Array = field(repr=False)
-    """G in cone coordinates x = (u, o, t), u = mu * normal: (6, 3N); cone_matrix @ x = matrix @ f."""
+    models: ContactModels = field(repr=False)
+    torsion_matrix: Array = field(repr=False)
 
     @classmethod
-    def from_contacts(cls, positions: ArrayLike, normals: ArrayLike, friction: ArrayLike) -> Grasp:
+    def from_contacts(
+        cls,
+        positions: ArrayLike,
+        normals: ArrayLike,
+        friction: ArrayLike,
+        *,
+        contact_model: str | Sequence[str] = "hard",
+        torsional_friction: ArrayLike | None = None,
+        tangents: ArrayLike | None = None,
+    ) -> Grasp:
         """Builds a grasp from contact geometry.
 
         Args:
             positions: (N, 3) contact points [m], object frame.
             normals: (N, 3) unit normals pointing INTO the object, object frame.
-            friction: coefficient(s) > 0, a scalar or (N,).
+            friction: coefficient(s) > 0: a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t). Ignored where
+                frictionless.
+            contact_model: "hard", "soft" or "frictionless", one for all or N of them; see `contact_model.py`.
+            torsional_friction: gamma > 0 [m], abs(torsion) <= gamma * normal, a scalar or (N,); soft contacts only.
+            tangents: (N, 3) directions whose projection on the tangent plane is o; None: see `contact_frames`.
 
         Raises:
-            InvalidInputError: wrong shapes, non-finite values, normals not of unit length, friction <= 0.
-            RankDeficientGraspError: rank(G) < 6 (fewer than three contacts, or all on one line).
+            InvalidInputError: wrong shapes, non-finite values, normals not of unit length, friction <= 0, a tangent
+                along its normal, soft contacts without torsional friction.
+            UnknownNameError: an unknown contact model.
+            RankDeficientGraspError: rank(G) < 6 (fewer than three hard or two soft contacts, or all on one line).
 
         Example:
             >>> from grasp_env.grasp import presets
             >>> g = presets.paper_cuboid()
             >>> Grasp.from_contacts(g.positions, g.normals, 0.4).matrix.shape
             (6, 12)
+            >>> pinch = Grasp.from_contacts(
+            ...     [[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], 0.5, contact_model="soft", torsional_friction=0.005
+            ... )
+            >>> pinch.torsion_matrix[5]
+            array([ 1., -1.])
         """
         points: Array = as_array(positions, (None, 3), "positions")
         inward: Array = as_array(normals, (len(points), 3), "normals")
-        coefficients = _friction(friction, len(points))
+        models = ContactModels.checked(contact_model, friction, torsional_friction, len(points))
         lengths = np.sqrt(np.einsum("ij,ij->i", inward, inward))
         off = np.abs(lengths - 1.0)
         if off.size and off.max() > UNIT_TOLERANCE:
@@ -75,13 +101,49 @@ class Grasp:
                 f"length {lengths[worst]:.6g}: divide it by its length"
             )
         inward = inward / lengths[:, None]
-        frames, matrix, cone_matrix = contact_geometry(points, inward, coefficients)
+        along = _tangents(tangents, inward)
+        frames, matrix, cone_matrix = contact_geometry(points, inward, models.cone_divisor, along)
+        torsion_matrix = np.zeros((6, len(points)))
+        soft = models.torsional_friction > 0.0
+        torsion_matrix[3:, soft] = inward[soft].T
         centre = points.mean(axis=0) if len(points) else np.zeros(3)
         length = float(np.sqrt(((points - centre) ** 2).sum() / len(points))) if len(points) else 0.0
-        pseudoinverse = _checked_pseudoinverse(matrix, length, len(points))
-        for array in (points, inward, coefficients, frames, matrix, pseudoinverse, cone_matrix):
-            array.flags.writeable = False
-        return cls(points, inward, coefficients, frames, matrix, length, pseudoinverse, cone_matrix)
+        transmitted = matrix * (models.cone_scale > 0.0).reshape(-1)
+        if soft.any():
+            transmitted = np.concatenate([transmitted, torsion_matrix], axis=1)
+        pseudoinverse = _checked_pseudoinverse(transmitted, length, len(points))[: 3 * len(points)]
+        grasp = cls(
+            points, inward, models.cone_scale[:, 0] * (models.friction[:, 0] > 0.0), frames, matrix, length,
+            pseudoinverse, cone_matrix, models, torsion_matrix,
+        )  # fmt: skip
+        for array in (*vars(grasp).values(), *vars(models).values()):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+        return grasp
+
+    @property
+    def hard(self) -> bool:
+        """Whether no contact transmits torsion: all that the flows know."""
+        return not self.models.torsional_friction.any()
+
+    def to_cone(self, force: ContactForces) -> Array:
+        """Forces (N, 3) [N] -> flat cone coordinates VP = (u, o, t), u = mu * normal (Eq. 18): (3N,) [N].
+
+        Example:
+            >>> from grasp_env.grasp import presets
+            >>> presets.tripod().to_cone([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])[:3]   # mu = 0.5
+            array([1. , 0.1, 0. ])
+        """
+        return (np.asarray(force, dtype=np.float64).reshape(-1, 3) * self.models.cone_scale).reshape(-1)
+
+    def to_force(self, x: Array) -> ContactForces:
+        """Flat cone coordinates (3N,) -> forces (N, 3) (normal, o, t) [N]."""
+        return x.reshape(-1, 3) / self.models.cone_divisor
+
+    def cone_margin(self, force: ContactForces) -> float:
+        """Min over contacts of u - sqrt(o^2 + t^2) in cone coordinates [N], mu * normal - |tangential| for round cones."""
+        u, o, t = self.to_cone(force).reshape(-1, 3).T
+        return float((u - np.sqrt(o * o + t * t)).min())
 
     @property
     def n_contacts(self) -> int:
@@ -95,15 +157,28 @@ class Grasp:
 
     def with_friction(self, friction: ArrayLike) -> Grasp:
         """The same contacts with other friction coefficients, a scalar or (N,)."""
-        return Grasp.from_contacts(self.positions, self.normals, friction)
+        gamma = self.models.torsional_friction
+        return Grasp.from_contacts(
+            self.positions,
+            self.normals,
+            friction,
+            contact_model=self.models.names,
+            torsional_friction=gamma if gamma.any() else None,
+            tangents=self.frames[:, :, 1],
+        )
 
-    def wrench(self, force: ContactForces) -> Wrench:
-        """The wrench (6,) [N, N m] that contact forces (N, 3) exert on the object: G f."""
-        return self.matrix @ as_array(force, (self.n_contacts, 3), "force").reshape(-1)
+    def wrench(self, force: ContactForces, torsion: Array | None = None) -> Wrench:
+        """The wrench (6,) [N, N m] that contact forces (N, 3) and torsions (N,) exert on the object: G f (+ T torsion)."""
+        made = self.matrix @ as_array(force, (self.n_contacts, 3), "force").reshape(-1)
+        return (
+            made if torsion is None else made + self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion")
+        )
 
-    def residual(self, force: ContactForces, wrench: Wrench) -> float:
+    def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
         """Largest |component| of G f + w, moments divided by `length` [N]."""
         error = self.matrix @ np.asarray(force).reshape(-1) + wrench
+        if torsion is not None:
+            error += self.torsion_matrix @ torsion
         error[3:] /= self.length
         return float(np.abs(error).max())
 
@@ -130,12 +205,20 @@ def grasp_matrix(positions: Array, frames: Array) -> Array:
     return np.concatenate([forces, moments], axis=0).reshape(6, -1)
 
 
-def _friction(value: ArrayLike, count: int) -> Array:
-    scalar = np.ndim(value) == 0
-    friction = np.full(count, as_array(value, (), "friction")) if scalar else as_array(value, (count,), "friction")
-    if (friction <= 0.0).any():
-        raise InvalidInputError(f"friction must be > 0 at every contact, got {friction.tolist()}")
-    return friction
+def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
+    """Directions for o, (N, 3) and never along a normal; (0, 3) for the default rule."""
+    if tangents is None:
+        return np.zeros((0, 3))
+    along: Array = as_array(tangents, (len(normals), 3), "tangents")
+    inside = along - normals * np.einsum("ij,ij->i", along, normals)[:, None]
+    short = np.sqrt(np.einsum("ij,ij->i", inside, inside)) <= 1e-6 * np.sqrt(np.einsum("ij,ij->i", along, along))
+    if short.any():
+        worst = int(short.argmax())
+        raise InvalidInputError(
+            f"tangent {worst} is {along[worst].tolist()}, along its normal {normals[worst].tolist()}: give a direction "
+            "in the tangent plane"
+        )
+    return along
 
 
 def _checked_pseudoinverse(matrix: Array, length: float, count: int) -> Array:
@@ -146,7 +229,7 @@ def _checked_pseudoinverse(matrix: Array, length: float, count: int) -> Array:
         rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())
         raise RankDeficientGraspError(
             f"rank(G) = {rank} < 6 with {count} contacts: some wrenches cannot be balanced. Use at least three "
-            "contacts that do not lie on one line"
+            "contacts with friction that do not lie on one line, or two soft ones"
         )
     # Least norm in force: scaling the rows of G does not change G^+ up to the same column scaling (full row rank).
     return (vt.T / s) @ u.T / scale[None, :]

@@ -12,15 +12,22 @@ TANGENT_SWITCH = 0.9
 
 
 @compiled
-def contact_geometry(positions, normals, friction):
-    """Frames (N, 3, 3), G (6, 3N) and G in cone coordinates (6, 3N) of contacts (N, 3) with inward unit normals."""
+def contact_geometry(positions, normals, cone_divisor, tangents):
+    """Frames (N, 3, 3), G (6, 3N) and G in cone coordinates (6, 3N) of contacts (N, 3) with inward unit normals.
+
+    cone_divisor: (N, 3), force = cone coordinates / cone_divisor. tangents: (N, 3), or (0, 3) for the default rule.
+    """
     count = positions.shape[0]
     frames = np.empty((count, 3, 3))
     matrix = np.empty((6, 3 * count))
     cone_matrix = np.empty((6, 3 * count))
     for k in range(count):
         nx, ny, nz = normals[k]
-        if abs(nx) > TANGENT_SWITCH:
+        if tangents.shape[0] > 0:
+            ox, oy, oz = tangents[k]
+            along = ox * nx + oy * ny + oz * nz
+            ox, oy, oz = ox - along * nx, oy - along * ny, oz - along * nz
+        elif abs(nx) > TANGENT_SWITCH:
             ox, oy, oz = -ny * nx, 1.0 - ny * ny, -ny * nz
         else:
             ox, oy, oz = 1.0 - nx * nx, -nx * ny, -nx * nz
@@ -39,7 +46,6 @@ def contact_geometry(positions, normals, friction):
             matrix[3, column] = y * fz - z * fy
             matrix[4, column] = z * fx - x * fz
             matrix[5, column] = x * fy - y * fx
-            scale = friction[k] if axis == 0 else 1.0
             for row in range(6):
-                cone_matrix[row, column] = matrix[row, column] / scale
+                cone_matrix[row, column] = matrix[row, column] / cone_divisor[k, axis]
     return frames, matrix, cone_matrix

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp
+from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp, weights
 
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, cone_margin, optimize_force, phase_one
-from grasp_env.force.description import to_cone
 from grasp_env.force.kernels import phi
 from grasp_env.force.start_kernels import ray_interval
 from grasp_env.grasp import Grasp, presets
@@ -95,7 +94,7 @@ def test_repair_of_twenty_thousand_candidates_through_the_class() -> None:
         if k % 19 == 0:
             candidate *= 0.0
         force = repair(grasp, load, candidate)
-        value, least = (phi(to_cone(f, grasp.friction), 1.0, 0.01) for f in (force, safe))
+        value, least = (phi(grasp.to_cone(f), weights(grasp.to_cone(f))) for f in (force, safe))
         # coordinates go to forces and back: one rounding, which the barrier amplifies by u / margin
         assert value <= least * (1.0 + 1e-11)
         assert cone_margin(force, grasp.friction) > 0.0

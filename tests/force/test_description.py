@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from grasp_env.force import cone_margin, description_matrix
-from grasp_env.force.description import to_cone, to_force
+from grasp_env.grasp import Grasp
 
 
 def test_eigenvalues_are_u_and_u_plus_minus_s() -> None:
@@ -32,9 +32,12 @@ def test_positive_definite_exactly_inside_the_cone() -> None:
 def test_cone_coordinates_there_and_back() -> None:
     rng = np.random.default_rng(1)
     force, friction = rng.standard_normal((5, 3)), rng.uniform(0.1, 1.5, 5)
+    directions = rng.standard_normal((5, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    grasp = Grasp.from_contacts(-directions, directions, friction)
     kept = force.copy()
-    x = to_cone(force, friction)
+    x = grasp.to_cone(force)
     np.testing.assert_array_equal(x.reshape(5, 3)[:, 0], friction * force[:, 0])
     np.testing.assert_array_equal(x.reshape(5, 3)[:, 1:], force[:, 1:])
-    np.testing.assert_allclose(to_force(x, friction), force, rtol=3e-16)
+    np.testing.assert_allclose(grasp.to_force(x), force, rtol=3e-16)
     np.testing.assert_array_equal(force, kept)

@@ -6,12 +6,11 @@ from math import floor
 
 import numpy as np
 import pytest
-from problems import GRASPS, PAPER_WRENCH, closure_grasps
+from problems import GRASPS, PAPER_WRENCH, closure_grasps, weights
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import AdaptiveStep, LinearCombination, Objective, OfflineBasis, descent_kernels, full_flow
 from grasp_env.force.descent import Descent, descend
-from grasp_env.force.description import to_cone
 from grasp_env.force.reduced_flow import (
     flow_vector,
     picked_columns,
@@ -29,7 +28,7 @@ SQUEEZE = 5.0
 
 def _start(grasp: Grasp) -> np.ndarray:
     force = LinearCombination(OBJECTIVE)(grasp, LIGHT) + SQUEEZE * OfflineBasis.of(grasp, OBJECTIVE).rest
-    return to_cone(force, grasp.friction)
+    return grasp.to_cone(force)
 
 
 def _descend(grasp: Grasp, rule: AdaptiveStep, count: int) -> tuple[Descent, list[np.ndarray]]:
@@ -56,8 +55,7 @@ def test_full_and_reduced_iterates_are_equal(name: str) -> None:
     q_bar = picked_projector(grasp)
     from_cone = grasp.cone_matrix @ iterates[0] + LIGHT
     assert np.abs(from_cone).max() < 1e-12
-    force = iterates[0].reshape(-1, 3) / np.stack([grasp.friction, *np.ones((2, grasp.n_contacts))], axis=1)
-    whole, reduced = full_flow.start(force, grasp), iterates[0].copy()
+    whole, reduced = full_flow.start(iterates[0]), iterates[0].copy()
     for alpha, expected in zip(descent.steps, iterates[1:], strict=True):
         whole = whole + alpha * q @ full_flow.drive(whole, OBJECTIVE)
         reduced = reduced + alpha * q_bar @ flow_vector(reduced, OBJECTIVE)
@@ -81,7 +79,7 @@ def test_compiled_flow_gives_the_iterates_of_the_plain_one(name: str) -> None:
     for k, expected in enumerate(iterates):
         x, trace = _start(grasp), np.full(count + 1, np.nan)
         code, iterations, trials, value, _ = descent_kernels.reduced_flow(
-            x, reduced_projector(grasp), grasp.cone_matrix.copy(), LIGHT, 1.0, 0.1,
+            x, reduced_projector(grasp), grasp.cone_matrix.copy(), LIGHT, weights(x, 1.0, 0.1),
             rule.first, rule.grow, rule.shrink, 1e-300, np.nan, k, trace,
         )  # fmt: skip
         assert (code, iterations) == (descent_kernels.LIMIT, k)
@@ -136,23 +134,22 @@ def test_dense_projector_projects_on_the_constraints(name: str) -> None:
     np.testing.assert_allclose(a @ q, 0.0, atol=1e-12)
     # A vec(P) = (0, G f): balance reads the right entries
     force = np.random.default_rng(0).standard_normal((count, 3))
-    wrench = a @ full_flow.start(force, grasp)
+    wrench = a @ full_flow.start(grasp.to_cone(force))
     np.testing.assert_allclose(wrench, np.append(np.zeros(6 * count), grasp.wrench(force)), atol=1e-13)
 
 
 def test_drive_and_value_of_the_full_flow() -> None:
     grasp = GRASPS["cuboid, 4"]
     x = _start(grasp)
-    force = x.reshape(-1, 3) / np.stack([grasp.friction, *np.ones((2, 4))], axis=1)
-    state = full_flow.start(force, grasp)
+    state = full_flow.start(x)
     np.testing.assert_allclose(full_flow.cone_coordinates(state), x, rtol=1e-15)
     assert full_flow.value(state, OBJECTIVE) == pytest.approx(OBJECTIVE.value(x), rel=1e-13)
     drive = full_flow.drive(state, OBJECTIVE)
     np.testing.assert_allclose(drive[picked_columns(4)], flow_vector(x, OBJECTIVE), atol=1e-13)
     compiled = np.empty(36)
-    descent_kernels.flow_matrix(x, OBJECTIVE.force_weight, OBJECTIVE.barrier_weight, compiled)
+    descent_kernels.flow_matrix(x, OBJECTIVE.weights(4), compiled)
     np.testing.assert_allclose(compiled, flow_vector(x, OBJECTIVE), atol=1e-13)
-    outside = full_flow.start(force * [[-1.0, 1.0, 1.0]], grasp)
+    outside = full_flow.start(x * np.tile([-1.0, 1.0, 1.0], 4))
     assert full_flow.value(outside, OBJECTIVE) == np.inf
 
 
@@ -178,7 +175,7 @@ def test_paper_wrench_first_step_by_hand() -> None:
     """One step of Eq. 26 with explicit inverses and a pseudoinverse in place of Q: nothing of the package but G."""
     grasp = GRASPS["cuboid, 4"]
     force = LinearCombination(OBJECTIVE)(grasp, PAPER_WRENCH)
-    x, alpha = to_cone(force, grasp.friction), 1e-3
+    x, alpha = grasp.to_cone(force), 1e-3
     p = np.zeros((12, 12))
     for k, (u, o, t) in enumerate(x.reshape(-1, 3)):
         p[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = [[u, 0, o], [0, u, t], [o, t, u]]

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GRASPS, PROBLEMS, Problem, closure_grasps, pyramid_margin
+from problems import GRASPS, PROBLEMS, Problem, closure_grasps, pyramid_margin, weights
 from scipy.optimize import minimize
 
 from grasp_env.force import Objective, description_matrix, kernels
-from grasp_env.force.description import to_cone, to_force
 from grasp_env.force.newton import newton_step
 from grasp_env.grasp import wrench as wrenches
 
@@ -28,18 +27,18 @@ def test_phi_is_the_trace_of_its_definition(omega: float, lam: float) -> None:
     rng = np.random.default_rng(0)
     for _ in range(100):
         x, friction = _inside(rng, 4), rng.uniform(0.2, 1.2, 4)
-        matrix = description_matrix(to_force(x, friction), friction)
+        matrix = description_matrix(x.reshape(-1, 3) / np.stack([friction, *np.ones((2, 4))], axis=1), friction)
         expected = omega * np.trace(matrix) + lam * np.trace(np.linalg.inv(matrix))
         # the inverse of P loses digits by its condition number, at most 100 here
         assert Objective(omega, lam).value(x) == pytest.approx(expected, rel=1e-12)
-        assert kernels.phi(x, omega, lam) == pytest.approx(expected, rel=1e-12)
+        assert kernels.phi(x, weights(x, omega, lam)) == pytest.approx(expected, rel=1e-12)
 
 
 def test_phi_is_infinite_outside_and_on_the_cones() -> None:
     inside = np.array([1.0, 0.2, 0.1])
     for outside in ([1.0, 1.0, 0.0], [1.0, 0.8, 0.7], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]):
         for x in (np.array([*inside, *outside]), np.array([*outside, *inside])):
-            assert kernels.phi(x, 1.0, 0.01) == np.inf
+            assert kernels.phi(x, weights(x, 1.0, 0.01)) == np.inf
             assert Objective().value(x) == np.inf
 
 
@@ -74,12 +73,12 @@ def test_kernels_are_the_twin(omega: float, lam: float) -> None:
     for _ in range(100):
         x = _inside(rng, 4)
         # the factors (u^2 - s^2) lose a factor of 50 of the rounding at a margin of 2 %, its cube thrice that
-        assert kernels.phi(x, omega, lam) == pytest.approx(objective.value(x), rel=1e-13)
+        assert kernels.phi(x, weights(x, omega, lam)) == pytest.approx(objective.value(x), rel=1e-13)
         gradient = np.empty(12)
-        kernels.gradient(x, omega, lam, gradient)
+        kernels.gradient(x, weights(x, omega, lam), gradient)
         np.testing.assert_allclose(gradient, objective.gradient(x), rtol=1e-11, atol=1e-12 * np.abs(gradient).max())
         inverse = np.empty((4, 3, 3))
-        kernels.inverse_hessian(x, lam, inverse)
+        kernels.inverse_hessian(x, weights(x, omega, lam), inverse)
         blocks = objective.hessian(x)
         for one, other in zip(inverse, blocks, strict=True):
             np.testing.assert_allclose(one @ other, np.eye(3), atol=1e-8)  # condition numbers reach 1e4
@@ -89,7 +88,7 @@ def test_kernels_are_the_twin(omega: float, lam: float) -> None:
 def test_inverse_hessian_on_the_axis_of_the_cone() -> None:
     x = np.array([2.0, 0.0, 0.0])
     inverse = np.empty((1, 3, 3))
-    kernels.inverse_hessian(x, 0.5, inverse)
+    kernels.inverse_hessian(x, weights(x, 1.0, 0.5), inverse)
     np.testing.assert_allclose(inverse[0] @ Objective(1.0, 0.5).hessian(x)[0], np.eye(3), atol=1e-15)
 
 
@@ -133,7 +132,7 @@ def test_newton_step_is_the_dense_kkt_step(omega: float, lam: float) -> None:
         x = np.stack([u, *(rng.uniform(-0.5, 0.5, (2, grasp.n_contacts)) * u)], axis=1).reshape(-1)
         wrench = wrenches.sample_ball(rng, 1)[0]
         step, multipliers = np.empty_like(x), np.empty(6)
-        decrement = kernels.newton_step(x, grasp.cone_matrix.copy(), wrench, omega, lam, step, multipliers)
+        decrement = kernels.newton_step(x, grasp.cone_matrix.copy(), wrench, weights(x, omega, lam), step, multipliers)
         dense_step, dense_multipliers, dense_decrement = newton_step(x, grasp.cone_matrix, wrench, objective)
         # the dense matrix mixes lambda and lengths: condition numbers up to about 1e7
         np.testing.assert_allclose(step, dense_step, rtol=0, atol=1e-8 * np.abs(dense_step).max())
@@ -155,7 +154,9 @@ def test_lower_bound_kernel_is_the_twin(omega: float, lam: float) -> None:
             multipliers = rng.standard_normal(6) * rng.choice([0.1, 1.0]) * omega
             multipliers[3:] /= grasp.length
             wrench = wrenches.sample_ball(rng, 1)[0]
-            kernel = kernels.lower_bound(multipliers, grasp.cone_matrix.copy(), wrench, omega, lam)
+            kernel = kernels.lower_bound(
+                multipliers, grasp.cone_matrix.copy(), wrench, objective.weights(grasp.n_contacts)
+            )
             twin = objective.lower_bound(multipliers, grasp.cone_matrix, wrench)
             finite += np.isfinite(twin)
             if not np.isfinite(twin):
@@ -184,10 +185,11 @@ def _least_by_scipy(y: np.ndarray, omega: float, lam: float) -> float:
 def test_lower_bound_is_the_brute_force_minimum_of_the_lagrangian() -> None:
     rng = np.random.default_rng(6)
     grasp, wrench, omega, lam = GRASPS["cuboid, 4"], wrenches.sample_ball(rng, 1)[0], 1.0, 0.1
+    objective = Objective(omega, lam)
     checked = 0
     while checked < 6:
         multipliers = rng.standard_normal(6) * np.array([0.4, 0.4, 0.4, 8.0, 8.0, 8.0])
-        bound = kernels.lower_bound(multipliers, grasp.cone_matrix.copy(), wrench, omega, lam)
+        bound = kernels.lower_bound(multipliers, grasp.cone_matrix.copy(), wrench, objective.weights(grasp.n_contacts))
         if not np.isfinite(bound):
             continue
         y = (grasp.cone_matrix.T @ multipliers).reshape(-1, 3)
@@ -210,10 +212,12 @@ def test_weak_duality(omega: float, lam: float) -> None:
             loaded = -(grasp.pseudoinverse @ wrench).reshape(-1, 3)
             squeeze = rng.uniform(1.0, 20.0) * np.abs(loaded).max() / max(np.abs(internal).max(), 1e-9)
             force = loaded + squeeze * internal
-            value = objective.value(to_cone(force, grasp.friction))
+            value = objective.value(grasp.to_cone(force))
             multipliers = rng.standard_normal(6) * omega * rng.choice([1e-3, 0.1, 0.5, 2.0])
             multipliers[3:] /= grasp.length
-            bound = kernels.lower_bound(multipliers, grasp.cone_matrix.copy(), wrench, omega, lam)
+            bound = kernels.lower_bound(
+                multipliers, grasp.cone_matrix.copy(), wrench, objective.weights(grasp.n_contacts)
+            )
             if np.isfinite(value) and np.isfinite(bound):
                 compared += 1
                 assert bound <= value * (1.0 + 1e-12)
@@ -224,12 +228,12 @@ def test_weak_duality(omega: float, lam: float) -> None:
 def test_no_multipliers_beat_the_optimum(problem: Problem) -> None:
     rng = np.random.default_rng(8)
     matrix = problem.grasp.cone_matrix.copy()
-    weights = problem.force_weight, problem.barrier_weight
+    weights = Objective(problem.force_weight, problem.barrier_weight).weights(problem.grasp.n_contacts)
     for scale in (1e-3, 1e-1, 0.5, 1.0):
         for _ in range(50):
             multipliers = scale * problem.force_weight * rng.standard_normal(6)
             multipliers[3:] /= problem.grasp.length
-            bound = kernels.lower_bound(multipliers, matrix, problem.wrench, *weights)
+            bound = kernels.lower_bound(multipliers, matrix, problem.wrench, weights)
             assert bound <= problem.optimum * (1.0 + 1e-9)  # the optimum is written down to 1e-10
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import PAPER_WRENCH, closure_grasps
+from problems import PAPER_WRENCH, closure_grasps, weights
 
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, carry_over, cone_margin, optimize_force
-from grasp_env.force.description import to_cone, to_force
 from grasp_env.force.kernels import cone_slack, phi, step_to_boundary
 from grasp_env.force.repair import CORRECTIONS, Correction
 from grasp_env.force.start_kernels import best_on_segment, combine, ray_interval
@@ -85,18 +84,18 @@ def test_best_on_segment_is_the_best_of_the_segment(grasp: Grasp) -> None:
     thetas = np.linspace(0.0, 1.0, 1001)
     for _ in range(100):
         load = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
-        safe = to_cone(basis.combine(load), grasp.friction)
+        safe = grasp.to_cone(basis.combine(load))
         candidate = safe + rng.standard_normal(safe.size) * safe.max() * 10.0 ** rng.uniform(-3, 0)
         out = np.empty_like(safe)
-        theta = best_on_segment(safe, candidate, 1.0, 0.01, out)
+        theta = best_on_segment(safe, candidate, weights(safe), out)
         assert 0.0 <= theta <= 1.0
-        value = phi(out, 1.0, 0.01)
+        value = phi(out, weights(safe))
         assert cone_slack(out) > 0.0
-        assert value <= phi(safe, 1.0, 0.01)
-        assert value <= phi(candidate, 1.0, 0.01)
-        scan = min(phi(safe + k * (candidate - safe), 1.0, 0.01) for k in thetas)
+        assert value <= phi(safe, weights(safe))
+        assert value <= phi(candidate, weights(safe))
+        scan = min(phi(safe + k * (candidate - safe), weights(safe)) for k in thetas)
         # twelve halvings end within 1e-3 of theta: far less than a tenth of what the segment can gain
-        assert value - scan <= 0.1 * (phi(safe, 1.0, 0.01) - scan) + 1e-12 * value
+        assert value - scan <= 0.1 * (phi(safe, weights(safe)) - scan) + 1e-12 * value
 
 
 def wild(rng: np.random.Generator, safe: np.ndarray) -> np.ndarray:
@@ -122,20 +121,20 @@ def test_repair_of_twenty_thousand_candidates_is_never_worse_than_the_basis() ->
         safe = np.empty(3 * grasp.n_contacts)
         combine(OfflineBasis.of(grasp).cone_forces, load, False, safe)
         candidate = wild(rng, safe)
-        flat = to_force(candidate, grasp.friction).reshape(-1)
+        flat = grasp.to_force(candidate).reshape(-1)
         if np.isfinite(flat).all():  # the steps of `Repair`, without its set-up
             flat = flat - grasp.pseudoinverse @ (grasp.matrix @ flat + load)
-            x = to_cone(flat, grasp.friction)
+            x = grasp.to_cone(flat.reshape(-1, 3))
         else:
             x = safe.copy()
         out = np.empty_like(safe)
-        best_on_segment(safe, x, 1.0, 0.01, out)
-        assert phi(out, 1.0, 0.01) <= phi(safe, 1.0, 0.01)
+        best_on_segment(safe, x, weights(safe), out)
+        assert phi(out, weights(safe)) <= phi(safe, weights(safe))
         assert cone_slack(out) > 0.0
-        force = to_force(out, grasp.friction)
+        force = grasp.to_force(out)
         # what a candidate of 1e8 N leaves of its balance is 1e-7 N, times the part of it that is taken
         assert grasp.residual(force, load) <= 1e-9 * (np.abs(force).max() + np.abs(load).max() / grasp.length)
-        better += phi(out, 1.0, 0.01) < phi(safe, 1.0, 0.01)
+        better += phi(out, weights(safe)) < phi(safe, weights(safe))
     assert better > 2000
 
 
@@ -145,12 +144,12 @@ def test_repair_through_the_class() -> None:
     for k in range(400):
         grasp = GRASPS[k % len(GRASPS)]
         load = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
-        safe = to_cone(OfflineBasis.of(grasp).combine(load), grasp.friction)
-        candidate = to_force(wild(rng, safe), grasp.friction)
+        safe = grasp.to_cone(OfflineBasis.of(grasp).combine(load))
+        candidate = grasp.to_force(wild(rng, safe))
         if np.isinf(candidate).any():
             candidate[:] = np.nan  # an infinite one overflows inside numpy before the class sees it
         force = repair(grasp, load, candidate)
-        assert OBJECTIVE.value(to_cone(force, grasp.friction)) <= OBJECTIVE.value(safe)
+        assert OBJECTIVE.value(grasp.to_cone(force)) <= OBJECTIVE.value(safe)
         assert cone_margin(force, grasp.friction) > 0.0
         assert grasp.residual(force, load) <= 1e-9 * (np.abs(force).max() + np.abs(load).max() / grasp.length)
         # what is good already is kept: the optimum stays where it is
@@ -179,8 +178,8 @@ def test_carry_over_to_another_grasp_and_wrench(grasp: Grasp, correction: Correc
             assert cone_margin(force, there.friction) > 0.0
             # rounding of G^+ and of the 12-basis
             assert there.residual(force, target) <= 1e-10 * (np.abs(force).max() + np.abs(target).max() / there.length)
-            safe = to_cone(OfflineBasis.of(there).combine(target), there.friction)
-            assert OBJECTIVE.value(to_cone(force, there.friction)) <= OBJECTIVE.value(safe)
+            safe = there.to_cone(OfflineBasis.of(there).combine(target))
+            assert OBJECTIVE.value(there.to_cone(force)) <= OBJECTIVE.value(safe)
 
 
 @pytest.mark.parametrize("grasp", GRASPS[:4], ids=lambda grasp: f"N{grasp.n_contacts}")
@@ -190,7 +189,7 @@ def test_tangent_beats_the_pseudoinverse_on_small_steps(grasp: Grasp) -> None:
     optima = [optimizer.solve(load) for load in path]
     excess = {
         name: [
-            OBJECTIVE.value(to_cone(carry_over(grasp, path[k], optima[k - 1].force, OBJECTIVE, name), grasp.friction))
+            OBJECTIVE.value(grasp.to_cone(carry_over(grasp, path[k], optima[k - 1].force, OBJECTIVE, name)))
             / optima[k].objective
             - 1.0
             for k in range(1, len(path))

@@ -56,7 +56,7 @@ def test_wrench(wrench: object, message: str, initial: str) -> None:
 
 
 @pytest.mark.parametrize("option", ["tolerance", "force_weight", "barrier_weight"])
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, -np.inf, "much", None, [1.0, 2.0]])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, -np.inf, "much", None])
 def test_positive_options(option: str, value: object) -> None:
     with pytest.raises(InvalidInputError, match=f"{option} must be") as caught:
         optimize_force(GRASP, PAPER_WRENCH, **{option: value})

@@ -88,9 +88,13 @@ def test_values_that_are_not_finite(which: str, bad: float) -> None:
         ("normals", NORMALS * [[1.0], [0.0], [1.0]], r"normal 1 is .* with length 0: divide"),
         ("normals", NORMALS * 1.01, r"normal \d is .* with length 1.01: divide"),
         ("friction", np.full(2, 0.5), r"friction must have shape \(3,\), got \(2,\)"),
-        ("friction", np.full((3, 1), 0.5), r"friction must have shape \(3,\), got \(3, 1\)"),
-        ("friction", 0.0, r"friction must be > 0 at every contact, got \[0\.0, 0\.0, 0\.0\]"),
-        ("friction", [0.5, -0.1, 0.5], r"friction must be > 0 at every contact, got \[0\.5, -0\.1, 0\.5\]"),
+        ("friction", np.full((3, 1), 0.5), r"friction must have shape \(3, 2\), got \(3, 1\)"),
+        ("friction", 0.0, r"friction must be > 0 at every contact that is not frictionless, got 0\.0"),
+        (
+            "friction",
+            [0.5, -0.1, 0.5],
+            r"friction must be > 0 at every contact that is not frictionless, got \[0\.5, -0\.1, 0\.5\]",
+        ),
         ("friction", "rough", "friction must be numbers"),
     ],
 )

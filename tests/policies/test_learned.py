@@ -12,7 +12,6 @@ import torch
 
 from grasp_env.errors import InfeasibleStartError, ModelFileError
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, cone_margin, optimize_force
-from grasp_env.force.description import to_cone
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from policies.kernels import forward
@@ -52,8 +51,8 @@ def test_balanced_strictly_feasible_never_worse_than_the_basis(rule, shift, fric
         scale = np.abs(force).max() + np.abs(w).max()
         assert grasp.residual(force, w) < 1e-11 * scale  # rounding of a 12-term sum, moments over 5 cm
         assert cone_margin(force, grasp.friction) > 0
-        paper = objective.value(to_cone(basis.combine(w), grasp.friction))
-        assert objective.value(to_cone(force, grasp.friction)) <= paper * (1 + 1e-12)
+        paper = objective.value(grasp.to_cone(basis.combine(w)))
+        assert objective.value(grasp.to_cone(force)) <= paper * (1 + 1e-12)
 
 
 def test_a_quarter_of_the_basis_iterations_on_held_out_wrenches(rule):
@@ -98,8 +97,8 @@ def test_with_another_phi_it_is_repaired_in_that_one(rule, barrier_weight):
     optimizer = ForceOptimizer(grasp, initial=rule, barrier_weight=barrier_weight)
     basis = OfflineBasis.of(grasp, optimizer.objective)
     for w in wrench.sample_ball(np.random.default_rng(5), 100):
-        start = optimizer.objective.value(to_cone(optimizer.start(w), grasp.friction))
-        assert start <= optimizer.objective.value(to_cone(basis.combine(w), grasp.friction)) * (1 + 1e-12)
+        start = optimizer.objective.value(grasp.to_cone(optimizer.start(w)))
+        assert start <= optimizer.objective.value(grasp.to_cone(basis.combine(w))) * (1 + 1e-12)
 
 
 def test_names_with_dots_do_not_collide(rule, tmp_path):
@@ -190,5 +189,5 @@ def test_never_worse_on_a_million_wrenches(rule):
     grasp = presets.paper_cuboid()
     objective, basis = rule.objective, OfflineBasis.of(grasp, rule.objective)
     for w in wrench.sample_magnitudes(np.random.default_rng(9), 1_000_000, 1e-3, 100.0):
-        learned = objective.value(to_cone(rule(grasp, w), grasp.friction))
-        assert learned <= objective.value(to_cone(basis.combine(w), grasp.friction)) * (1 + 1e-12)
+        learned = objective.value(grasp.to_cone(rule(grasp, w)))
+        assert learned <= objective.value(grasp.to_cone(basis.combine(w))) * (1 + 1e-12)

@@ -7,7 +7,6 @@ import pytest
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import Objective, optimize_force
-from grasp_env.force.description import to_cone
 from grasp_env.grasp import null_space_basis, presets, reference_basis, wrench
 from policies import LearnedInitialForce
 from training.dataset import generate
@@ -26,11 +25,11 @@ def test_labels_are_optima_and_the_metric_is_the_gap():
         particular = -here.pseudoinverse @ data.wrenches[k]
         force = particular + basis @ data.coordinates[k].astype(float)
         # coordinates are float32: 1e-7 of the force, a gap of its square times the conditioning
-        assert objective.value(to_cone(force, here.friction)) == pytest.approx(best.objective, rel=1e-6)
+        assert objective.value(here.to_cone(force)) == pytest.approx(best.objective, rel=1e-6)
         step = rng.normal(size=6)
         step *= 1e-3 / np.linalg.norm(data.metric[k] @ step)  # a predicted gap of 1e-6, deep in the quadratic region
         exact = basis.T @ (best.force.reshape(-1) - particular)
-        value = objective.value(to_cone(particular + basis @ (exact + step), here.friction))
+        value = objective.value(here.to_cone(particular + basis @ (exact + step)))
         assert value / best.objective - 1.0 == pytest.approx(1e-6, rel=0.1)
 
 

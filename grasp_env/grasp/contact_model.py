@@ -1,0 +1,104 @@
+"""Contact models as data: what a contact can transmit, and the scaling that makes every friction cone round.
+
+| model | transmits | limits |
+|---|---|---|
+| hard | normal, o, t | (o / mu_o)^2 + (t / mu_t)^2 <= normal^2; mu_o = mu_t is Coulomb's round cone |
+| soft | normal, o, t, torsion about the normal | the same, and abs(torsion) <= gamma * normal (Murray, Li, Sastry 1994, Sec. 5.2) |
+| frictionless | normal | normal >= 0 |
+
+In cone coordinates x = (u, o', t') with u = mu * normal, mu = sqrt(mu_o mu_t), o' = o mu / mu_o, t' = t mu / mu_t every
+limit on a hard force reads u >= sqrt(o'^2 + t'^2). A frictionless contact has u = normal and o' = t' = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from grasp_env._check import Array, as_array
+from grasp_env.errors import InvalidInputError, UnknownNameError
+
+CONTACT_MODELS = ("hard", "soft", "frictionless")
+
+
+@dataclass(frozen=True, eq=False)
+class ContactModels:
+    """Checked models, friction and scalings of N contacts.
+
+    Attributes:
+        names: N names out of `CONTACT_MODELS`.
+        friction: (N, 2) mu_o, mu_t; 0 for frictionless contacts.
+        torsional_friction: (N,) gamma [m]; 0 unless soft.
+        cone_scale: (N, 3) cone coordinates = cone_scale * force.
+        cone_divisor: (N, 3) force = cone coordinates / cone_divisor; inf where nothing is transmitted.
+    """
+
+    names: tuple[str, ...]
+    friction: Array
+    torsional_friction: Array
+    cone_scale: Array
+    cone_divisor: Array
+
+    @classmethod
+    def checked(
+        cls, models: str | Sequence[str], friction: ArrayLike, torsional_friction: ArrayLike | None, count: int
+    ) -> ContactModels:
+        """See `Grasp.from_contacts` for the arguments and errors."""
+        names = (models,) * count if isinstance(models, str) else tuple(models)
+        for name in names:
+            if name not in CONTACT_MODELS:
+                raise UnknownNameError("contact model", name, CONTACT_MODELS)
+        if len(names) != count:
+            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {len(names)}")
+        rough = np.array([name != "frictionless" for name in names], dtype=bool)
+        soft = np.array([name == "soft" for name in names], dtype=bool)
+        mu = _friction(friction, count, rough)
+        gamma = _torsional(torsional_friction, count, soft)
+        cone_scale = np.zeros((count, 3))
+        cone_scale[:, 0] = np.where(rough, np.sqrt(mu[:, 0] * mu[:, 1]), 1.0)
+        round_cone = mu[:, 0] == mu[:, 1]
+        for k in (1, 2):
+            stretch = np.where(round_cone, 1.0, cone_scale[:, 0] / np.where(rough, mu[:, k - 1], 1.0))
+            cone_scale[:, k] = np.where(rough, stretch, 0.0)
+        # dividing by what was multiplied gives a force back to the last bit; x / inf = 0
+        cone_divisor = np.where(cone_scale > 0.0, cone_scale, np.inf)
+        return cls(names, mu, gamma, cone_scale, cone_divisor)
+
+
+def _friction(value: ArrayLike, count: int, rough: np.ndarray) -> Array:
+    shape = np.shape(value)
+    if len(shape) == 0:
+        mu = np.full((count, 2), as_array(value, (), "friction"))
+    elif len(shape) == 2:
+        mu = as_array(value, (count, 2), "friction")
+    else:
+        mu = np.repeat(as_array(value, (count,), "friction")[:, None], 2, axis=1)
+    if (mu[rough] <= 0.0).any():
+        raise InvalidInputError(
+            f"friction must be > 0 at every contact that is not frictionless, got {np.asarray(value).tolist()}"
+        )
+    mu[~rough] = 0.0
+    return mu
+
+
+def _torsional(value: ArrayLike | None, count: int, soft: np.ndarray) -> Array:
+    if value is None:
+        if soft.any():
+            raise InvalidInputError(
+                "soft contacts need torsional_friction: |torsion| <= torsional_friction * normal [m], a scalar or (N,); "
+                "about 0.005 for a fingertip with a contact patch of 1 cm radius"
+            )
+        return np.zeros(count)
+    scalar = np.ndim(value) == 0
+    gamma = (
+        np.full(count, as_array(value, (), "torsional_friction"))
+        if scalar
+        else as_array(value, (count,), "torsional_friction")
+    )
+    if (gamma[soft] <= 0.0).any():
+        raise InvalidInputError(f"torsional_friction must be > 0 m at every soft contact, got {gamma.tolist()}")
+    gamma[~soft] = 0.0
+    return gamma
