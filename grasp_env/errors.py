@@ -49,6 +49,10 @@ class InfeasibleWrenchError(GraspError):
         self.solution = solution
 
 
+class UnsupportedProblemError(GraspError):
+    """A method that does not know this kind of contact, limit or option; the message names one that does."""
+
+
 class InfeasibleStartError(GraspError):
     """An initial-force rule has no balanced, strictly feasible force for this grasp and wrench."""
 
@@ -59,6 +63,10 @@ class NotConvergedError(GraspError, RuntimeError):
 
 class ModelFileError(GraspError, OSError):
     """A saved model that is missing, damaged, or of another schema."""
+
+
+class GraspFileError(GraspError, OSError):
+    """A grasp's file that cannot be read or written, is not of this format, or describes no valid grasp."""
 
 
 class SimulationError(GraspError, RuntimeError):

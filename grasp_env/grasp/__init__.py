@@ -1,7 +1,21 @@
-"""Contacts, grasps and wrenches. numpy only."""
+"""Contacts, grasps and wrenches, their files and frames. numpy and numba; `advice` also needs scipy."""
 
 from grasp_env.grasp import presets, wrench
+from grasp_env.grasp.files import load_grasp, save_grasp
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
+from grasp_env.grasp.transforms import gravity_wrench, transform_wrench, transformed, wrench_about
 
-__all__ = ["Grasp", "null_space_basis", "presets", "reference_basis", "wrench"]
+__all__ = [
+    "Grasp",
+    "gravity_wrench",
+    "load_grasp",
+    "null_space_basis",
+    "presets",
+    "reference_basis",
+    "save_grasp",
+    "transform_wrench",
+    "transformed",
+    "wrench",
+    "wrench_about",
+]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from grasp_env._check import Array, ContactForces, Wrench, as_array
 from grasp_env.errors import InvalidInputError, RankDeficientGraspError
 from grasp_env.grasp.contact_model import ContactModels
-from grasp_env.grasp.kernels import contact_geometry
+from grasp_env.grasp.kernels import ROUNDING, contact_geometry
 
 UNIT_TOLERANCE = 1e-6
 """Normals may miss unit length by this much; they are then normalised exactly."""
@@ -100,7 +100,7 @@ class Grasp:
                 f"normals must be unit vectors into the object; normal {worst} is {inward[worst].tolist()} with "
                 f"length {lengths[worst]:.6g}: divide it by its length"
             )
-        inward = inward / lengths[:, None]
+        inward = np.where(off[:, None] > ROUNDING, inward / lengths[:, None], inward)
         along = _tangents(tangents, inward)
         frames, matrix, cone_matrix = contact_geometry(points, inward, models.cone_divisor, along)
         torsion_matrix = np.zeros((6, len(points)))

@@ -9,6 +9,8 @@ import numpy as np
 from grasp_env._compile import compiled
 
 TANGENT_SWITCH = 0.9
+ROUNDING = 1e-15
+"""Directions that miss unit length and orthogonality by no more are kept, so that a grasp made again keeps its bits."""
 
 
 @compiled
@@ -25,14 +27,22 @@ def contact_geometry(positions, normals, cone_divisor, tangents):
         nx, ny, nz = normals[k]
         if tangents.shape[0] > 0:
             ox, oy, oz = tangents[k]
-            along = ox * nx + oy * ny + oz * nz
-            ox, oy, oz = ox - along * nx, oy - along * ny, oz - along * nz
+            for _ in range(
+                2
+            ):  # the second takes away what rounding left of o . n where a tangent is close to the normal
+                along = ox * nx + oy * ny + oz * nz
+                if abs(along) > ROUNDING:
+                    ox, oy, oz = ox - along * nx, oy - along * ny, oz - along * nz
+                length = math.sqrt(ox * ox + oy * oy + oz * oz)
+                if abs(length - 1.0) > ROUNDING:
+                    ox, oy, oz = ox / length, oy / length, oz / length
         elif abs(nx) > TANGENT_SWITCH:
             ox, oy, oz = -ny * nx, 1.0 - ny * ny, -ny * nz
         else:
             ox, oy, oz = 1.0 - nx * nx, -nx * ny, -nx * nz
         length = math.sqrt(ox * ox + oy * oy + oz * oz)
-        ox, oy, oz = ox / length, oy / length, oz / length
+        if abs(length - 1.0) > ROUNDING:
+            ox, oy, oz = ox / length, oy / length, oz / length
         frames[k, 0, 0], frames[k, 1, 0], frames[k, 2, 0] = nx, ny, nz
         frames[k, 0, 1], frames[k, 1, 1], frames[k, 2, 1] = ox, oy, oz
         frames[k, 0, 2] = ny * oz - nz * oy

@@ -1,0 +1,237 @@
+"""Limits on a grasp's forces besides friction: least and largest normal forces, and joint torques.
+
+abs(J^T f + tau_0) <= tau_max is the effort limit of Han, Trinkle, Li 2000 and Lippiello, Siciliano, Villani 2013. All
+limits are linear in the forces: `ForceLimits.rows` lists them as A f <= b.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from grasp_env._check import Array, as_array
+from grasp_env.errors import InvalidInputError
+from grasp_env.force.torques import checked_jacobian
+from grasp_env.grasp.grasp import Grasp
+
+
+class LimitArrays(NamedTuple):
+    """Limits of N contacts and J joints, every array there.
+
+    Attributes:
+        min_normal: (N,) [N].
+        max_normal: (N,) [N], inf where unlimited.
+        jacobian: (N, 4, J) contact frames, the torsion's row zero unless given; J = 0 without torque limits.
+        torque_limit: (J,) [N m], inf where unlimited.
+        torque_bias: (J,) tau_0 [N m].
+    """
+
+    min_normal: Array
+    max_normal: Array
+    jacobian: Array
+    torque_limit: Array
+    torque_bias: Array
+
+
+class LimitRows(NamedTuple):
+    """Limits as A f <= b on f = (normal, o, t, torsion) of contact after contact.
+
+    Attributes:
+        matrix: A, (M, 4N).
+        bound: b, (M,) [N] for normal forces, [N m] for torques.
+        labels: M texts for people.
+    """
+
+    matrix: Array
+    bound: Array
+    labels: tuple[str, ...]
+
+
+class LimitSlack(NamedTuple):
+    """Distance to the nearest limit of each kind; negative where violated, inf where there is no limit.
+
+    Attributes:
+        min_normal: least normal - min_normal [N].
+        max_normal: least max_normal - normal [N].
+        torque: least torque_limit - abs(torque) [N m].
+    """
+
+    min_normal: float
+    max_normal: float
+    torque: float
+
+
+@dataclass(frozen=True, eq=False)
+class ForceLimits:
+    """Limits on normal forces and joint torques.
+
+    Attributes:
+        min_normal: >= 0 [N], one for all contacts or (N,).
+        max_normal: > min_normal [N], one or (N,); inf: no limit.
+        jacobian: (N, 3, J) or (3N, J), joint speeds -> contact point velocities in contact frames; (N, 4, J) with the
+            angular velocity about the normal for soft contacts. See `contact_jacobian`.
+        torque_limit: > 0 [N m], one for all joints or (J,); inf: no limit. Given exactly when `jacobian` is.
+        torque_bias: (J,) tau_0 [N m], torques that act besides the grasp's (the hand's weight); None: zero.
+
+    Raises:
+        InvalidInputError: a limit out of its range, a crossing pair, shapes that do not fit, or half a torque limit.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> limits = ForceLimits(max_normal=[5, 3, 3])
+        >>> limits.slack([[4, 0, 0], [2, 0, 0], [2, 0, 0]])
+        LimitSlack(min_normal=2.0, max_normal=1.0, torque=inf)
+        >>> limits.violations(presets.tripod(), [[4, 0, 0], [2, 0, 0], [3.5, 0, 0]])
+        ['contact 2: normal <= 3 N is exceeded by 0.5']
+    """
+
+    min_normal: ArrayLike = 0.0
+    max_normal: ArrayLike = np.inf
+    jacobian: ArrayLike | None = None
+    torque_limit: ArrayLike | None = None
+    torque_bias: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        least = _bound(self.min_normal, "min_normal", "contact", zero=True, infinite=False)
+        most = _bound(self.max_normal, "max_normal", "contact", zero=False, infinite=True)
+        _check_order(least, most)
+        arrays: dict[str, Array] = {"min_normal": least, "max_normal": most}
+        if (self.jacobian is None) != (self.torque_limit is None):
+            raise InvalidInputError(
+                "torque limits need jacobian and torque_limit together, got only "
+                f"{'torque_limit' if self.jacobian is None else 'jacobian'}"
+            )
+        if self.jacobian is not None and self.torque_limit is not None:
+            jac = checked_jacobian(self.jacobian)
+            joints = jac.shape[2]
+            limit = _bound(self.torque_limit, "torque_limit", "joint", zero=False, infinite=True)
+            if limit.ndim and len(limit) != joints:
+                raise InvalidInputError(
+                    f"torque_limit has {len(limit)} entries, the jacobian {joints} joints: give one or {joints}"
+                )
+            bias = (
+                np.zeros(joints) if self.torque_bias is None else as_array(self.torque_bias, (joints,), "torque_bias")
+            )
+            arrays |= {"jacobian": jac, "torque_limit": np.broadcast_to(limit, (joints,)).copy(), "torque_bias": bias}
+        elif self.torque_bias is not None:
+            raise InvalidInputError(
+                "torque_bias without torque limits has no effect: give jacobian and torque_limit too"
+            )
+        for name, array in arrays.items():
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def checked(self, n_contacts: int) -> LimitArrays:
+        """The limits for N contacts, every array of full shape.
+
+        Raises:
+            InvalidInputError: limits or a Jacobian of another number of contacts.
+        """
+        each = {}
+        for name in ("min_normal", "max_normal"):
+            value = np.asarray(getattr(self, name))
+            if value.ndim and len(value) != n_contacts:
+                raise InvalidInputError(
+                    f"{name} has {len(value)} entries, the grasp {n_contacts} contacts: give one or {n_contacts}"
+                )
+            each[name] = np.broadcast_to(value, (n_contacts,)).copy()
+        if self.jacobian is None:
+            nothing = np.zeros(0)
+            return LimitArrays(**each, jacobian=np.zeros((n_contacts, 4, 0)), torque_limit=nothing, torque_bias=nothing)
+        given = checked_jacobian(self.jacobian, n_contacts)
+        jac = np.zeros((n_contacts, 4, given.shape[2]))
+        jac[:, : given.shape[1]] = given
+        return LimitArrays(
+            **each, jacobian=jac, torque_limit=np.array(self.torque_limit), torque_bias=np.array(self.torque_bias)
+        )
+
+    def slack(self, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
+        """How far forces (N, 3) [N] and torsions (N,) [N m] are from the limits; see `LimitSlack`."""
+        least, most, jac, limit, bias = self.checked(len(as_array(force, (None, 3), "force")))
+        forces = _with_torsion(force, torsion)
+        torque = np.einsum("nij,ni->j", jac, forces) + bias
+        return LimitSlack(
+            float((forces[:, 0] - least).min(initial=np.inf)),
+            float((most - forces[:, 0]).min(initial=np.inf)),
+            float((limit - np.abs(torque)).min(initial=np.inf)),
+        )
+
+    def rows(self, grasp: Grasp) -> LimitRows:
+        """All finite limits as A f <= b in FORCE coordinates (not cone coordinates), for solvers.
+
+        The order: least normal forces > 0 (0 is the cone's own limit), largest normal forces, then each limited joint's
+        upper and lower torque. Columns of what a contact does not transmit are zero.
+
+        Raises:
+            InvalidInputError: limits of another number of contacts.
+        """
+        count = grasp.n_contacts
+        least, most, jac, limit, bias = self.checked(count)
+        matrix: list[Array] = []
+        bound: list[float] = []
+        labels: list[str] = []
+        for sign, normals, word in ((-1.0, least, ">="), (1.0, most, "<=")):
+            for k in np.flatnonzero((normals > 0.0) & np.isfinite(normals)):
+                row = np.zeros((count, 4))
+                row[k, 0] = sign
+                matrix.append(row)
+                bound.append(sign * normals[k])
+                labels.append(f"contact {k}: normal {word} {normals[k]:g} N")
+        transmitted = np.ones((count, 4))
+        transmitted[:, :3] = grasp.models.cone_scale > 0.0
+        transmitted[:, 3] = grasp.models.torsional_friction > 0.0
+        for j in np.flatnonzero(np.isfinite(limit)):
+            for sign, word in ((1.0, "<= "), (-1.0, ">= -")):
+                matrix.append(sign * transmitted * jac[:, :, j])
+                bound.append(limit[j] - sign * bias[j])
+                labels.append(f"joint {j}: torque {word}{limit[j]:g} N m")
+        return LimitRows(np.array(matrix).reshape(len(bound), 4 * count), np.array(bound), tuple(labels))
+
+    def violations(
+        self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9
+    ) -> list[str]:
+        """One text per limit that forces (N, 3) [N], torsions (N,) [N m] exceed by more than `tolerance` [N, N m]."""
+        matrix, bound, labels = self.rows(grasp)
+        forces = _with_torsion(as_array(force, (grasp.n_contacts, 3), "force"), torsion)
+        excess = matrix @ forces.reshape(-1) - bound
+        return [f"{labels[k]} is exceeded by {excess[k]:.3g}" for k in np.flatnonzero(excess > tolerance)]
+
+
+def _with_torsion(force: ArrayLike, torsion: ArrayLike | None) -> Array:
+    """(N, 4): normal, o, t, torsion."""
+    forces = as_array(force, (None, 3), "force")
+    twist = np.zeros(len(forces)) if torsion is None else as_array(torsion, (len(forces),), "torsion")
+    return np.column_stack([forces, twist])
+
+
+def _bound(value: ArrayLike, name: str, of: str, *, zero: bool, infinite: bool) -> Array:
+    """A number or a vector of limits within range, read as float64."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(f"{name} must be a number or one per {of}: {error}") from None
+    low = array >= 0.0 if zero else array > 0.0
+    if array.ndim > 1 or array.size == 0 or not (low & (infinite | np.isfinite(array))).all():
+        raise InvalidInputError(
+            f"{name} must be {'>= 0' if zero else '> 0'}{', inf for no limit,' if infinite else ' and finite,'} one for all "
+            f"or one per {of}, got {np.asarray(value).tolist()}"
+        )
+    return array
+
+
+def _check_order(least: Array, most: Array) -> None:
+    try:
+        crossing = np.broadcast_to(least >= most, np.broadcast_shapes(least.shape, most.shape)).reshape(-1)
+    except ValueError:
+        raise InvalidInputError(
+            f"min_normal has {len(least)} entries and max_normal {len(most)}: give one or N of each"
+        ) from None
+    if crossing.any():
+        k = int(crossing.argmax())
+        raise InvalidInputError(
+            f"max_normal must be > min_normal at every contact; at contact {k} they are "
+            f"{np.broadcast_to(most, crossing.shape)[k]:g} and {np.broadcast_to(least, crossing.shape)[k]:g}"
+        )

@@ -1,0 +1,142 @@
+"""Contacts that are valid but look like a mistake, said in words."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import linprog
+
+from grasp_env._check import Array
+from grasp_env.grasp.grasp import Grasp
+
+LARGEST_LENGTH = 5.0
+"""[m] a grasp's length beyond which its positions are probably millimetres."""
+LARGEST_FRICTION = 2.0
+"""Coulomb coefficients beyond it are rare even for rubber."""
+LARGEST_TORSIONAL_FRICTION = 0.1
+"""[m] gamma beyond it would need a contact patch as large as a hand."""
+LARGEST_CONDITION = 1e3
+"""Condition number of G, moments over the grasp's length, beyond which some wrenches need huge forces."""
+SMALLEST_DISTANCE = 0.01
+"""Contacts closer together than this part of the grasp's length hardly help each other."""
+_EDGES = 8
+
+
+def advise(grasp: Grasp) -> list[str]:
+    """What looks wrong about a grasp, one text each; empty when nothing does. Nothing is printed or raised.
+
+    Looks for normals that point out of the object, millimetres, friction beyond 2, contacts that nearly coincide and a
+    nearly singular G. Every text says what was seen, when it may be right, and what to change.
+
+    Args:
+        grasp: a valid grasp.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> good = presets.tripod()
+        >>> advise(good)
+        []
+        >>> print(*advise(Grasp.from_contacts(good.positions, -good.normals, 0.5)))
+        all 3 normals point away from the centre of the contacts: normals must point INTO the object; ...
+    """
+    return [*_normals(grasp), *_sizes(grasp), *_coincident(grasp), *_condition(grasp)]
+
+
+def has_force_closure(grasp: Grasp, flipped: Array | None = None) -> bool:
+    """Whether the contacts can squeeze, every one strictly inside its cone, judged with inscribed pyramids of 8 edges.
+
+    Conservative: a grasp that has closure only with its full cones counts as one without.
+
+    Args:
+        grasp: the contacts; rank(G) = 6, as of every `Grasp`.
+        flipped: (N,) bool, contacts whose normals are taken the other way round.
+    """
+    models = grasp.models
+    angles = 2.0 * np.pi * np.arange(_EDGES) / _EDGES
+    sign = np.ones(grasp.n_contacts) if flipped is None else np.where(flipped, -1.0, 1.0)
+    wrenches: list[Array] = []
+    for k, (mu, gamma) in enumerate(zip(models.friction, models.torsional_friction, strict=True)):
+        edges = np.stack([np.full(_EDGES, sign[k]), mu[0] * np.cos(angles), mu[1] * np.sin(angles)])
+        made = grasp.matrix[:, 3 * k : 3 * k + 3] @ edges
+        twist = gamma * grasp.torsion_matrix[:, k : k + 1]
+        wrenches += [made + twist, made - twist]
+    # positive weights that balance, all at least 1: a squeeze in the interior of every pyramid
+    columns = np.concatenate(wrenches, axis=1)
+    columns[3:] /= grasp.length
+    size = columns.shape[1]
+    return linprog(np.zeros(size), A_eq=columns, b_eq=np.zeros(6), bounds=(1.0, None), method="highs").status == 0
+
+
+def _normals(grasp: Grasp) -> list[str]:
+    towards = np.einsum("ij,ij->i", grasp.normals, grasp.positions.mean(axis=0) - grasp.positions)
+    away = towards < -1e-9 * grasp.length
+    if away.all():
+        return [
+            f"all {len(away)} normals point away from the centre of the contacts: normals must point INTO the object; "
+            "change their sign, unless the fingers press outwards from inside a hole"
+        ]
+    # turning ALL normals round never changes force closure, turning some does
+    if away.any() and not has_force_closure(grasp) and has_force_closure(grasp, away):
+        return [
+            f"the normals of contacts {np.flatnonzero(away).tolist()} point away from the centre of the contacts, and the "
+            "fingers cannot squeeze the object; with these normals turned round they could: normals must point INTO the object"
+        ]
+    return []
+
+
+def _sizes(grasp: Grasp) -> list[str]:
+    said = []
+    if grasp.length > LARGEST_LENGTH:
+        said.append(
+            f"the contacts lie {grasp.length:.3g} m from their centre (root mean square): positions are in metres; "
+            "divide millimetres by 1000"
+        )
+    high = (grasp.models.friction > LARGEST_FRICTION).any(axis=1)
+    if high.any():
+        worst = int(grasp.models.friction.max(axis=1).argmax())
+        said.append(
+            f"friction is {grasp.models.friction[worst].max():.3g} at contact {worst}: rubber reaches 1 to 2; give the "
+            "coefficient, tan(friction angle), not an angle in degrees"
+        )
+    gamma = grasp.models.torsional_friction
+    if (gamma > LARGEST_TORSIONAL_FRICTION).any():
+        worst = int(gamma.argmax())
+        said.append(
+            f"torsional_friction is {gamma[worst]:.3g} m at contact {worst}: a fingertip has about 0.005 m; divide "
+            "millimetres by 1000"
+        )
+    return said
+
+
+def _coincident(grasp: Grasp) -> list[str]:
+    apart = np.linalg.norm(grasp.positions[:, None] - grasp.positions, axis=2)
+    first, second = np.nonzero(np.triu(apart < SMALLEST_DISTANCE * grasp.length, 1))
+    return [
+        f"contacts {i} and {j} are {1e3 * apart[i, j]:.3g} mm apart, {100 * apart[i, j] / grasp.length:.2g} % of the grasp's "
+        "length: they act like one contact; drop one or correct its position"
+        for i, j in zip(first.tolist(), second.tolist(), strict=True)
+    ]
+
+
+def _condition(grasp: Grasp) -> list[str]:
+    centre = grasp.positions.mean(axis=0)
+    here, centred = (_condition_number(grasp, about) for about in (np.zeros(3), centre))
+    if centred > LARGEST_CONDITION:
+        return [
+            f"G is nearly singular, condition number {centred:.2g}: some wrenches need forces that much larger than others; "
+            "spread the contacts, away from one common line, or add friction, torsion or a contact"
+        ]
+    if here > LARGEST_CONDITION:
+        return [
+            f"G has condition number {here:.2g}, but {centred:.2g} with moments about the centre of the contacts: the object "
+            f"frame's origin is {np.linalg.norm(centre):.3g} m away; put it near the contacts"
+        ]
+    return []
+
+
+def _condition_number(grasp: Grasp, about: Array) -> float:
+    matrix = grasp.matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
+    whole = np.concatenate([matrix, grasp.torsion_matrix * grasp.length], axis=1)
+    whole[3:] -= np.cross(about, whole[:3].T).T
+    whole[3:] /= grasp.length
+    values = np.linalg.svd(whole, compute_uv=False)
+    return float(values[0] / values[-1])

@@ -1,0 +1,170 @@
+"""Grasps in files: JSON that people can write, checked as strictly as `Grasp.from_contacts` checks its arguments.
+
+A file by hand needs three keys; the others have the defaults of `Grasp.from_contacts`:
+
+    {"positions": [[0.04, 0, 0], [-0.02, 0.03, 0], [-0.02, -0.03, 0]],
+     "normals": [[-1, 0, 0], [0.6, -0.8, 0], [0.6, 0.8, 0]],
+     "friction": 0.5}
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_env.errors import GraspError, GraspFileError
+from grasp_env.grasp.grasp import Grasp
+
+SCHEMA = "grasp-force/grasp/1"
+"""Name and version of the format."""
+UNITS = {"positions": "m", "normals": "1", "friction": "1", "torsional_friction": "m", "tangents": "1"}
+"""The only units that a file may state."""
+_REQUIRED = ("positions", "normals", "friction")
+_OPTIONAL = ("contact_model", "torsional_friction", "tangents")
+_HEADER = ("schema", "units")
+
+
+def save_grasp(grasp: Grasp, path: str | Path) -> Path:
+    """Writes a grasp as JSON, whole or not at all: under a temporary name that is then renamed.
+
+    Numbers are written with all their digits. Friction becomes (N,) where every cone is round, else (N, 2); tangents
+    are left out where they are those of `contact_frames`.
+
+    Args:
+        grasp: the grasp.
+        path: the file; missing folders are made, an existing file is replaced.
+
+    Returns:
+        The file's path.
+
+    Raises:
+        GraspFileError: the file cannot be written.
+
+    Example:
+        >>> import tempfile
+        >>> from grasp_env.grasp import presets
+        >>> folder = tempfile.TemporaryDirectory()
+        >>> load_grasp(save_grasp(presets.tripod(), f"{folder.name}/tripod.json")).friction
+        array([0.5, 0.5, 0.5])
+        >>> folder.cleanup()
+    """
+    file = Path(path)
+    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in _described(grasp).items()]
+    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+            os.replace(temporary, file)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise GraspFileError(f"cannot write grasp file {file}: {error.strerror}; choose another path") from error
+    return file
+
+
+def load_grasp(path: str | Path) -> Grasp:
+    """Reads a grasp that `save_grasp` or a person wrote.
+
+    Args:
+        path: a JSON file with `positions` (N, 3) [m], `normals` (N, 3) into the object, both in the object frame, and
+            `friction`; optional `contact_model`, `torsional_friction` [m], `tangents`, as in `Grasp.from_contacts`.
+            `schema` and `units`, where given, must be this version's.
+
+    Raises:
+        GraspFileError: the file is missing, is not JSON, has an unknown, repeated or missing key, other units or
+            another schema, or values that make no grasp; the message names file and field, `__cause__` is the grasp's
+            own error.
+    """
+    file = Path(path)
+    given = _read(file)
+    for key, value in given.items():
+        if key in (*_REQUIRED, "torsional_friction", "tangents") and not _is_numeric(value):
+            raise GraspFileError(
+                f"grasp file {file}: {key} must be numbers or lists of numbers, got {_short(value)}: "
+                "mend it or, if it is optional, leave the key out"
+            )
+    models = given.get("contact_model", "hard")
+    if not isinstance(models, str | list):
+        raise GraspFileError(
+            f"grasp file {file}: contact_model must be a name or a list of N names, got {_short(models)}"
+        )
+    try:
+        return Grasp.from_contacts(
+            given["positions"],
+            given["normals"],
+            given["friction"],
+            contact_model=models,
+            torsional_friction=given.get("torsional_friction"),
+            tangents=given.get("tangents"),
+        )
+    except GraspError as error:
+        raise GraspFileError(f"grasp file {file}: {error}") from error
+
+
+def _described(grasp: Grasp) -> dict[str, Any]:
+    models = grasp.models
+    mu = models.friction
+    arguments: dict[str, Any] = {
+        "positions": grasp.positions.tolist(),
+        "normals": grasp.normals.tolist(),
+        "friction": (mu[:, 0] if (mu[:, 0] == mu[:, 1]).all() else mu).tolist(),
+        "contact_model": list(models.names),
+    }
+    if not grasp.hard:
+        arguments["torsional_friction"] = models.torsional_friction.tolist()
+    if not np.array_equal(Grasp.from_contacts(**arguments).frames, grasp.frames):
+        arguments["tangents"] = grasp.frames[:, :, 1].tolist()
+    return {"schema": SCHEMA, "units": {key: unit for key, unit in UNITS.items() if key in arguments}, **arguments}
+
+
+def _read(file: Path) -> dict[str, Any]:
+    """The file's keys and values, the header checked; integers become floats, so that huge ones are infinite."""
+    try:
+        given = json.loads(file.read_text(encoding="utf-8-sig"), parse_int=float, object_pairs_hook=_unique)
+    except OSError as error:
+        raise GraspFileError(f"cannot read grasp file {file}: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise GraspFileError(f"grasp file {file} is not a JSON object of this format: {error}") from error
+    if not isinstance(given, dict):
+        raise GraspFileError(f"grasp file {file} must be one JSON object {{...}}, got {_short(given)}")
+    if given.get("schema", SCHEMA) != SCHEMA:
+        raise GraspFileError(
+            f"grasp file {file} has schema {given['schema']!r}, this version reads {SCHEMA!r}: convert it, or leave the "
+            "key out of a file written by hand"
+        )
+    unknown = [key for key in given if key not in (*_HEADER, *_REQUIRED, *_OPTIONAL)]
+    missing = [key for key in _REQUIRED if key not in given]
+    if unknown or missing:
+        raise GraspFileError(
+            f"grasp file {file}: unknown keys {unknown}, missing keys {missing}; required are {list(_REQUIRED)}, "
+            f"allowed besides {[*_OPTIONAL, *_HEADER]}"
+        )
+    units = given.get("units", {})
+    if not isinstance(units, dict) or any(UNITS.get(key) != unit for key, unit in units.items()):
+        raise GraspFileError(
+            f"grasp file {file}: units must be {UNITS} or part of it, got {_short(units)}: convert the numbers"
+        )
+    return given
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"key {next(key for key in keys if keys.count(key) > 1)!r} is given twice: keep one")
+    return found
+
+
+def _is_numeric(value: Any) -> bool:
+    """Whether a JSON value is numbers in lists: numpy would also take "0.4" and true."""
+    return all(_is_numeric(each) for each in value) if isinstance(value, list) else isinstance(value, float)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -1,0 +1,166 @@
+"""Rigid changes of frame for wrenches and grasps, moments about other points, and weight as a wrench.
+
+The pose of frame B in frame A is (rotation R, translation p): the columns of R are B's axes in A's coordinates and p
+is B's origin in A [m], so that a point x_B has x_A = R x_B + p. The inverse pose is (R.T, -R.T @ p).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from grasp_env._check import Array, Wrench, as_array, positive
+from grasp_env.errors import InvalidInputError
+from grasp_env.grasp.grasp import Grasp
+
+ROTATION_TOLERANCE = 1e-6
+"""R^T R may miss the identity by this much, as single precision does; R is then made orthonormal."""
+GRAVITY: tuple[float, float, float] = (0.0, 0.0, -9.81)
+"""[m/s^2] gravitational acceleration in a world whose z axis points up."""
+
+
+def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayLike) -> Array:
+    """The same wrenches in another frame, axes and reference point (the adjoint of Murray, Li, Sastry 1994).
+
+    F_A = R F_B and m_A = R m_B + p x F_A, where m_B is about B's origin and m_A about A's.
+
+    Args:
+        wrench: (..., 6) force [N] and moment about the origin of B [N m], in B's coordinates.
+        rotation: (3, 3) R, columns are the axes of B in A.
+        translation: (3,) p, the origin of B in A [m].
+
+    Returns:
+        (..., 6) force and moment about the origin of A, in A's coordinates.
+
+    Raises:
+        InvalidInputError: wrong shapes, values that are not finite, or a matrix that is no rotation.
+
+    Example:
+        >>> transform_wrench([0, 0, -2, 0, 0, 0], np.eye(3), [0.1, 0, 0])   # a weight of 2 N hangs at x = 0.1 m
+        array([ 0. ,  0. , -2. ,  0. ,  0.2,  0. ])
+    """
+    force, moment = _split(wrench)
+    turn = checked_rotation(rotation)
+    force_a = force @ turn.T
+    return np.concatenate(
+        [force_a, moment @ turn.T + np.cross(as_array(translation, (3,), "translation"), force_a)], -1
+    )
+
+
+def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Grasp:
+    """The same contacts in another frame; tangents turn along, so contact forces (normal, o, t) keep their numbers.
+
+    `transformed(grasp, R, p).wrench(f)` equals `transform_wrench(grasp.wrench(f), R, p)` for every f. Forces that
+    balance w stay balanced when w is transformed too.
+
+    Args:
+        grasp: contacts in frame B.
+        rotation: (3, 3) R, columns are the axes of B in A.
+        translation: (3,) p, the origin of B in A [m].
+
+    Returns:
+        The grasp in frame A, with the same contact models and friction.
+
+    Raises:
+        InvalidInputError: wrong shapes, values that are not finite, or a matrix that is no rotation.
+        RankDeficientGraspError: a translation so long that moments about A's origin drown in rounding.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> transformed(presets.tripod(), np.eye(3), [0, 0, 0.1]).positions[0]
+        array([0.04, 0.  , 0.1 ])
+    """
+    turn = checked_rotation(rotation)
+    models = grasp.models
+    return Grasp.from_contacts(
+        grasp.positions @ turn.T + as_array(translation, (3,), "translation"),
+        grasp.normals @ turn.T,
+        models.friction,
+        contact_model=models.names,
+        torsional_friction=None if grasp.hard else models.torsional_friction,
+        tangents=grasp.frames[:, :, 1] @ turn.T,
+    )
+
+
+def wrench_about(wrench: ArrayLike, point: ArrayLike) -> Array:
+    """Wrenches with their moment taken about `point` instead of the origin; same axes: m' = m - point x F.
+
+    Args:
+        wrench: (..., 6) force [N] and moment about the origin [N m].
+        point: (3,) the new reference point [m], in the coordinates of the wrench.
+
+    Returns:
+        (..., 6) force and moment about `point`.
+
+    Example:
+        >>> wrench_about([0, 0, -2, 0, 0.2, 0], [0.1, 0, 0])   # the weight has no moment about where it hangs
+        array([ 0.,  0., -2.,  0.,  0.,  0.])
+    """
+    force, moment = _split(wrench)
+    return np.concatenate([force, moment - np.cross(as_array(point, (3,), "point"), force)], -1)
+
+
+def gravity_wrench(
+    mass: float, com: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None, gravity: ArrayLike = GRAVITY
+) -> Wrench:
+    """The weight of the object as an external wrench, ready for `optimize_force`.
+
+    Args:
+        mass: of the object, > 0 [kg].
+        com: (3,) centre of mass [m], object frame.
+        rotation: (3, 3) the object's attitude, columns are its axes in world coordinates; None: aligned with the world.
+        gravity: (3,) gravitational acceleration in world coordinates [m/s^2]; z points up by default.
+
+    Returns:
+        (6,) force [N] and moment about the object origin [N m], object frame.
+
+    Raises:
+        InvalidInputError: a mass <= 0, wrong shapes, values that are not finite, or a matrix that is no rotation.
+
+    Example:
+        >>> gravity_wrench(0.2, com=[0.01, 0, 0])
+        array([ 0.    ,  0.    , -1.962 ,  0.    ,  0.01962,  0.    ])
+    """
+    force = positive(mass, "mass") * as_array(gravity, (3,), "gravity")
+    if rotation is not None:
+        force = checked_rotation(rotation).T @ force
+    return np.concatenate([force, np.cross(as_array(com, (3,), "com"), force)])
+
+
+def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
+    """A rotation matrix (3, 3), orthonormal to rounding.
+
+    Raises:
+        InvalidInputError: not (3, 3), not finite, not orthonormal to 1e-6, or a reflection.
+
+    Example:
+        >>> checked_rotation(np.diag([1.0, 1.0, -1.0]))
+        Traceback (most recent call last):
+        grasp_env.errors.InvalidInputError: rotation is a reflection ...
+    """
+    matrix = as_array(rotation, (3, 3), name)
+    gram = matrix.T @ matrix
+    off = float(np.abs(gram - np.eye(3)).max())
+    if not off <= ROTATION_TOLERANCE:
+        raise InvalidInputError(
+            f"{name} must be a rotation: R^T R misses the identity by {off:.3g}, at most {ROTATION_TOLERANCE:g} is "
+            f"allowed, got {matrix.tolist()}: make its columns orthonormal (u @ vt of its singular value decomposition)"
+        )
+    if np.linalg.det(matrix) < 0.0:
+        raise InvalidInputError(
+            f"{name} is a reflection (determinant -1), got {matrix.tolist()}: change the sign of one axis; the frames "
+            "must both be right-handed"
+        )
+    # one Newton step to the nearest rotation: exact ones stay as they are
+    return matrix @ (1.5 * np.eye(3) - 0.5 * gram)
+
+
+def _split(wrench: ArrayLike) -> tuple[Array, Array]:
+    try:
+        shape = np.shape(wrench)
+    except ValueError:  # ragged lists
+        shape = ()
+    if not shape or shape[-1] != 6:
+        raise InvalidInputError(f"wrench must have shape (6,) or (..., 6), force [N] then moment [N m], got {shape}")
+    checked = as_array(wrench, shape, "wrench")
+    return checked[..., :3], checked[..., 3:]

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import GRASPS, pyramid_margin, random_grasp
+
+from grasp_env.grasp import Grasp, presets
+from grasp_env.grasp.advice import advise, has_force_closure
+from grasp_env.grasp.transforms import transformed
+
+
+def _only(grasp: Grasp) -> str:
+    said = advise(grasp)
+    assert len(said) == 1, said
+    return said[0]
+
+
+@pytest.mark.parametrize("name", GRASPS)
+def test_good_grasps_need_no_advice(name: str) -> None:
+    assert advise(GRASPS[name]) == []
+
+
+def test_random_grasps_need_no_advice_about_normals() -> None:
+    rng = np.random.default_rng(0)
+    for k in range(40):
+        grasp = random_grasp(rng, 4 + k % 4)
+        assert not [text for text in advise(grasp) if "normal" in text]
+
+
+def test_force_closure_agrees_with_another_program() -> None:
+    rng = np.random.default_rng(1)
+    found = []
+    for k in range(40):
+        grasp = random_grasp(rng, 3 + k % 4)
+        # 32 facets find more than 8 edges do, and fewer than cones
+        if has_force_closure(grasp):
+            assert pyramid_margin(grasp, np.zeros(6), inner=True, limited=True)[0] > 0.0
+            found.append(True)
+        elif pyramid_margin(grasp, np.zeros(6), inner=False, limited=True)[0] <= 1e-9:
+            found.append(False)
+    assert found.count(True) > 20
+    assert found.count(False) > 2
+
+
+def test_closure_does_not_change_when_all_normals_turn_round() -> None:
+    """Why `advise` cannot judge outward normals by closure alone."""
+    rng = np.random.default_rng(2)
+    for k in range(12):
+        grasp = random_grasp(rng, 3 + k % 4)
+        assert has_force_closure(grasp, np.full(grasp.n_contacts, True)) == has_force_closure(grasp)
+
+
+def test_all_normals_outwards() -> None:
+    for grasp in GRASPS.values():
+        outwards = Grasp.from_contacts(grasp.positions, -grasp.normals, grasp.friction)
+        assert _only(outwards).startswith(f"all {grasp.n_contacts} normals point away from the centre")
+
+
+def test_one_normal_outwards() -> None:
+    grasp = presets.paper_cuboid()
+    normals = grasp.normals.copy()
+    normals[0] *= -1.0  # the thumb: nothing pushes against the fingers any more
+    assert "the normals of contacts [0] point away" in _only(Grasp.from_contacts(grasp.positions, normals, 0.4))
+
+
+def test_millimetres() -> None:
+    grasp = presets.paper_cuboid()
+    text = _only(Grasp.from_contacts(1000.0 * grasp.positions, grasp.normals, 0.4))
+    assert text.startswith(f"the contacts lie {1000 * grasp.length:.3g} m from their centre")
+    assert "divide millimetres by 1000" in text
+
+
+def test_friction() -> None:
+    assert "friction is 21.8 at contact 1" in _only(presets.tripod([0.5, 21.8, 0.5]))
+    assert "friction is 3 at contact 2" in _only(presets.tripod([[0.5, 0.5], [1.0, 2.0], [3.0, 0.5]]))
+    assert advise(presets.tripod(2.0)) == []
+    plain = presets.tripod()
+    soft = Grasp.from_contacts(plain.positions, plain.normals, 0.5, contact_model="soft", torsional_friction=5.0)
+    assert any(text.startswith("torsional_friction is 5 m at contact 0") for text in advise(soft))
+
+
+def test_nearly_coincident_contacts() -> None:
+    plain = presets.five_finger_cuboid()
+    positions = plain.positions.copy()
+    positions[3] = positions[1] + [1e-4, 0.0, 0.0]
+    text = _only(Grasp.from_contacts(positions, plain.normals, 0.4))
+    assert text.startswith("contacts 1 and 3 are 0.1 mm apart")
+
+
+def test_nearly_singular() -> None:
+    positions = np.array([[-0.05, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 2e-5, 0.0]])  # almost on one line
+    grasp = Grasp.from_contacts(positions, [[1, 0, 0], [-1, 0, 0], [0, -1, 0]], 0.5)
+    singular = [text for text in advise(grasp) if "nearly singular" in text]
+    whole = grasp.matrix / np.array([1, 1, 1, *[grasp.length] * 3])[:, None]
+    assert len(singular) == 1
+    # printed to two digits; moments about the centre of the contacts instead of the origin
+    assert float(singular[0].split("condition number ")[1].split(":")[0]) == pytest.approx(
+        np.linalg.cond(whole), rel=0.3
+    )
+
+
+def test_a_far_origin() -> None:
+    far = transformed(presets.tripod(), np.eye(3), [2.0, 0.0, 0.0])
+    assert "the object frame's origin is 2 m away" in _only(far)
+    assert advise(transformed(presets.tripod(), np.eye(3), [0.2, 0.0, 0.0])) == []
