@@ -10,7 +10,7 @@ from pathlib import Path
 
 import grasp_env
 from grasp_env._compile import _SOURCES
-from grasp_env.force import descent_kernels
+from grasp_env.force import newton_kernels
 
 PACKAGE = Path(grasp_env.__file__).parent
 CODE = """
@@ -24,7 +24,7 @@ print(out[0])
 
 
 def test_stamp_is_in_force():
-    assert descent_kernels.newton._cache._cache_file._source_stamp[1] == _SOURCES
+    assert newton_kernels.newton._cache._cache_file._source_stamp[1] == _SOURCES
 
 
 def test_an_edit_of_a_callee_is_noticed(tmp_path):

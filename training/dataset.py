@@ -12,8 +12,10 @@ import numpy as np
 from grasp_env._compile import compiled
 from grasp_env.errors import NotConvergedError
 from grasp_env.force import Objective, OfflineBasis
-from grasp_env.force.descent_kernels import newton
 from grasp_env.force.kernels import cholesky, inverse_hessian
+from grasp_env.force.lanes import CONSTANTS, LANES, pack_into
+from grasp_env.force.newton_kernels import GIVEN, newton
+from grasp_env.force.record import BOUND, FORCE, OBJECTIVE
 from grasp_env.force.start_kernels import combine
 from grasp_env.grasp import Grasp, null_space_basis
 from grasp_env.grasp.wrench import sample_magnitudes
@@ -77,10 +79,13 @@ def generate(
             wrenches[part],
             friction[part],
             grasp.matrix.copy(),
+            grasp.pseudoinverse.copy(),
             null_space,
             basis,
             frictions[0],
             objective.weights(grasp.n_contacts),
+            grasp.length,
+            LANES,
             coordinates[part],
             metric[part],
         )
@@ -102,7 +107,9 @@ def batches(count: int, size: int, rng: np.random.Generator) -> Iterator[np.ndar
 
 
 @compiled
-def _label(wrenches, friction, matrix, null_space, basis, basis_friction, weights, coordinates, metric):
+def _label(
+    wrenches, friction, matrix, pseudoinverse, null_space, basis, basis_friction, weights, length, lanes, coordinates, metric
+):  # fmt: skip
     size, dimension = null_space.shape
     x = np.empty(size)
     cone_matrix = np.empty((6, size))
@@ -110,6 +117,9 @@ def _label(wrenches, friction, matrix, null_space, basis, basis_friction, weight
     reduced = np.empty((dimension, dimension))
     scaled = np.empty((size, dimension))
     nothing = np.empty(0)
+    divisor, inverse = np.ones((size // 3, 3)), np.empty((size, 6))
+    constants = np.empty(((size // 3 + 3) // 4, 4 * CONSTANTS))
+    options, record = np.array([1e-10, 200.0, length, lanes, np.nan]), np.empty(FORCE + 7 * (size // 3))
     worst = 0.0
     for sample in range(wrenches.shape[0]):
         mu = friction[sample]
@@ -117,13 +127,19 @@ def _label(wrenches, friction, matrix, null_space, basis, basis_friction, weight
         for j in range(size):
             ratio = mu if j % 3 == 0 else 1.0
             if j % 3 == 0:
-                x[j] *= mu / basis_friction
+                x[j] /= basis_friction  # the start, as a force
+                divisor[j // 3, 0] = mu
             for i in range(6):
                 cone_matrix[i, j] = matrix[i, j] / ratio
+                inverse[j, i] = pseudoinverse[j, i] * ratio
             for k in range(dimension):
                 scaled[j, k] = null_space[j, k] * ratio
-        _, _, _, value, bound = newton(x, cone_matrix, wrenches[sample], weights, 1e-10, np.nan, 200, nothing)
+        pack_into(cone_matrix, inverse, x, divisor, weights, constants)
+        newton(constants, null_space, GIVEN, x, wrenches[sample], weights, options, record, nothing)
+        value, bound = record[OBJECTIVE], record[BOUND]
         worst = max(worst, (value - bound) / bound)
+        for j in range(size):
+            x[j] = record[FORCE + j] * (mu if j % 3 == 0 else 1.0)
         inverse_hessian(x, weights, blocks)
         reduced[:] = 0.0
         for c in range(size // 3):

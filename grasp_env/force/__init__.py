@@ -1,4 +1,4 @@
-"""Grasp-force optimisation: the paper's flows, the starts, Newton on the same objective. numpy, scipy, numba only."""
+"""Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem. numpy, scipy, numba only."""
 
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.description import cone_margin, description_matrix
@@ -12,22 +12,29 @@ from grasp_env.force.initial import (
     SingleValue,
     initial_rule,
 )
+from grasp_env.force.limits import ForceLimits
+from grasp_env.force.linear import LinearForces, linear_forces
+from grasp_env.force.methods import DESCENTS, METHODS
 from grasp_env.force.objective import Objective
-from grasp_env.force.optimizer import METHODS, ForceOptimizer, optimize_force
+from grasp_env.force.optimizer import ForceOptimizer, optimize_force
 from grasp_env.force.repair import Repair, carry_over
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep
+from grasp_env.force.torques import contact_jacobian, joint_torques
 
 __all__ = [
+    "DESCENTS",
     "METHODS",
     "RULES",
     "AdaptiveStep",
     "Feasibility",
+    "ForceLimits",
     "ForceOptimizer",
     "ForceSolution",
     "InitialForceRule",
     "Lagrange",
     "LinearCombination",
+    "LinearForces",
     "Objective",
     "OfflineBasis",
     "PhaseOne",
@@ -36,8 +43,11 @@ __all__ = [
     "Status",
     "carry_over",
     "cone_margin",
+    "contact_jacobian",
     "description_matrix",
     "initial_rule",
+    "joint_torques",
+    "linear_forces",
     "optimize_force",
     "phase_one",
 ]

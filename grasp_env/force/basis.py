@@ -9,9 +9,11 @@ import numpy as np
 
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError
+from grasp_env.force.basis_kernels import offline_basis
 from grasp_env.force.feasibility import phase_one
+from grasp_env.force.lanes import LANES, pack
 from grasp_env.force.objective import Objective
-from grasp_env.force.start_kernels import combine, offline_basis
+from grasp_env.force.start_kernels import combine
 from grasp_env.grasp.grasp import Grasp
 
 ACCEPTED_GAP = 1e-2
@@ -116,12 +118,17 @@ _REMEMBERED: WeakKeyDictionary[Grasp, dict[Objective, OfflineBasis]] = WeakKeyDi
 def _solve(
     cone_forces: Array, warm: bool, interior: Array, grasp: Grasp, pseudoinverse: Array, objective: Objective
 ) -> bool:
+    weights = objective.weights(grasp.n_contacts)
     worst = offline_basis(
         cone_forces,
         warm,
         interior,
+        pack(grasp, interior, weights),
         grasp.cone_matrix.copy(),  # kernels take writable arrays only: one compiled signature
         pseudoinverse,
-        objective.weights(grasp.n_contacts),
+        grasp.models.cone_divisor.copy(),
+        weights,
+        grasp.length,
+        LANES,
     )
     return bool(worst < ACCEPTED_GAP)

@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 
+from grasp_env._check import LARGEST
 from grasp_env._compile import compiled_lanes
 from grasp_env.force.cholesky6 import factor6, solve6
 from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
@@ -29,6 +30,7 @@ from grasp_env.force.record import (
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
+    REFUSED,
     RESIDUAL,
     TRIALS,
     WRENCH,
@@ -68,6 +70,10 @@ def conic(constants, wrench, options, record):
     tolerance, limit, length, lanes = options[0], options[1], options[2], int(options[3])
     blocks = constants.shape[0]
     count = (record.size - FORCE) // 7
+    for r in range(6):
+        if not abs(wrench[r]) <= LARGEST:
+            record[CODE] = REFUSED
+            return
     work = np.empty((blocks, WIDTH))
     sums = np.empty(84)
     lower = np.empty(21)
@@ -94,7 +100,12 @@ def conic(constants, wrench, options, record):
             for a in range(3):
                 p = 4 * (PINV + 6 * a) + n
                 row[4 * (X + a) + n] = -(
-                    row[p] * w0 + row[p + 4] * w1 + row[p + 8] * w2 + row[p + 12] * w3 + row[p + 16] * w4 + row[p + 20] * w5
+                    row[p] * w0
+                    + row[p + 4] * w1
+                    + row[p + 8] * w2
+                    + row[p + 12] * w3
+                    + row[p + 16] * w4
+                    + row[p + 20] * w5
                 )
             o, t = row[4 * (X + 1) + n], row[4 * (X + 2) + n]
             ro, rt = row[4 * (REST + 1) + n], row[4 * (REST + 2) + n]

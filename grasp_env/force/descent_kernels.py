@@ -12,14 +12,9 @@ import numpy as np
 
 from grasp_env._compile import compiled
 from grasp_env.force.kernels import (
-    balance_factor,
     certified_bound,
-    lower_bound,
-    newton_step,
     phi,
-    rebalance,
     relative_gap,
-    step_to_boundary,
 )
 
 CONVERGED, LIMIT, STALLED = 0, 1, 2
@@ -111,53 +106,4 @@ def reduced_flow(
         x[:] = candidate
         value = trial
         alpha *= grow
-        iterations += 1
-
-
-@compiled
-def newton(x, cone_matrix, wrench, weights, tolerance, optimum, max_iterations, trace):
-    """Damped Newton on Phi under G f + w = 0; x (3N,) strictly feasible, overwritten. See `reduced_flow`."""
-    size = x.size
-    step = np.empty(size)
-    candidate = np.empty(size)
-    multipliers = np.empty(6)
-    factor = np.empty((6, 6))
-    left = np.empty(6)
-    balance_factor(cone_matrix, factor)
-    value = phi(x, weights)
-    known = optimum == optimum
-    bound = optimum if known else -np.inf
-    iterations, trials = 0, 0
-    while True:
-        if iterations < trace.size:
-            trace[iterations] = value
-        decrement = newton_step(x, cone_matrix, wrench, weights, step, multipliers)
-        if decrement < 0.0:
-            # rounding at the optimum, or a Schur complement that lost definiteness
-            code = CONVERGED if relative_gap(value, bound) <= tolerance else STALLED
-            return code, iterations, trials, value, bound
-        if not known:
-            bound = max(bound, lower_bound(multipliers, cone_matrix, wrench, weights))
-        if relative_gap(value, bound) <= tolerance:
-            return CONVERGED, iterations, trials, value, bound
-        if iterations >= max_iterations:
-            return LIMIT, iterations, trials, value, bound
-        alpha = min(1.0, 0.95 * step_to_boundary(x, step))
-        accepted, trial = False, value
-        for _ in range(60):
-            trials += 1
-            for i in range(size):
-                candidate[i] = x[i] + alpha * step[i]
-            # forces at very different depths in their cones make S ill-conditioned: 1e-8 of balance per step
-            rebalance(candidate, cone_matrix, wrench, factor, left)
-            trial = phi(candidate, weights)
-            if trial < value - 1e-4 * alpha * decrement or (trial <= value and decrement < 1e-9 * value):
-                accepted = True
-                break
-            alpha *= 0.5
-        if not accepted:
-            code = CONVERGED if relative_gap(value, bound) <= tolerance else STALLED
-            return code, iterations, trials, value, bound
-        x[:] = candidate
-        value = trial
         iterations += 1

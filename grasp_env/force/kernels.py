@@ -54,32 +54,25 @@ def gradient(x, weights, out):
 def inverse_hessian(x, weights, out):
     """Inverse of the 3 x 3 Hessian blocks of Phi into `out` (N, 3, 3).
 
-    In axes (u, radial, around) the block is [[a, b, 0], [b, c, 0], [0, 0, e]] with e = 4 u lam / d^2.
+    In closed form, without differences that cancel close to a cone: with p = u + s, q = u - s the part of Phi in the plane
+    of u and s is lambda (2/(p+q) + 1/p + 1/q), whose Hessian is diag(2/p^3, 2/q^3) + 4/(p+q)^3 (1, 1)(1, 1)^T.
     """
     for k in range(x.size // 3):
         u, o, t = x[3 * k], x[3 * k + 1], x[3 * k + 2]
-        s2 = o * o + t * t
-        s = math.sqrt(s2)
-        d = u * u - s2
+        u2, s2 = u * u, o * o + t * t
+        d = u2 - s2
         lam = weights[k, 1]
-        d3 = lam / (d * d * d)
-        a = 2.0 * lam / (u * u * u) + 4.0 * u * (u * u + 3.0 * s2) * d3
-        b = -4.0 * s * (3.0 * u * u + s2) * d3
-        c = 4.0 * u * (u * u + 3.0 * s2) * d3
-        e = 4.0 * u * d * d3
-        determinant = a * c - b * b
-        ia, ib, ic, ie = c / determinant, -b / determinant, a / determinant, 1.0 / e
-        if s > 0.0:
-            co, ct = o / s, t / s
-        else:
-            co, ct = 1.0, 0.0
+        scale = 1.0 / (6.0 * lam * (u2 + s2))
+        along = scale * u2 * (3.0 * u2 + s2)
+        across = d * d / (4.0 * lam * u)
+        bend = scale * (3.0 * u2 * (u2 + s2) - 2.0 * s2 * s2) / u
         block = out[k]
-        block[0, 0] = ia
-        block[0, 1] = block[1, 0] = ib * co
-        block[0, 2] = block[2, 0] = ib * ct
-        block[1, 1] = ic * co * co + ie * ct * ct
-        block[1, 2] = block[2, 1] = (ic - ie) * co * ct
-        block[2, 2] = ic * ct * ct + ie * co * co
+        block[0, 0] = scale * u2 * u * (u2 + 3.0 * s2)
+        block[0, 1] = block[1, 0] = along * o
+        block[0, 2] = block[2, 0] = along * t
+        block[1, 1] = across + bend * o * o
+        block[1, 2] = block[2, 1] = bend * o * t
+        block[2, 2] = across + bend * t * t
 
 
 @compiled

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_env._check import Array
+from grasp_env._compile import compiled
 from grasp_env.grasp.grasp import Grasp
 
 LANES = 4
@@ -43,24 +44,40 @@ def pack(grasp: Grasp, rest: Array, weights: Array) -> Array:
         rest: (3N,) an internal force strictly inside the cones, cone coordinates [N].
         weights: (N, 2) omega and lambda of each contact.
     """
-    count = grasp.n_contacts
-    blocks = -(-count // LANES)
-    table = np.zeros((blocks * LANES, CONSTANTS))
-    g = grasp.cone_matrix.reshape(6, count, 3).transpose(1, 2, 0)
-    signed = g * np.array([1.0, -1.0, -1.0])[None, :, None]
-    products = np.einsum("nar,nas->nrs", g, signed)
-    rows, columns = np.tril_indices(6)
-    table[:count, G : G + 18] = g.reshape(count, 18)
-    table[:count, K : K + 21] = products[:, rows, columns]
+    out = np.empty((-(-grasp.n_contacts // LANES), LANES * CONSTANTS))
     inverse = grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None]
-    table[:count, PINV : PINV + 18] = inverse.reshape(count, 18)
-    table[:, REST] = 1.0
-    table[:count, REST : REST + 3] = rest.reshape(count, 3)
-    table[:, DIVISOR : DIVISOR + 3] = 1.0
-    table[:count, DIVISOR : DIVISOR + 3] = grasp.models.cone_divisor
-    table[:, COST] = 1.0
-    table[:count, COST] = 1.0 / grasp.models.cone_divisor[:, 0]
-    table[:count, MASK] = 1.0
-    table[:, OMEGA] = table[:, LAM] = 1.0
-    table[:count, OMEGA : LAM + 1] = weights
-    return table.reshape(blocks, LANES, CONSTANTS).transpose(0, 2, 1).reshape(blocks, LANES * CONSTANTS).copy()
+    pack_into(grasp.cone_matrix.copy(), inverse, rest, grasp.models.cone_divisor.copy(), weights, out)
+    return out
+
+
+@compiled
+def pack_into(cone_matrix, inverse, rest, divisor, weights, out):
+    """`pack` on arrays: G and G^+ (3N, 6) in cone coordinates, the rest force, divisors (N, 3), weights (N, 2)."""
+    count = divisor.shape[0]
+    out[:] = 0.0
+    for i in range(LANES * out.shape[0]):
+        row, lane = out[i // LANES], i % LANES
+        row[LANES * REST + lane] = row[LANES * COST + lane] = 1.0
+        row[LANES * OMEGA + lane] = row[LANES * LAM + lane] = 1.0
+        for a in range(3):
+            row[LANES * (DIVISOR + a) + lane] = 1.0
+        if i >= count:
+            continue
+        row[LANES * MASK + lane] = 1.0
+        row[LANES * COST + lane] = 1.0 / divisor[i, 0]
+        row[LANES * OMEGA + lane], row[LANES * LAM + lane] = weights[i, 0], weights[i, 1]
+        for a in range(3):
+            row[LANES * (REST + a) + lane] = rest[3 * i + a]
+            row[LANES * (DIVISOR + a) + lane] = divisor[i, a]
+            for r in range(6):
+                row[LANES * (G + 6 * a + r) + lane] = cone_matrix[r, 3 * i + a]
+                row[LANES * (PINV + 6 * a + r) + lane] = inverse[3 * i + a, r]
+        k = K
+        for r in range(6):
+            for s in range(r + 1):
+                row[LANES * k + lane] = (
+                    cone_matrix[r, 3 * i] * cone_matrix[s, 3 * i]
+                    - cone_matrix[r, 3 * i + 1] * cone_matrix[s, 3 * i + 1]
+                    - cone_matrix[r, 3 * i + 2] * cone_matrix[s, 3 * i + 2]
+                )
+                k += 1

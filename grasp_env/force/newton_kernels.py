@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from grasp_env._check import LARGEST
 from grasp_env._compile import compiled_lanes
 from grasp_env.force.cholesky6 import factor6, solve6
 from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
@@ -23,6 +24,7 @@ from grasp_env.force.record import (
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
+    REFUSED,
     RESIDUAL,
     TRIALS,
     WRENCH,
@@ -47,7 +49,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
         basis: (13, 3N) the offline basis, cone coordinates; for GIVEN it is not read.
         kind: GIVEN: `start` is balanced and strictly inside. BASIS: the 12-basis' combination. TANGENT: `start` is an
             optimum for another wrench, or other contacts, and is carried over and repaired.
-        start: (3N,) cone coordinates.
+        start: (3N,) forces (normal, o, t) [N]; a record's are at record[FORCE : FORCE + 3N].
         wrench: (6,) external wrench [N, N m].
         weights: (N, 2) omega and lambda, as in `constants`.
         options: (6,) relative gap at which to stop, most iterations, the grasp's length [m], 4 (the lanes: a number the
@@ -58,10 +60,15 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
     tolerance, limit, length, lanes, optimum = options[0], options[1], options[2], int(options[3]), options[4]
     blocks = constants.shape[0]
     count = (record.size - FORCE) // 7
+    for r in range(6):
+        if not abs(wrench[r]) <= LARGEST:
+            record[CODE] = REFUSED
+            return
     work = np.empty((blocks, WIDTH))
-    sums = np.empty(108)
+    sums = np.empty(132)
     lower = np.empty(21)
     factor = np.empty(21)
+    left, right = np.empty(6), np.empty(6)
     for b in range(blocks):
         for j in range(4 * CONSTANTS):
             work[b, j] = constants[b, j]
@@ -71,7 +78,10 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
     if kind == BASIS:
         combine(basis, wrench, False, first)
     else:
-        first[:] = start
+        for i in range(count):
+            for a in range(3):
+                scale = work[i // 4, 4 * (DIVISOR + a) + i % 4]
+                first[3 * i + a] = start[3 * i + a] * scale if scale < np.inf else 0.0
     _spread(first, work)
     if kind == TANGENT:
         _carry_over(work, sums, lower, factor, wrench, weights, basis, first, lanes)
@@ -91,17 +101,19 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
         if not factor6(lower, factor) > 0.0:
             code = STALLED
             break
-        # S nu = G H^-1 grad - (G x + w)
-        n0, n1, n2, n3, n4, n5 = solve6(
-            factor,
-            (sums[84] + sums[85]) + (sums[86] + sums[87]) - wrench[0],
-            (sums[88] + sums[89]) + (sums[90] + sums[91]) - wrench[1],
-            (sums[92] + sums[93]) + (sums[94] + sums[95]) - wrench[2],
-            (sums[96] + sums[97]) + (sums[98] + sums[99]) - wrench[3],
-            (sums[100] + sums[101]) + (sums[102] + sums[103]) - wrench[4],
-            (sums[104] + sums[105]) + (sums[106] + sums[107]) - wrench[5],
-        )
-        decrement, reach = _direction(work, n0, n1, n2, n3, n4, n5, lanes)
+        # S nu = G H^-1 grad - r, r = G x + w
+        for r in range(6):
+            p = 4 * r
+            left[r] = (sums[108 + p] + sums[109 + p]) + (sums[110 + p] + sums[111 + p]) + wrench[r]
+            right[r] = (sums[84 + p] + sums[85 + p]) + (sums[86 + p] + sums[87 + p]) - left[r]
+        n0, n1, n2, n3, n4, n5 = solve6(factor, right[0], right[1], right[2], right[3], right[4], right[5])
+        _direction(work, sums, n0, n1, n2, n3, n4, n5, lanes)
+        # forces at very different depths in their cones make S ill-conditioned: what the step misses of balance is taken off
+        for r in range(6):
+            p = 4 * r
+            left[r] += (sums[p] + sums[p + 1]) + (sums[p + 2] + sums[p + 3])
+        _rebalance(work, left, lanes)
+        decrement, reach = _reach(work, lanes)
         # Phi - min Phi is half the squared decrement to third order: the bound costs half an iteration, so it waits
         if not known and (decrement < 4.0 * tolerance * value or iterations >= limit):
             bound = max(bound, _lower_bound(work, wrench, n0, n1, n2, n3, n4, n5, lanes))
@@ -132,7 +144,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
                 row[4 * (X + 2) + n] += alpha * row[4 * (STEP + 2) + n]
         value = trial
         iterations += 1
-    record[:FORCE] = 0.0
+    record[:] = 0.0
     record[CODE], record[ITERATIONS], record[TRIALS] = code, iterations, trials
     record[OBJECTIVE], record[BOUND] = value, bound
     for r in range(6):
@@ -140,10 +152,9 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
     record[MULTIPLIERS], record[MULTIPLIERS + 1], record[MULTIPLIERS + 2] = n0, n1, n2
     record[MULTIPLIERS + 3], record[MULTIPLIERS + 4], record[MULTIPLIERS + 5] = n3, n4, n5
     for i in range(count):
-        record[FORCE + 7 * count - i - 1] = 0.0
         for a in range(3):
             record[FORCE + 3 * (count + i) + a] = first[3 * i + a] / work[i // 4, 4 * (DIVISOR + a) + i % 4]
-    _finish(work, wrench, length, record)
+    _finish(work, wrench, length, iterations > 0, record)
 
 
 @compiled_lanes
@@ -177,8 +188,8 @@ def _phi(work, alpha, lanes):
 
 @compiled_lanes
 def _system(work, sums, lanes):
-    """GRADIENT and B of every contact; sums (27 x 4): G B G^T packed, then G (B grad - x)."""
-    for r in range(108):
+    """GRADIENT and B of every contact; sums (33 x 4): G B G^T packed, G B grad, G x."""
+    for r in range(132):
         sums[r] = 0.0
     for b in range(work.shape[0]):
         row = work[b]
@@ -193,36 +204,27 @@ def _system(work, sums, lanes):
             row[4 * GRADIENT + n] = 3.0 * row[4 * OMEGA + n] - lam * (iu * iu + 2.0 * i2 * (u2 + s2))
             row[4 * (GRADIENT + 1) + n] = 4.0 * lam * i2 * u * o
             row[4 * (GRADIENT + 2) + n] = 4.0 * lam * i2 * u * t
-            # H = lam [[a, b q^T], [b q, e I + f q q^T]], q = (o, t): inverted by its axes (u, along q, across q)
-            i3 = i2 * i
-            e = 4.0 * u * i2
-            f = 16.0 * u * i3
-            a = 2.0 * iu * iu * iu + 4.0 * u * (u2 + 3.0 * s2) * i3
-            m = -4.0 * (3.0 * u2 + s2) * i3
-            c = e + f * s2
-            scale = 1.0 / (lam * (a * c - m * m * s2) * e)
-            # within the plane: [[c, -m s], [-m s, a]] / (a c - m^2 s^2); across: 1 / e
-            p = e * scale
-            row[4 * B + n] = c * p
-            row[4 * (B + 1) + n] = -m * o * p
-            row[4 * (B + 2) + n] = -m * t * p
-            # (a e - (a c - m^2 s^2)) q q^T / s^2 = (m^2 - a f) q q^T: no division by s
-            g = (m * m - a * f) * scale
-            across = (a * c - m * m * s2) * scale
-            row[4 * (B + 3) + n] = across + g * o * o
-            row[4 * (B + 4) + n] = g * o * t
-            row[4 * (B + 5) + n] = across + g * t * t
+            # the inverse Hessian of `kernels.inverse_hessian`
+            scale = 1.0 / (6.0 * lam * (u2 + s2))
+            along = scale * u2 * (3.0 * u2 + s2)
+            across = d * d * iu / (4.0 * lam)
+            bend = scale * (3.0 * u2 * (u2 + s2) - 2.0 * s2 * s2) * iu
+            row[4 * B + n] = scale * u2 * u * (u2 + 3.0 * s2)
+            row[4 * (B + 1) + n], row[4 * (B + 2) + n] = along * o, along * t
+            row[4 * (B + 3) + n] = across + bend * o * o
+            row[4 * (B + 4) + n] = bend * o * t
+            row[4 * (B + 5) + n] = across + bend * t * t
         for n in range(lanes):
             b0, b1, b2 = row[4 * B + n], row[4 * (B + 1) + n], row[4 * (B + 2) + n]
             b3, b4, b5 = row[4 * (B + 3) + n], row[4 * (B + 4) + n], row[4 * (B + 5) + n]
             g0, g1, g2 = row[4 * GRADIENT + n], row[4 * (GRADIENT + 1) + n], row[4 * (GRADIENT + 2) + n]
-            q0 = b0 * g0 + b1 * g1 + b2 * g2 - row[4 * X + n]
-            q1 = b1 * g0 + b3 * g1 + b4 * g2 - row[4 * (X + 1) + n]
-            q2 = b2 * g0 + b4 * g1 + b5 * g2 - row[4 * (X + 2) + n]
+            q0, q1, q2 = b0 * g0 + b1 * g1 + b2 * g2, b1 * g0 + b3 * g1 + b4 * g2, b2 * g0 + b4 * g1 + b5 * g2
+            u, o, t = row[4 * X + n], row[4 * (X + 1) + n], row[4 * (X + 2) + n]
             p = 4 * G + n
             for r in range(6):
                 c0, c1, c2 = row[p + 4 * r], row[p + 4 * r + 24], row[p + 4 * r + 48]
                 sums[84 + 4 * r + n] += c0 * q0 + c1 * q1 + c2 * q2
+                sums[108 + 4 * r + n] += c0 * u + c1 * o + c2 * t
                 h0, h1, h2 = b0 * c0 + b1 * c1 + b2 * c2, b1 * c0 + b3 * c1 + b4 * c2, b2 * c0 + b4 * c1 + b5 * c2
                 for s in range(r + 1):
                     sums[2 * r * (r + 1) + 4 * s + n] += (
@@ -231,25 +233,91 @@ def _system(work, sums, lanes):
 
 
 @compiled_lanes
-def _direction(work, n0, n1, n2, n3, n4, n5, lanes):
-    """STEP = B (G^T nu - grad); returns the squared decrement and 1 / (largest step inside the cones)."""
-    decrement, reach = 0.0, 0.0
+def _direction(work, sums, n0, n1, n2, n3, n4, n5, lanes):
+    """STEP = B (G^T nu - grad); sums (6 x 4) = G STEP."""
+    for r in range(24):
+        sums[r] = 0.0
     for b in range(work.shape[0]):
         row = work[b]
         for n in range(lanes):
             p = 4 * G + n
-            y0 = row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            y0 = (
+                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            )
             p += 24
-            y1 = row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            y1 = (
+                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            )
             p += 24
-            y2 = row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            y2 = (
+                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            )
             y0, y1, y2 = y0 - row[4 * GRADIENT + n], y1 - row[4 * (GRADIENT + 1) + n], y2 - row[4 * (GRADIENT + 2) + n]
             b1, b2, b4 = row[4 * (B + 1) + n], row[4 * (B + 2) + n], row[4 * (B + 4) + n]
             e0 = row[4 * B + n] * y0 + b1 * y1 + b2 * y2
             e1 = b1 * y0 + row[4 * (B + 3) + n] * y1 + b4 * y2
             e2 = b2 * y0 + b4 * y1 + row[4 * (B + 5) + n] * y2
             row[4 * STEP + n], row[4 * (STEP + 1) + n], row[4 * (STEP + 2) + n] = e0, e1, e2
-            row[4 * C + n] = row[4 * MASK + n] * (e0 * y0 + e1 * y1 + e2 * y2)
+            for r in range(6):
+                p = 4 * (G + r) + n
+                sums[4 * r + n] += row[p] * e0 + row[p + 24] * e1 + row[p + 48] * e2
+
+
+@compiled_lanes
+def _correct(work, multipliers, lanes):
+    """STEP -= B G^T multipliers."""
+    n0, n1, n2, n3, n4, n5 = multipliers
+    for b in range(work.shape[0]):
+        row = work[b]
+        for n in range(lanes):
+            p = 4 * G + n
+            y0 = (
+                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            )
+            p += 24
+            y1 = (
+                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            )
+            p += 24
+            y2 = (
+                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            )
+            b1, b2, b4 = row[4 * (B + 1) + n], row[4 * (B + 2) + n], row[4 * (B + 4) + n]
+            row[4 * STEP + n] -= row[4 * B + n] * y0 + b1 * y1 + b2 * y2
+            row[4 * (STEP + 1) + n] -= b1 * y0 + row[4 * (B + 3) + n] * y1 + b4 * y2
+            row[4 * (STEP + 2) + n] -= b2 * y0 + b4 * y1 + row[4 * (B + 5) + n] * y2
+
+
+@compiled_lanes
+def _rebalance(work, left, lanes):
+    """STEP -= G^+ left, the least change in force."""
+    n0, n1, n2, n3, n4, n5 = left[0], left[1], left[2], left[3], left[4], left[5]
+    for b in range(work.shape[0]):
+        row = work[b]
+        for n in range(lanes):
+            for a in range(3):
+                p = 4 * (PINV + 6 * a) + n
+                row[4 * (STEP + a) + n] -= (
+                    row[p] * n0
+                    + row[p + 4] * n1
+                    + row[p + 8] * n2
+                    + row[p + 12] * n3
+                    + row[p + 16] * n4
+                    + row[p + 20] * n5
+                )
+
+
+@compiled_lanes
+def _reach(work, lanes):
+    """(Squared decrement -grad . step, 1 / largest step inside the cones)."""
+    decrement, reach = 0.0, 0.0
+    for b in range(work.shape[0]):
+        row = work[b]
+        for n in range(lanes):
+            e0, e1, e2 = row[4 * STEP + n], row[4 * (STEP + 1) + n], row[4 * (STEP + 2) + n]
+            row[4 * C + n] = -row[4 * MASK + n] * (
+                e0 * row[4 * GRADIENT + n] + e1 * row[4 * (GRADIENT + 1) + n] + e2 * row[4 * (GRADIENT + 2) + n]
+            )
             u, o, t = row[4 * X + n], row[4 * (X + 1) + n], row[4 * (X + 2) + n]
             i = 1.0 / (u * u - o * o - t * t)
             j = math.sqrt(i)
@@ -271,16 +339,22 @@ def _lower_bound(work, wrench, n0, n1, n2, n3, n4, n5, lanes):
         row = work[b]
         for n in range(lanes):
             p = 4 * G + n
-            y0 = row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            y0 = (
+                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            )
             p += 24
-            y1 = row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            y1 = (
+                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            )
             p += 24
-            y2 = row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            y2 = (
+                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
+            )
             a = 3.0 * row[4 * OMEGA + n] - y0
             t = math.sqrt(y1 * y1 + y2 * y2)
             row[4 * A + n] = a - t
             k = (a - t) / (a + t)
-            # two contractions with their factor below 0.16, then one Newton step: the value's error is the square of r's
+            # two contractions (factor below 0.16), then two Newton steps: the value's error is the square of r's
             r = math.sqrt(k)
             r = math.sqrt(k / (1.0 + 2.0 * (1.0 - k) / ((1.0 + r) * (1.0 + r))))
             r = math.sqrt(k / (1.0 + 2.0 * (1.0 - k) / ((1.0 + r) * (1.0 + r))))
@@ -288,9 +362,13 @@ def _lower_bound(work, wrench, n0, n1, n2, n3, n4, n5, lanes):
             r -= (r * r * (q * q + 2.0) - k * (q * q + 2.0 * r * r)) / (
                 2.0 * r * (q * q + 2.0) + 2.0 * r * r * q - k * (2.0 * q + 4.0 * r)
             )
+            q = 1.0 + r
+            r -= (r * r * (q * q + 2.0) - k * (q * q + 2.0 * r * r)) / (
+                2.0 * r * (q * q + 2.0) + 2.0 * r * r * q - k * (2.0 * q + 4.0 * r)
+            )
             c = 0.5 * (a - t + (a + t) * r)
-            row[4 * C + n] = row[4 * MASK + n] * 2.0 * math.sqrt(
-                row[4 * LAM + n] * c * (1.0 + 1.0 / r + 2.0 / (1.0 + r))
+            row[4 * C + n] = (
+                row[4 * MASK + n] * 2.0 * math.sqrt(row[4 * LAM + n] * c * (1.0 + 1.0 / r + 2.0 / (1.0 + r)))
             )
         for n in range(lanes):
             least = min(least, row[4 * A + n])
@@ -315,36 +393,24 @@ def _carry_over(work, sums, lower, factor, wrench, weights, basis, first, lanes)
     if not factor6(lower, factor) > 0.0:
         first[:] = safe
         return
-    r0, r1, r2, r3, r4, r5 = wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5]
+    left = np.empty(6)
+    for r in range(6):
+        p = 108 + 4 * r
+        left[r] = (sums[p] + sums[p + 1]) + (sums[p + 2] + sums[p + 3]) + wrench[r]
+    for b in range(work.shape[0]):
+        for j in range(12):
+            work[b, 4 * STEP + j] = 0.0
+    _correct(work, solve6(factor, left[0], left[1], left[2], left[3], left[4], left[5]), lanes)
     for i in range(first.size // 3):
-        row = work[i // 4]
         for a in range(3):
-            p, x = 4 * (G + 6 * a) + i % 4, first[3 * i + a]
-            r0 += row[p] * x
-            r1 += row[p + 4] * x
-            r2 += row[p + 8] * x
-            r3 += row[p + 12] * x
-            r4 += row[p + 16] * x
-            r5 += row[p + 20] * x
-    r0, r1, r2, r3, r4, r5 = solve6(factor, r0, r1, r2, r3, r4, r5)
-    for i in range(first.size // 3):
-        row, n = work[i // 4], i % 4
-        p = 4 * G + n
-        y0 = row[p] * r0 + row[p + 4] * r1 + row[p + 8] * r2 + row[p + 12] * r3 + row[p + 16] * r4 + row[p + 20] * r5
-        p += 24
-        y1 = row[p] * r0 + row[p + 4] * r1 + row[p + 8] * r2 + row[p + 12] * r3 + row[p + 16] * r4 + row[p + 20] * r5
-        p += 24
-        y2 = row[p] * r0 + row[p + 4] * r1 + row[p + 8] * r2 + row[p + 12] * r3 + row[p + 16] * r4 + row[p + 20] * r5
-        first[3 * i] -= row[4 * B + n] * y0 + row[4 * (B + 1) + n] * y1 + row[4 * (B + 2) + n] * y2
-        first[3 * i + 1] -= row[4 * (B + 1) + n] * y0 + row[4 * (B + 3) + n] * y1 + row[4 * (B + 4) + n] * y2
-        first[3 * i + 2] -= row[4 * (B + 2) + n] * y0 + row[4 * (B + 4) + n] * y1 + row[4 * (B + 5) + n] * y2
+            first[3 * i + a] += work[i // 4, 4 * (STEP + a) + i % 4]
     if not phi(first, weights) < phi(safe, weights):
         best_on_segment(safe, first.copy(), weights, first)
 
 
 @compiled_lanes
-def _finish(work, wrench, length, record):
-    """Takes what rounding left of G x + w off x by G^+; writes force, residual and margin."""
+def _finish(work, wrench, length, moved, record):
+    """Takes what rounding left of G x + w off a moved x by G^+; writes force, residual and margin."""
     count = (record.size - FORCE) // 7
     left = np.empty(12)
     left[:6] = wrench
@@ -354,6 +420,8 @@ def _finish(work, wrench, length, record):
             p, x = 4 * (G + 6 * a) + i % 4, row[4 * (X + a) + i % 4]
             for r in range(6):
                 left[r] += row[p + 4 * r] * x
+    if not moved:
+        left[:6] = 0.0
     left[6:] = wrench
     margin = np.inf
     for i in range(count):

@@ -3,42 +3,62 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench, positive
+from grasp_env._check import ContactForces, Wrench, as_array, as_wrench, positive
 from grasp_env.errors import (
     InfeasibleStartError,
-    InfeasibleWrenchError,
     InvalidInputError,
     UnknownNameError,
+    UnsupportedProblemError,
 )
-from grasp_env.force import descent_kernels
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.feasibility import phase_one
+from grasp_env.force.descent_kernels import CONVERGED
+from grasp_env.force.feasibility import answer
 from grasp_env.force.initial import RULES, InitialForceRule, initial_rule
-from grasp_env.force.kernels import cone_slack, phi, worst_residual
+from grasp_env.force.limits import ForceLimits
+from grasp_env.force.methods import (
+    METHODS,
+    Conic,
+    Method,
+    Newton,
+    ProgramNewton,
+    Settings,
+    Start,
+    infeasible_error,
+    make_method,
+)
 from grasp_env.force.objective import Objective, Weight
-from grasp_env.force.oracle import full_flow
-from grasp_env.force.reduced_flow import reduced_projector
+from grasp_env.force.program import CRITERIA, ForceProgram
+from grasp_env.force.record import CODE
 from grasp_env.force.repair import CORRECTIONS, Correction, Repair, carry_over
-from grasp_env.force.solution import ForceSolution, Status
+from grasp_env.force.solution import ForceSolution
 from grasp_env.force.step_size import AdaptiveStep
 from grasp_env.grasp.grasp import Grasp
 
-METHODS = ("reduced_flow", "full_flow", "newton")
 MAX_ITERATIONS = 20_000
-BALANCE_TOLERANCE = 1e-8
-"""A start may miss balance by this much of the wrench and force it carries; the rest is an error of the rule."""
+TOLERANCE = 1e-4
+"""Default relative gap of the descents on Phi."""
+CONIC_TOLERANCE = 1e-6
+"""Default relative gap of the conic problem."""
+NAN = float("nan")
 
 Initial = str | InitialForceRule | ForceSolution | np.ndarray
 """A rule's name, a rule, a solution to carry over, or an (N, 3) force to start from."""
-_STATUS = (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED)
 
 
 class ForceOptimizer:
-    """Optimises grasp forces again and again: holds the offline basis, Q_bar and the previous solution.
+    """Optimises grasp forces again and again: holds the offline basis, the kernels' data and the previous solution.
+
+    Kernels are compiled, or loaded from the disk cache, on construction. One optimizer belongs to one thread; several
+    may run at once.
+
+    Attributes:
+        grasp: the contacts as they are now.
+        previous: the last solution; set it to None to forget.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -47,17 +67,22 @@ class ForceOptimizer:
         >>> again = optimizer.solve([1, 0.5, -0.6, -0.1, 0.2, 0])
         >>> first.status.name, again.iterations
         ('OPTIMAL', 0)
+        >>> exact = ForceOptimizer(presets.paper_cuboid(), method="conic").solve([1, 0.5, -0.6, -0.1, 0.2, 0])
+        >>> round(exact.objective, 4), exact.optimality_gap < 1e-6
+        (8.5847, True)
     """
 
     def __init__(
         self,
         grasp: Grasp,
         *,
-        initial: Initial = "linear_combination",
+        initial: Initial | None = None,
         method: str = "reduced_flow",
+        criterion: str = "sum",
+        limits: ForceLimits | None = None,
         force_weight: Weight = 1.0,
         barrier_weight: Weight = 0.01,
-        tolerance: float = 1e-4,
+        tolerance: float | None = None,
         max_iterations: int = MAX_ITERATIONS,
         step_rule: AdaptiveStep | None = None,
         correction: Correction = "tangent",
@@ -69,33 +94,75 @@ class ForceOptimizer:
         """
         if method not in METHODS:
             raise UnknownNameError("method", method, METHODS)
+        if criterion not in CRITERIA:
+            raise UnknownNameError("criterion", criterion, CRITERIA)
         if not isinstance(max_iterations, int | np.integer) or isinstance(max_iterations, bool) or max_iterations < 0:
             raise InvalidInputError(f"max_iterations must be an integer >= 0, got {max_iterations!r}")
         if not isinstance(step_rule, AdaptiveStep | None):
             raise InvalidInputError(f"step_rule must be an AdaptiveStep or None, got {step_rule!r}")
         if correction not in CORRECTIONS:
             raise UnknownNameError("correction", correction, CORRECTIONS)
+        if not isinstance(limits, ForceLimits | None):
+            raise InvalidInputError(f"limits must be a ForceLimits or None, got {limits!r}")
+        if criterion != "sum" and method != "conic":
+            raise UnsupportedProblemError(f"criterion {criterion!r} belongs to method 'conic', got method {method!r}")
+        if tolerance is None:
+            tolerance = CONIC_TOLERANCE if method == "conic" else TOLERANCE
         self.objective = Objective(force_weight, barrier_weight)
-        self.method = method
-        self.tolerance = positive(tolerance, "tolerance")
-        self.max_iterations = int(max_iterations)
-        self.step_rule = step_rule or AdaptiveStep()
-        self.correction: Correction = correction
-        _check_name(initial)
+        self.settings = Settings(
+            method,
+            criterion,
+            limits,
+            self.objective,
+            positive(tolerance, "tolerance"),
+            int(max_iterations),
+            step_rule or AdaptiveStep(),
+            correction,
+        )
+        if initial is not None:
+            _check_name(initial)
+            if method in ("conic", "linear"):
+                raise InvalidInputError(f"method {method!r} starts from its own centre, got initial={initial!r}")
         # a solution is where the first call starts; the next ones start from their own previous one
         self.previous: ForceSolution | None = initial if isinstance(initial, ForceSolution) else None
-        self.initial: Initial = "previous" if isinstance(initial, ForceSolution) else initial
+        self.initial: Initial | None = "previous" if isinstance(initial, ForceSolution) else initial
         self._rules: dict[str, InitialForceRule] = {}
-        self.grasp = grasp
         self._set_grasp(grasp)
+        self._warm_up()
+
+    @property
+    def method(self) -> str:
+        """The method's name."""
+        return self.settings.method
+
+    @property
+    def tolerance(self) -> float:
+        """Relative certified gap at which a solve stops."""
+        return self.settings.tolerance
+
+    @property
+    def max_iterations(self) -> int:
+        """Most accepted steps."""
+        return self.settings.max_iterations
+
+    @property
+    def step_rule(self) -> AdaptiveStep:
+        """The flows' step rule."""
+        return self.settings.step_rule
+
+    @property
+    def limit_labels(self) -> tuple[str, ...]:
+        """What each entry of a solution's `limit_multipliers` belongs to."""
+        program = getattr(self._method, "program", None)
+        return program.labels if isinstance(program, ForceProgram) else ()
 
     def move_to(self, grasp: Grasp) -> None:
         """The contacts moved: re-optimise the offline basis from the old one, keep the previous solution."""
-        if self.grasp.n_contacts == grasp.n_contacts:
+        if self.grasp.n_contacts == grasp.n_contacts and self._uses_basis:
             # a grasp without force closure has no basis; rules that need one will say so
             with suppress(InfeasibleStartError):
                 OfflineBasis.of(self.grasp, self.objective).moved_to(grasp)
-        else:
+        if self.grasp.n_contacts != grasp.n_contacts:
             self.previous = None
         self._set_grasp(grasp)
 
@@ -107,7 +174,7 @@ class ForceOptimizer:
         optimum: float | None = None,
         trace: bool = False,
     ) -> ForceSolution:
-        """The grasp force that minimises Phi and balances `wrench`; see `optimize_force`.
+        """The optimal grasp force that balances `wrench`; see `optimize_force`.
 
         Args:
             wrench: (6,) external wrench on the object [N, N m], object frame.
@@ -115,148 +182,138 @@ class ForceOptimizer:
             optimum: a known min Phi: stop at the relative gap to it instead of the certified one (for studies).
             trace: keep Phi of every iterate in `objective_trace`.
         """
-        wrench = as_wrench(wrench)
-        name, start = self._start(wrench, self.initial if initial is None else initial)
-        x = self._checked_start(start, wrench, name)
-        known = float("nan") if optimum is None else positive(optimum, "optimum")
-        solution = self._descend(x, wrench, name, known, trace)
+        direct = self._direct
+        if (
+            direct != ""
+            and initial is None
+            and optimum is None
+            and not trace
+            and type(wrench) is np.ndarray
+            and wrench.dtype is _FLOAT
+            and wrench.shape == _SIX
+            and wrench.flags.carray
+        ):
+            # the control loop's path: one compiled call, which checks that the numbers are finite
+            method: Any = self._method
+            if direct == "central":
+                record = method.direct(wrench)
+            else:
+                before = self.previous if direct == "previous" else None
+                record = method.direct(wrench, None if before is None else before._record)
+                direct = "linear_combination" if before is None else direct
+            if record[CODE] == CONVERGED:
+                solution = ForceSolution(record, self.settings.method, direct)
+                self.previous = solution
+                return solution
+        solution = self._solve(as_wrench(wrench), initial, optimum, trace)
         self.previous = solution
         return solution
 
     def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
-        """The initial force (N, 3) [N] that `solve` would start from."""
-        return self._start(as_wrench(wrench), self.initial if initial is None else initial)[1]
+        """The initial force (N, 3) [N] that `solve` would start from.
 
-    def _start(self, wrench: Wrench, initial: Initial) -> tuple[str, ContactForces]:
+        Raises:
+            UnsupportedProblemError: the method starts from its own centre.
+        """
+        start = self._start(as_wrench(wrench), self.initial if initial is None else initial)
+        if start is None:
+            raise UnsupportedProblemError(f"method {self.method!r} takes no initial force")
+        return start.force
+
+    def _solve(self, wrench: Wrench, initial: Initial | None, optimum: float | None, trace: bool) -> ForceSolution:
+        known = NAN if optimum is None else positive(optimum, "optimum")
+        if not self._method.needs_start and initial is not None:
+            raise InvalidInputError(f"method {self.method!r} starts from its own centre, got initial={initial!r}")
+        start = self._start(wrench, self.initial if initial is None else initial)
+        return self._method.run(wrench, start, known, trace)
+
+    def _start(self, wrench: Wrench, initial: Initial | None) -> Start | None:
+        if not self._method.needs_start:
+            return None
         if isinstance(initial, np.ndarray | list | tuple):
-            return "given", np.asarray(initial)
+            return self._given("given", initial)
         previous = initial if isinstance(initial, ForceSolution) else self.previous
         name = "previous" if isinstance(initial, ForceSolution) else initial
-        _check_name(name)
+        if name is not None:
+            _check_name(name)
         if name == "previous" and previous is None:
-            name = "linear_combination"  # nothing to carry over yet: the paper's start
+            name = None  # nothing to carry over yet
+        if isinstance(self._method, ProgramNewton):
+            return self._program_start(self._method, wrench, name, previous)
+        if name is None:
+            name = "linear_combination"  # the paper's start
         try:
             if name == "previous":
                 assert previous is not None
-                if previous.force.shape[0] != self.grasp.n_contacts:
+                if previous.n_contacts != self.grasp.n_contacts:
                     raise InfeasibleStartError(
-                        f"the previous solution has {previous.force.shape[0]} contacts, the grasp {self.grasp.n_contacts}"
+                        f"the previous solution has {previous.n_contacts} contacts, the grasp {self.grasp.n_contacts}"
                     )
-                return "previous", carry_over(self.grasp, wrench, previous.force, self.objective, self.correction)
+                correction = self.settings.correction
+                return Start("previous", carry_over(self.grasp, wrench, previous.force, self.objective, correction))
             if isinstance(name, str):
-                return name, self._rule(name)(self.grasp, wrench)
+                return Start(name, self._rule(name)(self.grasp, wrench))
             force = name(self.grasp, wrench)
             if getattr(name, "objective", self.objective) != self.objective:
                 # made for another Phi, in which its guarantees hold: give them in this one
                 force = Repair(self.objective)(self.grasp, wrench, force)
-            return getattr(name, "name", None) or getattr(name, "__name__", type(name).__name__), force
+            return self._given(getattr(name, "name", None) or getattr(name, "__name__", type(name).__name__), force)
         except InfeasibleStartError as error:
-            self._raise_if_infeasible(wrench, error)
+            found = answer(ForceProgram(self.grasp), wrench)
+            if found.certificate is not None:
+                raise infeasible_error(self.grasp, wrench, self.method, str(name), found.certificate) from error
             raise
+
+    def _program_start(
+        self, method: ProgramNewton, wrench: Wrench, name: str | InitialForceRule | None, previous: ForceSolution | None
+    ) -> Start | None:
+        if name is None or name == "phase_one":
+            return None
+        if name == "previous":
+            assert previous is not None
+            return method.carried(wrench, previous)
+        if not isinstance(name, str):
+            return self._given(getattr(name, "__name__", type(name).__name__), name(self.grasp, wrench))
+        raise UnsupportedProblemError(
+            f"initial={name!r} knows hard contacts without further limits; use 'phase_one' or 'previous', or leave it out"
+        )
+
+    def _given(self, name: str, force: ArrayLike) -> Start:
+        try:
+            return Start(name, as_array(force, (self.grasp.n_contacts, 3), "initial force"))
+        except InvalidInputError as error:
+            raise InfeasibleStartError(f"initial-force rule {name!r}: {error}") from None
 
     def _rule(self, name: str) -> InitialForceRule:
         if name not in self._rules:
             self._rules[name] = initial_rule(name, self.objective)
         return self._rules[name]
 
-    def _descend(self, x: Array, wrench: Wrench, name: str, optimum: float, trace: bool) -> ForceSolution:
-        first = x.copy()
-        record = np.full(self.max_iterations + 1 if trace else 0, np.nan)
-        if self.method == "full_flow":
-            code, iterations, trials, value, bound = full_flow(
-                self.grasp,
-                self.objective,
-                x,
-                wrench,
-                self.step_rule,
-                self.tolerance,
-                optimum,
-                self.max_iterations,
-                record,
-            )
-        elif self.method == "newton":
-            code, iterations, trials, value, bound = descent_kernels.newton(
-                x, self._matrix, wrench, self._weights, self.tolerance, optimum, self.max_iterations, record
-            )
-        else:
-            rule = self.step_rule
-            code, iterations, trials, value, bound = descent_kernels.reduced_flow(
-                x,
-                self._projector,
-                self._matrix,
-                wrench,
-                self._weights,
-                rule.first,
-                rule.grow,
-                rule.shrink,
-                self.tolerance,
-                optimum,
-                self.max_iterations,
-                record,
-            )
-        force = self.grasp.to_force(x)
-        return ForceSolution(
-            force=force,
-            status=_STATUS[code],
-            iterations=iterations,
-            trials=trials,
-            objective=value,
-            lower_bound=bound,
-            equilibrium_residual=worst_residual(x, self._matrix, wrench, self.grasp.length, self._work),
-            cone_margin=cone_slack(x),
-            wrench=wrench,
-            initial_force=self.grasp.to_force(first),
-            method=self.method,
-            initial=name,
-            objective_trace=record[: iterations + 1],
-        )
-
-    def _checked_start(self, start: ContactForces, wrench: Wrench, name: str) -> Array:
-        """Cone coordinates of a start that is finite, balanced and strictly inside, or an error that names the rule."""
-        try:
-            force = as_array(start, (self.grasp.n_contacts, 3), "initial force")
-        except InvalidInputError as error:
-            raise InfeasibleStartError(f"initial-force rule {name!r}: {error}") from None
-        x = self.grasp.to_cone(force)
-        residual = worst_residual(x, self._matrix, wrench, self.grasp.length, self._work)
-        # w itself is the residual of no force
-        scale = float(np.abs(force).max()) + worst_residual(
-            0.0 * x, self._matrix, wrench, self.grasp.length, self._work
-        )
-        if residual > BALANCE_TOLERANCE * scale:
-            raise InfeasibleStartError(
-                f"initial-force rule {name!r} misses balance by {residual:.3g} N (G f + w = 0, w the wrench ON the object); "
-                "add -G^+ (G f + w), or pass it through grasp_env.force.Repair"
-            )
-        if not phi(x, self._weights) < np.inf:
-            raise InfeasibleStartError(
-                f"initial-force rule {name!r} leaves the friction cones (margin {self.grasp.cone_margin(force):.3g} N); "
-                "pass it through grasp_env.force.Repair"
-            )
-        return x
-
-    def _raise_if_infeasible(self, wrench: Wrench, cause: Exception) -> None:
-        answer = phase_one(self.grasp, wrench)
-        if answer.feasible:
-            return
-        nothing = np.zeros((self.grasp.n_contacts, 3))
-        solution = ForceSolution(
-            nothing, Status.INFEASIBLE, 0, 0, float("inf"), float("inf"), self.grasp.residual(nothing, wrench), 0.0,
-            wrench, nothing, self.method, str(self.initial), certificate=answer.certificate,
-        )  # fmt: skip
-        raise InfeasibleWrenchError(
-            f"no force strictly inside the friction cones balances wrench {wrench.tolist()}; the twist "
-            f"{None if answer.certificate is None else np.round(answer.certificate, 6).tolist()} separates it "
-            "(error.solution.certificate): add contacts, raise the friction, or change the wrench",
-            solution,
-        ) from cause
+    @property
+    def _uses_basis(self) -> bool:
+        return self._method.needs_start and not isinstance(self._method, ProgramNewton)
 
     def _set_grasp(self, grasp: Grasp) -> None:
         self.grasp = grasp
-        self._matrix = grasp.cone_matrix.copy()
-        self._weights = self.objective.weights(grasp.n_contacts)
-        self._work = np.empty(6)
-        self._projector = reduced_projector(grasp)
+        self._method: Method = make_method(grasp, self.settings)
+        # which of the compiled calls `solve` may take without looking further; "" for none
+        self._direct = ""
+        if isinstance(self._method, Conic):
+            self._direct = "central"
+        elif isinstance(self._method, Newton) and self._method.has_basis and self.settings.correction == "tangent":
+            initial = self.initial if isinstance(self.initial, str) else "linear_combination" * (self.initial is None)
+            self._direct = initial if initial in ("linear_combination", "previous") else ""
+
+    def _warm_up(self) -> None:
+        """Compiles, or loads, the kernels of the control loop's path before the first call that counts."""
+        method: Any = self._method
+        if self._direct == "central":
+            method.direct(np.zeros(6))
+        elif self._direct:
+            method.direct(np.zeros(6), None)
+
+
+_FLOAT, _SIX = np.dtype(np.float64), (6,)
 
 
 def _check_name(initial: object) -> None:
@@ -274,11 +331,13 @@ def optimize_force(
     grasp: Grasp,
     wrench: ArrayLike,
     *,
-    initial: Initial = "linear_combination",
+    initial: Initial | None = None,
     method: str = "reduced_flow",
+    criterion: str = "sum",
+    limits: ForceLimits | None = None,
     force_weight: Weight = 1.0,
     barrier_weight: Weight = 0.01,
-    tolerance: float = 1e-4,
+    tolerance: float | None = None,
     max_iterations: int = MAX_ITERATIONS,
     step_rule: AdaptiveStep | None = None,
     optimum: float | None = None,
@@ -290,13 +349,17 @@ def optimize_force(
         grasp: the contacts.
         wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N m], object
             frame; balanced as G f + wrench = 0.
-        initial: "linear_combination" (the paper), "linear_combination_printed", "single_value", "lagrange",
-            "phase_one", any callable rule(grasp, wrench) -> (N, 3), an (N, 3) force, or a previous `ForceSolution`
-            to carry over.
-        method: "reduced_flow" (the paper's 3N x 9N flow), "full_flow" (dense, N <= 8), "newton".
+        initial: "linear_combination" (the paper; the default), "linear_combination_printed", "single_value",
+            "lagrange", "phase_one" (the default with soft contacts or further limits), any callable
+            rule(grasp, wrench) -> (N, 3), an (N, 3) force, or a previous `ForceSolution` to carry over. Not for
+            `conic` and `linear`, which start from their own centre.
+        method: "reduced_flow" (the paper's flow on 3N numbers), "full_flow" (dense, N <= 8), "newton" (Phi, a dozen
+            steps), "conic" (exact: no Phi, least normal forces), "linear" (friction pyramids, for comparison).
+        criterion: of `conic`: "sum" or "max" of the normal forces.
+        limits: on normal forces and joint torques, for `newton`, `conic` and `linear`.
         force_weight: omega, the price of squeezing; one for all contacts or one each.
         barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1]; one or one each.
-        tolerance: relative certified gap of Phi at which to stop.
+        tolerance: relative certified gap at which to stop; None: 1e-4, for `conic` 1e-6.
         max_iterations: most accepted steps.
         step_rule: the flows' step rule; None: `AdaptiveStep()`.
         optimum: see `ForceOptimizer.solve`.
@@ -304,8 +367,9 @@ def optimize_force(
 
     Raises:
         InvalidInputError: non-finite or wrongly shaped input.
-        UnknownNameError: unknown method or rule.
-        InfeasibleWrenchError: no force strictly inside the cones balances the wrench.
+        UnknownNameError: unknown method, criterion or rule.
+        UnsupportedProblemError: a method that does not know these contacts, limits or options.
+        InfeasibleWrenchError: no force strictly inside the cones and limits balances the wrench; carries the proof.
         InfeasibleStartError: the rule has no balanced, strictly feasible force here.
 
     Example:
@@ -318,6 +382,8 @@ def optimize_force(
         grasp,
         initial=initial,
         method=method,
+        criterion=criterion,
+        limits=limits,
         force_weight=force_weight,
         barrier_weight=barrier_weight,
         tolerance=tolerance,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN = range(7)
 """How it ended and what certifies it."""
+INFEASIBLE, REFUSED = 3, 4
+"""Codes besides `descent_kernels`' CONVERGED, LIMIT, STALLED: proven infeasible; a wrench that is not finite."""
 WRENCH = 8
 """6: the wrench that is balanced."""
 MULTIPLIERS = 14

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
+from grasp_env.force.record import (
+    BOUND,
+    CODE,
+    FORCE,
+    INFEASIBLE,
+    ITERATIONS,
+    MARGIN,
+    MULTIPLIERS,
+    OBJECTIVE,
+    RESIDUAL,
+    TRIALS,
+    WRENCH,
+)
 
 
 class Status(Enum):
@@ -26,58 +38,124 @@ class Status(Enum):
 
 
 _HELP = {
-    Status.OPTIMAL: "The relative gap of Phi to its certified lower bound is within the tolerance.",
+    Status.OPTIMAL: "The relative gap of the objective to its certified lower bound is within the tolerance.",
     Status.ITERATION_LIMIT: "Stopped at max_iterations: the force is balanced and strictly inside the cones, not optimal "
     "to the tolerance; raise max_iterations or the tolerance, or start closer.",
-    Status.STALLED: "No step decreases Phi in floating point: the force is balanced and strictly inside the cones; the "
-    "tolerance asks for more digits than the problem has.",
-    Status.INFEASIBLE: "No force strictly inside the cones balances the wrench; `certificate` is a twist that proves it.",
+    Status.STALLED: "No step decreases the objective in floating point: the force is balanced and strictly inside the "
+    "cones; the tolerance asks for more digits than the problem has.",
+    Status.INFEASIBLE: "No force strictly inside the limits balances the wrench; `certificate` is a twist that proves it.",
 }
+STATUSES = (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED, Status.INFEASIBLE)
+"""By code."""
+_NOTHING = np.empty(0)
+_NOTHING.flags.writeable = False
 
 
-@dataclass(frozen=True)
 class ForceSolution:
-    """A grasp force with its certificates.
+    """A grasp force with its certificates: a view of one record of numbers (`record.py`), read on demand.
 
     Attributes:
-        force: (N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.
-        status: how the optimisation ended.
-        iterations: accepted steps.
-        trials: all steps tried, rejected ones included.
-        objective: Phi of `force`.
-        lower_bound: a dual bound: no balanced force has a smaller Phi (-inf: none found); with `optimum` given, that.
-        equilibrium_residual: largest |component| of G f + w, moments divided by the grasp's length [N].
-        cone_margin: min over contacts of mu * normal - |tangential| [N]; > 0 strictly inside.
-        wrench: (6,) the external wrench that `force` balances [N, N m].
-        initial_force: (N, 3) the start [N].
         method: the method's name.
         initial: the name of the start rule.
         objective_trace: Phi of every iterate, when asked for; else empty.
         certificate: (6,) for INFEASIBLE: a twist v with G_i^T v in the dual cone of every contact and v . w > 0
             (= 0: only forces on the boundary of the cones balance it); see `Feasibility`.
+        limit_multipliers: (M,) >= 0 prices of the further limits, in the order of `ForceOptimizer.limit_labels`; empty
+            where there are none.
     """
 
-    force: ContactForces
-    status: Status
-    iterations: int
-    trials: int
-    objective: float
-    lower_bound: float
-    equilibrium_residual: float
-    cone_margin: float
-    wrench: Wrench
-    initial_force: ContactForces
-    method: str
-    initial: str
-    objective_trace: Array = field(default_factory=lambda: np.empty(0), repr=False)
-    certificate: Array | None = None
+    __slots__ = ("_record", "certificate", "initial", "limit_multipliers", "method", "objective_trace")
+
+    def __init__(
+        self,
+        record: Array,
+        method: str,
+        initial: str,
+        objective_trace: Array = _NOTHING,
+        certificate: Array | None = None,
+        limit_multipliers: Array = _NOTHING,
+    ) -> None:
+        """Wraps a record (20 + 7N,), which is kept, not copied."""
+        self._record = record
+        self.method = method
+        self.initial = initial
+        self.objective_trace = objective_trace
+        self.certificate = certificate
+        self.limit_multipliers = limit_multipliers
+
+    @property
+    def n_contacts(self) -> int:
+        """N."""
+        return (len(self._record) - FORCE) // 7
+
+    @property
+    def force(self) -> ContactForces:
+        """(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame."""
+        n = self.n_contacts
+        return self._record[FORCE : FORCE + 3 * n].reshape(n, 3)
+
+    @property
+    def torsion(self) -> Array:
+        """(N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft."""
+        return self._record[FORCE + 6 * self.n_contacts :]
+
+    @property
+    def initial_force(self) -> ContactForces:
+        """(N, 3) the start [N]."""
+        n = self.n_contacts
+        return self._record[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3)
+
+    @property
+    def wrench(self) -> Wrench:
+        """(6,) the external wrench that `force` balances [N, N m]."""
+        return self._record[WRENCH : WRENCH + 6]
+
+    @property
+    def multipliers(self) -> Array:
+        """(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu."""
+        return self._record[MULTIPLIERS : MULTIPLIERS + 6]
+
+    @property
+    def status(self) -> Status:
+        """How the optimisation ended."""
+        return STATUSES[int(self._record[CODE])]
+
+    @property
+    def iterations(self) -> int:
+        """Accepted steps."""
+        return int(self._record[ITERATIONS])
+
+    @property
+    def trials(self) -> int:
+        """All steps tried, rejected ones included."""
+        return int(self._record[TRIALS])
+
+    @property
+    def objective(self) -> float:
+        """Phi of `force`; for `conic` and `linear` the sum [N] (or maximum [N]) of the normal forces."""
+        return float(self._record[OBJECTIVE])
+
+    @property
+    def lower_bound(self) -> float:
+        """A dual bound: no balanced force has a smaller objective (-inf: none found); with `optimum` given, that."""
+        return float(self._record[BOUND])
+
+    @property
+    def equilibrium_residual(self) -> float:
+        """Largest |component| of G f + w, moments divided by the grasp's length [N]."""
+        return float(self._record[RESIDUAL])
+
+    @property
+    def cone_margin(self) -> float:
+        """Min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside."""
+        return float(self._record[MARGIN])
 
     @property
     def optimality_gap(self) -> float:
-        """(Phi - lower_bound) / lower_bound, certified; +inf without a positive bound."""
+        """(objective - lower_bound) / lower_bound, certified; +inf without a positive bound."""
         if self.lower_bound > 0.0:
             return max(0.0, (self.objective - self.lower_bound) / self.lower_bound)
-        return float("inf")
+        return 0.0 if self.objective == 0.0 else float("inf")
 
     @property
     def total_normal_force(self) -> float:
@@ -99,3 +177,18 @@ class ForceSolution:
                 f"{self.optimality_gap:.3g}: {self.status.help}"
             )
         return self
+
+    def __repr__(self) -> str:
+        return (
+            f"ForceSolution({self.status.value}, {self.method} from {self.initial}, {self.n_contacts} contacts, "
+            f"{self.iterations} iterations, objective {self.objective:.6g}, gap {self.optimality_gap:.1e}, "
+            f"balance {self.equilibrium_residual:.1e} N, margin {self.cone_margin:.3g} N)"
+        )
+
+
+def infeasible(wrench: Wrench, count: int, method: str, initial: str, residual: float, twist: Array) -> ForceSolution:
+    """The solution of a wrench that is proven infeasible: no force, the certificate."""
+    record = np.zeros(FORCE + 7 * count)
+    record[CODE], record[OBJECTIVE], record[BOUND], record[RESIDUAL] = INFEASIBLE, np.inf, np.inf, residual
+    record[WRENCH : WRENCH + 6] = wrench
+    return ForceSolution(record, method, initial, certificate=twist)

@@ -7,11 +7,9 @@ import math
 import numpy as np
 
 from grasp_env._compile import compiled
-from grasp_env.force.descent_kernels import newton
 from grasp_env.force.kernels import (
     cholesky,
     cholesky_solve,
-    cone_slack,
     gradient,
     inverse_hessian,
     phi,
@@ -19,9 +17,6 @@ from grasp_env.force.kernels import (
     schur,
     step_to_boundary,
 )
-
-BASIS_TOLERANCE = 1e-10
-BASIS_ITERATIONS = 200
 
 
 @compiled
@@ -178,48 +173,3 @@ def squeeze_scale(x, weights):
         force += 3.0 * omega * u
         barrier += lam * (1.0 / u + 2.0 * u / d)
     return math.sqrt(barrier / force)
-
-
-@compiled
-def offline_basis(basis, warm, interior, cone_matrix, pseudoinverse, weights):
-    """Fills `basis` (13, 3N) with argmin Phi for +-e_k and for w = 0; returns the worst relative gap (inf: failed).
-
-    Args:
-        basis: overwritten; where `warm` is set it holds the basis of a nearby grasp to start from.
-        interior: (3N,) a strictly interior internal force of this grasp, any scale.
-        pseudoinverse: (3N, 6) G^+ in cone coordinates.
-    """
-    size = interior.size
-    x = np.empty(size)
-    wrench = np.zeros(6)
-    no_trace = np.empty(0)
-    worst = 0.0
-    for row in range(12, -1, -1):  # rest (12) first: the others start from it
-        wrench[:] = 0.0
-        if row < 12:
-            wrench[row % 6] = 1.0 if row < 6 else -1.0
-        started = False
-        if warm and tangent(basis[row], cone_matrix, wrench, weights, x):
-            # twice: the second correction takes the rounding of the first out of the balance
-            started = cone_slack(x) > 0.0 and tangent(x, cone_matrix, wrench, weights, basis[row])
-            started = started and cone_slack(basis[row]) > 0.0
-            x[:] = basis[row]
-        if not started:
-            if row == 12:
-                x[:] = interior * squeeze_scale(interior, weights)
-            else:
-                for j in range(size):
-                    total = 0.0
-                    for i in range(6):
-                        total -= pseudoinverse[j, i] * wrench[i]
-                    x[j] = total
-                low, _ = ray_interval(x, basis[12])
-                x[:] = x + max(1.1 * low, 1.0) * basis[12]
-        _, _, _, value, bound = newton(
-            x, cone_matrix, wrench, weights, BASIS_TOLERANCE, np.nan, BASIS_ITERATIONS, no_trace
-        )
-        if not bound > 0.0:
-            return np.inf
-        worst = max(worst, (value - bound) / bound)
-        basis[row] = x
-    return worst

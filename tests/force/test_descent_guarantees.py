@@ -7,7 +7,7 @@ import pytest
 from problems import GRASPS, PAPER_WRENCH, PROBLEMS, Problem, closure_grasps
 
 from grasp_env.errors import NotConvergedError
-from grasp_env.force import METHODS, AdaptiveStep, ForceOptimizer, ForceSolution, Status, cone_margin, optimize_force
+from grasp_env.force import DESCENTS, AdaptiveStep, ForceOptimizer, ForceSolution, Status, cone_margin, optimize_force
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
 
@@ -47,7 +47,7 @@ def _assert_monotone(solution: ForceSolution, slack: float = 0.0) -> None:
     assert trace[-1] == solution.objective
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", DESCENTS)
 @pytest.mark.parametrize("problem", PROBLEMS, ids=str)
 def test_stopping_anywhere_leaves_a_valid_grasp(problem: Problem, method: str) -> None:
     def stop(limit: int) -> ForceSolution:
@@ -79,7 +79,7 @@ def test_stopping_anywhere_leaves_a_valid_grasp(problem: Problem, method: str) -
         np.testing.assert_array_equal(solution.objective_trace, end.objective_trace[: limit + 1])
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", DESCENTS)
 def test_no_iterations_returns_the_start(method: str) -> None:
     solution = optimize_force(GRASPS["cuboid, 4"], PAPER_WRENCH, method=method, max_iterations=0, trace=True)
     assert solution.status is Status.ITERATION_LIMIT
@@ -135,7 +135,7 @@ def test_constant_step_accepts_every_trial_where_it_is_admissible() -> None:
     assert solution.iterations == solution.trials == 100
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", DESCENTS)
 def test_impossible_tolerance_stalls_or_converges_but_stays_valid(method: str) -> None:
     grasp = GRASPS["cuboid, 4"]
     solution = optimize_force(grasp, PAPER_WRENCH, method=method, tolerance=1e-300, max_iterations=3000)
@@ -150,7 +150,7 @@ def test_impossible_tolerance_stalls_or_converges_but_stays_valid(method: str) -
     assert solution.objective == pytest.approx(PROBLEMS[0].optimum, rel=1e-9)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", DESCENTS)
 def test_same_call_same_bits(method: str) -> None:
     def run() -> np.ndarray:
         return optimize_force(GRASPS["cuboid, 5"], PAPER_WRENCH, method=method).force

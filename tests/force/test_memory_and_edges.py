@@ -82,7 +82,7 @@ def test_an_optimizer_made_with_a_solution_goes_on_from_its_own():
 
 def test_wrong_kinds():
     grasp = presets.paper_cuboid()
-    for initial in (3, None, {}):
+    for initial in (3, 1.5, {}):
         with pytest.raises(InvalidInputError, match="initial must be"):
             optimize_force(grasp, np.zeros(6), initial=initial)  # type: ignore[arg-type]
     with pytest.raises(InvalidInputError, match="shape"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from problems import GRASPS, PAPER_WRENCH
 
-from grasp_env.force import METHODS, ForceOptimizer, LinearCombination, Status, cone_margin, optimize_force
+from grasp_env.force import DESCENTS, ForceOptimizer, LinearCombination, Status, cone_margin, optimize_force
 from grasp_env.force.repair import Correction
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp import wrench as wrenches
@@ -20,7 +20,7 @@ def _shifted(grasp: Grasp, shift: float) -> Grasp:
     return Grasp.from_contacts(positions, grasp.normals, grasp.friction)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", DESCENTS)
 @pytest.mark.parametrize("name", GRASPS)
 def test_optimizer_and_function_are_the_same(name: str, method: str) -> None:
     once = optimize_force(GRASPS[name], LIGHT, method=method)
@@ -110,7 +110,7 @@ def test_start_is_what_solve_starts_from() -> None:
 
 def test_trace_is_kept_only_when_asked_for() -> None:
     grasp = presets.paper_cuboid()
-    for method in METHODS:
+    for method in DESCENTS:
         assert optimize_force(grasp, PAPER_WRENCH, method=method).objective_trace.size == 0
         traced = optimize_force(grasp, PAPER_WRENCH, method=method, trace=True)
         assert len(traced.objective_trace) == traced.iterations + 1

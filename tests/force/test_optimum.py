@@ -7,7 +7,7 @@ import pytest
 from problems import CONIC_LEAST, GRASPS, PAPER_WRENCH, PROBLEMS, Problem, closure_grasps, solve_by_scipy
 
 from grasp_env.errors import InfeasibleStartError
-from grasp_env.force import METHODS, RULES, ForceOptimizer, Status, optimize_force
+from grasp_env.force import DESCENTS, RULES, ForceOptimizer, Status, optimize_force
 from grasp_env.grasp import wrench as wrenches
 
 STARTS = tuple(name for name in RULES)
@@ -50,7 +50,7 @@ def test_vanishing_barrier_meets_the_conic_optimum() -> None:
     assert totals[2] == pytest.approx(CONIC_LEAST, rel=0.01)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", DESCENTS)
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("problem", PROBLEMS, ids=str)
 def test_start_and_method_do_not_matter(problem: Problem, start: str, method: str) -> None:
