@@ -1,6 +1,7 @@
 """Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem. numpy, scipy, numba only."""
 
 from grasp_env.force.basis import OfflineBasis
+from grasp_env.force.batch import ForceSolutions, optimize_forces
 from grasp_env.force.description import cone_margin, description_matrix
 from grasp_env.force.feasibility import Feasibility, phase_one
 from grasp_env.force.initial import (
@@ -31,6 +32,7 @@ __all__ = [
     "ForceLimits",
     "ForceOptimizer",
     "ForceSolution",
+    "ForceSolutions",
     "InitialForceRule",
     "Lagrange",
     "LinearCombination",
@@ -49,5 +51,6 @@ __all__ = [
     "joint_torques",
     "linear_forces",
     "optimize_force",
+    "optimize_forces",
     "phase_one",
 ]

@@ -193,31 +193,32 @@ class Newton:
     def __init__(self, grasp: Grasp, settings: Settings) -> None:
         self.grasp, self.settings = grasp, settings
         self._checked = _Checked(grasp, settings)
+        self.weights = self._checked.weights
         self._size = record_size(grasp.n_contacts)
-        self._options = np.array(
+        self.options = np.array(
             [settings.tolerance, float(settings.max_iterations), grasp.length, float(LANES), float("nan")]
         )
         try:
-            self._basis = OfflineBasis.of(grasp, settings.objective).cone_forces
+            self.basis = OfflineBasis.of(grasp, settings.objective).cone_forces
             self.has_basis = True
         except InfeasibleStartError:
-            self._basis, self.has_basis = _NO_BASIS, False  # rules that need one say so
-        rest = self._basis[12] if self.has_basis else np.zeros(3 * grasp.n_contacts)
-        self._constants = pack(grasp, rest, self._checked.weights)
+            self.basis, self.has_basis = _NO_BASIS, False  # rules that need one say so
+        rest = self.basis[12] if self.has_basis else np.zeros(3 * grasp.n_contacts)
+        self.constants = pack(grasp, rest, self.weights)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""
         assert start is not None
         self._checked.cone(start, wrench)
         values = np.full(self.settings.max_iterations + 1, np.nan) if trace else _NO_TRACE
-        options = self._options
+        options = self.options
         if optimum == optimum:
             options = options.copy()
             options[4] = optimum
         record = np.empty(self._size)
         newton_kernels.newton(
-            self._constants, self._basis, newton_kernels.GIVEN, np.array(start.force, dtype=np.float64).reshape(-1),
-            wrench, self._checked.weights, options, record, values,
+            self.constants, self.basis, newton_kernels.GIVEN, np.array(start.force, dtype=np.float64).reshape(-1),
+            wrench, self.weights, options, record, values,
         )  # fmt: skip
         return ForceSolution(
             record, "newton", start.name, values[: int(record[ITERATIONS]) + 1] if trace else _NO_TRACE
@@ -228,13 +229,13 @@ class Newton:
         record = np.empty(self._size)
         if previous is None:
             newton_kernels.newton(
-                self._constants, self._basis, newton_kernels.BASIS, _NO_FORCE, wrench, self._checked.weights,
-                self._options, record, _NO_TRACE,
+                self.constants, self.basis, newton_kernels.BASIS, _NO_FORCE, wrench, self.weights,
+                self.options, record, _NO_TRACE,
             )  # fmt: skip
         else:
             newton_kernels.newton(
-                self._constants, self._basis, newton_kernels.TANGENT, previous[FORCE:], wrench, self._checked.weights,
-                self._options, record, _NO_TRACE,
+                self.constants, self.basis, newton_kernels.TANGENT, previous[FORCE:], wrench, self.weights,
+                self.options, record, _NO_TRACE,
             )  # fmt: skip
         return record
 
@@ -246,11 +247,11 @@ class Conic:
 
     def __init__(self, grasp: Grasp, settings: Settings, interior: Array) -> None:
         self._size = record_size(grasp.n_contacts)
-        self._options = np.array(
+        self.options = np.array(
             [settings.tolerance, float(min(settings.max_iterations, 100)), grasp.length, float(LANES)]
         )
         weights = np.ones((grasp.n_contacts, 2))
-        self._constants = pack(grasp, interior, weights)
+        self.constants = pack(grasp, interior, weights)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""
@@ -260,7 +261,7 @@ class Conic:
     def direct(self, wrench: Wrench) -> Array:
         """The record; nothing but the compiled call."""
         record = np.empty(self._size)
-        conic_kernels.conic(self._constants, wrench, self._options, record)
+        conic_kernels.conic(self.constants, wrench, self.options, record)
         return record
 
 
