@@ -75,9 +75,8 @@ def conic(constants, wrench, options, record):
             record[CODE] = REFUSED
             return
     work = np.empty((blocks, WIDTH))
-    sums = np.empty(84)
-    lower = np.empty(21)
-    factor = np.empty(21)
+    scratch = np.empty(126)  # one allocation
+    sums, lower, factor = scratch[:84], scratch[84:105], scratch[105:]
     size = 0.0
     for r in range(6):
         size = max(size, abs(wrench[r]) if r < 3 else abs(wrench[r]) / length)

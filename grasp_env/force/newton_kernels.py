@@ -40,6 +40,11 @@ A, C = CONSTANTS + 15, CONSTANTS + 16
 WIDTH = 4 * (CONSTANTS + 17)
 
 
+REFINEMENTS = 3
+BALANCED = 1e-13
+"""A step that misses balance by less than this part of Phi needs no refinement [N / N]."""
+
+
 @compiled_lanes
 def newton(constants, basis, kind, start, wrench, weights, options, record, trace):
     """Solves one wrench and writes `record` (see `record.py`).
@@ -65,16 +70,15 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
             record[CODE] = REFUSED
             return
     work = np.empty((blocks, WIDTH))
-    sums = np.empty(132)
-    lower = np.empty(21)
-    factor = np.empty(21)
-    left, right = np.empty(6), np.empty(6)
+    scratch = np.empty(186 + 3 * count)  # one allocation
+    sums, lower, factor = scratch[:132], scratch[132:153], scratch[153:174]
+    left, right, first = scratch[174:180], scratch[180:186], scratch[186:]
     for b in range(blocks):
         for j in range(4 * CONSTANTS):
             work[b, j] = constants[b, j]
         for n in range(4):
             work[b, 4 * X + n], work[b, 4 * (X + 1) + n], work[b, 4 * (X + 2) + n] = 1.0, 0.0, 0.0
-    first = np.empty(3 * count)
+            work[b, 4 * STEP + n], work[b, 4 * (STEP + 1) + n], work[b, 4 * (STEP + 2) + n] = 0.0, 0.0, 0.0
     if kind == BASIS:
         combine(basis, wrench, False, first)
     else:
@@ -108,10 +112,19 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
             right[r] = (sums[84 + p] + sums[85 + p]) + (sums[86 + p] + sums[87 + p]) - left[r]
         n0, n1, n2, n3, n4, n5 = solve6(factor, right[0], right[1], right[2], right[3], right[4], right[5])
         _direction(work, sums, n0, n1, n2, n3, n4, n5, lanes)
-        # forces at very different depths in their cones make S ill-conditioned: what the step misses of balance is taken off
+        # forces at very different depths in their cones make S ill-conditioned: what the step misses of balance is taken off,
+        # in the metric of Phi while it is large (a few digits a time), then by the least change
         for r in range(6):
-            p = 4 * r
-            left[r] += (sums[p] + sums[p + 1]) + (sums[p + 2] + sums[p + 3])
+            right[r] = left[r]
+        for refinement in range(REFINEMENTS + 1):
+            worst = 0.0
+            for r in range(6):
+                p = 4 * r
+                left[r] = right[r] + (sums[p] + sums[p + 1]) + (sums[p + 2] + sums[p + 3])
+                worst = max(worst, abs(left[r]) if r < 3 else abs(left[r]) / length)
+            if not worst > BALANCED * value or refinement == REFINEMENTS:
+                break
+            _correct(work, sums, solve6(factor, left[0], left[1], left[2], left[3], left[4], left[5]), lanes)
         _rebalance(work, left, lanes)
         decrement, reach = _reach(work, lanes)
         # Phi - min Phi is half the squared decrement to third order: the bound costs half an iteration, so it waits
@@ -172,9 +185,9 @@ def _phi(work, alpha, lanes):
     for b in range(work.shape[0]):
         row = work[b]
         for n in range(lanes):
-            u = row[4 * X + n] + alpha * row[4 * STEP + n] if alpha > 0.0 else row[4 * X + n]
-            o = row[4 * (X + 1) + n] + alpha * row[4 * (STEP + 1) + n] if alpha > 0.0 else row[4 * (X + 1) + n]
-            t = row[4 * (X + 2) + n] + alpha * row[4 * (STEP + 2) + n] if alpha > 0.0 else row[4 * (X + 2) + n]
+            u = row[4 * X + n] + alpha * row[4 * STEP + n]
+            o = row[4 * (X + 1) + n] + alpha * row[4 * (STEP + 1) + n]
+            t = row[4 * (X + 2) + n] + alpha * row[4 * (STEP + 2) + n]
             d = u * u - o * o - t * t
             row[4 * A + n] = min(u, d)
             row[4 * C + n] = row[4 * MASK + n] * (
@@ -264,9 +277,11 @@ def _direction(work, sums, n0, n1, n2, n3, n4, n5, lanes):
 
 
 @compiled_lanes
-def _correct(work, multipliers, lanes):
-    """STEP -= B G^T multipliers."""
+def _correct(work, sums, multipliers, lanes):
+    """STEP -= B G^T multipliers; sums (6 x 4) = G STEP."""
     n0, n1, n2, n3, n4, n5 = multipliers
+    for r in range(24):
+        sums[r] = 0.0
     for b in range(work.shape[0]):
         row = work[b]
         for n in range(lanes):
@@ -286,6 +301,10 @@ def _correct(work, multipliers, lanes):
             row[4 * STEP + n] -= row[4 * B + n] * y0 + b1 * y1 + b2 * y2
             row[4 * (STEP + 1) + n] -= b1 * y0 + row[4 * (B + 3) + n] * y1 + b4 * y2
             row[4 * (STEP + 2) + n] -= b2 * y0 + b4 * y1 + row[4 * (B + 5) + n] * y2
+            e0, e1, e2 = row[4 * STEP + n], row[4 * (STEP + 1) + n], row[4 * (STEP + 2) + n]
+            for r in range(6):
+                p = 4 * (G + r) + n
+                sums[4 * r + n] += row[p] * e0 + row[p + 24] * e1 + row[p + 48] * e2
 
 
 @compiled_lanes
@@ -400,7 +419,7 @@ def _carry_over(work, sums, lower, factor, wrench, weights, basis, first, lanes)
     for b in range(work.shape[0]):
         for j in range(12):
             work[b, 4 * STEP + j] = 0.0
-    _correct(work, solve6(factor, left[0], left[1], left[2], left[3], left[4], left[5]), lanes)
+    _correct(work, sums, solve6(factor, left[0], left[1], left[2], left[3], left[4], left[5]), lanes)
     for i in range(first.size // 3):
         for a in range(3):
             first[3 * i + a] += work[i // 4, 4 * (STEP + a) + i % 4]
