@@ -7,14 +7,14 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from grasp_env.errors import GraspError, UnknownNameError
+from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError
 from grasp_env.force import RULES, InitialForceRule, optimize_force
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce
@@ -77,6 +77,30 @@ class Demo:
 
 
 @dataclass(frozen=True)
+class Bench:
+    """Time the solvers, side by side in one run.
+
+    Attributes:
+        what: solver (ours beside Clarabel, QOCO, QOCOGEN, ... from the extra [bench]), scaling (cost against contacts) or
+            batch (solves per second on one core and all).
+        contacts: numbers of contacts; empty: the benchmark's own.
+        wrenches: problems per size; 0: the benchmark's own number.
+        seed: of the problems.
+        out: folder for the JSON, figures and generated C code.
+        compare: an earlier JSON of the same kind to set beside.
+        json: print JSON for machines.
+    """
+
+    what: tyro.conf.Positional[Literal["solver", "scaling", "batch"]]
+    contacts: tuple[int, ...] = ()
+    wrenches: int = 0
+    seed: int = 0
+    out: Path = Path("runs/bench")
+    compare: Path | None = None
+    json: bool = False
+
+
+@dataclass(frozen=True)
 class Warmup:
     """Compile every kernel and cache it on disk, so that later processes load instead of compiling (tens of ms)."""
 
@@ -103,6 +127,7 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Warmup, tyro.conf.subcommand("warmup")]
 )
 
@@ -136,6 +161,13 @@ def _rule(name: str) -> str | InitialForceRule:
     raise UnknownNameError(
         "initial-force rule", name, (*RULES, "previous", "learned"), ", or give a saved model's path"
     )
+
+
+def _at_least(value: int, name: str, least: int) -> int:
+    """`value`, or an error where it is below `least`."""
+    if value < least:
+        raise InvalidInputError(f"{name} must be at least {least}, got {value}")
+    return value
 
 
 def _solve(command: Solve) -> None:
@@ -220,6 +252,34 @@ def _demo(command: Demo) -> None:
     Console().print(str(command.out), highlight=False)
 
 
+def _bench(command: Bench) -> None:
+    from training.bench import batch, scaling, show, solver
+    from training.runs import Run
+
+    options: dict[str, Any] = {"seed": command.seed}
+    if command.wrenches:
+        options["wrenches"] = _at_least(command.wrenches, "wrenches", 8)
+    if command.contacts and command.what != "batch":
+        options["sizes"] = tuple(_at_least(count, "contacts", 3) for count in command.contacts)
+    if command.what == "solver":
+        options["folder"] = command.out
+    Run.create(command.out, "")
+    console = Console(stderr=True)
+    with console.status("starting") as status:
+        if sys.stderr.isatty():
+            options["tick"] = status.update
+        run = {"solver": solver.solver, "scaling": scaling.scaling, "batch": batch.batch}[command.what]
+        result = run(**options)
+    path = show.save(result, command.out)
+    if command.json:
+        sys.stdout.write(json.dumps(result, allow_nan=False, default=str) + "\n")
+        return
+    show.show(result, Console())
+    if command.compare is not None:
+        show.compare(result, command.compare, Console())
+    Console().print(str(path), highlight=False)
+
+
 def _warmup(command: Warmup) -> None:
     from training.demo import warm_up
 
@@ -240,6 +300,7 @@ _HANDLERS: dict[type, Callable[[Any], None]] = {
     Evaluate: _evaluate,
     Report: _report,
     Demo: _demo,
+    Bench: _bench,
     Warmup: _warmup,
 }
 

@@ -42,7 +42,7 @@ _STYLE: Any = {
 
 def convergence(traces: Trials) -> Figure:
     """Relative gap of Phi against accepted steps, per start, on the paper's constant wrench (the paper's Fig. 3)."""
-    figure, axes = _new(9.2, 4.2)
+    figure, axes = new_figure(9.2, 4.2)
     for key, label in LABELS.items():
         if f"{key}/trace" in traces:
             values = traces[f"{key}/trace"]
@@ -57,7 +57,7 @@ def convergence(traces: Trials) -> Figure:
 
 def iterations_ecdf(trials: Trials) -> Figure:
     """Share of held-out wrenches solved within k accepted steps, per start."""
-    figure, axes = _new(9.2, 4.2)
+    figure, axes = new_figure(9.2, 4.2)
     for key, label in LABELS.items():
         name = f"ball/{key}/iterations"
         if name not in trials:
@@ -81,7 +81,7 @@ def forces_over_time(trials: Trials) -> Figure:
     """Optimal contact forces along W_ext(t): normal and tangential force of every finger."""
     force = trials["paper_path/optimum/force"]
     times = np.arange(len(force)) * 0.01
-    figure, (top, bottom) = _new(7.2, 5.6, rows=2)
+    figure, (top, bottom) = new_figure(7.2, 5.6, rows=2)
     for finger, (label, colour) in enumerate(zip(FINGERS, _FINGER_COLOURS, strict=True)):
         top.plot(times, force[:, finger, 0], color=colour, label=label)
         bottom.plot(times, np.hypot(force[:, finger, 1], force[:, finger, 2]), color=colour, label=label)
@@ -99,7 +99,7 @@ def start_against_optimum(trials: Trials) -> Figure:
     optimum = trials["paper_path/optimum/force"]
     times = np.arange(len(optimum)) * 0.01
     shown = [key for key in ("linear_combination", "learned_shipped") if f"paper_path/{key}/force" in trials]
-    figure, axes = _new(7.2, 5.6, rows=2, columns=2)
+    figure, axes = new_figure(7.2, 5.6, rows=2, columns=2)
     for finger, panel in enumerate(axes.ravel()):
         panel.plot(times, optimum[:, finger, 0], color="black", linewidth=1.6, label="optimum")
         for key in shown:
@@ -118,7 +118,7 @@ def start_against_optimum(trials: Trials) -> Figure:
 
 def rollout(rollouts: Trials, start: str = "linear_combination") -> Figure:
     """The simulated hand: drift, commanded against measured thumb force, iterations, for every scenario."""
-    figure, (top, middle, bottom) = _new(7.2, 8.2, rows=3)
+    figure, (top, middle, bottom) = new_figure(7.2, 8.2, rows=3)
     for colour, (scenario, label) in zip(_SCENARIO_COLOURS, SCENARIO_LABELS.items(), strict=True):
         base = f"{scenario}/{start}/0"
         if f"{base}/time" not in rollouts:
@@ -136,7 +136,8 @@ def rollout(rollouts: Trials, start: str = "linear_combination") -> Figure:
     return figure
 
 
-def _new(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:
+def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:
+    """A figure of the house style, size in inches, and its axes."""
     with plt.rc_context(_STYLE):
         figure, axes = plt.subplots(rows, columns, figsize=(width, height), sharex=rows > 1, layout="constrained")
     for axis in np.ravel(axes):

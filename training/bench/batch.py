@@ -1,0 +1,60 @@
+"""Throughput of batches on one core and on all, and the memory of a large one."""
+
+from __future__ import annotations
+
+import os
+import resource
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from grasp_env.force import optimize_forces
+from grasp_env.grasp import presets
+from grasp_env.grasp.wrench import sample_ball
+from training.runs import provenance
+
+METHODS = {"newton": 1e-4, "conic": 1e-6}
+"""With the tolerances that are these methods' defaults."""
+
+
+def batch(
+    wrenches: int = 1_000_000, rounds: int = 3, seed: int = 0, tick: Callable[[str], None] = lambda text: None
+) -> dict[str, Any]:
+    """Solves per second of `optimize_forces` at four contacts (best of `rounds`, workers taking turns) and peak memory.
+
+    Returns:
+        {"rows": [{method, workers, per_second, optimal}], "speedup": {method: all cores over one}, "peak_gib"}; the peak is
+        of the whole process, wrenches and two results included.
+    """
+    grasp = presets.paper_cuboid()
+    loads = sample_ball(np.random.default_rng(seed), wrenches)
+    cores = os.cpu_count() or 1
+    rows = []
+    for method, tolerance in METHODS.items():
+        optimize_forces(grasp, loads[:100], method=method, tolerance=tolerance)
+        best: dict[int, float] = {}
+        optimal = 0
+        for turn in range(rounds):
+            for workers in sorted({1, cores}):
+                tick(f"{method}, {workers} workers, round {turn + 1} of {rounds}")
+                begin = time.perf_counter()
+                result = optimize_forces(grasp, loads, method=method, tolerance=tolerance, workers=workers)
+                best[workers] = min(best.get(workers, np.inf), time.perf_counter() - begin)
+                optimal = int(result.optimal.sum())
+                del result
+        rows += [
+            {"method": method, "tolerance": tolerance, "workers": workers, "per_second": wrenches / seconds,
+             "optimal": optimal}
+            for workers, seconds in best.items()
+        ]  # fmt: skip
+    rate = {(row["method"], row["workers"]): row["per_second"] for row in rows}
+    return {
+        "kind": "batch",
+        "wrenches": wrenches,
+        "rows": rows,
+        "speedup": {method: rate[method, cores] / rate[method, 1] for method in METHODS},
+        "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "provenance": provenance(),
+    }
