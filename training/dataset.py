@@ -13,7 +13,7 @@ from grasp_env._compile import compiled
 from grasp_env.errors import NotConvergedError
 from grasp_env.force import Objective, OfflineBasis
 from grasp_env.force.kernels import cholesky, inverse_hessian
-from grasp_env.force.lanes import CONSTANTS, LANES, pack_into
+from grasp_env.force.lanes import CONSTANTS, options, pack_into
 from grasp_env.force.newton_kernels import GIVEN, newton
 from grasp_env.force.record import BOUND, FORCE, OBJECTIVE
 from grasp_env.force.start_kernels import combine
@@ -78,14 +78,13 @@ def generate(
         return _label(
             wrenches[part],
             friction[part],
-            grasp.matrix.copy(),
-            grasp.pseudoinverse.copy(),
+            grasp.unit_frame @ grasp.matrix,
+            grasp.pseudoinverse @ np.linalg.inv(grasp.unit_frame),
             null_space,
             basis,
             frictions[0],
             objective.weights(grasp.n_contacts),
-            grasp.length,
-            LANES,
+            options(grasp, 1e-10, 200),
             coordinates[part],
             metric[part],
         )
@@ -108,7 +107,7 @@ def batches(count: int, size: int, rng: np.random.Generator) -> Iterator[np.ndar
 
 @compiled
 def _label(
-    wrenches, friction, matrix, pseudoinverse, null_space, basis, basis_friction, weights, length, lanes, coordinates, metric
+    wrenches, friction, matrix, pseudoinverse, null_space, basis, basis_friction, weights, options, coordinates, metric
 ):  # fmt: skip
     size, dimension = null_space.shape
     x = np.empty(size)
@@ -119,7 +118,7 @@ def _label(
     nothing = np.empty(0)
     divisor, inverse = np.ones((size // 3, 3)), np.empty((size, 6))
     constants = np.empty(((size // 3 + 3) // 4, 4 * CONSTANTS))
-    options, record = np.array([1e-10, 200.0, length, lanes, np.nan]), np.empty(FORCE + 7 * (size // 3))
+    record = np.empty(FORCE + 7 * (size // 3))
     worst = 0.0
     for sample in range(wrenches.shape[0]):
         mu = friction[sample]

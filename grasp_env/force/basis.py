@@ -9,9 +9,9 @@ import numpy as np
 
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError
-from grasp_env.force.basis_kernels import offline_basis
+from grasp_env.force.basis_kernels import BASIS_ITERATIONS, BASIS_TOLERANCE, offline_basis
 from grasp_env.force.feasibility import phase_one
-from grasp_env.force.lanes import LANES, pack
+from grasp_env.force.lanes import options, pack
 from grasp_env.force.objective import Objective
 from grasp_env.force.start_kernels import combine
 from grasp_env.grasp.grasp import Grasp
@@ -128,7 +128,6 @@ def _solve(
         pseudoinverse,
         grasp.models.cone_divisor.copy(),
         weights,
-        grasp.length,
-        LANES,
+        options(grasp, BASIS_TOLERANCE, BASIS_ITERATIONS),
     )
     return bool(worst < ACCEPTED_GAP)

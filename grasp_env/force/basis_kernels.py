@@ -15,7 +15,7 @@ BASIS_ITERATIONS = 200
 
 
 @compiled
-def offline_basis(basis, warm, interior, constants, cone_matrix, pseudoinverse, divisor, weights, length, lanes):
+def offline_basis(basis, warm, interior, constants, cone_matrix, pseudoinverse, divisor, weights, options):
     """Fills `basis` (13, 3N) with argmin Phi for +-e_k and for w = 0; returns the worst relative gap (inf: failed).
 
     Args:
@@ -25,15 +25,13 @@ def offline_basis(basis, warm, interior, constants, cone_matrix, pseudoinverse, 
         cone_matrix, pseudoinverse: (6, 3N), (3N, 6), in cone coordinates.
         divisor: (N, 3) of cone coordinates.
         weights: (N, 2) omega and lambda.
-        length: the grasp's [m].
-        lanes: 4.
+        options: (8,) from `lanes.options`.
     """
     size = interior.size
     count = size // 3
     x, start = np.empty(size), np.empty(size)
     wrench = np.zeros(6)
     record, no_trace = np.empty(FORCE + 7 * count), np.empty(0)
-    options = np.array([BASIS_TOLERANCE, float(BASIS_ITERATIONS), length, lanes, np.nan])
     worst = 0.0
     for row in range(12, -1, -1):  # rest (12) first: the others start from it
         wrench[:] = 0.0

@@ -21,7 +21,21 @@ from grasp_env._check import LARGEST
 from grasp_env._compile import compiled_lanes
 from grasp_env.force.cholesky6 import factor6, solve6
 from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
-from grasp_env.force.lanes import CONSTANTS, COST, DIVISOR, MASK, PINV, REST, G, K
+from grasp_env.force.lanes import (
+    CONSTANTS,
+    COST,
+    DIVISOR,
+    GAP,
+    LANE_COUNT,
+    MASK,
+    PINV,
+    REST,
+    STEPS,
+    G,
+    K,
+    load,
+    pull_back,
+)
 from grasp_env.force.record import (
     BOUND,
     CODE,
@@ -63,11 +77,10 @@ def conic(constants, wrench, options, record):
     Args:
         constants: (blocks, 4 * CONSTANTS) from `lanes.pack`, whose REST is an internal force strictly inside.
         wrench: (6,) external wrench [N, N m].
-        options: (4,) relative gap at which to stop, most iterations, the grasp's length [m], 4 (the lanes: a number the
-            compiler must not know).
+        options: (8,) from `lanes.options`.
         record: (20 + 7N,) overwritten.
     """
-    tolerance, limit, length, lanes = options[0], options[1], options[2], int(options[3])
+    tolerance, limit, lanes = options[GAP], options[STEPS], int(options[LANE_COUNT])
     blocks = constants.shape[0]
     count = (record.size - FORCE) // 7
     for r in range(6):
@@ -75,19 +88,26 @@ def conic(constants, wrench, options, record):
             record[CODE] = REFUSED
             return
     work = np.empty((blocks, WIDTH))
-    scratch = np.empty(126)  # one allocation
-    sums, lower, factor = scratch[:84], scratch[84:105], scratch[105:]
+    scratch = np.empty(132)  # one allocation
+    sums, lower, factor, unit = scratch[:84], scratch[84:105], scratch[105:126], scratch[126:]
+    load(wrench, options, unit)
     size = 0.0
     for r in range(6):
-        size = max(size, abs(wrench[r]) if r < 3 else abs(wrench[r]) / length)
+        size = max(size, abs(unit[r]))
     record[:] = 0.0
     for r in range(6):
         record[WRENCH + r] = wrench[r]
     if size == 0.0:
         # no force is needed, and none is less
         return
-    w0, w1, w2 = wrench[0] / size, wrench[1] / size, wrench[2] / size
-    w3, w4, w5 = wrench[3] / size, wrench[4] / size, wrench[5] / size
+    w0, w1, w2, w3, w4, w5 = (
+        unit[0] / size,
+        unit[1] / size,
+        unit[2] / size,
+        unit[3] / size,
+        unit[4] / size,
+        unit[5] / size,
+    )
 
     # start: x = -G^+ w + k rest with k beyond what the triangle inequality asks, s = c (y = 0)
     squeeze = 1e-6
@@ -204,7 +224,7 @@ def conic(constants, wrench, options, record):
                 price += row[4 * MASK + n] * row[4 * COST + n] * x0
         iterations += 1
     record[CODE], record[ITERATIONS], record[TRIALS] = code, iterations, iterations
-    _certify(work, wrench, size, length, y0, y1, y2, y3, y4, y5, lanes, record)
+    _certify(work, unit, size, options, y0, y1, y2, y3, y4, y5, record)
 
 
 @compiled_lanes
@@ -349,15 +369,21 @@ def _direct(row, y0, y1, y2, y3, y4, y5, lanes):
 
 
 @compiled_lanes
-def _certify(work, wrench, size, length, y0, y1, y2, y3, y4, y5, lanes, record):
+def _certify(work, unit, size, options, y0, y1, y2, y3, y4, y5, record):
     """Balances the last digits, scales y onto the boundary of its set, and writes force and certificates.
 
     For any y the largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|), g = G^T y over the contacts where
     that is positive: -theta w . y is a bound that needs no trust in the iterations.
     """
     count = (record.size - FORCE) // 7
-    r0, r1, r2 = wrench[0] / size, wrench[1] / size, wrench[2] / size
-    r3, r4, r5 = wrench[3] / size, wrench[4] / size, wrench[5] / size
+    r0, r1, r2, r3, r4, r5 = (
+        unit[0] / size,
+        unit[1] / size,
+        unit[2] / size,
+        unit[3] / size,
+        unit[4] / size,
+        unit[5] / size,
+    )
     value = -(r0 * y0 + r1 * y1 + r2 * y2 + r3 * y3 + r4 * y4 + r5 * y5)
     largest = 0.0
     for i in range(count):
@@ -377,27 +403,30 @@ def _certify(work, wrench, size, length, y0, y1, y2, y3, y4, y5, lanes, record):
         g2 = row[p] * y0 + row[p + 4] * y1 + row[p + 8] * y2 + row[p + 12] * y3 + row[p + 16] * y4 + row[p + 20] * y5
         largest = max(largest, (g0 + math.sqrt(g1 * g1 + g2 * g2)) / row[4 * COST + i % 4])
     theta = 1.0 / largest if largest > 0.0 else 1.0
-    record[MULTIPLIERS], record[MULTIPLIERS + 1], record[MULTIPLIERS + 2] = theta * y0, theta * y1, theta * y2
-    record[MULTIPLIERS + 3], record[MULTIPLIERS + 4], record[MULTIPLIERS + 5] = theta * y3, theta * y4, theta * y5
+    multipliers = pull_back(options, (theta * y0, theta * y1, theta * y2, theta * y3, theta * y4, theta * y5))
+    for r in range(6):
+        record[MULTIPLIERS + r] = multipliers[r]
     record[BOUND] = size * max(theta * value, 0.0)
-    price, margin = 0.0, np.inf
-    b0, b1, b2, b3, b4, b5 = wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5]
+    squeeze = 0.0
     for i in range(count):
-        row = work[i // 4]
-        n = i % 4
-        p = 4 * PINV + n
-        x0 = row[4 * X + n] - (
-            row[p] * r0 + row[p + 4] * r1 + row[p + 8] * r2 + row[p + 12] * r3 + row[p + 16] * r4 + row[p + 20] * r5
-        )
-        p += 24
-        x1 = row[4 * (X + 1) + n] - (
-            row[p] * r0 + row[p + 4] * r1 + row[p + 8] * r2 + row[p + 12] * r3 + row[p + 16] * r4 + row[p + 20] * r5
-        )
-        p += 24
-        x2 = row[4 * (X + 2) + n] - (
-            row[p] * r0 + row[p + 4] * r1 + row[p + 8] * r2 + row[p + 12] * r3 + row[p + 16] * r4 + row[p + 20] * r5
-        )
-        x0, x1, x2 = x0 * size, x1 * size, x2 * size
+        row, n = work[i // 4], i % 4
+        for a in range(3):
+            p = 4 * (PINV + 6 * a) + n
+            row[4 * (X + a) + n] -= (
+                row[p] * r0 + row[p + 4] * r1 + row[p + 8] * r2 + row[p + 12] * r3 + row[p + 16] * r4 + row[p + 20] * r5
+            )
+        outside = math.sqrt(row[4 * (X + 1) + n] ** 2 + row[4 * (X + 2) + n] ** 2) - row[4 * X + n]
+        if outside > 0.0:
+            # the last digits of balance took it out of its cone: an internal force takes it back
+            depth = row[4 * REST + n] - math.sqrt(row[4 * (REST + 1) + n] ** 2 + row[4 * (REST + 2) + n] ** 2)
+            squeeze = max(squeeze, 1.1 * outside / depth)
+    price, margin = 0.0, np.inf
+    b0, b1, b2, b3, b4, b5 = unit[0], unit[1], unit[2], unit[3], unit[4], unit[5]
+    for i in range(count):
+        row, n = work[i // 4], i % 4
+        x0 = size * (row[4 * X + n] + squeeze * row[4 * REST + n])
+        x1 = size * (row[4 * (X + 1) + n] + squeeze * row[4 * (REST + 1) + n])
+        x2 = size * (row[4 * (X + 2) + n] + squeeze * row[4 * (REST + 2) + n])
         margin = min(margin, x0 - math.sqrt(x1 * x1 + x2 * x2))
         price += row[4 * COST + n] * x0
         p = 4 * G + n
@@ -413,4 +442,4 @@ def _certify(work, wrench, size, length, y0, y1, y2, y3, y4, y5, lanes, record):
         for a in range(3):
             record[FORCE + 3 * (count + i) + a] = size * row[4 * (START + a) + n] / row[4 * (DIVISOR + a) + n]
     record[OBJECTIVE], record[MARGIN] = price, margin
-    record[RESIDUAL] = max(max(abs(b0), abs(b1), abs(b2)), max(abs(b3), abs(b4), abs(b5)) / length)
+    record[RESIDUAL] = max(max(abs(b0), abs(b1), abs(b2)), max(abs(b3), abs(b4), abs(b5)))

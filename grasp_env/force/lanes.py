@@ -1,5 +1,7 @@
 """How a grasp lies in memory for the fast kernels: blocks of four contacts, structure of arrays inside a block.
 
+Balance is in the unit frame (`Grasp.unit_frame`): moments about the contacts' centre, divided by the grasp's length.
+
 Row `b` of `pack(grasp, ...)` holds contacts 4b .. 4b + 3; number j of contact 4b + l is entry 4 j + l of the row, so
 one vector instruction works on four contacts. Unused lanes hold a contact without effect: G = 0, weight 0. A kernel
 copies the constants into a row of its own that is longer, and keeps its variables behind them.
@@ -45,14 +47,43 @@ def pack(grasp: Grasp, rest: Array, weights: Array) -> Array:
         weights: (N, 2) omega and lambda of each contact.
     """
     out = np.empty((-(-grasp.n_contacts // LANES), LANES * CONSTANTS))
-    inverse = grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None]
-    pack_into(grasp.cone_matrix.copy(), inverse, rest, grasp.models.cone_divisor.copy(), weights, out)
+    frame = grasp.unit_frame
+    inverse = (grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None]) @ np.linalg.inv(frame)
+    pack_into(frame @ grasp.cone_matrix, inverse, rest, grasp.models.cone_divisor.copy(), weights, out)
     return out
+
+
+def options(grasp: Grasp, tolerance: float, limit: int, optimum: float = float("nan")) -> Array:
+    """(8,) numbers that the kernels take: relative gap, most iterations, lanes, length and centre [m], a known minimum."""
+    # the number of lanes is data, so that the compiler does not know it
+    return np.array([tolerance, float(limit), float(LANES), grasp.length, *grasp.centre, optimum])
+
+
+GAP, STEPS, LANE_COUNT, LENGTH, CENTRE, KNOWN = 0, 1, 2, 3, 4, 7
+"""Where they stand."""
+
+
+@compiled
+def load(wrench, options, out):
+    """Out (6,) = wrench as (force, moment about the contacts' centre / length) [N]: `Grasp.unit_frame`."""
+    x, y, z, length = options[CENTRE], options[CENTRE + 1], options[CENTRE + 2], options[LENGTH]
+    out[0], out[1], out[2] = wrench[0], wrench[1], wrench[2]
+    out[3] = (wrench[3] - (y * wrench[2] - z * wrench[1])) / length
+    out[4] = (wrench[4] - (z * wrench[0] - x * wrench[2])) / length
+    out[5] = (wrench[5] - (x * wrench[1] - y * wrench[0])) / length
+
+
+@compiled
+def pull_back(options, n):
+    """Multipliers of the given wrench from those (6 numbers) of `load`: the transposed map."""
+    x, y, z, length = options[CENTRE], options[CENTRE + 1], options[CENTRE + 2], options[LENGTH]
+    a, b, c = n[3] / length, n[4] / length, n[5] / length
+    return n[0] - (b * z - c * y), n[1] - (c * x - a * z), n[2] - (a * y - b * x), a, b, c
 
 
 @compiled
 def pack_into(cone_matrix, inverse, rest, divisor, weights, out):
-    """`pack` on arrays: G and G^+ (3N, 6) in cone coordinates, the rest force, divisors (N, 3), weights (N, 2)."""
+    """`pack` on arrays: G and G^+ (3N, 6) in cone coordinates and the unit frame, the rest force, divisors (N, 3), weights (N, 2)."""
     count = divisor.shape[0]
     out[:] = 0.0
     for i in range(LANES * out.shape[0]):

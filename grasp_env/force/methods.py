@@ -22,7 +22,7 @@ from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.descent_kernels import CONVERGED, STALLED, reduced_flow
 from grasp_env.force.feasibility import Feasibility, answer
 from grasp_env.force.kernels import cone_slack, phi, worst_residual
-from grasp_env.force.lanes import LANES, pack
+from grasp_env.force.lanes import KNOWN, options, pack
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.linear import linear_forces
 from grasp_env.force.objective import Objective
@@ -177,7 +177,7 @@ class Flow:
         record = np.zeros(record_size(grasp.n_contacts))
         record[CODE], record[ITERATIONS], record[TRIALS] = code, iterations, trials
         record[OBJECTIVE], record[BOUND], record[MARGIN] = value, bound, cone_slack(x)
-        record[RESIDUAL] = worst_residual(x, self._checked.matrix, wrench, grasp.length, self._work)
+        record[RESIDUAL] = grasp.residual(grasp.to_force(x), wrench)
         record[WRENCH : WRENCH + 6] = wrench
         size = 3 * grasp.n_contacts
         record[FORCE : FORCE + size] = grasp.to_force(x).reshape(-1)
@@ -195,9 +195,7 @@ class Newton:
         self._checked = _Checked(grasp, settings)
         self.weights = self._checked.weights
         self._size = record_size(grasp.n_contacts)
-        self.options = np.array(
-            [settings.tolerance, float(settings.max_iterations), grasp.length, float(LANES), float("nan")]
-        )
+        self.options = options(grasp, settings.tolerance, settings.max_iterations)
         try:
             self.basis = OfflineBasis.of(grasp, settings.objective).cone_forces
             self.has_basis = True
@@ -211,14 +209,14 @@ class Newton:
         assert start is not None
         self._checked.cone(start, wrench)
         values = np.full(self.settings.max_iterations + 1, np.nan) if trace else _NO_TRACE
-        options = self.options
+        numbers = self.options
         if optimum == optimum:
-            options = options.copy()
-            options[4] = optimum
+            numbers = numbers.copy()
+            numbers[KNOWN] = optimum
         record = np.empty(self._size)
         newton_kernels.newton(
             self.constants, self.basis, newton_kernels.GIVEN, np.array(start.force, dtype=np.float64).reshape(-1),
-            wrench, self.weights, options, record, values,
+            wrench, self.weights, numbers, record, values,
         )  # fmt: skip
         return ForceSolution(
             record, "newton", start.name, values[: int(record[ITERATIONS]) + 1] if trace else _NO_TRACE
@@ -247,9 +245,7 @@ class Conic:
 
     def __init__(self, grasp: Grasp, settings: Settings, interior: Array) -> None:
         self._size = record_size(grasp.n_contacts)
-        self.options = np.array(
-            [settings.tolerance, float(min(settings.max_iterations, 100)), grasp.length, float(LANES)]
-        )
+        self.options = options(grasp, settings.tolerance, min(settings.max_iterations, 100))
         weights = np.ones((grasp.n_contacts, 2))
         self.constants = pack(grasp, interior, weights)
 
@@ -345,7 +341,7 @@ class ProgramNewton(_Program):
             assert found.force is not None
             start = Start("phase_one", found.force, found.torsion)
         z = program.variables(start.force, start.torsion)
-        size = float(np.abs(start.force).max()) + float(np.abs(wrench / program.scale).max())
+        size = float(np.abs(start.force).max()) + float(np.abs(program.frame @ wrench).max())
         if program.residual(z, wrench) > BALANCE_TOLERANCE * size:
             raise InfeasibleStartError(
                 f"initial-force rule {start.name!r} misses balance by {program.residual(z, wrench):.3g} N (G f + w = 0)"

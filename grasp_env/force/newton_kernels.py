@@ -15,7 +15,21 @@ from grasp_env._compile import compiled_lanes
 from grasp_env.force.cholesky6 import factor6, solve6
 from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
 from grasp_env.force.kernels import phi
-from grasp_env.force.lanes import CONSTANTS, DIVISOR, LAM, MASK, OMEGA, PINV, G
+from grasp_env.force.lanes import (
+    CONSTANTS,
+    DIVISOR,
+    GAP,
+    KNOWN,
+    LAM,
+    LANE_COUNT,
+    MASK,
+    OMEGA,
+    PINV,
+    STEPS,
+    G,
+    load,
+    pull_back,
+)
 from grasp_env.force.record import (
     BOUND,
     CODE,
@@ -57,12 +71,11 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
         start: (3N,) forces (normal, o, t) [N]; a record's are at record[FORCE : FORCE + 3N].
         wrench: (6,) external wrench [N, N m].
         weights: (N, 2) omega and lambda, as in `constants`.
-        options: (6,) relative gap at which to stop, most iterations, the grasp's length [m], 4 (the lanes: a number the
-            compiler must not know), a known min Phi or nan for the certified dual bound, unused.
+        options: (8,) from `lanes.options`; with a known min Phi the gap is taken to that instead of the dual bound.
         record: (20 + 7N,) overwritten.
         trace: (T,) receives Phi of iterates 0..T-1.
     """
-    tolerance, limit, length, lanes, optimum = options[0], options[1], options[2], int(options[3]), options[4]
+    tolerance, limit, lanes, optimum = options[GAP], options[STEPS], int(options[LANE_COUNT]), options[KNOWN]
     blocks = constants.shape[0]
     count = (record.size - FORCE) // 7
     for r in range(6):
@@ -70,9 +83,10 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
             record[CODE] = REFUSED
             return
     work = np.empty((blocks, WIDTH))
-    scratch = np.empty(186 + 3 * count)  # one allocation
-    sums, lower, factor = scratch[:132], scratch[132:153], scratch[153:174]
-    left, right, first = scratch[174:180], scratch[180:186], scratch[186:]
+    scratch = np.empty(192 + 3 * count)  # one allocation
+    sums, lower, factor, unit = scratch[:132], scratch[132:153], scratch[153:174], scratch[174:180]
+    left, right, first = scratch[180:186], scratch[186:192], scratch[192:]
+    load(wrench, options, unit)
     for b in range(blocks):
         for j in range(4 * CONSTANTS):
             work[b, j] = constants[b, j]
@@ -88,7 +102,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
                 first[3 * i + a] = start[3 * i + a] * scale if scale < np.inf else 0.0
     _spread(first, work)
     if kind == TANGENT:
-        _carry_over(work, sums, lower, factor, wrench, weights, basis, first, lanes)
+        _carry_over(work, sums, lower, factor, unit, wrench, weights, basis, first, lanes)
         _spread(first, work)
     value = _phi(work, 0.0, lanes)
     known = optimum == optimum
@@ -108,7 +122,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
         # S nu = G H^-1 grad - r, r = G x + w
         for r in range(6):
             p = 4 * r
-            left[r] = (sums[108 + p] + sums[109 + p]) + (sums[110 + p] + sums[111 + p]) + wrench[r]
+            left[r] = (sums[108 + p] + sums[109 + p]) + (sums[110 + p] + sums[111 + p]) + unit[r]
             right[r] = (sums[84 + p] + sums[85 + p]) + (sums[86 + p] + sums[87 + p]) - left[r]
         n0, n1, n2, n3, n4, n5 = solve6(factor, right[0], right[1], right[2], right[3], right[4], right[5])
         _direction(work, sums, n0, n1, n2, n3, n4, n5, lanes)
@@ -121,7 +135,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
             for r in range(6):
                 p = 4 * r
                 left[r] = right[r] + (sums[p] + sums[p + 1]) + (sums[p + 2] + sums[p + 3])
-                worst = max(worst, abs(left[r]) if r < 3 else abs(left[r]) / length)
+                worst = max(worst, abs(left[r]))
             if not worst > BALANCED * value or refinement == REFINEMENTS:
                 break
             _correct(work, sums, solve6(factor, left[0], left[1], left[2], left[3], left[4], left[5]), lanes)
@@ -129,7 +143,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
         decrement, reach = _reach(work, lanes)
         # Phi - min Phi is half the squared decrement to third order: the bound costs half an iteration, so it waits
         if not known and (decrement < 4.0 * tolerance * value or iterations >= limit):
-            bound = max(bound, _lower_bound(work, wrench, n0, n1, n2, n3, n4, n5, lanes))
+            bound = max(bound, _lower_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes))
         if bound > 0.0 and value - bound <= tolerance * bound:
             break
         if iterations >= limit:
@@ -146,7 +160,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
             alpha *= 0.5
         if not accepted:
             if not known:
-                bound = max(bound, _lower_bound(work, wrench, n0, n1, n2, n3, n4, n5, lanes))
+                bound = max(bound, _lower_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes))
             code = CONVERGED if bound > 0.0 and value - bound <= tolerance * bound else STALLED
             break
         for b in range(blocks):
@@ -162,12 +176,13 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
     record[OBJECTIVE], record[BOUND] = value, bound
     for r in range(6):
         record[WRENCH + r] = wrench[r]
-    record[MULTIPLIERS], record[MULTIPLIERS + 1], record[MULTIPLIERS + 2] = n0, n1, n2
-    record[MULTIPLIERS + 3], record[MULTIPLIERS + 4], record[MULTIPLIERS + 5] = n3, n4, n5
+    multipliers = pull_back(options, (n0, n1, n2, n3, n4, n5))
+    for r in range(6):
+        record[MULTIPLIERS + r] = multipliers[r]
     for i in range(count):
         for a in range(3):
             record[FORCE + 3 * (count + i) + a] = first[3 * i + a] / work[i // 4, 4 * (DIVISOR + a) + i % 4]
-    _finish(work, wrench, length, iterations > 0, record)
+    _finish(work, unit, iterations > 0, record)
 
 
 @compiled_lanes
@@ -351,7 +366,7 @@ def _reach(work, lanes):
 
 
 @compiled_lanes
-def _lower_bound(work, wrench, n0, n1, n2, n3, n4, n5, lanes):
+def _lower_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes):
     """Dual value at nu: see `kernels.lower_bound`."""
     total, least = 0.0, np.inf
     for b in range(work.shape[0]):
@@ -394,12 +409,12 @@ def _lower_bound(work, wrench, n0, n1, n2, n3, n4, n5, lanes):
             total += row[4 * C + n]
     if not least > 0.0:
         return -np.inf
-    total -= n0 * wrench[0] + n1 * wrench[1] + n2 * wrench[2] + n3 * wrench[3] + n4 * wrench[4] + n5 * wrench[5]
+    total -= n0 * unit[0] + n1 * unit[1] + n2 * unit[2] + n3 * unit[3] + n4 * unit[4] + n5 * unit[5]
     return total if total == total else -np.inf
 
 
 @compiled_lanes
-def _carry_over(work, sums, lower, factor, wrench, weights, basis, first, lanes):
+def _carry_over(work, sums, lower, factor, unit, wrench, weights, basis, first, lanes):
     """First = the optimum in X carried to G and w as they are now, then the least Phi on the way to it from the 12-basis.
 
     dx = -H^-1 G^T (G H^-1 G^T)^-1 (G x + w) follows the optimum to first order.
@@ -415,7 +430,7 @@ def _carry_over(work, sums, lower, factor, wrench, weights, basis, first, lanes)
     left = np.empty(6)
     for r in range(6):
         p = 108 + 4 * r
-        left[r] = (sums[p] + sums[p + 1]) + (sums[p + 2] + sums[p + 3]) + wrench[r]
+        left[r] = (sums[p] + sums[p + 1]) + (sums[p + 2] + sums[p + 3]) + unit[r]
     for b in range(work.shape[0]):
         for j in range(12):
             work[b, 4 * STEP + j] = 0.0
@@ -428,11 +443,11 @@ def _carry_over(work, sums, lower, factor, wrench, weights, basis, first, lanes)
 
 
 @compiled_lanes
-def _finish(work, wrench, length, moved, record):
+def _finish(work, unit, moved, record):
     """Takes what rounding left of G x + w off a moved x by G^+; writes force, residual and margin."""
     count = (record.size - FORCE) // 7
     left = np.empty(12)
-    left[:6] = wrench
+    left[:6] = unit
     for i in range(count):
         row = work[i // 4]
         for a in range(3):
@@ -441,7 +456,7 @@ def _finish(work, wrench, length, moved, record):
                 left[r] += row[p + 4 * r] * x
     if not moved:
         left[:6] = 0.0
-    left[6:] = wrench
+    left[6:] = unit
     margin = np.inf
     for i in range(count):
         row, n = work[i // 4], i % 4
@@ -457,6 +472,4 @@ def _finish(work, wrench, length, moved, record):
         o, t = row[4 * (X + 1) + n], row[4 * (X + 2) + n]
         margin = min(margin, row[4 * X + n] - math.sqrt(o * o + t * t))
     record[MARGIN] = margin
-    record[RESIDUAL] = max(
-        max(abs(left[6]), abs(left[7]), abs(left[8])), max(abs(left[9]), abs(left[10]), abs(left[11])) / length
-    )
+    record[RESIDUAL] = np.abs(left[6:]).max()

@@ -1,8 +1,8 @@
 """Grasp-force problems with soft contacts and further limits, as data for `program_kernels.interior_point`.
 
 Contact i has the variables z_i = (u, o, t, w): cone coordinates, and for soft contacts w = u - v >= 0 where v is the torsion
-in units of its limit, abs(v) <= u. Wrenches are scaled to size one and moments divided by the grasp's length, so tolerances
-mean the same from 1e-6 to 1e4 N.
+in units of its limit, abs(v) <= u. Wrenches are scaled to size one and balance is in the unit frame (`Grasp.unit_frame`), so
+tolerances mean the same from 1e-6 to 1e4 N and wherever the origin is.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import UnknownNameError
+from grasp_env.force.descent_kernels import CONVERGED, LIMIT
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.program_kernels import interior_point
 from grasp_env.force.program_newton import general_newton
@@ -22,6 +23,8 @@ from grasp_env.grasp.grasp import Grasp
 _Structure = tuple[NDArray[np.int64], NDArray[np.int64], Array]
 CRITERIA = ("sum", "max")
 """What `conic` makes least: the sum of the normal forces, or the largest of them."""
+DIVERGED = 1e12
+"""Multipliers of a wrench of size one beyond which they say nothing."""
 CLEAR = 1e-9
 """A margin up to this, of one for forces that sum to one, counts as the boundary: no force strictly inside."""
 
@@ -67,13 +70,14 @@ class ForceProgram:
         self.soft: NDArray[np.bool_] = gamma > 0.0
         self.torsion_divisor = np.where(self.soft, mu / np.where(self.soft, gamma, 1.0), np.inf)
         """Torsion = (u - w) / torsion_divisor."""
-        self.scale = np.ones(6)
-        self.scale[3:] = grasp.length
+        self.frame = grasp.unit_frame
         balance = np.zeros((6, count, 4))
         balance[:, :, :3] = grasp.cone_matrix.reshape(6, count, 3)
         balance[:, :, 3] = grasp.torsion_matrix / self.torsion_divisor
-        self.balance = _with_slack(balance / self.scale[:, None, None])
+        self.balance = _with_slack(np.einsum("rs,sna->rna", self.frame, balance))
         """(6, N, 4)."""
+        flat = self.balance.reshape(6, -1)
+        self._inverse = np.linalg.pinv(flat).reshape(count, 4, 6)
         soft = np.flatnonzero(self.soft)
         rows, bound = np.zeros((len(soft), count, 4)), np.zeros(len(soft))
         rows[np.arange(len(soft)), soft, 0], rows[np.arange(len(soft)), soft, 3] = -2.0, 1.0
@@ -108,7 +112,7 @@ class ForceProgram:
             raise UnknownNameError("criterion", criterion, CRITERIA)
         count = self.grasp.n_contacts
         size = self._size(wrench)
-        unit = wrench / self.scale / size
+        unit = self.frame @ wrench / size
         right = np.concatenate([-unit, self.bound / size])
         cost = np.zeros((count, 4))
         if criterion == "max":
@@ -126,10 +130,23 @@ class ForceProgram:
                 structure, np.zeros((len(right), 0)), right, 6, cost, np.zeros(0), tolerance, max_iterations
             )
         z = self._balanced(state.z, unit)
+        if info[0] == CONVERGED and self.slack(z) < 0.0:
+            z = self._inwards(z, wrench / size)
         normals = self._price * z[:, 0]
         value = float(normals.sum() if criterion == "sum" else normals.max())
+        if not np.abs(state.y).max() < DIVERGED:
+            # no bound: the multipliers run away, as they do where nothing balances the wrench
+            return Answer(
+                max(int(info[0]), LIMIT),
+                size * z,
+                int(info[1]),
+                size * value,
+                0.0,
+                np.zeros(6),
+                np.zeros(len(self.bound)),
+            )
         bound, nu, multipliers = self._certified(state.y, cost, criterion, unit, size)
-        return Answer(int(info[0]), size * z, int(info[1]), size * value, size * bound, nu / self.scale, multipliers)
+        return Answer(int(info[0]), size * z, int(info[1]), size * value, size * bound, self.frame.T @ nu, multipliers)
 
     def deepest(self, wrench: Wrench, tolerance: float = 1e-7) -> tuple[Answer, Array | None]:
         """The force deepest inside all limits, and the separating twist when nothing is inside.
@@ -144,7 +161,7 @@ class ForceProgram:
         """
         count, limits = self.grasp.n_contacts, len(self.bound)
         size = self._size(wrench)
-        unit = wrench / self.scale / size
+        unit = self.frame @ wrench / size
         inward = np.zeros((count, 4))
         inward[:, 0], inward[:, 3] = 1.0, self.soft
         total = np.zeros((1, count, 4))
@@ -170,10 +187,10 @@ class ForceProgram:
             z = self._balanced(z / part, unit)
         twist = None
         if not margin > CLEAR:
-            twist = state.y[:6] / self.scale
+            twist = self.frame.T @ state.y[:6]
             twist = twist / max(float(np.abs(twist).max()), 1e-300)
         nothing = np.zeros(limits)
-        return Answer(int(info[0]), size * z, int(info[1]), margin, margin, -state.y[:6] / self.scale, nothing), twist
+        return Answer(int(info[0]), size * z, int(info[1]), margin, margin, -self.frame.T @ state.y[:6], nothing), twist
 
     def least_phi(
         self,
@@ -199,14 +216,14 @@ class ForceProgram:
         touched = (self.rows != 0.0).any(axis=2)
         touched[~touched.any(axis=1)] = True
         row_weights = np.concatenate([np.zeros(6), touched @ weights[:, 1] / touched.sum(axis=1)])
-        right = np.concatenate([-wrench / self.scale, self.bound])
+        right = np.concatenate([-self.frame @ wrench, self.bound])
         z, y = z.copy(), np.zeros(len(right))
         code, iterations, trials, value, bound = general_newton(
-            self._first, self._touched, self._values, right, 6, weights, row_weights, self.soft, tolerance, optimum,
+            self._first, self._touched, self._values, right, 6, self._inverse, weights, row_weights, self.soft, tolerance, optimum,
             max_iterations, z, y, trace,
         )  # fmt: skip
-        z = self._balanced(z, wrench / self.scale)
-        return Answer(code, z, iterations, value, bound, -y[:6] / self.scale, y[6:] / self.row_size, trials)
+        z = self._balanced(z, self.frame @ wrench)
+        return Answer(code, z, iterations, value, bound, -self.frame.T @ y[:6], y[6:] / self.row_size, trials)
 
     def force(self, z: Array) -> ContactForces:
         """(N, 3) contact forces of z [N]."""
@@ -235,21 +252,28 @@ class ForceProgram:
 
     def balanced(self, z: Array, wrench: Wrench) -> Array:
         """Z with the least-norm change that balances the wrench, cone coordinates."""
-        return self._balanced(z, wrench / self.scale)
+        return self._balanced(z, self.frame @ wrench)
 
     def residual(self, z: Array, wrench: Wrench) -> float:
-        """Largest |component| of G z + w, moments divided by the grasp's length [N]."""
-        return float(np.abs(np.einsum("rna,na->r", self.balance, z) + wrench / self.scale).max())
+        """Largest |component| of G z + w, moments about the contacts' centre and divided by the grasp's length [N]."""
+        return float(np.abs(np.einsum("rna,na->r", self.balance, z) + self.frame @ wrench).max())
+
+    def _inwards(self, z: Array, wrench: Wrench) -> Array:
+        """Z mixed with as little of the deepest force as takes the rounding of its last digits out of the limits."""
+        deepest, twist = self.deepest(wrench)
+        outside, inside = -self.slack(z), self.slack(deepest.z)
+        if twist is not None or not inside > 0.0:
+            return z
+        part = min(1.0, 1.1 * outside / (outside + inside))
+        return (1.0 - part) * z + part * deepest.z
 
     def _size(self, wrench: Wrench) -> float:
-        size = float(np.abs(wrench / self.scale).max())
+        size = float(np.abs(self.frame @ wrench).max())
         return size if size > 0.0 else 1.0
 
     def _balanced(self, z: Array, unit: Array) -> Array:
         """Takes the last digits of G z + w off z, least norm."""
-        flat = self.balance.reshape(6, -1)
-        left = flat @ z.reshape(-1) + unit
-        return z - (flat.T @ np.linalg.solve(flat @ flat.T, left)).reshape(z.shape)
+        return z - self._inverse @ (np.einsum("rna,na->r", self.balance, z) + unit)
 
     def _certified(self, y: Array, cost: Array, criterion: str, unit: Array, size: float) -> tuple[float, Array, Array]:
         """Multipliers on the segment to interior ones, exactly feasible: (dual value, nu, multipliers of the limits).

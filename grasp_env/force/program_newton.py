@@ -12,8 +12,9 @@ import math
 import numpy as np
 
 from grasp_env._compile import compiled
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
+from grasp_env.force.descent_kernels import CONVERGED, LIMIT, SHORTEST, STALLED
 from grasp_env.force.kernels import gradient, inverse_hessian, relative_gap
+from grasp_env.force.newton_kernels import BALANCED, REFINEMENTS
 from grasp_env.force.program_kernels import boundary, factor, solve
 
 
@@ -84,9 +85,11 @@ def general_bound(first, touched, values, right, equal, weights, row_weights, so
 
 @compiled
 def general_newton(
-    first, touched, values, right, equal, weights, row_weights, soft, tolerance, optimum, limit, z, y, trace
+    first, touched, values, right, equal, inverse, weights, row_weights, soft, tolerance, optimum, limit, z, y, trace
 ):
     """Newton from z (N, 4), strictly inside; overwritten, as are the multipliers y (m,) of balance and limits.
+
+    inverse: (N, 4, 6) the least change of z for a unit of balance.
 
     Returns (code, iterations, trials, Phi, lower bound); see `newton_kernels.newton` for the options.
     """
@@ -102,6 +105,7 @@ def general_newton(
         np.empty((count, 4)),
     )
     ge, dy, trial_slack = np.empty(m), np.empty(m), np.empty(m)
+    zero, more, more_y, left = np.zeros((count, 4)), np.empty((count, 4)), np.empty(m), np.empty(m)
     slacks(first, touched, values, right, equal, z, slack)
     value = general_phi(z, slack, equal, weights, row_weights, soft)
     known = optimum == optimum
@@ -131,6 +135,26 @@ def general_newton(
         if not factor(first, touched, values, blocks, none, diagonal, schur, none, corner):
             return (CONVERGED if relative_gap(value, bound) <= tolerance else STALLED), iterations, trials, value, bound
         solve(first, touched, values, blocks, none, schur, none, corner, gz, nothing, ge, step, nothing, dy)
+        # what the step misses of the rows is taken off, a few digits a time in the metric of Phi, then balance by least change
+        for refinement in range(REFINEMENTS + 1):
+            for r in range(m):
+                left[r] = ge[r] + diagonal[r] * dy[r]
+            for i in range(count):
+                for j in range(first[i], first[i + 1]):
+                    for a in range(4):
+                        left[touched[j]] -= values[j, a] * step[i, a]
+            good = True
+            for r in range(m):
+                good = good and abs(left[r]) <= (BALANCED * value if r < equal else 1e-6 * slack[r])
+            if good or refinement == REFINEMENTS:
+                break
+            solve(first, touched, values, blocks, none, schur, none, corner, zero, nothing, left, more, nothing, more_y)
+            step += more
+            dy += more_y
+        for i in range(count):
+            for a in range(4):
+                for r in range(equal):
+                    step[i, a] += inverse[i, a, r] * left[r]
         y[:] = dy
         decrement, reach = 0.0, 0.0
         for i in range(count):
@@ -166,7 +190,7 @@ def general_newton(
             slacks(first, touched, values, right, equal, candidate, trial_slack)
             trial = general_phi(candidate, trial_slack, equal, weights, row_weights, soft)
             if trial < value - 1e-4 * alpha * decrement or (trial <= value and decrement < 1e-9 * value):
-                accepted = True
+                accepted = alpha > SHORTEST
                 break
             alpha *= 0.5
         if not accepted:

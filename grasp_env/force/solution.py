@@ -142,7 +142,7 @@ class ForceSolution:
 
     @property
     def equilibrium_residual(self) -> float:
-        """Largest |component| of G f + w, moments divided by the grasp's length [N]."""
+        """Largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length."""
         return float(self._record[RESIDUAL])
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,6 +34,7 @@ class Grasp:
         frames: (N, 3, 3) columns (n, o, t) in object coordinates.
         matrix: G, (6, 3N), columns (normal, o, t) per contact.
         length: [m] root mean square distance of the contacts from their centre; scales moments.
+        centre: (3,) mean of the contact points [m], object frame.
         pseudoinverse: G^+, (3N, 6): the least-norm forces that make a unit wrench (with `torsion_matrix` where soft).
         cone_matrix: G in cone coordinates x: (6, 3N); cone_matrix @ grasp.to_cone(f) = matrix @ f.
         models: contact models, elliptic and torsional friction, and the scaling of cone coordinates.
@@ -45,6 +47,7 @@ class Grasp:
     frames: Array = field(repr=False)
     matrix: Array = field(repr=False)
     length: float = field(repr=False)
+    centre: Array = field(repr=False)
     pseudoinverse: Array = field(repr=False)
     cone_matrix: Array = field(repr=False)
     models: ContactModels = field(repr=False)
@@ -111,9 +114,9 @@ class Grasp:
         transmitted = matrix * (models.cone_scale > 0.0).reshape(-1)
         if soft.any():
             transmitted = np.concatenate([transmitted, torsion_matrix], axis=1)
-        pseudoinverse = _checked_pseudoinverse(transmitted, length, len(points))[: 3 * len(points)]
+        pseudoinverse = _checked_pseudoinverse(transmitted, length, centre, len(points))[: 3 * len(points)]
         grasp = cls(
-            points, inward, models.cone_scale[:, 0] * (models.friction[:, 0] > 0.0), frames, matrix, length,
+            points, inward, models.cone_scale[:, 0] * (models.friction[:, 0] > 0.0), frames, matrix, length, centre,
             pseudoinverse, cone_matrix, models, torsion_matrix,
         )  # fmt: skip
         for array in (*vars(grasp).values(), *vars(models).values()):
@@ -175,12 +178,16 @@ class Grasp:
         )
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
-        """Largest |component| of G f + w, moments divided by `length` [N]."""
+        """Largest |component| of G f + w, moments about the contacts' centre and divided by `length` [N]."""
         error = self.matrix @ np.asarray(force).reshape(-1) + wrench
         if torsion is not None:
             error += self.torsion_matrix @ torsion
-        error[3:] /= self.length
-        return float(np.abs(error).max())
+        return float(np.abs(self.unit_frame @ error).max())
+
+    @cached_property
+    def unit_frame(self) -> Array:
+        """(6, 6): wrench -> (force, moment about the contacts' centre / length) [N]: small and of one size wherever the origin is."""
+        return unit_frame(self.length, self.centre)
 
     def to_object_frame(self, force: ContactForces) -> Array:
         """Contact-frame forces (N, 3) -> object-frame vectors (N, 3) [N]."""
@@ -189,6 +196,15 @@ class Grasp:
     def to_contact_frame(self, vectors: Array) -> ContactForces:
         """Object-frame vectors (N, 3) [N] -> contact-frame forces (normal, o, t)."""
         return np.einsum("nji,nj->ni", self.frames, vectors)
+
+
+def unit_frame(length: float, centre: Array) -> Array:
+    """See `Grasp.unit_frame`."""
+    x, y, z = centre
+    frame = np.eye(6)
+    frame[3:] /= length if length > 0.0 else 1.0
+    frame[3:, :3] = -frame[3:, 3:] @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return frame
 
 
 def grasp_matrix(positions: Array, frames: Array) -> Array:
@@ -221,15 +237,14 @@ def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
     return along
 
 
-def _checked_pseudoinverse(matrix: Array, length: float, count: int) -> Array:
-    scale = np.ones(6)
-    scale[3:] = length if length > 0.0 else 1.0
-    u, s, vt = np.linalg.svd(matrix / scale[:, None], full_matrices=False)
+def _checked_pseudoinverse(matrix: Array, length: float, centre: Array, count: int) -> Array:
+    frame = unit_frame(length, centre)
+    u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
         rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())
         raise RankDeficientGraspError(
             f"rank(G) = {rank} < 6 with {count} contacts: some wrenches cannot be balanced. Use at least three "
             "contacts with friction that do not lie on one line, or two soft ones"
         )
-    # Least norm in force: scaling the rows of G does not change G^+ up to the same column scaling (full row rank).
-    return (vt.T / s) @ u.T / scale[None, :]
+    # least norm in force: with full row rank (T G)^+ T = G^+
+    return (vt.T / s) @ u.T @ frame
