@@ -52,6 +52,8 @@ DESCENTS = ("reduced_flow", "full_flow", "newton")
 METHODS = (*DESCENTS, "conic", "linear")
 BALANCE_TOLERANCE = 1e-8
 """A start may miss balance by this much of the wrench and force it carries; the rest is an error of the rule."""
+DEEP = 0.05
+"""Part of its largest u by which a projected internal force must lie inside the cones to serve again."""
 _NO_TRACE = np.empty(0)
 _NO_FORCE = np.empty(0)
 _NO_BASIS = np.empty((0, 0))
@@ -91,8 +93,8 @@ class Method(Protocol):
         ...
 
 
-def make_method(grasp: Grasp, settings: Settings) -> Method:
-    """The method of `settings` for a grasp.
+def make_method(grasp: Grasp, settings: Settings, before: Method | None = None) -> Method:
+    """The method of `settings` for a grasp; `before` is the method on a nearby grasp, whose preparations may serve again.
 
     Raises:
         UnsupportedProblemError: the method does not know these contacts or limits.
@@ -101,7 +103,8 @@ def make_method(grasp: Grasp, settings: Settings) -> Method:
     if settings.method == "linear":
         return Linear(grasp, settings)
     if settings.method == "conic":
-        interior = None if general or settings.criterion == "max" else internal_force(grasp)
+        near = before.interior if isinstance(before, Conic) else None
+        interior = None if general or settings.criterion == "max" else internal_force(grasp, near)
         return ProgramConic(grasp, settings) if interior is None else Conic(grasp, settings, interior)
     if settings.method == "newton":
         return ProgramNewton(grasp, settings) if general else Newton(grasp, settings)
@@ -113,8 +116,16 @@ def make_method(grasp: Grasp, settings: Settings) -> Method:
     return Flow(grasp, settings)
 
 
-def internal_force(grasp: Grasp) -> Array | None:
-    """(3N,) an internal force strictly inside the cones, cone coordinates [N]; None without force closure."""
+def internal_force(grasp: Grasp, near: Array | None = None) -> Array | None:
+    """(3N,) an internal force strictly inside the cones, cone coordinates [N]; None without force closure.
+
+    `near` is one of a nearby grasp: where it stays deep enough, projecting it saves the search.
+    """
+    if near is not None and len(near) == 3 * grasp.n_contacts:
+        inverse = grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None]
+        x = near - inverse @ (grasp.cone_matrix @ near)
+        if cone_slack(x) > DEEP * float(x[0::3].max()):
+            return x
     found = answer(ForceProgram(grasp), np.zeros(6))
     return None if found.force is None else grasp.to_cone(found.force)
 
@@ -246,8 +257,8 @@ class Conic:
     def __init__(self, grasp: Grasp, settings: Settings, interior: Array) -> None:
         self._size = record_size(grasp.n_contacts)
         self.options = options(grasp, settings.tolerance, min(settings.max_iterations, 100))
-        weights = np.ones((grasp.n_contacts, 2))
-        self.constants = pack(grasp, interior, weights)
+        self.interior = interior
+        self.constants = pack(grasp, interior, np.ones((grasp.n_contacts, 2)))
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""

@@ -295,7 +295,7 @@ class ForceOptimizer:
 
     def _set_grasp(self, grasp: Grasp) -> None:
         self.grasp = grasp
-        self._method: Method = make_method(grasp, self.settings)
+        self._method: Method = make_method(grasp, self.settings, getattr(self, "_method", None))
         # which of the compiled calls `solve` may take without looking further; "" for none
         self._direct = ""
         if isinstance(self._method, Conic):

@@ -47,6 +47,12 @@ class ContactModels:
         cls, models: str | Sequence[str], friction: ArrayLike, torsional_friction: ArrayLike | None, count: int
     ) -> ContactModels:
         """See `Grasp.from_contacts` for the arguments and errors."""
+        if models == "hard" and torsional_friction is None and np.ndim(friction) < 2:
+            # what control loops make at every step: round cones at every contact
+            mu = _friction(friction, count, np.ones(count, dtype=bool))
+            scale = np.ones((count, 3))
+            scale[:, 0] = mu[:, 0]
+            return cls(("hard",) * count, mu, np.zeros(count), scale, scale.copy())
         names = (models,) * count if isinstance(models, str) else tuple(models)
         for name in names:
             if name not in CONTACT_MODELS:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 from grasp_env._check import Array, ContactForces, Wrench, as_array
 from grasp_env.errors import InvalidInputError, RankDeficientGraspError
 from grasp_env.grasp.contact_model import ContactModels
-from grasp_env.grasp.kernels import ROUNDING, contact_geometry
+from grasp_env.grasp.kernels import ROUNDING, contact_geometry, unit_frame
 
 UNIT_TOLERANCE = 1e-6
 """Normals may miss unit length by this much; they are then normalised exactly."""
@@ -39,6 +38,8 @@ class Grasp:
         cone_matrix: G in cone coordinates x: (6, 3N); cone_matrix @ grasp.to_cone(f) = matrix @ f.
         models: contact models, elliptic and torsional friction, and the scaling of cone coordinates.
         torsion_matrix: (6, N) wrench of a unit torsion [1/m]; zero columns unless soft.
+        unit_frame: (6, 6) wrench -> (force, moment about the contacts' centre / length) [N]: of one size wherever the
+            origin is, however large the object.
     """
 
     positions: Array
@@ -52,6 +53,7 @@ class Grasp:
     cone_matrix: Array = field(repr=False)
     models: ContactModels = field(repr=False)
     torsion_matrix: Array = field(repr=False)
+    unit_frame: Array = field(repr=False)
 
     @classmethod
     def from_contacts(
@@ -109,15 +111,15 @@ class Grasp:
         torsion_matrix = np.zeros((6, len(points)))
         soft = models.torsional_friction > 0.0
         torsion_matrix[3:, soft] = inward[soft].T
-        centre = points.mean(axis=0) if len(points) else np.zeros(3)
-        length = float(np.sqrt(((points - centre) ** 2).sum() / len(points))) if len(points) else 0.0
-        transmitted = matrix * (models.cone_scale > 0.0).reshape(-1)
+        length, centre, frame = unit_frame(points)
+        rough = "frictionless" not in models.names
+        transmitted = matrix if rough else matrix * (models.cone_scale > 0.0).reshape(-1)
         if soft.any():
             transmitted = np.concatenate([transmitted, torsion_matrix], axis=1)
-        pseudoinverse = _checked_pseudoinverse(transmitted, length, centre, len(points))[: 3 * len(points)]
+        pseudoinverse = _checked_pseudoinverse(transmitted, frame, len(points))[: 3 * len(points)]
         grasp = cls(
             points, inward, models.cone_scale[:, 0] * (models.friction[:, 0] > 0.0), frames, matrix, length, centre,
-            pseudoinverse, cone_matrix, models, torsion_matrix,
+            pseudoinverse, cone_matrix, models, torsion_matrix, frame,
         )  # fmt: skip
         for array in (*vars(grasp).values(), *vars(models).values()):
             if isinstance(array, np.ndarray):
@@ -184,11 +186,6 @@ class Grasp:
             error += self.torsion_matrix @ torsion
         return float(np.abs(self.unit_frame @ error).max())
 
-    @cached_property
-    def unit_frame(self) -> Array:
-        """(6, 6): wrench -> (force, moment about the contacts' centre / length) [N]: small and of one size wherever the origin is."""
-        return unit_frame(self.length, self.centre)
-
     def to_object_frame(self, force: ContactForces) -> Array:
         """Contact-frame forces (N, 3) -> object-frame vectors (N, 3) [N]."""
         return np.einsum("nij,nj->ni", self.frames, force)
@@ -196,15 +193,6 @@ class Grasp:
     def to_contact_frame(self, vectors: Array) -> ContactForces:
         """Object-frame vectors (N, 3) [N] -> contact-frame forces (normal, o, t)."""
         return np.einsum("nji,nj->ni", self.frames, vectors)
-
-
-def unit_frame(length: float, centre: Array) -> Array:
-    """See `Grasp.unit_frame`."""
-    x, y, z = centre
-    frame = np.eye(6)
-    frame[3:] /= length if length > 0.0 else 1.0
-    frame[3:, :3] = -frame[3:, 3:] @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return frame
 
 
 def grasp_matrix(positions: Array, frames: Array) -> Array:
@@ -237,8 +225,7 @@ def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
     return along
 
 
-def _checked_pseudoinverse(matrix: Array, length: float, centre: Array, count: int) -> Array:
-    frame = unit_frame(length, centre)
+def _checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
         rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())

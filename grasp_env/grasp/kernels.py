@@ -59,3 +59,28 @@ def contact_geometry(positions, normals, cone_divisor, tangents):
             for row in range(6):
                 cone_matrix[row, column] = matrix[row, column] / cone_divisor[k, axis]
     return frames, matrix, cone_matrix
+
+
+@compiled
+def unit_frame(points):
+    """(length, centre (3,), frame (6, 6)) of contact points (N, 3); see `Grasp`."""
+    count = max(points.shape[0], 1)
+    centre = np.zeros(3)
+    for k in range(points.shape[0]):
+        for a in range(3):
+            centre[a] += points[k, a] / count
+    square = 0.0
+    for k in range(points.shape[0]):
+        for a in range(3):
+            square += (points[k, a] - centre[a]) ** 2
+    length = math.sqrt(square / count)
+    scale = 1.0 / length if length > 0.0 else 1.0
+    frame = np.zeros((6, 6))
+    for a in range(3):
+        frame[a, a], frame[3 + a, 3 + a] = 1.0, scale
+    x, y, z = centre
+    # moment about the centre: M - c x F
+    frame[3, 1], frame[3, 2] = scale * z, -scale * y
+    frame[4, 0], frame[4, 2] = -scale * z, scale * x
+    frame[5, 0], frame[5, 1] = scale * y, -scale * x
+    return length, centre, frame
