@@ -33,6 +33,8 @@ def as_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
         grasp_env.errors.InvalidInputError: masses must be finite, got [1.0, nan]
     """
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex")
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {error}") from None

@@ -1,8 +1,9 @@
-"""Grasp forces of a simulated four-finger hand: solve, fit, evaluate, report, demo, warmup."""
+"""Grasp forces of a simulated four-finger hand: solve, fit, evaluate, report, reproduce, bench, demo, warmup."""
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,9 +15,10 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError
-from grasp_env.force import RULES, InitialForceRule, optimize_force
-from grasp_env.grasp import presets
+from grasp_env.errors import GraspError, InfeasibleWrenchError, InvalidInputError, UnknownNameError
+from grasp_env.force import RULES, ForceLimits, InitialForceRule, optimize_force
+from grasp_env.grasp import load_grasp, presets
+from grasp_env.grasp.advice import advise
 from policies import LearnedInitialForce
 from training.settings import EvaluateConfig, FitConfig
 
@@ -28,21 +30,28 @@ class Solve:
     Attributes:
         wrench: external wrench on the object: fx fy fz [N] mx my mz [N m].
         preset: the named grasp.
-        friction: replaces the preset's coefficient.
-        initial: start rule, "learned" for the shipped network, or the path of a fitted one.
-        method: reduced_flow, full_flow or newton.
+        grasp: a grasp's JSON file (positions, normals, friction, ...) instead of a preset.
+        friction: replaces the preset's or the file's coefficient.
+        initial: start rule, "learned" for the shipped network, or the path of a fitted one; of the methods on Phi.
+        method: reduced_flow, full_flow, newton, conic or linear.
+        criterion: what conic makes least, sum or max of the normal forces.
         barrier_weight: lambda [N^2].
-        tolerance: relative gap.
+        tolerance: relative gap; 0: the method's own (1e-4, conic 1e-6).
+        min_normal, max_normal: limits of every normal force [N].
         json: print JSON for machines.
     """
 
     wrench: tuple[float, float, float, float, float, float] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
     preset: str = "paper_cuboid"
+    grasp: Path | None = None
     friction: float | None = None
-    initial: str = "linear_combination"
+    initial: str | None = None
     method: str = "reduced_flow"
+    criterion: str = "sum"
     barrier_weight: float = 0.01
-    tolerance: float = 1e-4
+    tolerance: float = 0.0
+    min_normal: float = 0.0
+    max_normal: float = math.inf
     json: bool = False
 
 
@@ -55,6 +64,19 @@ class Report:
     """
 
     run: tyro.conf.Positional[Path]
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Study what the paper leaves open (weights, step rules), its reduction and its claims: tables and figures.
+
+    Attributes:
+        out: the folder that gets a run.
+        quick: few wrenches, for a first look.
+    """
+
+    out: Path = Path("runs")
+    quick: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,6 +149,7 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
     | Annotated[Warmup, tyro.conf.subcommand("warmup")]
 )
@@ -171,18 +194,31 @@ def _at_least(value: int, name: str, least: int) -> int:
 
 
 def _solve(command: Solve) -> None:
-    grasp = presets.preset(command.preset, command.friction)
-    solution = optimize_force(
-        grasp,
-        np.array(command.wrench),
-        initial=_rule(command.initial),
-        method=command.method,
-        barrier_weight=command.barrier_weight,
-        tolerance=command.tolerance,
-    )
+    if command.grasp is None:
+        grasp = presets.preset(command.preset, command.friction)
+    else:
+        grasp = load_grasp(command.grasp)
+        grasp = grasp if command.friction is None else grasp.with_friction(command.friction)
+    limited = command.min_normal > 0.0 or command.max_normal < math.inf
+    try:
+        solution = optimize_force(
+            grasp,
+            np.array(command.wrench),
+            initial=None if command.initial is None else _rule(command.initial),
+            method=command.method,
+            criterion=command.criterion,
+            limits=ForceLimits(min_normal=command.min_normal, max_normal=command.max_normal) if limited else None,
+            barrier_weight=command.barrier_weight,
+            tolerance=command.tolerance or None,
+        )
+    except InfeasibleWrenchError:
+        for advice in advise(grasp):
+            sys.stderr.write(f"grasp: {advice}\n")
+        raise
     if command.json:
         numbers = {
             "force": solution.force.tolist(),
+            "torsion": solution.torsion.tolist(),
             "status": solution.status.value,
             "iterations": solution.iterations,
             "trials": solution.trials,
@@ -190,6 +226,7 @@ def _solve(command: Solve) -> None:
             "optimality_gap": solution.optimality_gap if np.isfinite(solution.optimality_gap) else None,
             "equilibrium_residual": solution.equilibrium_residual,
             "cone_margin": solution.cone_margin,
+            "multipliers": solution.multipliers.tolist(),
             "total_normal_force": solution.total_normal_force,
         }
         sys.stdout.write(json.dumps(numbers, allow_nan=False) + "\n")
@@ -201,10 +238,11 @@ def _solve(command: Solve) -> None:
         "o [N]",
         "t [N]",
         "mu n - |tangential| [N]",
-        title=f"{command.preset}: {solution.status.value}",
+        title=f"{command.preset if command.grasp is None else command.grasp.name}: {solution.status.value}",
     )
+    x = grasp.to_cone(solution.force).reshape(-1, 3)
     for k, (normal, o, t) in enumerate(solution.force):
-        margin = grasp.friction[k] * normal - float(np.hypot(o, t))
+        margin = x[k, 0] - float(np.hypot(x[k, 1], x[k, 2]))
         table.add_row(str(k), f"{normal:.4f}", f"{o:.4f}", f"{t:.4f}", f"{margin:.4f}")
     console = Console()
     console.print(table)
@@ -250,6 +288,13 @@ def _demo(command: Demo) -> None:
 
     record(command.out, command.wrench, command.seconds, _rule(command.initial), command.seed)
     Console().print(str(command.out), highlight=False)
+
+
+def _reproduce(command: Reproduce) -> None:
+    from training.reproduce import reproduce
+
+    metrics = reproduce(command.out, command.quick, sys.stderr.isatty())
+    Console().print(str(Path(metrics["folder"]) / "report.md"), highlight=False)
 
 
 def _bench(command: Bench) -> None:
@@ -300,6 +345,7 @@ _HANDLERS: dict[type, Callable[[Any], None]] = {
     Evaluate: _evaluate,
     Report: _report,
     Demo: _demo,
+    Reproduce: _reproduce,
     Bench: _bench,
     Warmup: _warmup,
 }

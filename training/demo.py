@@ -11,7 +11,7 @@ import imageio.v3 as imageio
 import numpy as np
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.force import InitialForceRule, initial_rule, optimize_force
+from grasp_env.force import ForceLimits, InitialForceRule, initial_rule, optimize_force, optimize_forces
 from grasp_env.force.initial import RULES
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce, ZeroPolicy
@@ -76,6 +76,11 @@ def warm_up() -> float:
         optimize_force(grasp, wrench, initial=initial_rule(name))
     first = optimize_force(grasp, wrench, initial=LearnedInitialForce.pretrained(), method="newton")
     optimize_force(grasp, wrench, initial=first)
+    optimize_force(presets.five_finger_cuboid(), wrench)  # the flow's other form
+    for method in ("newton", "conic"):
+        optimize_force(grasp, wrench, method=method)
+        optimize_force(grasp, wrench, method=method, limits=ForceLimits(max_normal=100.0))
+        optimize_forces(grasp, wrench[None], method=method)
     env = gym.make("grasp_env:FourFingerGrasp-v0")
     env.reset(seed=0)
     env.step(np.zeros(6, dtype=np.float32))

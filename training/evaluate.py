@@ -70,7 +70,7 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> dict[str
             "fit": {"card": result.checkpoint.card, "curve": np.asarray(result.curve)},
             "shipped": shipped.checkpoint.card,
             "friction": float(grasp.friction[0]),
-            "step_rule": asdict(optimizer.step_rule),
+            "step_rule": {"name": type(optimizer.step_rule).__name__, **vars(optimizer.step_rule)},
         },
     )
     metrics = build_report(run)

@@ -66,6 +66,8 @@ START = CONSTANTS + 25
 """First iterate x, kept for the record."""
 WIDTH = 4 * (FIELDS + 3)
 
+NOTHING = 1e-280
+"""[N] below which a wrench counts as none: its square has no digits left."""
 STEP = 0.995
 """The largest part of the way to the boundary."""
 
@@ -97,7 +99,7 @@ def conic(constants, wrench, options, record):
     record[:] = 0.0
     for r in range(6):
         record[WRENCH + r] = wrench[r]
-    if size == 0.0:
+    if size < NOTHING:
         # no force is needed, and none is less
         return
     w0, w1, w2, w3, w4, w5 = (
@@ -149,7 +151,16 @@ def conic(constants, wrench, options, record):
     y0, y1, y2, y3, y4, y5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     iterations = 0
     code = CONVERGED
-    while gap > tolerance * price:
+    goal, certified = tolerance, np.inf
+    while True:
+        if gap <= goal * price:
+            # the iterations' own gap is not proof: the certificate's is
+            certified = _certify(work, unit, size, options, y0, y1, y2, y3, y4, y5, record)
+            if certified <= tolerance:
+                break
+            certified = np.inf
+            goal *= 0.1
+            continue
         if iterations >= limit:
             code = LIMIT
             break
@@ -223,8 +234,10 @@ def conic(constants, wrench, options, record):
                 gap += row[4 * MASK + n] * (x0 * s0 + x1 * s1 + x2 * s2)
                 price += row[4 * MASK + n] * row[4 * COST + n] * x0
         iterations += 1
+    if not certified <= tolerance:
+        certified = _certify(work, unit, size, options, y0, y1, y2, y3, y4, y5, record)
+        code = CONVERGED if certified <= tolerance else code
     record[CODE], record[ITERATIONS], record[TRIALS] = code, iterations, iterations
-    _certify(work, unit, size, options, y0, y1, y2, y3, y4, y5, record)
 
 
 @compiled_lanes
@@ -443,3 +456,4 @@ def _certify(work, unit, size, options, y0, y1, y2, y3, y4, y5, record):
             record[FORCE + 3 * (count + i) + a] = size * row[4 * (START + a) + n] / row[4 * (DIVISOR + a) + n]
     record[OBJECTIVE], record[MARGIN] = price, margin
     record[RESIDUAL] = max(max(abs(b0), abs(b1), abs(b2)), max(abs(b3), abs(b4), abs(b5)))
+    return (price - record[BOUND]) / record[BOUND] if record[BOUND] > 0.0 else np.inf

@@ -1,4 +1,4 @@
-"""The plain driver of both flows: direction, trial steps, stop. The compiled loop is `descent_kernels.reduced_flow`."""
+"""The plain driver of both flows: direction, step rule, stop. The compiled loop is `flow_kernels.flow`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,27 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, SHORTEST, STALLED
-from grasp_env.force.step_size import AdaptiveStep
+from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
+from grasp_env.force.step_size import Ray, StepRule
+
+
+@dataclass(frozen=True)
+class Landscape:
+    """Phi on the state of a flow: vec(P) for the full one, VP for the reduced one.
+
+    Attributes:
+        value: Phi at a state, +inf outside the cones.
+        gradient: its gradient.
+        curvature: its second derivative at a state along a move.
+        direction: the projected drive at a state.
+        metric: the weights of the squares in |state|^2, the same length in both: |P|_F^2.
+    """
+
+    value: Callable[[Array], float]
+    gradient: Callable[[Array], Array]
+    curvature: Callable[[Array, Array], float]
+    direction: Callable[[Array], Array]
+    metric: Array
 
 
 @dataclass
@@ -30,46 +49,46 @@ class Descent:
 
 def descend(
     state: Array,
-    direction: Callable[[Array], Array],
-    value: Callable[[Array], float],
+    landscape: Landscape,
     converged: Callable[[Array, float, int], bool],
-    rule: AdaptiveStep,
+    rule: StepRule,
     max_iterations: int,
 ) -> Descent:
     """State <- state + alpha * direction(state) while Phi decreases (paper, Eqs. 12 and 26).
 
     Args:
-        state: vec(P) for the full flow, VP for the reduced one.
-        direction: the projected drive at a state.
-        value: Phi at a state, +inf outside the cones.
+        state: vec(P) or VP, strictly inside the cones and balanced.
+        landscape: Phi there.
         converged: whether to stop at (state, Phi, accepted steps).
         rule: the step rule.
         max_iterations: the most accepted steps.
     """
-    result = Descent(state.copy(), values=[value(state)])
-    alpha = rule.first
+    metric = landscape.metric
+    result = Descent(state.copy(), values=[landscape.value(state)])
+    past: tuple[float, Array] | None = None
     while True:
-        current = result.values[-1]
-        if converged(result.state, current, result.iterations):
+        if converged(result.state, result.values[-1], result.iterations):
             result.code = CONVERGED
             return result
         if result.iterations >= max_iterations:
             return result
-        move = direction(result.state)
-        # |vec(P)| and |VP| differ, but their ratio to the step's length is the same to a factor of 2
-        length, size = float(np.linalg.norm(move)), float(np.linalg.norm(result.state))
-        alpha = max(alpha, SHORTEST * size / length) if length > 0.0 else alpha
-        while True:
-            if not alpha * length > 1e-16 * size:
-                result.code = STALLED
-                return result
-            result.trials += 1
-            candidate = result.state + alpha * move
-            trial = value(candidate)
-            if trial < current:
-                break
-            alpha *= rule.shrink
-        result.state = candidate
-        result.values.append(trial)
+        at, move = result.state, landscape.direction(result.state)
+        ray = Ray(
+            value=lambda alpha, at=at, move=move: landscape.value(at + alpha * move),
+            slope=lambda alpha, at=at, move=move: float(landscape.gradient(at + alpha * move) @ move),
+            curvature=lambda alpha, at=at, move=move: landscape.curvature(at + alpha * move, move),
+            here=result.values[-1],
+            reach=float(np.sqrt(metric @ at**2)),
+            length=float(np.sqrt(metric @ move**2)),
+            past=past and (past[0], float(metric @ past[1] ** 2), float(metric @ (past[1] * move))),
+            count=result.iterations,
+        )
+        alpha = rule.step(ray)
+        result.trials += ray.trials
+        if alpha is None:
+            result.code = STALLED
+            return result
+        result.state = at + alpha * move
+        result.values.append(landscape.value(result.state))
         result.steps.append(alpha)
-        alpha *= rule.grow
+        past = alpha, move

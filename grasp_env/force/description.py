@@ -9,7 +9,7 @@ friction cone sqrt(o^2 + t^2) < mu * normal. Eigenvalues: u, u + s, u - s with s
 | P | `description_matrix` |
 | Q, Q_bar | `full_flow.projector`, `reduced_flow.picked_projector` |
 | VWP | `reduced_flow.flow_vector` |
-| alpha_k | step size, `step_size.AdaptiveStep` |
+| alpha_k | step size, the rules of `step_size` |
 | W_p = omega I, W_i = lambda I | `Objective.force_weight`, `Objective.barrier_weight` |
 """
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
+from grasp_env.force.descent import Landscape
 from grasp_env.force.description import description_matrix
 from grasp_env.force.objective import Objective
 from grasp_env.grasp.grasp import Grasp
@@ -75,6 +76,25 @@ def value(state: Array, objective: Objective) -> float:
         return float("inf")
     omega, lam = np.repeat(objective.weights(len(matrix) // 3), 3, axis=0).T
     return float(omega @ np.diag(matrix) + lam @ np.diag(np.linalg.inv(matrix)))
+
+
+def curvature(state: Array, move: Array, objective: Objective) -> float:
+    """Second derivative 2 tr(W_i P^-1 M P^-1 M P^-1) of Phi at vec(P) along vec(M)."""
+    inverse, m = np.linalg.inv(_matrix(state)), _matrix(move)
+    lam = np.repeat(objective.weights(len(m) // 3)[:, 1], 3)
+    return float(2.0 * lam @ np.diag(inverse @ m @ inverse @ m @ inverse))
+
+
+def landscape(grasp: Grasp, objective: Objective) -> Landscape:
+    """What the plain descent walks on: vec(P) and the dense projector."""
+    q = projector(grasp)
+    return Landscape(
+        value=lambda state: value(state, objective),
+        gradient=lambda state: -drive(state, objective),
+        curvature=lambda state, move: curvature(state, move, objective),
+        direction=lambda state: q @ drive(state, objective),
+        metric=np.ones(len(q)),
+    )
 
 
 def cone_coordinates(state: Array) -> Array:

@@ -19,14 +19,14 @@ from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, InvalidInputError, UnsupportedProblemError
 from grasp_env.force import conic_kernels, newton_kernels
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.descent_kernels import CONVERGED, STALLED, reduced_flow
+from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
 from grasp_env.force.feasibility import Feasibility, answer
+from grasp_env.force.flow import Flow as GradientFlow
 from grasp_env.force.kernels import cone_slack, phi, worst_residual
 from grasp_env.force.lanes import KNOWN, options, pack
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.linear import linear_forces
 from grasp_env.force.objective import Objective
-from grasp_env.force.oracle import full_flow
 from grasp_env.force.program import Answer, ForceProgram
 from grasp_env.force.record import (
     BOUND,
@@ -41,10 +41,9 @@ from grasp_env.force.record import (
     WRENCH,
     record_size,
 )
-from grasp_env.force.reduced_flow import reduced_projector
 from grasp_env.force.repair import Correction
 from grasp_env.force.solution import ForceSolution, Status, infeasible
-from grasp_env.force.step_size import AdaptiveStep
+from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.grasp import Grasp
 
 DESCENTS = ("reduced_flow", "full_flow", "newton")
@@ -69,7 +68,7 @@ class Settings:
     objective: Objective
     tolerance: float
     max_iterations: int
-    step_rule: AdaptiveStep
+    step_rule: StepRule
     correction: Correction
 
 
@@ -160,31 +159,25 @@ class _Checked:
 
 
 class Flow:
-    """The paper's flows: `reduced_flow` compiled, `full_flow` dense."""
+    """The paper's flows, compiled: `reduced_flow` in its fastest form, `full_flow` dense."""
 
     needs_start = True
 
     def __init__(self, grasp: Grasp, settings: Settings) -> None:
         self.grasp, self.settings = grasp, settings
         self._checked = _Checked(grasp, settings)
-        self._work = np.empty(6)
-        self._projector = reduced_projector(grasp)
+        self._flow = GradientFlow(grasp, "full" if settings.method == "full_flow" else None)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""
         assert start is not None
-        grasp, settings, rule = self.grasp, self.settings, self.settings.step_rule
+        grasp, settings = self.grasp, self.settings
         x = self._checked.cone(start, wrench)
         values = np.full(settings.max_iterations + 1 if trace else 0, np.nan)
-        if settings.method == "full_flow":
-            code, iterations, trials, value, bound = full_flow(
-                grasp, settings.objective, x, wrench, rule, settings.tolerance, optimum, settings.max_iterations, values
-            )
-        else:
-            code, iterations, trials, value, bound = reduced_flow(
-                x, self._projector, self._checked.matrix, wrench, self._checked.weights, rule.first, rule.grow,
-                rule.shrink, settings.tolerance, optimum, settings.max_iterations, values,
-            )  # fmt: skip
+        code, iterations, trials, value, bound = self._flow.run(
+            self._checked.weights, x, wrench, settings.step_rule,
+            tolerance=settings.tolerance, optimum=optimum, max_iterations=settings.max_iterations, trace=values,
+        )  # fmt: skip
         record = np.zeros(record_size(grasp.n_contacts))
         record[CODE], record[ITERATIONS], record[TRIALS] = code, iterations, trials
         record[OBJECTIVE], record[BOUND], record[MARGIN] = value, bound, cone_slack(x)
@@ -284,8 +277,10 @@ class _Program:
         program, count = self.program, self.grasp.n_contacts
         record = np.zeros(record_size(count))
         value = found.value
-        gap = (value - found.bound) / found.bound if found.bound > 0.0 else np.inf
-        record[CODE] = CONVERGED if gap <= self.settings.tolerance or value <= found.bound else found.code
+        gap = (value - found.bound) / found.bound if found.bound > 0.0 else (0.0 if value == 0.0 else np.inf)
+        # a value clearly below its bound means a force that misses something
+        proven = -1e-9 <= gap <= self.settings.tolerance and program.slack(found.z) >= 0.0
+        record[CODE] = CONVERGED if proven else max(found.code, LIMIT if found.code == LIMIT else STALLED)
         record[ITERATIONS], record[TRIALS], record[OBJECTIVE], record[BOUND] = (
             found.iterations, found.trials, value, found.bound,
         )  # fmt: skip
@@ -327,10 +322,9 @@ class ProgramConic(_Program):
         )
         if found.code != CONVERGED:
             deepest = self.feasible(wrench, "central")
-            if (
-                self.program.slack(found.z) < 0.0
-                or self.program.residual(found.z, wrench) > 1e-9 * np.abs(wrench).max()
-            ):
+            size = float(np.abs(self.program.frame @ wrench).max())
+            usable = self.program.slack(found.z) >= 0.0 and self.program.residual(found.z, wrench) <= 1e-9 * size
+            if not usable:  # nan is not
                 assert deepest.force is not None
                 z = self.program.variables(deepest.force, deepest.torsion)
                 normals = deepest.force[:, 0]
@@ -347,10 +341,7 @@ class ProgramNewton(_Program):
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`; without a start the deepest force is taken."""
         program, settings = self.program, self.settings
-        if start is None:
-            found = self.feasible(wrench, "phase_one")
-            assert found.force is not None
-            start = Start("phase_one", found.force, found.torsion)
+        start = start or self.deepest(wrench)
         z = program.variables(start.force, start.torsion)
         size = float(np.abs(start.force).max()) + float(np.abs(program.frame @ wrench).max())
         if program.residual(z, wrench) > BALANCE_TOLERANCE * size:
@@ -367,8 +358,18 @@ class ProgramNewton(_Program):
         found = program.least_phi(wrench, weights, z, settings.tolerance, optimum, settings.max_iterations, values)
         return self.solution(found, wrench, z, start.name, values[: found.iterations + 1])
 
+    def deepest(self, wrench: Wrench) -> Start:
+        """The force deepest inside all limits."""
+        found = self.feasible(wrench, "phase_one")
+        assert found.force is not None
+        return Start("phase_one", found.force, found.torsion)
+
     def carried(self, wrench: Wrench, previous: ForceSolution) -> Start:
         """The previous force, balanced for this wrench and grasp by the least change, or the deepest one."""
+        if previous.n_contacts != self.grasp.n_contacts:
+            raise InfeasibleStartError(
+                f"the previous solution has {previous.n_contacts} contacts, the grasp {self.grasp.n_contacts}"
+            )
         z = self.program.balanced(self.program.variables(previous.force, previous.torsion), wrench)
         if self.program.slack(z) > 0.0:
             return Start("previous", self.program.force(z), self.program.torsion(z))

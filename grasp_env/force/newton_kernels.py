@@ -13,7 +13,7 @@ import numpy as np
 from grasp_env._check import LARGEST
 from grasp_env._compile import compiled_lanes
 from grasp_env.force.cholesky6 import factor6, solve6
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
+from grasp_env.force.descent_kernels import CONVERGED, LIMIT, SHORTEST, STALLED
 from grasp_env.force.kernels import phi
 from grasp_env.force.lanes import (
     CONSTANTS,
@@ -100,10 +100,10 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
             for a in range(3):
                 scale = work[i // 4, 4 * (DIVISOR + a) + i % 4]
                 first[3 * i + a] = start[3 * i + a] * scale if scale < np.inf else 0.0
-    _spread(first, work)
+    spread(first, work)
     if kind == TANGENT:
         _carry_over(work, sums, lower, factor, unit, wrench, weights, basis, first, lanes)
-        _spread(first, work)
+        spread(first, work)
     value = _phi(work, 0.0, lanes)
     known = optimum == optimum
     bound = optimum if known else -np.inf
@@ -113,7 +113,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
     while True:
         if iterations < trace.size:
             trace[iterations] = value
-        _system(work, sums, lanes)
+        newton_system(work, sums, lanes)
         for r in range(21):
             lower[r] = (sums[4 * r] + sums[4 * r + 1]) + (sums[4 * r + 2] + sums[4 * r + 3])
         if not factor6(lower, factor) > 0.0:
@@ -143,7 +143,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
         decrement, reach = _reach(work, lanes)
         # Phi - min Phi is half the squared decrement to third order: the bound costs half an iteration, so it waits
         if not known and (decrement < 4.0 * tolerance * value or iterations >= limit):
-            bound = max(bound, _lower_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes))
+            bound = max(bound, phi_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes))
         if bound > 0.0 and value - bound <= tolerance * bound:
             break
         if iterations >= limit:
@@ -155,12 +155,12 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
             trials += 1
             trial = _phi(work, alpha, lanes)
             if trial < value - 1e-4 * alpha * decrement or (trial <= value and decrement < 1e-9 * value):
-                accepted = True
+                accepted = alpha > SHORTEST
                 break
             alpha *= 0.5
         if not accepted:
             if not known:
-                bound = max(bound, _lower_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes))
+                bound = max(bound, phi_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes))
             code = CONVERGED if bound > 0.0 and value - bound <= tolerance * bound else STALLED
             break
         for b in range(blocks):
@@ -186,7 +186,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
 
 
 @compiled_lanes
-def _spread(x, work):
+def spread(x, work):
     """Flat cone coordinates (3N,) into the lanes."""
     for i in range(x.size // 3):
         for a in range(3):
@@ -215,7 +215,7 @@ def _phi(work, alpha, lanes):
 
 
 @compiled_lanes
-def _system(work, sums, lanes):
+def newton_system(work, sums, lanes):
     """GRADIENT and B of every contact; sums (33 x 4): G B G^T packed, G B grad, G x."""
     for r in range(132):
         sums[r] = 0.0
@@ -366,7 +366,7 @@ def _reach(work, lanes):
 
 
 @compiled_lanes
-def _lower_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes):
+def phi_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes):
     """Dual value at nu: see `kernels.lower_bound`."""
     total, least = 0.0, np.inf
     for b in range(work.shape[0]):
@@ -421,7 +421,7 @@ def _carry_over(work, sums, lower, factor, unit, wrench, weights, basis, first, 
     """
     safe = np.empty(first.size)
     combine(basis, wrench, False, safe)
-    _system(work, sums, lanes)
+    newton_system(work, sums, lanes)
     for r in range(21):
         lower[r] = (sums[4 * r] + sums[4 * r + 1]) + (sums[4 * r + 2] + sums[4 * r + 3])
     if not factor6(lower, factor) > 0.0:

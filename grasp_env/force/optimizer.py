@@ -36,7 +36,7 @@ from grasp_env.force.program import CRITERIA, ForceProgram
 from grasp_env.force.record import CODE
 from grasp_env.force.repair import CORRECTIONS, Correction, Repair, carry_over
 from grasp_env.force.solution import ForceSolution
-from grasp_env.force.step_size import AdaptiveStep
+from grasp_env.force.step_size import StepRule, checked_rule
 from grasp_env.grasp.grasp import Grasp
 
 MAX_ITERATIONS = 20_000
@@ -84,7 +84,7 @@ class ForceOptimizer:
         barrier_weight: Weight = 0.01,
         tolerance: float | None = None,
         max_iterations: int = MAX_ITERATIONS,
-        step_rule: AdaptiveStep | None = None,
+        step_rule: StepRule | None = None,
         correction: Correction = "tangent",
     ) -> None:
         """See `optimize_force` for the arguments.
@@ -98,8 +98,6 @@ class ForceOptimizer:
             raise UnknownNameError("criterion", criterion, CRITERIA)
         if not isinstance(max_iterations, int | np.integer) or isinstance(max_iterations, bool) or max_iterations < 0:
             raise InvalidInputError(f"max_iterations must be an integer >= 0, got {max_iterations!r}")
-        if not isinstance(step_rule, AdaptiveStep | None):
-            raise InvalidInputError(f"step_rule must be an AdaptiveStep or None, got {step_rule!r}")
         if correction not in CORRECTIONS:
             raise UnknownNameError("correction", correction, CORRECTIONS)
         if not isinstance(limits, ForceLimits | None):
@@ -116,7 +114,7 @@ class ForceOptimizer:
             self.objective,
             positive(tolerance, "tolerance"),
             int(max_iterations),
-            step_rule or AdaptiveStep(),
+            checked_rule(step_rule),
             correction,
         )
         if initial is not None:
@@ -146,7 +144,7 @@ class ForceOptimizer:
         return self.settings.max_iterations
 
     @property
-    def step_rule(self) -> AdaptiveStep:
+    def step_rule(self) -> StepRule:
         """The flows' step rule."""
         return self.settings.step_rule
 
@@ -216,6 +214,8 @@ class ForceOptimizer:
             UnsupportedProblemError: the method starts from its own centre.
         """
         start = self._start(as_wrench(wrench), self.initial if initial is None else initial)
+        if start is None and isinstance(self._method, ProgramNewton):
+            start = self._method.deepest(as_wrench(wrench))
         if start is None:
             raise UnsupportedProblemError(f"method {self.method!r} takes no initial force")
         return start.force
@@ -339,7 +339,7 @@ def optimize_force(
     barrier_weight: Weight = 0.01,
     tolerance: float | None = None,
     max_iterations: int = MAX_ITERATIONS,
-    step_rule: AdaptiveStep | None = None,
+    step_rule: StepRule | None = None,
     optimum: float | None = None,
     trace: bool = False,
 ) -> ForceSolution:
@@ -361,7 +361,7 @@ def optimize_force(
         barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1]; one or one each.
         tolerance: relative certified gap at which to stop; None: 1e-4, for `conic` 1e-6.
         max_iterations: most accepted steps.
-        step_rule: the flows' step rule; None: `AdaptiveStep()`.
+        step_rule: the flows' `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`; None: `AdaptiveStep()`.
         optimum: see `ForceOptimizer.solve`.
         trace: see `ForceOptimizer.solve`.
 

@@ -1,4 +1,4 @@
-"""The full flow as a method: the plain driver on vec(P), certified like the compiled reduced flow."""
+"""The full flow without compiled code: the plain driver on vec(P), certified like the compiled flow."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from grasp_env.force import full_flow as full
 from grasp_env.force.descent import descend
 from grasp_env.force.kernels import certified_bound, relative_gap
 from grasp_env.force.objective import Objective
-from grasp_env.force.step_size import AdaptiveStep
+from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.grasp import Grasp
 
 
@@ -18,14 +18,13 @@ def full_flow(
     objective: Objective,
     x: Array,
     wrench: Wrench,
-    rule: AdaptiveStep,
+    rule: StepRule,
     tolerance: float,
     optimum: float,
     max_iterations: int,
     trace: Array,
 ) -> tuple[int, int, int, float, float]:
-    """Runs Eq. 12 from cone coordinates x (3N,), overwritten; arguments and result as `descent_kernels.reduced_flow`."""
-    q = full.projector(grasp)
+    """Runs Eq. 12 from cone coordinates x (3N,), overwritten; arguments and result as `flow.run_flow`."""
     matrix = grasp.cone_matrix.copy()
     step, multipliers = np.empty_like(x), np.empty(6)
     weights = objective.weights(grasp.n_contacts)
@@ -40,14 +39,7 @@ def full_flow(
             bound = max(bound, certified_bound(here, matrix, wrench, weights, step, multipliers))
         return relative_gap(value, bound) <= tolerance
 
-    result = descend(
-        full.start(x),
-        lambda state: q @ full.drive(state, objective),
-        lambda state: full.value(state, objective),
-        converged,
-        rule,
-        max_iterations,
-    )
+    result = descend(full.start(x), full.landscape(grasp, objective), converged, rule, max_iterations)
     x[:] = full.cone_coordinates(result.state)
     count = min(len(trace), len(result.values))
     trace[:count] = result.values[:count]

@@ -25,6 +25,8 @@ CRITERIA = ("sum", "max")
 """What `conic` makes least: the sum of the normal forces, or the largest of them."""
 DIVERGED = 1e12
 """Multipliers of a wrench of size one beyond which they say nothing."""
+NOTHING = 1e-280
+"""[N] below which a wrench counts as none: its square has no digits left."""
 CLEAR = 1e-9
 """A margin up to this, of one for forces that sum to one, counts as the boundary: no force strictly inside."""
 
@@ -113,6 +115,8 @@ class ForceProgram:
         count = self.grasp.n_contacts
         size = self._size(wrench)
         unit = self.frame @ wrench / size
+        if np.abs(unit).max() < NOTHING and (self.bound >= 0.0).all():
+            return Answer(CONVERGED, np.zeros((count, 4)), 0, 0.0, 0.0, np.zeros(6), np.zeros(len(self.bound)))
         right = np.concatenate([-unit, self.bound / size])
         cost = np.zeros((count, 4))
         if criterion == "max":
@@ -130,8 +134,8 @@ class ForceProgram:
                 structure, np.zeros((len(right), 0)), right, 6, cost, np.zeros(0), tolerance, max_iterations
             )
         z = self._balanced(state.z, unit)
-        if info[0] == CONVERGED and self.slack(z) < 0.0:
-            z = self._inwards(z, wrench / size)
+        if info[0] == CONVERGED and self.slack(size * z) < 0.0:
+            z = self._inwards(size * z, wrench) / size
         normals = self._price * z[:, 0]
         value = float(normals.sum() if criterion == "sum" else normals.max())
         if not np.abs(state.y).max() < DIVERGED:
@@ -181,8 +185,8 @@ class ForceProgram:
         )
         margin, part = float(state.t[0]), float(state.t[1])
         z = state.z + margin * inward
-        if not wrench.any():
-            z = self._balanced(z, unit)
+        if not wrench.any() and not self.bound.any():
+            z = self._balanced(z, unit)  # homogeneous: of any size
         elif part > 0.0:
             z = self._balanced(z / part, unit)
         twist = None
@@ -268,8 +272,9 @@ class ForceProgram:
         return (1.0 - part) * z + part * deepest.z
 
     def _size(self, wrench: Wrench) -> float:
-        size = float(np.abs(self.frame @ wrench).max())
-        return size if size > 0.0 else 1.0
+        """What forces must be of [N]: the wrench's size, or that of the limits that ask for force."""
+        size = max(float(np.abs(self.frame @ wrench).max()), float(-self.bound.min(initial=0.0)))
+        return size if size > NOTHING else 1.0
 
     def _balanced(self, z: Array, unit: Array) -> Array:
         """Takes the last digits of G z + w off z, least norm."""

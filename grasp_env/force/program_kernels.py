@@ -21,7 +21,9 @@ from grasp_env.force.kernels import cholesky, cholesky_solve
 
 FEASIBLE = 1e-9
 """Residuals, relative to the data, at which an iterate counts as feasible."""
-REFINEMENTS = 1
+NEARLY = 1e-7
+"""Residuals at which an iterate may be the best one, where the method ends short."""
+REFINEMENTS = 2
 
 
 @compiled
@@ -214,10 +216,15 @@ def interior_point(
     for i in range(count):
         for a in range(4):
             size_c = max(size_c, abs(cost[i, a]))
+    best = np.inf
+    best_z, best_t, best_y = np.empty_like(z), np.empty_like(t), np.empty_like(y)
     info[:] = 0.0
     iterations = 0
     while True:
         gap, objective, primal, dual = 0.0, 0.0, 0.0, 0.0
+        size_z = 1.0  # weak grasps hold wrenches of size one with forces of thousands: residuals are relative to those
+        for i in range(count):
+            size_z = max(size_z, z[i, 0])
         for r in range(m):
             re[r] = -right[r]
             for k in range(shares):
@@ -246,17 +253,20 @@ def interior_point(
             if r >= equal:
                 re[r] += slack[r]
                 gap += slack[r] * y[r]
-            primal = max(primal, abs(re[r]) / (1.0 + abs(right[r])))
+            primal = max(primal, abs(re[r]) / (size_z + abs(right[r])))
         info[1], info[2], info[3], info[4], info[5] = iterations, objective, gap, primal, dual
+        if primal < NEARLY and dual < NEARLY and gap < best:
+            best = gap
+            best_z[:], best_t[:], best_y[:] = z, t, y
         if not gap < np.inf:
-            info[0] = STALLED
-            return
+            code = STALLED
+            break
         if primal < FEASIBLE and dual < FEASIBLE and gap <= tolerance * abs(objective) + absolute:
-            info[0] = CONVERGED
-            return
+            code = CONVERGED
+            break
         if iterations >= limit:
-            info[0] = LIMIT
-            return
+            code = LIMIT
+            break
         mu = gap / degree
         for i in range(count):
             x0, x1, x2, s0, s1, s2 = z[i, 0], z[i, 1], z[i, 2], s[i, 0], s[i, 1], s[i, 2]
@@ -273,8 +283,8 @@ def interior_point(
         for r in range(equal, m):
             diagonal[r] = slack[r] / y[r]
         if not factor(first, touched, columns, blocks, coupling, diagonal, schur, reduced, corner):
-            info[0] = STALLED
-            return
+            code = STALLED
+            break
         target, step_primal, step_dual = 0.0, 0.0, 0.0
         for phase in range(2):
             # complementarity: W^-1 dz + W ds = h, slack dy + y dslack = kappa; the predictor's de and ds are still there
@@ -344,11 +354,15 @@ def interior_point(
                 reach = 0.9 + 0.09 * min(step_primal, step_dual)
                 step_primal, step_dual = min(1.0, reach / far_primal), min(1.0, reach / far_dual)
         if not max(step_primal, step_dual) > 1e-10:
-            info[0] = STALLED
-            return
+            code = STALLED
+            break
         z += step_primal * dz
         s += step_dual * ds
         t += step_primal * dt
         y += step_dual * dy
         slack += step_primal * dslack
         iterations += 1
+    if code != CONVERGED and best < np.inf:
+        # where the last digits were lost, the best iterate is worth more than the last
+        z[:], t[:], y[:] = best_z, best_t, best_y
+    info[0] = code

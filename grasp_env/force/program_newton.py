@@ -143,10 +143,10 @@ def general_newton(
                 for j in range(first[i], first[i + 1]):
                     for a in range(4):
                         left[touched[j]] -= values[j, a] * step[i, a]
-            good = True
-            for r in range(m):
-                good = good and abs(left[r]) <= (BALANCED * value if r < equal else 1e-6 * slack[r])
-            if good or refinement == REFINEMENTS:
+            worst = 0.0
+            for r in range(equal):
+                worst = max(worst, abs(left[r]))
+            if not worst > BALANCED * value or refinement == REFINEMENTS:
                 break
             solve(first, touched, values, blocks, none, schur, none, corner, zero, nothing, left, more, nothing, more_y)
             step += more

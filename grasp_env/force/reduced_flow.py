@@ -1,6 +1,6 @@
 """The paper's contribution: the flow on the 3N force components, VP_{k+1} = VP_k + alpha_k Q_bar VWP_k (Eqs. 18-26).
 
-The compiled loop is `descent_kernels.reduced_flow`; the functions here are its plain twin and make Q_bar.
+The compiled loop is `flow_kernels.flow`; the functions here are its plain twin and make Q_bar.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env._check import Array
+from grasp_env.force.descent import Landscape
 from grasp_env.force.full_flow import projector
 from grasp_env.force.objective import Objective
 from grasp_env.grasp.grasp import Grasp
@@ -76,3 +77,20 @@ def flow_vector(x: Array, objective: Objective) -> Array:
         block = lam * inverse @ inverse - omega * np.eye(3)
         parts.append(block.reshape(-1, order="F"))
     return np.concatenate(parts)
+
+
+def landscape(grasp: Grasp, objective: Objective) -> Landscape:
+    """What the plain descent walks on: VP and Q_bar."""
+    q_bar = reduced_projector(grasp)
+
+    def curvature(x: Array, move: Array) -> float:
+        steps = move.reshape(-1, 3)
+        return float(np.einsum("ni,nij,nj->", steps, objective.hessian(x), steps))
+
+    return Landscape(
+        value=objective.value,
+        gradient=objective.gradient,
+        curvature=curvature,
+        direction=lambda x: q_bar @ flow_vector(x, objective),
+        metric=np.tile(METRIC, grasp.n_contacts),
+    )

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from problems import GRASPS, PAPER_WRENCH, closure_grasps, weights
 
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force import AdaptiveStep, LinearCombination, Objective, OfflineBasis, descent_kernels, full_flow
 from grasp_env.force.descent import Descent, descend
+from grasp_env.force.flow import FORMS, Flow, fastest_form, operations, run_flow
+from grasp_env.force.oracle import full_flow as plain_full_flow
 from grasp_env.force.reduced_flow import (
     flow_vector,
+    landscape,
     picked_columns,
     picked_projector,
     picked_rows,
@@ -31,16 +34,25 @@ def _start(grasp: Grasp) -> np.ndarray:
     return grasp.to_cone(force)
 
 
+MIXED = Grasp.from_contacts(
+    GRASPS["cuboid, 5"].positions,
+    GRASPS["cuboid, 5"].normals,
+    [[0.4, 0.6], [0.5, 0.3], [0.4, 0.4], [0.4, 0.5], [0.4, 0.4]],
+    contact_model=["hard", "hard", "hard", "hard", "frictionless"],
+)
+"""Elliptic cones and a contact without friction."""
+ALL = {**GRASPS, "elliptic and frictionless": MIXED}
+
+
 def _descend(grasp: Grasp, rule: AdaptiveStep, count: int) -> tuple[Descent, list[np.ndarray]]:
     """The plain reduced flow and all its iterates."""
-    q_bar = reduced_projector(grasp)
     iterates: list[np.ndarray] = []
 
     def keep(state: np.ndarray, _value: float, _iterations: int) -> bool:
         iterates.append(state)
         return False
 
-    descent = descend(_start(grasp), lambda x: q_bar @ flow_vector(x, OBJECTIVE), OBJECTIVE.value, keep, rule, count)
+    descent = descend(_start(grasp), landscape(grasp, OBJECTIVE), keep, rule, count)
     return descent, iterates
 
 
@@ -70,24 +82,108 @@ def test_full_and_reduced_iterates_are_equal(name: str) -> None:
     assert descent.values[-1] < 0.9 * descent.values[0]
 
 
-@pytest.mark.parametrize("name", GRASPS)
-def test_compiled_flow_gives_the_iterates_of_the_plain_one(name: str) -> None:
-    grasp = GRASPS[name]
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", ALL)
+def test_every_compiled_form_gives_the_iterates_of_the_plain_flow(name: str, form: str) -> None:
+    grasp = ALL[name]
     rule, count = AdaptiveStep(), 20  # growing and rejected steps; few enough that no decision hangs on rounding
     descent, iterates = _descend(grasp, rule, count)
-    trials = 0
+    flow, trials = Flow(grasp, form), 0
     for k, expected in enumerate(iterates):
         x, trace = _start(grasp), np.full(count + 1, np.nan)
-        code, iterations, trials, value, _ = descent_kernels.reduced_flow(
-            x, reduced_projector(grasp), grasp.cone_matrix.copy(), LIGHT, weights(x, 1.0, 0.1),
-            rule.first, rule.grow, rule.shrink, 1e-300, np.nan, k, trace,
-        )  # fmt: skip
+        code, iterations, trials, value, _ = flow.run(
+            weights(x, 1.0, 0.1), x, LIGHT, rule, tolerance=1e-300, max_iterations=k, trace=trace
+        )
         assert (code, iterations) == (descent_kernels.LIMIT, k)
         np.testing.assert_allclose(x, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
         np.testing.assert_allclose(trace[: k + 1], descent.values[: k + 1], rtol=1e-10)
         assert np.isnan(trace[k + 1 :]).all()
         assert value == trace[k]
     assert trials == descent.trials > count
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_stays_balanced_and_certifies_the_same_optimum(form: str) -> None:
+    for name, grasp in ALL.items():
+        x = _start(grasp)
+        trace = np.full(5000, np.nan)
+        code, iterations, _, value, bound = run_flow(
+            grasp, weights(x, 1.0, 0.1), x, LIGHT, AdaptiveStep(), form=form, tolerance=1e-9, trace=trace
+        )
+        assert code == descent_kernels.CONVERGED, name
+        assert (np.diff(trace[: iterations + 1]) < 0.0).all()
+        assert bound <= value <= bound * (1.0 + 1e-9)
+        assert value == pytest.approx(OBJECTIVE.value(x), rel=1e-13)
+        size = np.abs(grasp.cone_matrix).max() * np.abs(x).max()
+        np.testing.assert_allclose(grasp.cone_matrix @ x + LIGHT, 0.0, atol=1e-11 * size)
+        again = run_flow(
+            grasp, weights(x, 1.0, 0.1), _start(grasp), LIGHT, AdaptiveStep(), optimum=value, tolerance=1e-9
+        )
+        assert again[0] == descent_kernels.CONVERGED
+        assert again[3] == pytest.approx(value, rel=1e-8)
+
+
+def test_many_contacts_in_every_form_that_takes_them() -> None:
+    grasp = closure_grasps(5)[4]  # seven contacts, two blocks of four lanes
+    angles = np.arange(13) * 2.0 * np.pi / 13
+    ring = np.stack([np.cos(angles), np.sin(angles), 0.2 * np.sin(3.0 * angles)], axis=1)
+    normals = -ring / np.linalg.norm(ring, axis=1)[:, None]
+    for many in (grasp, Grasp.from_contacts(0.05 * ring, normals, 0.6)):
+        results = []
+        for form in FORMS:
+            if form == "full" and many.n_contacts > full_flow.MAX_CONTACTS:
+                continue
+            x = _start(many)
+            run_flow(
+                many, weights(x, 1.0, 0.1), x, LIGHT, AdaptiveStep(), form=form, max_iterations=12, tolerance=1e-300
+            )
+            results.append(x)
+        for x in results[1:]:
+            np.testing.assert_allclose(x, results[0], rtol=0, atol=1e-10 * np.abs(x).max())
+
+
+def test_coordinates_without_friction_stay_zero() -> None:
+    for form in FORMS:
+        x = _start(MIXED)
+        run_flow(MIXED, weights(x, 1.0, 0.1), x, LIGHT, AdaptiveStep(), form=form)
+        np.testing.assert_allclose(x[13:], 0.0, atol=1e-14)
+
+
+def test_the_bound_is_certified_wherever_the_flow_stops() -> None:
+    grasp = GRASPS["cuboid, 4"]
+    best = OBJECTIVE.value(_optimum(grasp))
+    for limit in (0, 1, 5, 17, 60):
+        x = _start(grasp)
+        *_, value, bound = run_flow(grasp, weights(x, 1.0, 0.1), x, LIGHT, AdaptiveStep(), max_iterations=limit)
+        assert bound <= best * (1.0 + 1e-12) <= value * (1.0 + 2e-12)
+        if limit >= 17:
+            assert bound > 0.5 * best
+
+
+def _optimum(grasp: Grasp) -> np.ndarray:
+    x = _start(grasp)
+    run_flow(grasp, weights(x, 1.0, 0.1), x, LIGHT, AdaptiveStep(), tolerance=1e-13)
+    return x
+
+
+def test_plain_full_flow_and_compiled_full_flow_end_alike() -> None:
+    grasp = GRASPS["tripod"]
+    plain, compiled = _start(grasp), _start(grasp)
+    trace = np.full(60, np.nan)
+    slow = plain_full_flow(grasp, OBJECTIVE, plain, LIGHT, AdaptiveStep(), 1e-5, float("nan"), 500, trace)
+    fast = run_flow(grasp, weights(plain, 1.0, 0.1), compiled, LIGHT, AdaptiveStep(), form="full", tolerance=1e-5)
+    assert slow[0] == fast[0] == descent_kernels.CONVERGED
+    assert abs(slow[1] - fast[1]) <= 1  # the plain one looks at the bound more often
+    assert slow[3] == pytest.approx(fast[3], rel=1e-5)
+    assert trace[0] == pytest.approx(OBJECTIVE.value(_start(grasp)))
+
+
+def test_forms_have_names_and_counts() -> None:
+    assert [operations(form, 4) for form in FORMS] == [20736, 432, 144, 144, 156]
+    assert [fastest_form(n) for n in (3, 4, 5, 100)] == ["projector", "projector", "row_space", "row_space"]
+    for wrong in (lambda: Flow(GRASPS["tripod"], "dense"), lambda: operations("dense", 4)):
+        with pytest.raises(UnknownNameError, match="'dense': choose one of 'full', 'paper'"):
+            wrong()
 
 
 @pytest.mark.parametrize("grasp", [*GRASPS.values(), *closure_grasps(10)], ids=lambda g: f"{g.n_contacts}")
@@ -146,9 +242,13 @@ def test_drive_and_value_of_the_full_flow() -> None:
     assert full_flow.value(state, OBJECTIVE) == pytest.approx(OBJECTIVE.value(x), rel=1e-13)
     drive = full_flow.drive(state, OBJECTIVE)
     np.testing.assert_allclose(drive[picked_columns(4)], flow_vector(x, OBJECTIVE), atol=1e-13)
-    compiled = np.empty(36)
-    descent_kernels.flow_matrix(x, OBJECTIVE.weights(4), compiled)
-    np.testing.assert_allclose(compiled, flow_vector(x, OBJECTIVE), atol=1e-13)
+    move = np.random.default_rng(1).standard_normal(12) * 1e-4
+    ahead, behind = full_flow.start(x + move), full_flow.start(x - move)
+    second = (
+        full_flow.value(ahead, OBJECTIVE) + full_flow.value(behind, OBJECTIVE) - 2.0 * full_flow.value(state, OBJECTIVE)
+    )
+    assert full_flow.curvature(state, full_flow.start(move), OBJECTIVE) == pytest.approx(second, rel=1e-3)
+    assert landscape(grasp, OBJECTIVE).curvature(x, move) == pytest.approx(second, rel=1e-3)
     outside = full_flow.start(x * np.tile([-1.0, 1.0, 1.0], 4))
     assert full_flow.value(outside, OBJECTIVE) == np.inf
 

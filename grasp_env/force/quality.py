@@ -1,0 +1,120 @@
+"""How good a grasp is, on the exact cones: closure margin, Ferrari and Canny's epsilon, singular values of G."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from grasp_env._check import Array, Wrench, positive
+from grasp_env.force.closure import force_closure
+from grasp_env.force.program import CRITERIA
+from grasp_env.force.worst_case import WrenchBall, worst_case
+from grasp_env.grasp.grasp import Grasp
+
+
+class Epsilon(NamedTuple):
+    """Answer of `epsilon`: lower <= epsilon <= upper [N per N], and the direction (6,) [N, N m] that is resisted least."""
+
+    lower: float
+    upper: float
+    wrench: Wrench
+
+
+def epsilon(
+    grasp: Grasp,
+    length: float | None = None,
+    criterion: str = "sum",
+    *,
+    tolerance: float = 0.01,
+    starts: int = 32,
+    points: int = 400,
+    seed: int = 0,
+) -> Epsilon:
+    """Ferrari and Canny's quality (1992, "Planning optimal grasps"): the largest ball of wrenches that unit forces balance.
+
+    The radius of {w: |F|^2 + |M|^2 / length^2 <= epsilon^2}, moments about the object origin, that forces with sum of
+    normals <= 1 N (their Q_1) or every normal <= 1 N (their Q_infinity) balance: 1 / the worst least force over the unit
+    ball. (0, 0) without force closure.
+
+    Args:
+        grasp: the contacts, any models.
+        length: [m] that turns moments into forces; None: `grasp.length`.
+        criterion: "sum" or "max".
+        tolerance: relative gap of the bounds; see `worst_case`.
+        starts: see there.
+        points: see there.
+        seed: see there.
+
+    Example:
+        >>> from grasp_env.grasp import Grasp
+        >>> pinch = Grasp.from_contacts(
+        ...     [[0, 0, -0.02], [0, 0, 0.02]], [[0, 0, 1], [0, 0, -1]], 0.5, contact_model="soft", torsional_friction=0.005
+        ... )
+        >>> low, high, wrench = epsilon(pinch)   # torsional friction / length is the least, about z
+        >>> low, high, float(abs(wrench[5]))
+        (0.2500, 0.2500, 0.02)
+    """
+    scale = grasp.length if length is None else positive(length, "length")
+    worst = worst_case(
+        grasp, WrenchBall(1.0, scale), criterion, tolerance=tolerance, starts=starts, points=points, seed=seed
+    )
+    return Epsilon(1.0 / worst.upper, 1.0 / worst.lower, worst.wrench)
+
+
+@dataclass(frozen=True, eq=False)
+class GraspQuality:
+    """Answer of `quality`; moments divided by `length`, about the object origin.
+
+    Attributes:
+        closure_margin: no unit, 0 to 1 / (N + 1): depth of the best squeeze in the cones; see `ForceClosure.margin`.
+        epsilon_sum: Ferrari and Canny's epsilon per newton of total normal force (1992, Q_1).
+        epsilon_max: the same per newton of the largest normal force (Q_infinity), >= epsilon_sum.
+        min_singular_value: of G [N per N]: the least resultant of contact forces of unit norm orthogonal to internal ones
+            (Li, Sastry 1988, "Task-oriented optimal grasping by multifingered robot hands"); blind to the cones.
+        isotropy: smallest over largest singular value, 0 to 1 (Kim, Oh, Yi, Suh 2001; Roa, Suarez 2015, Sec. 2.1).
+        length: [m] the grasp's, that turned moments into forces.
+    """
+
+    closure_margin: float
+    epsilon_sum: Epsilon
+    epsilon_max: Epsilon
+    min_singular_value: float
+    isotropy: float
+    length: float
+
+
+def singular_values(grasp: Grasp, length: float | None = None) -> Array:
+    """(6,) of G [N per N], decreasing: what contacts do not transmit left out, moments and torsions divided by length."""
+    scale = grasp.length if length is None else positive(length, "length")
+    transmitted = grasp.matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
+    whole = np.concatenate([transmitted, grasp.torsion_matrix * scale], axis=1)
+    whole[3:] /= scale
+    return np.asarray(np.linalg.svd(whole, compute_uv=False), dtype=np.float64)
+
+
+def quality(
+    grasp: Grasp, *, tolerance: float = 0.01, starts: int = 32, points: int = 400, seed: int = 0
+) -> GraspQuality:
+    """The measures of `GraspQuality`; see `epsilon` for the arguments.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> found = quality(presets.tripod())
+        >>> found.closure_margin, found.epsilon_sum.lower, found.epsilon_max.lower, found.isotropy
+        (0.25, 0.29, 0.67, 0.71)
+    """
+    radius = {
+        criterion: epsilon(grasp, None, criterion, tolerance=tolerance, starts=starts, points=points, seed=seed)
+        for criterion in CRITERIA
+    }
+    values = singular_values(grasp)
+    return GraspQuality(
+        force_closure(grasp).margin,
+        radius["sum"],
+        radius["max"],
+        float(values[-1]),
+        float(values[-1] / values[0]),
+        grasp.length,
+    )

@@ -1,0 +1,295 @@
+"""The worst wrench of a set, on the exact cones, with a certified interval.
+
+The least force c(w) that balances w is convex, c(w) = max over n of -n . w / h(n), where h(n) = max n . G f over the forces
+of size one is known in closed form. The largest c over a ball is a convex maximisation, bounded from both sides:
+
+- below by ascent: w <- the wrench of the ball farthest along -n, n <- the multipliers of the conic solution at w. No step
+  goes down, since c(w') >= -n . w' for every w'.
+- above by a polytope of wrenches that forces of size one make. Its facets bound all n from outside, and the largest value at
+  a facet bounds c. Adding the wrench farthest along the worst facet's normal closes the gap (Zheng 2013, "An efficient
+  algorithm for a grasp quality measure", IEEE T-RO 29(2), for epsilon).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull, QhullError
+
+from grasp_env._check import Array, Wrench, as_array, positive
+from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError, UnknownNameError
+from grasp_env.force.closure import force_closure
+from grasp_env.force.limits import ForceLimits
+from grasp_env.force.optimizer import ForceOptimizer
+from grasp_env.force.program import CRITERIA
+from grasp_env.force.solution import ForceSolution
+from grasp_env.grasp.grasp import Grasp
+
+SHAPES = ("ellipsoid", "product")
+ENCLOSING = 42
+"""Vertices of the polyhedron around a ball of forces, or of moments, where further limits leave no other bound."""
+ARCS = 4
+"""Tangents that enclose a quarter circle (|force|, |moment|) of an ellipsoid there."""
+SHRINK = 1e-5
+"""Points of the polytope are drawn towards the origin by up to this part: no six facets' points stay in one plane."""
+JOGGLE = 1e-9
+"""Qhull moves points of size one by about this much; a hundred times as much is taken off every facet's distance."""
+BATCH = 8
+
+
+@dataclass(frozen=True)
+class WrenchBall:
+    """Wrenches around zero, moments about the object origin, object frame.
+
+    Attributes:
+        force: radius of the forces [N].
+        moment: radius of the moments [N m].
+        shape: "ellipsoid", |F|^2 / force^2 + |M|^2 / moment^2 <= 1, or "product", |F| <= force and |M| <= moment (the set of
+            `grasp_env.grasp.wrench.sample_ball`).
+    """
+
+    force: float
+    moment: float
+    shape: str = "ellipsoid"
+
+    def __post_init__(self) -> None:
+        positive(self.force, "force")
+        positive(self.moment, "moment")
+        if self.shape not in SHAPES:
+            raise UnknownNameError("shape", self.shape, SHAPES)
+
+    @property
+    def radii(self) -> Array:
+        """(6,) [N, N m]."""
+        return np.repeat([float(self.force), float(self.moment)], 3)
+
+    def reach(self, directions: Array) -> Array:
+        """(K,) largest n . w over the ball, of n (K, 6)."""
+        parts = np.sqrt(((directions * self.radii).reshape(-1, 2, 3) ** 2).sum(axis=2))
+        return parts.sum(axis=1) if self.shape == "product" else np.sqrt((parts**2).sum(axis=1))
+
+    def farthest(self, direction: Array) -> Wrench:
+        """(6,) the wrench of largest n . w."""
+        parts = (direction * self.radii).reshape(2, 3)
+        sizes = np.sqrt((parts**2).sum(axis=1, keepdims=True))
+        size = sizes if self.shape == "product" else np.sqrt((sizes**2).sum())
+        return (parts / np.maximum(size, 1e-300)).reshape(6) * self.radii
+
+    def enclosing(self) -> Array:
+        """(V, 6) vertices of a polytope around the ball."""
+        step = np.arange(ENCLOSING) + 0.5
+        height, turn = 1.0 - 2.0 * step / ENCLOSING, np.pi * (1.0 + np.sqrt(5.0)) * step
+        flat = np.sqrt(1.0 - height**2)
+        around = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+        around /= (-ConvexHull(around).equations[:, 3]).min()
+        pairs = np.concatenate([np.repeat(around, ENCLOSING, axis=0), np.tile(around, (ENCLOSING, 1))], axis=1)
+        pairs *= self.radii
+        if self.shape == "product":
+            return pairs
+        angles = np.pi / (2 * ARCS) * (np.arange(ARCS) + 0.5)
+        parts = np.stack([np.cos(angles), np.sin(angles)], axis=1).repeat(3, axis=1) / np.cos(np.pi / (4 * ARCS))
+        return (parts[:, None] * pairs).reshape(-1, 6)
+
+
+class WorstCase(NamedTuple):
+    """Answer of `worst_case`: lower <= largest least force over the set <= upper, both certified by duality.
+
+    Attributes:
+        wrench: (6,) the worst wrench found [N, N m].
+        lower: [N] dual bound at `wrench`; inf: nothing balances it.
+        upper: [N] no wrench of the set needs more; inf: no bound was found.
+        solution: the least force at `wrench`, or the proof that there is none (`certificate`); None where the conic solver
+            did not converge there (the bounds hold all the same).
+    """
+
+    wrench: Wrench
+    lower: float
+    upper: float
+    solution: ForceSolution | None
+
+    @property
+    def least_force(self) -> float:
+        """The sum, or the maximum, of the normal forces at `wrench` [N], to the solver's tolerance; inf if impossible."""
+        return self.lower if self.solution is None else self.solution.objective
+
+    @property
+    def gap(self) -> float:
+        """(upper - lower) / lower."""
+        return 0.0 if self.lower == np.inf else self.upper / self.lower - 1.0 if self.lower > 0.0 else np.inf
+
+
+def worst_case(
+    grasp: Grasp,
+    wrenches: ArrayLike | WrenchBall,
+    criterion: str = "sum",
+    limits: ForceLimits | None = None,
+    *,
+    tolerance: float = 0.01,
+    starts: int = 32,
+    points: int = 400,
+    seed: int = 0,
+) -> WorstCase:
+    """The wrench of a set that needs the largest least force; inf for a ball without force closure.
+
+    Args:
+        grasp: the contacts, any models.
+        wrenches: (M, 6) [N, N m], which stand for their convex hull too (least force is convex), or a `WrenchBall`.
+        criterion: the size of a force: "sum" or "max" of its normal forces.
+        limits: further limits. A ball is then bounded above by a polytope around it, which reaches at most 10 % (product) or
+            12 % (ellipsoid) beyond it; `upper` is inf where that crosses the limits.
+        tolerance: the relative gap at which to stop refining the upper bound (not below 1e-4); without limits.
+        starts: random directions that ascend, besides the twelve axes.
+        points: most points of the polytope; without limits.
+        seed: of the random directions.
+
+    Raises:
+        UnknownNameError: unknown criterion.
+        NotConvergedError: force closure undecided; in a finite set, a wrench that the solver did not settle.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> worst = worst_case(presets.paper_cuboid(), WrenchBall(force=1.0, moment=0.05))
+        >>> worst.least_force, worst.gap < 0.01
+        (7.46, True)
+        >>> worst_case(presets.paper_cuboid(), [[0, 0, -1, 0, 0, 0], [1, 0, 0, 0, 0, 0]]).wrench
+        array([1., 0., 0., 0., 0., 0.])
+    """
+    if criterion not in CRITERIA:
+        raise UnknownNameError("criterion", criterion, CRITERIA)
+    if starts < 0 or points < 64:
+        raise InvalidInputError(f"starts must be >= 0 and points >= 64, got {starts} and {points}")
+    optimizer = ForceOptimizer(grasp, method="conic", criterion=criterion, limits=limits)
+    if not isinstance(wrenches, WrenchBall):
+        listed = as_array(wrenches, (None, 6), "wrenches")
+        if not len(listed):
+            raise InvalidInputError("wrenches must hold at least one wrench")
+        solved = [_solved(optimizer, wrench) for wrench in listed]
+        for wrench, found in zip(listed, solved, strict=True):
+            if found.solution is None:
+                raise NotConvergedError(f"the conic solver found no least force for wrench {wrench.tolist()}")
+        worst = max(solved, key=lambda found: found.upper)
+        return worst._replace(lower=max(found.lower for found in solved))
+    ball, rng = wrenches, np.random.default_rng(seed)
+    if limits is None and not (closure := force_closure(grasp)):
+        assert closure.twist is not None
+        # infeasible by the twist; a solver that sees it too adds its own proof
+        found = _solved(optimizer, ball.farthest(closure.twist))
+        return found if found.lower == np.inf else WorstCase(found.wrench, np.inf, np.inf, None)
+    axes = np.concatenate([np.eye(6), -np.eye(6)])
+    directions = np.concatenate([axes, rng.standard_normal((starts, 6))]) / ball.radii
+    best = max((_ascended(optimizer, ball, ball.farthest(n)) for n in directions), key=_lower)
+    if best.lower == np.inf:
+        return best
+    if limits is None:
+        return _enclosed(optimizer, ball, best, tolerance, points, rng)
+    return _within_limits(optimizer, ball, best)
+
+
+def _lower(found: WorstCase) -> float:
+    return found.lower
+
+
+def _solved(optimizer: ForceOptimizer, wrench: Wrench) -> WorstCase:
+    """The bounds for one wrench."""
+    try:
+        solution = optimizer.solve(wrench)
+    except InfeasibleWrenchError as error:
+        return WorstCase(wrench, np.inf, np.inf, error.solution)
+    except NotConvergedError:
+        return WorstCase(wrench, 0.0, np.inf, None)
+    if not np.isfinite([solution.objective, solution.lower_bound, *solution.multipliers]).all():
+        return WorstCase(wrench, 0.0, np.inf, None)
+    return WorstCase(wrench, solution.lower_bound, solution.objective, solution)
+
+
+def _ascended(optimizer: ForceOptimizer, ball: WrenchBall, wrench: Wrench) -> WorstCase:
+    """From a wrench up to one that is the ball's farthest along its own multipliers."""
+    best = _solved(optimizer, wrench)
+    for _ in range(50):
+        if best.lower == np.inf or best.solution is None or not best.solution.multipliers.any():
+            break
+        found = _solved(optimizer, ball.farthest(-best.solution.multipliers))
+        if not found.lower > best.lower * (1.0 + 1e-6):
+            break
+        best = found
+    return best
+
+
+def _enclosed(
+    optimizer: ForceOptimizer,
+    ball: WrenchBall,
+    best: WorstCase,
+    tolerance: float,
+    points: int,
+    rng: np.random.Generator,
+) -> WorstCase:
+    """The upper bound by the growing polytope, for a grasp with force closure; wrenches scaled to a unit ball."""
+    grasp, criterion = optimizer.grasp, optimizer.settings.criterion
+    unit = WrenchBall(1.0, 1.0, ball.shape)
+    # along the ascent's own worst wrench first
+    directions = np.concatenate([np.eye(6), rng.standard_normal((16, 6)), best.wrench[None] / ball.radii])
+    _, made = _largest_wrenches(grasp, np.concatenate([directions, -directions]) / ball.radii, criterion)
+    size = float(np.sqrt(((made / ball.radii) ** 2).sum(axis=1)).max())
+
+    def inside(wrenches: Array) -> Array:
+        scaled = np.unique(wrenches, axis=0) / ball.radii / size
+        return scaled * (1.0 - SHRINK * rng.random((len(scaled), 1)))
+
+    hull = ConvexHull(inside(made), incremental=True, qhull_options=f"QJ{JOGGLE} Q12 Pp")
+    while True:
+        normals, distance = hull.equations[:, :6], -hull.equations[:, 6] - 100.0 * JOGGLE
+        reach = unit.reach(normals)
+        # distances <= 0, the origin outside, come first
+        top = np.argsort(distance / reach)[:BATCH]
+        nearest = float(distance[top[0]] / reach[top[0]]) * size
+        heights, made = _largest_wrenches(grasp, normals[top] / ball.radii, criterion)
+        # n . w / h(n) of the farthest w is a dual bound: no solver is asked
+        rises = reach[top] / np.maximum(heights, 1e-300)
+        start = ball.farthest(-normals[top[rises.argmax()]] / ball.radii)
+        bare = WorstCase(start, float(rises.max()), np.inf, None)
+        best = max(best, _ascended(optimizer, ball, start), bare, key=_lower)
+        upper = max(1.0 / nearest if nearest > 0.0 else np.inf, best.least_force)
+        if upper <= best.lower * (1.0 + tolerance) or len(hull.points) >= points:
+            return best._replace(upper=upper)
+        try:
+            hull.add_points(inside(made))
+        except QhullError:  # lost in rounding: the bound so far holds
+            return best._replace(upper=upper)
+
+
+def _within_limits(optimizer: ForceOptimizer, ball: WrenchBall, best: WorstCase) -> WorstCase:
+    """The upper bound by the vertices of a polytope around the ball."""
+    upper = best.upper
+    for vertex in ball.enclosing():
+        found = _solved(optimizer, vertex)
+        upper = max(upper, found.upper)
+        if upper == np.inf:
+            if found.solution is not None and found.solution.certificate is not None:
+                # what separates the vertex may separate a wrench of the ball too
+                best = max(best, _solved(optimizer, ball.farthest(found.solution.certificate)), key=_lower)
+            break
+    return best._replace(upper=upper)
+
+
+def _largest_wrenches(grasp: Grasp, directions: Array, criterion: str) -> tuple[Array, Array]:
+    """h(n) = max n . G f over forces of size <= 1, (K,), and the wrenches G f that reach it, (K, 6), of n (K, 6)."""
+    models, count = grasp.models, grasp.n_contacts
+    work = (directions @ grasp.matrix).reshape(-1, count, 3)
+    tangential = work[:, :, 1:] * models.friction
+    length = np.sqrt((tangential**2).sum(axis=2))
+    twisting = directions @ grasp.torsion_matrix
+    # of a unit normal force, each contact on its own
+    best = work[:, :, 0] + length + models.torsional_friction * np.abs(twisting)
+    if criterion == "max":
+        normals = np.where(best > 0.0, 1.0, 0.0)
+    else:
+        normals = np.where((np.arange(count) == best.argmax(axis=1)[:, None]) & (best > 0.0), 1.0, 0.0)
+    forces = np.empty_like(work)
+    forces[:, :, 0] = normals
+    forces[:, :, 1:] = (normals / np.where(length > 0.0, length, 1.0))[:, :, None] * models.friction * tangential
+    torsions = normals * models.torsional_friction * np.sign(twisting)
+    made = forces.reshape(-1, 3 * count) @ grasp.matrix.T + torsions @ grasp.torsion_matrix.T
+    return (best * normals).sum(axis=1), made

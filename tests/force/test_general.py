@@ -1,0 +1,511 @@
+"""Soft, elliptic and frictionless contacts, limits on normal forces and joint torques: conic and newton."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from force.clarabel_reference import Reference, random_limits, random_wrench, some_grasp
+from force.test_conic import certified
+from problems import GRASPS, closure_grasps
+from scipy.linalg import null_space
+from scipy.optimize import minimize
+
+from grasp_env.errors import (
+    GraspError,
+    InfeasibleStartError,
+    InfeasibleWrenchError,
+    InvalidInputError,
+    UnsupportedProblemError,
+)
+from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, joint_torques, optimize_force, phase_one
+from grasp_env.grasp import Grasp
+
+CUBOID = GRASPS["cuboid, 4"]
+LOAD = np.array([0.7, -0.4, 0.9, 0.011, -0.007, 0.013])
+
+
+def soft(base: Grasp = CUBOID, gamma: float = 0.004, **options) -> Grasp:
+    options = {"contact_model": "soft", "torsional_friction": gamma, **options}
+    return Grasp.from_contacts(base.positions, base.normals, options.pop("friction", base.friction), **options)
+
+
+PINCH = Grasp.from_contacts(
+    [[0.001, 0.0, -0.02], [0.0, 0.002, 0.021]], [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], 0.5,
+    contact_model="soft", torsional_friction=0.005,
+)  # fmt: skip
+
+
+def jacobian(count: int = 4, rows: int = 3, joints: int = 5, seed: int = 3) -> np.ndarray:
+    """Every joint moves every contact."""
+    return 0.08 * np.random.default_rng(seed).standard_normal((count, rows, joints))
+
+
+def mixed() -> Grasp:
+    return soft(
+        GRASPS["cuboid, 5"], friction=np.column_stack([np.linspace(0.3, 0.9, 5), np.linspace(0.8, 0.4, 5)]),
+        contact_model=["hard", "soft", "hard", "frictionless", "soft"],
+    )  # fmt: skip
+
+
+PROBLEMS = {
+    "pinch": (PINCH, LOAD * [1, 1, 1, 0.3, 0.3, 0.1], None),
+    "soft": (soft(), LOAD, None),
+    "mixed": (mixed(), LOAD, None),
+    "hard, largest normal": (CUBOID, LOAD, ForceLimits(max_normal=[3.5, 2.0, 2.0, 3.0])),
+    "hard, normals": (CUBOID, LOAD, ForceLimits(min_normal=0.4, max_normal=6.0)),
+    "soft, normals": (soft(), LOAD, ForceLimits(min_normal=[0.2, 0.0, 0.3, 0.0], max_normal=5.0)),
+    "hard, torques": (CUBOID, LOAD, ForceLimits(jacobian=jacobian(), torque_limit=0.4)),
+    "hard, torques, bias": (
+        CUBOID, LOAD, ForceLimits(jacobian=jacobian(), torque_limit=[0.5, 0.4, np.inf, 0.4, 0.6], torque_bias=[0.1, 0, 0, -0.05, 0.1]),
+    ),
+    "soft, torsion in the torques": (soft(), LOAD, ForceLimits(jacobian=jacobian(rows=4), torque_limit=0.4)),
+    "all": (mixed(), LOAD, ForceLimits(0.05, 8.0, jacobian(5, 4), 0.9)),
+}  # fmt: skip
+NAMES = list(PROBLEMS)
+
+
+def prices(found: ForceSolution, reference: Reference) -> np.ndarray:
+    """The multipliers of the given limits: torsion's own rows come first."""
+    return found.limit_multipliers[len(found.limit_multipliers) - len(reference.bound) :]
+
+
+# conic
+
+
+@pytest.mark.parametrize("criterion", ["sum", "max"])
+@pytest.mark.parametrize("name", NAMES)
+def test_conic_is_certified_and_clarabel_agrees(name: str, criterion: str) -> None:
+    pytest.importorskip("clarabel")
+    grasp, load, limits = PROBLEMS[name]
+    found = optimize_force(grasp, load, method="conic", criterion=criterion, limits=limits)
+    assert found.status is Status.OPTIMAL
+    reference = Reference(grasp, limits)
+    answer = reference.solve(load, criterion)
+    assert answer.error < 1e-8
+    assert found.objective == pytest.approx(answer.objective, rel=1e-6)
+    objective, bound = certified(grasp, load, found, criterion, limits)
+    assert objective - bound <= 1.01e-6 * objective
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if PROBLEMS[n][2] is not None])
+@pytest.mark.parametrize("method", ["conic", "newton"])
+def test_prices_of_limits_are_positive_and_complementary(name: str, method: str) -> None:
+    grasp, load, limits = PROBLEMS[name]
+    options = {"tolerance": 1e-8} if method == "conic" else {"tolerance": 1e-10, "barrier_weight": 1e-6}
+    optimizer = ForceOptimizer(grasp, method=method, limits=limits, **options)
+    found = optimizer.solve(load)
+    assert len(optimizer.limit_labels) == len(found.limit_multipliers)
+    reference = Reference(grasp, limits)
+    assert (found.limit_multipliers >= 0.0).all()
+    f = np.column_stack([found.force, found.torsion])
+    room = reference.bound - np.einsum("kna,na->k", reference.rows, f)
+    assert (room >= -1e-12).all()
+    assert float(room @ prices(found, reference)) <= (1e-6 if method == "conic" else 1e-2) * found.objective
+
+
+def test_limit_labels_name_the_rows() -> None:
+    optimizer = ForceOptimizer(mixed(), method="conic", limits=PROBLEMS["all"][2])
+    own = [text for text in optimizer.limit_labels if "torsion" in text]
+    given = optimizer.limit_labels[len(own) :]
+    assert given == PROBLEMS["all"][2].rows(mixed()).labels
+    assert len(Reference(mixed(), PROBLEMS["all"][2]).bound) == len(given)
+    assert ForceOptimizer(CUBOID, method="conic").limit_labels == ()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("method", ["conic", "newton"])
+def test_multipliers_are_the_derivative(name: str, method: str) -> None:
+    grasp, load, limits = PROBLEMS[name]
+
+    def solve(w: np.ndarray) -> ForceSolution:
+        return optimize_force(grasp, w, method=method, limits=limits, tolerance=1e-10)
+
+    found = solve(load)
+    for axis in range(6):
+        unit = 1.0 if axis < 3 else grasp.length
+        step = np.zeros(6)
+        step[axis] = 1e-4 * unit
+        slope = (solve(load + step).objective - solve(load - step).objective) / 2e-4
+        # a kink of the conic value, or 1e-10 of it, over the step
+        assert slope == pytest.approx(-found.multipliers[axis] * unit, abs=2e-3 * found.objective), axis
+
+
+@pytest.mark.parametrize("method", ["conic", "newton"])
+def test_prices_are_the_derivative_with_respect_to_the_limit(method: str) -> None:
+    most = np.array([3.5, 2.0, 2.0, 3.0])
+
+    def solve(limit: np.ndarray) -> ForceSolution:
+        return optimize_force(CUBOID, LOAD, method=method, limits=ForceLimits(max_normal=limit), tolerance=1e-10)
+
+    found = solve(most)
+    for k in range(4):
+        step = np.zeros(4)
+        step[k] = 1e-4
+        slope = (solve(most + step).objective - solve(most - step).objective) / 2e-4
+        assert slope == pytest.approx(-found.limit_multipliers[k], abs=1e-3)
+
+
+@pytest.mark.parametrize("method", ["conic", "newton"])
+@pytest.mark.parametrize("rows", [3, 4])
+@pytest.mark.parametrize("limit", [0.6, 0.35, 0.3])
+def test_torque_limits_hold(method: str, rows: int, limit: float) -> None:
+    grasp, jac = soft(), jacobian(rows=rows)
+    bias = np.array([0.05, -0.05, 0.02, 0.0, 0.0])
+    limits = ForceLimits(jacobian=jac, torque_limit=limit, torque_bias=bias)
+    try:
+        found = optimize_force(grasp, LOAD, method=method, limits=limits)
+    except InfeasibleWrenchError as error:
+        pytest.importorskip("clarabel")
+        twist = getattr(error.solution, "certificate", np.zeros(6))
+        assert Reference(grasp, limits).separates(twist, LOAD) > 0.0
+        return
+    torque = np.einsum("nij,ni->j", jac[:, :3], found.force) + bias
+    if rows == 4:
+        torque += jac[:, 3].T @ found.torsion
+    assert np.abs(torque).max() <= limit * (1.0 + 1e-14)
+    np.testing.assert_allclose(
+        torque, joint_torques(jac, found.force, bias, torsion=found.torsion if rows == 4 else None), atol=1e-14
+    )
+    assert limits.violations(grasp, found.force, found.torsion, tolerance=1e-14) == []
+    # and they are what holds the objective up
+    free = optimize_force(grasp, LOAD, method=method)
+    assert found.objective >= free.objective * (1.0 - 1e-4)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_infeasible_limits_come_with_a_separating_twist(seed: int) -> None:
+    pytest.importorskip("clarabel")
+    rng = np.random.default_rng(seed)
+    checked = 0
+    while checked < 4:
+        grasp = some_grasp(rng, str(rng.choice(["hard", "soft", "mixed"])), most=8)
+        load = random_wrench(rng, grasp)
+        limits = random_limits(rng, grasp, float(np.abs(Reference(grasp).load(load)).max()))
+        reference = Reference(grasp, limits)
+        if reference.margin(load) > -1e-6:
+            continue
+        for method in ("conic", "newton"):
+            with pytest.raises(InfeasibleWrenchError) as caught:
+                optimize_force(grasp, load, method=method, limits=limits)
+            assert caught.value.solution is not None
+            assert reference.separates(caught.value.solution.certificate, load) > 0.0
+        checked += 1
+
+
+def test_huge_limits_change_nothing() -> None:
+    for grasp in (CUBOID, soft(), mixed()):
+        loose = ForceLimits(max_normal=1e4, jacobian=jacobian(grasp.n_contacts), torque_limit=1e4)
+        for criterion in ("sum", "max"):
+            free, held = (
+                optimize_force(grasp, LOAD, method="conic", criterion=criterion, limits=limits)
+                for limits in (None, loose)
+            )
+            assert held.objective == pytest.approx(free.objective, rel=2e-6)
+            assert prices(held, Reference(grasp, loose)).max() < 1e-5
+        free, held = (
+            optimize_force(grasp, LOAD, method="newton", limits=limits, tolerance=1e-8) for limits in (None, loose)
+        )
+        np.testing.assert_allclose(held.force, free.force, atol=1e-3)
+
+
+@pytest.mark.parametrize("method", ["conic", "newton"])
+def test_limits_without_a_finite_entry_are_no_limits(method: str) -> None:
+    empty = ForceLimits(jacobian=np.zeros((4, 3, 2)), torque_limit=np.inf)
+    want = optimize_force(CUBOID, LOAD, method=method, tolerance=1e-8)
+    for limits in (ForceLimits(), empty):
+        got = optimize_force(CUBOID, LOAD, method=method, limits=limits, tolerance=1e-8)
+        assert got.objective == pytest.approx(want.objective, rel=2e-8)
+
+
+@pytest.mark.parametrize("ratio", [1e-9, 1e-6, 1e-3, 1e3, 1e6])
+@pytest.mark.parametrize("criterion", ["sum", "max"])
+def test_limits_far_from_the_wrench_in_size(ratio: float, criterion: str) -> None:
+    """A load that is nothing to the least normal forces, and a limit that is nothing to the load."""
+    limits = ForceLimits(min_normal=1.0, max_normal=100.0 * max(1.0, ratio))
+    found = optimize_force(CUBOID, ratio * LOAD, method="conic", criterion=criterion, limits=limits)
+    assert found.status is Status.OPTIMAL
+    assert limits.violations(CUBOID, found.force, tolerance=0.0) == []
+    assert CUBOID.residual(found.force, ratio * LOAD) <= 1e-9 * ratio + 1e-14 * np.abs(found.force).max()
+
+
+@pytest.mark.parametrize("method", ["conic", "newton"])
+@pytest.mark.parametrize("name", NAMES)
+def test_no_wrench(method: str, name: str) -> None:
+    grasp, _, limits = PROBLEMS[name]
+    found = optimize_force(grasp, np.zeros(6), method=method, limits=limits)
+    assert found.status is Status.OPTIMAL
+    reference = Reference(grasp, limits)
+    assert reference.residual(found.force, found.torsion, np.zeros(6)) <= 1e-14 * max(1.0, np.abs(found.force).max())
+    assert reference.violation(found.force, found.torsion) <= 1e-14
+    assert found.optimality_gap <= (1e-6 if method == "conic" else 1e-4)
+
+
+@pytest.mark.parametrize("method", ["conic", "newton"])
+def test_least_normals_that_squeeze_without_a_wrench(method: str) -> None:
+    found = optimize_force(CUBOID, np.zeros(6), method=method, limits=ForceLimits(min_normal=1.0), barrier_weight=1e-8)
+    assert found.force[:, 0].min() >= 1.0
+    assert found.total_normal_force == pytest.approx(6.0, rel=1e-3)  # thumb 3 against 1 + 1 + 1
+
+
+# newton against mathematics written again
+
+
+def phi(grasp: Grasp, reference: Reference, limits: ForceLimits | None, f: np.ndarray, omega=1.0, lam=0.01) -> float:
+    """Phi of forces and torsions (N, 4) by eigenvalues, and of all limits by their distances; +inf outside."""
+    mu_o, mu_t = reference.mu.T
+    rough, is_soft = mu_o > 0.0, reference.gamma > 0.0
+    mu = np.where(rough, np.sqrt(mu_o * mu_t), 1.0)
+    u = mu * f[:, 0]
+    s = np.where(rough, mu * np.hypot(f[:, 1] / np.where(rough, mu_o, 1.0), f[:, 2] / np.where(rough, mu_t, 1.0)), 0.0)
+    spin = np.where(is_soft, mu * f[:, 3] / np.where(is_soft, reference.gamma, 1.0), 0.0)
+    sizes = np.array([1.0 / mu, np.where(rough, mu_o / mu, 0.0), np.where(rough, mu_t / mu, 0.0)])
+    rooms = []
+    if limits is not None:
+        for row, bound in zip(reference.rows, reference.bound, strict=True):
+            # in cone coordinates (u, o, t, u - v)
+            spins = row[:, 3] * np.where(is_soft, reference.gamma / mu, 0.0)
+            scaled = np.column_stack([row[:, 0] * sizes[0] + spins, row[:, 1] * sizes[1], row[:, 2] * sizes[2], -spins])
+            touched = (scaled != 0.0).any(axis=1)
+            rooms.append((bound - float((row * f).sum())) / np.sqrt((scaled[touched] ** 2).sum()))
+    distances = np.concatenate([u, u - s, u + s, (u - spin)[is_soft], (u + spin)[is_soft], rooms])
+    return float(3.0 * omega * u.sum() + lam * (1.0 / distances).sum()) if (distances > 0.0).all() else np.inf
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("lam", [1.0, 0.01, 1e-5])
+def test_newton_is_stationary_and_reports_its_phi(name: str, lam: float) -> None:
+    grasp, load, limits = PROBLEMS[name]
+    found = optimize_force(grasp, load, method="newton", limits=limits, barrier_weight=lam, tolerance=1e-10)
+    assert found.status is Status.OPTIMAL
+    reference = Reference(grasp, limits)
+    assert reference.residual(found.force, found.torsion, load) < 1e-12
+    assert reference.violation(found.force, found.torsion) < 0.0
+    f = np.column_stack([found.force, found.torsion])
+    assert phi(grasp, reference, limits, f, lam=lam) == pytest.approx(found.objective, rel=1e-9)
+    # along every internal direction the derivative vanishes: the parabola through three points has its vertex here
+    free = reference.transmits.reshape(-1) > 0.0
+    units = np.where(np.arange(4 * grasp.n_contacts) % 4 == 3, 0.005, 1.0)[free]
+    basis = null_space(reference.matrix.reshape(6, -1)[:, free] * units)
+    for direction in basis.T:
+        move = np.zeros(4 * grasp.n_contacts)
+        move[free] = units * direction
+        move = move.reshape(-1, 4)
+        step = 1e-4 * -reference.violation(found.force, found.torsion)
+        up, here, down = (phi(grasp, reference, limits, f + k * step * move, lam=lam) for k in (1.0, 0.0, -1.0))
+        bend = (up - 2.0 * here + down) / step**2
+        slope = (up - down) / (2.0 * step)
+        # what could still be gained along it, within the tolerance and the rounding of the differences
+        rounding = 1e-15 * here / step
+        gain = max(abs(slope) - rounding, 0.0) ** 2 / max(2.0 * bend, 1e-12)
+        assert gain <= 1e-7 * here
+
+
+@pytest.mark.parametrize("name", ["pinch", "soft", "mixed", "hard, largest normal", "hard, torques", "all"])
+def test_newton_agrees_with_scipy(name: str) -> None:
+    grasp, load, limits = PROBLEMS[name]
+    found = optimize_force(grasp, load, method="newton", limits=limits, tolerance=1e-9)
+    reference = Reference(grasp, limits)
+    start = phase_one(grasp, load, limits)
+    free = reference.transmits.reshape(-1) > 0.0
+    units = np.where(np.arange(4 * grasp.n_contacts) % 4 == 3, 0.005, 1.0)[free]
+    basis = null_space(reference.matrix.reshape(6, -1)[:, free] * units)
+    offset = np.column_stack([start.force, start.torsion]).reshape(-1)
+
+    def value(x: np.ndarray) -> float:
+        f = offset.copy()
+        f[free] += units * (basis @ x)
+        return phi(grasp, reference, limits, f.reshape(-1, 4))
+
+    x = np.zeros(basis.shape[1])
+    for _ in range(4):
+        x = minimize(lambda x: min(value(x), 1e9), x, method="BFGS", options={"gtol": 1e-7, "maxiter": 400}).x
+    assert found.objective <= value(x) * (1.0 + 1e-9)
+    assert found.objective == pytest.approx(value(x), rel=2e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_newton_with_a_vanishing_barrier_tends_to_conic(name: str) -> None:
+    grasp, load, limits = PROBLEMS[name]
+    friction = np.where(grasp.friction > 0.0, grasp.friction, 1.0)
+    if np.ptp(friction) > 0.0:
+        pytest.skip("Phi prices u = mu * normal, the conic objective normal")
+    want = optimize_force(grasp, load, method="conic", limits=limits).objective
+    last = np.inf
+    for lam in (1e-2, 1e-4, 1e-6, 1e-8):
+        found = optimize_force(grasp, load, method="newton", limits=limits, barrier_weight=lam, tolerance=1e-7)
+        excess = found.total_normal_force / want - 1.0
+        assert -1e-6 < excess < last
+        last = excess
+    assert last < 2e-3
+
+
+@pytest.mark.parametrize("kind", ["soft", "mixed", "limits"])
+def test_newton_under_heavy_wrenches_is_inside_with_a_true_bound(kind: str) -> None:
+    """Wrenches of 100 to 10000 N with lambda of 1e-4 to 1: no bound lies above an objective, no force outside."""
+    rng = np.random.default_rng(42)
+    for _ in range(40):
+        grasp = some_grasp(rng, "hard" if kind == "limits" else kind, most=12)
+        load, lam = random_wrench(rng, grasp, 100.0, 1e4), 10.0 ** rng.uniform(-4.0, 0.0)
+        size = float(np.abs(Reference(grasp).load(load)).max())
+        limits = random_limits(rng, grasp, size) if kind == "limits" else None
+        try:
+            answers = [
+                optimize_force(grasp, load, method="newton", limits=limits, barrier_weight=lam, tolerance=tolerance)
+                for tolerance in (1e-4, 1e-8)
+            ]
+        except InfeasibleWrenchError:
+            continue
+        reference = Reference(grasp, limits)
+        best = min(found.objective for found in answers)
+        for found in answers:
+            assert found.status in (Status.OPTIMAL, Status.STALLED), (found, lam)
+            assert found.iterations < 200
+            assert found.lower_bound <= best * (1.0 + 1e-10)
+            assert reference.violation(found.force, found.torsion) < 0.0
+            assert found.cone_margin > 0.0
+            assert reference.residual(found.force, found.torsion, load) < 1e-9 * size
+            f = np.column_stack([found.force, found.torsion])
+            assert phi(grasp, reference, limits, f, lam=lam) == pytest.approx(found.objective, rel=1e-8)
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-3, 1.0, 1e3])
+def test_newton_with_limits_of_the_wrench_own_size(size: float) -> None:
+    """lambda in units of the wrench: the same problem at every scale, so the same answer; also far from these units."""
+    limits = ForceLimits(max_normal=5.0 * size, jacobian=jacobian(), torque_limit=size)
+    same = optimize_force(CUBOID, size * LOAD, method="newton", limits=limits, barrier_weight=0.01 * size**2)
+    one = optimize_force(
+        CUBOID, LOAD, method="newton", limits=ForceLimits(max_normal=5.0, jacobian=jacobian(), torque_limit=1.0)
+    )
+    assert same.status is Status.OPTIMAL
+    np.testing.assert_allclose(same.force, size * one.force, rtol=0, atol=1e-6 * size)
+    for lam in (1e-4, 1.0):
+        found = optimize_force(CUBOID, size * LOAD, method="newton", limits=limits, barrier_weight=lam)
+        assert found.status is Status.OPTIMAL, found
+        assert limits.violations(CUBOID, found.force, tolerance=0.0) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_phase_one_decides_tight_limits(seed: int) -> None:
+    """Found by the trial: it gave up on wrenches that are feasible with a clear margin."""
+    pytest.importorskip("clarabel")
+    rng = np.random.default_rng(1000 + seed)
+    for _ in range(60):
+        grasp = some_grasp(rng, str(rng.choice(["hard", "elliptic", "soft", "mixed"])))
+        load = random_wrench(rng, grasp)
+        limits = random_limits(rng, grasp, float(np.abs(Reference(grasp).load(load)).max()))
+        margin = Reference(grasp, limits).margin(load)
+        if abs(margin) > 1e-6:
+            assert phase_one(grasp, load, limits).feasible == (margin > 0.0)
+
+
+# starts
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_any_start_ends_at_the_same_optimum(name: str) -> None:
+    grasp, load, limits = PROBLEMS[name]
+    optimizer = ForceOptimizer(grasp, method="newton", limits=limits, tolerance=1e-9)
+    want = optimizer.solve(load)
+    deep = phase_one(grasp, load, limits)
+    starts = [want, optimize_force(grasp, 1.05 * load, method="newton", limits=limits), "previous"]
+    if not grasp.models.torsional_friction.any():
+        starts += [deep.force, deep.force.tolist(), lambda g, w: phase_one(g, w, limits).force, "phase_one"]
+    for start in starts:
+        found = optimizer.solve(load, initial=start)
+        assert found.status is Status.OPTIMAL
+        assert found.objective == pytest.approx(want.objective, rel=2e-9)
+        np.testing.assert_allclose(found.force, want.force, atol=1e-3)
+
+
+def test_previous_of_a_soft_grasp_costs_fewer_steps() -> None:
+    optimizer = ForceOptimizer(soft(), method="newton", initial="previous", limits=ForceLimits(max_normal=6.0))
+    first = optimizer.solve(LOAD)
+    again = optimizer.solve(LOAD)
+    assert again.initial == "previous"
+    assert again.iterations == 0
+    assert optimizer.solve(1.01 * LOAD).iterations <= first.iterations
+    # a jump that the old force does not survive
+    assert optimizer.solve(-LOAD).status is Status.OPTIMAL
+
+
+def test_arrays_as_starts_of_soft_grasps_have_no_torsion() -> None:
+    squeeze = np.array([[2.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    load = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    grasp = Grasp.from_contacts(
+        [[0.0, 0.0, -0.02], [0.0, 0.0, 0.02]], [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], 0.5, contact_model="soft",
+        torsional_friction=0.005,
+    )  # fmt: skip
+    found = optimize_force(grasp, load, method="newton", initial=squeeze)
+    assert found.status is Status.OPTIMAL
+    assert found.objective == pytest.approx(optimize_force(grasp, load, method="newton").objective, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        np.ones((3, 3)),
+        np.full((4, 3), np.nan),
+        np.ones((4, 3)),
+        -np.ones((4, 3)),
+        np.zeros((4, 3)),
+        "linear_combination",
+        "single_value",
+        "lagrange",
+        "nonsense",
+        3.0,
+        lambda grasp, wrench: None,
+        lambda grasp, wrench: np.ones((2, 2)),
+        optimize_force(CUBOID, LOAD, method="newton"),
+        optimize_force(PINCH, np.zeros(6), method="newton"),
+    ],
+    ids=lambda start: getattr(start, "method", None) or str(start)[:20],
+)
+def test_impossible_starts_are_explained(start) -> None:
+    """On a grasp of five: starts of other numbers of contacts, outside, unbalanced, or for hard contacts only."""
+    with pytest.raises(GraspError) as caught:
+        optimize_force(mixed(), LOAD, method="newton", initial=start)
+    assert len(str(caught.value)) > 20
+
+
+def test_starts_that_break_a_limit_are_explained() -> None:
+    free = optimize_force(CUBOID, LOAD, method="newton", barrier_weight=1.0)
+    tight = ForceLimits(max_normal=0.9 * float(free.force[:, 0].max()))
+    with pytest.raises(InfeasibleStartError, match="limits"):
+        optimize_force(CUBOID, LOAD, method="newton", limits=tight, initial=free.force)
+    # carried over, it is replaced by the deepest
+    assert optimize_force(CUBOID, LOAD, method="newton", limits=tight, initial=free).status is Status.OPTIMAL
+
+
+def test_weights_of_one_contact() -> None:
+    for grasp, limits in ((CUBOID, None), (soft(), None), (CUBOID, ForceLimits(max_normal=9.0))):
+        options = {"method": "newton", "limits": limits, "tolerance": 1e-8}
+        plain = optimize_force(grasp, LOAD, **options)
+        same = optimize_force(grasp, LOAD, force_weight=[1.0] * 4, barrier_weight=[0.01] * 4, **options)
+        assert same.objective == pytest.approx(plain.objective, rel=1e-12)
+        dear = optimize_force(grasp, LOAD, force_weight=[1.0, 1.0, 30.0, 1.0], **options)
+        assert dear.force[2, 0] < plain.force[2, 0]
+        wary = optimize_force(grasp, LOAD, barrier_weight=[0.01, 1.0, 0.01, 0.01], **options)
+        reach = [s.force[1, 0] * grasp.friction[1] - np.hypot(*s.force[1, 1:]) for s in (plain, wary)]
+        assert reach[1] > reach[0]
+        with pytest.raises(InvalidInputError):
+            optimize_force(grasp, LOAD, force_weight=[1.0] * 3, **options)
+
+
+# what does not exist
+
+
+@pytest.mark.parametrize("method", ["reduced_flow", "full_flow"])
+@pytest.mark.parametrize("grasp", [PINCH, mixed()], ids=["pinch", "mixed"])
+def test_flows_refuse_soft_contacts(method: str, grasp: Grasp) -> None:
+    with pytest.raises(UnsupportedProblemError, match="newton"):
+        optimize_force(grasp, LOAD, method=method)
+
+
+def test_move_to_keeps_working_when_the_contacts_change_their_number_or_kind() -> None:
+    optimizer = ForceOptimizer(CUBOID, method="newton", initial="previous")
+    optimizer.solve(LOAD)
+    for grasp in (soft(), mixed(), closure_grasps()[0], CUBOID):
+        optimizer.move_to(grasp)
+        found = optimizer.solve(LOAD)
+        assert found.n_contacts == grasp.n_contacts
+        assert found.objective == pytest.approx(optimize_force(grasp, LOAD, method="newton").objective, rel=2e-4)

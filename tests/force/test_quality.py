@@ -1,0 +1,258 @@
+from itertools import combinations
+
+import numpy as np
+import pytest
+from problems import closure_grasps, random_grasp
+from scipy.optimize import minimize
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.force import ForceLimits, ForceOptimizer
+from grasp_env.force.closure import force_closure
+from grasp_env.force.quality import WrenchBall, epsilon, quality, singular_values, worst_case
+from grasp_env.grasp import Grasp, presets, wrench
+
+UNEVEN = closure_grasps()[1]
+
+
+def scaled(grasp: Grasp) -> np.ndarray:
+    """(6, 3N) G with moments divided by the grasp's length."""
+    return grasp.matrix / np.repeat([1.0, grasp.length], 3)[:, None]
+
+
+def pinch(friction: float, part: float) -> Grasp:
+    """Two opposed soft fingers with torsional friction `part` of the grasp's length."""
+    return Grasp.from_contacts(
+        [[0, 0, -0.02], [0, 0, 0.02]],
+        [[0, 0, 1], [0, 0, -1]],
+        friction,
+        contact_model="soft",
+        torsional_friction=0.02 * part,
+    )
+
+
+def frictionless(seed: int) -> Grasp:
+    """Eight frictionless contacts with force closure."""
+    rng = np.random.default_rng(seed)
+    while True:
+        shape = random_grasp(rng, 8)
+        # normals of a rough surface: an ellipsoid's alone make hardly any moments
+        normals = shape.normals + 0.6 * rng.standard_normal((8, 3))
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        grasp = Grasp.from_contacts(shape.positions, normals, 0.0, contact_model="frictionless")
+        if force_closure(grasp).margin > 0.01:
+            return grasp
+
+
+def support(direction: np.ndarray, grasp: Grasp, criterion: str) -> float:
+    """Largest n . G f over forces of size one, contact by contact."""
+    best = [
+        max(0.0, n + mu * np.hypot(o, t))
+        for (n, o, t), mu in zip((direction @ scaled(grasp)).reshape(-1, 3), grasp.friction, strict=True)
+    ]
+    return max(best) if criterion == "sum" else sum(best)
+
+
+@pytest.mark.parametrize(("friction", "part"), [(0.5, 0.25), (0.2, 0.6), (1.5, 1.2), (0.9, 0.1)])
+def test_two_opposed_soft_fingers(friction: float, part: float) -> None:
+    # torsion about the axis, or a sideways force at one finger with the axial force that takes half of it over:
+    # n = mu a, F_t = M_t = a, resisted by mu a
+    found = epsilon(pinch(friction, part))
+    exact = min(part, friction / np.sqrt(2.0 + friction**2))
+    assert found.lower <= exact * (1 + 1e-9) <= found.upper * (1 + 1e-6)
+    assert found.upper / found.lower < 1.01
+
+
+def test_two_opposed_soft_fingers_each_up_to_one_newton() -> None:
+    # torsion with as much axial force as one finger's torsion carries: 2 g b on a = g b, a^2 + b^2 = 1
+    found = epsilon(pinch(0.9, 0.25), criterion="max")
+    exact = 2 * 0.25 / np.sqrt(1 + 0.25**2)
+    assert found.lower <= exact <= found.upper * (1 + 1e-6)
+    assert found.upper / found.lower < 1.01
+
+
+def test_symmetric_tripod() -> None:
+    # four directions carried by three contacts each, the moments about x and y by z forces times cosines
+    values = singular_values(presets.tripod())
+    np.testing.assert_allclose(values, np.sqrt([3, 3, 3, 3, 1.5, 1.5]), rtol=1e-12)
+    found = quality(presets.tripod())
+    assert found.isotropy == pytest.approx(np.sqrt(0.5))
+    assert found.min_singular_value == pytest.approx(np.sqrt(1.5))
+    assert found.closure_margin == pytest.approx(0.25)
+    # the worst wrench turned by a third is as bad
+    third = Rotation.from_euler("z", 120, degrees=True).as_matrix()
+    optimizer = ForceOptimizer(presets.tripod(), method="conic")
+    turned = [third @ part for part in found.epsilon_sum.wrench.reshape(2, 3)]
+    assert optimizer.solve(np.concatenate(turned)).objective == pytest.approx(1 / found.epsilon_sum.upper, rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_frictionless_grasps_have_exact_facets(seed: int) -> None:
+    grasp = frictionless(seed)
+    columns = scaled(grasp)[:, ::3]
+    exact = (-ConvexHull(columns.T).equations[:, 6]).min()
+    found = epsilon(grasp)
+    assert found.lower <= exact * (1 + 1e-9)
+    assert exact <= found.upper * (1 + 1e-5) <= found.lower * 1.01 * (1 + 1e-5)
+    # a zonotope: five columns span each of its facets
+    normals = np.array([np.linalg.svd(columns[:, list(five)].T)[2][-1] for five in combinations(range(8), 5)])
+    exact = min(np.maximum(sign * normals @ columns, 0.0).sum(axis=1).min() for sign in (-1.0, 1.0))
+    found = epsilon(grasp, criterion="max", starts=4)
+    assert found.lower <= exact * (1 + 1e-9)
+    assert exact <= found.upper * (1 + 1e-5) <= found.lower * 1.01 * (1 + 1e-5)
+
+
+@pytest.mark.parametrize("grasp", [presets.paper_cuboid(), UNEVEN], ids=["cuboid", "uneven"])
+def test_pyramids_converge_from_inside(grasp: Grasp) -> None:
+    found = epsilon(grasp, tolerance=0.002)
+    assert found.upper / found.lower <= 1.002
+    inside = []
+    for edges in (4, 8, 16, 32):
+        angles = 2 * np.pi * np.arange(edges) / edges
+        points = [
+            scaled(grasp)[:, 3 * k : 3 * k + 3] @ np.stack([np.ones(edges), mu * np.cos(angles), mu * np.sin(angles)])
+            for k, mu in enumerate(grasp.friction)
+        ]
+        inside.append((-ConvexHull(np.concatenate(points, axis=1).T, qhull_options="QJ").equations[:, 6]).min())
+    assert (np.diff(inside) >= -1e-9).all()
+    assert inside[-1] <= found.upper * (1 + 1e-6)
+    assert inside[-1] >= 0.98 * found.lower
+    assert inside[0] < 0.97 * found.lower  # pyramids of four edges are visibly wrong
+
+
+@pytest.mark.parametrize("criterion", ["sum", "max"])
+@pytest.mark.parametrize("grasp", [closure_grasps()[0], UNEVEN, closure_grasps()[7]], ids=["N3", "N4", "N5"])
+def test_epsilon_against_a_search_over_directions(grasp: Grasp, criterion: str) -> None:
+    found = epsilon(grasp, criterion=criterion, starts=8)
+    rng = np.random.default_rng(3)
+
+    def value(direction: np.ndarray) -> float:
+        return support(direction, grasp, criterion) / float(np.linalg.norm(direction))
+
+    directions = rng.standard_normal((1500, 6))
+    values = [value(direction) for direction in directions]
+    best = min(values)
+    for k in np.argsort(values)[:6]:
+        answer = minimize(value, directions[k], method="Nelder-Mead", options={"maxfev": 1500, "xatol": 1e-7})
+        best = min(best, answer.fun)
+    assert found.lower <= best * (1 + 1e-9)
+    # the certified interval is narrow, and the ascent is no worse than the search
+    assert found.upper / found.lower <= 1.01
+    assert found.upper <= best * (1 + 2e-3)
+
+
+@pytest.mark.parametrize("shape", ["ellipsoid", "product"])
+def test_no_wrench_of_the_ball_is_worse(shape: str) -> None:
+    ball = WrenchBall(2.0, 0.05, shape)
+    worst = worst_case(UNEVEN, ball)
+    assert worst.lower <= worst.least_force <= worst.upper <= worst.lower * 1.01
+    force, moment = (np.linalg.norm(part) for part in worst.wrench.reshape(2, 3))
+    inside = max(force / 2.0, moment / 0.05) if shape == "product" else np.hypot(force / 2.0, moment / 0.05)
+    assert inside == pytest.approx(1.0)
+    optimizer = ForceOptimizer(UNEVEN, method="conic")
+    assert optimizer.solve(worst.wrench).objective == pytest.approx(worst.least_force, rel=1e-6)
+    drawn = wrench.sample_ball(np.random.default_rng(5), 2000, 2.0, 0.05)
+    parts = np.linalg.norm(drawn.reshape(-1, 2, 3), axis=2) / [2.0, 0.05]
+    # onto the surface, where the worst ones are
+    outward = parts.max(axis=1) if shape == "product" else np.hypot(*parts.T)
+    costs = [optimizer.solve(load).objective for load in drawn / outward[:, None]]
+    assert max(costs) <= worst.upper
+    assert max(costs) >= 0.6 * worst.lower
+
+
+def test_finite_set_stands_for_its_convex_hull() -> None:
+    rng = np.random.default_rng(6)
+    listed = wrench.sample_ball(rng, 20)
+    worst = worst_case(UNEVEN, listed)
+    optimizer = ForceOptimizer(UNEVEN, method="conic")
+    costs = [optimizer.solve(load).objective for load in listed]
+    assert worst.least_force == max(costs)
+    np.testing.assert_array_equal(worst.wrench, listed[int(np.argmax(costs))])
+    between = rng.dirichlet(np.ones(20), 50) @ listed
+    assert max(optimizer.solve(load).objective for load in between) <= worst.upper * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("criterion", ["sum", "max"])
+def test_without_force_closure(criterion: str) -> None:
+    grasp = presets.paper_cuboid()
+    palm = Grasp.from_contacts(grasp.positions, [[0, 0, 1]] * 4, 0.4)
+    found = epsilon(palm, criterion=criterion)
+    assert (found.lower, found.upper) == (0.0, 0.0)
+    worst = worst_case(palm, WrenchBall(1.0, 0.05), criterion)
+    assert worst.least_force == worst.lower == worst.upper == np.inf
+    assert worst.solution is not None
+    assert worst.solution.certificate @ worst.wrench > 0.0
+    # the weight of the object alone lies on the palm
+    assert worst_case(palm, [[0, 0, -1, 0, 0, 0]], criterion).least_force < np.inf
+
+
+@pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning", "ignore:invalid value:RuntimeWarning")
+def test_limits() -> None:
+    ball = WrenchBall(1.0, 0.05, "product")
+    grasp = presets.paper_cuboid()
+    free = worst_case(grasp, ball)
+    loose = worst_case(grasp, ball, limits=ForceLimits(max_normal=100.0), starts=8)
+    assert loose.lower == pytest.approx(free.lower, rel=1e-4)
+    assert free.lower <= loose.upper <= 1.12 * loose.lower
+    tight = worst_case(grasp, ball, limits=ForceLimits(max_normal=2.0), starts=8)
+    assert tight.least_force == tight.lower == np.inf
+
+
+def test_scaling_laws() -> None:
+    before = epsilon(UNEVEN)
+    slipperier = epsilon(UNEVEN.with_friction(0.8 * UNEVEN.friction))
+    assert slipperier.upper <= before.upper * (1 + 1e-5)
+    assert slipperier.lower < before.lower
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+    turned = Grasp.from_contacts(UNEVEN.positions @ turn.T, UNEVEN.normals @ turn.T, UNEVEN.friction)
+    larger = Grasp.from_contacts(50.0 * UNEVEN.positions, UNEVEN.normals, UNEVEN.friction)
+    for other in (turned, larger):
+        found = epsilon(other)
+        assert found.upper == pytest.approx(before.upper, rel=1e-3)
+        assert max(found.lower, before.lower) <= min(found.upper, before.upper)
+        np.testing.assert_allclose(singular_values(other), singular_values(UNEVEN), rtol=1e-10)
+    one, seven = worst_case(UNEVEN, WrenchBall(1.0, 0.03)), worst_case(UNEVEN, WrenchBall(7.0, 0.21))
+    assert seven.lower == pytest.approx(7.0 * one.lower, rel=1e-4)
+
+
+def test_quality_gathers_and_repeats() -> None:
+    found, again = quality(UNEVEN, starts=4), quality(UNEVEN, starts=4)
+    assert (found.epsilon_sum.lower, found.epsilon_max.lower) == (again.epsilon_sum.lower, again.epsilon_max.lower)
+    # sum <= 1 implies max <= 1, max <= 1 implies sum <= N
+    assert found.epsilon_sum.lower <= found.epsilon_max.upper <= 4 * found.epsilon_sum.upper * (1 + 1e-9)
+    assert found.min_singular_value == pytest.approx(np.linalg.svd(scaled(UNEVEN))[1].min())
+    assert found.closure_margin == force_closure(UNEVEN).margin
+
+
+def test_wrong_input() -> None:
+    grasp = presets.tripod()
+    with pytest.raises(UnknownNameError):
+        WrenchBall(1.0, 1.0, "cube")
+    with pytest.raises(InvalidInputError):
+        WrenchBall(-1.0, 1.0)
+    with pytest.raises(UnknownNameError):
+        epsilon(grasp, criterion="mean")
+    with pytest.raises(InvalidInputError):
+        worst_case(grasp, [1.0, 0, 0, 0, 0, 0])
+    with pytest.raises(InvalidInputError):
+        worst_case(grasp, np.zeros((0, 6)))
+    with pytest.raises(InvalidInputError):
+        epsilon(grasp, length=0.0)
+
+
+@pytest.mark.parametrize("shape", ["ellipsoid", "product"])
+def test_ball_reaches_and_its_polytope_encloses_it(shape: str) -> None:
+    ball = WrenchBall(2.0, 0.05, shape)
+    directions = np.random.default_rng(8).standard_normal((2000, 6)) / ball.radii
+    reach = ball.reach(directions)
+    force, moment = np.linalg.norm((directions * ball.radii).reshape(-1, 2, 3), axis=2).T
+    np.testing.assert_allclose(reach, force + moment if shape == "product" else np.hypot(force, moment))
+    np.testing.assert_allclose([n @ ball.farthest(n) for n in directions], reach)
+    assert ((directions @ ball.enclosing().T).max(axis=1) >= reach).all()
+    assert (ball.reach(1.0 / ball.radii * np.eye(6)) <= 1.0 + 1e-12).all()
+
+
+def test_singular_values_count_torsion() -> None:
+    # two torsions about z; z forces as many, each sideways pair and its moments too
+    np.testing.assert_allclose(singular_values(pinch(0.5, 0.25)), np.sqrt(2.0))
