@@ -8,14 +8,14 @@
 | null_space | 6 N (3 N - 6) | 144 | B B^T times the gradient, B a basis of ker G, orthonormal in D |
 | row_space | 39 N | 156 | D^-1 - R^T R times the gradient, R the six orthonormal rows of G D^-1 |
 
-Work lies as in `lanes.py` and `newton_kernels.py`: row b of `work` holds contacts 4b .. 4b + 3, constants first.
+Work lies as in `lanes.py` and `phi_lanes.py`: row b of `work` holds contacts 4b .. 4b + 3, constants first.
 """
 
 from __future__ import annotations
 
 from grasp_env._compile import compiled_lanes
 from grasp_env.force.lanes import LAM, OMEGA
-from grasp_env.force.newton_kernels import GRADIENT, STEP, WIDTH, X
+from grasp_env.force.phi_lanes import GRADIENT, STEP, WIDTH, X
 
 FULL, PAPER, PROJECTOR, NULL_SPACE, ROW_SPACE = range(5)
 """Forms."""

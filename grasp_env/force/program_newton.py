@@ -176,6 +176,8 @@ def general_newton(
             # here the slack shrinks by trial_slack
             decrement -= row_weights[r] / (slack[r] * slack[r]) * trial_slack[r]
             reach = max(reach, trial_slack[r] / slack[r])
+        for r in range(equal, m):
+            y[r] = max(y[r], 0.0)  # any multipliers >= 0 give a bound
         if not known:
             bound = max(bound, general_bound(first, touched, values, right, equal, weights, row_weights, soft, y))
         if relative_gap(value, bound) <= tolerance:
@@ -190,7 +192,8 @@ def general_newton(
             slacks(first, touched, values, right, equal, candidate, trial_slack)
             trial = general_phi(candidate, trial_slack, equal, weights, row_weights, soft)
             if trial < value - 1e-4 * alpha * decrement or (trial <= value and decrement < 1e-9 * value):
-                accepted = alpha > SHORTEST
+                # far from the optimum steps are as long as Phi is straight: what counts is how far z moves
+                accepted = alpha * np.abs(step).max() > SHORTEST * np.abs(z).max()
                 break
             alpha *= 0.5
         if not accepted:
