@@ -10,86 +10,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
-
 import numpy as np
 
-from grasp_env._check import Array, ContactForces, Wrench
-from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, InvalidInputError, UnsupportedProblemError
+from grasp_env._check import Array, Wrench
+from grasp_env.errors import InfeasibleStartError, UnsupportedProblemError
 from grasp_env.force import conic_kernels, newton_kernels
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
-from grasp_env.force.feasibility import Feasibility, answer
+from grasp_env.force.feasibility import answer
 from grasp_env.force.flow import Flow as GradientFlow
 from grasp_env.force.kernels import cone_slack, phi, worst_residual
 from grasp_env.force.lanes import KNOWN, options, pack
-from grasp_env.force.limits import ForceLimits
-from grasp_env.force.linear import linear_forces
-from grasp_env.force.objective import Objective
-from grasp_env.force.program import Answer, ForceProgram
+from grasp_env.force.method import BALANCE_TOLERANCE, Method, Settings, Start, refuse
+from grasp_env.force.program import ForceProgram
+from grasp_env.force.program_methods import Linear, ProgramConic, ProgramNewton
 from grasp_env.force.record import (
     BOUND,
     CODE,
     FORCE,
     ITERATIONS,
     MARGIN,
-    MULTIPLIERS,
     OBJECTIVE,
     RESIDUAL,
     TRIALS,
     WRENCH,
     record_size,
 )
-from grasp_env.force.repair import Correction
-from grasp_env.force.solution import ForceSolution, Status, infeasible
-from grasp_env.force.step_size import StepRule
+from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
 DESCENTS = ("reduced_flow", "full_flow", "newton")
 """Methods on Phi: they take a start, a known optimum and a trace."""
 METHODS = (*DESCENTS, "conic", "linear")
-BALANCE_TOLERANCE = 1e-8
-"""A start may miss balance by this much of the wrench and force it carries; the rest is an error of the rule."""
 DEEP = 0.05
 """Part of its largest u by which a projected internal force must lie inside the cones to serve again."""
 _NO_TRACE = np.empty(0)
 _NO_FORCE = np.empty(0)
 _NO_BASIS = np.empty((0, 0))
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What every method may need; see `optimize_force`."""
-
-    method: str
-    criterion: str
-    limits: ForceLimits | None
-    objective: Objective
-    tolerance: float
-    max_iterations: int
-    step_rule: StepRule
-    correction: Correction
-
-
-@dataclass(frozen=True)
-class Start:
-    """Where a descent begins: the rule's name and a force (N, 3) [N], with torsions (N,) [N m] where contacts are soft."""
-
-    name: str
-    force: ContactForces
-    torsion: Array | None = None
-
-
-class Method(Protocol):
-    """One method on one grasp."""
-
-    needs_start: bool
-    """Whether `run` takes a start; the others have their own."""
-
-    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
-        """Solves for a checked wrench (6,); `optimum` is a known minimum or nan, `trace` asks for Phi of every iterate."""
-        ...
 
 
 def make_method(grasp: Grasp, settings: Settings, before: Method | None = None) -> Method:
@@ -255,7 +211,7 @@ class Conic:
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""
-        _refuse("conic", start, optimum, trace)
+        refuse("conic", start, optimum, trace)
         return ForceSolution(self.direct(wrench), "conic", "central")
 
     def direct(self, wrench: Wrench) -> Array:
@@ -263,176 +219,3 @@ class Conic:
         record = np.empty(self._size)
         conic_kernels.conic(self.constants, wrench, self.options, record)
         return record
-
-
-class _Program:
-    """Soft contacts, further limits, no force closure: what the methods on `ForceProgram` share."""
-
-    def __init__(self, grasp: Grasp, settings: Settings) -> None:
-        self.grasp, self.settings = grasp, settings
-        self.program = ForceProgram(grasp, settings.limits)
-
-    def solution(self, found: Answer, wrench: Wrench, start: Array, name: str, trace: Array) -> ForceSolution:
-        """The record of an answer; status OPTIMAL where its certified gap is within the tolerance."""
-        program, count = self.program, self.grasp.n_contacts
-        record = np.zeros(record_size(count))
-        value = found.value
-        gap = (value - found.bound) / found.bound if found.bound > 0.0 else (0.0 if value == 0.0 else np.inf)
-        # a value clearly below its bound means a force that misses something
-        proven = -1e-9 <= gap <= self.settings.tolerance and program.slack(found.z) >= 0.0
-        record[CODE] = CONVERGED if proven else max(found.code, LIMIT if found.code == LIMIT else STALLED)
-        record[ITERATIONS], record[TRIALS], record[OBJECTIVE], record[BOUND] = (
-            found.iterations, found.trials, value, found.bound,
-        )  # fmt: skip
-        record[MARGIN], record[RESIDUAL] = program.slack(found.z), program.residual(found.z, wrench)
-        record[WRENCH : WRENCH + 6], record[MULTIPLIERS : MULTIPLIERS + 6] = wrench, found.multipliers
-        record[FORCE : FORCE + 3 * count] = program.force(found.z).reshape(-1)
-        record[FORCE + 3 * count : FORCE + 6 * count] = program.force(start).reshape(-1)
-        record[FORCE + 6 * count :] = program.torsion(found.z)
-        return ForceSolution(record, self.settings.method, name, trace, limit_multipliers=found.limit_multipliers)
-
-    def feasible(self, wrench: Wrench, name: str) -> Feasibility:
-        """The deepest force.
-
-        Raises:
-            InfeasibleWrenchError: there is none.
-        """
-        found = answer(self.program, wrench)
-        if found.certificate is not None:
-            raise infeasible_error(self.grasp, wrench, self.settings.method, name, found.certificate)
-        return found
-
-
-class ProgramConic(_Program):
-    """Least sum or least maximum of normal forces within all limits."""
-
-    needs_start = False
-
-    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
-        """See `Method`.
-
-        Raises:
-            InfeasibleWrenchError: no force within the limits balances the wrench.
-        """
-        _refuse("conic", start, optimum, trace)
-        settings = self.settings
-        # a tenth: the certificate gives a little away when it makes its multipliers feasible
-        found = self.program.least_force(
-            wrench, settings.criterion, 0.1 * settings.tolerance, min(settings.max_iterations, 100)
-        )
-        if found.code != CONVERGED:
-            deepest = self.feasible(wrench, "central")
-            size = float(np.abs(self.program.frame @ wrench).max())
-            usable = self.program.slack(found.z) >= 0.0 and self.program.residual(found.z, wrench) <= 1e-9 * size
-            if not usable:  # nan is not
-                assert deepest.force is not None
-                z = self.program.variables(deepest.force, deepest.torsion)
-                normals = deepest.force[:, 0]
-                value = float(normals.sum() if settings.criterion == "sum" else normals.max())
-                found = Answer(STALLED, z, found.iterations, value, 0.0, np.zeros(6), found.limit_multipliers * 0.0)
-        return self.solution(found, wrench, found.z, "central", _NO_TRACE)
-
-
-class ProgramNewton(_Program):
-    """Newton on Phi within all limits."""
-
-    needs_start = True
-
-    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
-        """See `Method`; without a start the deepest force is taken."""
-        program, settings = self.program, self.settings
-        start = start or self.deepest(wrench)
-        z = program.variables(start.force, start.torsion)
-        size = float(np.abs(start.force).max()) + float(np.abs(program.frame @ wrench).max())
-        if program.residual(z, wrench) > BALANCE_TOLERANCE * size:
-            raise InfeasibleStartError(
-                f"initial-force rule {start.name!r} misses balance by {program.residual(z, wrench):.3g} N (G f + w = 0)"
-            )
-        if not program.slack(z) > 0.0:
-            raise InfeasibleStartError(
-                f"initial-force rule {start.name!r} leaves the limits by {-program.slack(z):.3g} N; use "
-                "initial='phase_one', the force deepest inside them"
-            )
-        values = np.full(settings.max_iterations + 1 if trace else 0, np.nan)
-        weights = settings.objective.weights(self.grasp.n_contacts)
-        found = program.least_phi(wrench, weights, z, settings.tolerance, optimum, settings.max_iterations, values)
-        return self.solution(found, wrench, z, start.name, values[: found.iterations + 1])
-
-    def deepest(self, wrench: Wrench) -> Start:
-        """The force deepest inside all limits."""
-        found = self.feasible(wrench, "phase_one")
-        assert found.force is not None
-        return Start("phase_one", found.force, found.torsion)
-
-    def carried(self, wrench: Wrench, previous: ForceSolution) -> Start:
-        """The previous force, balanced for this wrench and grasp by the least change, or the deepest one."""
-        if previous.n_contacts != self.grasp.n_contacts:
-            raise InfeasibleStartError(
-                f"the previous solution has {previous.n_contacts} contacts, the grasp {self.grasp.n_contacts}"
-            )
-        z = self.program.balanced(self.program.variables(previous.force, previous.torsion), wrench)
-        if self.program.slack(z) > 0.0:
-            return Start("previous", self.program.force(z), self.program.torsion(z))
-        found = self.feasible(wrench, "previous")
-        assert found.force is not None
-        return Start("previous", found.force, found.torsion)
-
-
-class Linear:
-    """The classical pyramid program by HiGHS, for comparison."""
-
-    needs_start = False
-
-    def __init__(self, grasp: Grasp, settings: Settings) -> None:
-        if settings.criterion != "sum":
-            raise UnsupportedProblemError(
-                f"method 'linear' knows criterion 'sum', got {settings.criterion!r}; use 'conic'"
-            )
-        self.grasp, self.settings = grasp, settings
-        self.program = ForceProgram(grasp, settings.limits)
-
-    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
-        """See `Method`. The bound is that of the pyramids, not of the cones.
-
-        Raises:
-            InfeasibleWrenchError: no force balances the wrench.
-        """
-        _refuse("linear", start, optimum, trace)
-        found = linear_forces(self.grasp, wrench, limits=self.settings.limits)
-        if found.status is Status.INFEASIBLE:
-            proof = answer(self.program, wrench)
-            if proof.certificate is not None:
-                raise infeasible_error(self.grasp, wrench, "linear", "none", proof.certificate)
-            raise InfeasibleWrenchError(
-                f"no force inside the friction pyramids balances wrench {wrench.tolist()}, one inside the cones does: "
-                "use method='conic'"
-            )
-        count = self.grasp.n_contacts
-        record = np.zeros(record_size(count))
-        z = self.program.variables(found.force, found.torsion)
-        record[CODE], record[OBJECTIVE], record[BOUND] = CONVERGED, found.objective, found.objective
-        record[MARGIN], record[RESIDUAL] = self.program.slack(z), self.program.residual(z, wrench)
-        record[WRENCH : WRENCH + 6] = wrench
-        record[MULTIPLIERS : MULTIPLIERS + 6] = found.multipliers
-        record[FORCE : FORCE + 3 * count] = found.force.reshape(-1)
-        record[FORCE + 3 * count : FORCE + 6 * count] = found.force.reshape(-1)
-        record[FORCE + 6 * count :] = found.torsion
-        return ForceSolution(record, "linear", "none")
-
-
-def infeasible_error(
-    grasp: Grasp, wrench: Wrench, method: str, initial: str, certificate: Array
-) -> InfeasibleWrenchError:
-    """The error that carries the infeasible solution and its separating twist."""
-    residual = grasp.residual(np.zeros((grasp.n_contacts, 3)), wrench)
-    return InfeasibleWrenchError(
-        f"no force strictly inside the limits balances wrench {wrench.tolist()}; the twist "
-        f"{np.round(certificate, 6).tolist()} separates it (error.solution.certificate): add contacts, raise the "
-        "friction, widen the limits, or change the wrench",
-        infeasible(wrench, grasp.n_contacts, method, initial, residual, certificate),
-    )
-
-
-def _refuse(method: str, start: Start | None, optimum: float, trace: bool) -> None:
-    if start is not None or optimum == optimum or trace:
-        raise InvalidInputError(f"method {method!r} takes no start, optimum or trace: they belong to descents on Phi")

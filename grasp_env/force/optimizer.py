@@ -20,19 +20,11 @@ from grasp_env.force.descent_kernels import CONVERGED
 from grasp_env.force.feasibility import answer
 from grasp_env.force.initial import RULES, InitialForceRule, initial_rule
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.methods import (
-    METHODS,
-    Conic,
-    Method,
-    Newton,
-    ProgramNewton,
-    Settings,
-    Start,
-    infeasible_error,
-    make_method,
-)
+from grasp_env.force.method import Method, Settings, Start, infeasible_error
+from grasp_env.force.methods import METHODS, Conic, Newton, make_method
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.program import CRITERIA, ForceProgram
+from grasp_env.force.program_methods import ProgramNewton
 from grasp_env.force.record import CODE
 from grasp_env.force.repair import CORRECTIONS, Correction, Repair, carry_over
 from grasp_env.force.solution import ForceSolution

@@ -1,0 +1,185 @@
+"""Methods for soft contacts, further limits and grasps without force closure, and the linear program for comparison."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from grasp_env._check import Array, Wrench
+from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, UnsupportedProblemError
+from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
+from grasp_env.force.feasibility import Feasibility, answer
+from grasp_env.force.linear import linear_forces
+from grasp_env.force.method import BALANCE_TOLERANCE, Settings, Start, infeasible_error, refuse
+from grasp_env.force.program import Answer, ForceProgram
+from grasp_env.force.record import (
+    BOUND,
+    CODE,
+    FORCE,
+    ITERATIONS,
+    MARGIN,
+    MULTIPLIERS,
+    OBJECTIVE,
+    RESIDUAL,
+    TRIALS,
+    WRENCH,
+    record_size,
+)
+from grasp_env.force.solution import ForceSolution, Status
+from grasp_env.grasp.grasp import Grasp
+
+_NO_TRACE = np.empty(0)
+
+
+class _Program:
+    """Soft contacts, further limits, no force closure: what the methods on `ForceProgram` share."""
+
+    def __init__(self, grasp: Grasp, settings: Settings) -> None:
+        self.grasp, self.settings = grasp, settings
+        self.program = ForceProgram(grasp, settings.limits)
+
+    def solution(self, found: Answer, wrench: Wrench, start: Array, name: str, trace: Array) -> ForceSolution:
+        """The record of an answer; status OPTIMAL where its certified gap is within the tolerance."""
+        program, count = self.program, self.grasp.n_contacts
+        record = np.zeros(record_size(count))
+        value = found.value
+        gap = (value - found.bound) / found.bound if found.bound > 0.0 else (0.0 if value == 0.0 else np.inf)
+        # a value clearly below its bound means a force that misses something
+        proven = -1e-9 <= gap <= self.settings.tolerance and program.slack(found.z) >= 0.0
+        record[CODE] = CONVERGED if proven else max(found.code, LIMIT if found.code == LIMIT else STALLED)
+        record[ITERATIONS], record[TRIALS], record[OBJECTIVE], record[BOUND] = (
+            found.iterations, found.trials, value, found.bound,
+        )  # fmt: skip
+        record[MARGIN], record[RESIDUAL] = program.slack(found.z), program.residual(found.z, wrench)
+        record[WRENCH : WRENCH + 6], record[MULTIPLIERS : MULTIPLIERS + 6] = wrench, found.multipliers
+        record[FORCE : FORCE + 3 * count] = program.force(found.z).reshape(-1)
+        record[FORCE + 3 * count : FORCE + 6 * count] = program.force(start).reshape(-1)
+        record[FORCE + 6 * count :] = program.torsion(found.z)
+        return ForceSolution(record, self.settings.method, name, trace, limit_multipliers=found.limit_multipliers)
+
+    def feasible(self, wrench: Wrench, name: str) -> Feasibility:
+        """The deepest force.
+
+        Raises:
+            InfeasibleWrenchError: there is none.
+        """
+        found = answer(self.program, wrench)
+        if found.certificate is not None:
+            raise infeasible_error(self.grasp, wrench, self.settings.method, name, found.certificate)
+        return found
+
+
+class ProgramConic(_Program):
+    """Least sum or least maximum of normal forces within all limits."""
+
+    needs_start = False
+
+    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
+        """See `Method`.
+
+        Raises:
+            InfeasibleWrenchError: no force within the limits balances the wrench.
+        """
+        refuse("conic", start, optimum, trace)
+        settings = self.settings
+        # a tenth: the certificate gives a little away when it makes its multipliers feasible
+        found = self.program.least_force(
+            wrench, settings.criterion, 0.1 * settings.tolerance, min(settings.max_iterations, 100)
+        )
+        if found.code != CONVERGED:
+            deepest = self.feasible(wrench, "central")
+            size = float(np.abs(self.program.frame @ wrench).max())
+            usable = self.program.slack(found.z) >= 0.0 and self.program.residual(found.z, wrench) <= 1e-9 * size
+            if not usable:  # nan is not
+                assert deepest.force is not None
+                z = self.program.variables(deepest.force, deepest.torsion)
+                normals = deepest.force[:, 0]
+                value = float(normals.sum() if settings.criterion == "sum" else normals.max())
+                found = Answer(STALLED, z, found.iterations, value, 0.0, np.zeros(6), found.limit_multipliers * 0.0)
+        return self.solution(found, wrench, found.z, "central", _NO_TRACE)
+
+
+class ProgramNewton(_Program):
+    """Newton on Phi within all limits."""
+
+    needs_start = True
+
+    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
+        """See `Method`; without a start the deepest force is taken."""
+        program, settings = self.program, self.settings
+        start = start or self.deepest(wrench)
+        z = program.variables(start.force, start.torsion)
+        size = float(np.abs(start.force).max()) + float(np.abs(program.frame @ wrench).max())
+        if program.residual(z, wrench) > BALANCE_TOLERANCE * size:
+            raise InfeasibleStartError(
+                f"initial-force rule {start.name!r} misses balance by {program.residual(z, wrench):.3g} N (G f + w = 0)"
+            )
+        if not program.slack(z) > 0.0:
+            raise InfeasibleStartError(
+                f"initial-force rule {start.name!r} leaves the limits by {-program.slack(z):.3g} N; use "
+                "initial='phase_one', the force deepest inside them"
+            )
+        values = np.full(settings.max_iterations + 1 if trace else 0, np.nan)
+        weights = settings.objective.weights(self.grasp.n_contacts)
+        found = program.least_phi(wrench, weights, z, settings.tolerance, optimum, settings.max_iterations, values)
+        return self.solution(found, wrench, z, start.name, values[: found.iterations + 1])
+
+    def deepest(self, wrench: Wrench) -> Start:
+        """The force deepest inside all limits."""
+        found = self.feasible(wrench, "phase_one")
+        assert found.force is not None
+        return Start("phase_one", found.force, found.torsion)
+
+    def carried(self, wrench: Wrench, previous: ForceSolution) -> Start:
+        """The previous force, balanced for this wrench and grasp by the least change, or the deepest one."""
+        if previous.n_contacts != self.grasp.n_contacts:
+            raise InfeasibleStartError(
+                f"the previous solution has {previous.n_contacts} contacts, the grasp {self.grasp.n_contacts}"
+            )
+        z = self.program.balanced(self.program.variables(previous.force, previous.torsion), wrench)
+        if self.program.slack(z) > 0.0:
+            return Start("previous", self.program.force(z), self.program.torsion(z))
+        found = self.feasible(wrench, "previous")
+        assert found.force is not None
+        return Start("previous", found.force, found.torsion)
+
+
+class Linear:
+    """The classical pyramid program by HiGHS, for comparison."""
+
+    needs_start = False
+
+    def __init__(self, grasp: Grasp, settings: Settings) -> None:
+        if settings.criterion != "sum":
+            raise UnsupportedProblemError(
+                f"method 'linear' knows criterion 'sum', got {settings.criterion!r}; use 'conic'"
+            )
+        self.grasp, self.settings = grasp, settings
+        self.program = ForceProgram(grasp, settings.limits)
+
+    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
+        """See `Method`. The bound is that of the pyramids, not of the cones.
+
+        Raises:
+            InfeasibleWrenchError: no force balances the wrench.
+        """
+        refuse("linear", start, optimum, trace)
+        found = linear_forces(self.grasp, wrench, limits=self.settings.limits)
+        if found.status is Status.INFEASIBLE:
+            proof = answer(self.program, wrench)
+            if proof.certificate is not None:
+                raise infeasible_error(self.grasp, wrench, "linear", "none", proof.certificate)
+            raise InfeasibleWrenchError(
+                f"no force inside the friction pyramids balances wrench {wrench.tolist()}, one inside the cones does: "
+                "use method='conic'"
+            )
+        count = self.grasp.n_contacts
+        record = np.zeros(record_size(count))
+        z = self.program.variables(found.force, found.torsion)
+        record[CODE], record[OBJECTIVE], record[BOUND] = CONVERGED, found.objective, found.objective
+        record[MARGIN], record[RESIDUAL] = self.program.slack(z), self.program.residual(z, wrench)
+        record[WRENCH : WRENCH + 6] = wrench
+        record[MULTIPLIERS : MULTIPLIERS + 6] = found.multipliers
+        record[FORCE : FORCE + 3 * count] = found.force.reshape(-1)
+        record[FORCE + 3 * count : FORCE + 6 * count] = found.force.reshape(-1)
+        record[FORCE + 6 * count :] = found.torsion
+        return ForceSolution(record, "linear", "none")
