@@ -1,7 +1,7 @@
 """`compiled`: numba with an on-disk cache that notices when a kernel of another file changed.
 
 numba's cache compares the source file of the function it holds, not those of the functions compiled into it: after an
-edit of `kernels.py` the cached loops in `descent_kernels.py` would keep the old code, without a word. So the stamp of
+edit of `kernels.py` the cached loops in `flow_kernels.py` would keep the old code, without a word. So the stamp of
 every cached kernel here includes a hash of all the sources that kernels may come from.
 """
 

@@ -199,7 +199,7 @@ def _solve(command: Solve) -> None:
     else:
         grasp = load_grasp(command.grasp)
         grasp = grasp if command.friction is None else grasp.with_friction(command.friction)
-    limited = command.min_normal > 0.0 or command.max_normal < math.inf
+    limited = (command.min_normal, command.max_normal) != (0.0, math.inf)
     try:
         solution = optimize_force(
             grasp,

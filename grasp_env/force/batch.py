@@ -183,6 +183,8 @@ def optimize_forces(
     if workers is not None and (not isinstance(workers, int | np.integer) or isinstance(workers, bool) or workers < 1):
         raise InvalidInputError(f"workers must be an integer >= 1 or None, got {workers!r}")
     threads = min(int(workers or os.cpu_count() or 1), max(1, len(loads)))
+    if options.get("initial") == "previous" or isinstance(options.get("initial"), ForceSolution):
+        raise InvalidInputError("a batch has no previous solution: leave initial out, or give a rule")
     if isinstance(grasps, Grasp):
         optimizer = ForceOptimizer(grasps, method=method, **options)
         records = np.empty((len(loads), record_size(grasps.n_contacts)))

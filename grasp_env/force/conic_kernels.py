@@ -160,6 +160,9 @@ def conic(constants, wrench, options, record):
                 break
             certified = np.inf
             goal *= 0.1
+            if not gap > 0.0 or goal < 1e-3 * tolerance:
+                code = STALLED
+                break
             continue
         if iterations >= limit:
             code = LIMIT

@@ -10,6 +10,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from grasp_env._check import Array, Wrench
@@ -18,7 +20,7 @@ from grasp_env.force import conic_kernels, newton_kernels
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.feasibility import answer
 from grasp_env.force.flow import Flow as GradientFlow
-from grasp_env.force.kernels import cone_slack, phi, worst_residual
+from grasp_env.force.kernels import certified_bound, cone_slack, phi, worst_residual
 from grasp_env.force.lanes import KNOWN, options, pack
 from grasp_env.force.method import BALANCE_TOLERANCE, Method, Settings, Start, refuse
 from grasp_env.force.program import ForceProgram
@@ -29,6 +31,7 @@ from grasp_env.force.record import (
     FORCE,
     ITERATIONS,
     MARGIN,
+    MULTIPLIERS,
     OBJECTIVE,
     RESIDUAL,
     TRIALS,
@@ -43,6 +46,7 @@ DESCENTS = ("reduced_flow", "full_flow", "newton")
 METHODS = (*DESCENTS, "conic", "linear")
 DEEP = 0.05
 """Part of its largest u by which a projected internal force must lie inside the cones to serve again."""
+_INTERNAL: WeakKeyDictionary[Grasp, Array | None] = WeakKeyDictionary()
 _NO_TRACE = np.empty(0)
 _NO_FORCE = np.empty(0)
 _NO_BASIS = np.empty((0, 0))
@@ -74,15 +78,20 @@ def make_method(grasp: Grasp, settings: Settings, before: Method | None = None) 
 def internal_force(grasp: Grasp, near: Array | None = None) -> Array | None:
     """(3N,) an internal force strictly inside the cones, cone coordinates [N]; None without force closure.
 
-    `near` is one of a nearby grasp: where it stays deep enough, projecting it saves the search.
+    `near` is one of a nearby grasp: where it stays deep enough, projecting it saves the search. Remembered as long as `grasp`
+    lives, so that going back to a grasp gives the same bits.
     """
+    if grasp in _INTERNAL:
+        return _INTERNAL[grasp]
     if near is not None and len(near) == 3 * grasp.n_contacts:
         inverse = grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None]
         x = near - inverse @ (grasp.cone_matrix @ near)
         if cone_slack(x) > DEEP * float(x[0::3].max()):
+            _INTERNAL[grasp] = x
             return x
     found = answer(ForceProgram(grasp), np.zeros(6))
-    return None if found.force is None else grasp.to_cone(found.force)
+    _INTERNAL[grasp] = None if found.force is None else grasp.to_cone(found.force)
+    return _INTERNAL[grasp]
 
 
 class _Checked:
@@ -139,6 +148,8 @@ class Flow:
         record[OBJECTIVE], record[BOUND], record[MARGIN] = value, bound, cone_slack(x)
         record[RESIDUAL] = grasp.residual(grasp.to_force(x), wrench)
         record[WRENCH : WRENCH + 6] = wrench
+        multipliers = record[MULTIPLIERS : MULTIPLIERS + 6]
+        certified_bound(x, self._checked.matrix, wrench, self._checked.weights, np.empty_like(x), multipliers)
         size = 3 * grasp.n_contacts
         record[FORCE : FORCE + size] = grasp.to_force(x).reshape(-1)
         record[FORCE + size : FORCE + 2 * size] = np.asarray(start.force).reshape(-1)
@@ -182,8 +193,10 @@ class Newton:
             record, "newton", start.name, values[: int(record[ITERATIONS]) + 1] if trace else _NO_TRACE
         )
 
-    def direct(self, wrench: Wrench, previous: Array | None) -> Array:
-        """The record from the 12-basis, or from a previous record's force; nothing but the compiled call."""
+    def direct(self, wrench: Wrench, previous: Array | None) -> Array | None:
+        """The record from the 12-basis, or from a previous record's force; None where that has another N."""
+        if previous is not None and len(previous) != self._size:
+            return None
         record = np.empty(self._size)
         if previous is None:
             newton_kernels.newton(

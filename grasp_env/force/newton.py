@@ -1,4 +1,4 @@
-"""Equality-constrained Newton steps on Phi: the plain twin of `kernels.newton_step`."""
+"""Equality-constrained Newton steps on Phi: the plain twin of `kernels.newton_step` and of a step of `newton_kernels`."""
 
 from __future__ import annotations
 

@@ -150,7 +150,8 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
         # Phi - min Phi is half the squared decrement to third order: the bound costs half an iteration, so it waits
         if not known and (decrement < 4.0 * tolerance * value or iterations >= limit):
             bound = max(bound, phi_bound(work, unit, n0, n1, n2, n3, n4, n5, lanes))
-        if bound > 0.0 and value - bound <= tolerance * bound:
+        # far below its bound is a force that misses balance: steps restore it
+        if bound > 0.0 and value - bound <= tolerance * bound and (known or value - bound >= -1e-9 * bound):
             break
         if iterations >= limit:
             code = LIMIT
@@ -189,7 +190,7 @@ def newton(constants, basis, kind, start, wrench, weights, options, record, trac
     for i in range(count):
         for a in range(3):
             record[FORCE + 3 * (count + i) + a] = first[3 * i + a] / work[i // 4, 4 * (DIVISOR + a) + i % 4]
-    _finish(work, unit, iterations > 0, record)
+    _finish(work, unit, iterations > 0 or kind == TANGENT, record)
 
 
 @compiled_lanes
@@ -217,6 +218,16 @@ def _carry_over(work, sums, lower, factor, unit, wrench, weights, basis, first, 
     for i in range(first.size // 3):
         for a in range(3):
             first[3 * i + a] += work[i // 4, 4 * (STEP + a) + i % 4]
+    # what that leaves of balance, by the least change
+    left[:] = unit
+    for i in range(first.size // 3):
+        for a in range(3):
+            for r in range(6):
+                left[r] += work[i // 4, 4 * (G + 6 * a + r) + i % 4] * first[3 * i + a]
+    for i in range(first.size // 3):
+        for a in range(3):
+            for r in range(6):
+                first[3 * i + a] -= work[i // 4, 4 * (PINV + 6 * a + r) + i % 4] * left[r]
     if not phi(first, weights) < phi(safe, weights):
         best_on_segment(safe, first.copy(), weights, first)
 

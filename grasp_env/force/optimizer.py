@@ -20,7 +20,7 @@ from grasp_env.force.descent_kernels import CONVERGED
 from grasp_env.force.feasibility import answer
 from grasp_env.force.initial import RULES, InitialForceRule, initial_rule
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.method import Method, Settings, Start, infeasible_error
+from grasp_env.force.method import Settings, Start, infeasible_error
 from grasp_env.force.methods import METHODS, Conic, Newton, make_method
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.program import CRITERIA, ForceProgram
@@ -29,7 +29,7 @@ from grasp_env.force.record import CODE
 from grasp_env.force.repair import CORRECTIONS, Correction, Repair, carry_over
 from grasp_env.force.solution import ForceSolution
 from grasp_env.force.step_size import StepRule, checked_rule
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 MAX_ITERATIONS = 20_000
 TOLERANCE = 1e-4
@@ -84,6 +84,7 @@ class ForceOptimizer:
         Args:
             correction: how `initial="previous"` restores balance, "tangent" or "pseudoinverse".
         """
+        as_grasp(grasp)
         if method not in METHODS:
             raise UnknownNameError("method", method, METHODS)
         if criterion not in CRITERIA:
@@ -144,17 +145,19 @@ class ForceOptimizer:
     def limit_labels(self) -> tuple[str, ...]:
         """What each entry of a solution's `limit_multipliers` belongs to."""
         program = getattr(self._method, "program", None)
-        return program.labels if isinstance(program, ForceProgram) else ()
+        return program.labels if isinstance(program, ForceProgram) and self.method != "linear" else ()
 
     def move_to(self, grasp: Grasp) -> None:
         """The contacts moved: re-optimise the offline basis from the old one, keep the previous solution."""
+        as_grasp(grasp)
         if self.grasp.n_contacts == grasp.n_contacts and self._uses_basis:
             # a grasp without force closure has no basis; rules that need one will say so
             with suppress(InfeasibleStartError):
                 OfflineBasis.of(self.grasp, self.objective).moved_to(grasp)
-        if self.grasp.n_contacts != grasp.n_contacts:
-            self.previous = None
+        changed = self.grasp.n_contacts != grasp.n_contacts
         self._set_grasp(grasp)
+        if changed:
+            self.previous = None
 
     def solve(
         self,
@@ -189,9 +192,9 @@ class ForceOptimizer:
                 record = method.direct(wrench)
             else:
                 before = self.previous if direct == "previous" else None
+                direct = "previous" if before is not None else "linear_combination"
                 record = method.direct(wrench, None if before is None else before._record)
-                direct = "linear_combination" if before is None else direct
-            if record[CODE] == CONVERGED:
+            if record is not None and record[CODE] == CONVERGED:
                 solution = ForceSolution(record, self.settings.method, direct)
                 self.previous = solution
                 return solution
@@ -286,15 +289,16 @@ class ForceOptimizer:
         return self._method.needs_start and not isinstance(self._method, ProgramNewton)
 
     def _set_grasp(self, grasp: Grasp) -> None:
-        self.grasp = grasp
-        self._method: Method = make_method(grasp, self.settings, getattr(self, "_method", None))
+        # everything that may refuse the grasp first: an optimizer is never half moved
+        method = make_method(grasp, self.settings, getattr(self, "_method", None))
         # which of the compiled calls `solve` may take without looking further; "" for none
-        self._direct = ""
-        if isinstance(self._method, Conic):
-            self._direct = "central"
-        elif isinstance(self._method, Newton) and self._method.has_basis and self.settings.correction == "tangent":
+        direct = ""
+        if isinstance(method, Conic):
+            direct = "central"
+        elif isinstance(method, Newton) and method.has_basis and self.settings.correction == "tangent":
             initial = self.initial if isinstance(self.initial, str) else "linear_combination" * (self.initial is None)
-            self._direct = initial if initial in ("linear_combination", "previous") else ""
+            direct = initial if initial in ("linear_combination", "previous") else ""
+        self.grasp, self._method, self._direct = grasp, method, direct
 
     def _warm_up(self) -> None:
         """Compiles, or loads, the kernels of the control loop's path before the first call that counts."""

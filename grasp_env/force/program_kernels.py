@@ -6,7 +6,7 @@
 A contact's torsion is u - w in units of its limit, so w >= 0 is one of its two bounds and a row w - 2u <= 0 the other. The
 method is that of `conic_kernels.py` from an infeasible start. Each limit joins the equations with slack / multiplier on the
 diagonal (the form that subtracts nothing large), and every step is corrected once by what it misses. Contacts enter by the
-rows that they touch, so an iteration costs O(N) and one factorisation of all rows. The twin is `program.dense_step`.
+rows that they touch, so an iteration costs O(N) and one factorisation of all rows. The plain twin of an iteration is `conic.nt_step`.
 """
 
 from __future__ import annotations

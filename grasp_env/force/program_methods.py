@@ -6,7 +6,7 @@ import numpy as np
 
 from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, UnsupportedProblemError
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
+from grasp_env.force.descent_kernels import CONVERGED, STALLED
 from grasp_env.force.feasibility import Feasibility, answer
 from grasp_env.force.linear import linear_forces
 from grasp_env.force.method import BALANCE_TOLERANCE, Settings, Start, infeasible_error, refuse
@@ -37,19 +37,23 @@ class _Program:
         self.grasp, self.settings = grasp, settings
         self.program = ForceProgram(grasp, settings.limits)
 
-    def solution(self, found: Answer, wrench: Wrench, start: Array, name: str, trace: Array) -> ForceSolution:
+    def solution(
+        self, found: Answer, wrench: Wrench, start: Array, name: str, trace: Array, known: bool = False
+    ) -> ForceSolution:
         """The record of an answer; status OPTIMAL where its certified gap is within the tolerance."""
         program, count = self.program, self.grasp.n_contacts
         record = np.zeros(record_size(count))
         value = found.value
         gap = (value - found.bound) / found.bound if found.bound > 0.0 else (0.0 if value == 0.0 else np.inf)
         # a value clearly below its bound means a force that misses something
-        proven = -1e-9 <= gap <= self.settings.tolerance and program.slack(found.z) >= 0.0
-        record[CODE] = CONVERGED if proven else max(found.code, LIMIT if found.code == LIMIT else STALLED)
+        below = -np.inf if known else -1e-9
+        proven = below <= gap <= self.settings.tolerance and program.slack(found.z) >= 0.0
+        record[CODE] = CONVERGED if proven else found.code or STALLED
         record[ITERATIONS], record[TRIALS], record[OBJECTIVE], record[BOUND] = (
             found.iterations, found.trials, value, found.bound,
         )  # fmt: skip
-        record[MARGIN], record[RESIDUAL] = program.slack(found.z), program.residual(found.z, wrench)
+        record[MARGIN] = self.grasp.cone_margin(program.force(found.z))
+        record[RESIDUAL] = program.residual(found.z, wrench)
         record[WRENCH : WRENCH + 6], record[MULTIPLIERS : MULTIPLIERS + 6] = wrench, found.multipliers
         record[FORCE : FORCE + 3 * count] = program.force(found.z).reshape(-1)
         record[FORCE + 3 * count : FORCE + 6 * count] = program.force(start).reshape(-1)
@@ -121,7 +125,7 @@ class ProgramNewton(_Program):
         values = np.full(settings.max_iterations + 1 if trace else 0, np.nan)
         weights = settings.objective.weights(self.grasp.n_contacts)
         found = program.least_phi(wrench, weights, z, settings.tolerance, optimum, settings.max_iterations, values)
-        return self.solution(found, wrench, z, start.name, values[: found.iterations + 1])
+        return self.solution(found, wrench, z, start.name, values[: found.iterations + 1], optimum == optimum)
 
     def deepest(self, wrench: Wrench) -> Start:
         """The force deepest inside all limits."""
@@ -157,7 +161,7 @@ class Linear:
         self.program = ForceProgram(grasp, settings.limits)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
-        """See `Method`. The bound is that of the pyramids, not of the cones.
+        """See `Method`. Optimal for the pyramids; no lower bound for the cones.
 
         Raises:
             InfeasibleWrenchError: no force balances the wrench.
@@ -175,8 +179,9 @@ class Linear:
         count = self.grasp.n_contacts
         record = np.zeros(record_size(count))
         z = self.program.variables(found.force, found.torsion)
-        record[CODE], record[OBJECTIVE], record[BOUND] = CONVERGED, found.objective, found.objective
-        record[MARGIN], record[RESIDUAL] = self.program.slack(z), self.program.residual(z, wrench)
+        # the dual of the pyramids says nothing about the cones: no bound
+        record[CODE], record[OBJECTIVE], record[BOUND] = CONVERGED, found.objective, -np.inf
+        record[MARGIN], record[RESIDUAL] = self.grasp.cone_margin(found.force), self.program.residual(z, wrench)
         record[WRENCH : WRENCH + 6] = wrench
         record[MULTIPLIERS : MULTIPLIERS + 6] = found.multipliers
         record[FORCE : FORCE + 3 * count] = found.force.reshape(-1)

@@ -39,9 +39,9 @@ class Status(Enum):
 
 _HELP = {
     Status.OPTIMAL: "The relative gap of the objective to its certified lower bound is within the tolerance.",
-    Status.ITERATION_LIMIT: "Stopped at max_iterations: the force is balanced and strictly inside the cones, not optimal "
+    Status.ITERATION_LIMIT: "Stopped at max_iterations: the force is balanced and inside the cones, not optimal "
     "to the tolerance; raise max_iterations or the tolerance, or start closer.",
-    Status.STALLED: "No step decreases the objective in floating point: the force is balanced and strictly inside the "
+    Status.STALLED: "No step decreases the objective in floating point: the force is balanced and inside the "
     "cones; the tolerance asks for more digits than the problem has.",
     Status.INFEASIBLE: "No force strictly inside the limits balances the wrench; `certificate` is a twist that proves it.",
 }
@@ -92,28 +92,28 @@ class ForceSolution:
     def force(self) -> ContactForces:
         """(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame."""
         n = self.n_contacts
-        return self._record[FORCE : FORCE + 3 * n].reshape(n, 3)
+        return _read_only(self._record[FORCE : FORCE + 3 * n].reshape(n, 3))
 
     @property
     def torsion(self) -> Array:
         """(N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft."""
-        return self._record[FORCE + 6 * self.n_contacts :]
+        return _read_only(self._record[FORCE + 6 * self.n_contacts :])
 
     @property
     def initial_force(self) -> ContactForces:
         """(N, 3) the start [N]."""
         n = self.n_contacts
-        return self._record[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3)
+        return _read_only(self._record[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3))
 
     @property
     def wrench(self) -> Wrench:
         """(6,) the external wrench that `force` balances [N, N m]."""
-        return self._record[WRENCH : WRENCH + 6]
+        return _read_only(self._record[WRENCH : WRENCH + 6])
 
     @property
     def multipliers(self) -> Array:
         """(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu."""
-        return self._record[MULTIPLIERS : MULTIPLIERS + 6]
+        return _read_only(self._record[MULTIPLIERS : MULTIPLIERS + 6])
 
     @property
     def status(self) -> Status:
@@ -137,7 +137,7 @@ class ForceSolution:
 
     @property
     def lower_bound(self) -> float:
-        """A dual bound: no balanced force has a smaller objective (-inf: none found); with `optimum` given, that."""
+        """A dual bound: no balanced force has a smaller objective (-inf: none, as for `linear`); with `optimum` given, that."""
         return float(self._record[BOUND])
 
     @property
@@ -184,6 +184,12 @@ class ForceSolution:
             f"{self.iterations} iterations, objective {self.objective:.6g}, gap {self.optimality_gap:.1e}, "
             f"balance {self.equilibrium_residual:.1e} N, margin {self.cone_margin:.3g} N)"
         )
+
+
+def _read_only(view: Array) -> Array:
+    # the certificates belong to these numbers, and the next solve may start from them
+    view.flags.writeable = False
+    return view
 
 
 def infeasible(wrench: Wrench, count: int, method: str, initial: str, residual: float, twist: Array) -> ForceSolution:

@@ -195,6 +195,17 @@ class Grasp:
         return np.einsum("nji,nj->ni", self.frames, vectors)
 
 
+def as_grasp(value: object) -> Grasp:
+    """`value` where it is a grasp.
+
+    Raises:
+        InvalidInputError: it is something else.
+    """
+    if not isinstance(value, Grasp):
+        raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {value!r}")
+    return value
+
+
 def grasp_matrix(positions: Array, frames: Array) -> Array:
     """G, (6, 3N): per contact the force columns over the moment columns p x R.
 
