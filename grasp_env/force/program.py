@@ -16,7 +16,7 @@ from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import UnknownNameError
 from grasp_env.force.descent_kernels import CONVERGED, LIMIT
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.program_kernels import interior_point
+from grasp_env.force.program_kernels import NEARLY, interior_point
 from grasp_env.force.program_newton import general_newton
 from grasp_env.grasp.grasp import Grasp
 
@@ -134,7 +134,7 @@ class ForceProgram:
                 structure, np.zeros((len(right), 0)), right, 6, cost, np.zeros(0), tolerance, max_iterations
             )
         z = self._balanced(state.z, unit)
-        if info[0] == CONVERGED and self.slack(size * z) < 0.0:
+        if -NEARLY * size < self.slack(size * z) < 0.0:  # the last digits; nan is neither
             z = self._inwards(size * z, wrench) / size
         normals = self._price * z[:, 0]
         value = float(normals.sum() if criterion == "sum" else normals.max())
