@@ -27,7 +27,11 @@ class UnknownNameError(GraspError, KeyError):
     def __init__(self, kind: str, given: object, allowed: Iterable[str], hint: str = "") -> None:
         self.given = given
         self.allowed = tuple(allowed)
+        self._parts = (kind, given, self.allowed, hint)
         super().__init__(f"unknown {kind} {given!r}: choose one of {', '.join(map(repr, self.allowed))}{hint}")
+
+    def __reduce__(self) -> tuple[type[UnknownNameError], tuple[str, object, tuple[str, ...], str]]:
+        return type(self), self._parts  # process pools send errors as pickles
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return str(self.args[0])

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from grasp_env._check import LARGEST, Array, as_array
 from grasp_env._compile import compiled
-from grasp_env.errors import InfeasibleWrenchError, InvalidInputError
+from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
 from grasp_env.force.conic_kernels import conic
-from grasp_env.force.descent_kernels import CONVERGED
+from grasp_env.force.descent_kernels import CONVERGED, STALLED
 from grasp_env.force.methods import Conic, Newton
 from grasp_env.force.newton_kernels import BASIS, newton
 from grasp_env.force.optimizer import ForceOptimizer
@@ -237,10 +237,14 @@ def _one(
     """Solves one problem into `record`; an infeasible one keeps its proof. Returns the name of the start."""
     try:
         solution = optimizer.solve(load)
-    except InfeasibleWrenchError as error:
-        if error.solution is None:
-            raise
-        solution = error.solution
+    except (InfeasibleWrenchError, NotConvergedError) as error:
+        found = getattr(error, "solution", None)
+        if found is None:  # undecided: one problem does not cost the others
+            record[:] = 0.0
+            record[CODE], record[OBJECTIVE], record[BOUND], record[RESIDUAL] = STALLED, np.inf, -np.inf, np.inf
+            record[WRENCH : WRENCH + 6] = load
+            return None
+        solution = found
     record[:] = solution._record
     if solution.status is Status.INFEASIBLE or len(solution.limit_multipliers):
         proofs[position] = solution

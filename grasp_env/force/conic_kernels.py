@@ -291,6 +291,7 @@ def _certify(work, unit, size, options, y0, y1, y2, y3, y4, y5, record):
                 row[p] * r0 + row[p + 4] * r1 + row[p + 8] * r2 + row[p + 12] * r3 + row[p + 16] * r4 + row[p + 20] * r5
             )
         outside = math.sqrt(row[4 * (X + 1) + n] ** 2 + row[4 * (X + 2) + n] ** 2) - row[4 * X + n]
+        outside += 1e-15 * row[4 * X + n]  # what the rounding of the next lines may cost
         if outside > 0.0:
             # the last digits of balance took it out of its cone: an internal force takes it back
             depth = row[4 * REST + n] - math.sqrt(row[4 * (REST + 1) + n] ** 2 + row[4 * (REST + 2) + n] ** 2)
