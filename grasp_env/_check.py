@@ -18,6 +18,9 @@ ContactForces: TypeAlias = Array
 LARGEST = 1e12
 """[N], [N m] beyond which numbers are mistakes, and squares of squares would overflow."""
 
+NOTHING = 1e-280
+"""[N] below which a wrench counts as none: its square has no digits left."""
+
 
 def as_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Array:
     """Returns `value` as a finite float64 array of `shape` (None: any length).

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from grasp_env._check import LARGEST
+from grasp_env._check import LARGEST, NOTHING
 from grasp_env._compile import compiled_lanes
 from grasp_env.force.cholesky6 import factor6, solve6
 from grasp_env.force.conic_lanes import (
@@ -66,8 +66,6 @@ from grasp_env.force.record import (
     WRENCH,
 )
 
-NOTHING = 1e-280
-"""[N] below which a wrench counts as none: its square has no digits left."""
 STEP = 0.995
 """The largest part of the way to the boundary."""
 

@@ -97,13 +97,18 @@ def schur(cone_matrix, blocks, half, out):
 
 
 @compiled
-def cholesky(matrix):
-    """Lower Cholesky factor in place (lower triangle); False when not positive definite."""
+def cholesky(matrix, least=0.0):
+    """Lower Cholesky factor in place (lower triangle); False when not positive definite.
+
+    least: part of its diagonal at which a pivot lost to rounding is held, for a refinement to make good; 0: none.
+    """
     n = matrix.shape[0]
     for j in range(n):
+        floor = least * matrix[j, j]
         pivot = matrix[j, j]
         for k in range(j):
             pivot -= matrix[j, k] * matrix[j, k]
+        pivot = max(pivot, floor)
         if not pivot > 0.0:
             return False
         pivot = math.sqrt(pivot)
@@ -150,30 +155,6 @@ def worst_residual(x, cone_matrix, wrench, length, out):
     for i in range(6):
         worst = max(worst, abs(out[i]) if i < 3 else abs(out[i]) / length)
     return worst
-
-
-@compiled
-def balance_factor(cone_matrix, out):
-    """Cholesky factor of G G^T (6, 6) into `out`, for `rebalance`."""
-    for i in range(6):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(cone_matrix.shape[1]):
-                total += cone_matrix[i, k] * cone_matrix[j, k]
-            out[i, j] = total
-    return cholesky(out)
-
-
-@compiled
-def rebalance(x, cone_matrix, wrench, factor, left):
-    """Takes the least-norm correction -G^T (G G^T)^-1 (G f + w) off x; `left` (6,) is work space."""
-    residual(cone_matrix, x, wrench, left)
-    cholesky_solve(factor, left)
-    for j in range(x.size):
-        total = 0.0
-        for i in range(6):
-            total += cone_matrix[i, j] * left[i]
-        x[j] -= total
 
 
 @compiled
@@ -237,6 +218,17 @@ def step_to_boundary(x, step):
 
 
 @compiled
+def inner_minimum(a, b, lam):
+    """Least of one contact's part of the Lagrangian, a > b >= 0: see `lower_bound`."""
+    k = (a - b) / (a + b)
+    r = math.sqrt(k)
+    for _ in range(9):
+        r = math.sqrt(k / (1.0 + 2.0 * (1.0 - k) / ((1.0 + r) * (1.0 + r))))
+    c1 = 0.5 * (a - b + (a + b) * r)
+    return 2.0 * math.sqrt(lam * c1 * (1.0 + 1.0 / r + 2.0 / (1.0 + r)))
+
+
+@compiled
 def lower_bound(multipliers, cone_matrix, wrench, weights):
     """Dual value of Phi at any multipliers (6,): a certified lower bound of min Phi (-inf: none).
 
@@ -259,12 +251,7 @@ def lower_bound(multipliers, cone_matrix, wrench, weights):
         b = math.sqrt(yo * yo + yt * yt)
         if not a > b:
             return -np.inf
-        k = (a - b) / (a + b)
-        r = math.sqrt(k)
-        for _ in range(9):
-            r = math.sqrt(k / (1.0 + 2.0 * (1.0 - k) / ((1.0 + r) * (1.0 + r))))
-        c1 = 0.5 * (a - b + (a + b) * r)
-        total += 2.0 * math.sqrt(lam * c1 * (1.0 + 1.0 / r + 2.0 / (1.0 + r)))
+        total += inner_minimum(a, b, lam)
     return total
 
 

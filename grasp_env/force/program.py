@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._check import Array, ContactForces, Wrench
+from grasp_env._check import NOTHING, Array, ContactForces, Wrench
 from grasp_env.errors import UnknownNameError
 from grasp_env.force.descent_kernels import CONVERGED, LIMIT
 from grasp_env.force.limits import ForceLimits
@@ -25,8 +25,6 @@ CRITERIA = ("sum", "max")
 """What `conic` makes least: the sum of the normal forces, or the largest of them."""
 DIVERGED = 1e12
 """Multipliers of a wrench of size one beyond which they say nothing."""
-NOTHING = 1e-280
-"""[N] below which a wrench counts as none: its square has no digits left."""
 CLEAR = 1e-9
 """A margin up to this, of one for forces that sum to one, counts as the boundary: no force strictly inside."""
 

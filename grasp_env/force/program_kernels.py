@@ -47,26 +47,6 @@ def boundary(x0, x1, x2, d0, d1, d2):
 
 
 @compiled
-def _factored(matrix):
-    """Cholesky in place; a pivot lost to rounding is held at 1e-15 of its diagonal, for the refinement to make good."""
-    for j in range(matrix.shape[0]):
-        least = 1e-15 * matrix[j, j]
-        pivot = matrix[j, j]
-        for k in range(j):
-            pivot -= matrix[j, k] * matrix[j, k]
-        pivot = math.sqrt(max(pivot, least))
-        if not pivot > 0.0:
-            return False
-        matrix[j, j] = pivot
-        for i in range(j + 1, matrix.shape[0]):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            matrix[i, j] = total / pivot
-    return True
-
-
-@compiled
 def factor(first, touched, columns, blocks, coupling, diagonal, schur, reduced, corner):
     """Schur = C B C^T + D and corner = g^T S^-1 g in Cholesky form, reduced = S^-1 g; False where one is not positive.
 
@@ -90,7 +70,7 @@ def factor(first, touched, columns, blocks, coupling, diagonal, schur, reduced, 
                 for a in range(4):
                     total += half[a] * columns[l, a]
                 schur[r, touched[l]] += total
-    if not _factored(schur):
+    if not cholesky(schur, 1e-15):
         return False
     column = np.empty(m)
     for k in range(shares):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_env._check import Array, Wrench
-from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, UnsupportedProblemError
+from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError
 from grasp_env.force.descent_kernels import CONVERGED, STALLED
 from grasp_env.force.feasibility import Feasibility, answer
 from grasp_env.force.linear import linear_forces
@@ -153,10 +153,6 @@ class Linear:
     needs_start = False
 
     def __init__(self, grasp: Grasp, settings: Settings) -> None:
-        if settings.criterion != "sum":
-            raise UnsupportedProblemError(
-                f"method 'linear' knows criterion 'sum', got {settings.criterion!r}; use 'conic'"
-            )
         self.grasp, self.settings = grasp, settings
         self.program = ForceProgram(grasp, settings.limits)
 

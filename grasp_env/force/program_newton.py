@@ -13,7 +13,7 @@ import numpy as np
 
 from grasp_env._compile import compiled
 from grasp_env.force.descent_kernels import CONVERGED, LIMIT, SHORTEST, STALLED
-from grasp_env.force.kernels import gradient, inverse_hessian, relative_gap
+from grasp_env.force.kernels import gradient, inner_minimum, inverse_hessian, relative_gap
 from grasp_env.force.newton_kernels import BALANCED, REFINEMENTS
 from grasp_env.force.program_kernels import boundary, factor, solve
 
@@ -72,12 +72,7 @@ def general_bound(first, touched, values, right, equal, weights, row_weights, so
         a, b = 3.0 * weights[i, 0] + q[0], math.sqrt(q[1] * q[1] + q[2] * q[2])
         if not a > b or (soft[i] and not q[3] >= 0.0):
             return -np.inf
-        k = (a - b) / (a + b)
-        root = math.sqrt(k)
-        for _ in range(9):
-            root = math.sqrt(k / (1.0 + 2.0 * (1.0 - k) / ((1.0 + root) * (1.0 + root))))
-        c = 0.5 * (a - b + (a + b) * root)
-        total += 2.0 * math.sqrt(weights[i, 1] * c * (1.0 + 1.0 / root + 2.0 / (1.0 + root)))
+        total += inner_minimum(a, b, weights[i, 1])
         if soft[i]:
             total += 2.0 * math.sqrt(weights[i, 1] * q[3])
     return total
