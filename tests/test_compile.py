@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import grasp_env
-from grasp_env._compile import _SOURCES
+from grasp_env._compile import _imports, _stamp
 from grasp_env.force import newton_kernels
 
 PACKAGE = Path(grasp_env.__file__).parent
@@ -24,7 +24,17 @@ print(out[0])
 
 
 def test_stamp_is_in_force():
-    assert newton_kernels.newton._cache._cache_file._source_stamp[1] == _SOURCES
+    assert newton_kernels.newton._cache._cache_file._source_stamp[1] == _stamp(Path(newton_kernels.__file__))
+
+
+def test_imports_of_every_form_are_followed():
+    found = {path.name for path in _imports(PACKAGE / "force" / "methods.py")}
+    assert {
+        "kernels.py",
+        "record.py",
+        "newton_kernels.py",
+        "conic_kernels.py",
+    } <= found  # one line, in brackets, modules
 
 
 def test_an_edit_of_a_callee_is_noticed(tmp_path):
