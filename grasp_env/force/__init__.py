@@ -19,6 +19,7 @@ from grasp_env.force.linear import LinearForces, linear_forces
 from grasp_env.force.methods import DESCENTS, METHODS
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
+from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.force.quality import Epsilon, GraspQuality, epsilon, quality, singular_values
 from grasp_env.force.repair import Repair, carry_over
 from grasp_env.force.solution import ForceSolution, Status
@@ -40,6 +41,7 @@ __all__ = [
     "ForceClosure",
     "ForceLimits",
     "ForceOptimizer",
+    "ForcePipeline",
     "ForceSolution",
     "ForceSolutions",
     "GraspQuality",

@@ -9,15 +9,12 @@ import numpy as np
 
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError
-from grasp_env.force.basis_kernels import BASIS_ITERATIONS, BASIS_TOLERANCE, offline_basis
+from grasp_env.force.basis_kernels import ACCEPTED_GAP, BASIS_ITERATIONS, BASIS_TOLERANCE, offline_basis
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.lanes import options, pack
 from grasp_env.force.objective import Objective
 from grasp_env.force.start_kernels import combine
 from grasp_env.grasp.grasp import Grasp
-
-ACCEPTED_GAP = 1e-2
-"""Basis forces are starts: where floating point ends before 1e-10 (tiny lambda), one within a hundredth still serves."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,8 @@ from grasp_env.force.start_kernels import ray_interval, squeeze_scale, tangent
 
 BASIS_TOLERANCE = 1e-10
 BASIS_ITERATIONS = 200
+ACCEPTED_GAP = 1e-2
+"""Basis forces are starts: where floating point ends before 1e-10 (tiny lambda), one within a hundredth still serves."""
 
 
 @compiled

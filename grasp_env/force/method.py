@@ -16,9 +16,6 @@ from grasp_env.force.solution import ForceSolution, infeasible
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.grasp import Grasp
 
-BALANCE_TOLERANCE = 1e-8
-"""A start may miss balance by this much of the wrench and force it carries; the rest is an error of the rule."""
-
 
 @dataclass(frozen=True)
 class Settings:

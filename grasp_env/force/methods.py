@@ -18,24 +18,20 @@ from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError, UnsupportedProblemError
 from grasp_env.force import conic_kernels, newton_kernels
 from grasp_env.force.basis import OfflineBasis
+from grasp_env.force.descent_kernels import BALANCE_TOLERANCE
 from grasp_env.force.feasibility import answer
+from grasp_env.force.flow import FORMS
 from grasp_env.force.flow import Flow as GradientFlow
-from grasp_env.force.kernels import certified_bound, cone_slack, phi, worst_residual
+from grasp_env.force.flow_record import run_flow, solve_flow
+from grasp_env.force.kernels import cone_slack, phi, worst_residual
 from grasp_env.force.lanes import KNOWN, options, pack
-from grasp_env.force.method import BALANCE_TOLERANCE, Method, Settings, Start, refuse
+from grasp_env.force.method import Method, Settings, Start, refuse
+from grasp_env.force.newton_kernels import BASIS, TANGENT
 from grasp_env.force.program import ForceProgram
 from grasp_env.force.program_methods import Linear, ProgramConic, ProgramNewton
 from grasp_env.force.record import (
-    BOUND,
-    CODE,
     FORCE,
     ITERATIONS,
-    MARGIN,
-    MULTIPLIERS,
-    OBJECTIVE,
-    RESIDUAL,
-    TRIALS,
-    WRENCH,
     record_size,
 )
 from grasp_env.force.solution import ForceSolution
@@ -130,30 +126,44 @@ class Flow:
 
     def __init__(self, grasp: Grasp, settings: Settings) -> None:
         self.grasp, self.settings = grasp, settings
+        self.has_basis = True  # until one is asked for and there is none
         self._checked = _Checked(grasp, settings)
-        self._flow = GradientFlow(grasp, "full" if settings.method == "full_flow" else None)
+        flow = GradientFlow(grasp, "full" if settings.method == "full_flow" else None)
+        self._form = (flow.constants, FORMS.index(flow.form), *flow.matrices)
+        self._contacts = (self._checked.matrix, grasp.models.cone_divisor.copy(), self._checked.weights)
+        self._rule = settings.step_rule.parameters()
+        self._options = options(grasp, settings.tolerance, settings.max_iterations)
+        self._size = record_size(grasp.n_contacts)
+        self._basis: tuple[Array, Array] | None = None
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""
         assert start is not None
-        grasp, settings = self.grasp, self.settings
-        x = self._checked.cone(start, wrench)
-        values = np.full(settings.max_iterations + 1 if trace else 0, np.nan)
-        code, iterations, trials, value, bound = self._flow.run(
-            self._checked.weights, x, wrench, settings.step_rule,
-            tolerance=settings.tolerance, optimum=optimum, max_iterations=settings.max_iterations, trace=values,
-        )  # fmt: skip
-        record = np.zeros(record_size(grasp.n_contacts))
-        record[CODE], record[ITERATIONS], record[TRIALS] = code, iterations, trials
-        record[OBJECTIVE], record[BOUND], record[MARGIN] = value, bound, cone_slack(x)
-        record[RESIDUAL] = grasp.residual(grasp.to_force(x), wrench)
-        record[WRENCH : WRENCH + 6] = wrench
-        multipliers = record[MULTIPLIERS : MULTIPLIERS + 6]
-        certified_bound(x, self._checked.matrix, wrench, self._checked.weights, np.empty_like(x), multipliers)
-        size = 3 * grasp.n_contacts
-        record[FORCE : FORCE + size] = grasp.to_force(x).reshape(-1)
-        record[FORCE + size : FORCE + 2 * size] = np.asarray(start.force).reshape(-1)
-        return ForceSolution(record, settings.method, start.name, values[: iterations + 1])
+        self._checked.cone(start, wrench)
+        force = np.array(start.force, dtype=np.float64).reshape(-1)
+        values = np.full(self.settings.max_iterations + 1, np.nan) if trace else _NO_TRACE
+        record, numbers = np.empty(self._size), self._options.copy()
+        numbers[KNOWN] = optimum
+        run_flow(*self._form, force, *self._contacts, wrench, self._rule, numbers, record, values)
+        return ForceSolution(record, self.settings.method, start.name, values[: int(record[ITERATIONS]) + 1])
+
+    def direct(self, wrench: Wrench, previous: Array | None) -> Array | None:
+        """The record from the 12-basis, or from a previous record's force; None where there is no basis, or another N there."""
+        if previous is not None and len(previous) != self._size:
+            return None
+        if self._basis is None:
+            if not self.has_basis:
+                return None
+            try:
+                basis = OfflineBasis.of(self.grasp, self.settings.objective).cone_forces
+            except InfeasibleStartError:
+                self.has_basis = False  # rules that need one say so
+                return None
+            self._basis = basis, self.grasp.pseudoinverse * self.grasp.models.cone_scale.reshape(-1)[:, None]
+        record = np.empty(self._size)
+        kind, start = (BASIS, _NO_FORCE) if previous is None else (TANGENT, previous[FORCE:])
+        solve_flow(*self._form, kind, start, *self._basis, *self._contacts, wrench, self._rule, self._options, record)
+        return record
 
 
 class Newton:
@@ -200,12 +210,12 @@ class Newton:
         record = np.empty(self._size)
         if previous is None:
             newton_kernels.newton(
-                self.constants, self.basis, newton_kernels.BASIS, _NO_FORCE, wrench, self.weights,
+                self.constants, self.basis, BASIS, _NO_FORCE, wrench, self.weights,
                 self.options, record, _NO_TRACE,
             )  # fmt: skip
         else:
             newton_kernels.newton(
-                self.constants, self.basis, newton_kernels.TANGENT, previous[FORCE:], wrench, self.weights,
+                self.constants, self.basis, TANGENT, previous[FORCE:], wrench, self.weights,
                 self.options, record, _NO_TRACE,
             )  # fmt: skip
         return record

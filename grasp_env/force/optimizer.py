@@ -16,12 +16,12 @@ from grasp_env.errors import (
     UnsupportedProblemError,
 )
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.descent_kernels import CONVERGED
+from grasp_env.force.descent_kernels import CONVERGED, STALLED
 from grasp_env.force.feasibility import answer
 from grasp_env.force.initial import RULES, InitialForceRule, initial_rule
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.method import Settings, Start, infeasible_error
-from grasp_env.force.methods import METHODS, Conic, Newton, make_method
+from grasp_env.force.methods import METHODS, Conic, Flow, Newton, make_method
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.program import CRITERIA, ForceProgram
 from grasp_env.force.program_methods import ProgramNewton
@@ -194,7 +194,7 @@ class ForceOptimizer:
                 before = self.previous if direct == "previous" else None
                 direct = "previous" if before is not None else "linear_combination"
                 record = method.direct(wrench, None if before is None else before._record)
-            if record is not None and record[CODE] == CONVERGED:
+            if record is not None and record[CODE] <= self._final:
                 solution = ForceSolution(record, self.settings.method, direct)
                 self.previous = solution
                 return solution
@@ -295,10 +295,12 @@ class ForceOptimizer:
         direct = ""
         if isinstance(method, Conic):
             direct = "central"
-        elif isinstance(method, Newton) and method.has_basis and self.settings.correction == "tangent":
+        elif isinstance(method, Newton | Flow) and method.has_basis and self.settings.correction == "tangent":
             initial = self.initial if isinstance(self.initial, str) else "linear_combination" * (self.initial is None)
             direct = initial if initial in ("linear_combination", "previous") else ""
         self.grasp, self._method, self._direct = grasp, method, direct
+        # a flow that ended short would end so again
+        self._final = STALLED if isinstance(method, Flow) else CONVERGED
 
     def _warm_up(self) -> None:
         """Compiles, or loads, the kernels of the control loop's path before the first call that counts."""

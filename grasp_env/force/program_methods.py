@@ -6,10 +6,10 @@ import numpy as np
 
 from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError
-from grasp_env.force.descent_kernels import CONVERGED, STALLED
+from grasp_env.force.descent_kernels import BALANCE_TOLERANCE, CONVERGED, STALLED
 from grasp_env.force.feasibility import Feasibility, answer
 from grasp_env.force.linear import linear_forces
-from grasp_env.force.method import BALANCE_TOLERANCE, Settings, Start, infeasible_error, refuse
+from grasp_env.force.method import Settings, Start, infeasible_error, refuse
 from grasp_env.force.program import Answer, ForceProgram
 from grasp_env.force.record import (
     BOUND,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -52,7 +53,7 @@ class ContactModels:
             mu = _friction(friction, count, np.ones(count, dtype=bool))
             scale = np.ones((count, 3))
             scale[:, 0] = mu[:, 0]
-            return cls(("hard",) * count, mu, np.zeros(count), scale, scale.copy())
+            return cls(("hard",) * count, mu, np.zeros(count), scale, scale.copy())._frozen()
         names = (models,) * count if isinstance(models, str) else tuple(models)
         for name in names:
             if name not in CONTACT_MODELS:
@@ -71,7 +72,18 @@ class ContactModels:
             cone_scale[:, k] = np.where(rough, stretch, 0.0)
         # dividing by what was multiplied gives a force back to the last bit; x / inf = 0
         cone_divisor = np.where(cone_scale > 0.0, cone_scale, np.inf)
-        return cls(names, mu, gamma, cone_scale, cone_divisor)
+        return cls(names, mu, gamma, cone_scale, cone_divisor)._frozen()
+
+    @cached_property
+    def packed(self) -> Array:
+        """(9, N) the rows that `kernels.grasp_arrays` reads; writable, as kernels have one signature."""
+        rows = (self.friction.T, self.torsional_friction[None], self.cone_scale.T, self.cone_divisor.T)
+        return np.ascontiguousarray(np.concatenate(rows))
+
+    def _frozen(self) -> ContactModels:
+        for array in (self.friction, self.torsional_friction, self.cone_scale, self.cone_divisor):
+            array.setflags(write=False)
+        return self
 
 
 def _friction(value: ArrayLike, count: int, rough: np.ndarray) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,10 +12,8 @@ from numpy.typing import ArrayLike
 from grasp_env._check import Array, ContactForces, Wrench, as_array
 from grasp_env.errors import InvalidInputError, RankDeficientGraspError
 from grasp_env.grasp.contact_model import ContactModels
-from grasp_env.grasp.kernels import ROUNDING, contact_geometry, unit_frame
+from grasp_env.grasp.kernels import ROUNDING, UNIT_TOLERANCE, grasp_arrays
 
-UNIT_TOLERANCE = 1e-6
-"""Normals may miss unit length by this much; they are then normalised exactly."""
 RANK_TOLERANCE = 1e-8
 """Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank 6."""
 
@@ -34,7 +33,6 @@ class Grasp:
         matrix: G, (6, 3N), columns (normal, o, t) per contact.
         length: [m] root mean square distance of the contacts from their centre; scales moments.
         centre: (3,) mean of the contact points [m], object frame.
-        pseudoinverse: G^+, (3N, 6): the least-norm forces that make a unit wrench (with `torsion_matrix` where soft).
         cone_matrix: G in cone coordinates x: (6, 3N); cone_matrix @ grasp.to_cone(f) = matrix @ f.
         models: contact models, elliptic and torsional friction, and the scaling of cone coordinates.
         torsion_matrix: (6, N) wrench of a unit torsion [1/m]; zero columns unless soft.
@@ -49,7 +47,6 @@ class Grasp:
     matrix: Array = field(repr=False)
     length: float = field(repr=False)
     centre: Array = field(repr=False)
-    pseudoinverse: Array = field(repr=False)
     cone_matrix: Array = field(repr=False)
     models: ContactModels = field(repr=False)
     torsion_matrix: Array = field(repr=False)
@@ -106,25 +103,78 @@ class Grasp:
                 f"length {lengths[worst]:.6g}: divide it by its length"
             )
         inward = np.where(off[:, None] > ROUNDING, inward / lengths[:, None], inward)
-        along = _tangents(tangents, inward)
-        frames, matrix, cone_matrix = contact_geometry(points, inward, models.cone_divisor, along)
-        torsion_matrix = np.zeros((6, len(points)))
-        soft = models.torsional_friction > 0.0
-        torsion_matrix[3:, soft] = inward[soft].T
-        length, centre, frame = unit_frame(points)
-        rough = "frictionless" not in models.names
-        transmitted = matrix if rough else matrix * (models.cone_scale > 0.0).reshape(-1)
-        if soft.any():
-            transmitted = np.concatenate([transmitted, torsion_matrix], axis=1)
-        pseudoinverse = _checked_pseudoinverse(transmitted, frame, len(points))[: 3 * len(points)]
+        return cls._made(points, inward, models, _tangents(tangents, inward))
+
+    @classmethod
+    def unchecked(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None) -> Grasp:
+        """`from_contacts` to the same bits on trusted arrays, for control loops; `models` are those of another grasp.
+
+        Args:
+            positions: (N, 3) float64 contact points [m], finite. Copied, as the normals.
+            normals: (N, 3) float64 inward normals of unit length to rounding.
+            models: of N contacts, such as `nominal.models`.
+            tangents: (N, 3) float64, not along the normals; None: the default rule.
+
+        Raises:
+            RankDeficientGraspError: rank(G) < 6.
+
+        Example:
+            >>> from grasp_env.grasp import presets
+            >>> g = presets.tripod()
+            >>> bool((Grasp.unchecked(g.positions, g.normals, g.models).matrix == g.matrix).all())
+            True
+        """
+        return cls._made(positions.copy(), normals.copy(), models, _DEFAULT if tangents is None else tangents.copy())
+
+    @classmethod
+    def _made(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
+        count = len(positions)
+        friction, centre = np.empty(count), np.empty(3)
+        frames, matrix, cone_matrix = np.empty((count, 3, 3)), np.empty((6, 3 * count)), np.empty((6, 3 * count))
+        torsion_matrix, frame = np.empty((6, count)), np.empty((6, 6))
+        length: float = grasp_arrays(
+            positions,
+            normals,
+            models.packed,
+            tangents,
+            friction,
+            frames,
+            matrix,
+            cone_matrix,
+            torsion_matrix,
+            centre,
+            frame,
+        )
+        for array in (positions, normals, friction, frames, matrix, centre, cone_matrix, torsion_matrix, frame):
+            array.setflags(write=False)
         grasp = cls(
-            points, inward, models.cone_scale[:, 0] * (models.friction[:, 0] > 0.0), frames, matrix, length, centre,
-            pseudoinverse, cone_matrix, models, torsion_matrix, frame,
-        )  # fmt: skip
-        for array in (*vars(grasp).values(), *vars(models).values()):
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
+            positions,
+            normals,
+            friction,
+            frames,
+            matrix,
+            abs(length),
+            centre,
+            cone_matrix,
+            models,
+            torsion_matrix,
+            frame,
+        )
+        if not length > 0.0:
+            grasp.pseudoinverse  # noqa: B018  raises where the rank is not 6
         return grasp
+
+    @cached_property
+    def pseudoinverse(self) -> Array:
+        """G^+, (3N, 6): the least-norm forces that make a unit wrench (with `torsion_matrix` where soft)."""
+        models = self.models
+        rough = "frictionless" not in models.names
+        transmitted = self.matrix if rough else self.matrix * (models.cone_scale > 0.0).reshape(-1)
+        if models.torsional_friction.any():
+            transmitted = np.concatenate([transmitted, self.torsion_matrix], axis=1)
+        inverse = _checked_pseudoinverse(transmitted, self.unit_frame, self.n_contacts)[: 3 * self.n_contacts]
+        inverse.setflags(write=False)
+        return inverse
 
     @property
     def hard(self) -> bool:
@@ -195,6 +245,10 @@ class Grasp:
         return np.einsum("nji,nj->ni", self.frames, vectors)
 
 
+_DEFAULT = np.zeros((0, 3))
+"""Tangents by the default rule."""
+
+
 def as_grasp(value: object) -> Grasp:
     """`value` where it is a grasp.
 
@@ -223,7 +277,7 @@ def grasp_matrix(positions: Array, frames: Array) -> Array:
 def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
     """Directions for o, (N, 3) and never along a normal; (0, 3) for the default rule."""
     if tangents is None:
-        return np.zeros((0, 3))
+        return _DEFAULT
     along: Array = as_array(tangents, (len(normals), 3), "tangents")
     inside = along - normals * np.einsum("ij,ij->i", along, normals)[:, None]
     short = np.sqrt(np.einsum("ij,ij->i", inside, inside)) <= 1e-6 * np.sqrt(np.einsum("ij,ij->i", along, along))

@@ -6,6 +6,7 @@ from problems import GRASPS, random_grasp
 
 from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, UnknownNameError
 from grasp_env.grasp import Grasp, presets
+from grasp_env.grasp.kernels import is_clearly_full_rank
 
 POSITIONS = presets.tripod().positions
 NORMALS = presets.tripod().normals
@@ -127,6 +128,49 @@ def test_rank_deficient_contacts(positions: np.ndarray, count: int) -> None:
     with pytest.raises(RankDeficientGraspError, match=rf"rank\(G\) = [0-5] < 6 with {count} contacts") as caught:
         Grasp.from_contacts(positions, normals, 0.5)
     assert isinstance(caught.value, GraspError)
+
+
+MODELS = {
+    "hard": {"friction": [0.3, 0.4, 0.5]},
+    "elliptic": {"friction": [[0.3, 0.4], [0.5, 0.2], [0.4, 0.4]]},
+    "soft": {"friction": 0.5, "contact_model": "soft", "torsional_friction": 0.01},
+    "mixed": {"friction": 0.5, "contact_model": ["hard", "soft", "hard"], "torsional_friction": 0.01},
+}
+
+
+@pytest.mark.parametrize("tangents", [None, NORMALS[:, [1, 2, 0]] + NORMALS[:, [2, 0, 1]]], ids=["default", "given"])
+@pytest.mark.parametrize("models", MODELS)
+def test_unchecked_contacts_make_the_same_grasp(models: str, tangents: np.ndarray | None) -> None:
+    checked = Grasp.from_contacts(POSITIONS + 0.01, NORMALS, tangents=tangents, **MODELS[models])
+    positions, normals = checked.positions.copy(), checked.normals.copy()
+    for _ in range(2):  # the second reads what the models remember
+        grasp = Grasp.unchecked(positions, normals, checked.models, tangents)
+        assert grasp.pseudoinverse.shape == (9, 6)
+        for name in (*Grasp.__dataclass_fields__, "pseudoinverse"):
+            if name != "models":
+                np.testing.assert_array_equal(getattr(grasp, name), getattr(checked, name))
+        for array in (grasp.positions, grasp.matrix, grasp.torsion_matrix, grasp.unit_frame, grasp.pseudoinverse):
+            assert not array.flags.writeable
+    positions[0] = 9.0
+    assert (grasp.positions == checked.positions).all()
+    with pytest.raises(RankDeficientGraspError, match=r"rank\(G\) = [0-5] < 6 with 3 contacts"):
+        Grasp.unchecked(np.zeros((3, 3)), normals, checked.models)
+
+
+def test_a_doubtful_rank_is_left_to_the_singular_values() -> None:
+    rng = np.random.default_rng(0)
+    clear = 0
+    for ratio in 10.0 ** np.arange(-12.0, 0.0, 0.25):
+        u, _ = np.linalg.qr(rng.standard_normal((6, 6)))
+        v, _ = np.linalg.qr(rng.standard_normal((9, 6)))
+        rows = (u * np.array([1.0, 0.9, 0.8, 0.7, 0.6, ratio])) @ v.T
+        found = is_clearly_full_rank(rows)
+        clear += found
+        assert not found or ratio > 1e-6
+        assert found or ratio < 1e-2
+    assert clear > 8
+    assert not is_clearly_full_rank(np.zeros((6, 9)))
+    assert not is_clearly_full_rank(np.full((6, 9), np.nan))
 
 
 def test_normals_within_rounding_of_unit_length_are_normalised() -> None:

@@ -1,0 +1,346 @@
+"""`ForcePipeline` against the general path: `Grasp.from_contacts`, `ForceOptimizer`, `null_space_basis` and `Repair`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from problems import PAPER_WRENCH
+
+from grasp_env.errors import (
+    InfeasibleStartError,
+    InfeasibleWrenchError,
+    InvalidInputError,
+    RankDeficientGraspError,
+    UnknownNameError,
+    UnsupportedProblemError,
+)
+from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Repair, Status
+from grasp_env.force.pipeline import ForcePipeline
+from grasp_env.force.pipeline_kernels import CARRIED, CLIPPED, REPAIRED, carry, carry_contacts, turn
+from grasp_env.force.start_kernels import tangent
+from grasp_env.grasp import Grasp, null_space_basis, presets
+
+NOMINAL = {3: presets.tripod(), 4: presets.paper_cuboid(), 5: presets.five_finger_cuboid()}
+SMALL = (1e-3, 0.02)
+"""[m], [1] by which contacts and normals move: what rolling and sliding make of them between two steps."""
+
+
+def contacts(rng: np.random.Generator, count: int, size: tuple[float, float] = SMALL) -> tuple[np.ndarray, np.ndarray]:
+    grasp = NOMINAL[count]
+    normals = grasp.normals + size[1] * rng.standard_normal((count, 3))
+    return (
+        grasp.positions + size[0] * rng.standard_normal((count, 3)),
+        normals / np.linalg.norm(normals, axis=1)[:, None],
+    )
+
+
+def some_wrench(rng: np.random.Generator) -> np.ndarray:
+    return rng.standard_normal(6) * np.array([3.0, 3.0, 3.0, 0.05, 0.05, 0.05])
+
+
+def grasp_of(count: int, points: np.ndarray, normals: np.ndarray) -> Grasp:
+    return Grasp.from_contacts(points, normals, NOMINAL[count].friction)
+
+
+@pytest.mark.parametrize("initial", ["linear_combination", "previous"])
+@pytest.mark.parametrize("method", ["reduced_flow", "newton"])
+@pytest.mark.parametrize("count", NOMINAL)
+def test_the_optimum_of_the_general_path(count: int, method: str, initial: str) -> None:
+    rng = np.random.default_rng(count)
+    pipeline = ForcePipeline(NOMINAL[count], method=method, initial=initial)
+    for _ in range(20):
+        points, normals = contacts(rng, count)
+        wrench = some_wrench(rng)
+        grasp = grasp_of(count, points, normals)
+        solution = pipeline.solve(points, normals, wrench)
+        known = ForceOptimizer(grasp, method="newton", tolerance=1e-9).solve(wrench)
+        assert (solution.status, solution.method, solution.initial) == (Status.OPTIMAL, method, initial)
+        assert grasp.residual(solution.force, wrench) < 1e-9
+        assert grasp.cone_margin(solution.force) > 0.0
+        assert solution.optimality_gap <= 1e-4
+        assert solution.lower_bound <= known.objective * (1.0 + 1e-9)
+        assert solution.objective <= known.objective * (1.0 + 1.1e-4)
+        # Phi is flat at its least: a gap of 1e-4 is a hundredth of the force
+        np.testing.assert_allclose(solution.force, known.force, atol=0.05 * np.abs(known.force).max())
+        np.testing.assert_allclose(solution.multipliers, known.multipliers, atol=0.05 * np.abs(known.multipliers).max())
+        np.testing.assert_array_equal(solution.wrench, wrench)
+        assert grasp.residual(solution.initial_force, wrench) < 1e-9
+        assert grasp.cone_margin(solution.initial_force) > 0.0
+        np.testing.assert_array_equal(pipeline.frames, grasp.frames)
+        np.testing.assert_array_equal(pipeline.cone_matrix, grasp.cone_matrix)
+        np.testing.assert_allclose(pipeline.x, grasp.to_cone(solution.force), rtol=1e-14)
+        assert solution.cone_margin == pytest.approx(grasp.cone_margin(solution.force), abs=1e-12)
+        assert solution.equilibrium_residual < 1e-11
+        assert not solution.force.flags.writeable
+
+
+@pytest.mark.parametrize("count", NOMINAL)
+def test_on_the_nominal_contacts_the_steps_of_the_general_path(count: int) -> None:
+    grasp = NOMINAL[count]
+    # steps of Barzilai and Borwein make more of the rounding by which the two projectors differ
+    for rule, digits in ((None, 1e-9), (BarzilaiBorweinStep(), 1e-5)):
+        solution = ForcePipeline(grasp, step_rule=rule).solve(grasp.positions, grasp.normals, PAPER_WRENCH)
+        general = ForceOptimizer(grasp, step_rule=rule).solve(PAPER_WRENCH)
+        assert (solution.iterations, solution.trials) == (general.iterations, general.trials)
+        np.testing.assert_allclose(solution.force, general.force, rtol=0, atol=digits)
+        np.testing.assert_allclose(solution.initial_force, general.initial_force, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(solution.multipliers, general.multipliers, rtol=0, atol=1e4 * digits)
+        assert solution.lower_bound == pytest.approx(general.lower_bound, rel=digits)
+
+
+def run(pipeline: ForcePipeline, count: int, seed: int, size: tuple[float, float]) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    forces = []
+    for k in range(12):
+        points, normals = contacts(rng, count, size)
+        adjust = rng.standard_normal(3 * count - 6) if k % 3 == 2 else None
+        forces.append(pipeline.solve(points, normals, some_wrench(rng), adjust=adjust)._record.copy())
+    return forces
+
+
+@pytest.mark.parametrize("size", [SMALL, (3e-3, 0.1)], ids=["small", "with new bases"])
+@pytest.mark.parametrize("initial", ["linear_combination", "previous"])
+def test_results_depend_on_the_calls_since_reset_alone(initial: str, size: tuple[float, float]) -> None:
+    pipeline = ForcePipeline(NOMINAL[4], initial=initial)
+    first = run(pipeline, 4, 0, size)
+    run(pipeline, 4, 1, size)
+    pipeline.reset()
+    again, fresh = run(pipeline, 4, 0, size), run(ForcePipeline(NOMINAL[4], initial=initial), 4, 0, size)
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(first, fresh)
+
+
+def test_far_contacts_get_a_basis_of_their_own() -> None:
+    grasp = NOMINAL[4]
+    pipeline = ForcePipeline(grasp)
+    rng, before = np.random.default_rng(0), pipeline.held.basis.copy()
+    for _ in range(20):
+        points, normals = contacts(rng, 4, (5e-3, 0.1))
+        pipeline.reset()
+        assert pipeline.solve(points, normals, some_wrench(rng)).status is Status.OPTIMAL
+        if not (pipeline.held.basis == before).all():
+            break
+    else:
+        pytest.fail("no contacts were far")
+    np.testing.assert_array_equal(pipeline.held.basis_frames, pipeline.frames)
+    for k in range(6):
+        unit = np.zeros(6)
+        unit[k] = 1.0
+        x = pipeline.held.basis[k].reshape(-1, 3)
+        assert np.abs(pipeline.cone_matrix @ x.reshape(-1) + unit).max() < 1e-9
+        assert (x[:, 0] > np.hypot(x[:, 1], x[:, 2])).all()
+    pipeline.reset()
+    np.testing.assert_array_equal(pipeline.held.basis, before)
+
+
+@pytest.mark.parametrize("initial", ["linear_combination", "previous"])
+@pytest.mark.parametrize("count", NOMINAL)
+def test_an_adjustment_is_the_formula_of_the_general_path(count: int, initial: str) -> None:
+    rng = np.random.default_rng(count)
+    pipeline = ForcePipeline(NOMINAL[count], method="newton", initial=initial)
+    for _ in range(10):
+        points, normals = contacts(rng, count)
+        wrench = some_wrench(rng)
+        grasp = grasp_of(count, points, normals)
+        adjust = rng.standard_normal(grasp.null_dimension)
+        pipeline.reset()
+        start = pipeline.solve(points, normals, wrench).initial_force
+        pipeline.reset()
+        solution = pipeline.solve(points, normals, wrench, adjust=adjust)
+        moved = start + (null_space_basis(grasp, pipeline.reference) @ adjust).reshape(-1, 3)
+        on_segment = moved if grasp.cone_margin(moved) > 0.0 else start
+        got = solution.initial_force
+        objective = pipeline.objective
+        # on the segment from the start to the moved force, and no worse than either
+        line = (moved - start).reshape(-1)
+        along = float((got - start).reshape(-1) @ line / (line @ line))
+        np.testing.assert_allclose(got, start + along * (moved - start), atol=1e-9)
+        assert -1e-9 <= along <= 1.0 + 1e-9
+        assert objective.value(grasp.to_cone(got)) <= objective.value(grasp.to_cone(on_segment)) * (1.0 + 1e-12)
+
+
+def test_an_adjustment_on_the_nominal_contacts_to_the_last_digits() -> None:
+    grasp = NOMINAL[4]
+    pipeline, optimizer = ForcePipeline(grasp), ForceOptimizer(grasp)
+    rng = np.random.default_rng(0)
+    for scale in (0.01, 0.1, 1.0, 10.0):
+        adjust = scale * rng.standard_normal(6)
+        moved = optimizer.start(PAPER_WRENCH) + (null_space_basis(grasp, pipeline.reference) @ adjust).reshape(-1, 3)
+        general = optimizer.solve(PAPER_WRENCH, initial=Repair()(grasp, PAPER_WRENCH, moved))
+        solution = pipeline.solve(grasp.positions, grasp.normals, PAPER_WRENCH, adjust=adjust)
+        np.testing.assert_allclose(solution.initial_force, general.initial_force, rtol=0, atol=1e-9)
+        assert solution.iterations == general.iterations
+        np.testing.assert_allclose(solution.force, general.force, rtol=0, atol=1e-7)
+
+
+def test_no_adjustment_is_an_adjustment_by_zeros() -> None:
+    grasp = NOMINAL[4]
+    pipeline = ForcePipeline(grasp)
+    plain = pipeline.solve(grasp.positions, grasp.normals, PAPER_WRENCH)
+    zeros = pipeline.solve(grasp.positions, grasp.normals, PAPER_WRENCH, adjust=np.zeros(6))
+    np.testing.assert_array_equal(plain._record, zeros._record)
+
+
+@pytest.mark.parametrize("count", NOMINAL)
+def test_carry_follows_the_optimum(count: int) -> None:
+    rng = np.random.default_rng(count)
+    pipeline = ForcePipeline(NOMINAL[count], method="newton", tolerance=1e-8)
+    force, x = np.empty((count, 3)), np.empty(3 * count)
+    for _ in range(20):
+        points, normals = contacts(rng, count)
+        wrench = some_wrench(rng)
+        pipeline.solve(points, normals, wrench)
+        held = [array.copy() for array in pipeline.held]
+        points, wrench = points + 1e-5 * rng.standard_normal((count, 3)), wrench + 1e-3 * rng.standard_normal(6)
+        assert pipeline.carry(points, normals, wrench, force) == CARRIED
+        for array, before in zip(pipeline.held, held, strict=True):
+            np.testing.assert_array_equal(array, before)
+        grasp = grasp_of(count, points, normals)
+        assert grasp.residual(force, wrench) < 1e-9
+        # to first order the optimum of now
+        best = ForceOptimizer(grasp, method="newton", tolerance=1e-10).solve(wrench)
+        np.testing.assert_allclose(force, best.force, atol=1e-2)
+        # the tangent correction of now, exactly: the tangents turn by less than rounding shows
+        assert tangent(pipeline.x, grasp.cone_matrix.copy(), wrench, pipeline.held.weights, x)
+        np.testing.assert_allclose(grasp.to_cone(force), x, atol=1e-5)
+
+
+def test_carry_repairs_and_clips() -> None:
+    grasp = NOMINAL[4]
+    pipeline = ForcePipeline(grasp)
+    points, normals, force = grasp.positions.copy(), grasp.normals.copy(), np.empty((4, 3))
+    pipeline.solve(points, normals, np.zeros(6))
+    heavy = 20.0 * PAPER_WRENCH
+    assert pipeline.carry(points, normals, heavy, force) == REPAIRED
+    assert grasp.residual(force, heavy) < 1e-9
+    assert grasp.cone_margin(force) > 0.0
+    # friction cones that no balanced force of any combination is in: a wrench along which the basis does not reach
+    thin, x, out = np.zeros((13, 12)), pipeline.x.copy(), np.empty(12)
+    assert carry(x, thin, pipeline.cone_matrix, heavy, pipeline.held.weights, out) == CLIPPED
+    u, o, t = out.reshape(-1, 3).T
+    assert (u >= 1.04 * np.hypot(o, t)).all()
+
+
+def test_carry_without_an_optimum_is_the_carried_combination() -> None:
+    grasp = NOMINAL[4]
+    pipeline, force = ForcePipeline(grasp), np.empty((4, 3))
+    assert np.isnan(pipeline.x).all()
+    assert pipeline.carry(grasp.positions.copy(), grasp.normals.copy(), PAPER_WRENCH.copy(), force) == REPAIRED
+    np.testing.assert_allclose(force, ForceOptimizer(grasp).start(PAPER_WRENCH), atol=1e-12)
+
+
+def test_frames_that_switch_axes_carry_the_force_along() -> None:
+    # a normal close to where the default tangents jump from e_x to e_y
+    def about_y(angle: float) -> tuple[np.ndarray, np.ndarray]:
+        c, s = np.cos(angle), np.sin(angle)
+        rotation = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+        return NOMINAL[4].positions @ rotation.T, NOMINAL[4].normals @ rotation.T
+
+    points, normals = about_y(1.11)
+    grasp = Grasp.from_contacts(points, normals, 0.4)
+    turned = about_y(1.13)[1]
+    after = Grasp.from_contacts(points, turned, 0.4)
+    assert abs(grasp.frames[0, :, 1] @ after.frames[0, :, 1]) < 0.5
+    pipeline = ForcePipeline(grasp, initial="previous", method="newton", tolerance=1e-8)
+    wrench = 0.2 * PAPER_WRENCH
+    before = pipeline.solve(points, normals, wrench)
+    frames, cone_matrix, force = np.empty((4, 3, 3)), np.empty((6, 12)), np.empty((4, 3))
+    assert carry_contacts(pipeline.held, points, turned, wrench.copy(), frames, cone_matrix, force) == CARRIED
+    np.testing.assert_array_equal(frames, after.frames)
+    np.testing.assert_allclose(
+        np.einsum("nij,nj->ni", frames, force),
+        grasp.to_object_frame(before.force),
+        atol=0.05 * before.force[:, 0].max(),
+    )
+    x, back = np.empty(12), np.empty(12)
+    turn(grasp.to_cone(before.force), pipeline.held.divisor, grasp.frames.copy(), frames, x)
+    turn(x, pipeline.held.divisor, frames, grasp.frames.copy(), back)
+    np.testing.assert_allclose(back, grasp.to_cone(before.force), rtol=1e-3, atol=1e-3)
+    assert pipeline.solve(points, turned, wrench).status is Status.OPTIMAL
+
+
+def test_elliptic_cones_and_given_tangents() -> None:
+    plain = NOMINAL[4]
+    tangents = plain.frames[:, :, 1] + 0.3 * plain.frames[:, :, 2]
+    mu = np.array([[0.4, 0.5], [0.3, 0.6], [0.5, 0.5], [0.4, 0.4]])
+    grasp = Grasp.from_contacts(plain.positions, plain.normals, mu, tangents=tangents)
+    pipeline = ForcePipeline(grasp)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        points, normals = contacts(rng, 4)
+        now = Grasp.from_contacts(points, normals, mu, tangents=grasp.frames[:, :, 1])
+        solution = pipeline.solve(points, normals, PAPER_WRENCH)
+        np.testing.assert_array_equal(pipeline.frames, now.frames)
+        assert now.residual(solution.force, PAPER_WRENCH) < 1e-9
+        assert solution.objective == pytest.approx(ForceOptimizer(now).solve(PAPER_WRENCH).objective, rel=2e-4)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
+@pytest.mark.parametrize("which", ["points", "normals", "wrench", "adjust"])
+def test_wrong_numbers(which: str, bad: float) -> None:
+    grasp = NOMINAL[4]
+    pipeline = ForcePipeline(grasp)
+    given = {
+        "points": grasp.positions.copy(),
+        "normals": grasp.normals.copy(),
+        "wrench": PAPER_WRENCH.copy(),
+        "adjust": np.ones(6),
+    }
+    given[which].reshape(-1)[2] = bad
+    if which == "points" and bad == 1e300:
+        error: type[Exception] = RankDeficientGraspError
+    elif which == "adjust" and bad == 1e300:
+        pytest.skip("a huge adjustment is repaired")
+    else:
+        error = InvalidInputError
+    pipeline.solve(grasp.positions, grasp.normals, PAPER_WRENCH)
+    with pytest.raises(error):
+        pipeline.solve(given["points"], given["normals"], given["wrench"], adjust=given["adjust"])
+    assert np.isnan(pipeline.x).all() or which == "adjust"
+    # and the next call is as good as ever
+    assert pipeline.solve(grasp.positions, grasp.normals, PAPER_WRENCH).status is Status.OPTIMAL
+
+
+def test_errors_of_the_general_path() -> None:
+    grasp = NOMINAL[4]
+    pipeline = ForcePipeline(grasp)
+    line = np.outer(np.arange(4.0), [0.01, 0.0, 0.0])
+    with pytest.raises(RankDeficientGraspError, match=r"rank\(G\) = [0-5] < 6 with 4 contacts"):
+        pipeline.solve(line, grasp.normals, PAPER_WRENCH)
+    with pytest.raises(InvalidInputError, match=r"normals must be unit vectors"):
+        pipeline.solve(grasp.positions, 1.1 * grasp.normals, PAPER_WRENCH)
+    with pytest.raises(InvalidInputError, match=r"points must have shape \(4, 3\)"):
+        pipeline.solve(grasp.positions[:3], grasp.normals[:3], PAPER_WRENCH)
+    same_side = np.tile([0.0, 0.0, 1.0], (4, 1))
+    with pytest.raises(InfeasibleWrenchError) as caught:
+        pipeline.solve(grasp.positions, same_side, PAPER_WRENCH)
+    with pytest.raises(InfeasibleWrenchError) as expected:
+        ForceOptimizer(grasp_of(4, grasp.positions, same_side)).solve(PAPER_WRENCH)
+    assert str(caught.value) == str(expected.value)
+    np.testing.assert_array_equal(caught.value.solution.certificate, expected.value.solution.certificate)
+    assert np.isnan(pipeline.x).all()
+
+
+def test_status_of_a_flow_cut_short() -> None:
+    grasp = NOMINAL[4]
+    pipeline = ForcePipeline(grasp, max_iterations=3)
+    solution = pipeline.solve(grasp.positions, grasp.normals, PAPER_WRENCH)
+    general = ForceOptimizer(grasp, max_iterations=3).solve(PAPER_WRENCH)
+    assert (solution.status, solution.iterations) == (Status.ITERATION_LIMIT, 3)
+    np.testing.assert_array_equal(solution.force, general.force)
+    np.testing.assert_array_equal(pipeline.x, grasp.to_cone(solution.force))
+
+
+def test_what_a_pipeline_is_not_made_for() -> None:
+    grasp = NOMINAL[3]
+    with pytest.raises(UnknownNameError, match="'conic'"):
+        ForcePipeline(grasp, method="conic")
+    with pytest.raises(UnknownNameError, match="'lagrange'"):
+        ForcePipeline(grasp, initial="lagrange")
+    soft = Grasp.from_contacts(grasp.positions, grasp.normals, 0.5, contact_model="soft", torsional_friction=0.01)
+    with pytest.raises(UnsupportedProblemError, match="hard contacts"):
+        ForcePipeline(soft)
+    with pytest.raises(InfeasibleStartError):
+        ForcePipeline(Grasp.from_contacts(grasp.positions, np.tile([0.0, 0.0, 1.0], (3, 1)), 0.5))
+    with pytest.raises(InvalidInputError, match="reference must have shape"):
+        ForcePipeline(grasp, reference=np.zeros((9, 4)))
