@@ -1,123 +1,301 @@
-"""The hand as data: where its fingers are fixed, how long, how heavy and how strong they are.
+"""The hand as data: a tree of links on a palm, with the fingertips it grasps with.
 
-The finger frame has x along the hanging finger, z along its pressing direction and y = z x x.
-Joint 1 swings the finger sideways (about z), joints 2 and 3 flex it towards the object: at zero
-angles a finger hangs straight along x, and a positive flexion moves its tip along z.
+Everything else follows from this one record: the URDF that PyBullet loads (`urdf.hand_urdf`) and the arrays of the
+compiled kinematics (`kinematics.HandKinematics`).
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import TypeAlias
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.hand_check import Vector3, numbers, positive, word
+from grasp_env.sim.hand_fingers import FingerDescription
+from grasp_env.sim.hand_frames import Frame
+from grasp_env.sim.hand_tree import Fingertip, Geometry, Link, Palm
 
-Vector3: TypeAlias = tuple[float, float, float]
-
-JOINTS_PER_FINGER = 3
-
-
-@dataclass(frozen=True)
-class FingerDescription:
-    """How one finger is fixed to the palm.
-
-    Attributes:
-        name: Used for its links and joints.
-        base: Position of the first joint [m], (3,), world frame.
-        press: Unit direction in which flexion moves the tip, (3,), world frame.
-        hang: Unit direction of the straight finger, (3,), world frame, orthogonal to `press`.
-        color: Red, green and blue in [0, 1].
-    """
-
-    name: str
-    base: Vector3
-    press: Vector3
-    hang: Vector3 = (0.0, -1.0, 0.0)
-    color: Vector3 = (0.5, 0.5, 0.5)
-
-    def __post_init__(self) -> None:
-        axes = np.array([self.hang, self.press], dtype=float)
-        if not np.allclose(axes @ axes.T, np.eye(2), atol=1e-9):
-            raise InvalidInputError(
-                f"finger {self.name!r}: press={self.press} and hang={self.hang} must be "
-                "orthogonal unit vectors; normalise them and turn one by 90 degrees"
-            )
-
-    @property
-    def rotation(self) -> np.ndarray:
-        """Finger frame to world frame, (3, 3)."""
-        hang, press = np.array(self.hang, dtype=float), np.array(self.press, dtype=float)
-        return np.column_stack([hang, np.cross(press, hang), press])
+__all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Palm", "Vector3"]
 
 
 @dataclass(frozen=True)
 class HandDescription:
-    """A hand of equal fingers, each with three torque-controlled revolute joints.
+    """A hand: a fixed palm, moving links with torque-controlled revolute joints, and fingertips.
+
+    Joints are numbered as their links, fingers as their fingertips. The palm's frame is the world frame.
 
     Attributes:
-        fingers: One description per finger, in the order of the contacts.
-        link_lengths: Knuckle, proximal and distal link [m].
-        link_masses: Knuckle, proximal, distal link and tip [kg].
-        link_radius: Radius of the capsules drawn for the links [m]; links do not collide.
-        tip_radius: Radius of the spherical tip, centred at the end of the distal link [m].
-        tip_friction: Bullet multiplies the friction of both bodies, so 1 leaves the object's.
-        torque_limit: Largest torque of every joint [N m].
-        joint_lower: Lower limits of swing, first and second flexion [rad].
-        joint_upper: Upper limits of swing, first and second flexion [rad].
-        palm_center: Centre of the palm's box [m], world frame.
-        palm_half_extents: Half of the palm's sides [m].
+        name: Of the hand.
+        palm: What does not move.
+        links: Every link after the one that carries it.
+        fingertips: One per finger, in the order of the contacts.
+        home: Rest posture [rad], (M,), within the limits. () is the middle of each range, 0 without limits.
+        tip_friction: Of all links. Bullet multiplies the friction of both bodies, so 1 leaves the object's.
+
+    Raises:
+        InvalidInputError: A hand that cannot be; the message says why.
+
+    Example:
+        >>> hand = HandDescription.four_finger()
+        >>> hand.finger_count, hand.joint_count
+        (4, 12)
+        >>> hand.joint_names[:3]
+        ('thumb_knuckle_joint', 'thumb_proximal_joint', 'thumb_distal_joint')
     """
 
-    fingers: tuple[FingerDescription, ...]
-    link_lengths: Vector3 = (0.035, 0.08, 0.07)
-    link_masses: tuple[float, float, float, float] = (0.02, 0.03, 0.02, 0.01)
-    link_radius: float = 0.0075
-    tip_radius: float = 0.01
+    name: str
+    palm: Palm
+    links: tuple[Link, ...]
+    fingertips: tuple[Fingertip, ...]
+    home: tuple[float, ...] = ()
     tip_friction: float = 1.0
-    torque_limit: float = 12.0
-    joint_lower: Vector3 = (-1.0, -1.8, 0.05)
-    joint_upper: Vector3 = (1.0, 1.2, 2.6)
-    palm_center: Vector3 = (0.0, 0.145, 0.0)
-    palm_half_extents: Vector3 = (0.062, 0.008, 0.118)
 
     def __post_init__(self) -> None:
-        positive = {
-            "link_lengths": self.link_lengths,
-            "link_masses": self.link_masses,
-            "tip_radius": (self.tip_radius,),
-            "torque_limit": (self.torque_limit,),
-        }
-        for name, values in positive.items():
-            if not all(math.isfinite(value) and value > 0 for value in values):
-                raise InvalidInputError(f"{name}={values} must be finite and above 0")
-        if not self.fingers:
-            raise InvalidInputError("fingers=() is empty; describe at least one finger")
-        if any(low >= up for low, up in zip(self.joint_lower, self.joint_upper, strict=True)):
-            raise InvalidInputError(f"joint_lower={self.joint_lower} must be below joint_upper={self.joint_upper}")
+        name = f"hand {word(self.name, 'name of a hand')!r}"
+        object.__setattr__(self, "links", tuple(self.links))
+        object.__setattr__(self, "fingertips", tuple(self.fingertips))
+        positive(self.tip_friction, f"{name}: tip_friction")
+        _check_tree(name, self.palm, self.links)
+        _check_fingertips(name, self.links, self.fingertips)
+        home = tuple(_middle(link) for link in self.links) if len(self.home) == 0 else self.home
+        object.__setattr__(self, "home", numbers(home, len(self.links), f"{name}: home [rad]"))
+        for link, angle in zip(self.links, self.home, strict=True):
+            if not link.lower <= angle <= link.upper:
+                raise InvalidInputError(
+                    f"{name}: home={angle} rad of joint {link.joint!r} must be within its limits, "
+                    f"{link.lower} to {link.upper} rad"
+                )
 
     @property
     def joint_count(self) -> int:
-        """Number of driven joints, three per finger."""
-        return JOINTS_PER_FINGER * len(self.fingers)
+        """Number M of driven joints, one per link."""
+        return len(self.links)
 
     @property
-    def distal_center(self) -> float:
-        """Centre of mass of the distal link with its tip [m], from the knee along the link."""
-        distal, tip = self.link_masses[2:]
-        return self.link_lengths[2] * (0.5 * distal + tip) / (distal + tip)
+    def finger_count(self) -> int:
+        """Number N of fingertips."""
+        return len(self.fingertips)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Of all joints, (M,)."""
+        return tuple(link.joint for link in self.links)
+
+    @property
+    def finger_names(self) -> tuple[str, ...]:
+        """Of all fingers, (N,)."""
+        return tuple(tip.name for tip in self.fingertips)
+
+    @property
+    def torque_limits(self) -> np.ndarray:
+        """Largest torque of each joint [N m], (M,)."""
+        return np.array([link.torque_limit for link in self.links])
+
+    def moved(self, position: Vector3, rotation: Vector3 = (0.0, 0.0, 0.0)) -> HandDescription:
+        """The hand at another place: its palm frame put at `position`, turned by `rotation`.
+
+        Args:
+            position: [m], (3,), world frame.
+            rotation: Roll, pitch and yaw [rad], (3,).
+        """
+        place = Frame.of(
+            _vector(numbers(position, 3, "position [m]")), _vector(numbers(rotation, 3, "rotation (roll, pitch, yaw)"))
+        )
+
+        def carried(geometry: Geometry) -> Geometry:
+            origin, angles = place.carry(geometry.origin, geometry.rotation)
+            return replace(geometry, origin=origin, rotation=angles)
+
+        links = []
+        for link in self.links:
+            if link.parent == self.palm.name:
+                origin, angles = place.carry(link.origin, link.rotation)
+                link = replace(link, origin=origin, rotation=angles)
+            links.append(link)
+        palm = replace(
+            self.palm,
+            collision=tuple(map(carried, self.palm.collision)),
+            visual=tuple(map(carried, self.palm.visual)),
+        )
+        return replace(self, palm=palm, links=tuple(links))
+
+    @staticmethod
+    def of_fingers(
+        fingers: Sequence[FingerDescription],
+        name: str = "hand",
+        palm: Palm | None = None,
+        tip_friction: float = 1.0,
+    ) -> HandDescription:
+        """A hand of hanging fingers, each with three or four joints.
+
+        Args:
+            fingers: At least one, with different names.
+            name: Of the hand.
+            palm: Default: the box of the four-finger hand.
+            tip_friction: See the class.
+
+        Example:
+            >>> thumb = FingerDescription("thumb", base=(0, 0.135, -0.09), press=(0, 0, 1))
+            >>> HandDescription.of_fingers([thumb]).joint_count
+            3
+        """
+        palm = palm or _box_palm()
+        return HandDescription(
+            name=name,
+            palm=palm,
+            links=tuple(link for finger in fingers for link in finger.links(palm.name)),
+            fingertips=tuple(finger.fingertip() for finger in fingers),
+            home=tuple(angle for finger in fingers for angle in finger.home),
+            tip_friction=tip_friction,
+        )
+
+    @staticmethod
+    def from_urdf(
+        path: str | os.PathLike[str],
+        fingertips: Sequence[str],
+        *,
+        tip_radius: float | None = None,
+        torque_limit: float | None = None,
+        home: Sequence[float] = (),
+        position: Vector3 = (0.0, 0.0, 0.0),
+        rotation: Vector3 = (0.0, 0.0, 0.0),
+        tip_friction: float = 1.0,
+    ) -> HandDescription:
+        """A user's own hand, from a URDF with revolute, continuous and fixed joints.
+
+        What a fixed joint carries becomes part of the link before it. A fingertip is the one sphere among the
+        collision shapes of a named link, or of what is fixed to it. Drawn meshes are left out.
+
+        Args:
+            path: Of the URDF.
+            fingertips: Names of links in the file, in the order of the contacts; they become the fingers' names.
+            tip_radius: [m], for named links without a sphere: one is put at the origin of each of them.
+            torque_limit: [N m], for joints whose <limit> names no effort, or 0.
+            home: Rest posture [rad], (M,), in the order of `joint_names`; () as in the class.
+            position: Of the root link [m], (3,), world frame.
+            rotation: Its roll, pitch and yaw [rad], (3,).
+            tip_friction: See the class.
+
+        Raises:
+            InvalidInputError: The file is no such hand; the message says what to change in it.
+        """
+        from grasp_env.sim.urdf_import import read_urdf  # it needs the parts above
+
+        name, palm, links, tips = read_urdf(path, fingertips, tip_radius, torque_limit)
+        return HandDescription(name, palm, links, tips, tuple(home), tip_friction).moved(position, rotation)
 
     @staticmethod
     def four_finger() -> HandDescription:
         """The hand of the reference grasp: a thumb at z < 0 and three fingers at z > 0."""
-        back, front = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
-        return HandDescription(
-            fingers=(
-                FingerDescription("thumb", (0.0, 0.135, -0.09), back, color=(0.85, 0.33, 0.24)),
-                FingerDescription("middle", (0.0, 0.135, 0.105), front, color=(0.20, 0.50, 0.80)),
-                FingerDescription("left", (-0.045, 0.135, 0.09), front, color=(0.95, 0.69, 0.20)),
-                FingerDescription("right", (0.045, 0.135, 0.09), front, color=(0.27, 0.65, 0.42)),
-            )
+        return HandDescription.of_fingers(
+            [_thumb(), _front("middle", 0.0, 1), _front("left", -0.045, 2), _front("right", 0.045, 3)], "four_finger"
         )
+
+    @staticmethod
+    def three_finger() -> HandDescription:
+        """A thumb at z < 0 and two fingers at z > 0."""
+        return HandDescription.of_fingers(
+            [_thumb(), _front("left", -0.03, 2), _front("right", 0.03, 3)], "three_finger"
+        )
+
+    @staticmethod
+    def five_finger() -> HandDescription:
+        """A thumb at z < 0 and four fingers at z > 0."""
+        return HandDescription.of_fingers(
+            [
+                _thumb(),
+                _front("index", -0.0175, 1),
+                _front("middle", 0.0175, 4),
+                _front("left", -0.05, 2),
+                _front("right", 0.05, 3),
+            ],
+            "five_finger",
+        )
+
+    @staticmethod
+    def four_finger_4dof() -> HandDescription:
+        """The four-finger hand with one more flexion in each finger: 16 joints."""
+        fingers = [_thumb(), _front("middle", 0.0, 1), _front("left", -0.045, 2), _front("right", 0.045, 3)]
+        return HandDescription.of_fingers([replace(finger, **_FOUR_JOINTS) for finger in fingers], "four_finger_4dof")
+
+
+HANDS: dict[str, Callable[[], HandDescription]] = {
+    "four_finger": HandDescription.four_finger,
+    "three_finger": HandDescription.three_finger,
+    "five_finger": HandDescription.five_finger,
+    "four_finger_4dof": HandDescription.four_finger_4dof,
+}
+"""The built-in hands by name."""
+
+_COLORS = ((0.85, 0.33, 0.24), (0.20, 0.50, 0.80), (0.95, 0.69, 0.20), (0.27, 0.65, 0.42), (0.55, 0.40, 0.70))
+_FOUR_JOINTS = {
+    "link_lengths": (0.035, 0.065, 0.05, 0.04),
+    "link_masses": (0.02, 0.025, 0.015, 0.01),
+    "joint_lower": (-1.0, -1.8, 0.05, 0.05),
+    "joint_upper": (1.0, 1.2, 2.0, 1.8),
+    "home": (0.0, -0.7, 0.8, 0.6),
+}
+
+
+def _thumb() -> FingerDescription:
+    return FingerDescription("thumb", (0.0, 0.135, -0.09), (0.0, 0.0, 1.0), color=_COLORS[0])
+
+
+def _front(name: str, x: float, color: int) -> FingerDescription:
+    """A finger opposite the thumb; those near the middle reach for high contacts and start further away."""
+    depth = 0.105 if abs(x) < 0.02 else 0.09
+    return FingerDescription(name, (x, 0.135, depth), (0.0, 0.0, -1.0), color=_COLORS[color])
+
+
+def _box_palm() -> Palm:
+    box = Geometry("box", (0.124, 0.016, 0.236), (0.0, 0.145, 0.0))
+    return Palm(collision=(box,), visual=(box,))
+
+
+def _vector(values: tuple[float, ...]) -> Vector3:
+    x, y, z = values
+    return x, y, z
+
+
+def _middle(link: Link) -> float:
+    return 0.5 * (link.lower + link.upper) if np.isfinite(link.lower) else 0.0
+
+
+def _check_tree(name: str, palm: Palm, links: tuple[Link, ...]) -> None:
+    """Different names, and every link after the one that carries it."""
+    if not links:
+        raise InvalidInputError(f"{name}: links=() is empty; describe at least one moving link")
+    known, joints, all_names = [palm.name], set[str](), {link.name for link in links}
+    for link in links:
+        if link.name in known:
+            raise InvalidInputError(f"{name}: two links are called {link.name!r}; give each its own name")
+        if link.joint in joints:
+            raise InvalidInputError(f"{name}: two joints are called {link.joint!r}; give each its own name")
+        if link.parent not in known:
+            hint = (
+                "stands after it in `links`, or carries itself; order parents before children"
+                if link.parent in all_names
+                else f"is no link; known are {', '.join(known)}"
+            )
+            raise InvalidInputError(f"{name}: the parent {link.parent!r} of link {link.name!r} {hint}")
+        known.append(link.name)
+        joints.add(link.joint)
+
+
+def _check_fingertips(name: str, links: tuple[Link, ...], tips: tuple[Fingertip, ...]) -> None:
+    """At least one, with different names, on links that move."""
+    if not tips:
+        raise InvalidInputError(f"{name}: fingertips=() is empty; name at least one, a hand touches with them only")
+    names, known = set[str](), [link.name for link in links]
+    for tip in tips:
+        if tip.name in names:
+            raise InvalidInputError(f"{name}: two fingertips are called {tip.name!r}; give each its own name")
+        if tip.link not in known:
+            raise InvalidInputError(
+                f"{name}: fingertip {tip.name!r} is on link {tip.link!r}, which does not move or does not exist; "
+                f"moving links are {', '.join(known)}"
+            )
+        names.add(tip.name)

@@ -2,188 +2,275 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim import Client, FingerDescription, HandDescription, HandKinematics, Scene
-from grasp_env.sim.client import bullet
-from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.kinematics import trace_finger, write_gravity_torques, write_point_jacobian
-from grasp_env.sim.urdf import hand_urdf
-
-TURNED = HandDescription(
-    fingers=(
-        FingerDescription("skew", (0.2, 0.1, 0.0), (2 / 3, 2 / 3, 1 / 3), (-2 / 3, 1 / 3, 2 / 3)),
-        FingerDescription("up", (0.0, 0.1, 0.2), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
-        FingerDescription("down", (0.0, 0.1, -0.2), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)),
-    ),
-    link_lengths=(0.02, 0.09, 0.05),
-    link_masses=(0.05, 0.01, 0.04, 0.03),
+from grasp_env.sim.client import Client, bullet
+from grasp_env.sim.hand import HANDS, FingerDescription, HandDescription
+from grasp_env.sim.hand_bodies import HAND_FLAGS, joint_indices, load_hand
+from grasp_env.sim.hand_check import inertia_matrix
+from grasp_env.sim.kinematics import (
+    HandKinematics,
+    add_force_torques,
+    trace_hand,
+    write_gravity_torques,
+    write_jacobian,
 )
+
+CROOKED = Path(__file__).parent / "assets" / "crooked_hand.urdf"
+CROOKED_TIPS = ("pad_a", "finger_b_end", "finger_c_end")
+NOMINAL = np.array([(0.0, 0.0, -0.06), (0.0, 0.03, 0.06), (-0.03, -0.02, 0.06), (0.03, -0.02, 0.06)])
 GRAVITY = np.array([1.0, -9.0, 2.0])
+
+
+def turned() -> HandDescription:
+    """Fingers in all directions, one of them with four joints."""
+    return HandDescription.of_fingers(
+        [
+            FingerDescription("skew", (0.2, 0.1, 0.0), (2 / 3, 2 / 3, 1 / 3), (-2 / 3, 1 / 3, 2 / 3)),
+            FingerDescription(
+                "up", (0.0, 0.1, 0.2), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0),
+                link_lengths=(0.02, 0.09, 0.03, 0.05), link_masses=(0.05, 0.01, 0.04, 0.03),
+                joint_lower=(-1, -1, -1, -1), joint_upper=(1, 2, 2, 2), home=(0, 0, 0.5, 0.5),
+            ),
+            FingerDescription("down", (0.0, 0.1, -0.2), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), tip_mass=0.03),
+        ]
+    )  # fmt: skip
+
+
+def crooked() -> HandDescription:
+    return HandDescription.from_urdf(CROOKED, CROOKED_TIPS)
+
+
+MAKERS: dict[str, Callable[[], HandDescription]] = {"turned": turned, "crooked": crooked, **HANDS}
 
 
 class Loaded:
     """A hand in PyBullet beside its compiled twin, both at the same random angles."""
 
-    def __init__(self, hand: HandDescription, path: Path) -> None:
-        path.write_text(hand_urdf(hand))
+    def __init__(self, hand: HandDescription, original: Path | None = None) -> None:
         self.client, self.hand, self.kinematics = Client(), hand, HandKinematics(hand)
-        number = self.client.number
-        self.body = bullet.loadURDF(
-            str(path), useFixedBase=True, flags=bullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=number
-        )
-        self.angles = np.random.default_rng(3).uniform(-0.6, 1.1, hand.joint_count)
-        for joint, angle in enumerate(self.angles):
-            bullet.resetJointState(self.body, joint, angle, physicsClientId=number)
+        self.number, self.count = self.client.number, hand.joint_count
+        if original is None:
+            self.body = load_hand(self.number, hand)
+        else:
+            self.body = bullet.loadURDF(str(original), useFixedBase=True, flags=HAND_FLAGS, physicsClientId=self.number)
+        self.indices = joint_indices(self.number, self.body, hand)
+        # PyBullet's dynamics number the moving joints only, in the order of their indices
+        self.columns = [sorted(self.indices).index(index) for index in self.indices]
+        self.angles = np.random.default_rng(3).uniform(-0.6, 1.1, self.count)
+        for index, angle in zip(self.indices, self.angles.tolist(), strict=True):
+            bullet.resetJointState(self.body, index, angle, physicsClientId=self.number)
+        self.frames, self.origins = np.empty((self.count, 3, 3)), np.empty((self.count, 3))
+        self.axes = np.empty((self.count, 3))
+        trace_hand(self.kinematics.tree, self.angles, self.frames, self.origins, self.axes)
 
-    def traced(self, finger: int) -> tuple[np.ndarray, np.ndarray]:
-        kinematics, origins, axes = self.kinematics, np.empty((4, 3)), np.empty((3, 3))
-        trace_finger(
-            kinematics.bases[finger],
-            kinematics.rotations[finger],
-            kinematics.lengths,
-            self.angles[3 * finger : 3 * finger + 3],
-            origins,
-            axes,
-        )
-        return origins, axes
+    def theirs(self) -> list[float]:
+        """The angles in PyBullet's order, as a list: arrays make it crash."""
+        angles = np.empty(self.count)
+        angles[self.columns] = self.angles
+        return angles.tolist()
+
+    def jacobian(self, link: int, point: np.ndarray) -> np.ndarray:
+        jacobian = np.empty((3, self.count))
+        write_jacobian(self.kinematics.tree, link, self.origins, self.axes, point, jacobian)
+        return jacobian
 
 
-@pytest.fixture(params=["four_finger", "turned"])
-def loaded(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Loaded]:
-    hand = HandDescription.four_finger() if request.param == "four_finger" else TURNED
-    made = Loaded(hand, tmp_path / "hand.urdf")
+@pytest.fixture(params=[*MAKERS, "original"])
+def loaded(request: pytest.FixtureRequest) -> Iterator[Loaded]:
+    original = request.param == "original"
+    made = Loaded(crooked(), CROOKED) if original else Loaded(MAKERS[request.param]())
     yield made
     made.client.close()
 
 
-def test_joint_positions_match_pybullet(loaded: Loaded) -> None:
-    for finger in range(len(loaded.hand.fingers)):
-        origins, _ = loaded.traced(finger)
-        for k in range(3):
-            link = bullet.getLinkState(
-                loaded.body,
-                3 * finger + k,
-                computeForwardKinematics=1,
-                physicsClientId=loaded.client.number,
-            )
-            # getLinkState rounds to single precision; the Jacobians below do not
-            np.testing.assert_allclose(origins[k], link[4], atol=3e-8)
+def test_positions_match_pybullet(loaded: Loaded) -> None:
+    for link, index in enumerate(loaded.indices):
+        state = bullet.getLinkState(loaded.body, index, computeForwardKinematics=1, physicsClientId=loaded.number)
+        # getLinkState rounds to single precision; the Jacobians below do not
+        np.testing.assert_allclose(loaded.origins[link], state[4], atol=3e-8)
+        rotation = np.array(bullet.getMatrixFromQuaternion(state[5])).reshape(3, 3)
+        np.testing.assert_allclose(loaded.frames[link], rotation, atol=1e-6)
 
 
 def test_jacobians_match_pybullet(loaded: Loaded) -> None:
-    count, jacobian = loaded.hand.joint_count, np.empty((3, 3))
-    for finger in range(len(loaded.hand.fingers)):
-        origins, axes = loaded.traced(finger)
-        write_point_jacobian(origins, axes, origins[3], jacobian)
-        full, _ = bullet.calculateJacobian(
-            loaded.body,
-            3 * finger + 2,
-            [loaded.hand.link_lengths[2], 0.0, 0.0],
-            loaded.angles.tolist(),
-            [0.0] * count,
-            [0.0] * count,
-            physicsClientId=loaded.client.number,
-        )
-        expected = np.zeros((3, count))
-        expected[:, 3 * finger : 3 * finger + 3] = jacobian
-        np.testing.assert_allclose(full, expected, atol=1e-12)
+    zero, tree = [0.0] * loaded.count, loaded.kinematics.tree
+    tips = loaded.kinematics.tips(loaded.angles)
+    for finger, link in enumerate(tree.tip_links):
+        index = loaded.indices[link]
+        # PyBullet measures the point from the link's origin along the principal axes of its inertia
+        turn = bullet.getDynamicsInfo(loaded.body, index, physicsClientId=loaded.number)[4]
+        axes = np.array(bullet.getMatrixFromQuaternion(turn)).reshape(3, 3)
+        for local, point in (((0.0, 0.0, 0.0), loaded.origins[link]), (tree.tip_centers[finger], tips[finger])):
+            theirs, _ = bullet.calculateJacobian(
+                loaded.body,
+                index,
+                (axes.T @ local).tolist(),
+                loaded.theirs(),
+                zero,
+                zero,
+                physicsClientId=loaded.number,
+            )
+            ours = loaded.jacobian(link, point)
+            np.testing.assert_allclose(np.array(theirs)[:, loaded.columns], ours, atol=1e-12)
 
 
 def test_jacobians_match_finite_differences(loaded: Loaded) -> None:
-    jacobian, step = np.empty((3, 3)), 1e-6
-    for finger in range(len(loaded.hand.fingers)):
-        origins, axes = loaded.traced(finger)
-        write_point_jacobian(origins, axes, origins[3], jacobian)
-        for k in range(3):
-            shift = np.zeros(loaded.hand.joint_count)
-            shift[3 * finger + k] = step
-            ahead = loaded.kinematics.tips(loaded.angles + shift)
-            behind = loaded.kinematics.tips(loaded.angles - shift)
-            slope = (ahead - behind)[finger] / (2 * step)
-            np.testing.assert_allclose(jacobian[:, k], slope, atol=1e-9)
+    step, tree = 1e-6, loaded.kinematics.tree
+    tips = loaded.kinematics.tips(loaded.angles)
+    for joint in range(loaded.count):
+        shift = np.zeros(loaded.count)
+        shift[joint] = step
+        ahead, behind = (loaded.kinematics.tips(loaded.angles + sign * shift) for sign in (1, -1))
+        slopes = (ahead - behind) / (2 * step)
+        for finger, link in enumerate(tree.tip_links):
+            np.testing.assert_allclose(loaded.jacobian(link, tips[finger])[:, joint], slopes[finger], atol=1e-9)
 
 
 def test_gravity_torques_match_pybullet(loaded: Loaded) -> None:
-    kinematics, count = loaded.kinematics, loaded.hand.joint_count
-    torques = np.empty(count)
-    for finger in range(len(loaded.hand.fingers)):
-        own = torques[3 * finger : 3 * finger + 3]
-        write_gravity_torques(*loaded.traced(finger), kinematics.masses, kinematics.fractions, GRAVITY, own)
-    bullet.setGravity(*GRAVITY, physicsClientId=loaded.client.number)
-    zero = [0.0] * count
-    expected = bullet.calculateInverseDynamics(
-        loaded.body, loaded.angles.tolist(), zero, zero, physicsClientId=loaded.client.number
-    )
-    np.testing.assert_allclose(torques, expected, atol=1e-12)
+    torques, zero = np.empty(loaded.count), [0.0] * loaded.count
+    kinematics = loaded.kinematics
+    write_gravity_torques(kinematics.tree, loaded.frames, loaded.origins, loaded.axes, GRAVITY, torques)
+    bullet.setGravity(*GRAVITY, physicsClientId=loaded.number)
+    theirs = bullet.calculateInverseDynamics(loaded.body, loaded.theirs(), zero, zero, physicsClientId=loaded.number)
+    np.testing.assert_allclose(torques, np.array(theirs)[loaded.columns], atol=1e-12)
 
 
-def test_inverse_kinematics_reaches_the_nominal_contacts() -> None:
-    config = SceneConfig()
-    kinematics, tips = HandKinematics(config.hand), config.nominal_tips()
-    angles = kinematics.solve(tips)
-    np.testing.assert_allclose(kinematics.tips(angles), tips, atol=1e-12)
-    assert np.array_equal(angles, kinematics.solve(tips))
-    lower, upper = np.tile(config.hand.joint_lower, 4), np.tile(config.hand.joint_upper, 4)
-    assert np.minimum(angles - lower, upper - angles).min() > 0.3  # far from every limit
+def test_gravity_torques_are_the_slope_of_the_height(loaded: Loaded) -> None:
+    torques, tree, step = np.empty(loaded.count), loaded.kinematics.tree, 1e-6
+    write_gravity_torques(tree, loaded.frames, loaded.origins, loaded.axes, GRAVITY, torques)
+    frames, origins, axes = (np.empty_like(part) for part in (loaded.frames, loaded.origins, loaded.axes))
+
+    def potential(angles: np.ndarray) -> float:
+        trace_hand(tree, angles, frames, origins, axes)
+        centers = origins + (frames @ tree.centers[:, :, None])[:, :, 0]
+        return -float(tree.masses @ centers @ GRAVITY)
+
+    for joint in range(loaded.count):
+        shift = np.zeros(loaded.count)
+        shift[joint] = step
+        slope = (potential(loaded.angles + shift) - potential(loaded.angles - shift)) / (2 * step)
+        assert abs(torques[joint] - slope) < 1e-9
 
 
-def test_nominal_pose_is_far_from_singular(make_scene: Callable[..., Scene]) -> None:
-    for jacobian in make_scene().jacobians():
-        assert np.linalg.cond(jacobian) < 4.0
+def test_force_torques_are_the_transposed_jacobian(loaded: Loaded) -> None:
+    force, torques = np.array([1.0, -2.0, 0.5]), np.ones(loaded.count)
+    point = np.array([0.1, 0.2, -0.1])
+    for link in range(loaded.count):
+        torques[:] = 1.0
+        add_force_torques(loaded.kinematics.tree, link, loaded.origins, loaded.axes, point, force, torques)
+        np.testing.assert_allclose(torques, 1.0 + loaded.jacobian(link, point).T @ force, atol=1e-15)
 
 
-def test_out_of_reach_names_the_finger() -> None:
-    kinematics = HandKinematics(HandDescription.four_finger())
-    tips = SceneConfig().nominal_tips()
+def test_inertias_match_pybullet(loaded: Loaded) -> None:
+    """The mass matrix: inertias, and what fixed joints merge, mean the same to PyBullet."""
+    total, tree = np.zeros((loaded.count, loaded.count)), loaded.kinematics.tree
+    for link in range(loaded.count):
+        center = loaded.origins[link] + loaded.frames[link] @ tree.centers[link]
+        moving = loaded.jacobian(link, center)
+        turning = np.where((moving != 0.0).any(axis=0), loaded.axes.T, 0.0)
+        inertia = loaded.frames[link] @ inertia_matrix(loaded.hand.links[link].inertia) @ loaded.frames[link].T
+        total += tree.masses[link] * moving.T @ moving + turning.T @ inertia @ turning
+    theirs = np.array(bullet.calculateMassMatrix(loaded.body, loaded.theirs(), physicsClientId=loaded.number))
+    # PyBullet finds principal axes to about 1e-8 of the inertia
+    np.testing.assert_allclose(theirs[np.ix_(loaded.columns, loaded.columns)], total, atol=1e-11)
+
+
+@pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
+def test_solve_comes_back_to_reachable_tips(maker: Callable[[], HandDescription]) -> None:
+    kinematics, rng = HandKinematics(maker()), np.random.default_rng(0)
+    lower, upper = np.maximum(kinematics.tree.lower, -math.pi), np.minimum(kinematics.tree.upper, math.pi)
+    for _ in range(50):
+        tips = kinematics.tips(rng.uniform(lower, upper))
+        assert kinematics.reachable(tips)
+        angles = kinematics.solve(tips)
+        assert np.linalg.norm(kinematics.tips(angles) - tips, axis=1).max() < 1e-9
+        assert (angles >= kinematics.tree.lower).all()
+        assert (angles <= kinematics.tree.upper).all()
+        assert np.array_equal(angles, kinematics.solve(tips))
+
+
+def test_solve_matches_the_closed_form_of_three_joints() -> None:
+    hand = HandDescription.four_finger()
+    kinematics = HandKinematics(hand)
+    angles = kinematics.solve(NOMINAL)
+    for finger, (tip, thumb) in enumerate(zip(NOMINAL, (True, False, False, False), strict=True)):
+        base = np.array(hand.links[3 * finger].origin)
+        side = (tip - base) * ((1, -1, 1) if thumb else (-1, -1, -1))  # sideways, down, towards the object
+        down = math.hypot(side[0], side[1]) - 0.035
+        cosine = (down**2 + side[2] ** 2 - 0.08**2 - 0.07**2) / (2 * 0.08 * 0.07)
+        knee = math.acos(cosine)
+        bend = math.atan2(side[2], down) - math.atan2(0.07 * math.sin(knee), 0.08 + 0.07 * cosine)
+        expected = [math.atan2(side[0], side[1]), bend, knee]
+        np.testing.assert_allclose(angles[3 * finger : 3 * finger + 3], expected, atol=1e-12)
+
+
+def test_solve_starts_where_it_is_told_and_stays_near() -> None:
+    kinematics = HandKinematics(HandDescription.four_finger_4dof())
+    start = kinematics.solve(NOMINAL)
+    moved = kinematics.solve(NOMINAL + np.array([0.0, 0.001, 0.0]), start)
+    assert np.abs(moved - start).max() < 0.03
+    assert np.abs(start - kinematics.home).max() < 1.0
+    assert np.array_equal(kinematics.solve(NOMINAL, start), start)
+
+
+def test_joints_that_move_no_fingertip_stay() -> None:
+    hand = HandDescription.from_urdf(CROOKED, ("finger_c_end",))
+    kinematics = HandKinematics(hand)
+    aim = kinematics.home.copy()
+    aim[kinematics.carries[0]] += 0.1
+    angles = kinematics.solve(kinematics.tips(aim))
+    idle = ~kinematics.carries[0]
+    assert idle.sum() == 6
+    np.testing.assert_array_equal(angles[idle], kinematics.home[idle])
+
+
+def test_out_of_reach_names_the_finger_and_the_distance() -> None:
+    kinematics, tips = HandKinematics(HandDescription.four_finger()), NOMINAL.copy()
     tips[2, 1] = -0.2
-    with pytest.raises(InvalidInputError, match=r"'left' cannot reach.*allowed are 0\.0100 to 0\.1500"):
+    with pytest.raises(InvalidInputError, match=r"'left' cannot reach.*it is 0\.3367 m.*up to 0\.1850 m; move the"):
+        kinematics.solve(tips)
+    assert not kinematics.reachable(tips)
+
+
+def test_too_near_names_the_finger_and_what_is_missing() -> None:
+    kinematics, tips = HandKinematics(HandDescription.four_finger()), NOMINAL.copy()
+    tips[1] = (0.0, 0.1, 0.105)  # on the second joint: the knee would have to fold beyond itself
+    with pytest.raises(InvalidInputError, match=r"'middle' cannot reach.*nearest its tip comes is 0\.0413 m"):
         kinematics.solve(tips)
 
 
-def test_beyond_a_joint_limit_is_refused() -> None:
-    kinematics = HandKinematics(HandDescription.four_finger())
-    tips = SceneConfig().nominal_tips()
+def test_beyond_a_joint_limit_names_the_joint() -> None:
+    kinematics, tips = HandKinematics(HandDescription.four_finger()), NOMINAL.copy()
     tips[0] = (0.13, 0.13, -0.08)
-    with pytest.raises(InvalidInputError, match="'thumb' needs angles"):
+    message = r"'thumb' reaches .* only beyond its joint limits: thumb_knuckle_joint = 1\.532 rad, allowed are -1\.000"
+    with pytest.raises(InvalidInputError, match=message):
+        kinematics.solve(tips)
+    assert not kinematics.reachable(tips)
+
+
+def test_fingers_that_share_a_joint_are_refused_together() -> None:
+    kinematics = HandKinematics(crooked())
+    first, second = kinematics.home.copy(), kinematics.home.copy()
+    fold = kinematics.hand.joint_names.index("palm_fold")
+    first[fold], second[fold] = -0.5, 0.8
+    tips = kinematics.tips(first)
+    tips[1] = kinematics.tips(second)[1]
+    with pytest.raises(InvalidInputError, match=r"'pad_a' reaches .* together with .* only beyond .*: b_curl ="):
         kinematics.solve(tips)
 
 
-def _points_along(origins: np.ndarray) -> np.ndarray:
-    steps = np.linspace(0.0, 1.0, 41)[:, None]
-    return np.vstack([a + steps * (b - a) for a, b in pairwise(origins)])
-
-
-def test_links_clear_one_another_and_the_object() -> None:
-    config = SceneConfig()
-    hand, kinematics = config.hand, HandKinematics(config.hand)
-    angles, lines = kinematics.solve(config.nominal_tips()), []
-    for i in range(4):
-        origins, axes = np.empty((4, 3)), np.empty((3, 3))
-        own = angles[3 * i : 3 * i + 3]
-        trace_finger(kinematics.bases[i], kinematics.rotations[i], kinematics.lengths, own, origins, axes)
-        lines.append(_points_along(origins))
-    for i, line in enumerate(lines):
-        outside = np.maximum(np.abs(line) - config.half_extents, 0.0)
-        assert np.linalg.norm(outside, axis=1).min() > hand.link_radius + 0.002
-        for other in lines[:i]:
-            gaps = np.linalg.norm(line[:, None] - other[None], axis=2)
-            assert gaps.min() > 2 * hand.link_radius + 0.003
-
-
-def test_descriptions_refuse_nonsense() -> None:
-    with pytest.raises(InvalidInputError, match="orthogonal unit"):
-        FingerDescription("bent", (0.0, 0.0, 0.0), press=(0.0, -1.0, 0.1))
-    fingers = HandDescription.four_finger().fingers
-    with pytest.raises(InvalidInputError, match="link_masses"):
-        HandDescription(fingers, link_masses=(0.02, 0.03, 0.0, 0.01))
-    with pytest.raises(InvalidInputError, match="joint_lower"):
-        HandDescription(fingers, joint_lower=(2.0, 0.0, 0.0))
-    with pytest.raises(InvalidInputError, match="empty"):
-        HandDescription(())
+def test_wrong_arrays_are_refused() -> None:
+    kinematics = HandKinematics(HandDescription.three_finger())
+    with pytest.raises(InvalidInputError, match=r"tips must have shape \(3, 3\)"):
+        kinematics.solve(NOMINAL)
+    with pytest.raises(InvalidInputError, match="angles must be finite"):
+        kinematics.tips(np.full(9, np.nan))
+    with pytest.raises(InvalidInputError, match="start must have shape"):
+        kinematics.reachable(NOMINAL[:3], start=np.zeros(3))

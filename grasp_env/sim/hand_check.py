@@ -1,0 +1,102 @@
+"""Checks of the numbers that describe a hand: what is refused, and what the message says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from grasp_env.errors import InvalidInputError
+
+Vector3: TypeAlias = tuple[float, float, float]
+Inertia: TypeAlias = tuple[float, float, float, float, float, float]
+
+
+def numbers(values: Any, count: int | None, name: str) -> tuple[float, ...]:
+    """`count` finite numbers as a tuple of floats, so that every description can be hashed.
+
+    Raises:
+        InvalidInputError: Another count, no numbers, or not finite.
+    """
+    try:
+        result = tuple(float(value) for value in values)
+    except (TypeError, ValueError):
+        raise InvalidInputError(f"{name}={values!r} must be {count or 'a row of'} numbers") from None
+    if count is not None and len(result) != count:
+        raise InvalidInputError(f"{name}={result} must be {count} numbers, not {len(result)}")
+    if not all(map(math.isfinite, result)):
+        raise InvalidInputError(f"{name}={result} must be finite numbers")
+    return result
+
+
+def positive(value: Any, name: str) -> float:
+    """A finite number above 0, or `InvalidInputError`."""
+    (number,) = numbers((value,), 1, name)
+    if number <= 0.0:
+        raise InvalidInputError(f"{name}={number} must be above 0")
+    return number
+
+
+def word(value: Any, name: str) -> str:
+    """A name that is not empty, or `InvalidInputError`."""
+    if not isinstance(value, str) or not value.strip():
+        raise InvalidInputError(f"{name}={value!r} must be a name of at least one letter")
+    return value
+
+
+def unit(values: Any, name: str) -> Vector3:
+    """Three numbers of length 1, or `InvalidInputError`."""
+    x, y, z = numbers(values, 3, name)
+    length = math.sqrt(x * x + y * y + z * z)
+    if abs(length - 1.0) > 1e-9:
+        raise InvalidInputError(f"{name}={(x, y, z)} must have length 1, not {length:.6g}; normalise it")
+    return x, y, z
+
+
+def limits(lower: Any, upper: Any, name: str) -> tuple[float, float]:
+    """A lower limit below an upper one, or -inf and inf together: a joint that turns without end."""
+    if (lower, upper) == (-math.inf, math.inf):
+        return -math.inf, math.inf
+    low, high = numbers((lower, upper), 2, f"{name}: (lower, upper)")
+    if low >= high:
+        raise InvalidInputError(f"{name}: lower={low} must be below upper={high}; exchange them or widen the range")
+    return low, high
+
+
+def inertia_of(values: Any, name: str) -> Inertia:
+    """The inertia of a body that can exist: positive, no principal moment above the sum of the others.
+
+    Args:
+        values: ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2].
+        name: Of the link, for the message.
+
+    Raises:
+        InvalidInputError: No body has this inertia.
+    """
+    given = numbers(values, 6, f"{name}: inertia")
+    moments = np.linalg.eigvalsh(inertia_matrix(given))
+    if moments[0] <= 0.0:
+        raise InvalidInputError(
+            f"{name}: inertia={given} has the principal moments {moments.tolist()} kg m^2, all must be above 0; "
+            "give ixx, ixy, ixz, iyy, iyz, izz about the centre of mass"
+        )
+    if moments[2] >= moments[0] + moments[1]:
+        raise InvalidInputError(
+            f"{name}: inertia={given} has the principal moments {moments.tolist()} kg m^2; in a body the largest is "
+            "below the sum of the other two. Check units, signs and that it is about the centre of mass"
+        )
+    return given[0], given[1], given[2], given[3], given[4], given[5]
+
+
+def inertia_matrix(values: Sequence[float]) -> np.ndarray:
+    """(3, 3) of ixx, ixy, ixz, iyy, iyz, izz."""
+    xx, xy, xz, yy, yz, zz = values
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def inertia_numbers(matrix: np.ndarray) -> Inertia:
+    """ixx, ixy, ixz, iyy, iyz, izz of (3, 3)."""
+    xx, xy, xz = matrix[0].tolist()
+    return xx, xy, xz, float(matrix[1, 1]), float(matrix[1, 2]), float(matrix[2, 2])

@@ -1,0 +1,157 @@
+"""Fingers of three or four joints that hang from a palm, as links.
+
+The finger frame has x along the hanging finger, z along its pressing direction and y = z x x. The first joint swings
+the finger sideways (about z), the others flex it towards the object: at zero angles a finger hangs straight along x,
+and a positive flexion moves its tip along z.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim.hand_check import Vector3, limits, numbers, positive, unit, word
+from grasp_env.sim.hand_frames import roll_pitch_yaw
+from grasp_env.sim.hand_tree import Fingertip, Geometry, Link
+
+_LINK_NAMES = {3: ("knuckle", "proximal", "distal"), 4: ("knuckle", "proximal", "middle", "distal")}
+_ALONG_X: Vector3 = (0.0, math.pi / 2, 0.0)  # turns a capsule from z, its axis, to x, the links'
+_JOINT_COLOR = (0.30, 0.32, 0.36)
+_TIP_COLOR = (0.13, 0.13, 0.15)
+_JOINT_TO_LINK = 1.5  # radius of the ball drawn at a joint to that of the links
+
+
+@dataclass(frozen=True)
+class FingerDescription:
+    """How one finger is fixed to the palm, how long, heavy and strong it is.
+
+    The rows with one number per joint (`link_lengths`, `link_masses`, `joint_lower`, `joint_upper`, `home`) all have
+    three numbers (swing, two flexions) or four (swing, three flexions).
+
+    Attributes:
+        name: Used for its links, joints and fingertip.
+        base: Position of the first joint [m], (3,), world frame.
+        press: Unit direction in which flexion moves the tip, (3,), world frame.
+        hang: Unit direction of the straight finger, (3,), world frame, orthogonal to `press`.
+        color: Red, green and blue in [0, 1].
+        link_lengths: From the knuckle to the distal link [m].
+        link_masses: From the knuckle to the distal link, its tip not counted [kg].
+        tip_mass: [kg].
+        link_radius: Of the links' capsules [m].
+        tip_radius: Radius of the spherical tip, centred at the end of the distal link [m].
+        torque_limit: Largest torque of every joint [N m].
+        joint_lower: Lower limits [rad].
+        joint_upper: Upper limits [rad].
+        home: Rest posture [rad].
+    """
+
+    name: str
+    base: Vector3
+    press: Vector3
+    hang: Vector3 = (0.0, -1.0, 0.0)
+    color: Vector3 = (0.5, 0.5, 0.5)
+    link_lengths: tuple[float, ...] = (0.035, 0.08, 0.07)
+    link_masses: tuple[float, ...] = (0.02, 0.03, 0.02)
+    tip_mass: float = 0.01
+    link_radius: float = 0.0075
+    tip_radius: float = 0.01
+    torque_limit: float = 12.0
+    joint_lower: tuple[float, ...] = (-1.0, -1.8, 0.05)
+    joint_upper: tuple[float, ...] = (1.0, 1.2, 2.6)
+    home: tuple[float, ...] = (0.0, -0.6, 1.2)
+
+    def __post_init__(self) -> None:
+        name = f"finger {word(self.name, 'name of a finger')!r}"
+        press, hang = unit(self.press, f"{name}: press"), unit(self.hang, f"{name}: hang")
+        if abs(np.dot(press, hang)) > 1e-9:
+            raise InvalidInputError(
+                f"{name}: press={press} and hang={hang} must be orthogonal; turn one of them by 90 degrees"
+            )
+        lengths = numbers(self.link_lengths, None, f"{name}: link_lengths")
+        if len(lengths) not in _LINK_NAMES:
+            raise InvalidInputError(
+                f"{name}: link_lengths={lengths} has {len(lengths)} links; a finger has 3 or 4. "
+                "Build other hands of Link objects, or from a URDF"
+            )
+        rows = {field: numbers(getattr(self, field), len(lengths), f"{name}: {field}") for field in _ROWS}
+        for field in ("link_lengths", "link_masses"):
+            for value in rows[field]:
+                positive(value, f"{name}: {field}")
+        for field in ("tip_mass", "link_radius", "tip_radius", "torque_limit"):
+            positive(getattr(self, field), f"{name}: {field}")
+        for low, high in zip(rows["joint_lower"], rows["joint_upper"], strict=True):
+            limits(low, high, f"{name}: joint_lower and joint_upper [rad]")
+        rows |= {"base": numbers(self.base, 3, f"{name}: base"), "press": press, "hang": hang}
+        for field, value in rows.items():
+            object.__setattr__(self, field, value)
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Finger frame to world frame, (3, 3)."""
+        hang, press = np.array(self.hang), np.array(self.press)
+        return np.column_stack([hang, np.cross(press, hang), press])
+
+    def links(self, palm: str) -> tuple[Link, ...]:
+        """The finger as links, the first one carried by the link `palm`."""
+        links: list[Link] = []
+        for index, kind in enumerate(_LINK_NAMES[len(self.link_lengths)]):
+            before = links[-1].name if links else palm
+            links.append(self._link(index, f"{self.name}_{kind}", before))
+        return tuple(links)
+
+    def fingertip(self) -> Fingertip:
+        """The sphere at the end of the distal link."""
+        return Fingertip(self.name, f"{self.name}_distal", (self.link_lengths[-1], 0.0, 0.0), self.tip_radius)
+
+    def _link(self, index: int, name: str, parent: str) -> Link:
+        first, last = index == 0, index == len(self.link_lengths) - 1
+        length, radius = self.link_lengths[index], self.link_radius
+        mass, center, along, across = _rod(self.link_masses[index], length, radius)
+        collision = (_capsule(radius, length),)
+        visual = (_capsule(radius, length), Geometry("sphere", (_JOINT_TO_LINK * radius,), color=_JOINT_COLOR))
+        if last:
+            mass, center, along, across = self._with_tip(mass, center, along, across)
+            tip: Vector3 = (length, 0.0, 0.0)
+            # the capsule's round end stops at the tip's centre: only the tip meets what the finger presses on
+            short = (_capsule(radius, length - radius),) if length > radius else ()
+            collision = (*short, Geometry("sphere", (self.tip_radius,), tip))
+            visual += (Geometry("sphere", (self.tip_radius,), tip, color=_TIP_COLOR),)
+        return Link(
+            name=name,
+            parent=parent,
+            origin=self.base if first else (self.link_lengths[index - 1], 0.0, 0.0),
+            rotation=roll_pitch_yaw(self.rotation) if first else (0.0, 0.0, 0.0),
+            axis=(0.0, 0.0, 1.0) if first else (0.0, -1.0, 0.0),
+            lower=self.joint_lower[index],
+            upper=self.joint_upper[index],
+            torque_limit=self.torque_limit,
+            mass=mass,
+            center=(center, 0.0, 0.0),
+            inertia=(along, 0.0, 0.0, across, 0.0, across),
+            collision=collision,
+            visual=visual,
+            color=self.color,
+        )
+
+    def _with_tip(self, mass: float, center: float, along: float, across: float) -> tuple[float, float, float, float]:
+        """Mass, centre and moments of the distal link together with the solid sphere of its tip."""
+        length, ball = self.link_lengths[-1], 0.4 * self.tip_mass * self.tip_radius**2
+        total = mass + self.tip_mass
+        middle = (mass * center + self.tip_mass * length) / total
+        across += mass * (middle - center) ** 2 + self.tip_mass * (length - middle) ** 2
+        return total, middle, along + ball, across + ball
+
+
+_ROWS = ("link_lengths", "link_masses", "joint_lower", "joint_upper", "home")
+
+
+def _capsule(radius: float, length: float) -> Geometry:
+    return Geometry("capsule", (radius, length), (0.5 * length, 0.0, 0.0), _ALONG_X)
+
+
+def _rod(mass: float, length: float, radius: float) -> tuple[float, float, float, float]:
+    """Mass, centre and moments along and across of a solid cylinder along x [kg, m, kg m^2]."""
+    return mass, 0.5 * length, 0.5 * mass * radius**2, mass * (length**2 / 12 + radius**2 / 4)

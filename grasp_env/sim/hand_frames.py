@@ -1,0 +1,65 @@
+"""Rotations as URDF writes them, and frames as (rotation, origin)."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from grasp_env.sim.hand_check import Vector3
+
+
+def rotation_matrix(angles: Vector3) -> np.ndarray:
+    """Rz(yaw) Ry(pitch) Rx(roll), (3, 3), of roll, pitch and yaw [rad].
+
+    Example:
+        >>> rotation_matrix((0.0, 0.0, math.pi / 2)).round(3) + 0.0
+        array([[ 0., -1.,  0.],
+               [ 1.,  0.,  0.],
+               [ 0.,  0.,  1.]])
+    """
+    (sr, sp, sy), (cr, cp, cy) = np.sin(angles), np.cos(angles)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def roll_pitch_yaw(rotation: np.ndarray) -> Vector3:
+    """The angles [rad] of a rotation matrix; all their digits hold beside the gimbal lock, too."""
+    yaw = math.atan2(rotation[1, 0], rotation[0, 0])
+    c, s = math.cos(yaw), math.sin(yaw)
+    pitch = math.atan2(-rotation[2, 0], c * rotation[0, 0] + s * rotation[1, 0])
+    # of Rz(-yaw) times the rotation, so that an inexact yaw is made good by the roll
+    roll = math.atan2(s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1])
+    return roll, pitch, yaw
+
+
+class Frame(NamedTuple):
+    """Where a frame lies in another one: p_outer = rotation @ p_inner + origin."""
+
+    rotation: np.ndarray
+    origin: np.ndarray
+
+    @staticmethod
+    def of(origin: Vector3, angles: Vector3) -> Frame:
+        """From metres and roll, pitch, yaw [rad]."""
+        return Frame(rotation_matrix(angles), np.array(origin, dtype=float))
+
+    def carry(self, origin: Vector3, angles: Vector3) -> tuple[Vector3, Vector3]:
+        """An origin [m] and roll, pitch, yaw [rad] given in this frame, in the outer one; digits stay if they can."""
+        if not self.origin.any() and np.array_equal(self.rotation, np.eye(3)):
+            return origin, angles
+        return (self @ Frame.of(origin, angles)).numbers()
+
+    def __matmul__(self, inner: Frame) -> Frame:
+        return Frame(self.rotation @ inner.rotation, self.rotation @ inner.origin + self.origin)
+
+    def numbers(self) -> tuple[Vector3, Vector3]:
+        """Origin [m] and roll, pitch, yaw [rad]."""
+        x, y, z = self.origin.tolist()
+        return (x, y, z), roll_pitch_yaw(self.rotation)

@@ -1,0 +1,171 @@
+"""The parts of a hand: links with the joints that move them, geometries, fingertips and the palm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.sim.hand_check import Inertia, Vector3, inertia_of, limits, numbers, positive, unit, word
+
+SIZES = {
+    "sphere": ("radius",),
+    "capsule": ("radius", "length"),
+    "cylinder": ("radius", "length"),
+    "box": ("x", "y", "z"),
+}
+"""Kinds of geometry and their sizes [m]; a capsule's length is that of its cylinder, axes are z."""
+
+_NOWHERE: Vector3 = (0.0, 0.0, 0.0)
+
+
+def _fix(part: Any, **values: Any) -> None:
+    """Set checked fields of a frozen dataclass."""
+    for name, value in values.items():
+        object.__setattr__(part, name, value)
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """A shape fixed to a link.
+
+    Attributes:
+        kind: "sphere", "capsule", "cylinder" or "box"; the axis of capsule and cylinder is z.
+        size: Radius; radius and length (of a capsule without its ends); or three sides [m].
+        origin: Of its centre [m], (3,), link frame.
+        rotation: Roll, pitch and yaw of its axes [rad], (3,), link frame.
+        color: Red, green and blue in [0, 1]; None is the link's.
+    """
+
+    kind: str
+    size: tuple[float, ...]
+    origin: Vector3 = _NOWHERE
+    rotation: Vector3 = _NOWHERE
+    color: Vector3 | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in SIZES:
+            raise UnknownNameError("kind of geometry", self.kind, SIZES)
+        name = f"geometry {self.kind!r}"
+        size = numbers(self.size, len(SIZES[self.kind]), f"{name}: size ({', '.join(SIZES[self.kind])})")
+        if min(size) <= 0.0:
+            raise InvalidInputError(f"{name}: size={size} m must be above 0")
+        _fix(
+            self,
+            size=size,
+            origin=numbers(self.origin, 3, f"{name}: origin"),
+            rotation=numbers(self.rotation, 3, f"{name}: rotation"),
+            color=None if self.color is None else numbers(self.color, 3, f"{name}: color"),
+        )
+
+
+@dataclass(frozen=True)
+class Link:
+    """A moving link with the revolute joint that carries it.
+
+    At angle 0 the link frame lies at `origin`, turned by `rotation`, in the frame of its parent; the joint turns it
+    about `axis` through its own origin.
+
+    Attributes:
+        name: Of the link.
+        parent: Name of the link, or of the palm, that carries it.
+        origin: Of the joint [m], (3,), parent's frame.
+        rotation: Roll, pitch and yaw at angle 0 [rad], (3,), parent's frame.
+        axis: Of the joint, unit, (3,), link frame.
+        lower: Least angle [rad]; -inf together with upper=inf is a joint without limits.
+        upper: Largest angle [rad].
+        torque_limit: Largest torque of the joint, either way [N m].
+        mass: [kg].
+        center: Centre of mass [m], (3,), link frame.
+        inertia: ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2], link axes.
+        collision: Shapes that touch the object and other fingers.
+        visual: Shapes that are drawn.
+        color: Red, green and blue in [0, 1] of the shapes without their own.
+        joint: Name of the joint; "" becomes the link's name with "_joint".
+    """
+
+    name: str
+    parent: str
+    origin: Vector3
+    rotation: Vector3
+    axis: Vector3
+    lower: float
+    upper: float
+    torque_limit: float
+    mass: float
+    center: Vector3
+    inertia: Inertia
+    collision: tuple[Geometry, ...] = ()
+    visual: tuple[Geometry, ...] = ()
+    color: Vector3 = (0.5, 0.5, 0.5)
+    joint: str = ""
+
+    def __post_init__(self) -> None:
+        name = f"link {word(self.name, 'link name')!r}"
+        word(self.parent, f"{name}: parent")
+        lower, upper = limits(self.lower, self.upper, f"{name}: joint limits [rad]")
+        _fix(
+            self,
+            origin=numbers(self.origin, 3, f"{name}: origin"),
+            rotation=numbers(self.rotation, 3, f"{name}: rotation"),
+            axis=unit(self.axis, f"{name}: axis"),
+            lower=lower,
+            upper=upper,
+            torque_limit=positive(self.torque_limit, f"{name}: torque_limit [N m]"),
+            mass=positive(self.mass, f"{name}: mass [kg]"),
+            center=numbers(self.center, 3, f"{name}: center"),
+            inertia=inertia_of(self.inertia, name),
+            collision=tuple(self.collision),
+            visual=tuple(self.visual),
+            color=numbers(self.color, 3, f"{name}: color"),
+            joint=word(self.joint or f"{self.name}_joint", f"{name}: joint"),
+        )
+
+
+@dataclass(frozen=True)
+class Fingertip:
+    """A sphere on a link: where a finger touches.
+
+    Attributes:
+        name: Of the finger.
+        link: Name of the link that carries it.
+        center: [m], (3,), link frame.
+        radius: [m].
+    """
+
+    name: str
+    link: str
+    center: Vector3
+    radius: float
+
+    def __post_init__(self) -> None:
+        name = f"fingertip {word(self.name, 'name of a fingertip')!r}"
+        word(self.link, f"{name}: link")
+        center = numbers(self.center, 3, f"{name}: center")
+        _fix(self, center=center, radius=positive(self.radius, f"{name}: radius [m]"))
+
+
+@dataclass(frozen=True)
+class Palm:
+    """What the fingers are fixed to; it does not move, and its frame is the world frame.
+
+    Attributes:
+        name: Of its link.
+        collision: Shapes that touch the object and the fingers.
+        visual: Shapes that are drawn.
+        color: Red, green and blue in [0, 1] of the shapes without their own.
+    """
+
+    name: str = "palm"
+    collision: tuple[Geometry, ...] = ()
+    visual: tuple[Geometry, ...] = ()
+    color: Vector3 = (0.17, 0.19, 0.23)
+
+    def __post_init__(self) -> None:
+        word(self.name, "palm: name")
+        _fix(
+            self,
+            collision=tuple(self.collision),
+            visual=tuple(self.visual),
+            color=numbers(self.color, 3, f"palm {self.name!r}: color"),
+        )

@@ -1,0 +1,297 @@
+"""Descriptions of hands: what they refuse, and what the built-in ones can do."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError
+from grasp_env.sim.client import Client, bullet
+from grasp_env.sim.hand import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Link, Palm
+from grasp_env.sim.hand_bodies import joint_indices, links_of_indices, load_hand
+from grasp_env.sim.kinematics import HandKinematics, trace_hand, write_jacobian
+
+# where the fingers press on the faces of a cuboid at z = -side / 2 (the thumb) and z = side / 2 [m]
+FRONT = {
+    "three_finger": [(-0.025, 0.0), (0.025, 0.0)],
+    "four_finger": [(0.0, 0.03), (-0.03, -0.02), (0.03, -0.02)],
+    "four_finger_4dof": [(0.0, 0.03), (-0.03, -0.02), (0.03, -0.02)],
+    "five_finger": [(-0.0125, 0.025), (0.0125, 0.025), (-0.028, -0.01), (0.028, -0.01)],
+}
+OBJECT_SIDES = (0.07, 0.1, 0.12)
+
+
+def tips_on_cuboid(name: str, side: float) -> np.ndarray:
+    """Centres of tips that rest on a cuboid at the origin, (N, 3)."""
+    away = 0.5 * side + 0.01
+    return np.array([(0.0, 0.0, -away), *((x, y, away) for x, y in FRONT[name])])
+
+
+class Posed:
+    """A built-in hand in PyBullet."""
+
+    def __init__(self, hand: HandDescription) -> None:
+        self.hand, self.kinematics, self.client = hand, HandKinematics(hand), Client()
+        self.number = self.client.number
+        self.body = load_hand(self.number, hand)
+        self.indices = joint_indices(self.number, self.body, hand)
+        self.names = [link.name for link in hand.links] + ["palm"]
+
+    def pose(self, angles: np.ndarray) -> None:
+        for index, angle in zip(self.indices, angles.tolist(), strict=True):
+            bullet.resetJointState(self.body, index, angle, physicsClientId=self.number)
+
+    def collisions(self) -> set[tuple[str, str]]:
+        """Names of the links that overlap, as the running simulation would find them."""
+        bullet.performCollisionDetection(physicsClientId=self.number)
+        links = links_of_indices(self.indices)
+        rows = bullet.getContactPoints(self.body, self.body, physicsClientId=self.number)
+        pairs = [(self.names[links[row[3]]], self.names[links[row[4]]]) for row in rows if row[8] < 0.0]
+        return {(min(pair), max(pair)) for pair in pairs}
+
+    def distance(self, other: int, link: int, other_link: int = -1) -> float:
+        """Between one of our links and a link of a body [m], 0.05 where it is more."""
+        rows = bullet.getClosestPoints(
+            self.body, other, 0.05, linkIndexA=self.indices[link], linkIndexB=other_link, physicsClientId=self.number
+        )
+        return min((row[8] for row in rows), default=0.05)
+
+
+@pytest.fixture(params=sorted(HANDS))
+def posed(request: pytest.FixtureRequest) -> Iterator[Posed]:
+    made = Posed(HANDS[request.param]())
+    yield made
+    made.client.close()
+
+
+def test_built_in_hands_have_their_fingers_and_joints() -> None:
+    sizes = {name: (make().finger_count, make().joint_count) for name, make in HANDS.items()}
+    assert sizes == {
+        "four_finger": (4, 12),
+        "three_finger": (3, 9),
+        "five_finger": (5, 15),
+        "four_finger_4dof": (4, 16),
+    }
+    for name, make in HANDS.items():
+        hand = make()
+        assert hand.name == name
+        assert hand.torque_limits.tolist() == [12.0] * hand.joint_count
+        assert len(set(hand.joint_names)) == hand.joint_count
+
+
+def test_the_four_finger_hand_keeps_its_numbers() -> None:
+    hand = HandDescription.four_finger()
+    assert hand.finger_names == ("thumb", "middle", "left", "right")
+    assert [link.mass for link in hand.links[:3]] == pytest.approx([0.02, 0.03, 0.03])
+    assert [(link.lower, link.upper) for link in hand.links[3:6]] == [(-1.0, 1.0), (-1.8, 1.2), (0.05, 2.6)]
+    tips = HandKinematics(hand).tips(np.zeros(12))  # hanging straight
+    np.testing.assert_allclose(
+        tips, [(0, -0.05, -0.09), (0, -0.05, 0.105), (-0.045, -0.05, 0.09), (0.045, -0.05, 0.09)], atol=1e-15
+    )
+
+
+def test_equal_hands_are_equal_hashable_and_picklable() -> None:
+    for make in HANDS.values():
+        hand = make()
+        assert hand == make()
+        assert hash(hand) == hash(make())
+        assert pickle.loads(pickle.dumps(hand)) == hand
+
+
+@pytest.mark.parametrize("side", OBJECT_SIDES)
+def test_links_clear_one_another_and_the_object(posed: Posed, side: float) -> None:
+    kinematics, tips = posed.kinematics, tips_on_cuboid(posed.hand.name, side)
+    angles = kinematics.solve(tips)
+    assert np.minimum(angles - kinematics.tree.lower, kinematics.tree.upper - angles).min() > 0.4
+    posed.pose(angles)
+    assert posed.collisions() == set()
+    halves = [0.5 * side] * 3
+    shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=halves, physicsClientId=posed.number)
+    box = bullet.createMultiBody(0.2, shape, physicsClientId=posed.number)
+    tip_links = kinematics.tree.tip_links.tolist()
+    for link in range(posed.hand.joint_count):
+        gap = posed.distance(box, link)
+        assert abs(gap) < 1e-6 if link in tip_links else gap > 0.03, (link, gap)
+        for other in range(link):
+            finger, other_finger = kinematics.carries[:, link].argmax(), kinematics.carries[:, other].argmax()
+            if finger != other_finger:
+                assert posed.distance(posed.body, link, posed.indices[other]) > 0.004
+
+
+@pytest.mark.parametrize("side", OBJECT_SIDES)
+def test_only_the_tip_of_a_distal_link_is_near_the_object(posed: Posed, side: float) -> None:
+    kinematics, hand = posed.kinematics, posed.hand
+    frames, origins, _ = traced(kinematics, kinematics.solve(tips_on_cuboid(hand.name, side)))
+    for link in kinematics.tree.tip_links:
+        capsule = next(shape for shape in hand.links[link].collision if shape.kind == "capsule")
+        along = np.linspace(-0.5, 0.5, 41) * capsule.size[1] + capsule.origin[0]
+        outside = np.maximum(np.abs(origins[link] + np.outer(along, frames[link][:, 0])) - 0.5 * side, 0.0)
+        assert np.linalg.norm(outside, axis=1).min() > capsule.size[0] + 0.007
+
+
+def test_a_finger_meets_itself_nowhere_and_the_palm_only_with_its_folded_tip(posed: Posed) -> None:
+    rng, tree, hand = np.random.default_rng(5), posed.kinematics.tree, posed.hand
+    posed.pose(posed.kinematics.home)
+    assert posed.collisions() == set()
+    for trial in range(400):
+        own = posed.kinematics.carries[trial % hand.finger_count]
+        angles = np.where(own, rng.uniform(tree.lower, tree.upper), posed.kinematics.home)
+        posed.pose(angles)
+        for first, second in posed.collisions():
+            fingers = {name.split("_")[0] for name in (first, second)}
+            if len(fingers) == 1:
+                pytest.fail(f"{first} meets {second} at {angles.tolist()}")
+            if "palm" in fingers:
+                assert "distal" in first + second
+
+
+def traced(kinematics: HandKinematics, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    count = len(angles)
+    frames, origins, axes = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
+    trace_hand(kinematics.tree, angles, frames, origins, axes)
+    return frames, origins, axes
+
+
+@pytest.mark.parametrize("name", sorted(HANDS))
+def test_grasping_poses_are_far_from_singular(name: str) -> None:
+    kinematics = HandKinematics(HANDS[name]())
+    tips = tips_on_cuboid(name, 0.1)
+    _, origins, axes = traced(kinematics, kinematics.solve(tips))
+    for finger, link in enumerate(kinematics.tree.tip_links):
+        jacobian = np.empty((3, kinematics.hand.joint_count))
+        write_jacobian(kinematics.tree, link, origins, axes, tips[finger], jacobian)
+        assert np.linalg.cond(jacobian[:, kinematics.carries[finger]]) < 4.5
+
+
+def test_links_of_indices_turns_joint_indices_round() -> None:
+    links = links_of_indices([3, 0, 5])
+    assert links == [1, -1, -1, 0, -1, 2, -1]
+    assert links[-1] == -1  # PyBullet's base
+
+
+def test_another_body_is_no_hand(posed: Posed) -> None:
+    shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.1, physicsClientId=posed.number)
+    ball = bullet.createMultiBody(1.0, shape, physicsClientId=posed.number)
+    with pytest.raises(SimulationError, match="lacks the joints thumb_knuckle_joint"):
+        joint_indices(posed.number, ball, posed.hand)
+
+
+def test_a_moved_hand_moves_as_a_whole() -> None:
+    hand = HandDescription.five_finger()
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    moved = hand.moved((0.1, 0.2, 0.3), (0.0, 0.0, np.pi / 2))
+    expected = HandKinematics(hand).tips(hand.home) @ turn.T + (0.1, 0.2, 0.3)
+    np.testing.assert_allclose(HandKinematics(moved).tips(hand.home), expected, atol=1e-15)
+    np.testing.assert_allclose(moved.palm.collision[0].origin, (0.1 - 0.145, 0.2, 0.3), atol=1e-15)
+    assert hand.moved((0.0, 0.0, 0.0)) == hand
+
+
+def link(**changes: Any) -> Link:
+    fields: dict[str, Any] = {
+        "name": "a",
+        "parent": "palm",
+        "origin": (0, 0, 0),
+        "rotation": (0, 0, 0),
+        "axis": (0, 0, 1),
+        "lower": -1,
+        "upper": 1,
+        "torque_limit": 2,
+        "mass": 0.1,
+        "center": (0, 0, 0),
+        "inertia": (1e-5, 0, 0, 1e-5, 0, 1e-5),
+    }
+    return Link(**(fields | changes))
+
+
+TIP = Fingertip("a", "a", (0, 0, 0), 0.01)
+
+
+def hand(links: Any, tips: Any = (TIP,), **fields: Any) -> HandDescription:
+    return HandDescription("test", Palm(), links, tips, **fields)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mass": 0.0}, r"link 'a': mass \[kg\]=0.0 must be above 0"),
+        ({"mass": "heavy"}, "must be 1 numbers"),
+        ({"torque_limit": -1.0}, "torque_limit .* must be above 0"),
+        ({"axis": (0, 0, 2)}, "axis=.* must have length 1, not 2; normalise it"),
+        ({"axis": (0, 0, 0)}, "must have length 1, not 0"),
+        ({"axis": (0, 1)}, "must be 3 numbers, not 2"),
+        ({"lower": 1.0, "upper": -1.0}, "lower=1.0 must be below upper=-1.0"),
+        ({"lower": -np.inf}, "must be finite"),
+        ({"origin": (np.nan, 0, 0)}, "origin=.* must be finite"),
+        ({"rotation": (0, 0, np.inf)}, "rotation=.* must be finite"),
+        ({"inertia": (1e-5, 0, 0, 1e-5, 0, -1e-5)}, "all must be above 0"),
+        ({"inertia": (1e-5, 2e-5, 0, 1e-5, 0, 1e-5)}, "all must be above 0"),
+        ({"inertia": (1e-5, 0, 0, 1e-5, 0, 3e-5)}, "the largest is below the sum of the other two"),
+        ({"inertia": (1e-5, 1e-5, 1e-5)}, "must be 6 numbers"),
+        ({"name": ""}, "must be a name"),
+    ],
+)
+def test_impossible_links_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        link(**changes)
+
+
+def test_impossible_hands_are_refused() -> None:
+    tip, good, next_link = TIP, link(), link(name="b", parent="a")
+    assert hand([good, next_link]).joint_count == 2
+    wrong: list[tuple[Any, Any, dict[str, Any], str]] = [
+        ([], (tip,), {}, "links=.. is empty"),
+        ([good], (), {}, "fingertips=.. is empty"),
+        ([next_link, good], (tip,), {}, "parent 'a' of link 'b' stands after it"),
+        ([good, link(name="b", parent="c")], (tip,), {}, "parent 'c' of link 'b' is no link; known are palm, a"),
+        ([good, good], (tip,), {}, "two links are called 'a'"),
+        ([link(name="palm")], (tip,), {}, "two links are called 'palm'"),
+        ([good, link(name="b", joint="a_joint")], (tip,), {}, "two joints are called 'a_joint'"),
+        ([good], (tip, tip), {}, "two fingertips are called 'a'"),
+        ([good], (Fingertip("a", "z", (0, 0, 0), 0.01),), {}, "is on link 'z'.*moving links are a"),
+        ([good], (Fingertip("a", "palm", (0, 0, 0), 0.01),), {}, "does not move"),
+        ([good], (tip,), {"home": (2.0,)}, "home=2.0 rad of joint 'a_joint' must be within its limits"),
+        ([good], (tip,), {"home": (0.0, 0.0)}, "must be 1 numbers, not 2"),
+        ([good], (tip,), {"tip_friction": 0.0}, "tip_friction=0.0 must be above 0"),
+    ]
+    for links, tips, fields, message in wrong:
+        with pytest.raises(InvalidInputError, match=message):
+            hand(links, tips, **fields)
+
+
+def test_impossible_parts_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match=r"radius .* must be above 0"):
+        Fingertip("a", "a", (0, 0, 0), 0.0)
+    with pytest.raises(GraspError, match="unknown kind of geometry 'cone': choose one of 'sphere'"):
+        Geometry("cone", (1.0,))
+    with pytest.raises(InvalidInputError, match=r"size \(radius, length\).* must be 2 numbers"):
+        Geometry("capsule", (1.0,))
+    with pytest.raises(InvalidInputError, match="m must be above 0"):
+        Geometry("box", (1.0, 0.0, 1.0))
+
+
+def test_impossible_fingers_are_refused() -> None:
+    with pytest.raises(InvalidInputError, match=r"press=.* must have length 1"):
+        FingerDescription("bent", (0.0, 0.0, 0.0), press=(0.0, -1.0, 0.1))
+    with pytest.raises(InvalidInputError, match="must be orthogonal"):
+        FingerDescription("bent", (0.0, 0.0, 0.0), press=(0.0, -1.0, 0.0))
+    good = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
+    wrong: dict[str, Any] = {
+        "link_lengths": (0.1, 0.1),
+        "link_masses": (0.02, 0.03, 0.0),
+        "joint_lower": (2.0, 0.0, 0.0),
+        "joint_upper": (1.0, 1.0, 1.0, 1.0),
+        "tip_radius": -0.01,
+        "home": (0.0, 5.0, 0.1),
+    }
+    for field, value in wrong.items():
+        with pytest.raises(InvalidInputError, match=field):
+            HandDescription.of_fingers([replace(good, **{field: value})])
+    with pytest.raises(InvalidInputError, match="is empty"):
+        HandDescription.of_fingers([])
+    with pytest.raises(InvalidInputError, match="two links are called 'good_knuckle'"):
+        HandDescription.of_fingers([good, good])
