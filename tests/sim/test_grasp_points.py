@@ -1,0 +1,204 @@
+"""Grasps that are found: reachable, clear, closed, as good as claimed; and points that users give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from grasp_env.errors import InvalidInputError
+from grasp_env.force import ForceOptimizer, force_closure
+from grasp_env.grasp import Grasp
+from grasp_env.grasp.presets import paper_cuboid
+from grasp_env.sim import HANDS, HandKinematics
+from grasp_env.sim.bodies import create_body
+from grasp_env.sim.clearance import hand_clearance, hand_limbs, segment_gap, surface_gap
+from grasp_env.sim.client import Client, bullet
+from grasp_env.sim.grasp_points import FRICTION_MARGIN, check_points, grasp_points
+from grasp_env.sim.grasp_search import least_force
+from grasp_env.sim.hand_bodies import joint_indices, load_hand
+from grasp_env.sim.objects import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
+from grasp_env.sim.shapes import nearest
+
+
+@pytest.fixture(scope="module")
+def hand() -> HandKinematics:
+    return HandKinematics(HANDS["four_finger"]())
+
+
+def worst(item: ObjectDescription, points: np.ndarray, normals: np.ndarray) -> float:
+    """Largest least normal force for weight with a push or turn [N]; raises where there is none."""
+    grasp = Grasp.from_contacts(points, normals, FRICTION_MARGIN * item.friction)
+    assert force_closure(grasp).closed
+    optimizer = ForceOptimizer(grasp, method="conic")
+    steps = np.diag([2.0, 2.0, 2.0, 0.06, 0.06, 0.06])
+    weight = np.array([0.0, -9.81 * item.mass, 0.0, 0.0, 0.0, 0.0])
+    return max(optimizer.solve(weight + sign * step).objective for step in steps for sign in (1.0, -1.0))
+
+
+def check(item: ObjectDescription, kinematics: HandKinematics, points: np.ndarray, normals: np.ndarray) -> float:
+    on, inward = check_points(item, points, normals)
+    np.testing.assert_allclose(points, on, atol=1e-9)
+    np.testing.assert_allclose(normals, inward, atol=1e-6)
+    tree = kinematics.tree
+    tips = points - tree.tip_radii[:, None] * normals
+    angles = kinematics.solve(tips)
+    away, apart = hand_clearance(tree, hand_limbs(kinematics.hand), item.surface, angles)
+    assert away > 4e-4
+    assert apart > 1e-4
+    return worst(item, points, normals)
+
+
+def test_reference_grasp_is_kept(hand: HandKinematics) -> None:
+    points, normals = grasp_points(ObjectDescription(), hand)
+    np.testing.assert_array_equal(points, paper_cuboid().positions)
+    np.testing.assert_array_equal(normals, paper_cuboid().normals)
+    drawn, _ = grasp_points(ObjectDescription(), hand, np.random.default_rng(0))
+    assert not np.array_equal(drawn, points)
+
+
+@pytest.mark.parametrize("shape", SHAPES_WITHOUT_MESH)
+def test_random_objects_are_grasped(shape: str, hand: HandKinematics) -> None:
+    rng = np.random.default_rng(5)
+    forces = []
+    for _ in range(50):
+        item = random_object(rng, shapes=[shape])
+        forces.append(check(item, hand, *grasp_points(item, hand)))
+    assert np.median(forces) < 15.0
+    assert max(forces) < 60.0
+
+
+@pytest.mark.parametrize("name", ["three_finger", "five_finger", "four_finger_4dof"])
+def test_other_hands(name: str) -> None:
+    kinematics, rng = HandKinematics(HANDS[name]()), np.random.default_rng(2)
+    for _ in range(12):
+        item = random_object(rng)
+        assert check(item, kinematics, *grasp_points(item, kinematics)) < 60.0
+
+
+def test_mesh_is_grasped(tmp_path: Path, hand: HandKinematics) -> None:
+    path = str(tmp_path / "egg.stl")
+    egg = trimesh.creation.icosphere(2, 0.045)
+    egg.apply_transform(np.diag([1.0, 1.3, 0.9, 1.0]))
+    egg.export(path)
+    item = ObjectDescription("mesh", mesh=path)
+    assert check(item, hand, *grasp_points(item, hand)) < 20.0
+
+
+def test_same_generator_same_grasp(hand: HandKinematics) -> None:
+    item = ObjectDescription("cylinder", (0.08, 0.1))
+    first, again = (grasp_points(item, hand, np.random.default_rng(3))[0] for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(grasp_points(item, hand)[0], grasp_points(item, hand)[0])
+    assert not np.array_equal(first, grasp_points(item, hand)[0])
+
+
+def test_contacts_keep_away_from_edges(hand: HandKinematics) -> None:
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        item = random_object(rng, shapes=["cuboid", "cylinder"])
+        points, _ = grasp_points(item, hand)
+        half = 0.5 * np.array(item.extent)
+        if item.shape == "cuboid":
+            assert (np.sort(half - np.abs(points), axis=1)[:, 1] > 0.0029).all()
+        else:
+            side = np.hypot(points[:, 0], points[:, 2])
+            on_side = np.abs(side - half[0]) < 1e-9
+            assert (np.where(on_side, half[1] - np.abs(points[:, 1]), half[0] - side) > 0.0029).all()
+
+
+def test_bullet_sees_no_other_contact(hand: HandKinematics) -> None:
+    for shape in SHAPES_WITHOUT_MESH:
+        item = ObjectDescription(shape)
+        points, normals = grasp_points(item, hand)
+        # with gaps of 0.2 mm at the tips nothing at all touches
+        angles = hand.solve(points - (hand.tree.tip_radii[:, None] + 2e-4) * normals)
+        client = Client()
+        number = client.number
+        body = load_hand(number, hand.hand)
+        joints = joint_indices(number, body, hand.hand)
+        for joint, angle in zip(joints, angles.tolist(), strict=True):
+            bullet.resetJointState(body, joint, angle, physicsClientId=number)
+        held = create_body(number, item, (1.0, 1.0, 1.0))
+        bullet.performCollisionDetection(physicsClientId=number)
+        rows = bullet.getContactPoints(physicsClientId=number)
+        assert all(row[8] > 0.0 for row in rows)
+        near = {row[3] for row in bullet.getClosestPoints(body, held, 4e-4, physicsClientId=number)}
+        assert near == {joints[link] for link in hand.tree.tip_links}
+        client.close()
+
+
+def test_least_force_against_the_conic_solver() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(30):
+        count = int(rng.integers(3, 7))
+        normals = -rng.normal(size=(count, 3))
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        points = -0.05 * normals + 0.005 * rng.normal(size=(count, 3))
+        grasp = Grasp.from_contacts(points, normals, 0.5)
+        wrench = rng.normal(size=6) * ([1.0] * 3 + [0.05] * 3)
+        load, y = -wrench / ([1.0] * 3 + [0.05] * 3), np.empty(6)
+        found = least_force(points, normals, 0.5, 0.05, load, y)
+        if not force_closure(grasp).closed:
+            continue
+        best = ForceOptimizer(grasp, method="conic").solve(wrench).objective
+        assert best * (1.0 - 1e-6) <= found <= 1.03 * best
+
+
+def test_segments_and_surfaces() -> None:
+    rng = np.random.default_rng(3)
+    part = np.linspace(0.0, 1.0, 201)[:, None]
+    item = ObjectDescription("cylinder", (0.08, 0.1))
+    point, normal = np.empty(3), np.empty(3)
+    for _ in range(40):
+        a, b, c, d = rng.normal(size=(4, 3)) * 0.1
+        one, two = a + part * (b - a), c + part * (d - c)
+        brute = np.linalg.norm(one[:, None] - two[None], axis=2).min()
+        assert segment_gap(a, b, c, d) == pytest.approx(brute, abs=3e-3)
+        assert segment_gap(a, b, c, d) <= brute + 1e-12
+        assert segment_gap(a, a, c, c) == pytest.approx(np.linalg.norm(a - c))
+        brute = min(nearest(item.surface, center, point, normal) for center in one)
+        assert surface_gap(item.surface, a, b, np.inf) == pytest.approx(brute, abs=1.5e-3)
+
+
+@pytest.mark.parametrize(
+    ("item", "message"),
+    [
+        (ObjectDescription("cuboid", (0.3, 0.3, 0.3)), "into the palm"),
+        (ObjectDescription("cuboid", (0.1, 0.002, 0.1)), "cannot be grasped"),
+        (ObjectDescription("cuboid", (0.08, 0.08, 0.08), friction=0.001), "raise the friction"),
+    ],
+)
+def test_objects_that_cannot_be_held(item: ObjectDescription, message: str, hand: HandKinematics) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        grasp_points(item, hand)
+
+
+def test_two_fingers_and_hands_too_far_away() -> None:
+    four = HANDS["four_finger"]()
+    with pytest.raises(InvalidInputError, match="more fingers"):
+        grasp_points(ObjectDescription("sphere"), HandKinematics(replace(four, fingertips=four.fingertips[:2])))
+    with pytest.raises(InvalidInputError, match="'thumb' finds no place on it"):
+        grasp_points(ObjectDescription("sphere", (0.05,)), HandKinematics(four.moved((0.0, 0.3, 0.0))))
+
+
+def test_given_points_are_checked() -> None:
+    box, ball = ObjectDescription(), ObjectDescription("sphere")
+    points, normals = check_points(box, [[0.0, 0.01, 0.05005]])
+    np.testing.assert_allclose(points, [[0.0, 0.01, 0.05]])
+    np.testing.assert_allclose(normals, [[0.0, 0.0, -1.0]])
+    check_points(box, [[0.05, 0.01, 0.05]], [[-1.0, 0.0, -1.0]])  # on an edge
+    check_points(box, [[0.05, 0.01, 0.05]], [[0.0, 0.0, -1.0]])
+    for points, normals, message in (
+        ([[0.0, 0.0, 0.06]], None, "10.00 mm outside"),
+        ([[0.0, 0.0, 0.02]], None, "30.00 mm inside"),
+        ([[0.0, 0.0, 0.05]], [[0.0, 0.0, 1.0]], "inward normal"),
+        ([[0.0, 0.0, 0.05]], [[0.0, 0.1, -1.0]], "inward normal"),
+        ([[0.0, 0.0, 0.05]], [[0.0, 0.0, 0.0]], "must not be zero"),
+        ([[0.0, 0.0]], None, "shape"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            check_points(ball, points, normals)

@@ -1,0 +1,233 @@
+"""Sizes, inertia, meshes, random objects, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.sim.mesh import principal_rotation
+from grasp_env.sim.objects import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
+
+
+def export(folder: Path, mesh: trimesh.Trimesh, name: str = "object.obj") -> str:
+    path = str(folder / name)
+    mesh.export(path)
+    return path
+
+
+def test_hashable_json_and_pickle() -> None:
+    item = ObjectDescription("cylinder", (0.08, 0.1), 0.3, 0.5, inertia=(1e-4, 2e-4, 1e-4))
+    assert item.surface.kind == 1
+    assert hash(item) == hash(replace(item))
+    again = ObjectDescription(**json.loads(json.dumps(asdict(item))))
+    assert again == item == pickle.loads(pickle.dumps(item))
+    assert again.inertia_matrix[1, 1] == 2e-4
+
+
+def test_inertia_of_the_capsule_by_slices() -> None:
+    item = ObjectDescription("capsule", (0.06, 0.13), mass=0.3)
+    y = (np.arange(100000) + 0.5) / 100000 * 0.13 - 0.065
+    squared = np.where(np.abs(y) < 0.035, 0.03**2, 0.03**2 - (np.abs(y) - 0.035) ** 2)
+    mass = 0.3 * squared / squared.sum()
+    across = (mass * (0.25 * squared + y**2)).sum()
+    np.testing.assert_allclose(item.moments, (across, (mass * 0.5 * squared).sum(), across), rtol=1e-8)
+
+
+@pytest.mark.parametrize("shape", ["cuboid", "sphere", "cylinder"])
+def test_inertia_of_the_solid(shape: str) -> None:
+    item = ObjectDescription(shape, (0.1, 0.05, 0.07) if shape == "cuboid" else (), mass=0.3)
+    x, y, z = item.extent
+    solid = {
+        "cuboid": lambda: trimesh.creation.box((x, y, z)),
+        "sphere": lambda: trimesh.creation.icosphere(5, x / 2),
+        "cylinder": lambda: trimesh.creation.cylinder(x / 2, y, sections=400),
+    }[shape]()
+    if shape == "cylinder":  # trimesh's axis is z
+        solid.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))
+    solid.density = 0.3 / solid.volume
+    np.testing.assert_allclose(item.inertia_matrix, solid.moment_inertia, rtol=2e-3, atol=1e-9)
+
+
+def test_default_is_the_reference_cuboid() -> None:
+    item = ObjectDescription()
+    assert (item.shape, item.size, item.mass, item.friction) == ("cuboid", (0.1, 0.1, 0.1), 0.2, 0.4)
+    np.testing.assert_allclose(item.inertia_matrix, 0.2 * 0.1**2 / 6 * np.eye(3))
+
+
+@pytest.mark.parametrize("name", ["egg.obj", "egg.stl", "egg.ply", "egg.off"])
+def test_mesh_is_centred_and_measured(tmp_path: Path, name: str) -> None:
+    egg = trimesh.creation.icosphere(2, 50.0)
+    egg.apply_transform(np.diag([1.0, 1.4, 0.8, 1.0]))
+    egg.apply_translation((30.0, -20.0, 5.0))
+    item = ObjectDescription("mesh", (0.001,), mass=0.3, mesh=export(tmp_path, egg, name))
+    np.testing.assert_allclose(item.extent, (0.1, 0.14, 0.08), rtol=1e-5)
+    egg.apply_transform(np.diag([0.001, 0.001, 0.001, 1.0]))
+    egg.density = 0.3 / egg.volume
+    np.testing.assert_allclose(item.inertia_matrix, egg.moment_inertia, rtol=1e-4, atol=1e-8)
+    vertices, faces = item.faces
+    made = trimesh.Trimesh(vertices, faces)
+    assert made.is_watertight
+    assert made.volume == pytest.approx(egg.volume, rel=1e-5)
+    np.testing.assert_allclose(made.center_mass, 0.0, atol=1e-9)
+
+
+def test_crooked_mesh_is_turned_to_its_principal_axes(tmp_path: Path) -> None:
+    turn = trimesh.transformations.rotation_matrix(0.3, (1.0, 2.0, -1.0))
+    box = trimesh.creation.box((0.06, 0.12, 0.09))
+    box.apply_transform(turn)
+    item = ObjectDescription("mesh", mesh=export(tmp_path, box))
+    np.testing.assert_allclose(item.extent, (0.06, 0.12, 0.09), rtol=1e-6)
+    np.testing.assert_allclose(
+        item.inertia_matrix, ObjectDescription("cuboid", (0.06, 0.12, 0.09)).inertia_matrix, rtol=1e-6
+    )
+
+
+def test_axes_stay_where_they_may(tmp_path: Path) -> None:
+    turn = trimesh.transformations.rotation_matrix(0.3, (1.0, 2.0, -1.0))[:3, :3]
+    cube = trimesh.creation.box((0.1, 0.1, 0.1))
+    cube.apply_transform(trimesh.transformations.rotation_matrix(0.3, (1.0, 2.0, -1.0)))
+    vertices, _ = ObjectDescription("mesh", mesh=export(tmp_path, cube)).faces  # of a cube any axes are principal ones
+    assert np.ptp(vertices, axis=0).min() > 0.11
+    rod = turn @ np.diag([1.0, 2.0, 1.0]) @ turn.T  # its own axis must turn, and by no more than needed
+    rotation = principal_rotation(rod)
+    np.testing.assert_allclose(rotation @ rod @ rotation.T, np.diag([1.0, 2.0, 1.0]), atol=1e-9)
+    angle = np.arccos(0.5 * (np.trace(rotation) - 1.0))
+    assert angle == pytest.approx(np.arccos(turn[1, 1]), abs=1e-6)
+
+
+def test_winding_is_mended(tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.06, 0.12, 0.09))
+    faces = box.faces.copy()
+    faces[::3] = faces[::3, ::-1]
+    path = export(tmp_path, trimesh.Trimesh(box.vertices, faces, process=False))
+    item = ObjectDescription("mesh", mesh=path)
+    assert trimesh.Trimesh(*item.faces).volume == pytest.approx(0.06 * 0.12 * 0.09, rel=1e-6)
+
+
+def test_a_changed_file_is_read_again(tmp_path: Path) -> None:
+    path = export(tmp_path, trimesh.creation.box((0.06, 0.12, 0.09)))
+    assert ObjectDescription("mesh", mesh=path).extent[1] == pytest.approx(0.12)
+    export(tmp_path, trimesh.creation.box((0.06, 0.13, 0.0901)))
+    assert ObjectDescription("mesh", mesh=path).extent[1] == pytest.approx(0.13)
+
+
+def _open(box: trimesh.Trimesh) -> trimesh.Trimesh:
+    return trimesh.Trimesh(box.vertices, box.faces[1:], process=False)
+
+
+def _pressed_in(ball: trimesh.Trimesh) -> trimesh.Trimesh:
+    vertices = ball.vertices.copy()
+    vertices[0] *= 0.6
+    return trimesh.Trimesh(vertices, ball.faces)
+
+
+def _two(box: trimesh.Trimesh) -> trimesh.Trimesh:
+    other = box.copy()
+    other.apply_translation((0.2, 0.0, 0.0))
+    return trimesh.util.concatenate([box, other])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        (_open(trimesh.creation.box((0.1, 0.1, 0.1))), "not closed"),
+        (_pressed_in(trimesh.creation.icosphere(2, 0.05)), "not convex"),
+        (_two(trimesh.creation.box((0.1, 0.1, 0.1))), "not convex"),
+        (trimesh.creation.icosphere(3, 0.05), "1280 faces, allowed are up to 400"),
+        (trimesh.creation.icosphere(2, 50.0), "millimetres"),
+        (trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 1]], process=False), "not closed"),
+        (
+            trimesh.Trimesh(
+                [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
+                [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]],
+                process=False,
+            ),
+            "encloses no volume",
+        ),
+    ],
+)  # fmt: skip
+def test_bad_meshes(tmp_path: Path, mesh: trimesh.Trimesh, message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        ObjectDescription("mesh", mesh=export(tmp_path, mesh))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("object.pkl", b"", "file of type"),
+        ("object.glb", b"", "file of type"),
+        ("object.obj", b"", "cannot be read as a mesh|no triangles"),
+        ("object.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
+        ("object.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", "cannot be read|do not exist|no triangles"),
+        ("object.stl", b"solid of nothing", "cannot be read|no triangles"),
+        ("object.off", b"\x80\x04\x95", "cannot be read|no triangles"),
+    ],
+)
+def test_bad_files(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(InvalidInputError, match=message):
+        ObjectDescription("mesh", mesh=str(path))
+
+
+def test_absent_files(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match="No such file"):
+        ObjectDescription("mesh", mesh=str(tmp_path / "none.obj"))
+    (tmp_path / "folder.obj").mkdir()
+    with pytest.raises(InvalidInputError, match="must be a file"):
+        ObjectDescription("mesh", mesh=str(tmp_path / "folder.obj"))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"shape": "mesh"}, "needs the path"),
+        ({"mesh": "a.obj"}, "mesh=None"),
+        ({"size": (0.1, 0.1)}, "3 numbers"),
+        ({"size": (0.1, -0.1, 0.1)}, "above 0"),
+        ({"size": (0.1, float("nan"), 0.1)}, "finite"),
+        ({"size": (100.0, 100.0, 100.0)}, "in metres"),
+        ({"shape": "sphere", "size": (1e-4,)}, "0.001 to 1"),
+        ({"shape": "capsule", "size": (0.1, 0.05)}, "at least its diameter"),
+        ({"mass": 0.0}, "above 0"),
+        ({"mass": 1e6}, "at most 1000"),
+        ({"friction": -0.1}, "above 0"),
+        ({"inertia": (1e-4, 1e-4, 3e-4)}, "sum of the other two"),
+        ({"inertia": (1e-4, 1e-4)}, "3 numbers"),
+    ],
+)
+def test_bad_numbers(fields: dict[str, object], message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        ObjectDescription(**fields)  # pyright: ignore
+
+
+def test_unknown_shapes() -> None:
+    with pytest.raises(UnknownNameError, match="'cuboid', 'cylinder', 'sphere', 'capsule', 'mesh'"):
+        ObjectDescription("torus")
+    with pytest.raises(UnknownNameError, match="'mesh'"):
+        random_object(np.random.default_rng(0), shapes=["mesh"])
+    with pytest.raises(InvalidInputError, match="least"):
+        random_object(np.random.default_rng(0), size=(0.1, 0.05))
+
+
+def test_random_objects_are_within_and_repeat() -> None:
+    drawn = [random_object(np.random.default_rng(seed)) for seed in range(200)]
+    assert drawn == [random_object(np.random.default_rng(seed)) for seed in range(200)]
+    assert {item.shape for item in drawn} == set(SHAPES_WITHOUT_MESH)
+    for item in drawn:
+        assert 0.07 <= min(item.size) <= max(item.size) <= 0.12
+        assert 0.05 <= item.mass <= 0.5
+        assert 0.3 <= item.friction <= 0.8
+    states = set()
+    for shape in SHAPES_WITHOUT_MESH:
+        rng = np.random.default_rng(0)
+        random_object(rng, shapes=[shape])
+        states.add(rng.random())
+    assert len(states) == 1
