@@ -1,0 +1,113 @@
+"""Desired motions of the object: smooth, exactly differentiated, at rest at their start and end."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from grasp_env._check import Array
+
+MOTIONS: dict[str, str] = {
+    "lift": "up along y in the first third of a period, held, down in the last third",
+    "shake": "a sinusoid along x, fading in over the first period and out over the last",
+    "rotate": "about z, the line through the thumb: turned in the first third of a period, held, turned back",
+}
+"""What `motion` may be, and what it does.
+
+About z, a thumb at -z turns on the spot and the fingers at +z follow within their faces: the built-in four-finger hand
+reaches beyond 90 degrees there, 61 about y and 24 about x.
+"""
+
+MOTION_SIZES: dict[str, float] = {"lift": 0.015, "shake": 0.015, "rotate": 0.3}
+"""Sizes [m], [m], [rad] unless given."""
+
+TARGET_SIZE = 19
+POSITION, QUATERNION = slice(0, 3), slice(3, 7)
+LINEAR, ANGULAR = slice(7, 10), slice(10, 13)
+LINEAR_ACCELERATION, ANGULAR_ACCELERATION = slice(13, 16), slice(16, 19)
+"""The parts of a target row: [m], (x, y, z, w), [m/s], [rad/s], [m/s^2], [rad/s^2], world frame."""
+
+
+def blend(phase: Array) -> Array:
+    """The minimum-jerk step from 0 (phase <= 0) to 1 (phase >= 1), with its first two derivatives by phase: (3, T).
+
+    Example:
+        >>> blend(np.array([-1.0, 0.5, 2.0]))[0]
+        array([0. , 0.5, 1. ])
+    """
+    u = np.clip(phase, 0.0, 1.0)
+    rest = 1.0 - u
+    squared = u * u
+    return np.stack(
+        [
+            squared * u * (10.0 - 15.0 * u + 6.0 * squared),
+            30.0 * squared * rest * rest,
+            60.0 * u * rest * (1.0 - 2.0 * u),
+        ]
+    )
+
+
+def resting_target(ticks: int) -> Array:
+    """(ticks, 19) rows of the nominal pose, at rest."""
+    target = np.zeros((ticks, TARGET_SIZE))
+    target[:, QUATERNION.stop - 1] = 1.0
+    return target
+
+
+def motion_target(motion: str, times: Array, size: float, period: float) -> Array:
+    """The object's desired motion.
+
+    Whole periods are repeated while they fit before `times[-1]`, then the object rests; when not even one fits, it is
+    cut short. A shake reaches its full size when three or more periods fit.
+
+    Args:
+        motion: a key of `MOTIONS`.
+        times: (T,) [s], from 0 on.
+        size: [m] height of "lift", amplitude of "shake"; [rad] angle of "rotate".
+        period: [s].
+
+    Returns:
+        (T, 19): position [m], quaternion (x, y, z, w), linear and angular velocity, linear and angular acceleration,
+        world frame; the velocities and accelerations are the exact derivatives.
+
+    Example:
+        >>> motion_target("lift", np.array([0.0, 1.0, 2.0]), size=0.05, period=2.0)[:, 1]
+        array([0.  , 0.05, 0.  ])
+    """
+    target = resting_target(len(times))
+    repeats = max(1.0, np.floor(times[-1] / period * (1.0 + 1e-12)))
+    path = _shake(times, period, repeats) if motion == "shake" else _there_and_back(times, period, repeats)
+    path *= size
+    if motion == "rotate":
+        target[:, QUATERNION.start + 2] = np.sin(0.5 * path[0])
+        target[:, QUATERNION.start + 3] = np.cos(0.5 * path[0])
+        target[:, ANGULAR.start + 2], target[:, ANGULAR_ACCELERATION.start + 2] = path[1], path[2]
+    else:
+        axis = 0 if motion == "shake" else 1
+        for part, values in zip((POSITION, LINEAR, LINEAR_ACCELERATION), path, strict=True):
+            target[:, part.start + axis] = values
+    return target
+
+
+def _there_and_back(times: Array, period: float, repeats: float) -> Array:
+    """(3, T): 0 to 1 in a third of each period, held, back in the last third; with two derivatives by time."""
+    phase = times / period
+    phase = 3.0 * np.where(phase < repeats, phase - np.floor(phase), 0.0)
+    rate = 3.0 / period
+    return (blend(phase) - blend(phase - 2.0)) * np.array([[1.0], [rate], [rate * rate]])
+
+
+def _shake(times: Array, period: float, repeats: float) -> Array:
+    """(3, T): a unit sinusoid that fades in and out; with two derivatives by time."""
+    fade = period * min(1.0, 0.5 * repeats)
+    a, da, dda = blend(times / fade) * np.array([[1.0], [1.0 / fade], [1.0 / fade**2]])
+    b, db, ddb = blend((repeats * period - times) / fade) * np.array([[1.0], [-1.0 / fade], [1.0 / fade**2]])
+    envelope, rate, curve = a * b, da * b + a * db, dda * b + 2.0 * da * db + a * ddb
+    omega = 2.0 * np.pi / period
+    sine, cosine = np.sin(omega * times), np.cos(omega * times)
+    return np.stack(
+        [
+            envelope * sine,
+            rate * sine + envelope * omega * cosine,
+            (curve - envelope * omega**2) * sine + 2.0 * rate * omega * cosine,
+        ]
+    )

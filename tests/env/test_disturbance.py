@@ -1,0 +1,101 @@
+"""Disturbances: statistics, momentum, directions, continuity, and what a seed fixes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from grasp_env.disturbance import RAMP, impulses, ornstein_uhlenbeck, six_pushes, tilting_gravity
+
+TICK = 0.004
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def test_ornstein_uhlenbeck_has_its_deviation_and_correlation_time():
+    deviation = np.array([0.6, 0.6, 0.6, 0.02, 0.02, 0.02])
+    path = ornstein_uhlenbeck(rng(), 250_000, deviation, 75.0)
+    assert not path[0].any()
+    # 250 000 / (2 * 75) = 1667 independent draws per axis: one sigma of a deviation is 1.7 %
+    np.testing.assert_allclose(path.std(axis=0), deviation, rtol=0.06)
+    np.testing.assert_allclose(path.mean(axis=0) / deviation, 0.0, atol=4.0 / np.sqrt(1667))
+    for lag in (15, 75, 150):
+        correlation = [np.corrcoef(path[:-lag, k], path[lag:, k])[0, 1] for k in range(6)]
+        np.testing.assert_allclose(correlation, np.exp(-lag / 75.0), atol=0.1)
+    np.testing.assert_allclose(np.corrcoef(path.T), np.eye(6), atol=0.1)  # axes are independent
+
+
+def test_ornstein_uhlenbeck_against_lfilter():
+    keep = np.exp(-1.0 / 75.0)
+    noise = rng(3).standard_normal((500, 2)) * np.sqrt(1.0 - keep**2)
+    noise[0] = 0.0
+    expected = lfilter([1.0], [1.0, -keep], noise, axis=0)
+    np.testing.assert_allclose(ornstein_uhlenbeck(rng(3), 500, np.ones(2), 75.0), expected, rtol=1e-12, atol=1e-13)
+
+
+def test_ornstein_uhlenbeck_starts_with_growing_variance():
+    starts = np.array([ornstein_uhlenbeck(rng(k), 76, np.ones(1), 75.0)[[1, 75], 0] for k in range(2000)])
+    expected = np.sqrt(1.0 - np.exp(-2.0 * np.array([1, 75]) / 75.0))
+    np.testing.assert_allclose(starts.std(axis=0), expected, rtol=0.07)  # 4 sigma of 2000 draws
+
+
+def test_impulses_deliver_their_momentum_however_short():
+    for length in (0.1, 0.004, 0.0005):
+        wrench = impulses(rng(1), 25_000, TICK, 2.0, 0.05, length, 0.4)
+        assert np.linalg.norm(wrench[:, :3], axis=1).max() <= 2.0 + 1e-9
+        assert np.linalg.norm(wrench[:, 3:], axis=1).max() <= 0.05 + 1e-9
+        # runs of rows that are not zero are impulses, as long as none starts within the tick after another
+        busy = np.concatenate([[False], wrench.any(axis=1), [False]])
+        first, last = np.flatnonzero(np.diff(busy.astype(int)) == 1), np.flatnonzero(np.diff(busy.astype(int)) == -1)
+        given = np.array([wrench[a:b].sum(axis=0) * TICK for a, b in zip(first, last, strict=True)])
+        sizes = np.linalg.norm(given[:, :3], axis=1)
+        assert np.median(sizes) == pytest.approx(2.0 / np.pi * 2.0 * length, rel=1e-9)
+        assert np.median(np.linalg.norm(given[:, 3:], axis=1)) == pytest.approx(2.0 / np.pi * 0.05 * length, rel=1e-9)
+        # 100 s at a mean of 0.4 s + length: about 230 of them; 4 sigma of a renewal count
+        assert len(first) == pytest.approx(100.0 / (0.4 + length), rel=4.0 / np.sqrt(200))
+        direction = given[:, :3] / sizes[:, None]
+        np.testing.assert_allclose(direction.mean(axis=0), 0.0, atol=4.0 / np.sqrt(3 * len(first)))
+
+
+def test_impulses_without_waits_end():
+    wrench = impulses(rng(), 500, TICK, 1.0, 0.0, 1e-9, 1e-9)
+    assert wrench.shape == (500, 6)
+    assert np.isfinite(wrench).all()
+    assert not wrench[:, 3:].any()
+
+
+def test_gravity_tilts_about_a_horizontal_axis_from_rest():
+    times = np.arange(2001) * TICK
+    headings = []
+    for seed in range(20):
+        falls = tilting_gravity(rng(seed), times, np.array([0.0, -9.81, 0.0]), 0.3, 2.0)
+        np.testing.assert_allclose(np.linalg.norm(falls, axis=1), 9.81)
+        np.testing.assert_allclose(falls[0], [0.0, -9.81, 0.0], atol=1e-12)
+        assert np.abs(np.diff(falls[:3], axis=0)).max() < 1e-6  # no rate at the start
+        tilt = np.arccos(np.clip(-falls[:, 1] / 9.81, -1.0, 1.0))
+        assert tilt.max() == pytest.approx(0.3, abs=1e-4)
+        np.testing.assert_allclose(np.linalg.matrix_rank(falls, tol=1e-9), 2)  # in one plane
+        far = falls[np.argmax(tilt)]
+        headings.append(np.arctan2(far[2], far[0]))
+    assert np.ptp(headings) > 2.0
+    assert not tilting_gravity(rng(), times, np.zeros(3), 0.3, 2.0).any()
+    sloped = tilting_gravity(rng(), times, np.array([1.0, -2.0, 0.5]), 0.3, 2.0)
+    np.testing.assert_allclose(np.linalg.norm(sloped, axis=1), np.sqrt(5.25))
+
+
+def test_six_pushes_in_order_with_short_ramps():
+    times = np.arange(3251) * TICK  # 13 s
+    push = six_pushes(times, 2.0, 2.0)
+    expected = 2.0 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [0, 0, 0]])
+    for k, force in enumerate(expected):
+        inside = (times > 2.0 * k + RAMP) & (times < 2.0 * (k + 1) - 1e-9)
+        np.testing.assert_allclose(push[inside], np.tile(force, (inside.sum(), 1)), atol=1e-12)
+    assert not push[0].any()
+    # the steepest ramp turns 4 N within 50 ms, at most 15 / 8 of the mean rate
+    assert np.linalg.norm(np.diff(push, axis=0), axis=1).max() < 4.0 * 15.0 / 8.0 * TICK / RAMP * 1.001
+    short = six_pushes(times, 2.0, 0.1)  # a ramp of 25 ms
+    np.testing.assert_allclose(short[round(0.09 / TICK)], [2.0, 0.0, 0.0], atol=1e-12)
+    assert np.isfinite(short).all()
