@@ -5,35 +5,52 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.client import bullet
 from grasp_env.sim.hand import Vector3
+from grasp_env.sim.overlay import Annotation, draw
+from grasp_env.sim.picture import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
 from grasp_env.sim.scene import Scene
+from grasp_env.sim.view import View
+
+_LIGHT = {
+    "lightDirection": (0.5, 1.0, 0.6),
+    "lightColor": (1.0, 1.0, 1.0),
+    "lightAmbientCoeff": 0.62,
+    "lightDiffuseCoeff": 0.42,
+    "lightSpecularCoeff": 0.08,
+}
+_TOP, _BOTTOM = (253, 253, 254), (226, 231, 238)
+_SURVEY = 160  # pixels along the longer side of the picture that finds where things are
+_SURVEY_DISTANCE = 1.2  # [m] from the nominal object, far enough for hands of half a metre
 
 
 @dataclass(frozen=True)
 class CameraConfig:
-    """Where the camera stands and what it delivers.
+    """How the camera looks at the scene and what it delivers.
 
     Attributes:
         width: Of the picture [pixels].
         height: Of the picture [pixels].
-        eye: Position of the camera [m], world frame.
-        target: Point in the middle of the picture [m], world frame.
+        direction: From the object towards the camera, world frame; not vertical.
         field_of_view: Vertical opening [degrees].
-        light: Direction towards the light, world frame.
+        margin: Part of the width and of the height left free beside and above hand and object.
+        footer: Part of the height left free below them, where annotations have their text.
         object_opacity: Below 1 the object lets the tips behind it be seen; drawing takes twice
             the time then.
-        supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest, 3 smooth.
+        supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest (edges
+            are smoothed afterwards), 3 finest.
     """
 
     width: int = 480
     height: int = 480
-    eye: Vector3 = (0.37, 0.10, 0.39)
-    target: Vector3 = (0.0, 0.046, 0.0)
-    field_of_view: float = 34.0
-    light: Vector3 = (0.6, 1.0, 0.7)
+    direction: Vector3 = (0.72, 0.11, 0.72)
+    field_of_view: float = 26.0
+    margin: float = 0.06
+    footer: float = 0.19
     object_opacity: float = 0.6
     supersampling: int = 1
 
@@ -44,10 +61,18 @@ class CameraConfig:
             )
         if not 0.0 <= self.object_opacity <= 1.0:
             raise InvalidInputError(f"object_opacity={self.object_opacity} must be in [0, 1]")
+        if not (0.0 <= self.margin <= 0.4 and 0.0 <= self.footer <= 0.5):
+            raise InvalidInputError(f"margin={self.margin} must be in [0, 0.4] and footer={self.footer} in [0, 0.5]")
+        if not 1.0 <= self.field_of_view <= 120.0:
+            raise InvalidInputError(f"field_of_view={self.field_of_view} must be in [1, 120] degrees")
+        if not np.isfinite(self.direction).all() or np.hypot(self.direction[0], self.direction[2]) < 1e-3:
+            raise InvalidInputError(f"direction={self.direction} must be finite and not vertical (y is up)")
 
 
 class Camera:
     """Takes pictures of one scene; make it when the first picture is wanted.
+
+    It stands where hand and object fill the picture, and moves only when the scene builds other bodies or `fit` is called.
 
     Args:
         scene: The scene to look at.
@@ -57,34 +82,69 @@ class Camera:
     def __init__(self, scene: Scene, config: CameraConfig | None = None) -> None:
         self.config = config = config or CameraConfig()
         self._scene = scene
-        self._view = bullet.computeViewMatrix(config.eye, config.target, (0.0, 1.0, 0.0))
-        self._projection = bullet.computeProjectionMatrixFOV(
-            config.field_of_view, config.width / config.height, 0.05, 3.0
-        )
+        size = config.supersampling * config.height, config.supersampling * config.width
+        self._background = gradient(size[1], size[0], _TOP, _BOTTOM)
+        self.fit()
 
-    def capture(self) -> np.ndarray:
-        """The scene now, (height, width, 3) uint8.
+    def fit(self) -> None:
+        """Stand where all that is drawn now fills the picture.
 
         Raises:
             SimulationError: The scene is closed.
         """
-        opacity = self.config.object_opacity
-        image = self._render()
-        if opacity < 1.0:  # the renderer knows only drawn and not drawn: blend the two
-            with self._scene.object_hidden():
-                image = opacity * image + (1.0 - opacity) * self._render()
-        return image.round().astype(np.uint8)
+        config = self.config
+        eye = _SURVEY_DISTANCE * np.array(config.direction) / np.linalg.norm(config.direction)
+        shrink = _SURVEY / max(config.width, config.height)
+        width, height = max(1, round(shrink * config.width)), max(1, round(shrink * config.height))
+        survey = View(tuple(eye.tolist()), (0.0, 0.0, 0.0), 40.0, width, height)
+        _, depth = self._shoot(survey, width, height, shadows=False)
+        drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
+        wanted = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
+        self.view = wanted.fitted(drawn, config.margin, config.footer) if len(drawn) else wanted
+        self._fitted_to = self._scene.bodies
 
-    def _render(self) -> np.ndarray:
-        """One picture at the delivered size, (height, width, 3) float."""
-        config, factor = self.config, self.config.supersampling
-        width, height = factor * config.width, factor * config.height
-        pixels = bullet.getCameraImage(
-            width, height, self._view, self._projection, lightDirection=config.light, shadow=1,
+    def capture(self, annotation: Annotation | None = None) -> np.ndarray:
+        """The scene now, (height, width, 3) uint8.
+
+        Args:
+            annotation: What to draw over it: forces, cones, wrench and text; None: nothing.
+
+        Raises:
+            SimulationError: The scene is closed.
+        """
+        if self._scene.bodies is not self._fitted_to:
+            self.fit()
+        opacity, factor = self.config.object_opacity, self.config.supersampling
+        image, depth = self._render(shadows=True)
+        if opacity < 1.0:  # the renderer knows only drawn and not drawn: blend the two
+            with self._scene.object_hidden():  # what is behind has no shadows: that saves a tenth of the time
+                see_through(image, depth, *self._render(shadows=False), opacity, image)
+        if factor > 1:
+            split = image.reshape(self.config.height, factor, self.config.width, factor, 3)
+            image = split.mean(axis=(1, 3)).round().astype(np.uint8)
+        else:
+            jagged, image = image, np.empty_like(image)
+            smooth_edges(jagged, image)
+        return image if annotation is None else draw(image, annotation, self.view)
+
+    def project(self, points: ArrayLike) -> Array:
+        """Pixels (N, 2), right and down, of points (N, 3) [m], world frame; see `View.project`."""
+        return self.view.project(points)
+
+    def _render(self, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
+        """One picture with background, `supersampling` times the delivered size, uint8, and its depth."""
+        height, width, _ = self._background.shape
+        pixels, depth = self._shoot(self.view, width, height, shadows)
+        image = np.empty_like(self._background)
+        put_background(pixels, depth, self._background, image)
+        return image, depth
+
+    def _shoot(self, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (height, width, 4) uint8 and OpenGL depth (height, width) float32 of what is drawn."""
+        _, _, pixels, depth, _ = bullet.getCameraImage(
+            width, height, view.view_matrix, view.projection_matrix, **_LIGHT, shadow=int(shadows),
             renderer=bullet.ER_TINY_RENDERER, flags=bullet.ER_NO_SEGMENTATION_MASK,
             physicsClientId=self._scene.client.number,
-        )[2]  # fmt: skip
-        image = np.asarray(pixels, dtype=np.uint8).reshape(height, width, 4)[:, :, :3]
-        if factor == 1:
-            return image.astype(float)
-        return image.reshape(config.height, factor, config.width, factor, 3).mean(axis=(1, 3))
+        )  # fmt: skip
+        pixels = np.ascontiguousarray(pixels, np.uint8).reshape(height, width, 4)
+        return pixels, np.ascontiguousarray(depth, np.float32).reshape(height, width)
