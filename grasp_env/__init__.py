@@ -13,7 +13,7 @@ def _register() -> None:
     except ImportError:  # grasp_env.grasp and grasp_env.force need numpy, scipy and numba only
         return
     if "FourFingerGrasp-v0" not in registry:
-        register(id="FourFingerGrasp-v0", entry_point="grasp_env.env:FourFingerGrasp", max_episode_steps=100)
+        register(id="FourFingerGrasp-v0", entry_point="grasp_env.env:FourFingerGrasp")
 
 
 _register()

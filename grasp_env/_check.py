@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from grasp_env.errors import InvalidInputError
 
 Array: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.int64]
+"""Numbers of fingers, contacts, links."""
 Wrench: TypeAlias = Array
 """(6,): force [N] then moment about the object origin [N m], object frame, acting ON the object."""
 ContactForces: TypeAlias = Array

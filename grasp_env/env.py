@@ -1,7 +1,9 @@
-"""`FourFingerGrasp-v0`: a four-finger hand in PyBullet whose grasp forces are optimised at every step."""
+"""`FourFingerGrasp-v0`: a hand in PyBullet whose grasp forces are optimised at every step."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -10,80 +12,104 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from grasp_env import observation
-from grasp_env._check import as_wrench
+from grasp_env._check import Array, as_wrench
 from grasp_env.config import EnvConfig
-from grasp_env.control import ForceLoop, rotation_vector
-from grasp_env.disturbance import Disturbance
-from grasp_env.errors import (
-    GraspError,
-    InvalidInputError,
-    SimulationError,
-    UnknownNameError,
-)
+from grasp_env.control import ForceLoop
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownNameError
+from grasp_env.estimation import NoiseRows
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.reward import reward_terms
-from grasp_env.sim import Camera, Scene, SceneConfig
+from grasp_env.sensing import Sensors
+from grasp_env.sim import Camera, CameraConfig, Scene
+from grasp_env.sim.debug_lines import draw_debug
+from grasp_env.sim.overlay import Annotation
+from grasp_env.stage import Stage
+from grasp_env.task import make_plan, succeeded
+
+_NO_WRENCH = np.zeros(6)
 
 
 class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickle):
-    """A thumb and three fingers hold a 0.1 m cuboid while an external wrench acts on it.
+    """The fingers of a hand hold an object while wrenches act on it, or move it.
 
     ## Step
-    Contacts are read from the simulator, G is built from them, the wrench to balance is external wrench + gravity +
-    object-pose feedback, the initial force is the start rule's (by default the paper's linear combination of 12 offline
-    optima) plus the action, the reduced gradient flow optimises it, and the forces become joint torques. The agent
-    acts at 50 Hz; pose feedback and torques run at 250 Hz, physics at 500 Hz (see `EnvConfig`).
+    Contacts are read from the simulator, G is built from those that exist, the wrench to balance is external wrench + gravity -
+    inertial wrench of the wanted motion + object-pose feedback, the initial force is the start rule's (by default the paper's
+    linear combination of 12 offline optima) plus the action, the reduced gradient flow optimises it, and the forces become
+    joint torques. The agent acts at 50 Hz; pose feedback, contact changes and torques run at 250 Hz, as the physics does (see
+    `EnvConfig`). A finger without contact reaches for its place; when one slips off or lands the forces are optimised
+    anew at once, and change by at most `force_rate` beyond what balance asks.
+
+    An episode starts from true contacts: the fingers close on the object and take over its weight; at reset the contact
+    forces sum to it within 1 %.
+
+    ## Tasks
+    `task="hold"` against `disturbance`, "move" along `motion`, "payload" (the mass grows), "six_directions" (pushes of 10 N/kg).
 
     ## Action space
-    `Box(-1, 1, (6,), float32)`: an adjustment of the initial force along six internal forces (null-space coordinates,
-    times `action_scale` newtons); beyond +-1 it is clipped. The six directions are squeezes along the lines between two contacts
+    By `action_mode`, `Box(-1, 1, float32)`, clipped:
+    "initial_force" (3N - 6,): an adjustment of the initial force along internal forces (null-space coordinates, times
+    `action_scale` newtons). The six directions of the four-finger hand are squeezes along the lines between two contacts
     (thumb-middle, thumb-left, thumb-right, middle-left, middle-right, left-right), orthonormalised, and move
-    continuously with the contacts. Zero is the paper. An adjusted start is repaired: the force of least Phi between
-    the linear combination and it.
+    continuously with the contacts; with fewer contacts they are projected. Zero is the paper. An adjusted start is repaired: the
+    force of least Phi between the linear combination and it.
+    "contact_force" (3N,): the contact forces themselves, no solver: per finger normal in [0, 2 `action_scale`], o and t in
+    +-`action_scale`.
+    "none" (1,): ignored.
 
     ## Observation space
-    `Box(-bound, bound, (59,), float32)`, clipped:
+    `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:
 
     | index | name | unit | frame | bound |
     |---|---|---|---|---|
     | 0-2 | wrench to balance: force | N | object | 200 |
     | 3-5 | wrench to balance: moment | N m | object | 20 |
-    | 6-8 | object position error | m | world | 1 |
-    | 9-11 | object orientation error | rad | world | 3.2 |
-    | 12-14 | object linear velocity | m/s | world | 10 |
-    | 15-17 | object angular velocity | rad/s | world | 50 |
-    | 18-29 | contact displacement from nominal | m | object | 0.2 |
-    | 30-41 | commanded force (normal, o, t) | N | contact | 500 |
-    | 42-53 | measured force (normal, o, t) | N | contact | 500 |
-    | 54-57 | touching | 1 | - | 1 |
-    | 58 | solver friction | 1 | - | 10 |
+    | 6-8 | object position minus the wanted one | m | world | 1 |
+    | 9-11 | object orientation against the wanted one | rad | world | 3.2 |
+    | 12-14 | object linear velocity minus the wanted one | m/s | world | 10 |
+    | 15-17 | object angular velocity minus the wanted one | rad/s | world | 50 |
+    | 18-29 | contact point | m | object | 0.5 |
+    | 30-41 | inward normal | 1 | object | 1 |
+    | 42-53 | commanded force (normal, o, t) | N | contact | 500 |
+    | 54-65 | measured force (normal, o, t) | N | contact | 500 |
+    | 66-69 | touching | 1 | - | 1 |
+    | 70-81 | joint angle | rad | - | 7 |
+    | 82 | solver friction | 1 | - | 10 |
 
     ## Reward
     `held_reward` while the object is held (or `-failure_cost` once), `- iteration_cost * iterations`,
     `- force_cost * total normal force`; each term stands in `info["reward/..."]`.
 
     ## Episode end
-    Terminated when the object is lost (`info["failure"]`: "dropped", "contact_lost", "force_optimisation" or
-    "simulation_diverged"). Truncation is the time limit's: 100 steps = 2 s under `gym.make`.
+    Terminated when the object is lost (`info["failure"]`: "dropped", "closure_lost" (no force closure for `max_contact_gap`),
+    "force_optimisation" (a start rule that does not fit) or "simulation_diverged"). Truncated after `duration`, by default the task's
+    own (hold 2 s, move and payload 4 s, six_directions 12 s).
 
     ## Info
     The same keys at every reset and step: `iterations`, `trials`, `status` (a `Status`, "none" at reset, "failed"), `objective`, `optimality_gap`,
-    `cone_margin` of the optimisation; `wrench` (6,), `commanded_force` (4, 3), `measured_force` (4, 3), `force_error`
-    [N], `touching` (4,), `slip` [m/s], `slip_distance` [m], `drift` [m], `tilt` [rad], `peak_torque` [N m],
-    `repaired_controls`, `time` [s], `failure`, `is_success`, and the reward terms.
+    `cone_margin` of the optimisation; `force_closure`, `contacts` (fingers), `contact_changes`; `wrench` (6,), `commanded_force` (N, 3),
+    `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of links on the object) [N], `slip` [m/s],
+    `slip_distance` [m], `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `repaired_controls`,
+    `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
+    the hand could not hold), `failure`, `is_success`, and the reward terms.
 
     ## Reset options
     `options={"wrench": (6,)}` replaces the episode's external wrench by a constant one [N, N m].
 
     Args:
         render_mode: None, "rgb_array" or "human" (needs a display).
-        initial_force: the name of a start rule or any rule(grasp, wrench) -> (4, 3); None: `config.initial_force`.
+        initial_force: the name of a start rule or any rule(grasp, wrench) -> (N, 3); None: `config.initial_force`.
         config: all settings; None: the defaults.
         **settings: single settings of `EnvConfig` to replace.
 
+    Raises:
+        UnknownNameError: a setting, task, shape, ... of no such name; the message lists those that exist.
+        InvalidInputError: a value out of range, contacts off the surface or out of reach, a mesh that is not closed and convex.
+        SimulationError: the hand cannot hold the object, or a window without a display.
+
     Example:
         >>> import gymnasium as gym
-        >>> env = gym.make("grasp_env:FourFingerGrasp-v0", wrench="paper_path")
+        >>> env = gym.make("grasp_env:FourFingerGrasp-v0", disturbance="paper_path")
         >>> obs, info = env.reset(seed=0)
         >>> obs, reward, terminated, truncated, info = env.step(np.zeros(6, dtype=np.float32))
         >>> info["status"], bool(info["touching"].all())
@@ -107,50 +133,82 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             raise InvalidInputError(
                 f"config must be an EnvConfig or None, got {config!r}; single settings are keywords"
             )
-        self.config = (config or EnvConfig()).override(**settings)
+        self.config = (config or EnvConfig()).override(**settings).resolved()
         self.metadata = {**self.metadata, "render_fps": self.config.agent_rate}
         self.render_mode = render_mode
-        limit = observation.bounds()
-        self.observation_space = gym.spaces.Box(-limit, limit, dtype=np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (6,), dtype=np.float32)
-        self._loop = ForceLoop(self.config, self.config.initial_force if initial_force is None else initial_force)
-        scene = SceneConfig(
-            object_mass=self.config.object_mass,
-            friction=self.config.friction,
-            gravity=self.config.gravity,
-            physics_rate=self.config.physics_rate,
-        )
-        self._scene: Scene | None = Scene(scene, gui=render_mode == "human")
+        config = self.config
+        self._loop = ForceLoop(config, config.initial_force if initial_force is None else initial_force)
+        self._stage: Stage | None = Stage(config, self._loop, render_mode == "human", render_mode is not None)
+        hand = self._stage.kinematics.hand
+        tips, joints = hand.finger_count, hand.joint_count
+        links = {link.name: link for link in hand.links}
+        self._colors = np.array([links[tip.link].color for tip in hand.fingertips])
+        self._bound = observation.bounds(tips, joints)
+        self.observation_space = gym.spaces.Box(-self._bound, self._bound, dtype=np.float32)
+        sizes = {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}
+        self._action_shape = (sizes[config.action_mode],)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
+        self._measured, self._summary = np.zeros((tips, 3)), np.zeros(6)
+        self._ticks_per_step = config.control_rate // config.agent_rate
+        self._steps_per_tick = config.physics_rate // config.control_rate
+        assert config.duration is not None
+        self._step_limit = max(1, round(config.duration * config.agent_rate))
         self._camera: Camera | None = None
-        self._nominal = np.array(scene.contact_points)
-        self._disturbance = Disturbance(self.config.override(wrench="none"), np.random.default_rng(0))
-        self._started = False
-        self._settle()
+        self._lines: list[int] = []  # of the window
+        self._started = self._ended = False
+        self._failure = ""
+        self._upright = np.array(config.gravity)
+        self._sensors = Sensors(config, self._stage.scene)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Back to the settled grasp, with a new disturbance; see the class."""
+        """Back to the settled grasp, with a new disturbance, and a new object where asked for; see the class."""
         super().reset(seed=seed)
-        scene = self._open_scene()
-        self._disturbance = Disturbance(self.config, self.np_random)
+        stage = self._open_stage()
+        scene, constant = stage.scene, None
         for name, value in (options or {}).items():
             if name != "wrench":
                 raise UnknownNameError("reset option", name, ("wrench",))
-            given = tuple(as_wrench(value, "options['wrench']").tolist())
-            constant = self.config.override(wrench="constant", wrench_value=given, wrench_scale=1.0)
-            self._disturbance = Disturbance(constant, self.np_random)
-        scene.reset()
+            constant = as_wrench(value, "options['wrench']")
+        stage.set(self.np_random)
+        plan = make_plan(self.config, self.np_random, scene.config.object.mass)
+        if constant is not None:
+            plan = replace(plan, wrench=np.tile(constant, (len(plan), 1)))
+        self._plan = plan
+        self._wrenches, self._targets = list(plan.wrench), list(plan.target)
+        self._pushes = plan.wrench.tolist() if plan.wrench.any() else [None] * len(plan)
+        self._world_pushes = plan.push if plan.push.any() else None
+        item = stage.item
+        self._mass = item.mass
+        self._object_info = {
+            "object_friction": item.friction,
+            "object_shape": item.shape,
+            "object_size": max(item.extent),
+            "redrawn": stage.redrawn,
+        }
+        self._falling = not (plan.gravity == plan.gravity[0]).all()
+        self._growing = not (plan.mass_factor == 1.0).all()
+        self._last_row = len(plan) - 1
+        # what is seen is what is, and only the wrench changes from tick to tick
+        self._quick = self._sensors.prompt and not (
+            self._falling or self._growing or self._world_pushes is not None or self.config.wrench == "estimated"
+        )
+        measured = self.config.wrench == "measured"
+        self._told_rows = self._wrenches if measured else [_NO_WRENCH] * len(plan)
+        self._sensors.reset(self.np_random)
+        self._motor_noise = NoiseRows(
+            np.random.default_rng(int(self.np_random.integers(2**63))), len(scene.bodies.joints)
+        )
         self._loop.reset()
-        self._ticks = 0
-        self._apart = np.zeros(4)
-        self._slip_distance = 0.0
-        self._failure = ""
-        self._peak_torque = 0.0
-        self._started = True
-        self._loop.wrench = self._loop.wrench_to_balance(scene.state(), self._told())
+        self._tick, self._open, self._slip_distance, self._lines = 0, 0.0, 0.0, []
+        self._failure, self._ended, self._started = "", False, True
+        self._look(scene)
+        self._loop.hold()
+        self._sensors.rewind()
+        terms = reward_terms(self.config, True, 0, 0.0)
         self._observed = self._observe(scene)
-        return self._observed, self._info(scene, reward_terms(self.config, True, 0, 0.0))
+        return self._observed, self._info(scene, terms)
 
     def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One agent step; see the class.
@@ -159,147 +217,150 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             InvalidInputError: an action of the wrong shape or not finite.
             SimulationError: before `reset`, after `close`, or after the episode ended.
         """
-        scene = self._open_scene()
+        scene = self._open_stage().scene
         if not self._started:
             raise SimulationError("step before reset: call reset() first")
-        if self._failure:
-            raise SimulationError(f"the episode ended ({self._failure}): call reset()")
-        adjustment = self._adjustment(action)
+        if self._ended:
+            raise SimulationError(f"the episode ended ({self._failure or 'time is up'}): call reset()")
+        numbers = self._checked(action)
         try:
-            self._loop.optimise(scene, self._told(), adjustment)
+            self._simulate(scene, numbers)
+            self._observed = self._observe(scene)
+            self._failure = self._lost()
+        except SimulationError:
+            self._failure = "simulation_diverged"
         except GraspError:
             self._failure = "force_optimisation"
-        else:
-            self._simulate(scene)
-        if not self._failure:
-            self._failure = self._lost(scene)
         solution = self._loop.solution
         terms = reward_terms(
             self.config,
             not self._failure,
-            solution.iterations if solution else self.config.max_iterations,
-            solution.total_normal_force if solution else 0.0,
+            solution.iterations if solution else (0 if self._loop.closure else self.config.max_iterations),
+            self._numbers[observation.TOTAL_NORMAL],
         )
-        if self._failure != "simulation_diverged":
-            self._observed = self._observe(scene)
+        truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
+        self._ended = bool(self._failure) or truncated
         info = self._info(scene, terms)
         if self.render_mode == "human":
             self.render()
-        return self._observed, float(sum(terms.values())), bool(self._failure), False, info
+        return self._observed, float(sum(terms.values())), bool(self._failure), truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """An (H, W, 3) picture in "rgb_array" mode; the window of "human" mode draws itself."""
-        scene = self._open_scene()
+        scene = self._open_stage().scene
+        if self.render_mode == "human" and self._started:
+            self._lines = draw_debug(scene.client.number, self._annotation(scene), self._lines)
         if self.render_mode != "rgb_array":
             return None
         if self._camera is None:
-            self._camera = Camera(scene)
-        return self._camera.capture()
+            width, height = self.config.render_size
+            self._camera = Camera(scene, CameraConfig(width=width, height=height))
+        return self._camera.capture(self._annotation(scene) if self._started else None)
 
     @property
     def scene(self) -> Scene:
         """The simulation, for cameras and measurements."""
-        return self._open_scene()
+        return self._open_stage().scene
 
     def close(self) -> None:
         """Frees the simulator; twice is fine."""
-        if self._scene is not None:
-            self._scene.close()
-            self._scene = None
-            self._camera = None
+        if self._stage is not None:
+            self._stage.scene.close()
+            self._stage = self._camera = None
 
-    def _settle(self) -> None:
-        scene = self._open_scene()
-        external = np.zeros(6)
-        # a rule that does not fit this grasp says so itself, before the hand moves
-        self._loop.optimizer.solve(self._loop.wrench_to_balance(scene.state(), external))
-        self._loop.reset()
-        every = self.config.physics_rate // self.config.control_rate
-        solve_every = self.config.physics_rate // self.config.agent_rate
-        tick = 0
-        torques = np.zeros(12)
+    def _simulate(self, scene: Scene, numbers: list[float]) -> None:
+        config, loop = self.config, self._loop
+        adjustment = given = None
+        if config.action_mode == "contact_force":
+            given = self._forces(np.array(numbers))
+        elif config.action_mode == "initial_force" and any(numbers):
+            adjustment = config.action_scale * np.array(numbers)
+        for k in range(self._ticks_per_step):
+            if k and self._quick:
+                tick = min(self._tick, self._last_row)
+                torques = loop.follow(scene, self._told_rows[tick], self._targets[tick])
+                if torques is not None:
+                    self._advance(scene, torques, self._pushes[tick])
+                    continue
+            wrench = self._look(scene)
+            if k == 0 and given is None and config.controller == "optimised":
+                loop.optimise(adjustment)
+            self._advance(scene, loop.command(given), wrench)
 
-        def controller(current: Scene) -> NDArray[np.float64]:
-            nonlocal tick, torques
-            if tick % solve_every == 0:
-                self._loop.optimise(current, external)
-            if tick % every == 0:
-                torques = self._loop.torques(current, external)
-            tick += 1
-            return torques
+    def _advance(self, scene: Scene, torques: list[float], wrench: list[float] | None) -> None:
+        """One control tick of physics."""
+        if self.config.force_noise:
+            torques = (np.array(torques) * (1.0 + self.config.force_noise * self._motor_noise())).tolist()
+        for _ in range(self._steps_per_tick):
+            scene.advance(torques, wrench)
+        self._tick += 1
+        self._open = 0.0 if self._loop.closure else self._open + self._loop.dt
 
-        try:
-            scene.settle(controller)
-        except GraspError as error:
-            raise SimulationError(
-                f"the hand could not close on the object: {error}; lower friction_margin (now "
-                f"{self.config.friction_margin}), raise barrier_weight, or make the object lighter"
-            ) from error
+    def _look(self, scene: Scene) -> list[float] | None:
+        """Lets the controller see the scene of this tick; returns the external wrench (6,) that acts during it, object frame."""
+        tick = min(self._tick, len(self._plan) - 1)
+        plan, config = self._plan, self.config
+        if self._falling:
+            scene.set_gravity(plan.gravity[tick])
+        if self._growing and (tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]):
+            scene.change_object(self._mass * float(plan.mass_factor[tick]))
+        seen = self._sensors.see()
+        external, pushing = self._wrenches[tick], self._pushes[tick]
+        if self._world_pushes is not None:
+            external = external.copy()
+            external[:3] += scene.look().rotation.T @ self._world_pushes[tick]
+            pushing = external.tolist()
+        told = self._sensors.told(external) if config.wrench == "measured" else _NO_WRENCH
+        gravity = scene.gravity if config.wrench == "measured" else self._upright
+        self._loop.see(self._sensors.buffer, seen, told, gravity, self._targets[tick])
+        return pushing
 
-    def _simulate(self, scene: Scene) -> None:
-        config = self.config
-        dt = 1.0 / config.control_rate
-        try:
-            for _ in range(config.control_rate // config.agent_rate):
-                external = self._disturbance.at(self._ticks)
-                torques = self._loop.torques(scene, self._told())
-                peak = min(float(np.abs(torques).max()), scene.config.hand.torque_limit)
-                self._peak_torque = max(self._peak_torque, peak)
-                for _ in range(config.physics_rate // config.control_rate):
-                    scene.step(torques, external)
-                contacts = scene.contacts()
-                self._apart = np.where(contacts.touching, 0.0, self._apart + dt)
-                self._slip_distance += float(contacts.slip[contacts.touching].max(initial=0.0)) * dt
-                self._ticks += 1
-        except SimulationError:
-            self._failure = "simulation_diverged"
-
-    def _told(self) -> NDArray[np.float64]:
-        """What the controller knows of the external wrench now; nothing of it before the episode starts."""
-        tick = self._ticks - self.config.wrench_delay
-        return self._disturbance.at(tick) if self.config.wrench_known and tick >= 0 else np.zeros(6)
-
-    def _lost(self, scene: Scene) -> str:
-        state = scene.state()
-        drift = float(np.linalg.norm(state.position))
-        if drift > self.config.max_drift or np.linalg.norm(rotation_vector(state.rotation)) > self.config.max_tilt:
+    def _lost(self) -> str:
+        drift, tilt = self._numbers[:2]
+        if drift > self.config.max_drift or tilt > self.config.max_tilt:
             return "dropped"
-        return "contact_lost" if self._apart.max() > self.config.max_contact_gap else ""
+        return "closure_lost" if self._open > self.config.max_contact_gap else ""
 
-    def _adjustment(self, action: NDArray[np.float32]) -> NDArray[np.float64]:
+    def _checked(self, action: NDArray[np.float32]) -> list[float]:
         values = np.asarray(action, dtype=np.float64)
-        if values.shape != (6,) or not np.isfinite(values).all():
-            raise InvalidInputError(f"action must be 6 finite numbers in [-1, 1], got {np.asarray(action).tolist()}")
-        return self.config.action_scale * np.clip(values, -1.0, 1.0)
+        numbers = values.tolist()  # plain numbers: six are too few for numpy
+        if values.shape != self._action_shape or not all(map(math.isfinite, numbers)):
+            raise InvalidInputError(
+                f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {np.asarray(action).tolist()}"
+            )
+        return [min(max(number, -1.0), 1.0) for number in numbers]
+
+    def _forces(self, numbers: Array) -> Array:
+        """Forces (N, 3) of an action in mode "contact_force": normals in [0, 2 action_scale], tangentials in +-action_scale."""
+        forces = self.config.action_scale * numbers.reshape(-1, 3)
+        forces[:, 0] += self.config.action_scale
+        return forces
 
     def _observe(self, scene: Scene) -> NDArray[np.float32]:
-        state, contacts = scene.state(), scene.contacts()
-        measured = self._loop.grasp.to_contact_frame(contacts.forces)
-        return observation.build(
-            self._loop.wrench,
-            state.position,
-            rotation_vector(state.rotation),
-            state.linear_velocity,
-            state.angular_velocity,
-            contacts.points - self._nominal,
-            self._loop.force,
-            measured,
-            contacts.touching.astype(np.float64),
-            self._loop.friction[0],
-        )
+        loop, out = self._loop, np.empty(len(self._bound), dtype=np.float32)
+        scene.look()
+        tick = min(self._tick, self._last_row)
+        observation.observe(
+            scene.buffer, scene.tree_indices, self._targets[tick], loop.wrench, loop.force, loop.frames, loop.friction, self._bound,
+            self._measured, self._summary, out,
+        )  # fmt: skip
+        self._numbers = self._summary.tolist()
+        return out
 
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
-        diverged = self._failure == "simulation_diverged"
-        solution = self._loop.solution
-        measured, touching, slip = np.zeros((4, 3)), np.zeros(4, dtype=bool), 0.0
-        drift = tilt = 0.0
-        if not diverged:
-            state, contacts = scene.state(), scene.contacts()
-            measured = self._loop.grasp.to_contact_frame(contacts.forces)
-            touching, slip = contacts.touching.copy(), float(contacts.slip.max())
-            drift = float(np.linalg.norm(state.position))
-            tilt = float(np.linalg.norm(rotation_vector(state.rotation)))
-        error = np.abs(measured - self._loop.force).max() if solution is not None and not diverged else 0.0
+        loop, solution = self._loop, self._loop.solution
+        drift, tilt, force_error, slip, stray, _ = self._numbers
+        if self._failure == "simulation_diverged":  # what was read last, but no forces
+            self._measured[:], touching, force_error, slip, stray = (
+                0.0,
+                np.zeros(len(loop.force), dtype=bool),
+                0.0,
+                0.0,
+                0.0,
+            )
+        else:
+            touching = scene.look().touching > 0.0
+        self._slip_distance += slip / self.config.agent_rate
         return {
             "iterations": solution.iterations if solution else 0,
             "trials": solution.trials if solution else 0,
@@ -307,24 +368,56 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             "objective": solution.objective if solution else 0.0,
             "optimality_gap": min(solution.optimality_gap, 1e9) if solution else 0.0,
             "cone_margin": solution.cone_margin if solution else 0.0,
-            "wrench": self._loop.wrench.copy(),
-            "commanded_force": self._loop.force.copy(),
-            "measured_force": measured,
-            "force_error": float(error),
+            "force_closure": loop.closure,
+            "contacts": len(loop.fingers),
+            "contact_changes": loop.contact_changes,
+            "wrench": loop.wrench.copy(),
+            "commanded_force": loop.force.copy(),
+            "measured_force": self._measured.copy(),
+            "force_error": force_error,
             "touching": touching,
+            "stray_force": stray,
             "slip": slip,
             "slip_distance": self._slip_distance,
             "drift": drift,
             "tilt": tilt,
-            "peak_torque": self._peak_torque,
-            "repaired_controls": self._loop.repaired,
-            "time": self._ticks / self.config.control_rate,
+            "peak_torque": loop.peak_torque,
+            "repaired_controls": loop.repaired,
+            "time": self._tick * loop.dt,
+            "object_mass": scene.config.object.mass,
+            **self._object_info,
             "failure": self._failure,
-            "is_success": not self._failure,
+            "is_success": succeeded(self.config.task, drift, tilt, bool(self._failure)),
             **terms,
         }
 
-    def _open_scene(self) -> Scene:
-        if self._scene is None:
+    def _annotation(self, scene: Scene) -> Annotation:
+        loop, snapshot = self._loop, scene.look()
+        drift, tilt = self._numbers[:2]
+        active = np.zeros(len(loop.force))
+        active[loop.fingers] = 1.0
+        to_world = snapshot.rotation @ loop.frames
+        solution = loop.solution
+        return Annotation(
+            points=snapshot.touch,
+            normals=snapshot.normals @ snapshot.rotation.T,
+            forces=np.einsum("nij,nj->ni", to_world, loop.force),
+            measured=snapshot.forces @ snapshot.rotation.T,
+            friction=np.full(len(active), loop.friction),
+            active=active,
+            wrench=np.concatenate([snapshot.rotation @ loop.wrench[:3], snapshot.rotation @ loop.wrench[3:]]),
+            center=snapshot.position,
+            colors=self._colors,
+            lines=(
+                ("time", f"{self._tick * loop.dt:.2f} s"),
+                ("iterations", str(solution.iterations) if solution else "-"),
+                ("margin", f"{solution.cone_margin:.2f} N" if solution else "-"),
+                ("drift", f"{1e3 * drift:.2f} mm, {math.degrees(tilt):.2f} deg"),
+                *((("lost", self._failure),) if self._failure else ()),
+            ),
+        )
+
+    def _open_stage(self) -> Stage:
+        if self._stage is None:
             raise SimulationError("the environment is closed: make a new one")
-        return self._scene
+        return self._stage

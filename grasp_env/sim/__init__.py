@@ -3,20 +3,24 @@
 from grasp_env.sim.camera import Camera, CameraConfig
 from grasp_env.sim.client import Client
 from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.contacts import FingerContacts
-from grasp_env.sim.hand import FingerDescription, HandDescription
+from grasp_env.sim.hand import HANDS, FingerDescription, HandDescription
 from grasp_env.sim.kinematics import HandKinematics
-from grasp_env.sim.scene import ObjectState, Scene
+from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.overlay import Annotation
+from grasp_env.sim.scene import Scene
+from grasp_env.sim.snapshot import Snapshot
 
 __all__ = [
+    "HANDS",
+    "Annotation",
     "Camera",
     "CameraConfig",
     "Client",
-    "FingerContacts",
     "FingerDescription",
     "HandDescription",
     "HandKinematics",
-    "ObjectState",
+    "ObjectDescription",
     "Scene",
     "SceneConfig",
+    "Snapshot",
 ]

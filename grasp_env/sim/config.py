@@ -7,84 +7,83 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from grasp_env._check import as_array
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand import HandDescription, Vector3
+from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.shapes import nearest
 
 _CUBOID_POINTS: tuple[Vector3, ...] = (
     (0.0, 0.0, -0.05), (0.0, 0.03, 0.05), (-0.03, -0.02, 0.05), (0.03, -0.02, 0.05),
 )  # fmt: skip
-_CUBOID_NORMALS: tuple[Vector3, ...] = (
-    (0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (0.0, 0.0, -1.0), (0.0, 0.0, -1.0),
-)  # fmt: skip
-
 _OVERLAP = 1e-5  # [m] by which Bullet lets bodies in contact overlap; starting there, nothing jumps
+_ON_SURFACE = 1e-4  # [m]
 
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """A hand around a cuboid; the object's nominal frame is the world frame.
+    """A hand around an object; the object's nominal frame is the world frame.
 
     Attributes:
         hand: The hand; its fingers are in the order of the contacts.
-        contact_points: Nominal contacts [m], (N, 3), object frame, on the cuboid's surface.
-        contact_normals: Inward unit normals there, (N, 3), object frame.
-        half_extents: Half of the cuboid's sides [m].
-        object_mass: [kg].
-        friction: Coefficient between tips and object.
+        object: What it holds.
+        contact_points: Nominal contacts [m], (N, 3), object frame, on the object's surface.
         gravity: Acceleration [m/s^2], world frame; y points up, away from the object to the palm.
         physics_rate: Steps per simulated second [Hz].
-        solver_iterations: Most sweeps of Bullet's contact solver in one step.
+        solver_iterations: Sweeps of Bullet's contact solver in one step.
         clearance: Gap between tips and object at the start [m]; 0 lets them touch.
     """
 
     hand: HandDescription = field(default_factory=HandDescription.four_finger)
+    object: ObjectDescription = field(default_factory=ObjectDescription)
     contact_points: tuple[Vector3, ...] = _CUBOID_POINTS
-    contact_normals: tuple[Vector3, ...] = _CUBOID_NORMALS
-    half_extents: Vector3 = (0.05, 0.05, 0.05)
-    object_mass: float = 0.2
-    friction: float = 0.4
     gravity: Vector3 = (0.0, -9.81, 0.0)
-    physics_rate: float = 500.0
+    physics_rate: float = 250.0
     solver_iterations: int = 20
     clearance: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("object_mass", "friction", "physics_rate", "solver_iterations"):
+        for name in ("physics_rate", "solver_iterations"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
                 raise InvalidInputError(f"{name}={value} must be finite and above 0")
-        if len(self.gravity) != 3 or not np.isfinite([*self.gravity, self.clearance]).all():
+        object.__setattr__(self, "gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))
+        as_array(self.clearance, (), "clearance")
+        points = as_array(
+            self.contact_points, (self.hand.finger_count, 3), "contact_points, one row per finger of the hand"
+        )
+        object.__setattr__(self, "contact_points", tuple(tuple(row) for row in points.tolist()))
+        off = np.array([self._distance(point) for point in points])
+        if np.abs(off).max() > _ON_SURFACE:
+            worst = int(np.abs(off).argmax())
             raise InvalidInputError(
-                f"gravity={self.gravity} must be three finite numbers, clearance={self.clearance} one"
+                f"contact_points[{worst}]={points[worst].tolist()} must lie on the surface of the object "
+                f"({self.object.shape}, size {self.object.size}), it is {off[worst] * 1e3:.2f} mm away: move it there"
             )
-        if len(self.half_extents) != 3 or not min(self.half_extents) > 0:
-            raise InvalidInputError(f"half_extents={self.half_extents} must be three lengths > 0")
-        shape = (len(self.hand.fingers), 3)
-        points, normals = np.array(self.contact_points), np.array(self.contact_normals)
-        if points.shape != shape or normals.shape != shape:
-            raise InvalidInputError(
-                f"contact_points of shape {points.shape} and contact_normals of shape "
-                f"{normals.shape} must both be {shape}, one row per finger of the hand"
-            )
-        if not np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-9):
-            raise InvalidInputError(f"contact_normals={normals.tolist()} must have length 1; normalise them")
-        outside = np.abs(np.abs(points) / self.half_extents).max(axis=1) - 1.0
-        if np.abs(outside).max() > 1e-6:
-            raise InvalidInputError(
-                f"contact_points={points.tolist()} must lie on the surface of the cuboid with "
-                f"half_extents={self.half_extents}; move them onto a face"
-            )
+
+    @property
+    def contact_normals(self) -> np.ndarray:
+        """Inward unit normals at the contact points, (N, 3), object frame."""
+        normals = np.empty((len(self.contact_points), 3))
+        surface, point = self.object.surface, np.empty(3)
+        for inside, normal in zip(np.array(self.contact_points), normals, strict=True):
+            nearest(surface, inside, point, normal)
+        return normals
 
     @property
     def weight(self) -> np.ndarray:
         """Gravity's force on the object [N], (3,), world frame."""
-        return self.object_mass * np.array(self.gravity)
+        return self.object.mass * np.array(self.gravity)
 
     def nominal_tips(self) -> np.ndarray:
-        """Centres of the tips at the start [m], (N, 3), world frame: resting on the object.
+        """Centres of the tips at the start [m], (N, 3), world frame: `clearance` away from the object.
 
-        They overlap it by 10 um as all contacts of Bullet do: started at distance zero the object
+        Without clearance they overlap it by 10 um as all contacts of Bullet do: started at distance zero the object
         falls and slips for a step, 0.2 mm at 500 Hz.
         """
-        away = self.hand.tip_radius - _OVERLAP + self.clearance
-        return np.array(self.contact_points) - away * np.array(self.contact_normals)
+        radii = np.array([tip.radius for tip in self.hand.fingertips])
+        away = radii + (self.clearance or -_OVERLAP)
+        return np.array(self.contact_points) - away[:, None] * self.contact_normals
+
+    def _distance(self, point: np.ndarray) -> float:
+        return nearest(self.object.surface, point, np.empty(3), np.empty(3))

@@ -1,71 +1,333 @@
-"""The force loop's pieces: rotation vector, wrench to balance, disturbances."""
+"""The force loop: what it balances, the torques it makes, and what happens when fingers slip off and land."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from grasp_env.config import EnvConfig
-from grasp_env.control import ForceLoop, rotation_vector
-from grasp_env.disturbance import Disturbance
-from grasp_env.grasp.wrench import paper_path
-from grasp_env.sim.scene import ObjectState
+from grasp_env.control import RELEASE, believe
+from grasp_env.control_kernels import least_norm, pose_error, rotation_vector, wrench_to_balance
+from grasp_env.env import FourFingerGrasp
+from grasp_env.motion import motion_target, resting_target
+from grasp_env.sim import ObjectDescription, Snapshot
+from grasp_env.sim.client import bullet
+from grasp_env.sim.snapshot import snapshot_size, split
+
+ITEM = ObjectDescription(size=(0.06, 0.1, 0.14), mass=0.3)
+GRAVITY = np.array([0.0, -9.81, 0.0])
 
 
-def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0)) -> ObjectState:
-    rotation = Rotation.from_rotvec(turn)
-    return ObjectState(
-        np.array(position, float),
-        rotation.as_quat(),
-        rotation.as_matrix(),
-        np.array(linear, float),
-        np.array(angular, float),
-    )
+def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0)) -> Snapshot:
+    """A snapshot of an object, in which nothing else is set."""
+    made = split(np.zeros(snapshot_size(4, 12)), 4, 12)
+    made.position[:], made.linear[:], made.angular[:] = position, linear, angular
+    made.rotation[:] = Rotation.from_rotvec(turn).as_matrix()
+    return made
+
+
+def balanced(
+    s: Snapshot, target: np.ndarray | None = None, told: np.ndarray | None = None, item: ObjectDescription = ITEM
+) -> np.ndarray:
+    """`wrench_to_balance` with the default gains, (6,)."""
+    out = np.empty(6)
+    target = resting_target(1)[0] if target is None else target
+    wrench_to_balance(s, target, np.zeros(6) if told is None else told, GRAVITY, believe(EnvConfig(), item), out)
+    return out
 
 
 def test_rotation_vector_against_scipy():
-    rng = np.random.default_rng(0)
+    rng, out = np.random.default_rng(0), np.empty(3)
     for _ in range(200):
         vector = rng.normal(size=3) * rng.uniform(0, 0.9)
-        np.testing.assert_allclose(rotation_vector(Rotation.from_rotvec(vector).as_matrix()), vector, atol=1e-12)
-    np.testing.assert_allclose(rotation_vector(np.eye(3)), 0.0)
+        rotation_vector(Rotation.from_rotvec(vector).as_matrix(), out)
+        np.testing.assert_allclose(out, vector, atol=1e-12)
+    for tiny in (0.0, 1e-12, 1e-8, 1e-6):
+        rotation_vector(Rotation.from_rotvec([tiny, 0.0, 0.0]).as_matrix(), out)
+        np.testing.assert_allclose(out, [tiny, 0.0, 0.0], rtol=1e-6, atol=1e-15)
+
+
+def test_pose_error_is_zero_on_the_target_and_points_away_from_it():
+    target, error = motion_target("rotate", np.linspace(0.0, 1.0, 51), 0.3, 1.0)[10], np.empty(12)
+    wanted = Rotation.from_quat(target[3:7])
+    pose_error(state(target[:3], wanted.as_rotvec(), target[7:10], target[10:13]), target, error)
+    np.testing.assert_allclose(error, 0.0, atol=1e-12)
+    off = Rotation.from_rotvec([0.01, -0.02, 0.03])
+    pose_error(state((0.1, 0.2, 0.3), (off * wanted).as_rotvec(), (1, 2, 3), (4, 5, 6)), target, error)
+    np.testing.assert_allclose(error[3:6], [0.01, -0.02, 0.03], atol=1e-12)
+    np.testing.assert_allclose(error[:3], np.array([0.1, 0.2, 0.3]) - target[:3])
+    np.testing.assert_allclose(error[6:], np.arange(1.0, 7.0) - target[7:13])
 
 
 def test_wrench_to_balance_signs():
-    loop = ForceLoop(EnvConfig(), "linear_combination")
-    still = loop.wrench_to_balance(state(), np.zeros(6))
-    np.testing.assert_allclose(still, [0, -0.2 * 9.81, 0, 0, 0, 0])
+    np.testing.assert_allclose(balanced(state()), [0, -0.3 * 9.81, 0, 0, 0, 0], atol=1e-15)
     # displaced to +x: the grasp must push back, so the wrench it balances points to +x
-    assert loop.wrench_to_balance(state(position=(0.01, 0, 0)), np.zeros(6))[0] == 200 * 0.01
-    assert loop.wrench_to_balance(state(linear=(0.1, 0, 0)), np.zeros(6))[0] > 0
-    assert loop.wrench_to_balance(state(turn=(0, 0, 0.1)), np.zeros(6))[5] > 0
+    assert balanced(state(position=(0.01, 0, 0)))[0] == pytest.approx(0.3 * 30.0**2 * 0.01)
+    assert balanced(state(linear=(0.1, 0, 0)))[0] == pytest.approx(0.3 * 2 * 30.0 * 0.1)
+    assert balanced(state(turn=(0, 0, 0.1)))[5] > 0
+    assert balanced(state(angular=(0, 0, 0.1)))[5] > 0
     # gravity stays in the world while the object turns
-    turned = loop.wrench_to_balance(state(turn=(0, 0, np.pi / 2)), np.zeros(6))
-    np.testing.assert_allclose(turned[:3], [-0.2 * 9.81, 0, 0], atol=1e-12)
+    turned = balanced(state(turn=(0, 0, np.pi / 2)))
+    np.testing.assert_allclose(turned[:3], [-0.3 * 9.81, 0, 0], atol=1e-12)
+    told = np.arange(1.0, 7.0)  # in the object frame
+    np.testing.assert_allclose(balanced(state(turn=(0, 0, np.pi / 2)), told=told) - turned, told, atol=1e-12)
 
 
-def test_disturbances():
-    def sample(count: int, **settings) -> np.ndarray:
-        source = Disturbance(EnvConfig(**settings), np.random.default_rng(0))
-        return np.array([source.at(k) for k in range(count)])
+def test_inertial_wrench_of_a_moving_target():
+    """On the target the grasp must give what its motion needs: d(m v)/dt and dL/dt, here by differences."""
+    inertia, step = ITEM.inertia_matrix, 1e-4
 
-    np.testing.assert_array_equal(sample(3, wrench="constant"), np.tile([1, 0.5, -0.6, -0.1, 0.2, 0], (3, 1)))
-    np.testing.assert_allclose(sample(500, wrench="paper_path")[125], 0.1 * paper_path(0.5))
-    noise = sample(30_000, wrench="random")
-    # 120 s at a correlation time of 0.3 s is about 200 independent draws per axis: 3 sigma is 15 %
-    np.testing.assert_allclose(noise[:, :3].std(axis=0), 0.6, rtol=0.2)
-    np.testing.assert_allclose(noise[:, 3:].std(axis=0), 0.02, rtol=0.2)
-    lag = 75  # one correlation time
-    correlation = [np.corrcoef(noise[:-lag, k], noise[lag:, k])[0, 1] for k in range(6)]
-    np.testing.assert_allclose(np.mean(correlation), np.exp(-1), atol=0.1)
-    assert not sample(4, wrench="none").any()
+    def rotation(t: float) -> Rotation:
+        return Rotation.from_rotvec(np.array([0.5, -0.3, 0.8]) * np.sin(t)) * Rotation.from_rotvec(
+            np.array([0.7, 0.9, -0.4]) * t
+        )
+
+    def place(t: float) -> np.ndarray:
+        return np.array([np.sin(t), np.cos(2 * t), t**3])
+
+    def angular(t: float) -> np.ndarray:
+        return (rotation(t + step) * rotation(t - step).inv()).as_rotvec() / (2 * step)
+
+    def momentum(t: float) -> np.ndarray:
+        turned = rotation(t).as_matrix()
+        return turned @ inertia @ turned.T @ angular(t)
+
+    def slope(function: Any, t: float, h: float = 1e-3) -> np.ndarray:
+        return (function(t + h) - function(t - h)) / (2 * h)
+
+    for t in (0.3, 1.1, 2.0):
+        target = np.concatenate(
+            [place(t), rotation(t).as_quat(), slope(place, t), angular(t), (place(t + 1e-3) - 2 * place(t) + place(t - 1e-3)) / 1e-6,
+             slope(angular, t)]
+        )  # fmt: skip
+        s = state(place(t), rotation(t).as_rotvec(), target[7:10], target[10:13])
+        turned = rotation(t).as_matrix()
+        force = turned.T @ (0.3 * (GRAVITY - target[13:16]))
+        moment = -turned.T @ slope(momentum, t)
+        np.testing.assert_allclose(balanced(s, target), [*force, *moment], rtol=1e-4, atol=1e-6)
 
 
-def test_random_does_not_depend_on_how_it_is_asked():
-    one = Disturbance(EnvConfig(wrench="random"), np.random.default_rng(4))
-    two = Disturbance(EnvConfig(wrench="random"), np.random.default_rng(4))
-    far = one.at(20_000)  # 80 s: beyond any fixed length
-    for k in (0, 700, 20_000):
-        last = two.at(k)
-    np.testing.assert_array_equal(far, last)
-    assert not np.array_equal(one.at(20_000), one.at(19_999))
+def test_least_norm_against_numpy():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        matrix, wrench, force = rng.normal(size=(6, 12)), rng.normal(size=6), rng.normal(size=12)
+        expected = force - np.linalg.pinv(matrix) @ (matrix @ force + wrench)
+        least_norm(force, matrix, wrench)
+        np.testing.assert_allclose(force, expected, atol=1e-6)  # 1e-9 of the largest entry stands on the diagonal
+    lost = np.ones(12)
+    least_norm(lost, np.zeros((6, 12)), np.ones(6))
+    np.testing.assert_array_equal(lost, 1.0)  # nothing can be done, and nothing is
+
+
+def torques_of(s: Snapshot, tree: Any, frames: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Gravity compensation + J^T f, in plain numpy; forces (N, 3) in contact frames."""
+    torques = s.gravity_torques.copy()
+    for finger, link in enumerate(tree.tip_links.tolist()):
+        push = s.rotation @ frames[finger] @ forces[finger]
+        while link >= 0:
+            torques[link] += s.axes[link] @ np.cross(s.touch[finger] - s.origins[link], push)
+            link = int(tree.parents[link])
+    return torques
+
+
+@dataclass
+class Tick:
+    """One control tick: what the loop knew, what it commanded and what Bullet then measured."""
+
+    fingers: tuple[int, ...]
+    touching: np.ndarray
+    force: np.ndarray
+    wrench: np.ndarray
+    residual: np.ndarray
+    closure: bool
+    repaired: int
+    matrix: np.ndarray
+
+
+class Trial:
+    """An episode in which the tips of some fingers are pulled off the object for a while.
+
+    Args:
+        pulled: the fingers, by number.
+        ticks: for so many control ticks.
+        steps: of the agent.
+        force: [N] away from the object, on each.
+        settings: of the environment.
+    """
+
+    START = 50
+
+    def __init__(
+        self, pulled: tuple[int, ...], ticks: int = 10, steps: int = 100, force: float = 8.0, **settings: Any
+    ) -> None:
+        env = FourFingerGrasp(disturbance="none", **settings)
+        env.reset(seed=0)
+        scene, loop = env.scene, env._loop
+        self.ticks: list[Tick] = []
+        self.infos: list[dict[str, Any]] = []
+        self.friction = loop.friction
+        advance = scene.advance
+
+        def pull(torques: list[float], wrench: list[float] | None) -> None:
+            s, frames = scene.look(), loop.frames
+            matrix = np.zeros((6, 12))
+            for finger in loop.fingers:
+                skew = np.cross(np.eye(3), s.points[finger])  # skew @ f = p x f
+                matrix[:3, 3 * finger : 3 * finger + 3] = frames[finger]
+                matrix[3:, 3 * finger : 3 * finger + 3] = skew @ frames[finger]
+            residual = matrix @ loop.force.reshape(-1) + loop.wrench
+            self.ticks.append(
+                Tick(
+                    tuple(loop.fingers.tolist()), s.touching > 0, loop.force.copy(), loop.wrench.copy(), residual,
+                    loop.closure, loop.repaired, matrix,
+                )
+            )  # fmt: skip
+            if len(self.ticks) <= 5 and loop.fingers.size == 4:
+                expected = torques_of(s, scene.kinematics.tree, frames, loop.force)
+                np.testing.assert_allclose(torques, expected, atol=1e-9)
+            if self.START < len(self.ticks) <= self.START + ticks:
+                for finger in pulled:
+                    link = scene.bodies.joints[int(scene.kinematics.tree.tip_links[finger])]
+                    away = -force * (s.rotation @ s.normals[finger])
+                    bullet.applyExternalForce(
+                        scene.bodies.hand, link, away.tolist(), s.tips[finger].tolist(), bullet.WORLD_FRAME,
+                        scene.client.number,
+                    )  # fmt: skip
+            advance(torques, wrench)
+
+        scene.advance = pull  # type: ignore[method-assign]
+        for _ in range(steps):
+            obs, reward, terminated, truncated, info = env.step(np.zeros(6, dtype=np.float32))
+            assert np.isfinite(obs).all()
+            assert np.isfinite(reward)
+            self.infos.append(info)
+            if terminated or truncated:
+                break
+        env.close()
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3], ids=["middle", "left", "right"])
+def slipped(request: pytest.FixtureRequest) -> tuple[int, Trial]:
+    """One finger of the front is pulled off; thumb and two fingers are left."""
+    return request.param, Trial((request.param,), duration=4.0, steps=200)
+
+
+def test_a_finger_that_slips_off_leaves_the_others_balanced(slipped):
+    finger, trial = slipped
+    others = tuple(k for k in range(4) if k != finger)
+    alone = [tick for tick in trial.ticks if tick.fingers == others]
+    assert len(alone) > 10
+    counts = [info["contacts"] for info in trial.infos]
+    assert counts[:10] == [4] * 10
+    assert 3 in counts
+    for tick in alone:
+        assert tick.closure
+        np.testing.assert_array_equal(tick.force[finger], 0.0)  # nothing is commanded where there is nothing to push
+        inside = trial.friction * tick.force[:, 0] - np.hypot(tick.force[:, 1], tick.force[:, 2])
+        assert (inside[list(others)] > 0.0).all()
+    # G f + w = 0 over the three
+    assert np.percentile([np.abs(tick.residual).max() for tick in alone], 95) < 1e-8
+    for info in trial.infos:
+        assert info["force_closure"]
+        assert info["failure"] == ""
+        if info["contacts"] == 3:
+            assert info["status"] == "optimal"
+            np.testing.assert_array_equal(info["commanded_force"][finger], 0.0)
+    assert max(info["drift"] for info in trial.infos) < 5e-3
+
+
+def test_the_loss_is_noticed_within_a_few_ticks(slipped):
+    finger, trial = slipped
+    lost = next(k for k, tick in enumerate(trial.ticks) if not tick.touching[finger])
+    noticed = next(k for k, tick in enumerate(trial.ticks) if finger not in tick.fingers)
+    assert lost <= noticed <= lost + RELEASE + 1  # not at the next agent step, nor at the first tick without force
+    assert noticed % 5 != 0 or noticed == lost + RELEASE
+
+
+def test_the_finger_comes_back(slipped):
+    finger, trial = slipped
+    last = trial.infos[-1]
+    assert last["contacts"] == 4
+    assert last["touching"].all()
+    assert last["contact_changes"] >= 2
+    assert last["is_success"]
+    assert last["drift"] < 1e-4
+    assert last["commanded_force"][finger, 0] > 0.1
+    assert last["force_error"] < 0.05
+
+
+def test_the_commanded_force_is_continuous(slipped):
+    """By at most force_rate * dt = 4 N per tick beyond what balance asks; a finger that lands starts from nothing."""
+    finger, trial = slipped
+    most = 1000.0 / 250.0
+    assert len(trial.ticks) > 200
+    for before, now in pairwise(trial.ticks):
+        change = np.abs(now.force - before.force).max()
+        if before.fingers == now.fingers:
+            asked = np.abs(np.linalg.pinv(now.matrix)).sum(axis=1).max() * np.abs(now.wrench - before.wrench).max()
+            assert change <= most + asked + 1e-9
+        elif len(now.fingers) < len(before.fingers):
+            # what the lost finger carried goes to the others at once, and what holds that inside their cones
+            left = before.force.copy()
+            left[finger] = 0.0
+            missing = now.matrix @ left.reshape(-1) + now.wrench
+            assert (
+                change
+                <= most + 4.0 * np.abs(np.linalg.pinv(now.matrix) @ missing).max() + np.abs(before.force[finger]).max()
+            )
+        else:
+            assert 0.0 < now.force[finger, 0] <= most + 1e-9
+
+
+def test_a_slow_force_rate_is_kept():
+    """The internal force of a finger that lands grows by 0.1 N per tick, not more."""
+    trial = Trial((2,), duration=4.0, steps=200, force_rate=25.0)
+    assert trial.infos[-1]["contacts"] == 4
+    landed = max(k for k, tick in enumerate(trial.ticks) if 2 not in tick.fingers) + 1
+    after = trial.ticks[landed : landed + 60]
+    for before, now in pairwise(after):
+        asked = 3.0 * np.abs(np.linalg.pinv(now.matrix)).sum(axis=1).max() * np.abs(now.wrench - before.wrench).max()
+        assert np.abs(now.force - before.force).max() <= 0.1 + asked + 1e-9
+    assert after[0].force[2, 0] < 0.3
+    assert after[-1].force[2, 0] > after[0].force[2, 0]
+
+
+def test_without_force_closure_the_episode_ends_with_that_cause():
+    trial = Trial((2, 3), ticks=200, max_drift=10.0, max_tilt=3.0)
+    last = trial.infos[-1]
+    assert last["failure"] == "closure_lost"
+    assert not last["is_success"]
+    assert not last["force_closure"]
+    assert last["contacts"] == 2
+    lost = [info["force_closure"] for info in trial.infos].index(False)
+    assert last["status"] in ("none", "failed")
+    assert 5 <= len(trial.infos) - lost <= 7  # max_contact_gap = 0.1 s, at 50 Hz
+    for info in trial.infos[lost:]:  # the last forces are kept, inside their cones
+        force = info["commanded_force"]
+        assert (np.hypot(force[:, 1], force[:, 2]) <= 0.4 * force[:, 0] + 1e-9).all()
+        assert info["iterations"] == 0
+        assert info["reward/iterations"] < 0.0  # a failed optimisation is no free one
+
+
+def test_a_short_gap_of_force_closure_is_survived():
+    """Without gravity two fingers are pulled off and come back: closure is lost, then found again."""
+    trial = Trial(
+        (2, 3), ticks=3, steps=200, duration=4.0, gravity=(0.0, 0.0, 0.0), max_contact_gap=2.0, max_drift=0.05
+    )
+    closed = [info["force_closure"] for info in trial.infos]
+    assert closed.count(False) > 3
+    assert closed[-1]
+    assert trial.infos[-1]["contacts"] == 4
+    assert trial.infos[-1]["failure"] == ""
+
+
+def test_a_hand_let_go_is_reported():
+    trial = Trial((0, 1, 2, 3), ticks=200)
+    assert trial.infos[-1]["failure"] in ("dropped", "closure_lost")
+    assert not trial.infos[-1]["force_closure"]
+    assert trial.infos[-1]["contacts"] == 0

@@ -1,11 +1,12 @@
-"""The public environment: contracts of Gymnasium and stable-baselines3, determinism, physics, wrong use."""
+"""The public environment: contracts of Gymnasium and stable-baselines3, tasks, objects, hands, sensors, actions."""
 
 from __future__ import annotations
 
-import multiprocessing
+import json
 import pickle
 import re
 import warnings
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,28 +15,47 @@ from gymnasium.utils.env_checker import check_env as gym_check
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
 from grasp_env import observation
+from grasp_env.config import ACTION_MODES, EnvConfig
 from grasp_env.env import FourFingerGrasp
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownNameError
+from grasp_env.errors import GraspError
 from grasp_env.force import initial_rule
 
 ENV = "grasp_env:FourFingerGrasp-v0"
 ZERO = np.zeros(6, dtype=np.float32)
+DOC = FourFingerGrasp.__doc__ or ""
+ALL = ("shape", "size", "mass", "friction")
 
 
-def episode(steps: int = 20, seed: int = 3, action: np.ndarray = ZERO, **settings):
+def episode(
+    steps: int | None = 20, seed: int = 3, action: np.ndarray | None = None, **settings: Any
+) -> tuple[np.ndarray, list[dict[str, Any]]]:
+    """Observations (the first is reset's) and infos of the steps of an episode; steps None: all."""
     env = gym.make(ENV, **settings)
     try:
-        out = [env.reset(seed=seed)[0]]
-        infos = []
-        for _ in range(steps):
-            obs, _, terminated, _, info = env.step(action)
+        zero = np.zeros(env.action_space.shape or (), dtype=np.float32)
+        out, infos = [env.reset(seed=seed)[0]], []
+        while steps is None or len(infos) < steps:
+            obs, reward, terminated, truncated, info = env.step(zero if action is None else action)
+            assert np.isfinite(obs).all()
+            assert np.isfinite(reward)
+            assert env.observation_space.contains(obs)
             out.append(obs)
-            infos.append(info)
-            if terminated:
+            infos.append({**info, "terminated": terminated, "truncated": truncated})
+            if terminated or truncated:
                 break
         return np.array(out), infos
     finally:
         env.close()
+
+
+def block(obs: np.ndarray, name: str, tips: int = 4, joints: int = 12) -> np.ndarray:
+    """The named part of an observation."""
+    start = 0
+    for field in observation.fields(tips, joints):
+        if field.name == name:
+            return obs[start : start + field.size]
+        start += field.size
+    raise KeyError(name)
 
 
 def test_gymnasium_check_with_rendering():
@@ -43,7 +63,7 @@ def test_gymnasium_check_with_rendering():
         metadata = {**FourFingerGrasp.metadata, "render_modes": ["rgb_array"]}  # noqa: RUF012
 
     gym.register("Headless-v0", entry_point=Headless, max_episode_steps=100)
-    env = gym.make("Headless-v0", render_mode="rgb_array", wrench="random")
+    env = gym.make("Headless-v0", render_mode="rgb_array", disturbance="random")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         gym_check(env.unwrapped, skip_render_check=False)
@@ -51,8 +71,9 @@ def test_gymnasium_check_with_rendering():
     del gym.registry["Headless-v0"]
 
 
-def test_sb3_check():
-    env = FourFingerGrasp(wrench="random")
+@pytest.mark.parametrize("settings", [{"disturbance": "random"}, {"randomise": ALL}, {"action_mode": "contact_force"}])
+def test_sb3_check(settings):
+    env = FourFingerGrasp(**settings)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         sb3_check(env, warn=True)
@@ -60,86 +81,153 @@ def test_sb3_check():
 
 
 def test_observation_table_matches_docstring_and_space():
-    rows = [line.strip() for line in (FourFingerGrasp.__doc__ or "").splitlines()]
-    for line in observation.table():
-        assert line in rows
+    rows = [line.strip() for line in DOC.splitlines()]
+    table = observation.table()
+    start = rows.index(table[0])
+    assert rows[start : start + len(table)] == table  # all of it, in order, and no row more
+    assert not rows[start + len(table)].startswith("|")
     env = FourFingerGrasp()
-    assert env.observation_space.shape == (observation.SIZE,)
-    assert f"({observation.SIZE},)" in (FourFingerGrasp.__doc__ or "")
+    size = env.observation_space.shape[0]
+    assert size == sum(field.size for field in observation.fields())
+    assert f"({size},)" in DOC
+    high = env.observation_space.high
+    for line in table:  # the ranges of the table cover every index once, with the bound of the space
+        index, _, _, _, bound = (part.strip() for part in line.strip("|").split("|"))
+        first, last = (int(part) for part in (index.split("-") if "-" in index else (index, index)))
+        np.testing.assert_array_equal(high[first : last + 1], np.float32(float(bound)))
+    assert last == size - 1
     env.close()
 
 
-def test_info_keys_are_documented_and_constant():
+def test_observation_holds_what_the_table_says():
+    env = FourFingerGrasp(disturbance="random")
+    env.reset(seed=1)
+    for _ in range(7):
+        obs, _, _, _, info = env.step(ZERO)
+    s = env.scene.look()
+    wrench = np.concatenate([block(obs, "wrench to balance: force"), block(obs, "wrench to balance: moment")])
+    np.testing.assert_allclose(wrench, info["wrench"], rtol=1e-6)
+    np.testing.assert_allclose(block(obs, "object position minus the wanted one"), s.position, rtol=1e-6)
+    np.testing.assert_allclose(block(obs, "object linear velocity minus the wanted one"), s.linear, rtol=1e-6)
+    np.testing.assert_allclose(block(obs, "object angular velocity minus the wanted one"), s.angular, rtol=1e-6)
+    np.testing.assert_allclose(block(obs, "contact point").reshape(-1, 3), s.points, rtol=1e-6)
+    np.testing.assert_allclose(block(obs, "inward normal").reshape(-1, 3), s.normals, rtol=1e-6)
+    for name, force in (("commanded", info["commanded_force"]), ("measured", info["measured_force"])):
+        np.testing.assert_allclose(block(obs, f"{name} force (normal, o, t)").reshape(-1, 3), force, rtol=1e-6)
+    # the normal component of the measured force, and its size, do not depend on the tangents
+    np.testing.assert_allclose(info["measured_force"][:, 0], np.einsum("nk,nk->n", s.normals, s.forces), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.norm(info["measured_force"], axis=1), np.linalg.norm(s.forces, axis=1), rtol=1e-9
+    )
+    np.testing.assert_array_equal(block(obs, "touching"), s.touching)
+    np.testing.assert_allclose(block(obs, "joint angle"), s.angles, rtol=1e-6)
+    assert block(obs, "solver friction")[0] == pytest.approx(0.85 * 0.4)
+    env.close()
+
+
+def test_what_is_seen_at_reset_is_the_grasp_that_holds():
     env = FourFingerGrasp()
+    obs, info = env.reset(seed=0)
+    s = env.scene.look()
+    total = s.rotation @ s.forces.sum(axis=0)
+    np.testing.assert_allclose(total, [0.0, 0.2 * 9.81, 0.0], atol=0.01 * 0.2 * 9.81)  # 1 % of the weight
+    assert info["touching"].all()
+    assert info["contacts"] == 4
+    assert info["force_closure"]
+    assert info["contact_changes"] == 0
+    assert (info["status"], info["failure"], info["time"]) == ("none", "", 0.0)
+    np.testing.assert_allclose(
+        np.linalg.norm(info["measured_force"], axis=1), np.linalg.norm(s.forces, axis=1), rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        block(obs, "measured force (normal, o, t)").reshape(-1, 3), info["measured_force"], rtol=1e-6
+    )
+    env.close()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"controller": "pd"},
+        {"controller": "constant_squeeze"},
+        {"action_mode": "contact_force"},
+        {"task": "payload"},
+    ],
+)
+def test_info_keys_are_documented_and_constant(settings):
+    env = FourFingerGrasp(**settings)
     _, first = env.reset(seed=0)
-    info = env.step(ZERO)[4]
-    assert first.keys() == info.keys()
-    documented = set(re.findall(r"`([a-z_]+)`", (FourFingerGrasp.__doc__ or "").split("## Info")[1]))
-    assert {key for key in info if not key.startswith("reward/")} <= documented
-    env.close()
-
-
-def _bits(queue) -> None:
-    queue.put(episode(steps=10, wrench="random")[0].tobytes())
-
-
-def test_same_seed_same_bits_in_another_process_and_after_resets():
-    context = multiprocessing.get_context("spawn")
-    queue = context.Queue()
-    process = context.Process(target=_bits, args=(queue,))
-    process.start()
-    other = queue.get(timeout=120)
-    process.join(timeout=30)
-    here, _ = episode(steps=10, wrench="random")
-    assert here.tobytes() == other
-    env = gym.make(ENV, wrench="random")
-    for seed in (8, 9, 3):
-        again = [env.reset(seed=seed)[0]] + [env.step(ZERO)[0] for _ in range(10)]
-    assert np.array(again).tobytes() == here.tobytes()
+    terminated = False
+    infos = [env.step(np.zeros(env.action_space.shape, dtype=np.float32))[4]]
+    env.reset(seed=0, options={"wrench": [0, 0, 0, 0, 0, 4.0]})
+    while not terminated:
+        _, _, terminated, truncated, info = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+        infos.append(info)
+        assert not truncated
+    for info in infos:
+        assert first.keys() == info.keys()
+        for key, value in info.items():
+            assert type(value) is type(first[key]), key
+            assert np.shape(value) == np.shape(first[key]), key
+            if not isinstance(value, str):
+                assert np.isfinite(value).all(), key
+    documented = set(re.findall(r"`([a-z_]+)`", DOC.split("## Info")[1].split("## Reset")[0]))
+    assert {key for key in first if not key.startswith("reward/")} <= documented
     env.close()
 
 
 def test_different_seeds_differ():
-    assert not np.array_equal(episode(5, seed=1, wrench="random")[0], episode(5, seed=2, wrench="random")[0])
-
-
-@pytest.mark.parametrize("wrench", ["none", "constant", "paper_path"])
-def test_holds_for_two_seconds(wrench):
-    """The issue's criterion: drift below 1 mm, no contact lost."""
-    _, infos = episode(steps=100, wrench=wrench)
-    assert len(infos) == 100
-    assert max(info["drift"] for info in infos) < 1e-3
-    assert all(info["touching"].all() for info in infos)
-    assert infos[-1]["is_success"]
-    # what is commanded arrives: 0.05 N is 1 % of the thumb's force
-    assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
-
-
-def test_starts_from_contacts_that_carry_the_weight():
-    env = FourFingerGrasp()
-    env.reset(seed=0)
-    total = env.scene.contacts().forces.sum(axis=0)
-    np.testing.assert_allclose(total, [0.0, 0.2 * 9.81, 0.0], atol=0.01 * 0.2 * 9.81)  # 1 % of the weight
-    env.close()
-
-
-def test_friction_overestimated_slips():
-    """The simulation tells the truth: a solver that believes in 1.3 times the friction cannot even close the hand."""
-    with pytest.raises(SimulationError, match="friction_margin"):
-        episode(friction_margin=1.3, barrier_weight=1e-4)
-    held = episode(steps=50, friction_margin=1.0, barrier_weight=1e-4)[1]
-    assert held[-1]["is_success"]  # the ideal simulation forgives exactly the true friction, and no more
+    assert not np.array_equal(episode(5, seed=1, disturbance="random")[0], episode(5, seed=2, disturbance="random")[0])
 
 
 def test_zero_action_is_the_rule_and_adjustments_change_the_start():
     base = episode(5)[1]
+    named = episode(5, initial_force="linear_combination")[1]
     moved = episode(5, action=np.full(6, -0.5, dtype=np.float32))[1]
-    assert [i["iterations"] for i in base] == [
-        i["iterations"] for i in episode(5, initial_force="linear_combination")[1]
-    ]
+    assert [i["iterations"] for i in base] == [i["iterations"] for i in named]
     assert [i["iterations"] for i in base] != [i["iterations"] for i in moved]
     # the adjustment moves the start, not the optimum: both commands agree to the solver's tolerance
     assert abs(base[-1]["objective"] / moved[-1]["objective"] - 1.0) < 3e-4
+
+
+def test_action_modes():
+    for mode, size in zip(ACTION_MODES, (6, 12, 1), strict=True):
+        env = FourFingerGrasp(action_mode=mode)
+        assert env.action_space.shape == (size,)
+        assert (env.action_space.low == -1.0).all()
+        assert (env.action_space.high == 1.0).all()
+        env.close()
+    zero, one = (episode(10, action_mode="none", action=np.full(1, a, dtype=np.float32))[0] for a in (0.0, 1.0))
+    np.testing.assert_array_equal(zero, one)  # ignored
+    np.testing.assert_array_equal(zero, episode(10)[0])
+
+
+def test_actions_beyond_the_box_are_clipped():
+    far, edge = (episode(4, action=np.full(6, a, dtype=np.float32))[0] for a in (3.0, 1.0))
+    np.testing.assert_array_equal(far, edge)
+
+
+def test_contact_forces_as_actions_hold_the_object():
+    """The optimum of the solver, given as an action, is commanded as it is: no solver, and the object stays."""
+    env = FourFingerGrasp(disturbance="none", action_mode="none")
+    env.reset(seed=0)
+    for _ in range(5):
+        info = env.step(np.zeros(1, dtype=np.float32))[4]
+    force = info["commanded_force"]
+    env.close()
+    scale = 8.0
+    action = force / scale
+    action[:, 0] -= 1.0
+    env = FourFingerGrasp(disturbance="none", action_mode="contact_force", action_scale=scale)
+    env.reset(seed=0)
+    for _ in range(10):
+        _, _, terminated, _, info = env.step(action.reshape(-1).astype(np.float32))
+        np.testing.assert_allclose(info["commanded_force"], force, atol=1e-5)
+        assert (info["iterations"], info["status"]) == (0, "none")
+        assert not terminated
+    np.testing.assert_allclose(info["measured_force"], force, atol=0.05)
+    env.close()
 
 
 def test_initial_force_takes_any_rule():
@@ -149,9 +237,16 @@ def test_initial_force_takes_any_rule():
         calls.append(wrench)
         return initial_rule("single_value")(grasp, wrench)
 
-    episode(3, initial_force=rule)
+    infos = episode(3, initial_force=rule)[1]
     assert len(calls) >= 3
+    assert all(info["status"] == "optimal" for info in infos)
     assert episode(5, initial_force="previous")[1][-1]["iterations"] <= 1
+
+
+@pytest.mark.parametrize("method", ["newton", "full_flow", "reduced_flow"])
+def test_other_methods_reach_the_same_optimum(method):
+    objective = episode(3, method=method)[1][-1]["objective"]
+    assert objective == pytest.approx(episode(3)[1][-1]["objective"], rel=3e-4)
 
 
 def test_a_rule_that_breaks_mid_episode_ends_it_without_stale_numbers():
@@ -165,28 +260,45 @@ def test_a_rule_that_breaks_mid_episode_ends_it_without_stale_numbers():
     env.reset(seed=0)
     assert env.step(ZERO)[4]["status"] == "optimal"
     broken = True
-    obs, reward, terminated, _, info = env.step(ZERO)
+    obs, reward, terminated, truncated, info = env.step(ZERO)
     assert terminated
+    assert not truncated
     assert (info["failure"], info["status"], info["iterations"]) == ("force_optimisation", "failed", 0)
     assert np.isfinite(obs).all()
     assert np.isfinite(reward)
+    assert not info["is_success"]
+    broken = False
+    env.reset(seed=0)
+    assert env.step(ZERO)[4]["status"] == "optimal"
     env.close()
-
-
-def test_wrench_told_late_or_not_at_all_moves_the_object():
-    """Feedback 200 N/m: 1 N constant that is never told displaces by 5 mm, a step told 4 ms late by much less."""
-    still, late, never = (
-        episode(steps=100, wrench_value=(1, 0, 0, 0, 0, 0), **settings)[1]
-        for settings in ({}, {"wrench_delay": 1}, {"wrench_known": False})
-    )
-    assert max(info["drift"] for info in still) < 1e-6
-    assert 1e-5 < max(info["drift"] for info in late) < 1e-3
-    assert abs(never[-1]["drift"] - 1 / 200) < 0.02 / 200  # 2 %: the last of the transient
 
 
 def test_a_rule_that_does_not_balance_says_so_when_the_hand_is_made():
     with pytest.raises(GraspError, match="misses balance"):
         FourFingerGrasp(initial_force=lambda grasp, wrench: np.ones((4, 3)))
+
+
+def test_config_and_settings_are_one():
+    config = EnvConfig(disturbance="random", object_mass=0.15)
+    np.testing.assert_array_equal(episode(4, config=config)[0], episode(4, disturbance="random", object_mass=0.15)[0])
+    np.testing.assert_array_equal(
+        episode(4, config=config, object_mass=0.2)[0], episode(4, disturbance="random", object_mass=0.2)[0]
+    )
+    rebuilt = EnvConfig(**json.loads(json.dumps({**config.__dict__})))
+    assert rebuilt == config
+    assert hash(rebuilt) == hash(config)
+
+
+def test_a_constant_wrench_of_the_reset():
+    wrench = np.array([0.5, 0.2, -0.4, 0.02, 0.03, -0.04])
+    env = FourFingerGrasp(disturbance="random")
+    env.reset(seed=0, options={"wrench": wrench})
+    for _ in range(40):
+        info = env.step(ZERO)[4]
+    np.testing.assert_allclose(info["wrench"], wrench + np.array([0.0, -0.2 * 9.81, 0.0, 0.0, 0.0, 0.0]), atol=1e-3)
+    env.reset(seed=0)  # the next episode is as configured
+    assert not np.allclose(env.step(ZERO)[4]["wrench"], info["wrench"], atol=1e-2)
+    env.close()
 
 
 def test_reward_is_the_sum_of_its_terms_and_punishes_iterations():
@@ -195,32 +307,15 @@ def test_reward_is_the_sum_of_its_terms_and_punishes_iterations():
     _, reward, _, _, info = env.step(ZERO)
     assert reward == pytest.approx(sum(info[key] for key in info if key.startswith("reward/")))
     assert info["reward/iterations"] == pytest.approx(-0.01 * info["iterations"])
-    env.close()
-
-
-def test_lost_object_ends_the_episode_with_its_cause():
-    env = FourFingerGrasp()
-    env.reset(seed=0, options={"wrench": [0, 0, 0, 0, 0, 3.0]})  # far beyond the joint torques
-    for _ in range(100):
-        obs, _, terminated, _, info = env.step(ZERO)
-        assert np.isfinite(obs).all()
-        if terminated:
-            break
-    assert terminated
-    assert info["failure"]
-    assert not info["is_success"]
-    with pytest.raises(SimulationError, match="reset"):
-        env.step(ZERO)
-    env.reset(seed=0)
-    assert not env.step(ZERO)[2]
+    assert info["reward/force"] == pytest.approx(-0.01 * info["commanded_force"][:, 0].sum())
     env.close()
 
 
 def test_render_and_pickle():
-    env = FourFingerGrasp(render_mode="rgb_array")
+    env = FourFingerGrasp(render_mode="rgb_array", randomise=("mass",))
     env.reset(seed=0)
     frame = env.render()
-    assert frame is not None
+    assert isinstance(frame, np.ndarray)
     assert frame.dtype == np.uint8
     assert frame.std() > 10  # a picture, not a blank
     copy = pickle.loads(pickle.dumps(env))
@@ -229,81 +324,12 @@ def test_render_and_pickle():
     copy.close()
 
 
-def test_vector_environments_agree_with_single():
-    single, _ = episode(3, wrench="random")
-    for kind in (gym.vector.SyncVectorEnv, gym.vector.AsyncVectorEnv):
-        envs = kind([lambda: gym.make(ENV, wrench="random")] * 2)
-        first, _ = envs.reset(seed=[3, 4])
-        rows = [first[0]] + [envs.step(np.zeros((2, 6), dtype=np.float32))[0][0] for _ in range(3)]
-        envs.close()
-        assert np.array(rows).tobytes() == single.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("settings", "error"),
-    [
-        ({"wrench": "wind"}, UnknownNameError),
-        ({"colour": "red"}, UnknownNameError),
-        ({"method": "magic"}, UnknownNameError),
-        ({"initial_force": "best"}, UnknownNameError),
-        ({"render_mode": "ascii"}, UnknownNameError),
-        ({"friction": 0.0}, InvalidInputError),
-        ({"object_mass": float("nan")}, InvalidInputError),
-        ({"control_rate": 333}, InvalidInputError),
-        ({"wrench_value": (1, 2)}, InvalidInputError),
-        ({"agent_rate": 50.0}, InvalidInputError),
-        ({"iteration_cost": float("nan")}, InvalidInputError),
-        ({"held_reward": "a"}, InvalidInputError),
-        ({"random_force": float("nan")}, InvalidInputError),
-        ({"position_gain": -1.0}, InvalidInputError),
-        ({"wrench_delay": -1}, InvalidInputError),
-        ({"config": 3}, InvalidInputError),
-    ],
-)
-def test_wrong_settings(settings, error):
-    with pytest.raises(error) as caught:
-        FourFingerGrasp(**settings)
-    assert isinstance(caught.value, ValueError)
-    name, value = next(iter(settings.items()))
-    assert name in str(caught.value) or repr(value) in str(caught.value)
-
-
-def test_wrong_use():
-    env = FourFingerGrasp()
-    with pytest.raises(SimulationError, match="reset"):
-        env.step(ZERO)
-    env.reset(seed=0)
-    with pytest.raises(InvalidInputError, match="nan"):
-        env.step(np.array([np.nan, 0, 0, 0, 0, 0], dtype=np.float32))
-    with pytest.raises(InvalidInputError):
-        env.step(np.zeros(5, dtype=np.float32))
-    with pytest.raises(UnknownNameError, match="wrench"):
-        env.reset(options={"wrnch": 1})
-    with pytest.raises(GraspError):
-        env.reset(options={"wrench": [1, 2, np.inf, 0, 0, 0]})
+def test_looking_changes_nothing():
+    env = FourFingerGrasp(render_mode="rgb_array", disturbance="random")
+    env.reset(seed=3)
+    rows = []
+    for _ in range(5):
+        env.render()
+        rows.append(env.step(ZERO)[0])
     env.close()
-    env.close()
-    with pytest.raises(SimulationError, match="closed"):
-        env.step(ZERO)
-
-
-def test_human_mode_without_a_display_is_a_clear_error(monkeypatch):
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(SimulationError, match="display"):
-        FourFingerGrasp(render_mode="human")
-
-
-@pytest.mark.slow
-def test_five_hundred_resets_do_not_grow():
-    import resource
-
-    env = gym.make(ENV, wrench="random")
-    sizes = []
-    for seed in range(500):
-        env.reset(seed=seed)
-        env.step(ZERO)
-        if seed in (99, 499):
-            sizes.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-    env.close()
-    assert sizes[1] - sizes[0] < 4000  # kB, over 400 resets
+    assert np.array(rows).tobytes() == episode(5, disturbance="random")[0][1:].tobytes()

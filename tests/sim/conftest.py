@@ -8,15 +8,28 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_env.sim import Scene, SceneConfig
+from grasp_env.sim import ObjectDescription, Scene, SceneConfig
 
 SQUEEZE = np.array([1.0, 0.4, 0.3, 0.3])  # normal forces of the reference grasp that balance
+OBJECT = ("shape", "size", "mass", "friction", "inertia", "mesh")
 
 
 def grasp_matrix(points: np.ndarray) -> np.ndarray:
     """Forces (3N,) in object axes to their wrench (6,) about the object's centre."""
     columns = [np.vstack([np.eye(3), np.cross(np.eye(3), point).T * -1.0]) for point in points]
     return np.hstack(columns)
+
+
+def grasp_torques(scene: Scene, forces: np.ndarray) -> np.ndarray:
+    """Torques (M,) with which the tips push with `forces` (N, 3), object frame, and that carry the links."""
+    s, tree = scene.look(), scene.kinematics.tree
+    torques = s.gravity_torques.copy()
+    for finger, force in enumerate(forces @ s.rotation.T):
+        link = int(tree.tip_links[finger])
+        while link >= 0:
+            torques[link] += s.axes[link] @ np.cross(s.touch[finger] - s.origins[link], force)
+            link = int(tree.parents[link])
+    return torques
 
 
 class Holder:
@@ -33,19 +46,25 @@ class Holder:
         self.forces = np.zeros((4, 3))
 
     def __call__(self, scene: Scene) -> np.ndarray:
-        state, contacts = scene.state(), scene.contacts()
-        mass = scene.config.object_mass
-        turn = 2.0 * np.copysign(1.0, state.quaternion[3]) * state.quaternion[:3]
-        pull = scene.config.weight + 200.0 * state.position
-        pull += 2.0 * np.sqrt(200.0 * mass) * state.linear_velocity
+        s, mass = scene.look(), scene.config.object.mass
+        skew = 0.5 * (s.rotation - s.rotation.T)
+        turn = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
+        pull = scene.config.weight + 200.0 * s.position
+        pull += 2.0 * np.sqrt(200.0 * mass) * s.linear
         inertia = mass * 0.1**2 / 6.0
-        twist = 2.0 * turn + 2.0 * np.sqrt(2.0 * inertia) * state.angular_velocity
-        wanted = self.wrench + np.concatenate([pull, twist] @ state.rotation)
-        inner = self.squeeze * SQUEEZE[:, None] * contacts.normals
-        matrix = grasp_matrix(contacts.points)
+        twist = 2.0 * turn + 2.0 * np.sqrt(2.0 * inertia) * s.angular
+        wanted = self.wrench + np.concatenate([pull @ s.rotation, twist @ s.rotation])
+        inner = self.squeeze * SQUEEZE[:, None] * s.normals
+        matrix = grasp_matrix(s.points)
         rest = -wanted - matrix @ inner.ravel()
         self.forces = inner + (np.linalg.pinv(matrix) @ rest).reshape(-1, 3)
-        return scene.grasp_torques(self.forces)
+        return grasp_torques(scene, self.forces)
+
+    def settle(self, scene: Scene, duration: float = 0.5) -> None:
+        """Holds for a while [s] and keeps the state as "settled"."""
+        for _ in range(round(duration / scene.timestep)):
+            scene.step(self(scene))
+        scene.keep("settled")
 
 
 @pytest.fixture
@@ -55,12 +74,19 @@ def make_holder() -> type[Holder]:
 
 
 @pytest.fixture
+def to_torques() -> Callable[[Scene, np.ndarray], np.ndarray]:
+    """`grasp_torques`."""
+    return grasp_torques
+
+
+@pytest.fixture
 def make_scene() -> Iterator[Callable[..., Scene]]:
-    """Makes scenes from config fields and closes them."""
+    """Makes scenes from fields of the config and of its object, and closes them."""
     scenes: list[Scene] = []
 
-    def make(**fields: Any) -> Scene:
-        scenes.append(Scene(SceneConfig(**fields)))
+    def make(visuals: bool = False, **fields: Any) -> Scene:
+        item = {name: fields.pop(name) for name in OBJECT if name in fields}
+        scenes.append(Scene(SceneConfig(object=ObjectDescription(**item), **fields), visuals=visuals))
         return scenes[-1]
 
     yield make
@@ -72,5 +98,5 @@ def make_scene() -> Iterator[Callable[..., Scene]]:
 def held(make_scene: Callable[..., Scene]) -> Scene:
     """The reference grasp, settled under gravity."""
     scene = make_scene()
-    scene.settle(Holder())
+    Holder().settle(scene)
     return scene

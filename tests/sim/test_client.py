@@ -18,8 +18,8 @@ from grasp_env.sim import Client, Scene, SceneConfig
 
 def _torque_sum(_: int) -> float:
     scene = Scene()
-    scene.step(scene.gravity_torques())
-    total = float(scene.joints().sum())
+    scene.step(scene.look().gravity_torques)
+    total = float(scene.look().angles.sum())
     scene.close()
     return total
 
@@ -31,13 +31,13 @@ def test_closing_twice_is_fine() -> None:
     assert scene.client.closed
 
 
-@pytest.mark.parametrize("name", ["reset", "state", "joints", "contacts", "jacobians"])
+@pytest.mark.parametrize("name", ["reset", "look", "keep", "change_object"])
 def test_use_after_close(name: str) -> None:
     scene = Scene()
-    scene.state()
+    scene.look()
     scene.close()
     with pytest.raises(SimulationError, match="closed"):
-        getattr(scene, name)()
+        getattr(scene, name)(*{"change_object": (0.3,)}.get(name, ()))
     with pytest.raises(SimulationError, match="closed"):
         scene.step(np.zeros(12))
 
@@ -75,9 +75,9 @@ def test_scenes_in_other_processes(method: str) -> None:
 def test_two_scenes_do_not_touch_each_other() -> None:
     first, second = Scene(), Scene(SceneConfig(gravity=(0.0, 0.0, 0.0)))
     second.step(np.zeros(12))
-    before = second.joints().copy()
+    before = second.look().angles.copy()
     first.step(np.ones(12))
-    assert np.array_equal(second.joints(), before)
+    assert np.array_equal(second.look().angles, before)
     first.close()
     second.step(np.zeros(12))
     second.close()

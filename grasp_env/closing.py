@@ -1,0 +1,119 @@
+"""How an episode starts: the fingers approach, touch, and take over the object's weight."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from grasp_env._compile import compiled
+from grasp_env.control import ForceLoop
+from grasp_env.control_kernels import rotation_vector
+from grasp_env.errors import SimulationError
+from grasp_env.motion import resting_target
+from grasp_env.sim.scene import Scene
+from grasp_env.sim.snapshot import split
+
+CLEARANCE = 0.003
+"""[m] between tips and object before the fingers close."""
+CLOSING_TIME, SETTLING_TIME = 0.6, 0.6
+"""[s] at most until every finger touches, and until the hand carries the weight at rest."""
+_STILL, _PLACED = 2e-3, 3e-5  # [m/s], [m] of the object, below which it is at rest in its place
+_QUIET, _SETTLED = 8, 4  # control ticks in a row
+_WEIGHT_ERROR = 0.01
+_JIG = 100.0  # [rad/s], critically damped: what holds the object until the hand does
+
+
+def close_hand(scene: Scene, loop: ForceLoop) -> None:
+    """Brings all tips into contact while a jig holds the object.
+
+    Raises:
+        SimulationError: a finger did not arrive in `CLOSING_TIME`.
+    """
+    loop.begin(scene)
+    target, quiet = resting_target(1)[0], 0
+    item, wrench = scene.config.object, np.zeros(6)
+    inertia = np.array(item.inertia_matrix)
+    for _ in range(round(CLOSING_TIME / loop.dt)):
+        snapshot = scene.look()
+        loop.see(scene.buffer, snapshot, np.zeros(6), scene.gravity, target)
+        torques = loop.reach()
+        for _ in range(round(loop.dt / scene.timestep)):
+            scene.look()
+            hold_in_jig(scene.buffer, scene.tree_indices, item.mass, inertia, scene.gravity, wrench)
+            scene.advance(torques, wrench.tolist())
+        arrived = scene.look().touching.all() and np.abs(scene.look().rates).max() < 0.1
+        quiet = quiet + 1 if arrived else 0
+        if quiet == _QUIET:
+            return
+    snapshot = scene.look()
+    touching = snapshot.touching.astype(bool)
+    hint = (
+        "they push it about: make it heavier or less slender"
+        if touching.all()
+        else "give contact_points that they reach unhindered"
+    )
+    raise SimulationError(
+        f"the fingers did not come to rest on the object in {CLOSING_TIME} s: touching={touching.tolist()}, gaps "
+        f"{(1e3 * snapshot.gaps).round(2).tolist()} mm; {hint}"
+    )
+
+
+def take_over(scene: Scene, loop: ForceLoop) -> None:
+    """The jig is gone: the force loop carries the weight, until all is at rest.
+
+    Raises:
+        SimulationError: the object was lost, or the contact forces do not carry its weight within 1 %.
+    """
+    loop.reset()
+    loop.settling = True
+    target, quiet = resting_target(1)[0], 0
+    every = round(loop.config.control_rate / loop.config.agent_rate)
+    weight = scene.config.weight
+    scale = float(np.linalg.norm(weight))
+    error = np.inf
+    for tick in range(round(SETTLING_TIME / loop.dt)):
+        snapshot = scene.look()
+        loop.see(scene.buffer, snapshot, np.zeros(6), scene.gravity, target)
+        if tick % every == 0:
+            loop.optimise()
+        torques = loop.command()
+        for _ in range(round(loop.dt / scene.timestep)):
+            scene.advance(torques, None)
+        snapshot = scene.look()
+        total = snapshot.rotation @ snapshot.forces.sum(axis=0)
+        error = float(np.linalg.norm(total + weight)) / (scale or max(float(np.abs(snapshot.forces).sum()), 1e-9))
+        still = np.abs(snapshot.linear).max() < _STILL and np.abs(snapshot.position).max() < _PLACED
+        still = still and snapshot.touching.all()
+        quiet = quiet + 1 if still and error < _WEIGHT_ERROR else 0
+        if quiet == _SETTLED:
+            loop.settling = False
+            return
+    snapshot = scene.look()
+    raise SimulationError(
+        f"the grasp did not settle in {SETTLING_TIME} s: touching={snapshot.touching.astype(bool).tolist()}, the contact forces "
+        f"miss the weight by {error:.1%} (1 % allowed); the solver believes in friction {loop.friction:.3g}, the object has "
+        f"{scene.config.object.friction:.3g}: lower friction_margin or friction_error, raise barrier_weight or squeeze, or make "
+        "the object lighter"
+    )
+
+
+@compiled
+def hold_in_jig(buffer, indices, mass, inertia, gravity, out):
+    """The wrench (6,) that holds the object at its nominal pose while fingers push, object frame.
+
+    Args:
+        buffer, indices: the snapshot and the sizes of the hand.
+        mass: [kg]. inertia: (3, 3) [kg m^2]. gravity: (3,) [m/s^2], world frame.
+        out: (6,) overwritten.
+    """
+    s = split(buffer, indices[1], indices[0])
+    turn, twist = np.empty(3), np.zeros(3)
+    rotation_vector(s.rotation, turn)
+    out[:] = 0.0
+    for k in range(3):
+        force = mass * (-gravity[k] - _JIG**2 * s.position[k] - 2.0 * _JIG * s.linear[k])
+        for q in range(3):
+            out[q] += s.rotation[k, q] * force
+            twist[q] -= s.rotation[k, q] * (_JIG**2 * turn[k] + 2.0 * _JIG * s.angular[k])
+    for k in range(3):
+        for q in range(3):
+            out[3 + k] += inertia[k, q] * twist[q]

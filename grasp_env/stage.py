@@ -1,0 +1,129 @@
+"""Sets the stage of an episode: which object, how it is grasped, and the state in which the hand holds it at rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from grasp_env.closing import CLEARANCE, close_hand, take_over
+from grasp_env.config import EnvConfig
+from grasp_env.control import ForceLoop
+from grasp_env.errors import GraspError, SimulationError
+from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
+from grasp_env.sim.grasp_points import grasp_points
+from grasp_env.sim.hand import HANDS, HandDescription
+from grasp_env.sim.objects import random_object
+
+REDRAWS = 20
+"""Random objects that are tried at a reset until the hand can hold one."""
+
+
+class Stage:
+    """One scene, and the object that the hand holds in it.
+
+    While shape and size stay, the fingers close once ("closed", the state in which they just touch, is kept) and take over each
+    mass and friction from there; another shape is built and closed anew. Either way an episode starts from the same bits
+    whatever came before.
+
+    Args:
+        config: the settings.
+        loop: the force loop, which is told of every new object.
+        gui, visuals: see `Scene`.
+
+    Attributes:
+        item: the object held.
+        redrawn: random objects of the last draw that the hand could not hold.
+
+    Raises:
+        SimulationError: the hand cannot hold the object.
+        InvalidInputError: it cannot reach it.
+    """
+
+    def __init__(self, config: EnvConfig, loop: ForceLoop, gui: bool, visuals: bool) -> None:
+        self.config, self._loop = config, loop
+        hand = config.hand if isinstance(config.hand, HandDescription) else HANDS[config.hand]()
+        self.kinematics = HandKinematics(hand)
+        self.redrawn = 0
+        self.item = self._described()
+        self.scene = Scene(self._grasp_of(self.item), gui=gui, visuals=visuals)
+        try:
+            close_hand(self.scene, self._loop)
+            self.scene.keep("closed")
+            self._settle(self.item)
+            self.scene.keep("settled")
+        except GraspError:
+            self.scene.close()
+            raise
+
+    def set(self, rng: np.random.Generator) -> None:
+        """The hand holds the object of the next episode at rest: the same, or one drawn from `rng`.
+
+        Raises:
+            SimulationError: none of `REDRAWS` random objects could be held.
+        """
+        scene = self.scene
+        scene.set_gravity(np.array(self.config.gravity))
+        if not self.config.randomise:
+            if scene.config.object.mass != self.item.mass:  # a payload, which `Scene.reset` does not take off
+                scene.change_object(self.item.mass)
+            scene.reset("settled")
+            return
+        anew = "shape" in self.config.randomise or "size" in self.config.randomise
+        failed: GraspError | None = None
+        for self.redrawn in range(REDRAWS):
+            drawn = self._drawn(rng)
+            try:
+                if anew:
+                    scene.load(self._grasp_of(drawn))
+                    close_hand(scene, self._loop)
+                else:
+                    scene.reset("closed")
+                    scene.change_object(drawn.mass, drawn.friction)
+                self._settle(drawn)
+                return
+            except GraspError as error:
+                failed = error
+        raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
+
+    def _described(self) -> ObjectDescription:
+        config = self.config
+        return ObjectDescription(
+            shape=config.shape,
+            size=config.size,
+            mass=config.object_mass,
+            friction=config.friction,
+            mesh=config.mesh or None,
+        )
+
+    def _drawn(self, rng: np.random.Generator) -> ObjectDescription:
+        config, base = self.config, self._described()
+        shapes = {"shapes": (base.shape,)} if "shape" not in config.randomise else {}
+        drawn = random_object(
+            rng, size=config.size_range, mass=config.mass_range, friction=config.friction_range, **shapes
+        )
+        kept = {
+            "size": base.size if "size" not in config.randomise and drawn.shape == base.shape else drawn.size,
+            "mass": drawn.mass if "mass" in config.randomise else base.mass,
+            "friction": drawn.friction if "friction" in config.randomise else base.friction,
+        }
+        return replace(drawn, **kept)
+
+    def _grasp_of(self, item: ObjectDescription) -> SceneConfig:
+        config = self.config
+        points = config.contact_points or tuple(
+            (x, y, z) for x, y, z in grasp_points(item, self.kinematics)[0].tolist()
+        )
+        return SceneConfig(
+            hand=self.kinematics.hand,
+            object=item,
+            contact_points=points,
+            gravity=config.gravity,
+            physics_rate=config.physics_rate,
+            clearance=CLEARANCE,
+        )
+
+    def _settle(self, item: ObjectDescription) -> None:
+        self._loop.begin(self.scene)
+        take_over(self.scene, self._loop)
+        self.item = item

@@ -1,0 +1,274 @@
+"""What the hand holds: tasks, controllers, hands, objects, and controllers that know or feel too little."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from grasp_env.config import CONTROLLERS
+from grasp_env.env import FourFingerGrasp
+from grasp_env.errors import GraspError
+from grasp_env.sim import HANDS, HandDescription, SceneConfig
+from grasp_env.sim.hand_frames import roll_pitch_yaw, rotation_matrix
+from grasp_env.sim.urdf import hand_urdf
+from grasp_env.task import TASKS
+
+ENV = "grasp_env:FourFingerGrasp-v0"
+ZERO = np.zeros(6, dtype=np.float32)
+
+
+def episode(
+    steps: int | None = 20, seed: int = 3, action: np.ndarray | None = None, **settings: Any
+) -> tuple[np.ndarray, list[dict[str, Any]]]:
+    """Observations (the first is reset's) and infos of the steps of an episode; steps None: all."""
+    env = gym.make(ENV, **settings)
+    try:
+        zero = np.zeros(env.action_space.shape or (), dtype=np.float32)
+        out, infos = [env.reset(seed=seed)[0]], []
+        while steps is None or len(infos) < steps:
+            obs, reward, terminated, truncated, info = env.step(zero if action is None else action)
+            assert np.isfinite(obs).all()
+            assert np.isfinite(reward)
+            assert env.observation_space.contains(obs)
+            out.append(obs)
+            infos.append({**info, "terminated": terminated, "truncated": truncated})
+            if terminated or truncated:
+                break
+        return np.array(out), infos
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("task", "motion"), [("hold", "lift"), ("payload", "lift"), *(("move", m) for m in ("lift", "shake", "rotate"))]
+)
+def test_tasks_run_to_their_end_with_success(task, motion):
+    _, infos = episode(None, task=task, motion=motion)
+    last = infos[-1]
+    assert last["truncated"]
+    assert not last["terminated"]
+    assert last["is_success"]
+    assert last["time"] == pytest.approx(TASKS[task].duration)
+    assert len(infos) == round(50 * TASKS[task].duration)
+    assert all(info["touching"].all() and info["force_closure"] for info in infos)
+    if task == "payload":
+        assert infos[0]["object_mass"] == 0.2
+        assert last["object_mass"] == pytest.approx(0.4)
+        # nobody told the controller: the pose spring gives way by what it does not know
+        assert last["drift"] == pytest.approx(9.81 * 0.2 / (0.2 * 30.0**2), rel=0.1)
+    if task == "move":
+        assert max(info["drift"] for info in infos) < 1e-3
+        assert max(info["tilt"] for info in infos) < 0.02
+
+
+def test_six_directions_runs_to_its_end_with_success():
+    _, infos = episode(None, task="six_directions")
+    assert len(infos) == 600
+    assert infos[-1]["truncated"]
+    assert infos[-1]["is_success"]
+    assert max(info["drift"] for info in infos) < 1e-3
+    total = np.array([info["wrench"][:3] for info in infos])
+    weight = np.array([0.0, -0.2 * 9.81, 0.0])
+    for k, axis in enumerate(np.repeat(np.eye(3), 2, axis=0) * np.array([1, -1] * 3)[:, None]):
+        np.testing.assert_allclose(total[100 * k + 50], weight + 2.0 * axis, atol=0.02)  # 10 N/kg
+
+
+def test_the_payload_goes_with_the_episode():
+    env = FourFingerGrasp(task="payload")
+    first = env.reset(seed=0)[0]
+    rows = [env.step(ZERO)[0] for _ in range(80)]
+    assert env.scene.config.object.mass == pytest.approx(0.4)
+    again, info = env.reset(seed=0)
+    assert info["object_mass"] == 0.2
+    assert again.tobytes() == first.tobytes()
+    assert np.array([env.step(ZERO)[0] for _ in range(80)]).tobytes() == np.array(rows).tobytes()
+    env.close()
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_controllers_hold(controller):
+    _, infos = episode(None, controller=controller, disturbance="none")
+    assert infos[-1]["truncated"]
+    assert infos[-1]["is_success"]
+    assert all(info["touching"].all() for info in infos)
+    solved = [info["iterations"] > 0 for info in infos]
+    assert all(solved) if controller == "optimised" else not any(solved)
+    if controller == "constant_squeeze":
+        assert infos[-1]["measured_force"][:, 0].sum() == pytest.approx(
+            20.0, rel=0.25
+        )  # what balance asks comes on top
+
+
+def test_iteration_budget_limits_iterations_and_the_force_stays_valid():
+    assert min(info["iterations"] for info in episode(30, disturbance="random")[1]) > 3
+    for budget in (0, 1, 3):
+        env = FourFingerGrasp(iteration_budget=budget, disturbance="random")
+        env.reset(seed=2)
+        for _ in range(60):
+            _, _, terminated, _, info = env.step(ZERO)
+            assert info["iterations"] <= budget
+            force = info["commanded_force"]
+            assert (0.34 * force[:, 0] > np.hypot(force[:, 1], force[:, 2])).all()
+            assert not terminated
+        assert info["is_success"]
+        assert info["drift"] < 1e-3
+        env.close()
+
+
+def test_wrench_told_late_or_not_at_all_moves_the_object():
+    """The pose spring is m (30 rad/s)^2 = 180 N/m: 1 N that is never told moves it by 5.6 mm, 4 ms late by much less."""
+    still, late, never = (
+        episode(None, disturbance_value=(1, 0, 0, 0, 0, 0), **settings)[1]
+        for settings in ({}, {"wrench_delay": 1}, {"wrench": "none"})
+    )
+    assert max(info["drift"] for info in still) < 5e-5  # what is left of the settling
+    assert still[-1]["drift"] < 1e-6
+    assert 5e-5 < max(info["drift"] for info in late) < 1e-3  # 1 N for a tick, 0.02 m/s, caught by 30 rad/s
+    assert never[-1]["drift"] == pytest.approx(1 / 180, rel=0.02)
+
+
+@pytest.mark.parametrize("settings", [{}, {"disturbance": "random"}, {"task": "payload"}, {"tactile_noise": 0.05}])
+def test_an_estimated_wrench_holds(settings):
+    _, infos = episode(None, wrench="estimated", **settings)
+    assert infos[-1]["truncated"]
+    assert infos[-1]["is_success"]
+    assert all(info["force_closure"] for info in infos)
+    if settings.get("task") == "payload":  # unlike with "measured", what the hand feels tells it the mass
+        assert infos[-1]["drift"] < 1e-3
+
+
+NOISES = [
+    {"sensor_delay": 0.008}, {"tactile_noise": 0.05, "wrench": "estimated"}, {"pose_noise": 1e-5},
+    {"force_noise": 0.01}, {"sensor_delay": 0.003, "pose_noise": 1e-5, "force_noise": 0.005},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("settings", NOISES)
+def test_imperfect_sensors_and_motors_are_fixed_by_the_seed(settings):
+    first, infos = episode(40, **settings)
+    assert not infos[-1]["terminated"]
+    assert infos[-1]["is_success"]
+    env = FourFingerGrasp(**settings)
+    for seed in (1, 2):  # whatever came before
+        env.reset(seed=seed)
+        rows = [env.step(ZERO)[0] for _ in range(7)]
+    again = [env.reset(seed=3)[0]] + [env.step(ZERO)[0] for _ in range(40)]
+    env.close()
+    assert np.array(again).tobytes() == first.tobytes()
+    exact = {name: value for name, value in settings.items() if name == "wrench"}
+    assert not np.array_equal(episode(7, seed=2, **exact)[0][1:], rows)
+    if settings != NOISES[0]:
+        assert not np.array_equal(episode(7, seed=4, **settings)[0][1:], rows)
+
+
+def test_a_friction_that_is_overestimated_cannot_close_the_hand():
+    """The simulation tells the truth: a solver that believes in 1.3 times the friction cannot even take over the object."""
+    with pytest.raises(GraspError, match="friction_margin"):
+        FourFingerGrasp(friction_margin=1.0, friction_error=0.3, barrier_weight=1e-3)
+    held = episode(50, friction_margin=1.0, barrier_weight=1e-4)[1]
+    assert held[-1]["is_success"]  # the ideal simulation forgives exactly the true friction, and no more
+
+
+@pytest.mark.parametrize("hand", sorted(HANDS))
+def test_every_hand_holds(hand):
+    made = HANDS[hand]()
+    obs, infos = episode(None, hand=hand)
+    assert infos[-1]["truncated"]
+    assert infos[-1]["is_success"]
+    assert all(info["touching"].all() and info["stray_force"] == 0.0 for info in infos)
+    assert obs.shape[1] == 19 + 13 * made.finger_count + made.joint_count
+    assert infos[-1]["measured_force"].shape == (made.finger_count, 3)
+    assert max(info["drift"] for info in infos) < 1e-3
+
+
+def test_a_users_urdf_hand_holds(tmp_path: Path):
+    """A file whose palm frame is elsewhere and turned, placed with `position` and `rotation`."""
+    place, angles = (0.3, -0.2, 0.1), (0.4, -0.3, 0.8)
+    hand = HandDescription.three_finger()
+    path = tmp_path / "hand.urdf"
+    path.write_text(hand_urdf(hand.moved(place, angles)), encoding="utf-8")
+    back = rotation_matrix(angles).T
+    x, y, z = (-back @ np.array(place)).tolist()
+    mine = HandDescription.from_urdf(
+        path,
+        ["thumb_distal", "left_distal", "right_distal"],
+        home=hand.home,
+        position=(x, y, z),
+        rotation=roll_pitch_yaw(back),
+    )
+    _, infos = episode(None, hand=mine)
+    _, known = episode(None, hand="three_finger")
+    assert infos[-1]["truncated"]
+    assert infos[-1]["is_success"]
+    np.testing.assert_allclose(infos[-1]["measured_force"], known[-1]["measured_force"], atol=1e-3)
+
+
+@pytest.mark.parametrize("shape", ["cuboid", "cylinder", "sphere", "capsule"])
+def test_every_shape_is_held(shape):
+    _, infos = episode(None, shape=shape)
+    assert infos[-1]["truncated"]
+    assert infos[-1]["is_success"]
+    assert infos[-1]["object_shape"] == shape
+    assert all(info["touching"].all() for info in infos)
+    assert max(info["drift"] for info in infos) < 1e-3
+
+
+def _cube(path: Path, half: float) -> Path:
+    corners = [(x, y, z) for x in (-half, half) for y in (-half, half) for z in (-half, half)]
+    faces = [
+        (1, 2, 4), (1, 4, 3), (5, 7, 8), (5, 8, 6), (1, 5, 6), (1, 6, 2),
+        (3, 4, 8), (3, 8, 7), (1, 3, 7), (1, 7, 5), (2, 6, 8), (2, 8, 4),
+    ]  # fmt: skip
+    lines = [*(f"v {x} {y} {z}" for x, y, z in corners), *("f {} {} {}".format(*face) for face in faces)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_a_users_mesh_is_held_like_the_cuboid_it_is(tmp_path: Path):
+    path = _cube(tmp_path / "cube.obj", 50.0)
+    points = SceneConfig().contact_points
+    _, infos = episode(None, shape="mesh", mesh=str(path), size=(0.001,), contact_points=points)
+    _, known = episode(None)
+    assert infos[-1]["is_success"]
+    assert infos[-1]["object_shape"] == "mesh"
+    np.testing.assert_allclose(infos[-1]["measured_force"], known[-1]["measured_force"], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"size": (0.06, 0.15, 0.06)}, {"size": (0.05, 0.2, 0.05)}, {"size": 3 * (0.04,)}, {"object_mass": 2.0}],
+    ids=str,
+)
+def test_long_small_and_heavy_objects_are_held(settings):
+    """Their moments of inertia differ by ten, and by a hundred from the default's."""
+    _, infos = episode(None, friction=0.6, **settings)
+    assert infos[-1]["truncated"]
+    assert infos[-1]["is_success"]
+    assert all(info["touching"].all() for info in infos)
+    assert max(info["drift"] for info in infos) < 1e-3
+
+
+def test_settings_of_the_object_reach_the_simulation():
+    env = FourFingerGrasp(size=(0.08, 0.09, 0.1), object_mass=0.15, friction=0.55)
+    info = env.reset(seed=0)[1]
+    assert (info["object_mass"], info["object_friction"], info["object_size"]) == (0.15, 0.55, 0.1)
+    assert env.scene.config.object.size == (0.08, 0.09, 0.1)
+    for _ in range(20):
+        info = env.step(ZERO)[4]
+    assert info["is_success"]
+    env.close()
+
+
+def test_rates_that_differ_hold():
+    _, infos = episode(None, agent_rate=25, control_rate=250, physics_rate=1000)
+    assert len(infos) == 50
+    assert infos[-1]["time"] == pytest.approx(2.0)
+    assert infos[-1]["is_success"]
+    assert max(info["drift"] for info in infos) < 1e-3
+    env = FourFingerGrasp(agent_rate=25)
+    assert env.metadata["render_fps"] == 25
+    env.close()

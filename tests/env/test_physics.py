@@ -1,0 +1,193 @@
+"""Physics of the held object: forces against wrenches, stillness, torques, and the wrench as it is printed in the paper.
+
+Free fall and the friction cone are tested without a controller, in tests/sim.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from grasp_env.env import FourFingerGrasp
+from grasp_env.sim.client import bullet
+
+WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
+
+
+def run(env: FourFingerGrasp, steps: int, seed: int = 0, **options: Any) -> list[dict[str, Any]]:
+    """Infos of an episode in which the object is held."""
+    env.reset(seed=seed, **options)
+    infos = []
+    for _ in range(steps):
+        _, _, terminated, _, info = env.step(np.zeros(env.action_space.shape or (), dtype=np.float32))
+        assert not terminated
+        infos.append(info)
+    return infos
+
+
+def record_pushes(env: FourFingerGrasp) -> list[np.ndarray]:
+    """The external wrenches that the simulation gets from now on, (6,), object frame, one per physics step."""
+    pushes, advance = [], env.scene.advance
+
+    def listen(torques: list[float], wrench: list[float] | None) -> None:
+        pushes.append(np.zeros(6) if wrench is None else np.array(wrench))
+        advance(torques, wrench)
+
+    env.scene.advance = listen  # type: ignore[method-assign]
+    return pushes
+
+
+@pytest.mark.parametrize("disturbance", ["none", "constant", "paper_path", "random", "impulses", "tilting_gravity"])
+def test_holds_for_two_seconds(disturbance):
+    """Drift below 1 mm, no contact lost, and what is commanded arrives: 0.05 N is 1 % of the thumb's force."""
+    env = FourFingerGrasp(disturbance=disturbance)
+    infos = run(env, 100, seed=3)
+    env.close()
+    assert max(info["drift"] for info in infos) < 1e-3
+    assert max(info["tilt"] for info in infos) < 0.01
+    assert all(info["touching"].all() and info["contacts"] == 4 for info in infos)
+    assert all(info["stray_force"] == 0.0 for info in infos)
+    assert infos[-1]["is_success"]
+    assert infos[-1]["slip_distance"] < 1e-4
+    assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
+
+
+@pytest.mark.parametrize("hand", ["three_finger", "four_finger", "five_finger"])
+@pytest.mark.parametrize("shape", ["cuboid", "cylinder", "sphere"])
+def test_contact_forces_sum_to_the_applied_wrench(hand, shape):
+    """Within 1 % of the wrench that acts on the object, weight and external wrench, force and moment.
+
+    The moment is that about Bullet's own contact points: on a round object that has rolled it keeps old ones, up to 1 mm
+    from where tip and surface are nearest now.
+    """
+    env = FourFingerGrasp(hand=hand, shape=shape)
+    run(env, 60, options={"wrench": WRENCH})
+    s = env.scene.look()
+    weight = s.rotation.T @ (0.2 * np.array([0.0, -9.81, 0.0]))
+    applied = WRENCH + np.concatenate([weight, np.zeros(3)])
+    force, moment = s.forces.sum(axis=0), np.zeros(3)
+    hand, item = env.scene.bodies.hand, env.scene.bodies.object
+    for row in bullet.getContactPoints(hand, item, physicsClientId=env.scene.client.number):
+        push = -(row[9] * np.array(row[7]) + row[10] * np.array(row[11]) + row[12] * np.array(row[13]))
+        moment += s.rotation.T @ np.cross(np.array(row[6]) - s.position, push)
+    np.testing.assert_allclose(force, -applied[:3], atol=0.01 * np.linalg.norm(applied[:3]))
+    np.testing.assert_allclose(moment, -applied[3:], atol=0.01 * np.linalg.norm(applied[3:]))
+    if shape != "sphere":
+        seen = np.cross(s.points, s.forces).sum(axis=0)
+        np.testing.assert_allclose(seen, -applied[3:], atol=0.01 * np.linalg.norm(applied[3:]))
+    env.close()
+
+
+def test_what_the_solver_balances_is_what_acts():
+    env = FourFingerGrasp(disturbance="paper_path")
+    pushes = record_pushes(env)
+    env.reset(seed=0)
+    for _ in range(50):
+        info = env.step(np.zeros(6, dtype=np.float32))[4]
+        s = env.scene.look()
+        acts = pushes[-1] + np.concatenate([s.rotation.T @ [0.0, -0.2 * 9.81, 0.0], np.zeros(3)])
+        np.testing.assert_allclose(info["wrench"], acts, atol=0.02)  # plus a little pose feedback
+        forces = np.einsum("nkq,nq->nk", env._loop.frames, info["commanded_force"])
+        np.testing.assert_allclose(forces.sum(axis=0), -info["wrench"][:3], atol=1e-9)
+    env.close()
+
+
+def test_the_papers_wrench_acts_as_it_is_printed():
+    """W_ext(t) = [cos pi t, cos^2 pi t, 8 cos^2(pi t / 2) - 5, 0.2 sin pi t, 0.2 cos pi t, sin^2(pi t / 2)], a tenth of it."""
+    for scale in (None, 0.05):
+        env = FourFingerGrasp(disturbance="paper_path", disturbance_scale=scale)
+        pushes = record_pushes(env)
+        run(env, 99)
+        env.close()
+        t = np.arange(len(pushes)) / 250.0
+        pi, cos, sin = np.pi, np.cos, np.sin
+        printed = [
+            cos(pi * t), cos(pi * t) ** 2, 8 * cos(0.5 * pi * t) ** 2 - 5,
+            0.2 * sin(pi * t), 0.2 * cos(pi * t), sin(0.5 * pi * t) ** 2,
+        ]  # fmt: skip
+        assert len(pushes) == 495
+        np.testing.assert_allclose(pushes, (scale or 0.1) * np.transpose(printed), rtol=0.0, atol=1e-14)
+
+
+@pytest.fixture(scope="module")
+def still() -> list[tuple[dict[str, Any], float, np.ndarray]]:
+    """Ten seconds of a grasp without disturbance: info, kinetic energy of object and links [J], pose, at each agent step."""
+    env = FourFingerGrasp(disturbance="none", duration=20.0)
+    env.reset(seed=0)
+    rows = []
+    tree = env.scene.kinematics.tree
+    for _ in range(500):
+        _, _, terminated, _, info = env.step(np.zeros(6, dtype=np.float32))
+        assert not terminated
+        s = env.scene.look()
+        energy = 0.5 * 0.2 * s.linear @ s.linear + 0.5 * (0.2 * 0.1**2 / 6.0) * s.angular @ s.angular
+        energy += 0.5 * (tree.masses * 0.1**2) @ s.rates**2  # links turn about points at most 0.1 m away
+        rows.append((info, float(energy), np.concatenate([s.position, s.rotation.reshape(-1)])))
+    env.close()
+    return rows
+
+
+def test_pose_after_ten_seconds(still):
+    first, last = still[0][2], still[-1][2]
+    assert np.linalg.norm(last[:3]) < 5e-5  # 0.05 mm of the nominal pose
+    assert np.linalg.norm(last[:3] - first[:3]) < 5e-5
+    np.testing.assert_allclose(last[3:], np.eye(3).reshape(-1), atol=1e-3)
+    assert max(info["drift"] for info, _, _ in still) < 5e-5
+    assert still[-1][0]["slip_distance"] < 5e-5
+    assert last[1] == pytest.approx(0.0, abs=1e-6)  # nothing creeps down
+
+
+def test_energy_does_not_grow(still):
+    energy = np.array([row[1] for row in still])
+    assert (energy[250:].max() <= energy[:50].max()) or energy[250:].max() < 1e-16
+    assert energy[-50:].max() < 1e-12  # [J]: 3 um/s of the object
+    assert np.isfinite(energy).all()
+
+
+def test_torques_stay_within_the_limits():
+    """The full W_ext asks for 9 N m of 12; three newton metres about z for more than there is."""
+    for wrench, beyond in ((None, False), ([0.0, 0.0, 0.0, 0.0, 0.0, 3.0], True)):
+        env = FourFingerGrasp(disturbance="paper_path", disturbance_scale=1.0)
+        torques, advance = [], env.scene.advance
+
+        def listen(given, wrench, torques=torques, advance=advance):
+            torques.append(given)
+            advance(given, wrench)
+
+        env.scene.advance = listen  # type: ignore[method-assign]
+        env.reset(seed=0, options=None if wrench is None else {"wrench": wrench})
+        for _ in range(100):
+            _, _, terminated, _, info = env.step(np.zeros(6, dtype=np.float32))
+            if terminated:
+                break
+        limits = env.scene.kinematics.hand.torque_limits
+        env.close()
+        peak = np.abs(torques).max(axis=0)
+        assert (peak <= limits).all()
+        assert info["peak_torque"] == pytest.approx(peak.max())
+        assert terminated == beyond
+        if not beyond:
+            assert 5.0 < info["peak_torque"] < 12.0
+            assert info["is_success"]
+
+
+def test_gravity_may_point_anywhere():
+    for gravity in ((9.81, 0.0, 0.0), (0.0, 0.0, -9.81), (0.0, 3.0, 0.0), (0.0, 0.0, 0.0)):
+        env = FourFingerGrasp(gravity=gravity, disturbance="none")
+        infos = run(env, 50)
+        s = env.scene.look()
+        np.testing.assert_allclose(s.rotation @ s.forces.sum(axis=0), -0.2 * np.array(gravity), atol=0.02)
+        assert max(info["drift"] for info in infos) < 1e-3
+        env.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", [{}, {"shape": "cylinder"}, {"shape": "sphere"}, {"hand": "four_finger_4dof"}])
+def test_a_minute_of_stillness(settings):
+    env = FourFingerGrasp(disturbance="none", duration=60.0, **settings)
+    infos = run(env, 2999)
+    env.close()
+    assert max(info["drift"] for info in infos) < 1e-3
+    assert np.percentile([info["force_error"] for info in infos[50:]], 95) < 0.05

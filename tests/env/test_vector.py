@@ -1,0 +1,214 @@
+"""Many environments: in one process, in several, spawned and forked; the same bits everywhere; memory that does not grow."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
+
+from grasp_env.env import FourFingerGrasp
+from grasp_env.sim.client import bullet
+
+ENV = "grasp_env:FourFingerGrasp-v0"
+RANDOM = {"disturbance": "random"}
+OBJECTS = {"randomise": ("shape", "size", "mass", "friction")}
+NOISY = {"disturbance": "random", "pose_noise": 1e-5, "force_noise": 0.01, "sensor_delay": 0.004}
+
+
+def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 10) -> bytes:
+    """The bits of what an episode shows."""
+    obs, info = env.reset(seed=seed)
+    rows = [obs]
+    numbers = [info["object_mass"], info["object_friction"], info["object_size"]]
+    for _ in range(steps):
+        obs, reward, _, _, info = env.step(np.zeros(6, dtype=np.float32))
+        rows.append(obs)
+        numbers += [reward, info["objective"], info["force_error"]]
+    return np.array(rows).tobytes() + np.array(numbers).tobytes()
+
+
+def make(settings: dict[str, Any]) -> Callable[[], gym.Env[Any, Any]]:
+    return lambda: gym.make(ENV, **settings)
+
+
+def _send(queue: Any, settings: list[dict[str, Any]]) -> None:
+    """Runs in another process."""
+    answers = []
+    for one in settings:
+        env = gym.make(ENV, **one)
+        answers.append(rollout(env, 3))
+        env.close()
+    queue.put(answers)
+
+
+@pytest.mark.parametrize("start", ["spawn", "fork"])
+def test_same_bits_in_another_process(start):
+    settings = [RANDOM, OBJECTS, NOISY]
+    context = multiprocessing.get_context(start)
+    queue = context.Queue()
+    process = context.Process(target=_send, args=(queue, settings))
+    process.start()
+    other = queue.get(timeout=300)
+    process.join(timeout=30)
+    for one, bits in zip(settings, other, strict=True):
+        env = gym.make(ENV, **one)
+        assert rollout(env, 3) == bits, one
+        env.close()
+
+
+@pytest.mark.parametrize(
+    "settings", [{}, RANDOM, OBJECTS, NOISY, {"task": "payload", "disturbance": "tilting_gravity"}]
+)
+def test_same_bits_whatever_came_before(settings):
+    env = FourFingerGrasp(**settings)
+    first = rollout(env, 3)
+    for seed in range(20):
+        env.reset(seed=seed)
+        env.step(np.full(6, 0.7, dtype=np.float32))
+    env.reset(seed=0, options={"wrench": [0.0, 0.0, 0.0, 0.0, 0.0, 4.0]})
+    while not env.step(np.zeros(6, dtype=np.float32))[2]:  # lost
+        pass
+    assert rollout(env, 3) == first
+    assert rollout(env, 3) == first
+    env.close()
+
+
+def test_objects_of_a_seed():
+    """New ones at each reset, the same for a seed; a reset without seed goes on."""
+    env = FourFingerGrasp(**OBJECTS)
+    seen = []
+    for seed in (1, None, None, 1, None, None):
+        info = env.reset(seed=seed)[1]
+        item = env.scene.config.object
+        assert (info["object_shape"], info["object_mass"], info["object_friction"]) == (
+            item.shape,
+            item.mass,
+            item.friction,
+        )
+        assert info["touching"].all()
+        seen.append(item)
+    env.close()
+    assert seen[:3] == seen[3:]
+    assert len(set(seen)) == 3
+
+
+@pytest.mark.parametrize("name", ["shape", "size", "mass", "friction"])
+def test_only_what_is_named_is_drawn(name):
+    env = FourFingerGrasp(randomise=(name,), mass_range=(0.1, 0.3), size_range=(0.08, 0.11), friction_range=(0.4, 0.7))
+    drawn: dict[str, set[Any]] = {"shape": set(), "size": set(), "mass": set(), "friction": set()}
+    for seed in range(6):
+        env.reset(seed=seed)
+        item = env.scene.config.object
+        for key, values in drawn.items():
+            values.add(getattr(item, key))
+        assert 0.1 <= item.mass <= 0.3
+        assert 0.4 <= item.friction <= 0.7
+    env.close()
+    assert len(drawn[name]) > 1
+    assert all(len(values) == 1 for key, values in drawn.items() if key not in (name, "size"))
+    if name in ("mass", "friction"):
+        assert len(drawn["size"]) == 1
+
+
+def test_every_environment_has_a_client_of_its_own():
+    """Stepped in turn, each of them gives the bits that it gives alone."""
+    alone = []
+    for seed in (3, 4, 5):
+        env = gym.make(ENV, **RANDOM)
+        alone.append(rollout(env, seed))
+        env.close()
+    before = sum(bullet.isConnected(number) for number in range(64))
+    envs = [FourFingerGrasp(**RANDOM) for _ in range(3)]
+    assert len({env.scene.client.number for env in envs}) == 3
+    assert sum(bullet.isConnected(number) for number in range(64)) == before + 3
+    rows: list[list[np.ndarray]] = [[env.reset(seed=seed)[0]] for env, seed in zip(envs, (3, 4, 5), strict=True)]
+    for _ in range(10):
+        for env, seen in zip(envs, rows, strict=True):
+            seen.append(env.step(np.zeros(6, dtype=np.float32))[0])
+    for seen, bits in zip(rows, alone, strict=True):
+        assert bits.startswith(np.array(seen).tobytes())
+    for env in envs:
+        env.close()
+    assert sum(bullet.isConnected(number) for number in range(64)) == before
+
+
+def _vector_rows(kind: str) -> np.ndarray:
+    """(4, 2, size) observations of two environments with seeds 3 and 4, and closes them."""
+    makers, zero = [make(RANDOM)] * 2, np.zeros((2, 6), dtype=np.float32)
+    if kind in ("sync", "async_spawn", "async_fork"):
+        if kind == "sync":
+            envs: Any = gym.vector.SyncVectorEnv(makers)
+        else:
+            envs = gym.vector.AsyncVectorEnv(makers, context=kind.removeprefix("async_"))
+        rows = [envs.reset(seed=[3, 4])[0].copy()]
+        rows += [envs.step(zero)[0].copy() for _ in range(3)]
+    else:
+        envs = DummyVecEnv(makers) if kind == "dummy" else SubprocVecEnv(makers, start_method=kind.removeprefix("sb3_"))
+        envs.seed(3)
+        rows = [envs.reset().copy()]
+        rows += [envs.step(zero)[0].copy() for _ in range(3)]
+    envs.close()
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["sync", "async_fork", "async_spawn", "dummy", "sb3_fork", pytest.param("sb3_spawn", marks=pytest.mark.slow)],
+)
+def test_vector_environments_agree_with_single_ones(kind):
+    rows = _vector_rows(kind)
+    for place, seed in enumerate((3, 4)):
+        env = gym.make(ENV, **RANDOM)
+        single = [env.reset(seed=seed)[0]] + [env.step(np.zeros(6, dtype=np.float32))[0] for _ in range(3)]
+        env.close()
+        assert np.array(single).tobytes() == rows[:, place].tobytes()
+
+
+def test_a_vector_environment_goes_on_after_its_episodes():
+    envs = gym.vector.SyncVectorEnv([make({**RANDOM, "duration": 0.1})] * 2)
+    envs.reset(seed=1)
+    ends = 0
+    for _ in range(20):
+        _, _, _, truncated, info = envs.step(np.zeros((2, 6), dtype=np.float32))
+        ends += int(truncated.sum())
+        assert np.isfinite(info["drift"]).all()
+    envs.close()
+    assert ends >= 6
+
+
+def _resident() -> int:
+    """Memory of this process [bytes]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not tell the memory of a process")
+@pytest.mark.parametrize(
+    ("settings", "resets"),
+    [(RANDOM, 600), ({"randomise": ("mass", "friction")}, 200), pytest.param(OBJECTS, 600, marks=pytest.mark.slow)],
+)
+def test_memory_is_flat_over_resets(settings, resets):
+    env, sizes = FourFingerGrasp(**settings), []
+    for seed in range(resets):
+        env.reset(seed=seed)
+        env.step(np.zeros(6, dtype=np.float32))
+        if seed in (resets // 3, resets - 1):
+            sizes.append(_resident())
+    env.close()
+    assert sizes[1] - sizes[0] < 4_000_000  # a state or a body that leaks at each reset takes 20 MB or more
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not tell the memory of a process")
+def test_memory_is_flat_over_environments():
+    sizes = []
+    for count in range(24):
+        FourFingerGrasp().close()
+        if count in (7, 23):
+            sizes.append(_resident())
+    assert sizes[1] - sizes[0] < 16_000_000  # 1 MB each; an open client takes 30 MB
