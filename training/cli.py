@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 from rich.console import Console
-from rich.table import Table
 
 from grasp_env.errors import GraspError, InfeasibleWrenchError, InvalidInputError, UnknownNameError
 from grasp_env.force import RULES, ForceLimits, InitialForceRule, optimize_force
@@ -21,6 +20,7 @@ from grasp_env.grasp import load_grasp, presets
 from grasp_env.grasp.advice import advise
 from policies import LearnedInitialForce
 from training.settings import EvaluateConfig, FitConfig
+from training.solution import print_solution
 
 
 @dataclass(frozen=True)
@@ -81,42 +81,54 @@ class Reproduce:
 
 @dataclass(frozen=True)
 class Demo:
-    """Roll out the hand and save a picture or a video.
+    """Roll out the hand and save a picture or a video, with forces, friction cones and wrench drawn in.
 
     Attributes:
-        out: .png for a picture, .mp4 or .gif for a video.
-        wrench: none, constant, paper_path or random.
-        seconds: simulated time.
+        video: .mp4 or .gif for a video, .png for its last picture.
+        task: hold, move, payload or six_directions.
+        disturbance: none, constant, paper_path, random, impulses or tilting_gravity; empty: the task's own, for hold the paper's path.
+        motion: of move: lift, shake or rotate.
+        shape: cuboid, cylinder, sphere, capsule.
+        hand: four_finger, three_finger, five_finger or four_finger_4dof.
+        seconds: simulated time; 0: the task's own.
         initial: start rule, "learned" for the shipped network, or the path of a fitted one.
+        size: width and height [pixels].
         seed: of the episode.
     """
 
-    out: Path = Path("hand.mp4")
-    wrench: str = "paper_path"
-    seconds: float = 2.0
+    video: Path = Path("hand.mp4")
+    task: str = "hold"
+    disturbance: str = ""
+    motion: str = "lift"
+    shape: str = "cuboid"
+    hand: str = "four_finger"
+    seconds: float = 0.0
     initial: str = "linear_combination"
+    size: tuple[int, int] = (480, 480)
     seed: int = 0
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Time the solvers, side by side in one run.
+    """Time the solvers or the environment, side by side in one run.
 
     Attributes:
-        what: solver (ours beside Clarabel, QOCO, QOCOGEN, ... from the extra [bench]), scaling (cost against contacts) or
-            batch (solves per second on one core and all).
+        what: solver (ours beside Clarabel, QOCO, QOCOGEN, ... from the extra [bench]), scaling (cost against contacts),
+            batch (solves per second on one core and all) or env (steps per second beside bare PyBullet, resets, memory).
         contacts: numbers of contacts; empty: the benchmark's own.
         wrenches: problems per size; 0: the benchmark's own number.
+        quick: of env: a small version, about 20 s; its numbers are rough.
         seed: of the problems.
         out: folder for the JSON, figures and generated C code.
         compare: an earlier JSON of the same kind to set beside.
         json: print JSON for machines.
     """
 
-    what: tyro.conf.Positional[Literal["solver", "scaling", "batch"]]
+    what: tyro.conf.Positional[Literal["solver", "scaling", "batch", "env"]]
     contacts: tuple[int, ...] = ()
     wrenches: int = 0
     seed: int = 0
+    quick: bool = False
     out: Path = Path("runs/bench")
     compare: Path | None = None
     json: bool = False
@@ -140,7 +152,21 @@ class Fit(FitConfig):
 
 @dataclass(frozen=True)
 class Evaluate(EvaluateConfig):
-    """Fit a network, compare all starts, roll out the hand, write the report."""
+    """Compare and write a report: all starts and a fitted network, or how well the hand holds.
+
+    Attributes:
+        what: starts (fit a network, compare all starts, roll out the hand) or env (hold rates over random objects and wrenches,
+            failures, the squeeze that robustness costs; an interrupted run of the same name goes on).
+        episodes: per start of each random scenario, or of each main scenario of env; 0: 10, of env 500.
+        workers: of env: processes; 0: one per core.
+    """
+
+    what: tyro.conf.Positional[Literal["starts", "env"]] = "starts"
+    episodes: int = 0
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        pass  # checked where the evaluation's own settings are made of these
 
 
 Command = (
@@ -215,43 +241,8 @@ def _solve(command: Solve) -> None:
         for advice in advise(grasp):
             sys.stderr.write(f"grasp: {advice}\n")
         raise
-    if command.json:
-        numbers = {
-            "force": solution.force.tolist(),
-            "torsion": solution.torsion.tolist(),
-            "status": solution.status.value,
-            "iterations": solution.iterations,
-            "trials": solution.trials,
-            "objective": solution.objective,
-            "optimality_gap": solution.optimality_gap if np.isfinite(solution.optimality_gap) else None,
-            "equilibrium_residual": solution.equilibrium_residual,
-            "cone_margin": solution.cone_margin,
-            "multipliers": solution.multipliers.tolist(),
-            "total_normal_force": solution.total_normal_force,
-        }
-        sys.stdout.write(json.dumps(numbers, allow_nan=False) + "\n")
-        solution.raise_for_status()
-        return
-    table = Table(
-        "contact",
-        "normal [N]",
-        "o [N]",
-        "t [N]",
-        "mu n - |tangential| [N]",
-        title=f"{command.preset if command.grasp is None else command.grasp.name}: {solution.status.value}",
-    )
-    x = grasp.to_cone(solution.force).reshape(-1, 3)
-    for k, (normal, o, t) in enumerate(solution.force):
-        margin = x[k, 0] - float(np.hypot(x[k, 1], x[k, 2]))
-        table.add_row(str(k), f"{normal:.4f}", f"{o:.4f}", f"{t:.4f}", f"{margin:.4f}")
-    console = Console()
-    console.print(table)
-    console.print(
-        f"{solution.method} from {solution.initial}: {solution.iterations} iterations ({solution.trials} trials), "
-        f"certified gap {solution.optimality_gap:.1e}, balance residual {solution.equilibrium_residual:.1e} N, "
-        f"total normal force {solution.total_normal_force:.3f} N",
-        highlight=False,
-    )
+    title = command.preset if command.grasp is None else command.grasp.name
+    print_solution(solution, grasp, title, command.json)
     solution.raise_for_status()
 
 
@@ -268,26 +259,44 @@ def _fit(command: Fit) -> None:
 
 
 def _evaluate(command: Evaluate) -> None:
-    from training.evaluate import evaluate
+    kind: Any = EvaluateConfig
+    if command.what == "env":
+        from training.env_evaluation import EnvEvaluateConfig, evaluate_env
 
-    metrics = evaluate(EvaluateConfig(**{name: getattr(command, name) for name in EvaluateConfig.__dataclass_fields__}))
-    _print_claims(metrics)
+        kind, run = EnvEvaluateConfig, evaluate_env
+    else:
+        from training.evaluate import evaluate as run
+    settings = {name: getattr(command, name) for name in kind.__dataclass_fields__}
+    if not command.episodes:
+        del settings["episodes"]
+    _print_claims(run(kind(**settings)))
 
 
 def _report(command: Report) -> None:
+    from training.env_report import build_env_report
     from training.report import build_report, report_path
     from training.runs import Run
 
     run = Run.open(command.run, "run.json")
-    _print_claims(build_report(run))
+    build = build_env_report if run.read_json("run.json").get("kind") == "env" else build_report
+    _print_claims(build(run))
     Console().print(str(report_path(run)), highlight=False)
 
 
 def _demo(command: Demo) -> None:
     from training.demo import record
 
-    record(command.out, command.wrench, command.seconds, _rule(command.initial), command.seed)
-    Console().print(str(command.out), highlight=False)
+    disturbance = command.disturbance or ("paper_path" if command.task == "hold" else None)
+    record(
+        command.video,
+        command.seconds or None,
+        _rule(command.initial),
+        command.seed,
+        **{name: getattr(command, name) for name in ("task", "motion", "shape", "hand")},
+        disturbance=disturbance,
+        render_size=command.size,
+    )
+    Console().print(str(command.video), highlight=False)
 
 
 def _reproduce(command: Reproduce) -> None:
@@ -298,13 +307,15 @@ def _reproduce(command: Reproduce) -> None:
 
 
 def _bench(command: Bench) -> None:
-    from training.bench import batch, scaling, show, solver
+    from training.bench import batch, env, scaling, show, solver
     from training.runs import Run
 
     options: dict[str, Any] = {"seed": command.seed}
-    if command.wrenches:
+    if command.what == "env":
+        options["quick"] = command.quick
+    elif command.wrenches:
         options["wrenches"] = _at_least(command.wrenches, "wrenches", 8)
-    if command.contacts and command.what != "batch":
+    if command.contacts and command.what in ("solver", "scaling"):
         options["sizes"] = tuple(_at_least(count, "contacts", 3) for count in command.contacts)
     if command.what == "solver":
         options["folder"] = command.out
@@ -313,7 +324,8 @@ def _bench(command: Bench) -> None:
     with console.status("starting") as status:
         if sys.stderr.isatty():
             options["tick"] = status.update
-        run = {"solver": solver.solver, "scaling": scaling.scaling, "batch": batch.batch}[command.what]
+        benches = {"solver": solver.solver, "scaling": scaling.scaling, "batch": batch.batch, "env": env.env_bench}
+        run = benches[command.what]
         result = run(**options)
     path = show.save(result, command.out)
     if command.json:
@@ -333,7 +345,7 @@ def _warmup(command: Warmup) -> None:
 
 def _print_claims(metrics: dict[str, Any]) -> None:
     if metrics["run"]["quick"]:
-        sys.stdout.write("QUICK RUN: a network fitted for seconds and few wrenches; its claims may well be missed.\n")
+        sys.stdout.write("QUICK RUN: few trials, a network fitted for seconds; its claims may well be missed.\n")
     for row in sorted(metrics["claims"], key=lambda row: row["met"]):
         verdict = "met   " if row["met"] else "MISSED"
         sys.stdout.write(f"{verdict}  {row['claim']}\n        asked {row['asked']}; measured {row['measured']}\n")

@@ -4,66 +4,123 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Generator, Iterator
+from contextlib import closing, contextmanager, suppress
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
-import imageio.v3 as imageio
+import imageio.v2 as imageio
 import numpy as np
+from PIL import Image
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceLimits, InitialForceRule, initial_rule, optimize_force, optimize_forces
 from grasp_env.force.initial import RULES
 from grasp_env.grasp import presets
-from policies import LearnedInitialForce, ZeroPolicy
+from policies import LearnedInitialForce, Policy, ZeroPolicy
 
 SUFFIXES = (".png", ".mp4", ".gif")
 FRAME_RATE = 25
 
 
-def record(out: Path, wrench: str, seconds: float, initial_force: str | InitialForceRule, seed: int) -> None:
-    """Rolls out `FourFingerGrasp-v0` and saves its last frame (.png) or a video (.mp4, .gif) at 25 frames/s.
+def record(
+    out: Path,
+    seconds: float | None = None,
+    initial_force: str | InitialForceRule | None = None,
+    seed: int = 0,
+    *,
+    env_id: str = "grasp_env:FourFingerGrasp-v0",
+    policy: Policy | None = None,
+    **settings: Any,
+) -> None:
+    """Rolls out the hand and saves the last frame (.png) or a video (.mp4, .gif) at 25 frames/s of simulated time.
+
+    Frames go to the file one by one. The file gets its name when it is complete: stopped with ctrl-C, nothing is left.
+
+    Args:
+        out: the file.
+        seconds: simulated time; None: the task's own. The video is shorter where the object is lost.
+        initial_force: the start rule; None: the environment's default.
+        seed: of the episode.
+        env_id: the environment.
+        policy: the agent; None: no adjustment.
+        **settings: more keywords of the environment: task, shape, disturbance, render_size.
 
     Raises:
         InvalidInputError: another suffix, no time, a folder that does not exist, or .mp4 without the extra "video".
     """
     if out.suffix not in SUFFIXES:
         raise InvalidInputError(f"out must end in one of {', '.join(SUFFIXES)}, got {out}")
-    if not seconds > 0.0 or not np.isfinite(seconds):
-        raise InvalidInputError(f"seconds must be finite and > 0, got {seconds}")
+    if seconds is not None:
+        if not seconds > 0.0 or not np.isfinite(seconds):
+            raise InvalidInputError(f"seconds must be finite and > 0, got {seconds}")
+        settings["duration"] = seconds
     if not out.absolute().parent.is_dir():
         raise InvalidInputError(f"the folder {out.absolute().parent} does not exist: make it first")
-    steps = max(1, round(seconds * 50))
-    env = gym.make(
-        "grasp_env:FourFingerGrasp-v0",
-        render_mode="rgb_array",
-        initial_force=initial_force,
-        wrench=wrench,
-        max_episode_steps=steps,
-    )
-    try:
-        policy = ZeroPolicy()
+    with _finished_or_absent(out) as temporary:
+        env = gym.make(env_id, render_mode="rgb_array", initial_force=initial_force, **settings)
+        with closing(env), closing(_frames(env, seed, policy, out.suffix == ".png")) as frames:
+            _write(temporary, frames)
+
+
+def _frames(env: gym.Env[Any, Any], seed: int, policy: Policy | None, only_last: bool) -> Generator[np.ndarray]:
+    """The pictures of one episode; a bar on a terminal shows how far it is."""
+    rate = int(env.metadata["render_fps"])
+    policy = policy or ZeroPolicy(int(np.prod(env.action_space.shape or (0,))))
+    every = max(1, round(rate / FRAME_RATE))
+    duration = getattr(getattr(env.unwrapped, "config", None), "duration", None)
+    steps = None if duration is None else max(1, round(duration * rate))
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("recording", total=steps)
         observation, _ = env.reset(seed=seed)
-        frames = []
-        for step in range(steps):
+        for step in count():
             observation, _, terminated, truncated, _ = env.step(policy.predict(observation)[0])
-            last = terminated or truncated or step == steps - 1
-            if last or (out.suffix != ".png" and step % (50 // FRAME_RATE) == 0):
-                frames.append(np.asarray(env.render()))
+            last = terminated or truncated
+            if last or (step % every == 0 and not only_last):
+                yield np.asarray(env.render())
+            progress.advance(task)
             if last:
-                break
-    finally:
-        env.close()
-    temporary = out.with_name(f".{os.getpid()}.{out.name}")
+                return
+
+
+def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
+    if path.suffix != ".mp4":
+        pictures = map(Image.fromarray, frames)
+        first = next(pictures)
+        settings = (
+            {} if path.suffix == ".png" else {"append_images": pictures, "duration": 1000 // FRAME_RATE, "loop": 0}
+        )
+        with path.open("wb") as file:
+            first.save(file, format=path.suffix[1:], save_all=bool(settings), **settings)
+        return
     try:
-        if out.suffix == ".png":
-            imageio.imwrite(temporary, frames[-1])
-        elif out.suffix == ".gif":
-            imageio.imwrite(temporary, frames, duration=1000 // FRAME_RATE, loop=0)
-        else:
-            imageio.imwrite(temporary, frames, fps=FRAME_RATE, plugin="FFMPEG", macro_block_size=8)
-        os.replace(temporary, out)
+        # pixels in blocks of two: what the colours of H.264 are stored in
+        writer = imageio.get_writer(path, format="FFMPEG", mode="I", fps=FRAME_RATE, macro_block_size=2, quality=8)
     except ImportError:
         raise InvalidInputError("writing .mp4 needs the extra: pip install 'grasp-force[video]', or use .gif") from None
+    try:
+        for frame in frames:
+            writer.append_data(frame)
+    except BaseException:
+        with suppress(Exception):  # ctrl-C has stopped ffmpeg too: it cannot finish the file
+            writer.close()
+        raise
+    writer.close()
+
+
+@contextmanager
+def _finished_or_absent(out: Path) -> Iterator[Path]:
+    """A name beside `out` to write to, which becomes `out` if the block ends and is removed if it raises."""
+    temporary = out.with_name(f".{os.getpid()}.{out.name}")
+    try:
+        yield temporary
+        os.replace(temporary, out)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -81,8 +138,9 @@ def warm_up() -> float:
         optimize_force(grasp, wrench, method=method)
         optimize_force(grasp, wrench, method=method, limits=ForceLimits(max_normal=100.0))
         optimize_forces(grasp, wrench[None], method=method)
-    env = gym.make("grasp_env:FourFingerGrasp-v0")
+    env = gym.make("grasp_env:FourFingerGrasp-v0", render_mode="rgb_array")
     env.reset(seed=0)
-    env.step(np.zeros(6, dtype=np.float32))
+    env.step(np.zeros(env.action_space.shape or (), dtype=np.float32))
+    env.render()
     env.close()
     return time.perf_counter() - started

@@ -58,11 +58,11 @@ def build_report(run: Run) -> dict[str, Any]:
         "scenarios": SCENARIO_LABELS,
         "figures": {name: text for name, text in FIGURES.items() if run.path(f"figures/{name}").is_file()},
     }
-    run.write_text("report.md", _render("report.md.j2", context))
+    run.write_text("report.md", render("report.md.j2", context))
     images = {
         name: base64.b64encode(run.path(f"figures/{name}").read_bytes()).decode("ascii") for name in context["figures"]
     }
-    run.write_text("report.html", _render("report.html.j2", {**context, "images": images}))
+    run.write_text("report.html", render("report.html.j2", {**context, "images": images}))
     return metrics
 
 
@@ -80,7 +80,8 @@ def _draw(run: Run, trials: Trials, traces: Trials, rollouts: Trials) -> None:
         figures.close(figure)
 
 
-def _render(template: str, context: dict[str, Any]) -> str:
+def render(template: str, context: dict[str, Any]) -> str:
+    """A template of this package, filled; one that names what `context` lacks raises."""
     environment = Environment(
         loader=PackageLoader("training", "templates"),
         autoescape=select_autoescape(["html.j2"]),

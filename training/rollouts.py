@@ -14,12 +14,12 @@ from grasp_env.sim import Camera, CameraConfig
 from policies.controllers import Policy, ZeroPolicy
 
 SCENARIOS: dict[str, dict[str, Any]] = {
-    "gravity": {"wrench": "none"},
-    "constant": {"wrench": "constant"},
-    "paper_path": {"wrench": "paper_path"},
-    "random": {"wrench": "random"},
-    "late": {"wrench": "random", "wrench_delay": 1},
-    "unknown": {"wrench": "random", "wrench_known": False},
+    "gravity": {"disturbance": "none"},
+    "constant": {"disturbance": "constant"},
+    "paper_path": {"disturbance": "paper_path"},
+    "random": {"disturbance": "random"},
+    "late": {"disturbance": "random", "wrench_delay": 1},
+    "unknown": {"disturbance": "random", "wrench": "none"},
 }
 SCENARIO_LABELS = {
     "gravity": "gravity alone",
@@ -52,7 +52,7 @@ def roll_out(
         scenario: a key of `SCENARIOS`.
         initial_force: the environment's start rule.
         seed: of the episode.
-        steps: agent steps at 50 Hz.
+        steps: agent steps at 50 Hz, after which the environment truncates.
         policy: the agent; None: no adjustment.
         objective: Phi of the hand's solver; None: the default.
 
@@ -65,6 +65,7 @@ def roll_out(
         initial_force=initial_force,
         force_weight=objective.force_weight,
         barrier_weight=objective.barrier_weight,
+        duration=steps / 50,
         **SCENARIOS[scenario],
     )
     try:
@@ -72,13 +73,13 @@ def roll_out(
         observation, info = env.reset(seed=seed)
         rows: list[dict[str, Any]] = []
         rewards = []
-        for _ in range(steps):
+        done = False
+        while not done:
             action, _ = policy.predict(observation, deterministic=True)
             observation, reward, terminated, truncated, info = env.step(action)
             rows.append(info)
             rewards.append(float(reward))
-            if terminated or truncated:
-                break
+            done = terminated or truncated
         out = {name: np.array([row[name] for row in rows]) for name in (*_SCALARS, *_ARRAYS)}
         return {**out, "reward": np.array(rewards), "failure": np.array(info["failure"])}
     finally:
@@ -105,7 +106,7 @@ def roll_out_all(
 
 def picture(size: int = 640) -> np.ndarray:
     """(size, size, 3) the hand holding the cuboid, rendered without a display."""
-    env = FourFingerGrasp()
+    env = FourFingerGrasp(render_mode="rgb_array")
     try:
         env.reset(seed=0)
         return Camera(env.scene, CameraConfig(width=size, height=size, supersampling=3)).capture()

@@ -48,3 +48,33 @@ def ratio_interval(numerator: np.ndarray, denominator: np.ndarray, seed: int = 0
     ratios = np.sort(np.minimum(tops / np.maximum(bottoms, 1e-12), 1e12))  # infinite medians stay comparable
     low, high = ratios[int(0.025 * _RESAMPLES)], ratios[int(0.975 * _RESAMPLES)]
     return float(np.median(numerator) / max(float(np.median(denominator)), 1e-12)), float(low), float(high)
+
+
+def wilson(count: int, total: int) -> tuple[float, float]:
+    """95 % Wilson interval of a rate of `count` in `total`.
+
+    Example:
+        >>> wilson(500, 500), wilson(0, 10)
+        ((0.992, 1.0), (0.0, 0.278))
+    """
+    if total == 0:
+        return 0.0, 1.0
+    z, rate = 1.959963984540054, count / total
+    centre = (rate + z * z / (2 * total)) / (1 + z * z / total)
+    half = z * np.sqrt(rate * (1 - rate) / total + z * z / (4 * total * total)) / (1 + z * z / total)
+    return (0.0 if count == 0 else float(centre - half)), (1.0 if count == total else float(centre + half))
+
+
+def mean_interval(values: np.ndarray, seed: int = 0) -> dict[str, Any]:
+    """Mean of finite values (n,) with a 95 % bootstrap interval; of paired differences too.
+
+    Example:
+        >>> mean_interval(np.full(7, 2.0))
+        {'n': 7, 'mean': 2.0, 'low': 2.0, 'high': 2.0}
+    """
+    values = np.asarray(values, dtype=np.float64)
+    if values.size == 0:
+        return {"n": 0, "mean": None, "low": None, "high": None}
+    picks = np.random.default_rng(seed).integers(0, values.size, (_RESAMPLES, values.size))
+    low, high = np.percentile(values[picks].mean(axis=1), [2.5, 97.5])
+    return {"n": int(values.size), "mean": float(values.mean()), "low": float(low), "high": float(high)}

@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from grasp_env.errors import InvalidInputError
 from training.bench.scaling import scaling_figure
 from training.figures import close
 from training.runs import Run
@@ -16,7 +17,7 @@ from training.runs import Run
 
 def show(result: dict[str, Any], console: Console) -> None:
     """Prints a result."""
-    {"solver": _solver, "scaling": _scaling, "batch": _batch}[result["kind"]](result, console)
+    {"solver": _solver, "scaling": _scaling, "batch": _batch, "env": _env}[result["kind"]](result, console)
     machine = result["provenance"]["machine"]
     console.print(
         f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}; best pass per problem, warm-up "
@@ -39,10 +40,18 @@ def save(result: dict[str, Any], out: Path) -> Path:
 
 
 def compare(result: dict[str, Any], earlier: Path, console: Console) -> None:
-    """Prints p50 of every row beside that of an earlier run of the same kind."""
+    """Prints p50 (or the rate) of every row beside that of an earlier run of the same kind.
+
+    Raises:
+        InvalidInputError: there is no such file, or it is of another kind.
+    """
+    if not earlier.is_file():
+        raise InvalidInputError(f"there is no {earlier} to compare with")
     before = json.loads(earlier.read_text())
+    if before["kind"] != result["kind"]:
+        raise InvalidInputError(f"{earlier} is a benchmark of {before['kind']}, not of {result['kind']}")
     keys = ("solver", "method", "contacts", "workers")
-    value = "per_second" if result["kind"] == "batch" else "p50_us"
+    value = "per_second" if result["kind"] in ("batch", "env") else "p50_us"
     known = {tuple(row.get(key) for key in keys): row[value] for row in before["rows"]}
     table = Table("row", "before", "now", "now / before", title=f"against {earlier}")
     for row in result["rows"]:
@@ -104,3 +113,40 @@ def _batch(result: dict[str, Any], console: Console) -> None:
     for method, times in result["speedup"].items():
         console.print(f"{method}: all cores {times:.2f} times one", highlight=False)
     console.print(f"peak memory of the process {result['peak_gib']:.2f} GiB", highlight=False)
+
+
+def _env(result: dict[str, Any], console: Console) -> None:
+    if result["quick"]:
+        console.print("QUICK: few rounds and resets; rough", style="bold")
+    table = Table(
+        "episode", "steps/s", "us", "median", "bare us", "ratio", "median", title="agent steps, best and median"
+    )
+    for row in result["rows"]:
+        table.add_row(
+            row["method"], f"{row['per_second']:.0f}", f"{row['us']:.0f}", f"{row['us_median']:.0f}", f"{row['bare_us']:.0f}",
+            f"{row['ratio']:.2f}", f"{row['ratio_median']:.2f}",
+        )  # fmt: skip
+    console.print(table)
+    table = Table("part of a step (50 Hz agent, 250 Hz control)", "us", "share", "calls", title="where the time goes")
+    for row in result["parts"]:
+        table.add_row(row["what"], f"{row['us']:.1f}", f"{100 * row['share']:.1f} %", f"{row['calls']:g}")
+    console.print(table)
+    table = Table("reset", "median ms", "p99 ms", "max ms", "resets")
+    for row in result["resets"]:
+        table.add_row(
+            row["reset"], f"{row['median_ms']:.2f}", f"{row['p99_ms']:.2f}", f"{row['max_ms']:.2f}", str(row["resets"])
+        )
+    console.print(table)
+    for row in result["memory"]:
+        console.print(
+            f"{row['resets']}: {row['per_env_mib']:.1f} MiB per environment, growth {row['growth_mib']:.2f} MiB over "
+            f"{row['count']} resets; the process {row['resident_mib']:.0f} MiB",
+            highlight=False,
+        )
+    for row in result["vector"]:
+        console.print(
+            f"{row['envs']} environments, {row['vector']}: {row['per_second']:.0f} steps per second", highlight=False
+        )
+    for row in sorted(result["claims"], key=lambda row: row["met"]):
+        verdict = "met   " if row["met"] else "MISSED"
+        console.print(f"{verdict}  {row['claim']}: asked {row['asked']}, measured {row['measured']}", highlight=False)

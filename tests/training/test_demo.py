@@ -1,0 +1,95 @@
+"""Videos: frames go to the file one by one, and a file with the final name is a whole one."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import imageio.v3 as imageio
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from grasp_env.errors import InvalidInputError
+from training.demo import record
+
+ENV = "test_demo/Squares-v0"
+
+
+class Squares(gym.Env[np.ndarray, np.ndarray]):
+    """A picture that gets brighter; `stop_at` ends it with ctrl-C."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 50}  # noqa: RUF012
+
+    def __init__(
+        self, render_mode: str, duration: float, initial_force: Any = None, stop_at: int = -1, size: int = 64
+    ) -> None:
+        self.observation_space = gym.spaces.Box(-1.0, 1.0, (1,))
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (2,))
+        self.render_mode, self._stop_at, self._size = render_mode, stop_at, size
+        self._last = round(50 * duration)
+
+    def reset(self, **_: Any) -> tuple[np.ndarray, dict[str, Any]]:
+        self._step = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        assert action.shape == (2,)
+        self._step += 1
+        if self._step == self._stop_at:
+            raise KeyboardInterrupt
+        return np.zeros(1, np.float32), 0.0, False, self._step == self._last, {}
+
+    def render(self) -> np.ndarray:
+        return np.full((self._size, self._size, 3), 10 * self._step, np.uint8)
+
+
+@pytest.fixture(autouse=True)
+def _registered() -> Any:
+    gym.register(ENV, entry_point=Squares, disable_env_checker=True)
+    yield
+    del gym.registry[ENV]
+
+
+def mp4_frames(path: Path) -> np.ndarray:
+    """All frames; imageio's own reader leaves pipes open, and warnings are errors here."""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", path, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    raw = subprocess.run(command, capture_output=True, check=True).stdout
+    return np.frombuffer(raw, np.uint8).reshape(-1, 64, 64, 3)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif", ".png"])
+def test_every_second_step_is_a_frame(tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"out{suffix}"
+    record(out, seconds=0.2, env_id=ENV)
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    frames = [np.mean(frame) for frame in (mp4_frames(out) if suffix == ".mp4" else imageio.imiter(out))]
+    steps = [10] if suffix == ".png" else [1, 3, 5, 7, 9, 10]
+    np.testing.assert_allclose(frames, 10.0 * np.array(steps), atol=3.0)  # H.264 loses a little
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif", ".png"])
+def test_stopped_it_leaves_nothing_and_an_older_file_as_it_was(tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"out{suffix}"
+    out.write_text("older")
+    with pytest.raises(KeyboardInterrupt):
+        record(out, seconds=1.0, env_id=ENV, stop_at=9)
+    assert [path.name for path in tmp_path.iterdir()] == [out.name]
+    assert out.read_text() == "older"
+
+
+def test_settings_reach_the_environment(tmp_path: Path) -> None:
+    record(tmp_path / "out.png", seconds=0.02, env_id=ENV, size=20)
+    assert imageio.imread(tmp_path / "out.png").shape == (20, 20, 3)
+
+
+def test_refusals_name_the_argument(tmp_path: Path) -> None:
+    for out, seconds, message in (
+        ("a.avi", 1.0, "out must end"),
+        ("a.mp4", 0.0, "seconds"),
+        ("no/a.mp4", 1.0, "folder"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            record(tmp_path / out, seconds=seconds, env_id=ENV)

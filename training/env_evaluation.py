@@ -1,0 +1,165 @@
+"""`grasp evaluate env`: roll out every cell over spawned workers, keep each as it is done, build the report."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from grasp_env.errors import InvalidInputError
+from training.env_report import build_env_report
+from training.env_trials import Cell, cell_json, columns, plan, run_chunk
+from training.runs import Run, default_name, provenance
+
+CHUNK = 4
+"""Seeds a worker is given at a time."""
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class EnvEvaluateConfig:
+    """How the environment is evaluated.
+
+    Attributes:
+        out: folder of runs.
+        name: of this run; empty: env-<date>-<time>. The name of an interrupted run continues it.
+        episodes: of each main scenario; the others have as many or fewer, see `env_trials.plan`.
+        seed: of the first episode; the next ones follow. The same seeds serve all controllers.
+        quick: a small version that ends within a minute and says that it is quick.
+        workers: processes; 0: one per core. The results do not depend on it.
+    """
+
+    out: str = "runs"
+    name: str = ""
+    episodes: int = 500
+    seed: int = 0
+    quick: bool = False
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("episodes", 1), ("seed", 0), ("workers", 0)):
+            if getattr(self, name) < least:
+                raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
+
+
+def evaluate_env(
+    config: EnvEvaluateConfig, console: Console | None = None, cells: list[Cell] | None = None
+) -> dict[str, Any]:
+    """Runs what is not there yet and returns the metrics; everything lies in `<out>/<name>` afterwards.
+
+    Args:
+        config: the settings.
+        console: for the progress; None: stderr.
+        cells: instead of `env_trials.plan`.
+
+    Raises:
+        InvalidInputError: the run is finished, or was begun with other settings.
+    """
+    console = console or Console(stderr=True)
+    if cells is None:
+        cells = plan(QUICK_EPISODES if config.quick else config.episodes, config.quick)
+    run = Run.create(config.out, config.name or default_name("env"))
+    begun = {"seed": config.seed, "quick": config.quick, "cells": [cell_json(cell) for cell in cells]}
+    _continue(run, begun)
+    missing = [cell for cell in cells if not run.path(_file(cell.name)).is_file()]
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(),
+        console=console, disable=not console.is_terminal,
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task("episodes", total=sum(cell.episodes for cell in missing))
+
+        def advance(cell: str, count: int) -> None:
+            bar.update(task, advance=count, description=cell)
+
+        roll_out_cells(run, missing, config.seed, config.workers or os.cpu_count() or 1, advance)
+    settings = {key: value for key, value in asdict(config).items() if key != "name"}
+    facts = {"kind": "env", **provenance(), **begun, "config": {**settings, "name": run.folder.name}}
+    run.write_json("run.json", facts)
+    metrics = build_env_report(run)
+    console.print(f"report: {run.folder / 'report.html'}")
+    return metrics
+
+
+QUICK_EPISODES = 4
+"""Of every scenario of a quick run."""
+
+
+def roll_out_cells(
+    run: Run, cells: list[Cell], seed: int, workers: int, advance: Callable[[str, int], None] = lambda cell, count: None
+) -> None:
+    """Runs cells and saves each, `trials/<name>.npz`, as soon as its last trial is done.
+
+    Args:
+        run: receives the files.
+        cells: what to run, episodes seed, seed + 1, ...
+        seed: of the first episode.
+        workers: spawned processes.
+        advance: told of the trials done.
+    """
+    if not cells:
+        return
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _quiet)
+    try:
+        pending: list[tuple[Cell, list[tuple[Future[list[dict[str, Any]]], int]]]] = []
+        for cell in cells:
+            chunks = [list(range(k, min(k + CHUNK, cell.episodes))) for k in range(0, cell.episodes, CHUNK)]
+            with _one_thread():
+                jobs = [
+                    (pool.submit(run_chunk, asdict(cell), [seed + k for k in chunk]), len(chunk)) for chunk in chunks
+                ]
+            pending.append((cell, jobs))
+        for cell, jobs in pending:
+            rows: list[dict[str, Any]] = []
+            for job, count in jobs:
+                rows += job.result()
+                advance(cell.name, count)
+            run.write_arrays(_file(cell.name), columns(rows))
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+
+
+def _file(cell: str) -> str:
+    return f"trials/{cell}.npz"
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Processes started in the block compute with one thread each: their libraries read these when they are loaded."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _quiet() -> None:
+    """A worker leaves an interrupt to its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _continue(run: Run, begun: dict[str, Any]) -> None:
+    """Writes what this run is, or checks that an interrupted one was the same."""
+    if not run.path("plan.json").is_file():
+        run.write_json("plan.json", begun)
+    elif run.read_json("plan.json") != json.loads(json.dumps(begun)):  # as JSON, where tuples are lists
+        raise InvalidInputError(
+            f"{run.folder} was begun with other episodes, seed or settings: repeat its command to continue it, or choose "
+            "another --name"
+        )
