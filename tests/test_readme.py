@@ -31,7 +31,11 @@ def test_make_targets_exist():
 
 
 def test_grasp_commands_exist(capsys):
-    commands = set(re.findall(r"(?:^|`)(grasp (?:solve|fit|evaluate|report|demo|warmup)[^`\n]*)", TEXT, re.MULTILINE))
+    commands = set(
+        re.findall(
+            r"(?:^|`)(grasp (?:solve|fit|evaluate|report|demo|bench|reproduce|warmup)[^`\n]*)", TEXT, re.MULTILINE
+        )
+    )
     assert len(commands) >= 4
     for command in commands:
         words = shlex.split(command)[1:]
