@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from grasp_env import observation
 from grasp_env._check import Array, as_wrench
+from grasp_env.annotate import annotate
 from grasp_env.config import EnvConfig
 from grasp_env.control import ForceLoop
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownNameError
@@ -248,14 +249,15 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     def render(self) -> NDArray[np.uint8] | None:
         """An (H, W, 3) picture in "rgb_array" mode; the window of "human" mode draws itself."""
         scene = self._open_stage().scene
-        if self.render_mode == "human" and self._started:
-            self._lines = draw_debug(scene.client.number, self._annotation(scene), self._lines)
+        annotation = self._annotation(scene)
+        if self.render_mode == "human" and annotation is not None:
+            self._lines = draw_debug(scene.client.number, annotation, self._lines)
         if self.render_mode != "rgb_array":
             return None
         if self._camera is None:
             width, height = self.config.render_size
             self._camera = Camera(scene, CameraConfig(width=width, height=height))
-        return self._camera.capture(self._annotation(scene) if self._started else None)
+        return self._camera.capture(annotation)
 
     @property
     def scene(self) -> Scene:
@@ -391,31 +393,12 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             **terms,
         }
 
-    def _annotation(self, scene: Scene) -> Annotation:
-        loop, snapshot = self._loop, scene.look()
-        drift, tilt = self._numbers[:2]
-        active = np.zeros(len(loop.force))
-        active[loop.fingers] = 1.0
-        to_world = snapshot.rotation @ loop.frames
-        solution = loop.solution
-        return Annotation(
-            points=snapshot.touch,
-            normals=snapshot.normals @ snapshot.rotation.T,
-            forces=np.einsum("nij,nj->ni", to_world, loop.force),
-            measured=snapshot.forces @ snapshot.rotation.T,
-            friction=np.full(len(active), loop.friction),
-            active=active,
-            wrench=np.concatenate([snapshot.rotation @ loop.wrench[:3], snapshot.rotation @ loop.wrench[3:]]),
-            center=snapshot.position,
-            colors=self._colors,
-            lines=(
-                ("time", f"{self._tick * loop.dt:.2f} s"),
-                ("iterations", str(solution.iterations) if solution else "-"),
-                ("margin", f"{solution.cone_margin:.2f} N" if solution else "-"),
-                ("drift", f"{1e3 * drift:.2f} mm, {math.degrees(tilt):.2f} deg"),
-                *((("lost", self._failure),) if self._failure else ()),
-            ),
-        )
+    def _annotation(self, scene: Scene) -> Annotation | None:
+        """What is drawn over a picture; nothing before the first reset, or where the simulation diverged."""
+        if not self._started or self._failure == "simulation_diverged":
+            return None
+        drift, tilt = self._numbers[0], self._numbers[1]
+        return annotate(self._loop, scene.look(), self._colors, self._tick * self._loop.dt, drift, tilt, self._failure)
 
     def _open_stage(self) -> Stage:
         if self._stage is None:

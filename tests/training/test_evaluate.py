@@ -148,7 +148,7 @@ def test_cli_errors_and_json(tmp_path, capsys):
     blocked.write_text("")
     assert main(["evaluate", "--out", str(blocked)]) == 2
     assert "cannot write" in capsys.readouterr().err
-    assert main(["demo", "--out", str(tmp_path / "hand.avi")]) == 2
+    assert main(["demo", "--video", str(tmp_path / "hand.avi")]) == 2
 
 
 def test_a_finished_run_is_not_overwritten(run, capsys):
@@ -163,7 +163,7 @@ def test_solve_from_a_fitted_model(run, capsys):
 
 def test_demo_picture_and_video(tmp_path):
     for name in ("hand.png", "hand.gif", "hand.mp4"):
-        assert main(["demo", "--out", str(tmp_path / name), "--seconds", "0.2"]) == 0
+        assert main(["demo", "--video", str(tmp_path / name), "--seconds", "0.2"]) == 0
         assert (tmp_path / name).stat().st_size > 2000
     assert sorted(path.name for path in tmp_path.iterdir()) == ["hand.gif", "hand.mp4", "hand.png"]
 

@@ -27,6 +27,7 @@ PARTS = {
     "see": "the controller's view: contact set, estimator",
     "optimise": "force optimisation: wrench, contacts, start, flow, certificate",
     "command": "command tick: tangent correction, torques",
+    "follow": "ticks after the first: numbers of the calls, snapshot, tangent correction, torques, in one compiled call",
     "observe": "observation",
     "info": "info dictionary",
     "step": "the rest: checks, disturbance, reward, loop",
@@ -106,7 +107,7 @@ def breakdown(env: FourFingerGrasp, seed: int, rounds: int, steps: int = 100) ->
             scene, loop = whole.scene, whole._loop
             places = (
                 (scene, "look", "look"), (scene, "advance", "advance"), (loop, "see", "see"), (loop, "optimise", "optimise"),
-                (loop, "command", "command"), (whole, "_observe", "observe"), (whole, "_info", "info"),
+                (loop, "command", "command"), (loop, "follow", "follow"), (whole, "_observe", "observe"), (whole, "_info", "info"),
             )  # fmt: skip
             env.reset(seed=seed)
             for owner, method, name in places:
