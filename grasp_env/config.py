@@ -132,7 +132,7 @@ class EnvConfig:
     friction_error: float = 0.0
     friction_margin: float = 0.85
     controller: str = "optimised"
-    squeeze: float = 20.0
+    squeeze: float = 40.0
     pd_stiffness: float = 800.0
     pd_damping: float = 4.0
     initial_force: str = "linear_combination"
