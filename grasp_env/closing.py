@@ -85,7 +85,6 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         still = still and snapshot.touching.all()
         quiet = quiet + 1 if still and error < _WEIGHT_ERROR else 0
         if quiet == _SETTLED:
-            loop.settling = False
             return
     snapshot = scene.look()
     raise SimulationError(

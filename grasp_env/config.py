@@ -9,10 +9,10 @@ import numpy as np
 
 from grasp_env._check import as_array, positive
 from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.force import METHODS
+from grasp_env.force import METHODS, RULES
 from grasp_env.sim.hand import HANDS, HandDescription
 from grasp_env.sim.objects import SHAPES
-from grasp_env.task import DISTURBANCES, MOTIONS, TASKS
+from grasp_env.task import DISTURBANCES, MOTIONS, TASKS, Task
 
 RANDOM = ("shape", "size", "mass", "friction")
 CONTROLLERS = ("optimised", "constant_squeeze", "pd")
@@ -38,9 +38,10 @@ class EnvConfig:
         size: [m] of the object: cuboid (x, y, z); cylinder, capsule (diameter, height), upright; sphere (diameter,). Empty:
             0.1 m each way. Of a mesh: (scale,), 0.001 for a file in millimetres.
         mesh: path of a closed convex mesh (.obj, .stl, .ply, .off) for shape "mesh".
-        object_mass: [kg]. friction: coefficient of the simulated contacts.
+        object_mass: [kg]. friction: of the object; the contacts' is this times the hand's `tip_friction`, 1 in the built-in ones.
         contact_points: (N, 3) places of the tips on the object's surface [m], object frame, in the hand's order; empty: chosen.
-        randomise: what is drawn anew at each reset: any of "shape", "size", "mass", "friction".
+        randomise: what is drawn anew at each reset: any of "shape" (another shape has another size, too), "size", "mass",
+            "friction".
         size_range, mass_range, friction_range: [m], [kg], [1] from which they are drawn, uniformly.
         task: "hold", "move", "payload" or "six_directions"; see `grasp_env.task`.
         duration: [s] until truncation; None: the task's own.
@@ -59,7 +60,7 @@ class EnvConfig:
         payload_factor: by which the mass grows in task "payload", at `payload_time` [s]; the controller is not told.
         push_per_mass, push_time: [N/kg], [s] of task "six_directions".
         wrench: what the controller knows of the external wrench: "measured", "estimated" (from the object's motion and the
-            tactile forces), or "none" (pose feedback alone).
+            forces of the last physics step), or "none" (pose feedback alone). The hand always knows gravity for its own weight.
         wrench_delay: control ticks by which the measured wrench comes late.
         estimator_time: [s] time constant of the estimate.
         sensor_delay: [s] between measurement and torque, for everything; rounded up to control ticks.
@@ -165,7 +166,7 @@ class EnvConfig:
             raise UnknownNameError("hand", self.hand, HANDS, ", or give a HandDescription")
         names = {
             "shape": SHAPES, "task": tuple(TASKS), "motion": tuple(MOTIONS), "wrench": WRENCHES,
-            "controller": CONTROLLERS, "action_mode": ACTION_MODES, "method": METHODS,
+            "controller": CONTROLLERS, "initial_force": (*RULES, "previous"), "action_mode": ACTION_MODES, "method": METHODS,
         }  # fmt: skip
         for name, allowed in names.items():
             if getattr(self, name) not in allowed:
@@ -196,8 +197,18 @@ class EnvConfig:
                 positive(getattr(self, name), name)
         if self.shape == "mesh" and not self.mesh:
             raise InvalidInputError("shape 'mesh' needs mesh='path of an .obj, .stl, .ply or .off file'")
-        if "shape" in self.randomise and self.shape == "mesh":
-            raise InvalidInputError("randomise=('shape', ...) draws among the primitive shapes: leave shape='mesh' out")
+        if self.shape == "mesh" and {"shape", "size"} & set(self.randomise):
+            raise InvalidInputError(
+                "a mesh keeps its shape and size: randomise=('mass', 'friction'), or leave shape='mesh' out"
+            )
+        if self.contact_points and {"shape", "size"} & set(self.randomise):
+            raise InvalidInputError(
+                "contact_points belong to one shape and size: leave them out where these are randomised"
+            )
+        if self.task == "six_directions" and self.disturbance not in (None, "none"):
+            raise InvalidInputError(
+                f"task 'six_directions' pushes by itself, got disturbance={self.disturbance!r}: leave it out, or use task 'hold'"
+            )
 
     def _check_tuples(self) -> None:
         # tuples survive JSON and hashing; lists from a JSON file become tuples
@@ -240,7 +251,7 @@ class EnvConfig:
         """A copy in which what is None has its value: the task's own, or the default said above."""
         task = TASKS[self.task]
         return self.override(
-            duration=task.duration if self.duration is None else self.duration,
+            duration=self._duration(task) if self.duration is None else self.duration,
             disturbance=task.disturbance if self.disturbance is None else self.disturbance,
             motion_size=(0.3 if self.motion == "rotate" else 0.015) if self.motion_size is None else self.motion_size,
             max_drift=(task.drift_limit if task.drift_limit < 1.0 else 0.02)
@@ -248,6 +259,9 @@ class EnvConfig:
             else self.max_drift,
             max_tilt=(task.tilt_limit if task.tilt_limit < 4.0 else 0.35) if self.max_tilt is None else self.max_tilt,
         )
+
+    def _duration(self, task: Task) -> float:
+        return 6.0 * self.push_time if self.task == "six_directions" else task.duration
 
     def override(self, **settings: Any) -> EnvConfig:
         """A copy with some settings replaced.

@@ -63,6 +63,7 @@ class ForceLoop:
     one slips off or lands the forces are optimised over the contacts that exist.
 
     Attributes:
+        iterations, trials: of all optimisations since the environment set them to 0.
         solution: the last optimisation; None before the first, after one that failed, and for controllers without any.
         closure: whether the contacts of now can balance the wrench.
         wrench: (6,) that the forces balance [N, N m], object frame.
@@ -89,7 +90,9 @@ class ForceLoop:
         item, hand = scene.config.object, scene.config.hand
         self.goals, self.inwards = np.array(scene.config.contact_points), scene.config.contact_normals
         self.count, joints = hand.finger_count, hand.joint_count
-        self.friction = item.friction * (1.0 + self.config.friction_error) * self.config.friction_margin
+        self.friction = (
+            item.friction * hand.tip_friction * (1.0 + self.config.friction_error) * self.config.friction_margin
+        )
         self.belief = believe(self.config, item)
         self._springs = self.belief.copy()
         self._springs[at.REACH_GAIN], self._springs[at.REACH_LIMIT] = self.config.pd_stiffness, np.inf
@@ -116,7 +119,9 @@ class ForceLoop:
         self.fingers = np.zeros(0, dtype=np.int64)
         self.contact_changes = 0
         self._mask = 0
-        self._apart = [0] * self.count
+        self._apart, self._missing = [0] * self.count, False
+        self._adjustment: Array | None = None
+        self.iterations = self.trials = 0
         self._fresh = True
         self._mode, self._given, self._given_frames = OPTIMISED, np.zeros(0), _NO_FRAMES
         self._estimator[:] = 0.0
@@ -153,7 +158,7 @@ class ForceLoop:
             external = self._estimate
         self._told, self._gravity, self._target = external, gravity, target
         mask = int(snapshot.mask[0])
-        if mask != self._mask:
+        if mask != self._mask or self._missing:
             self._count_contacts(mask)
 
     def optimise(self, adjustment: Array | None = None) -> ForceSolution | None:
@@ -168,7 +173,11 @@ class ForceLoop:
         Raises:
             GraspError: a start rule of the user's that does not fit.
         """
-        self.solution = None  # nothing stale is left when this raises
+        self.solution, self._changed, self._adjustment = (
+            None,
+            False,
+            adjustment,
+        )  # nothing stale is left when this raises
         made = self._set(self._mask)
         self.fingers = made.fingers
         if made.pipeline is None:
@@ -191,6 +200,8 @@ class ForceLoop:
             self._lose()
             return None
         self.closure = True
+        self.iterations += self.solution.iterations
+        self.trials += self.solution.trials
         self._mode, self._given, self._given_frames = OPTIMISED, made.pipeline.x, made.pipeline.frames
         return self.solution
 
@@ -229,7 +240,7 @@ class ForceLoop:
             else:
                 self._mode, self._given = SQUEEZE, self.config.squeeze * made.squeeze
         elif self._changed:
-            self.optimise()
+            self.optimise(self._adjustment)
         return self._tick(self._sets[self._mask])
 
     def follow(self, scene: Scene, external: Array, target: Array) -> list[float] | None:
@@ -238,6 +249,8 @@ class ForceLoop:
         Returns:
             Joint torques (M,) [N m]; None where the contacts changed, or the scene diverged: `see` and `command` know what to do.
         """
+        if self._missing:
+            return None
         joints, pose, velocity, contacts = scene.answers()
         made = self._sets[self._mask]
         followed = follow(
@@ -270,6 +283,7 @@ class ForceLoop:
             self._apart[finger] = 0 if mask & bit else self._apart[finger] + 1
             if mask & bit or (self._mask & bit and self._apart[finger] <= RELEASE):
                 held |= bit
+        self._missing = held != mask
         if held != self._mask:
             self.contact_changes += self._mask != 0
             self._mask, self._changed = held, True
@@ -317,7 +331,8 @@ def believe(config: EnvConfig, item: ObjectDescription) -> Array:
     b = np.zeros(at.BELIEF)
     inertia = item.inertia_matrix
     b[at.MASS], b[at.INERTIA : at.INERTIA + 9] = item.mass, inertia.reshape(-1)
-    most = STABLE / config.sensor_delay if config.sensor_delay > 0.0 else np.inf
+    late = np.ceil(config.sensor_delay * config.control_rate - 1e-9) / config.control_rate
+    most = STABLE / late if late > 0.0 else np.inf
     push, turn = min(config.position_bandwidth, most), min(config.rotation_bandwidth, most)
     b[at.POSITION_GAIN], b[at.POSITION_DAMPING] = item.mass * push**2, 2.0 * item.mass * push
     b[at.ROTATION_GAIN], b[at.ROTATION_DAMPING] = turn**2, 2.0 * turn  # by the inertia

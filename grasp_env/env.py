@@ -56,7 +56,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     force of least Phi between the linear combination and it.
     "contact_force" (3N,): the contact forces themselves, no solver: per finger normal in [0, 2 `action_scale`], o and t in
     +-`action_scale`.
-    "none" (1,): ignored.
+    "none" (1,): ignored. Controllers that do not optimise, and methods without a start (conic, linear), ignore "initial_force".
 
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:
@@ -79,7 +79,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     ## Reward
     `held_reward` while the object is held (or `-failure_cost` once), `- iteration_cost * iterations`,
-    `- force_cost * total normal force`; each term stands in `info["reward/..."]`.
+    `- force_cost * total normal force`; a step that ends without force closure costs all iterations allowed. Each term stands in `info["reward/..."]`.
 
     ## Episode end
     Terminated when the object is lost (`info["failure"]`: "dropped", "closure_lost" (no force closure for `max_contact_gap`),
@@ -87,12 +87,15 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     own (hold 2 s, move and payload 4 s, six_directions 12 s).
 
     ## Info
-    The same keys at every reset and step: `iterations`, `trials`, `status` (a `Status`, "none" at reset, "failed"), `objective`, `optimality_gap`,
+    The same keys at every reset and step: `iterations`, `trials`, `status` (a `Status`; "none" at reset and where nothing was optimised; "failed"), `objective`, `optimality_gap`,
     `cone_margin` of the optimisation; `force_closure`, `contacts` (fingers), `contact_changes`; `wrench` (6,), `commanded_force` (N, 3),
     `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of links on the object) [N], `slip` [m/s],
     `slip_distance` [m], `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `repaired_controls`,
     `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
     the hand could not hold), `failure`, `is_success`, and the reward terms.
+
+    Without optimisation (`controller`, "contact_force") `force_closure` stays True; "pd" commands no forces: its `commanded_force` and the
+    force terms are 0.
 
     ## Reset options
     `options={"wrench": (6,)}` replaces the episode's external wrench by a constant one [N, N m].
@@ -143,6 +146,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         hand = self._stage.kinematics.hand
         tips, joints = hand.finger_count, hand.joint_count
         links = {link.name: link for link in hand.links}
+        self._budget = config.max_iterations if config.iteration_budget is None else config.iteration_budget
+        self._torque_limits = hand.torque_limits
         self._colors = np.array([links[tip.link].color for tip in hand.fingertips])
         self._bound = observation.bounds(tips, joints)
         self.observation_space = gym.spaces.Box(-self._bound, self._bound, dtype=np.float32)
@@ -172,6 +177,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             if name != "wrench":
                 raise UnknownNameError("reset option", name, ("wrench",))
             constant = as_wrench(value, "options['wrench']")
+        self._started = False
         stage.set(self.np_random)
         plan = make_plan(self.config, self.np_random, scene.config.object.mass)
         if constant is not None:
@@ -183,7 +189,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         item = stage.item
         self._mass = item.mass
         self._object_info = {
-            "object_friction": item.friction,
+            "object_friction": item.friction * scene.config.hand.tip_friction,
             "object_shape": item.shape,
             "object_size": max(item.extent),
             "redrawn": stage.redrawn,
@@ -232,11 +238,10 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             self._failure = "simulation_diverged"
         except GraspError:
             self._failure = "force_optimisation"
-        solution = self._loop.solution
         terms = reward_terms(
             self.config,
             not self._failure,
-            solution.iterations if solution else (0 if self._loop.closure else self.config.max_iterations),
+            self._loop.iterations if self._loop.closure else self._budget,
             self._numbers[observation.TOTAL_NORMAL],
         )
         truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
@@ -272,6 +277,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _simulate(self, scene: Scene, numbers: list[float]) -> None:
         config, loop = self.config, self._loop
+        loop.iterations = loop.trials = 0
         adjustment = given = None
         if config.action_mode == "contact_force":
             given = self._forces(np.array(numbers))
@@ -292,7 +298,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     def _advance(self, scene: Scene, torques: list[float], wrench: list[float] | None) -> None:
         """One control tick of physics."""
         if self.config.force_noise:
-            torques = (np.array(torques) * (1.0 + self.config.force_noise * self._motor_noise())).tolist()
+            noisy = np.array(torques) * (1.0 + self.config.force_noise * self._motor_noise())
+            torques = np.clip(noisy, -self._torque_limits, self._torque_limits).tolist()
         for _ in range(self._steps_per_tick):
             scene.advance(torques, wrench)
         self._tick += 1
@@ -364,8 +371,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             touching = scene.look().touching > 0.0
         self._slip_distance += slip / self.config.agent_rate
         return {
-            "iterations": solution.iterations if solution else 0,
-            "trials": solution.trials if solution else 0,
+            "iterations": loop.iterations,
+            "trials": loop.trials,
             "status": solution.status.value if solution else ("failed" if self._failure else "none"),
             "objective": solution.objective if solution else 0.0,
             "optimality_gap": min(solution.optimality_gap, 1e9) if solution else 0.0,

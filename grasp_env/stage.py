@@ -99,6 +99,13 @@ class Stage:
     def _drawn(self, rng: np.random.Generator) -> ObjectDescription:
         config, base = self.config, self._described()
         shapes = {"shapes": (base.shape,)} if "shape" not in config.randomise else {}
+        if base.shape == "mesh":
+            masses, frictions = rng.uniform(*config.mass_range), rng.uniform(*config.friction_range)
+            return replace(
+                base,
+                mass=masses if "mass" in config.randomise else base.mass,
+                friction=frictions if "friction" in config.randomise else base.friction,
+            )
         drawn = random_object(
             rng, size=config.size_range, mass=config.mass_range, friction=config.friction_range, **shapes
         )
@@ -125,5 +132,8 @@ class Stage:
 
     def _settle(self, item: ObjectDescription) -> None:
         self._loop.begin(self.scene)
-        take_over(self.scene, self._loop)
+        try:
+            take_over(self.scene, self._loop)
+        finally:
+            self._loop.settling = False
         self.item = item

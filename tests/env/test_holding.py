@@ -99,7 +99,7 @@ def test_controllers_hold(controller):
     assert all(solved) if controller == "optimised" else not any(solved)
     if controller == "constant_squeeze":
         assert infos[-1]["measured_force"][:, 0].sum() == pytest.approx(
-            20.0, rel=0.25
+            40.0, rel=0.25
         )  # what balance asks comes on top
 
 
