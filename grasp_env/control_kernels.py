@@ -25,9 +25,9 @@ OPTIMISED, SQUEEZE, REACH, DIRECT, LOST = range(5)
 """What a finger in contact does: carry the optimised forces along; a constant squeeze; hold its place; a given force; what is left
 without force closure: given forces, balanced as far as the cones let them."""
 
-WRENCH, CONTROLS, REPAIRED, PEAK = 0, 6, 7, 8
-COMMAND = 9
-"""Places in a command: the wrench that is balanced, unused, how often the forces had to be repaired, largest |torque| so far; from
+WRENCH, REPAIRED, PEAK = 0, 6, 7
+COMMAND = 8
+"""Places in a command: the wrench that is balanced, how often the forces had to be repaired, largest |torque| so far; from
 COMMAND on M torques, (N, 3) forces in contact frames, (N, 9) contact frames, and what a tick needs while it runs."""
 LEAST_NORMAL = 0.1
 """[N] of a finger without force closure."""

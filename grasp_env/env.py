@@ -137,6 +137,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             raise InvalidInputError(
                 f"config must be an EnvConfig or None, got {config!r}; single settings are keywords"
             )
+        if isinstance(initial_force, str):  # a name is a setting as any other: checked, and told in the config
+            settings, initial_force = {**settings, "initial_force": initial_force}, None
         self.config = (config or EnvConfig()).override(**settings).resolved()
         self.metadata = {**self.metadata, "render_fps": self.config.agent_rate}
         self.render_mode = render_mode

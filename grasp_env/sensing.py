@@ -39,8 +39,7 @@ class Sensors:
         """A new episode: draws the noise from `rng` (one number, whatever the settings); before it the scene stood still."""
         self._noise = NoiseRows(np.random.default_rng(int(rng.integers(2**63))), self._width)
         self._scene.look()
-        self._delay.reset(self._scene.buffer)
-        self._late.reset(np.zeros(6))
+        self.rewind()
 
     def rewind(self) -> None:
         """As before the first tick: what was seen since `reset` was not yet."""

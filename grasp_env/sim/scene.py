@@ -214,7 +214,7 @@ class Scene:
         links = np.full(bullet.getNumJoints(self._world.hand, physicsClientId=client) + 1, -1, dtype=np.int64)
         for finger, link in enumerate(self.kinematics.tree.tip_links.tolist()):
             links[self._world.joints[link] + 1] = finger
-        self.finger_of_link = self._finger_of_link = links
+        self.finger_of_link = links
         self.gravity = np.array(self.config.gravity, dtype=float)
         self.observed = (
             self.tree_numbers, self.tree_indices, surface.kind, surface.numbers, surface.triangles, surface.normals, self.gravity,

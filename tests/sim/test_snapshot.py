@@ -230,7 +230,7 @@ class Reading:
         self.scene, self.links = scene, _tip_links(scene)
         self.numbers = np.concatenate([s.angles, s.rates, np.zeros(6), [1.0], np.zeros(6)])
         self.surface = ObjectDescription().surface
-        self.fingers = scene._finger_of_link
+        self.fingers = scene.finger_of_link
         self.touch = s.touch.copy()
 
     def row(
