@@ -1,0 +1,78 @@
+"""`grasp bench`: timings, side by side in one run."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+from rich.console import Console
+
+from grasp_env.errors import InvalidInputError
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Time the solvers or the environment, side by side in one run.
+
+    Attributes:
+        what: solver (ours beside Clarabel, QOCO, QOCOGEN, ... from the extra [bench]), scaling (cost against contacts),
+            batch (solves per second on one core and all) or env (steps per second beside bare PyBullet, resets, memory).
+        contacts: numbers of contacts; empty: the benchmark's own.
+        wrenches: problems per size; 0: the benchmark's own number.
+        quick: of env: a small version, about 20 s; its numbers are rough.
+        seed: of the problems.
+        out: folder for the JSON, figures and generated C code.
+        compare: an earlier JSON of the same kind to set beside.
+        json: print JSON for machines.
+    """
+
+    what: tyro.conf.Positional[Literal["solver", "scaling", "batch", "env"]]
+    contacts: tuple[int, ...] = ()
+    wrenches: int = 0
+    seed: int = 0
+    quick: bool = False
+    out: Path = Path("runs/bench")
+    compare: Path | None = None
+    json: bool = False
+
+    def execute(self) -> None:
+        """Runs it; raises the errors of the project."""
+        from training.bench import batch, env, scaling, show, solver
+        from training.runs import Run
+
+        options: dict[str, Any] = {"seed": self.seed}
+        if self.what == "env":
+            options["quick"] = self.quick
+        elif self.wrenches:
+            options["wrenches"] = _at_least(self.wrenches, "wrenches", 8)
+        if self.contacts and self.what in ("solver", "scaling"):
+            options["sizes"] = tuple(_at_least(count, "contacts", 3) for count in self.contacts)
+        if self.what == "solver":
+            options["folder"] = self.out
+        Run.create(self.out, "")
+        console = Console(stderr=True)
+        with console.status("starting") as status:
+            if sys.stderr.isatty():
+                options["tick"] = status.update
+            benches = {"solver": solver.solver, "scaling": scaling.scaling, "batch": batch.batch, "env": env.env_bench}
+            run = benches[self.what]
+            result = run(**options)
+        path = show.save(result, self.out)
+        if self.json:
+            sys.stdout.write(json.dumps(result, allow_nan=False, default=str) + "\n")
+            return
+        show.show(result, Console())
+        if self.compare is not None:
+            show.compare(result, self.compare, Console())
+        Console().print(str(path), highlight=False)
+
+
+def _at_least(value: int, name: str, least: int) -> int:
+    """`value`, or an error where it is below `least`."""
+    if value < least:
+        raise InvalidInputError(f"{name} must be at least {least}, got {value}")
+    return value

@@ -1,0 +1,44 @@
+"""`grasp evaluate`: compare starts, or measure how well the hand holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import tyro
+
+from training.commands.claims import print_claims
+from training.settings import EvaluateConfig
+
+
+@dataclass(frozen=True)
+class Evaluate(EvaluateConfig):
+    """Compare and write a report: all starts and a fitted network, or how well the hand holds.
+
+    Attributes:
+        what: starts (fit a network, compare all starts, roll out the hand) or env (hold rates over random objects and wrenches,
+            failures, the squeeze that robustness costs; an interrupted run of the same name goes on).
+        episodes: per start of each random scenario, or of each main scenario of env; 0: 10, of env 500.
+        workers: of env: processes; 0: one per core.
+    """
+
+    what: tyro.conf.Positional[Literal["starts", "env"]] = "starts"
+    episodes: int = 0
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        pass  # checked where the evaluation's own settings are made of these
+
+    def execute(self) -> None:
+        """Runs it; raises the errors of the project."""
+        kind: Any = EvaluateConfig
+        if self.what == "env":
+            from training.env_evaluation import EnvEvaluateConfig, evaluate_env
+
+            kind, run = EnvEvaluateConfig, evaluate_env
+        else:
+            from training.evaluate import evaluate as run
+        settings = {name: getattr(self, name) for name in kind.__dataclass_fields__}
+        if not self.episodes:
+            del settings["episodes"]
+        print_claims(run(kind(**settings)))

@@ -1,0 +1,33 @@
+"""`grasp report`: rebuild a report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+
+from training.commands.claims import print_claims
+
+
+@dataclass(frozen=True)
+class Report:
+    """Rebuild a run's report from its saved trials; nothing is solved.
+
+    Attributes:
+        run: the run's folder.
+    """
+
+    run: tyro.conf.Positional[Path]
+
+    def execute(self) -> None:
+        """Runs it; raises the errors of the project."""
+        from training.env_report import build_env_report
+        from training.report import build_report, report_path
+        from training.runs import Run
+
+        run = Run.open(self.run, "run.json")
+        build = build_env_report if run.read_json("run.json").get("kind") == "env" else build_report
+        print_claims(build(run))
+        Console().print(str(report_path(run)), highlight=False)

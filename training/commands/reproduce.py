@@ -1,0 +1,29 @@
+"""`grasp reproduce`: what the paper leaves open."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+
+@dataclass(frozen=True)
+class Reproduce:
+    """Study what the paper leaves open (weights, step rules), its reduction and its claims: tables and figures.
+
+    Attributes:
+        out: the folder that gets a run.
+        quick: few wrenches, for a first look.
+    """
+
+    out: Path = Path("runs")
+    quick: bool = False
+
+    def execute(self) -> None:
+        """Runs it; raises the errors of the project."""
+        from training.reproduce import reproduce
+
+        metrics = reproduce(self.out, self.quick, sys.stderr.isatty())
+        Console().print(str(Path(metrics["folder"]) / "report.md"), highlight=False)
