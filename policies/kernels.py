@@ -1,4 +1,7 @@
-"""Compiled inference: features, network, null-space force and repair in one call (torch costs more than the solve)."""
+"""Compiled learned starts: the fixed grasp's network and the Newton layers, with the certificate of what they reach.
+
+torch costs more per call than the whole solve, so inference is compiled over the saved weights.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,31 @@ import math
 
 import numpy as np
 
+from grasp_env._check import LARGEST
 from grasp_env._compile import compiled
-from grasp_env.force.start_kernels import best_on_segment, combine
+from grasp_env._views import cut, inlined
+from grasp_env.force.descent_kernels import CONVERGED, LIMIT
+from grasp_env.force.flow_record import least_change, unit_size
+from grasp_env.force.kernels import cone_slack, lower_bound, phi, relative_gap, residual
+from grasp_env.force.lanes import load, pull_back
+from grasp_env.force.layer_kernels import EASE, refine
+from grasp_env.force.record import (
+    BOUND,
+    CODE,
+    FORCE,
+    ITERATIONS,
+    MARGIN,
+    MULTIPLIERS,
+    OBJECTIVE,
+    REFUSED,
+    RESIDUAL,
+    TRIALS,
+    WRENCH,
+)  # fmt: skip
+from grasp_env.force.start_kernels import best_on_segment, combine, tangent
+
+SETTLED = 1e-7
+"""Relative gap that the Newton decrement must promise for further layers to be left out, where no tolerance is larger."""
 
 
 @compiled
@@ -28,8 +54,7 @@ def forward(features, sizes, weights, out):
         for j in range(outputs):
             b[j] = weights[bias + j]
         for i in range(inputs):
-            value = a[i]
-            row = weights[offset + i * outputs : offset + (i + 1) * outputs]
+            value, row = a[i], cut(weights, offset + i * outputs, (outputs,))
             for j in range(outputs):
                 b[j] += value * row[j]
         if layer < last:
@@ -43,13 +68,16 @@ def forward(features, sizes, weights, out):
 
 
 @compiled
-def predict(wrench, friction, normalisation, sizes, weights, pseudoinverse, null_space, out):
-    """Raw prediction -G^+ w + B z in contact-frame coordinates, flat (3N,), into `out`."""
+def predict(wrench, friction, scale, normalisation, sizes, weights, pseudoinverse, null_space, out):
+    """Raw prediction -G^+ w + B z in contact-frame coordinates, flat (3N,), into `out`.
+
+    scale: sqrt(lambda / omega) over that of training: Phi only knows forces in that unit.
+    """
     features = np.empty(sizes[0])
     z = np.empty(sizes[sizes.size - 1])
     square = normalisation[1] * normalisation[1]
     for i in range(6):
-        features[i] = wrench[i] if i < 3 else wrench[i] / normalisation[0]
+        features[i] = (wrench[i] if i < 3 else wrench[i] / normalisation[0]) / scale
         square += features[i] * features[i]
     m = math.sqrt(square)
     for i in range(6):
@@ -62,28 +90,176 @@ def predict(wrench, friction, normalisation, sizes, weights, pseudoinverse, null
         for i in range(6):
             total -= pseudoinverse[j, i] * wrench[i]
         for i in range(z.size):
-            total += null_space[j, i] * (m * z[i])
+            total += null_space[j, i] * (m * scale * z[i])
         out[j] = total
 
 
 @compiled
-def predict_repaired(
-    wrench, friction, frictions, normalisation, sizes, weights, pseudoinverse, null_space, basis, phi_weights, out
-):
-    """`predict`, then the force of least Phi between the 12-basis' combination and it; returns the share theta."""
-    size = out.size
-    x = np.empty(size)
-    safe = np.empty(size)
-    predict(wrench, friction, normalisation, sizes, weights, pseudoinverse, null_space, x)
+def better(x, safe, weights):
+    """X (3N,) = the force of least Phi on the way from `safe` to x, or x itself where that has less Phi than `safe`."""
     finite = True
-    for i in range(size // 3):
-        x[3 * i] *= frictions[i]
-    for j in range(size):
-        finite = finite and math.isfinite(x[j])
-    combine(basis, wrench, False, safe)
+    for j in range(x.size):
+        finite = finite and abs(x[j]) < LARGEST
     if not finite:
         x[:] = safe
-    theta = best_on_segment(safe, x, phi_weights, out)
-    for i in range(size // 3):
-        out[3 * i] /= frictions[i]
-    return theta
+    elif not phi(x, weights) <= phi(safe, weights):
+        best_on_segment(safe, x.copy(), weights, x)
+
+
+NUMBERS = 14
+"""Numbers before the contacts: see `split_numbers`."""
+TOLERANCE, LIMIT_LENGTH, LIMIT_SIZE, OPTIONS = 0, 1, 5, 6
+
+
+@inlined
+def split_contacts(numbers, n):
+    """Of one flat array, which costs a compiled call an eighth of what a tuple does.
+
+    It begins with the relative gap to certify, the length and centre [m] of the frame in which training measured wrenches, their
+    largest size there [N] (negative: nothing is inside), and `lanes.options`.
+
+    Returns:
+        G (6, 3N) in cone coordinates, the same in the unit frame, G^+ (3N, 6) in cone coordinates, divisor (N, 3),
+        weights (N, 2) and the 12-basis with the rest (13, 3N).
+    """
+    return (
+        cut(numbers, NUMBERS, (6, 3 * n)),
+        cut(numbers, NUMBERS + 18 * n, (6, 3 * n)),
+        cut(numbers, NUMBERS + 36 * n, (3 * n, 6)),
+        cut(numbers, NUMBERS + 54 * n, (n, 3)),
+        cut(numbers, NUMBERS + 57 * n, (n, 2)),
+        cut(numbers, NUMBERS + 59 * n, (13, 3 * n)),
+    )
+
+
+@inlined
+def split_network(numbers, n, outputs):
+    """(pseudoinverse (3N, 6), null-space basis (3N, outputs), normalisation (6,), friction, scale): they follow the contacts."""
+    start = NUMBERS + 98 * n
+    size = start + 18 * n + 3 * n * outputs
+    return (
+        cut(numbers, start, (3 * n, 6)),
+        cut(numbers, start + 18 * n, (3 * n, outputs)),
+        cut(numbers, size, (6,)),
+        numbers[size + 6],
+        numbers[size + 7],
+    )
+
+
+@compiled
+def raw_fixed(wrench, numbers, sizes, flat, out):
+    """The fixed grasp's network alone, a force (normal, o, t) [N] into out (3N,)."""
+    pseudoinverse, null_space, normalisation, friction, scale = split_network(numbers, out.size // 3, sizes[-1])
+    predict(wrench, friction, scale, normalisation, sizes, flat, pseudoinverse, null_space, out)
+
+
+@compiled
+def start_fixed(wrench, previous, numbers, sizes, flat, polish, record):
+    """The fixed grasp's start, and where it is certified optimal the whole record (`record.py`).
+
+    Args:
+        wrench: (6,) [N, N m].
+        previous: (>= 3N,) a force (normal, o, t) [N] that was optimal before, or (0,).
+        numbers: see `split_contacts`, `split_network`.
+        sizes, flat: see `forward`.
+        polish: Newton steps after the network, each of which squares its error; further ones only where the certificate asks.
+        record: (20 + 7N,) overwritten. CODE: CONVERGED, or LIMIT where a descent has to go on from the initial force in it, or
+            REFUSED for a wrench that is not finite.
+
+    Returns:
+        Whether the wrench was larger than those of training.
+    """
+    record[CODE] = REFUSED
+    if not _finite(wrench):
+        return True
+    x = np.empty((record.size - FORCE) // 7 * 3)
+    divisor = split_contacts(numbers, x.size // 3)[3]
+    raw_fixed(wrench, numbers, sizes, flat, x)
+    for j in range(x.size):
+        x[j] *= divisor[j // 3, j % 3]
+    return _refined(wrench, previous, cut(flat, 0, (0, 0)), 0, polish, numbers, x, True, record)
+
+
+@compiled
+def start_layers(wrench, previous, numbers, layers, width, record):
+    """The start that learned Newton layers make, as `start_fixed`; layers, width: see `layer_kernels.refine`."""
+    record[CODE] = REFUSED
+    if not _finite(wrench):
+        return True
+    x = np.empty((record.size - FORCE) // 7 * 3)
+    return _refined(wrench, previous, layers, width, layers.shape[0], numbers, x, False, record)
+
+
+@compiled
+def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record):
+    """The best of the 12-basis' combination, x itself (if `guessed`) and the previous optimum, then Newton layers; the record.
+
+    Every part only ever lowers Phi: never worse than the 12-basis or the previous solution, by construction.
+    """
+    count = x.size // 3
+    cone_matrix, rows, inverse, divisor, weights, basis = split_contacts(numbers, count)
+    safe, multipliers = np.empty(x.size), np.empty(6)
+    combine(basis, wrench, False, safe)
+    if guessed:
+        better(x, safe, weights)
+    else:
+        x[:] = safe
+    if previous.size > 0:
+        before, carried = np.empty(x.size), np.empty(x.size)
+        for j in range(x.size):
+            before[j] = previous[j] * divisor[j // 3, j % 3]
+        if phi(before, weights) < np.inf and tangent(before, cone_matrix, wrench, weights, carried):
+            least_change(carried, cone_matrix, inverse, wrench)
+            if not guessed:
+                better(carried, safe, weights)
+            if phi(carried, weights) < phi(x, weights):
+                x[:] = carried
+    options, six, value, bound, done = cut(numbers, OPTIONS, (8,)), np.empty(6), np.inf, -np.inf, False
+    load(wrench, options, six)
+    settled = max(SETTLED, EASE * numbers[TOLERANCE])
+    together = steps if layers.shape[0] > 0 else 1
+    for begin in range(0, max(steps, 1), together):
+        refine(x, rows, basis[12], weights, layers, width, min(together, steps - begin), settled, multipliers)
+        least_change(x, cone_matrix, inverse, wrench)
+        value, bound = phi(x, weights), lower_bound(multipliers, rows, six, weights)
+        done = relative_gap(value, bound) <= numbers[TOLERANCE]
+        if done:
+            break
+    if not value <= phi(safe, weights):
+        x[:] = safe  # rounding only
+        value = phi(safe, weights)
+    record[CODE] = CONVERGED if done else LIMIT
+    record[ITERATIONS] = record[TRIALS] = 0.0
+    record[OBJECTIVE], record[BOUND], record[MARGIN] = value, bound, cone_slack(x)
+    given = pull_back(options, multipliers)
+    residual(cone_matrix, x, wrench, multipliers)
+    record[RESIDUAL] = unit_size(multipliers, options, six)
+    for r in range(6):
+        record[WRENCH + r], record[MULTIPLIERS + r] = wrench[r], given[r]
+    for j in range(x.size):
+        record[FORCE + j] = record[FORCE + x.size + j] = x[j] / divisor[j // 3, j % 3]
+    for k in range(count):
+        record[FORCE + 2 * x.size + k] = 0.0
+    return not _size(wrench, numbers) <= numbers[LIMIT_SIZE]
+
+
+@compiled
+def _finite(wrench):
+    total = 0.0
+    for r in range(6):
+        total += abs(wrench[r])
+    return total <= LARGEST
+
+
+@compiled
+def _size(wrench, numbers):
+    length, x, y, z = (
+        numbers[LIMIT_LENGTH],
+        numbers[LIMIT_LENGTH + 1],
+        numbers[LIMIT_LENGTH + 2],
+        numbers[LIMIT_LENGTH + 3],
+    )
+    a = (wrench[3] - (y * wrench[2] - z * wrench[1])) / length
+    b = (wrench[4] - (z * wrench[0] - x * wrench[2])) / length
+    c = (wrench[5] - (x * wrench[1] - y * wrench[0])) / length
+    return math.sqrt(wrench[0] ** 2 + wrench[1] ** 2 + wrench[2] ** 2 + a * a + b * b + c * c)

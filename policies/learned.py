@@ -1,134 +1,210 @@
-"""`LearnedInitialForce`: a network's start, repaired so that it is never worse in Phi than the paper's."""
+"""`LearnedInitialForce`: a start that a network predicts, never worse in Phi than the paper's."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from copy import copy
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from grasp_env._check import Array, ContactForces, Wrench
-from grasp_env.errors import InfeasibleStartError
-from grasp_env.force import Objective, OfflineBasis
-from grasp_env.grasp import Grasp, null_space_basis
-from grasp_env.grasp.wrench import magnitude
+from grasp_env.errors import InfeasibleStartError, UnknownNameError
+from grasp_env.force import ForceSolution, Objective, OfflineBasis
+from grasp_env.force.descent_kernels import LIMIT
+from grasp_env.force.lanes import options
+from grasp_env.force.record import CODE, FORCE, REFUSED, record_size
+from grasp_env.grasp import Grasp
 from policies.checkpoint import Checkpoint
-from policies.kernels import predict, predict_repaired
 
-PRETRAINED = Path(__file__).parent / "pretrained" / "four_finger"
+PRETRAINED = Path(__file__).parent / "pretrained"
+MODELS = ("any_grasp", "four_finger")
+OUTSIDE = " (outside its training range)"
+_NOTHING = np.empty(0)
 
 
-class LearnedInitialForce:
+class LearnedInitialForce(ABC):
     """An initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
-    The network maps wrench and friction to null-space coordinates of the grasp, so balance holds whatever it says.
-    The force of least Phi on the segment from the 12-basis' combination of the grasp AS IT IS NOW to the prediction is
-    returned: never worse in Phi than the paper's start, per call, by construction, in the Phi it was trained for (a
-    `ForceOptimizer` with other weights repairs it again in its own). It was trained on one grasp;
-    where contacts have moved a little, the null space moves along continuously.
+    Two kinds: `FixedGraspForce` knows one grasp, a network from the wrench to null-space coordinates and one or two Newton steps;
+    `AnyGraspForce` reads the grasp, a few learned Newton layers from the 12-basis' combination. Both only ever lower Phi:
+    never worse than the 12-basis of the grasp AS IT IS NOW, per call, by construction, at any wrench.
 
     Attributes:
         checkpoint: weights, normalisation, training range and model card.
-        objective: the Phi it was trained for.
+        objective: Phi, that of training unless `with_objective` set another.
+        remembers: whether it also starts from the previous solution, where that has less Phi.
 
     Example:
         >>> from grasp_env.force import optimize_force
         >>> from grasp_env.grasp import presets
-        >>> rule = LearnedInitialForce.pretrained()
         >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
-        >>> learned = optimize_force(grasp, wrench, initial=rule)
-        >>> paper = optimize_force(grasp, wrench)
-        >>> learned.iterations < paper.iterations / 4
+        >>> optimize_force(grasp, wrench).iterations > 10
+        True
+        >>> optimize_force(grasp, wrench, initial=LearnedInitialForce.pretrained("four_finger")).iterations
+        0
+        >>> anywhere = LearnedInitialForce.pretrained()
+        >>> optimize_force(presets.five_finger_cuboid(), wrench, initial=anywhere).iterations < 3
         True
     """
 
-    name = "learned"
+    _kernel: Any
 
-    def __init__(self, checkpoint: Checkpoint) -> None:
+    def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:
         self.checkpoint = checkpoint
-        self.objective = Objective(checkpoint.force_weight, checkpoint.barrier_weight)
-        self._sizes = np.array(checkpoint.sizes)
-        self._weights = checkpoint.flat_weights()
-        self._normalisation = checkpoint.features.as_array()
+        self.objective = objective or Objective()
+        self.remembers = remembers
         self._grasp: Grasp | None = None
-        self._pseudoinverse = self._null_space = self._basis = self._frictions = np.empty(0)
+        self._prepared: tuple[Array, tuple[Any, ...]] | None = None
 
-    @classmethod
-    def load(cls, path: str | Path) -> LearnedInitialForce:
-        """The model saved at `path` (either file or their stem); raises `ModelFileError`."""
-        return cls(Checkpoint.load(path))
+    @staticmethod
+    def load(path: str | Path, *, remembers: bool = False) -> LearnedInitialForce:
+        """The model saved at `path` (either file or their stem), of either kind.
 
-    @classmethod
-    def pretrained(cls) -> LearnedInitialForce:
-        """The model that ships with the package: four fingers, contacts of `presets.paper_cuboid()`."""
-        return cls.load(PRETRAINED)
-
-    def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """The repaired start (N, 3) [N].
+        Args:
+            path: of a model that `grasp fit` saved.
+            remembers: start from the previous solution where that is better: for control loops.
 
         Raises:
-            InfeasibleStartError: a grasp with another number of contacts, or without force closure.
+            ModelFileError: missing, truncated, changed, of another schema, or not what its kind asks for.
         """
-        self._prepare(grasp)
-        out = np.empty(3 * grasp.n_contacts)
-        predict_repaired(
-            np.asarray(wrench, dtype=np.float64),
-            self._friction,
-            self._frictions,
-            self._normalisation,
-            self._sizes,
-            self._weights,
-            self._pseudoinverse,
-            self._null_space,
-            self._basis,
-            self._phi_weights,
-            out,
-        )
-        return out.reshape(-1, 3)
+        from policies.any_grasp import AnyGraspForce
+        from policies.fixed_grasp import FixedGraspForce
 
+        checkpoint = Checkpoint.load(path)
+        kinds = {"fixed_grasp": FixedGraspForce, "any_grasp": AnyGraspForce}
+        return kinds[checkpoint.kind](checkpoint, remembers=remembers)
+
+    @staticmethod
+    def pretrained(name: str = "any_grasp", *, remembers: bool = False) -> LearnedInitialForce:
+        """A model that ships with the package.
+
+        Args:
+            name: "any_grasp": three to five hard contacts anywhere; "four_finger": the contacts of `presets.paper_cuboid()`,
+                half the time per call.
+            remembers: see `load`.
+
+        Raises:
+            UnknownNameError: another name.
+        """
+        if name not in MODELS:
+            raise UnknownNameError("pretrained model", name, MODELS)
+        return LearnedInitialForce.load(PRETRAINED / name, remembers=remembers)
+
+    @property
+    def name(self) -> str:
+        """What solutions say of their start."""
+        return f"learned_{self.checkpoint.kind}{'_previous' if self.remembers else ''}"
+
+    def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        """The start (N, 3) [N].
+
+        Raises:
+            InfeasibleStartError: contacts that this model does not know, a grasp without force closure, or a wrench that
+                is not finite.
+        """
+        return self.start(grasp, wrench, self.objective)[1]
+
+    def with_objective(self, objective: Objective) -> LearnedInitialForce:
+        """The same model for another Phi, exact up to scale: Phi knows forces in units of sqrt(lambda / omega) only."""
+        other = copy(self)
+        other.objective, other._grasp, other._prepared = objective, None, None
+        return other
+
+    def bind(
+        self, grasp: Grasp, objective: Objective, tolerance: float, descend: Callable[[Array, Array, Array], None]
+    ) -> Callable[[Array, Array, Array], str]:
+        """The compiled solve of `ForceOptimizer`: one call where the start is certified already, `descend` goes on elsewhere.
+
+        Args:
+            grasp: the contacts.
+            objective: Phi of the optimizer.
+            tolerance: relative gap at which a start is a solution.
+            descend: (start (3N,) [N], wrench, record) -> None, the optimizer's method.
+
+        Returns:
+            solve(wrench, previous, record) -> the start's name; previous: (>= 3N,) force [N] or (0,).
+        """
+        rule = self if objective == self.objective else self.with_objective(objective)
+        start, network = type(rule)._kernel, rule._network(grasp)
+        numbers = rule._numbers(grasp, tolerance)
+        names, first, last = (
+            (self.name, self.name + OUTSIDE),
+            FORCE + 3 * grasp.n_contacts,
+            FORCE + 6 * grasp.n_contacts,
+        )
+
+        def solve(wrench: Array, previous: Array, record: Array) -> str:
+            name = names[start(wrench, previous, numbers, *network, record)]
+            if record[CODE] == LIMIT:
+                descend(record[first:last].copy(), wrench, record)
+            return name
+
+        return solve
+
+    def start(
+        self, grasp: Grasp, wrench: Wrench, objective: Objective, previous: ForceSolution | None = None
+    ) -> tuple[str, ContactForces]:
+        """The start's name, which says when wrench or grasp are outside the training range, and its force (N, 3) [N].
+
+        Args:
+            grasp: the contacts.
+            wrench: (6,) [N, N m].
+            objective: Phi.
+            previous: a solution to start from where that has less Phi, if this rule remembers; one of another number of
+                contacts is not used.
+
+        Raises:
+            InfeasibleStartError: see `__call__`.
+        """
+        rule = self if objective == self.objective else self.with_objective(objective)
+        if rule._grasp is not grasp or rule._prepared is None:
+            rule._prepared, rule._grasp = (rule._numbers(grasp, 0.0), rule._network(grasp)), grasp
+        numbers, network = rule._prepared
+        known = self.remembers and previous is not None and previous.n_contacts == grasp.n_contacts
+        before = np.array(previous.force).reshape(-1) if known and previous is not None else _NOTHING
+        record = np.empty(record_size(grasp.n_contacts))
+        outside = type(rule)._kernel(np.array(wrench, dtype=np.float64), before, numbers, *network, record)
+        if record[CODE] == REFUSED:
+            raise InfeasibleStartError(f"a wrench needs finite numbers, got {np.asarray(wrench).tolist()}")
+        return self.name + OUTSIDE * outside, record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(-1, 3)
+
+    def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
+        """Whether grasp and wrench lie in the training range; elsewhere the start is still safe, and solutions say so."""
+        return not self.start(grasp, wrench, self.objective)[0].endswith(OUTSIDE)
+
+    @abstractmethod
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """The network's own force (N, 3) [N] before the repair: balanced, perhaps outside the cones."""
-        self._prepare(grasp)
-        out = np.empty(3 * grasp.n_contacts)
-        predict(
-            np.asarray(wrench, dtype=np.float64),
-            self._friction,
-            self._normalisation,
-            self._sizes,
-            self._weights,
-            self._pseudoinverse,
-            self._null_space,
-            out,
+        """The network's own force (N, 3) [N], balanced, perhaps outside the cones."""
+
+    @abstractmethod
+    def _limit(self, grasp: Grasp) -> tuple[float, ...]:
+        """Length and centre [m] of the frame in which training measured wrenches, their largest size [N]; see `kernels`."""
+
+    @abstractmethod
+    def _network(self, grasp: Grasp) -> tuple[Any, ...]:
+        """What the compiled start reads besides the numbers."""
+
+    def _numbers(self, grasp: Grasp, tolerance: float) -> Array:
+        """What the compiled start reads of a grasp, see `kernels.split_contacts`."""
+        if set(grasp.models.names) != {"hard"}:
+            raise InfeasibleStartError(
+                f"this model knows hard contacts, the grasp has {grasp.models.names}: use initial='linear_combination'"
+            )
+        parts = (
+            np.array([tolerance, *self._limit(grasp)]),
+            options(grasp, tolerance, 0),
+            grasp.cone_matrix,
+            grasp.unit_frame @ grasp.cone_matrix,
+            grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None],
+            grasp.models.cone_divisor,
+            self.objective.weights(grasp.n_contacts),
+            OfflineBasis.of(grasp, self.objective).cone_forces,
         )
-        return out.reshape(-1, 3)
+        return np.concatenate([part.ravel() for part in parts])
 
-    def covers(self, wrench: Wrench, friction: float) -> bool:
-        """Whether wrench and friction lie in the training range; elsewhere the repair still guards the start."""
-        low, high = self.checkpoint.friction_range
-        size = float(magnitude(wrench, self.checkpoint.features.length))
-        return size <= self.checkpoint.magnitude_range[1] and low <= friction <= high
-
-    def _prepare(self, grasp: Grasp) -> None:
-        if grasp is self._grasp:
-            return
-        if grasp.n_contacts != self.checkpoint.n_contacts:
-            raise InfeasibleStartError(
-                f"this model knows {self.checkpoint.n_contacts} contacts, the grasp has {grasp.n_contacts}; "
-                "use initial='linear_combination'"
-            )
-        if set(grasp.models.names) != {"hard"} or (grasp.models.cone_scale[:, 1:] != 1.0).any():
-            raise InfeasibleStartError(
-                f"this model knows hard contacts with round friction cones, the grasp has {grasp.models.names}; "
-                "use initial='linear_combination'"
-            )
-        basis = OfflineBasis.of(grasp, self.objective)
-        self._basis: Array = basis.cone_forces
-        self._pseudoinverse: Array = grasp.pseudoinverse.copy()  # kernels take writable arrays: one signature
-        self._null_space: Array = null_space_basis(grasp, self.checkpoint.reference)
-        self._frictions: Array = grasp.friction.copy()
-        self._friction = float(grasp.friction.mean())
-        self._phi_weights: Array = self.objective.weights(grasp.n_contacts)
-        self._grasp = grasp
-
-    def __reduce__(self) -> tuple[type[LearnedInitialForce], tuple[Checkpoint]]:
+    def __reduce__(self) -> tuple[Any, ...]:
         # the prepared grasp is a cache; sub-process environments get the checkpoint
-        return type(self), (self.checkpoint,)
+        return type(self), (self.checkpoint, self.objective, self.remembers)

@@ -90,6 +90,7 @@ class Flow:
             rule.parameters(),
             row,
             trace,
+            np.empty(6),
         )
 
 

@@ -25,7 +25,7 @@ FAR = 3.0
 
 
 @compiled_lanes
-def flow(constants, form, first, second, places, weights, x, wrench, rule, options, trace):
+def flow(constants, form, first, second, places, weights, x, wrench, rule, options, trace, multipliers):
     """x_{k+1} = x_k + alpha_k d_k with every x_k strictly inside the cones and Phi strictly decreasing (Eqs. 12, 26).
 
     Args:
@@ -39,10 +39,12 @@ def flow(constants, form, first, second, places, weights, x, wrench, rule, optio
             take the gap to. nan there: the certified dual bound, computed at iterations 0, 1, ..., 8 and then each time the
             count has grown by an eighth, but not while steps gain more than FAR tolerances.
         trace: (T,) receives Phi of iterates 0..T-1.
+        multipliers: (6,) receives those of the last bound, in the unit frame, if it was taken at the last iterate, else nan.
 
     Returns:
         (code, accepted steps, trials, Phi, lower bound).
     """
+    multipliers[0] = np.nan
     tolerance, max_iterations, lanes, optimum = options[GAP], options[STEPS], int(options[LANE_COUNT]), options[KNOWN]
     count, blocks = x.size // 3, constants.shape[0]
     unit_wrench = np.empty(6)
@@ -74,7 +76,7 @@ def flow(constants, form, first, second, places, weights, x, wrench, rule, optio
         near = iterations >= next_check and gained <= FAR * tolerance * value
         if not known and (near or iterations >= max_iterations):
             next_check = iterations + max(1, iterations // 8)
-            bound = max(bound, _certify(work, sums, lower, factor, unit_wrench, lanes))
+            bound = max(bound, _certify(work, sums, lower, factor, unit_wrench, lanes, multipliers))
         if relative_gap(value, bound) <= tolerance:
             code = CONVERGED
             break
@@ -115,12 +117,13 @@ def flow(constants, form, first, second, places, weights, x, wrench, rule, optio
                 alpha *= rule[SHRINK]
         if not accepted:
             if not known:
-                bound = max(bound, _certify(work, sums, lower, factor, unit_wrench, lanes))
+                bound = max(bound, _certify(work, sums, lower, factor, unit_wrench, lanes, multipliers))
             code = CONVERGED if relative_gap(value, bound) <= tolerance else STALLED
             break
         gained = value - trial
         value = trial
         iterations += 1
+        multipliers[0] = np.nan
     for i in range(count):
         for a in range(3):
             x[3 * i + a] = work[i // 4, 4 * (X + a) + i % 4]
@@ -225,8 +228,8 @@ def _lengths(work, lanes):
 
 
 @compiled_lanes
-def _certify(work, sums, lower, factor, wrench, lanes):
-    """Lower bound of min Phi from the Newton multipliers at X, S nu = G H^-1 grad; -inf: none."""
+def _certify(work, sums, lower, factor, wrench, lanes, multipliers):
+    """Lower bound of min Phi from the Newton multipliers at X, S nu = G H^-1 grad, which are handed out; -inf: none."""
     newton_system(work, sums, lanes)
     for r in range(21):
         lower[r] = (sums[4 * r] + sums[4 * r + 1]) + (sums[4 * r + 2] + sums[4 * r + 3])
@@ -236,4 +239,6 @@ def _certify(work, sums, lower, factor, wrench, lanes):
         k = 84 + 4 * r
         lower[r] = (sums[k] + sums[k + 1]) + (sums[k + 2] + sums[k + 3])
     n0, n1, n2, n3, n4, n5 = solve6(factor, lower[0], lower[1], lower[2], lower[3], lower[4], lower[5])
+    multipliers[0], multipliers[1], multipliers[2] = n0, n1, n2
+    multipliers[3], multipliers[4], multipliers[5] = n3, n4, n5
     return phi_bound(work, wrench, n0, n1, n2, n3, n4, n5, lanes)

@@ -9,7 +9,7 @@ from grasp_env._compile import compiled
 from grasp_env.force.descent_kernels import BALANCE_TOLERANCE
 from grasp_env.force.flow_kernels import flow
 from grasp_env.force.kernels import certified_bound, cone_slack, phi, residual
-from grasp_env.force.lanes import load
+from grasp_env.force.lanes import load, pull_back
 from grasp_env.force.newton_kernels import TANGENT
 from grasp_env.force.record import (
     BOUND,
@@ -88,8 +88,10 @@ def run_flow(
     trace: (T,) receives Phi of iterates 0..T-1. All other arguments as in `solve_flow`.
     """
     size = start.size
-    x, left, nothing = np.empty(size), np.empty(6), np.zeros(6)
-    record[:] = 0.0
+    x, six = np.empty(size), np.empty(12)
+    left, unit = six[:6], six[6:]
+    for j in range(record.size):
+        record[j] = 0.0
     record[CODE] = REFUSED
     largest = 0.0
     for j in range(size):
@@ -97,26 +99,33 @@ def run_flow(
         record[FORCE + size + j] = start[j]
         x[j] = start[j] * scale if scale < np.inf else 0.0
         largest = max(largest, abs(start[j]))
-    load(wrench, options, nothing)
     residual(cone_matrix, x, wrench, left)
-    balanced = unit_size(left, options) <= BALANCE_TOLERANCE * (largest + np.abs(nothing).max())
+    balanced = unit_size(left, options, unit) <= BALANCE_TOLERANCE * (largest + unit_size(wrench, options, unit))
     if not (balanced and phi(x, weights) < np.inf):
         return
     record[CODE], record[ITERATIONS], record[TRIALS], record[OBJECTIVE], record[BOUND] = flow(
-        constants, form, first, second, places, weights, x, wrench, rule, options, trace
+        constants, form, first, second, places, weights, x, wrench, rule, options, trace, left
     )
+    if left[0] == left[0]:
+        multipliers = pull_back(options, left)
+        for r in range(6):
+            record[MULTIPLIERS + r] = multipliers[r]
+    else:
+        certified_bound(x, cone_matrix, wrench, weights, np.empty(size), record[MULTIPLIERS : MULTIPLIERS + 6])
     record[MARGIN] = cone_slack(x)
     residual(cone_matrix, x, wrench, left)
-    record[RESIDUAL] = unit_size(left, options)
-    record[WRENCH : WRENCH + 6] = wrench
-    certified_bound(x, cone_matrix, wrench, weights, np.empty(size), record[MULTIPLIERS : MULTIPLIERS + 6])
+    record[RESIDUAL] = unit_size(left, options, unit)
+    for r in range(6):
+        record[WRENCH + r] = wrench[r]
     for j in range(size):
         record[FORCE + j] = x[j] / divisor[j // 3, j % 3]
 
 
 @compiled
-def unit_size(wrench, options):
-    """Largest |component| of a wrench in the unit frame [N]."""
-    unit = np.empty(6)
+def unit_size(wrench, options, unit):
+    """Largest |component| of a wrench in the unit frame [N]; `unit` (6,) is work space."""
     load(wrench, options, unit)
-    return np.abs(unit).max()
+    most = 0.0
+    for r in range(6):
+        most = max(most, abs(unit[r]))
+    return most

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from grasp_env._check import ContactForces, Wrench
+from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError, UnknownNameError
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.objective import Objective
+from grasp_env.force.solution import ForceSolution
 from grasp_env.force.start_kernels import ray_interval
 from grasp_env.grasp.grasp import Grasp
 
@@ -28,6 +30,49 @@ class InitialForceRule(Protocol):
     def __call__(self, grasp: Grasp, wrench: Wrench, /) -> ContactForces:
         """(N, 3) [N]; raises `InfeasibleStartError` where the rule has no such force."""
         ...
+
+
+@runtime_checkable
+class CompiledRule(InitialForceRule, Protocol):
+    """A rule that also knows other Phis, the previous solution, and how to start and descend in one compiled call.
+
+    Attributes:
+        remembers: whether the previous solution is handed to it.
+    """
+
+    remembers: bool
+
+    def start(
+        self, grasp: Grasp, wrench: Wrench, objective: Objective, previous: ForceSolution | None
+    ) -> tuple[str, ContactForces]:
+        """The start's name and force (N, 3) [N], for that Phi."""
+        ...
+
+    def bind(
+        self, grasp: Grasp, objective: Objective, tolerance: float, descend: Callable[[Array, Array, Array], None]
+    ) -> Callable[[Array, Array, Array], str]:
+        """solve(wrench, previous, record) -> the start's name; it writes `record` (`record.py`).
+
+        Args:
+            grasp: the contacts; raises `InfeasibleStartError` where the rule does not know them.
+            objective: Phi.
+            tolerance: relative gap at which a start is a solution.
+            descend: (start (3N,) [N], wrench, record) -> None: the method, where the start is none.
+        """
+        ...
+
+
+@runtime_checkable
+class LayeredRule(CompiledRule, Protocol):
+    """A rule made of learned Newton layers (`layer_kernels.refine`), which a `ForcePipeline` compiles in.
+
+    Attributes:
+        name: of the start. layers: (K, numbers) float32. width: of their hidden layers.
+    """
+
+    name: str
+    layers: NDArray[np.float32]
+    width: int
 
 
 @dataclass(frozen=True)

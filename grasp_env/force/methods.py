@@ -136,6 +136,10 @@ class Flow:
         self._size = record_size(grasp.n_contacts)
         self._basis: tuple[Array, Array] | None = None
 
+    def descend(self, start: Array, wrench: Wrench, record: Array) -> None:
+        """From a force (3N,) [N] into a record."""
+        run_flow(*self._form, start, *self._contacts, wrench, self._rule, self._options, record, _NO_TRACE)
+
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""
         assert start is not None
@@ -184,6 +188,12 @@ class Newton:
             self.basis, self.has_basis = _NO_BASIS, False  # rules that need one say so
         rest = self.basis[12] if self.has_basis else np.zeros(3 * grasp.n_contacts)
         self.constants = pack(grasp, rest, self.weights)
+
+    def descend(self, start: Array, wrench: Wrench, record: Array) -> None:
+        """From a force (3N,) [N] into a record."""
+        newton_kernels.newton(
+            self.constants, self.basis, newton_kernels.GIVEN, start, wrench, self.weights, self.options, record, _NO_TRACE
+        )  # fmt: skip
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""

@@ -18,14 +18,14 @@ from grasp_env.errors import (
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.descent_kernels import CONVERGED, STALLED
 from grasp_env.force.feasibility import answer
-from grasp_env.force.initial import RULES, InitialForceRule, initial_rule
+from grasp_env.force.initial import RULES, CompiledRule, InitialForceRule, initial_rule
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.method import Settings, Start, infeasible_error
 from grasp_env.force.methods import METHODS, Conic, Flow, Newton, make_method
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.program import CRITERIA, ForceProgram
 from grasp_env.force.program_methods import ProgramNewton
-from grasp_env.force.record import CODE
+from grasp_env.force.record import CODE, FORCE, record_size
 from grasp_env.force.repair import CORRECTIONS, Correction, Repair, carry_over
 from grasp_env.force.solution import ForceSolution
 from grasp_env.force.step_size import StepRule, checked_rule
@@ -190,6 +190,12 @@ class ForceOptimizer:
             method: Any = self._method
             if direct == "central":
                 record = method.direct(wrench)
+            elif direct == "rule":
+                before, record = (
+                    self.previous if self._remembers else None,
+                    np.empty(record_size(self.grasp.n_contacts)),
+                )
+                direct = self._bound(wrench, _NO_FORCE if before is None else before._record[FORCE:], record)
             else:
                 before = self.previous if direct == "previous" else None
                 direct = "previous" if before is not None else "linear_combination"
@@ -248,6 +254,8 @@ class ForceOptimizer:
                 return Start("previous", carry_over(self.grasp, wrench, previous.force, self.objective, correction))
             if isinstance(name, str):
                 return Start(name, self._rule(name)(self.grasp, wrench))
+            if isinstance(name, CompiledRule):
+                return self._given(*name.start(self.grasp, wrench, self.objective, previous))
             force = name(self.grasp, wrench)
             if getattr(name, "objective", self.objective) != self.objective:
                 # made for another Phi, in which its guarantees hold: give them in this one
@@ -298,6 +306,11 @@ class ForceOptimizer:
         elif isinstance(method, Newton | Flow) and method.has_basis and self.settings.correction == "tangent":
             initial = self.initial if isinstance(self.initial, str) else "linear_combination" * (self.initial is None)
             direct = initial if initial in ("linear_combination", "previous") else ""
+            if isinstance(self.initial, CompiledRule):
+                # contacts that the rule does not know are refused by the general path, in words
+                with suppress(InfeasibleStartError):
+                    self._bound = self.initial.bind(grasp, self.objective, self.settings.tolerance, method.descend)
+                    self._remembers, direct = self.initial.remembers, "rule"
         self.grasp, self._method, self._direct = grasp, method, direct
         # a flow that ended short would end so again
         self._final = STALLED if isinstance(method, Flow) else CONVERGED
@@ -307,11 +320,14 @@ class ForceOptimizer:
         method: Any = self._method
         if self._direct == "central":
             method.direct(np.zeros(6))
+        elif self._direct == "rule":
+            self._bound(np.zeros(6), _NO_FORCE, np.empty(record_size(self.grasp.n_contacts)))
         elif self._direct:
             method.direct(np.zeros(6), None)
 
 
 _FLOAT, _SIX = np.dtype(np.float64), (6,)
+_NO_FORCE = np.empty(0)
 
 
 def _check_name(initial: object) -> None:

@@ -11,6 +11,7 @@ from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench
 from grasp_env.errors import InfeasibleStartError, UnknownNameError, UnsupportedProblemError
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.descent_kernels import CONVERGED
+from grasp_env.force.initial import LayeredRule
 from grasp_env.force.lanes import LANES
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.optimizer import MAX_ITERATIONS, ForceOptimizer
@@ -63,7 +64,7 @@ class ForcePipeline:
         grasp: Grasp,
         *,
         method: str = "reduced_flow",
-        initial: str = "linear_combination",
+        initial: str | LayeredRule = "linear_combination",
         force_weight: Weight = 1.0,
         barrier_weight: Weight = 0.01,
         tolerance: float | None = None,
@@ -76,7 +77,8 @@ class ForcePipeline:
         Args:
             grasp: the nominal grasp, hard contacts (round or elliptic cones) with force closure.
             method: "reduced_flow" or "newton".
-            initial: "linear_combination", or "previous": the last optimum carried over, never worse than the former.
+            initial: "linear_combination"; "previous": the last optimum carried over, never worse than the former; or a rule made of
+                learned Newton layers (`policies.LearnedInitialForce.pretrained("any_grasp")`), which go on from either.
             force_weight, barrier_weight, tolerance, max_iterations, step_rule: see `optimize_force`.
             reference: (3N, 3N - 6) directions of `adjust`, object frame; None: `reference_basis` of the nominal grasp.
 
@@ -88,13 +90,17 @@ class ForcePipeline:
         as_grasp(grasp)
         if method not in PIPELINE_METHODS:
             raise UnknownNameError("method of a pipeline", method, PIPELINE_METHODS)
-        if initial not in STARTS:
-            raise UnknownNameError("start of a pipeline", initial, STARTS)
+        layered = isinstance(initial, LayeredRule)
+        if not layered and initial not in STARTS:
+            raise UnknownNameError("start of a pipeline", str(initial), STARTS, ", or give a rule of learned layers")
         if set(grasp.models.names) != {"hard"}:
             raise UnsupportedProblemError(
                 f"a ForcePipeline knows hard contacts, got {grasp.models.names}: use a ForceOptimizer and its move_to"
             )
-        self.grasp, self.method, self.initial = grasp, method, initial
+        self.grasp, self.method = grasp, method
+        self.initial = initial.name if layered else str(initial)
+        self._layers = initial.layers if layered else np.zeros((0, 0), np.float32)
+        remembers = initial.remembers if layered else initial == "previous"
         self.objective = Objective(force_weight, barrier_weight)
         self._options: dict[str, Any] = {
             "method": method,
@@ -121,10 +127,9 @@ class ForcePipeline:
             else as_array(reference, (3 * count, grasp.null_dimension), "reference")
         )
         self._rule = checked.step_rule.parameters()
-        self._settings = np.array(
-            [PIPELINE_METHODS[method], initial == "previous", checked.tolerance, checked.max_iterations, LANES],
-            dtype=np.float64,
-        )
+        width = initial.width if layered else 0
+        settings = (PIPELINE_METHODS[method], remembers, checked.tolerance, checked.max_iterations, LANES, width)
+        self._settings = np.array(settings, dtype=np.float64)
         self._shape, self._size = (count, 3), record_size(count)
         self._scratch = np.empty((count, 3, 3)), np.empty((6, 3 * count))
         if (method, count) not in _LOADED:  # compiles, or loads, the kernels, before the first call that counts
@@ -225,6 +230,7 @@ class ForcePipeline:
             self.held.tangents,
             self._rule,
             self._settings,
+            self._layers,
             record,
         )
 

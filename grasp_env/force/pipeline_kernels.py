@@ -17,6 +17,7 @@ from grasp_env.force.flow_products import PROJECTOR, ROW_SPACE
 from grasp_env.force.flow_record import least_change, run_flow
 from grasp_env.force.kernels import phi
 from grasp_env.force.lanes import CENTRE, CONSTANTS, GAP, KNOWN, LANE_COUNT, LANES, LENGTH, STEPS, load, pack_into
+from grasp_env.force.layer_kernels import EASE, refine
 from grasp_env.force.newton_kernels import GIVEN, newton
 from grasp_env.force.record import CODE, FORCE, REFUSED
 from grasp_env.force.start_kernels import best_on_segment, combine, tangent
@@ -31,8 +32,9 @@ from grasp_env.grasp.kernels import (
 
 FLOW, NEWTON = 0, 1
 """Methods."""
-METHOD, PREVIOUS, TOLERANCE, MOST_STEPS, MAX_LANES = range(5)
-"""Places in the settings: FLOW or NEWTON; whether to start from the last optimum; relative gap; most steps; lanes."""
+METHOD, PREVIOUS, TOLERANCE, MOST_STEPS, MAX_LANES, WIDTH = range(6)
+"""Places in the settings: FLOW or NEWTON; whether to start from the last optimum; relative gap; most steps; lanes; width of
+the learned layers."""
 CARRIED, REPAIRED, CLIPPED = 0, 1, 2
 """How a force was carried."""
 FAR = 2.0
@@ -88,10 +90,10 @@ def split_held(numbers, count, tangents):
 
 
 @compiled
-def solve_held(points, normals, wrench, adjust, reference, numbers, tangents, rule, settings, record):
+def solve_held(points, normals, wrench, adjust, reference, numbers, tangents, rule, settings, layers, record):
     """`solve_contacts` with what is held as `split_held` takes it."""
     held = split_held(numbers, points.shape[0], tangents)
-    solve_contacts(points, normals, wrench, adjust, reference, held, rule, settings, record)
+    solve_contacts(points, normals, wrench, adjust, reference, held, rule, settings, layers, record)
 
 
 @compiled
@@ -189,7 +191,7 @@ def carry_contacts(held, points, normals, wrench, frames, cone_matrix, force):
 
 
 @compiled
-def solve_contacts(points, normals, wrench, adjust, reference, held, rule, settings, record):
+def solve_contacts(points, normals, wrench, adjust, reference, held, rule, settings, layers, record):
     """One solve; writes `record`, and on CONVERGED what is held. REFUSED: the general path has to say why.
 
     Args:
@@ -199,7 +201,8 @@ def solve_contacts(points, normals, wrench, adjust, reference, held, rule, setti
         reference: (3N, 3N - 6) their object-frame directions.
         held: `Held`.
         rule: (5,) from `StepRule.parameters`.
-        settings: (5,) see above.
+        settings: (6,) see above.
+        layers: (K, numbers) float32 learned Newton layers that the start goes through (`layer_kernels.refine`), or (0, 0).
         record: (20 + 7N,) overwritten, see `record.py`.
     """
     count = points.shape[0]
@@ -242,6 +245,12 @@ def solve_contacts(points, normals, wrench, adjust, reference, held, rule, setti
                 best_on_segment(safe, x.copy(), held.weights, x)
         else:
             x[:] = safe
+    if layers.shape[0] > 0:
+        rest, dual = np.empty(size), np.empty(6)
+        turn(held.basis[12], held.divisor, held.basis_frames, frames, rest)
+        settled = EASE * settings[TOLERANCE]
+        refine(x, rows, rest, held.weights, layers, int(settings[WIDTH]), layers.shape[0], settled, dual)
+        least_change(x, rows, inverse, unit)
     if adjust.size > 0:
         basis, moved = np.empty((size, adjust.size)), np.empty(size)
         if not smooth_null_space(frames, orthonormal, reference, basis):

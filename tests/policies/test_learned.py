@@ -1,27 +1,35 @@
-"""The learned start: balance and the guarantee for every call, the compiled network, saved models."""
+"""Both learned starts: balance and the guarantee for every call, training ranges, other Phis, memory, the shipped scores."""
 
 from __future__ import annotations
 
-import json
 import pickle
-import shutil
 
 import numpy as np
 import pytest
-import torch
 
-from grasp_env.errors import InfeasibleStartError, ModelFileError
+from grasp_env.errors import InfeasibleStartError, UnknownNameError
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, cone_margin, optimize_force
+from grasp_env.force.record import OBJECTIVE, record_size
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
-from policies.kernels import forward
-from policies.learned import PRETRAINED
-from policies.network import Network
+from policies.learned import MODELS, PRETRAINED
+
+NO_PREVIOUS = np.empty(0)
+
+
+@pytest.fixture(scope="module", params=MODELS)
+def rule(request) -> LearnedInitialForce:
+    return LearnedInitialForce.pretrained(request.param)
 
 
 @pytest.fixture(scope="module")
-def rule() -> LearnedInitialForce:
-    return LearnedInitialForce.pretrained()
+def fixed() -> LearnedInitialForce:
+    return LearnedInitialForce.pretrained("four_finger")
+
+
+@pytest.fixture(scope="module")
+def anywhere() -> LearnedInitialForce:
+    return LearnedInitialForce.pretrained("any_grasp")
 
 
 def moved(shift: float, friction: float) -> Grasp:
@@ -55,139 +63,170 @@ def test_balanced_strictly_feasible_never_worse_than_the_basis(rule, shift, fric
         assert objective.value(grasp.to_cone(force)) <= paper * (1 + 1e-12)
 
 
-def test_a_quarter_of_the_basis_iterations_on_held_out_wrenches(rule):
-    """The issue's target, on wrenches no training saw: medians over 300 draws, measured 2 against 45."""
-    grasp = presets.paper_cuboid()
+def steps(grasp, wrenches, rule) -> np.ndarray:
     newton, flow = ForceOptimizer(grasp, method="newton", tolerance=1e-10), ForceOptimizer(grasp)
-    counts = {"learned": [], "basis": []}
-    for w in wrench.sample_ball(np.random.default_rng(77), 300):
-        optimum = newton.solve(w).objective
-        counts["learned"].append(flow.solve(w, initial=rule, optimum=optimum).iterations)
-        counts["basis"].append(flow.solve(w, optimum=optimum).iterations)
-    assert np.median(counts["learned"]) <= 0.25 * np.median(counts["basis"])
+    return np.array([flow.solve(w, initial=rule, optimum=newton.solve(w).objective).iterations for w in wrenches])
 
 
-def test_compiled_network_equals_torch(rule):
-    checkpoint = rule.checkpoint
-    network = Network(checkpoint.sizes[0], checkpoint.sizes[1:-1], checkpoint.sizes[-1])
-    network.load_state_dict({name: torch.from_numpy(value) for name, value in checkpoint.weights.items()})
-    rng = np.random.default_rng(3)
-    wrenches, friction = wrench.sample_magnitudes(rng, 200), rng.uniform(0.25, 0.6, 200)
-    inputs, scale = checkpoint.features(wrenches, friction)
-    with torch.no_grad():
-        expected = network(torch.from_numpy(inputs).float()).numpy()
-    out = np.empty(checkpoint.sizes[-1])
-    for k in range(200):
-        forward(inputs[k], np.array(checkpoint.sizes), checkpoint.flat_weights(), out)
-        np.testing.assert_allclose(out, expected[k], atol=2e-6 * np.abs(expected).max())  # float32 sums of 128 terms
-        raw = rule.raw(presets.paper_cuboid(friction[k]), wrenches[k])
-        assert np.isfinite(raw).all()
-        assert scale[k] > 0
+def test_scores_of_the_shipped_models_hold_on_the_standard_ball(rule):
+    """The issue's numbers: 0 at the median, at most 5 at p95 and 15 at p99, against 45 of the basis; measured 0 / 0 / 0."""
+    learned = steps(presets.paper_cuboid(), wrench.sample_ball(np.random.default_rng(77), 500), rule)
+    assert np.median(learned) == 0
+    assert np.percentile(learned, 95) <= 5
+    assert np.percentile(learned, 99) <= 15
 
 
-def test_learned_in_the_solver_is_optimal_and_keeps_its_name(rule):
-    solution = optimize_force(presets.paper_cuboid(), wrench.PAPER_CONSTANT, initial=rule)
-    assert solution.status.name == "OPTIMAL"
-    assert solution.initial == "learned"
+@pytest.mark.parametrize("grasp", [presets.tripod(), presets.five_finger_cuboid(), moved(0.01, 0.8)])
+def test_the_model_that_reads_the_grasp_needs_a_quarter_of_the_basis_steps(anywhere, grasp):
+    wrenches = wrench.sample_ball(np.random.default_rng(78), 100)
+    assert np.median(steps(grasp, wrenches, anywhere)) <= 0.25 * np.median(steps(grasp, wrenches, "linear_combination"))
+
+
+def test_frame_units_and_order_of_contacts_do_not_matter(anywhere):
+    """Turned, moved and with its contacts in another order, the same grasp gets the same forces."""
+    grasp, w = presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)
+    rng = np.random.default_rng(4)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    shift, order = np.array([0.3, -0.2, 0.1]), np.array([2, 0, 3, 1])
+    other = Grasp.from_contacts((grasp.positions @ turn.T + shift)[order], (grasp.normals @ turn.T)[order], 0.4)
+    force = turn @ w[:3]
+    there = np.concatenate([force, turn @ w[3:] + np.cross(shift, force)])
+    one, two = anywhere(grasp, w), anywhere(other, there)
+    world = np.einsum("kij,kj->ki", grasp.frames, one) @ turn.T
+    # the 12-basis that it starts from depends on the frame; what it reaches is the optimum to 1e-4 of Phi
+    np.testing.assert_allclose(np.einsum("kij,kj->ki", other.frames, two), world[order], atol=0.02 * np.abs(one).max())
+
+
+def test_one_compiled_call_gives_what_start_and_solve_give(rule):
+    grasp = presets.paper_cuboid()
+    for method in ("reduced_flow", "newton"):
+        optimizer = ForceOptimizer(grasp, initial=rule, method=method)
+        for w in wrench.sample_magnitudes(np.random.default_rng(5), 50):
+            solution, general = optimizer.solve(w), optimizer.solve(w, initial=rule)
+            assert solution.status.name == "OPTIMAL"
+            assert solution.optimality_gap <= 1e-4
+            assert solution.initial == general.initial
+            # both are certified to 1e-4, on the way from nearly the same start
+            assert solution.objective == pytest.approx(general.objective, rel=1.1e-4)
+            np.testing.assert_allclose(grasp.residual(solution.force, w), 0, atol=1e-11 * np.abs(solution.force).max())
+
+
+def test_certificates_of_the_compiled_call(rule):
+    """The bound is a bound, and the multipliers are the slopes of the optimum in the wrench."""
+    grasp, w = presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)
+    exact = ForceOptimizer(grasp, method="newton", tolerance=1e-12).solve(w)
+    solution = ForceOptimizer(grasp, initial=rule).solve(w)
+    assert solution.objective * (1 - solution.optimality_gap) <= exact.objective * (1 + 1e-12) <= solution.objective
+    np.testing.assert_allclose(solution.multipliers, exact.multipliers, atol=0.02 * np.abs(exact.multipliers).max())
 
 
 @pytest.mark.parametrize("barrier_weight", [0.001, 0.1, 1.0])
-def test_with_another_phi_it_is_repaired_in_that_one(rule, barrier_weight):
+def test_with_another_phi_it_is_as_good_in_that_one(rule, barrier_weight):
+    """Phi knows forces in units of sqrt(lambda / omega) only, so the model is exact up to that scale."""
     grasp = presets.paper_cuboid()
     optimizer = ForceOptimizer(grasp, initial=rule, barrier_weight=barrier_weight)
     basis = OfflineBasis.of(grasp, optimizer.objective)
-    for w in wrench.sample_ball(np.random.default_rng(5), 100):
+    counts = []
+    for w in wrench.sample_ball(np.random.default_rng(5), 100) * np.sqrt(barrier_weight / 0.01):
         start = optimizer.objective.value(grasp.to_cone(optimizer.start(w)))
         assert start <= optimizer.objective.value(grasp.to_cone(basis.combine(w))) * (1 + 1e-12)
+        counts.append(optimizer.solve(w).iterations)
+    assert np.median(counts) == 0
 
 
-def test_names_with_dots_do_not_collide(rule, tmp_path):
-    one, two = (rule.checkpoint.save(tmp_path / f"model.v{k}") for k in (1, 2))
-    assert one != two
-    assert LearnedInitialForce.load(tmp_path / "model.v2")
+def test_solutions_say_when_the_wrench_was_outside_the_training_range(rule):
+    grasp, far = presets.paper_cuboid(), np.array([100.0, 0, 0, 0, 0, 0])
+    assert rule.covers(grasp, np.array(wrench.PAPER_CONSTANT))
+    assert not rule.covers(grasp, far)
+    assert not rule.covers(presets.paper_cuboid(friction=1.5), np.array(wrench.PAPER_CONSTANT))
+    for method in ("reduced_flow", "newton"):
+        optimizer = ForceOptimizer(grasp, initial=rule, method=method)
+        assert optimizer.solve(far).initial == f"{rule.name} (outside its training range)"
+        assert optimizer.solve(np.array(wrench.PAPER_CONSTANT)).initial == rule.name
 
 
-def test_covers(rule):
-    assert rule.covers(np.array(wrench.PAPER_CONSTANT), 0.4)
-    assert not rule.covers(np.array([100.0, 0, 0, 0, 0, 0]), 0.4)
-    assert not rule.covers(np.array(wrench.PAPER_CONSTANT), 0.9)
-
-
-def test_other_number_of_contacts(rule):
-    with pytest.raises(InfeasibleStartError, match="4 contacts"):
-        rule(presets.tripod(), np.zeros(6))
-
-
-def test_save_load_and_pickle_keep_every_bit(rule, tmp_path):
-    grasp, w = presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)
-    stem = tmp_path / "model"
-    assert rule.checkpoint.save(stem) == tmp_path / "model.safetensors"
-    for again in (
-        LearnedInitialForce.load(stem),
-        LearnedInitialForce.load(tmp_path / "model.json"),
-        pickle.loads(pickle.dumps(rule)),
-    ):
-        np.testing.assert_array_equal(again(grasp, w), rule(grasp, w))
-    assert not list(tmp_path.glob(".*"))  # no temporary left behind
-
-
-def test_model_card_of_the_shipped_model(rule):
-    card = rule.checkpoint.card
-    assert card["command"].startswith("grasp fit")
-    assert {"data", "config", "seconds", "machine", "versions", "held_out_gap_second_order", "limits"} <= card.keys()
-    assert rule.objective == Objective()
-    size = sum(PRETRAINED.with_suffix(suffix).stat().st_size for suffix in (".safetensors", ".json"))
-    assert size < 1_000_000
-
-
-def _copy(tmp_path):
-    for suffix in (".safetensors", ".json"):
-        shutil.copy(PRETRAINED.with_suffix(suffix), tmp_path / f"m{suffix}")
-    return tmp_path / "m"
-
-
-def _edit(stem, **changes):
-    path = stem.with_suffix(".json")
-    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
-
-
-def test_damaged_and_foreign_model_files(tmp_path):
-    with pytest.raises(ModelFileError, match="No such file"):
-        LearnedInitialForce.load(tmp_path / "absent")
-    stem = _copy(tmp_path)
-    weights = stem.with_suffix(".safetensors")
-    whole = weights.read_bytes()
-    weights.write_bytes(whole[:1000])
-    with pytest.raises(ModelFileError, match="truncated"):
-        LearnedInitialForce.load(stem)
-    weights.write_bytes(whole[:-1] + bytes([whole[-1] ^ 1]))
-    with pytest.raises(ModelFileError, match="sha256"):
-        LearnedInitialForce.load(stem)
-    weights.write_bytes(whole)
-    _edit(stem, schema="other/7")
-    with pytest.raises(ModelFileError, match="other/7"):
-        LearnedInitialForce.load(stem)
-    stem = _copy(tmp_path)
-    _edit(stem, sizes=[8, 64, 6])
-    with pytest.raises(ModelFileError, match="do not fit"):
-        LearnedInitialForce.load(stem)
-    stem = _copy(tmp_path)
-    _edit(stem, features={"length": "x"})
-    with pytest.raises(ModelFileError, match="malformed"):
-        LearnedInitialForce.load(stem)
-    stem.with_suffix(".json").write_text("not json")
-    with pytest.raises(ModelFileError, match="not JSON") as caught:
-        LearnedInitialForce.load(stem)
-    assert isinstance(caught.value, ValueError | OSError)
-    stem.with_suffix(".json").write_text("[]")
-    with pytest.raises(ModelFileError, match="schema"):
-        LearnedInitialForce.load(stem)
-
-
-@pytest.mark.slow
-def test_never_worse_on_a_million_wrenches(rule):
+def test_memory_is_never_worse_than_either(rule):
+    """Along a smooth path nothing is left to do; after a jump it is at least as good as the model alone."""
     grasp = presets.paper_cuboid()
-    objective, basis = rule.objective, OfflineBasis.of(grasp, rule.objective)
-    for w in wrench.sample_magnitudes(np.random.default_rng(9), 1_000_000, 1e-3, 100.0):
-        learned = objective.value(grasp.to_cone(rule(grasp, w)))
-        assert learned <= objective.value(grasp.to_cone(basis.combine(w))) * (1 + 1e-12)
+    remembering = LearnedInitialForce.pretrained("any_grasp" if rule.checkpoint.kind == "any_grasp" else "four_finger", remembers=True)  # fmt: skip
+    optimizer = ForceOptimizer(grasp, initial=remembering)
+    path = wrench.sample_path(np.random.default_rng(6), 200)
+    counts = [optimizer.solve(w).iterations for w in path][1:]
+    assert max(counts) <= 7
+    jump = np.random.default_rng(7).normal(size=6) * [5, 5, 5, 0.2, 0.2, 0.2]
+    previous = optimizer.previous
+    _, force = remembering.start(grasp, jump, optimizer.objective, previous)
+    value = optimizer.objective.value(grasp.to_cone(force))
+    assert value <= optimizer.objective.value(grasp.to_cone(rule(grasp, jump))) * (1 + 1e-4)
+
+
+def test_an_episode_in_the_environment_uses_the_compiled_pipeline(anywhere):
+    from grasp_env.env import FourFingerGrasp
+    from grasp_env.force.pipeline import ForcePipeline
+
+    env = FourFingerGrasp(initial_force=anywhere, disturbance="random")
+    env.reset(seed=0)
+    try:
+        counts = [env.step(np.zeros(6, np.float32))[4]["iterations"] for _ in range(20)]
+    finally:
+        env.close()
+    assert np.median(counts) == 0
+    pipeline = ForcePipeline(presets.paper_cuboid(), initial=anywhere)
+    grasp = moved(0.002, 0.4)
+    solution = pipeline.solve(grasp.positions, grasp.normals, np.array(wrench.PAPER_CONSTANT))
+    assert (solution.initial, solution.iterations) == (anywhere.name, 0)
+
+
+def test_contacts_that_a_model_does_not_know(fixed, anywhere):
+    with pytest.raises(InfeasibleStartError, match="4 contacts"):
+        fixed(presets.tripod(), np.zeros(6))
+    with pytest.raises(InfeasibleStartError, match="4 contacts"):
+        optimize_force(presets.tripod(), np.zeros(6), initial=fixed)
+    grasp = presets.paper_cuboid()
+    soft = Grasp.from_contacts(grasp.positions, grasp.normals, 0.4, contact_model="soft", torsional_friction=0.01)
+    with pytest.raises(InfeasibleStartError, match="hard contacts"):
+        anywhere(soft, np.zeros(6))
+    with pytest.raises(InfeasibleStartError, match="finite"):
+        anywhere(grasp, np.full(6, np.nan))
+    with pytest.raises(UnknownNameError, match="any_grasp"):
+        LearnedInitialForce.pretrained("five_finger")
+
+
+def test_pickle_keeps_every_bit(rule):
+    grasp, w = presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(rule))(grasp, w), rule(grasp, w))
+
+
+def test_model_cards_and_sizes_of_the_shipped_models():
+    total = 0
+    for name in MODELS:
+        card = LearnedInitialForce.pretrained(name).checkpoint.card
+        assert card["command"].startswith("grasp fit")
+        assert {"data", "seed", "seconds", "machine", "versions", "held_out_gap", "limits"} <= card.keys()
+        files = [PRETRAINED / f"{name}{suffix}" for suffix in (".safetensors", ".json")]
+        total += sum(file.stat().st_size for file in files)
+    assert total < 2_000_000
+
+
+def worse(rule: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray) -> int:
+    """How many starts have more Phi than the 12-basis' combination."""
+    solve = rule.bind(grasp, rule.objective, np.inf, lambda start, wrench, record: None)
+    basis, record = OfflineBasis.of(grasp, rule.objective).cone_forces, np.empty(record_size(grasp.n_contacts))
+    shares = np.concatenate([np.maximum(wrenches, 0), np.maximum(-wrenches, 0)], axis=1)
+    rest = np.maximum(0, 1 - shares.sum(axis=1, keepdims=True))
+    paper = np.concatenate([shares, rest], axis=1) @ basis
+    u, o, t = np.moveaxis(paper.reshape(len(wrenches), -1, 3), 2, 0)
+    limit = (3 * u + 0.01 * (1 / u + 2 * u / (u * u - o * o - t * t))).sum(axis=1)
+    count = 0
+    for w, most in zip(wrenches, limit, strict=True):
+        solve(w, NO_PREVIOUS, record)
+        count += not record[OBJECTIVE] <= most * (1 + 1e-12)
+    return count
+
+
+@pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_never_worse(rule, count):
+    assert rule.objective == Objective()
+    wrenches = wrench.sample_magnitudes(np.random.default_rng(9), count, 1e-3, 1000.0)
+    assert worse(rule, presets.paper_cuboid(), wrenches) == 0

@@ -7,16 +7,19 @@ from pathlib import Path
 from grasp_env.errors import UnknownNameError
 from grasp_env.force import RULES, InitialForceRule
 from policies import LearnedInitialForce
+from policies.learned import MODELS
 
 
 def rule(name: str) -> str | InitialForceRule:
-    """A rule's name, "learned", or the path of a model that `grasp fit` saved."""
+    """A rule's name, "learned" for the model of any grasp, "four_finger" for that of one, or the path of a saved model."""
     if name == "learned":
         return LearnedInitialForce.pretrained()
+    if name in MODELS:
+        return LearnedInitialForce.pretrained(name)
     if name in RULES or name == "previous":
         return name
     if name.endswith((".json", ".safetensors")) or Path(f"{name}.json").is_file():
         return LearnedInitialForce.load(name)
     raise UnknownNameError(
-        "initial-force rule", name, (*RULES, "previous", "learned"), ", or give a saved model's path"
+        "initial-force rule", name, (*RULES, "previous", "learned", *MODELS), ", or give a saved model's path"
     )

@@ -1,0 +1,73 @@
+"""A model that reads the grasp: learned Newton layers on every contact, for any contacts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from grasp_env._check import ContactForces, Wrench
+from grasp_env.force import Objective
+from grasp_env.force.layer_kernels import FEATURES
+from grasp_env.grasp import Grasp
+from policies import kernels
+from policies.checkpoint import Checkpoint, malformed
+from policies.learned import LearnedInitialForce
+
+
+class AnyGraspForce(LearnedInitialForce):
+    """Starts from the 12-basis' combination, or the previous solution, and takes learned Newton layers.
+
+    Invariant to frame, units, order of contacts, omega and lambda by construction (`grasp_env.force.layer_kernels`).
+
+    Attributes:
+        layers: (K, numbers) float32. width: of their hidden layers.
+    """
+
+    _kernel = kernels.start_layers
+
+    def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:
+        try:
+            count, self.width = int(checkpoint.numbers["layers"]), int(checkpoint.numbers["width"])
+            self._ranges = {name: checkpoint.ranges[name] for name in ("magnitude", "friction", "contacts")}
+        except (KeyError, TypeError, ValueError) as error:
+            raise malformed("of kind any_grasp", error) from None
+        sizes = {"first": (self.width, FEATURES), "second": (self.width, 2 * self.width), "third": (3, self.width)}
+        shapes: dict[str, tuple[int, ...]] = {}
+        for layer in range(count):
+            for name, (outputs, inputs) in sizes.items():
+                shapes |= {
+                    f"layers.{layer}.{name}.weight": (outputs, inputs),
+                    f"layers.{layer}.{name}.bias": (outputs,),
+                }
+        checkpoint.expect(shapes)
+        super().__init__(checkpoint, objective, remembers)
+        self.layers = flat(checkpoint.tensors, count)
+
+    def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
+        """The same as the start: every layer stays balanced and inside the cones."""
+        return self(grasp, wrench)
+
+    def _limit(self, grasp: Grasp) -> tuple[float, ...]:
+        low, high = self._ranges["friction"]
+        least, most = self._ranges["contacts"]
+        known = least <= grasp.n_contacts <= most and (low <= grasp.friction).all() and (grasp.friction <= high).all()
+        weights = self.objective.weights(grasp.n_contacts)
+        unit = float(np.sqrt((weights[:, 1] / weights[:, 0]).mean()))
+        x, y, z = (float(value) for value in grasp.centre)
+        return float(grasp.length), x, y, z, self._ranges["magnitude"][1] * unit if known else -1.0
+
+    def _network(self, grasp: Grasp) -> tuple[Any, ...]:
+        return self.layers, self.width
+
+
+def flat(weights: dict[str, np.ndarray], count: int) -> np.ndarray:
+    """(count, numbers) float32 for `layer_kernels.refine`: matrices as (inputs x outputs), then their bias."""
+    rows = []
+    for layer in range(count):
+        parts = []
+        for name in ("first", "second", "third"):
+            stem = f"layers.{layer}.{name}"
+            parts += [weights[f"{stem}.weight"].T.ravel(), weights[f"{stem}.bias"]]
+        rows.append(np.concatenate(parts))
+    return np.array(rows, dtype=np.float32)
