@@ -24,7 +24,7 @@ def inlined(function: Callable[..., Any]) -> Any:
     return register_jitable(forceinline=True, error_model="numpy", fastmath=False)(function)
 
 
-def cut(array: Array, start: int, shape: tuple[int, ...]) -> Array:
+def cut(array: Any, start: int, shape: tuple[int, ...]) -> Any:
     """The view array[start:].reshape(shape) of a flat C-contiguous array, unchecked.
 
     In a kernel the view does not keep `array` alive: a kernel must not return it to Python.

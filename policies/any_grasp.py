@@ -32,15 +32,7 @@ class AnyGraspForce(LearnedInitialForce):
             self._ranges = {name: checkpoint.ranges[name] for name in ("magnitude", "friction", "contacts")}
         except (KeyError, TypeError, ValueError) as error:
             raise malformed("of kind any_grasp", error) from None
-        sizes = {"first": (self.width, FEATURES), "second": (self.width, 2 * self.width), "third": (3, self.width)}
-        shapes: dict[str, tuple[int, ...]] = {}
-        for layer in range(count):
-            for name, (outputs, inputs) in sizes.items():
-                shapes |= {
-                    f"layers.{layer}.{name}.weight": (outputs, inputs),
-                    f"layers.{layer}.{name}.bias": (outputs,),
-                }
-        checkpoint.expect(shapes)
+        checkpoint.expect(layer_shapes("layers", count, self.width))
         super().__init__(checkpoint, objective, remembers)
         self.layers = flat(checkpoint.tensors, count)
 
@@ -61,13 +53,24 @@ class AnyGraspForce(LearnedInitialForce):
         return self.layers, self.width
 
 
-def flat(weights: dict[str, np.ndarray], count: int) -> np.ndarray:
+def layer_shapes(prefix: str, count: int, width: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of the tensors of learned Newton layers, by name."""
+    sizes = {"first": (width, FEATURES), "second": (width, 2 * width), "third": (3, width)}
+    shapes: dict[str, tuple[int, ...]] = {}
+    for layer in range(count):
+        for name, (outputs, inputs) in sizes.items():
+            stem = f"{prefix}.{layer}.{name}"
+            shapes |= {f"{stem}.weight": (outputs, inputs), f"{stem}.bias": (outputs,)}
+    return shapes
+
+
+def flat(weights: dict[str, np.ndarray], count: int, prefix: str = "layers") -> np.ndarray:
     """(count, numbers) float32 for `layer_kernels.refine`: matrices as (inputs x outputs), then their bias."""
     rows = []
     for layer in range(count):
         parts = []
         for name in ("first", "second", "third"):
-            stem = f"layers.{layer}.{name}"
+            stem = f"{prefix}.{layer}.{name}"
             parts += [weights[f"{stem}.weight"].T.ravel(), weights[f"{stem}.bias"]]
         rows.append(np.concatenate(parts))
     return np.array(rows, dtype=np.float32)

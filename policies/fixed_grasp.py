@@ -1,4 +1,4 @@
-"""A network for one grasp: wrench and friction to null-space coordinates, then one Newton step."""
+"""A network for one grasp: wrench and friction to null-space coordinates, polished by learned Newton layers."""
 
 from __future__ import annotations
 
@@ -11,22 +11,24 @@ from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import Objective
 from grasp_env.grasp import Grasp, null_space_basis
 from policies import kernels
+from policies.any_grasp import flat, layer_shapes
 from policies.checkpoint import Checkpoint, malformed
 from policies.features import N_FEATURES, Features
 from policies.learned import LearnedInitialForce
 
 POLISH = 2
-"""Newton steps after the network; the second only where the first is not certified optimal."""
+"""Newton steps after a network that was saved without layers of its own."""
 
 
 class FixedGraspForce(LearnedInitialForce):
     """Trained on one grasp; where contacts have moved a little, the null space moves along continuously.
 
-    The network's force, or the best on the segment from the 12-basis' combination where that has less Phi, gets one Newton
-    step, and a second where the certificate asks for it. Balance holds whatever the network says, and no part raises Phi.
+    The network's force, or the best on the segment from the 12-basis' combination where that has less Phi, goes through one
+    learned Newton layer, and through further ones where the certificate asks. Balance holds whatever the network says, and no
+    part raises Phi.
 
     Attributes:
-        polish: Newton steps at most; 0: the network alone.
+        polish: layers at most; 0: the network alone.
     """
 
     _kernel = kernels.start_fixed
@@ -38,6 +40,7 @@ class FixedGraspForce(LearnedInitialForce):
             self.features = Features(**{name: float(value) for name, value in numbers["features"].items()})
             self.n_contacts = int(numbers["n_contacts"])
             trained = Objective(float(numbers["force_weight"]), float(numbers["barrier_weight"]))
+            learned, width = int(numbers["polish"]), int(numbers["polish_width"])
             self._ranges = checkpoint.ranges["magnitude"], checkpoint.ranges["friction"]
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise malformed("of kind fixed_grasp", error) from None
@@ -45,11 +48,12 @@ class FixedGraspForce(LearnedInitialForce):
         shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs)}
         for layer, (a, b) in enumerate(zip(self.sizes[:-1], self.sizes[1:], strict=True)):
             shapes |= {f"layers.{layer}.weight": (b, a), f"layers.{layer}.bias": (b,)}
-        checkpoint.expect(shapes)
+        checkpoint.expect(shapes | layer_shapes("polish", learned, width))
         if (self.sizes[0], self.sizes[-1]) != (N_FEATURES, outputs):
             raise malformed("of kind fixed_grasp", ValueError(f"sizes {self.sizes} for {self.n_contacts} contacts"))
         super().__init__(checkpoint, objective or trained, remembers)
-        self._trained, self.polish = trained, POLISH
+        self._trained, self.polish, self._width = trained, learned or POLISH, width
+        self._layers = flat(checkpoint.tensors, learned, "polish") if learned else np.empty((0, 0), np.float32)
         parts = []
         for layer in range(len(self.sizes) - 1):
             parts += [
@@ -91,4 +95,4 @@ class FixedGraspForce(LearnedInitialForce):
         return np.concatenate([part.ravel() for part in parts])
 
     def _network(self, grasp: Grasp) -> tuple[Any, ...]:
-        return self._sizes, self._flat, self.polish
+        return self._sizes, self._flat, self._layers, self._width, self.polish

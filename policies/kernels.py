@@ -42,8 +42,8 @@ def forward(features, sizes, weights, out):
     width = 0
     for size in sizes:
         width = max(width, size)
-    a = np.empty(width, np.float32)
-    b = np.empty(width, np.float32)
+    both = np.empty(2 * width, np.float32)
+    a, b = cut(both, 0, (width,)), cut(both, width, (width,))
     for i in range(sizes[0]):
         a[i] = features[i]
     offset = 0
@@ -154,7 +154,7 @@ def raw_fixed(wrench, numbers, sizes, flat, out):
 
 
 @compiled
-def start_fixed(wrench, previous, numbers, sizes, flat, polish, record):
+def start_fixed(wrench, previous, numbers, sizes, flat, layers, width, polish, record):
     """The fixed grasp's start, and where it is certified optimal the whole record (`record.py`).
 
     Args:
@@ -162,7 +162,8 @@ def start_fixed(wrench, previous, numbers, sizes, flat, polish, record):
         previous: (>= 3N,) a force (normal, o, t) [N] that was optimal before, or (0,).
         numbers: see `split_contacts`, `split_network`.
         sizes, flat: see `forward`.
-        polish: Newton steps after the network, each of which squares its error; further ones only where the certificate asks.
+        layers, width: learned Newton layers that polish the network's force, see `layer_kernels.refine`; (0, 0): Newton steps.
+        polish: how many at most; after the first only where the certificate asks.
         record: (20 + 7N,) overwritten. CODE: CONVERGED, or LIMIT where a descent has to go on from the initial force in it, or
             REFUSED for a wrench that is not finite.
 
@@ -177,7 +178,7 @@ def start_fixed(wrench, previous, numbers, sizes, flat, polish, record):
     raw_fixed(wrench, numbers, sizes, flat, x)
     for j in range(x.size):
         x[j] *= divisor[j // 3, j % 3]
-    return _refined(wrench, previous, cut(flat, 0, (0, 0)), 0, polish, numbers, x, True, record)
+    return _refined(wrench, previous, layers, width, polish, numbers, x, True, record)
 
 
 @compiled
@@ -197,34 +198,42 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
     Every part only ever lowers Phi: never worse than the 12-basis or the previous solution, by construction.
     """
     count = x.size // 3
-    cone_matrix, rows, inverse, divisor, weights, basis = split_contacts(numbers, count)
-    safe, multipliers = np.empty(x.size), np.empty(6)
+    cone_matrix, _, inverse, divisor, weights, basis = split_contacts(numbers, count)
+    scratch = np.empty(18 + 2 * x.size)
+    safe, carried = cut(scratch, 18, (x.size,)), cut(scratch, 18 + x.size, (x.size,))
     combine(basis, wrench, False, safe)
     if guessed:
         better(x, safe, weights)
     else:
         x[:] = safe
+    options, six, multipliers = cut(numbers, OPTIONS, (8,)), cut(scratch, 0, (6,)), cut(scratch, 6, (6,))
+    load(wrench, options, six)
+    value, bound, done = np.inf, -np.inf, False
     if previous.size > 0:
-        before, carried = np.empty(x.size), np.empty(x.size)
         for j in range(x.size):
-            before[j] = previous[j] * divisor[j // 3, j % 3]
-        if phi(before, weights) < np.inf and tangent(before, cone_matrix, wrench, weights, carried):
+            safe[j] = previous[j] * divisor[j // 3, j % 3]
+        known = phi(safe, weights) < np.inf and tangent(safe, cone_matrix, wrench, weights, carried)
+        combine(basis, wrench, False, safe)
+        if known:
             least_change(carried, cone_matrix, inverse, wrench)
             if not guessed:
                 better(carried, safe, weights)
-            if phi(carried, weights) < phi(x, weights):
-                x[:] = carried
-    options, six, value, bound, done = cut(numbers, OPTIONS, (8,)), np.empty(6), np.inf, -np.inf, False
-    load(wrench, options, six)
-    settled = max(SETTLED, EASE * numbers[TOLERANCE])
-    together = steps if layers.shape[0] > 0 else 1
-    for begin in range(0, max(steps, 1), together):
-        refine(x, rows, basis[12], weights, layers, width, min(together, steps - begin), settled, multipliers)
-        least_change(x, cone_matrix, inverse, wrench)
-        value, bound = phi(x, weights), lower_bound(multipliers, rows, six, weights)
+            known = phi(carried, weights) < phi(x, weights)
+        if known:
+            value, bound = _polished(carried, six, wrench, layers, width, steps, guessed, numbers, multipliers)
+            done = relative_gap(value, bound) <= numbers[TOLERANCE]
+    if not done:
+        # also where the carried force has less Phi: close to a cone the layers may get less far from it
+        dual = cut(scratch, 12, (6,))
+        other, other_bound = _polished(x, six, wrench, layers, width, steps, guessed, numbers, dual)
+        if not value <= other:
+            value, bound, multipliers = other, other_bound, dual
+        else:
+            x[:] = carried
+            bound = max(bound, other_bound)
         done = relative_gap(value, bound) <= numbers[TOLERANCE]
-        if done:
-            break
+    else:
+        x[:] = carried
     if not value <= phi(safe, weights):
         x[:] = safe  # rounding only
         value = phi(safe, weights)
@@ -232,8 +241,8 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
     record[ITERATIONS] = record[TRIALS] = 0.0
     record[OBJECTIVE], record[BOUND], record[MARGIN] = value, bound, cone_slack(x)
     given = pull_back(options, multipliers)
-    residual(cone_matrix, x, wrench, multipliers)
-    record[RESIDUAL] = unit_size(multipliers, options, six)
+    residual(cone_matrix, x, wrench, six)
+    record[RESIDUAL] = unit_size(six, options, cut(scratch, 12, (6,)))
     for r in range(6):
         record[WRENCH + r], record[MULTIPLIERS + r] = wrench[r], given[r]
     for j in range(x.size):
@@ -241,6 +250,22 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
     for k in range(count):
         record[FORCE + 2 * x.size + k] = 0.0
     return not _size(wrench, numbers) <= numbers[LIMIT_SIZE]
+
+
+@compiled
+def _polished(x, unit, wrench, layers, width, steps, each, numbers, multipliers):
+    """X through the layers, with a certificate after each (`each`) or at their end; returns (Phi, lower bound)."""
+    cone_matrix, rows, inverse, _, weights, basis = split_contacts(numbers, x.size // 3)
+    settled = max(SETTLED, EASE * numbers[TOLERANCE])
+    together = 1 if each else steps
+    value, bound = np.inf, -np.inf
+    for begin in range(0, max(steps, 1), max(together, 1)):
+        refine(x, rows, basis[12], weights, layers[begin:], width, min(together, steps - begin), settled, multipliers)
+        least_change(x, cone_matrix, inverse, wrench)
+        value, bound = phi(x, weights), lower_bound(multipliers, rows, unit, weights)
+        if relative_gap(value, bound) <= numbers[TOLERANCE]:
+            break
+    return value, bound
 
 
 @compiled

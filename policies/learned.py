@@ -28,7 +28,7 @@ _NOTHING = np.empty(0)
 class LearnedInitialForce(ABC):
     """An initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
-    Two kinds: `FixedGraspForce` knows one grasp, a network from the wrench to null-space coordinates and one or two Newton steps;
+    Two kinds: `FixedGraspForce` knows one grasp, a network from the wrench to null-space coordinates, polished by learned Newton layers;
     `AnyGraspForce` reads the grasp, a few learned Newton layers from the 12-basis' combination. Both only ever lower Phi:
     never worse than the 12-basis of the grasp AS IT IS NOW, per call, by construction, at any wrench.
 

@@ -1,4 +1,4 @@
-"""Grasp forces of a simulated four-finger hand: solve, fit, evaluate, report, reproduce, bench, demo, warmup."""
+"""Grasp forces of a simulated four-finger hand: solve, fit, rl, evaluate, report, reproduce, bench, demo, warmup."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from grasp_env.errors import GraspError
 from training.commands.bench import Bench
 from training.commands.demo import Demo
 from training.commands.evaluate import Evaluate
-from training.commands.fit import Fit
+from training.commands.fit import Fit, spelled_out
 from training.commands.report import Report
 from training.commands.reproduce import Reproduce
+from training.commands.rl import RL
 from training.commands.solve import Solve
 from training.commands.warmup import Warmup
 
 Command = (
     Annotated[Solve, tyro.conf.subcommand("solve")]
     | Annotated[Fit, tyro.conf.subcommand("fit")]
+    | Annotated[RL, tyro.conf.subcommand("rl")]
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
@@ -36,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0; 2 after an error of the project, told in one line on stderr; 130 after an interrupt.
     """
-    command: Any = tyro.cli(Command, prog="grasp", description=__doc__, args=arguments)  # type: ignore[arg-type]
+    command: Any = tyro.cli(Command, prog="grasp", description=__doc__, args=spelled_out(arguments))  # type: ignore[arg-type]
     try:
         command.execute()
     except GraspError as error:

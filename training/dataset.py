@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
@@ -30,12 +29,14 @@ class Dataset:
         friction: (B,).
         coordinates: (B, K) null-space coordinates of the optimum [N].
         metric: (B, K, K) upper factors R: |R (z - z*)|^2 is the relative gap of Phi to second order.
+        least: (B,) min Phi [N].
     """
 
     wrenches: np.ndarray
     friction: np.ndarray
     coordinates: np.ndarray
     metric: np.ndarray
+    least: np.ndarray
 
     def __len__(self) -> int:
         return len(self.wrenches)
@@ -73,6 +74,7 @@ def generate(
     null_space = null_space_basis(grasp, reference)
     coordinates = np.empty((count, null_space.shape[1]), np.float32)
     metric = np.empty((count, null_space.shape[1], null_space.shape[1]), np.float32)
+    least = np.empty(count)
 
     def work(part: slice) -> float:
         return _label(
@@ -87,6 +89,7 @@ def generate(
             options(grasp, 1e-10, 200),
             coordinates[part],
             metric[part],
+            least[part],
         )
 
     edges = np.linspace(0, count, workers + 1).astype(int)
@@ -94,20 +97,13 @@ def generate(
         worst = max(pool.map(work, (slice(a, b) for a, b in pairwise(edges))))
     if worst > 1e-6:
         raise NotConvergedError(f"a training label has a relative gap of {worst:.2g}")
-    return Dataset(wrenches, friction, coordinates, metric)
-
-
-def batches(count: int, size: int, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Endless shuffled index batches (epoch after epoch)."""
-    while True:
-        order = rng.permutation(count)
-        for start in range(0, count - size + 1, size):
-            yield order[start : start + size]
+    return Dataset(wrenches, friction, coordinates, metric, least)
 
 
 @compiled
 def _label(
-    wrenches, friction, matrix, pseudoinverse, null_space, basis, basis_friction, weights, options, coordinates, metric
+    wrenches, friction, matrix, pseudoinverse, null_space, basis, basis_friction, weights, options, coordinates, metric,
+    least,
 ):  # fmt: skip
     size, dimension = null_space.shape
     x = np.empty(size)
@@ -137,6 +133,7 @@ def _label(
         newton(constants, null_space, GIVEN, x, wrenches[sample], weights, options, record, nothing)
         value, bound = record[OBJECTIVE], record[BOUND]
         worst = max(worst, (value - bound) / bound)
+        least[sample] = value
         for j in range(size):
             x[j] = record[FORCE + j] * (mu if j % 3 == 0 else 1.0)
         inverse_hessian(x, weights, blocks)

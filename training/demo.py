@@ -23,7 +23,7 @@ from grasp_env.force.initial import RULES
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce, Policy, ZeroPolicy
 
-SUFFIXES = (".png", ".mp4", ".gif")
+SUFFIXES = (".png", ".mp4", ".gif", ".webp")
 FRAME_RATE = 25
 
 
@@ -37,9 +37,9 @@ def record(
     policy: Policy | None = None,
     **settings: Any,
 ) -> None:
-    """Rolls out the hand and saves the last frame (.png) or a video (.mp4, .gif) at 25 frames/s of simulated time.
+    """Rolls out the hand and saves the last frame (.png) or a video (.mp4, .gif, .webp) at 25 frames/s of simulated time.
 
-    Frames go to the file one by one. The file gets its name when it is complete: stopped with ctrl-C, nothing is left.
+    Frames go to the file one by one (of .webp, the smallest that a page shows without a player, all at the end). The file gets its name when it is complete: stopped with ctrl-C, nothing is left.
 
     Args:
         out: the file.
@@ -93,9 +93,11 @@ def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
     if path.suffix != ".mp4":
         pictures = map(Image.fromarray, frames)
         first = next(pictures)
-        settings = (
-            {} if path.suffix == ".png" else {"append_images": pictures, "duration": 1000 // FRAME_RATE, "loop": 0}
-        )
+        settings: dict[str, Any] = {}
+        if path.suffix != ".png":
+            settings = {"append_images": pictures, "duration": 1000 // FRAME_RATE, "loop": 0}
+        if path.suffix == ".webp":
+            settings |= {"append_images": list(pictures), "quality": 65, "method": 4}
         with path.open("wb") as file:
             first.save(file, format=path.suffix[1:], save_all=bool(settings), **settings)
         return

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import multiprocessing
 import os
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -19,10 +15,10 @@ from grasp_env.errors import InvalidInputError
 from training.env_report import build_env_report
 from training.env_trials import Cell, cell_json, columns, plan, run_chunk
 from training.runs import Run, default_name, provenance
+from training.workers import begin, one_thread, pool
 
 CHUNK = 4
 """Seeds a worker is given at a time."""
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ def evaluate_env(
         cells = plan(QUICK_EPISODES if config.quick else config.episodes, config.quick)
     run = Run.create(config.out, config.name or default_name("env"))
     begun = {"seed": config.seed, "quick": config.quick, "cells": [cell_json(cell) for cell in cells]}
-    _continue(run, begun)
+    begin(run, begun, "episodes, seed or settings")
     missing = [cell for cell in cells if not run.path(_file(cell.name)).is_file()]
     bar = Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(),
@@ -108,14 +104,13 @@ def roll_out_cells(
     """
     if not cells:
         return
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _quiet)
-    try:
+    with pool(workers) as started:
         pending: list[tuple[Cell, list[tuple[Future[list[dict[str, Any]]], int]]]] = []
         for cell in cells:
             chunks = [list(range(k, min(k + CHUNK, cell.episodes))) for k in range(0, cell.episodes, CHUNK)]
-            with _one_thread():
+            with one_thread():
                 jobs = [
-                    (pool.submit(run_chunk, asdict(cell), [seed + k for k in chunk]), len(chunk)) for chunk in chunks
+                    (started.submit(run_chunk, asdict(cell), [seed + k for k in chunk]), len(chunk)) for chunk in chunks
                 ]
             pending.append((cell, jobs))
         for cell, jobs in pending:
@@ -124,42 +119,7 @@ def roll_out_cells(
                 rows += job.result()
                 advance(cell.name, count)
             run.write_arrays(_file(cell.name), columns(rows))
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    pool.shutdown()
 
 
 def _file(cell: str) -> str:
     return f"trials/{cell}.npz"
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Processes started in the block compute with one thread each: their libraries read these when they are loaded."""
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
-def _quiet() -> None:
-    """A worker leaves an interrupt to its parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _continue(run: Run, begun: dict[str, Any]) -> None:
-    """Writes what this run is, or checks that an interrupted one was the same."""
-    if not run.path("plan.json").is_file():
-        run.write_json("plan.json", begun)
-    elif run.read_json("plan.json") != json.loads(json.dumps(begun)):  # as JSON, where tuples are lists
-        raise InvalidInputError(
-            f"{run.folder} was begun with other episodes, seed or settings: repeat its command to continue it, or choose "
-            "another --name"
-        )

@@ -1,151 +1,192 @@
-"""Figures of a report, from saved trials. One function per figure: (trials...) -> matplotlib figure."""
+"""The house style of figures: colours for light and dark, one width that a phone can read, SVG in the page and beside it."""
 
 from __future__ import annotations
 
+import html
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-import matplotlib
 import numpy as np
-
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
+from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
-from grasp_env.grasp.wrench import paper_path
-from training.metrics import Trials
-from training.rollouts import SCENARIO_LABELS
-from training.starts import LABELS, TOLERANCE
-
-COLOURS = {
-    "single_value": "#8a8a8a",
-    "lagrange": "#c08a3e",
-    "linear_combination_printed": "#7fb2e5",
-    "linear_combination": "#1f5fa8",
-    "previous_pseudoinverse": "#8fc98f",
-    "previous_tangent": "#2e8b57",
-    "learned_fitted": "#e07a5f",
-    "learned_shipped": "#b3261e",
+INK, LINE = "#000000", "#d5d8dd"
+THEME: dict[str, tuple[str, str]] = {
+    "single_value": ("#767677", "#a4a4a5"),
+    "lagrange": ("#93651d", "#d3a04f"),
+    "linear_combination_printed": ("#3f87c9", "#8cc4f5"),
+    "linear_combination": ("#1f5fa8", "#4f9df0"),
+    "basis_tangent": ("#0e7c86", "#4fd0dc"),
+    "previous_pseudoinverse": ("#549354", "#a5d8a0"),
+    "previous_tangent": ("#1e7a3e", "#4fc47a"),
+    "nearest_pseudoinverse": ("#9273c4", "#c9b5f2"),
+    "nearest_tangent": ("#6a3fa0", "#a985e8"),
+    "learned_fixed": ("#b3261e", "#ff7468"),
+    "learned_any": ("#d1500a", "#ffa05c"),
+    "learned_previous": ("#c2187a", "#ff80c4"),
+    "learned_fitted": ("#8a5a44", "#d9a58c"),
+    "finger_0": ("#b3261f", "#ff7469"),
+    "finger_1": ("#1f5fa9", "#4f9df1"),
+    "finger_2": ("#946300", "#e0b040"),
+    "finger_3": ("#1e7a3f", "#4fc47b"),
+    "other_0": ("#7a4fa3", "#b794e0"),
+    "other_1": ("#5b5b5c", "#b0b0b1"),
+    "other_2": ("#0e7c87", "#4fd0dd"),
 }
-FINGERS = ("thumb", "middle finger", "left finger", "right finger")
-_FINGER_COLOURS = ("#b3261e", "#1f5fa8", "#2e8b57", "#c08a3e")
-_SCENARIO_COLOURS = (*_FINGER_COLOURS, "#7a4fa3", "#5b5b5b")
+"""Colours on a light and on a dark page, each used once: the SVG has them as CSS variables --c-<name>."""
+COLOURS = {name: light for name, (light, _) in THEME.items()}
+DASHED = frozenset(
+    {
+        "linear_combination_printed",
+        "previous_pseudoinverse",
+        "nearest_pseudoinverse",
+        "learned_previous",
+        "learned_fitted",
+    }
+)
+WIDTH = 4.6
+"""[in] of a figure: 331 points, so that its text is 10 pixels high on a phone of 360 and 13 in a column of a page."""
 _STYLE: Any = {
     "font.size": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.alpha": 0.25,
+    "axes.titlesize": 10,
+    "axes.labelsize": 10,
+    "xtick.labelsize": 9.5,
+    "ytick.labelsize": 9.5,
+    "axes.linewidth": 0.8,
+    "lines.linewidth": 1.4,
     "figure.dpi": 130,
-    "savefig.bbox": "tight",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "grasp",
+    "text.parse_math": False,
 }
 
 
-def convergence(traces: Trials) -> Figure:
-    """Relative gap of Phi against accepted steps, per start, on the paper's constant wrench (the paper's Fig. 3)."""
-    figure, axes = new_figure(9.2, 4.2)
-    for key, label in LABELS.items():
-        if f"{key}/trace" in traces:
-            values = traces[f"{key}/trace"]
-            style = {"linestyle": "--"} if key == "linear_combination_printed" else {}
-            axes.semilogy(np.arange(len(values)), values, color=COLOURS[key], label=label, **style)
-    axes.axhline(TOLERANCE, color="black", linewidth=0.8, linestyle=":")
-    axes.annotate("1e-4", (1.0, TOLERANCE), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8)
-    axes.set(xlabel="accepted steps of the reduced flow", ylabel="(Phi - min Phi) / min Phi", ylim=(1e-8, None))
-    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
+@dataclass(frozen=True)
+class Drawing:
+    """A figure that has its legend outside.
+
+    Attributes:
+        figure: to be closed when it has been saved.
+        legend: (label, name in `THEME` or "ink", dashed) of every line.
+    """
+
+    figure: Figure
+    legend: Sequence[tuple[str, str, bool]] = field(default=())
 
 
-def iterations_ecdf(trials: Trials) -> Figure:
-    """Share of held-out wrenches solved within k accepted steps, per start."""
-    figure, axes = new_figure(9.2, 4.2)
-    for key, label in LABELS.items():
-        name = f"ball/{key}/iterations"
-        if name not in trials:
-            continue
-        steps = trials[name]
-        solved = np.where(trials[f"ball/{key}/status"] == 0, steps, np.iinfo(np.int64).max)
-        solved = solved[1:] if key.startswith("previous") else solved
-        order = np.sort(solved)
-        keep = order < np.iinfo(np.int64).max
-        share = np.arange(1, len(order) + 1) / len(order)
-        style = {"linestyle": "--"} if key == "linear_combination_printed" else {}
-        axes.step(order[keep] + 1, share[keep], where="post", color=COLOURS[key], label=label, **style)
-    axes.set(
-        xscale="log", xlabel="1 + accepted steps to a relative gap of 1e-4", ylabel="share of wrenches", ylim=(0, 1)
-    )
-    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
-
-
-def forces_over_time(trials: Trials) -> Figure:
-    """Optimal contact forces along W_ext(t): normal and tangential force of every finger."""
-    force = trials["paper_path/optimum/force"]
-    times = np.arange(len(force)) * 0.01
-    figure, (top, bottom) = new_figure(7.2, 5.6, rows=2)
-    for finger, (label, colour) in enumerate(zip(FINGERS, _FINGER_COLOURS, strict=True)):
-        top.plot(times, force[:, finger, 0], color=colour, label=label)
-        bottom.plot(times, np.hypot(force[:, finger, 1], force[:, finger, 2]), color=colour, label=label)
-    moment = np.abs(paper_path(times)[:, 5])
-    top.fill_between(times, 0, moment * top.get_ylim()[1] * 0.98, color="black", alpha=0.06, linewidth=0)
-    top.annotate("shaded: moment about z (peak 1 N m)", (0.5, 0.02), xycoords="axes fraction", ha="center", fontsize=8)
-    top.set(ylabel="normal force [N]")
-    bottom.set(xlabel="time [s]", ylabel="tangential force [N]")
-    top.legend(fontsize=8, frameon=False)
-    return figure
-
-
-def start_against_optimum(trials: Trials) -> Figure:
-    """Normal forces of the paper's start and of the learned one beside the optimum along W_ext(t) (Fig. 4)."""
-    optimum = trials["paper_path/optimum/force"]
-    times = np.arange(len(optimum)) * 0.01
-    shown = [key for key in ("linear_combination", "learned_shipped") if f"paper_path/{key}/force" in trials]
-    figure, axes = new_figure(7.2, 5.6, rows=2, columns=2)
-    for finger, panel in enumerate(axes.ravel()):
-        panel.plot(times, optimum[:, finger, 0], color="black", linewidth=1.6, label="optimum")
-        for key in shown:
-            force = trials[f"paper_path/{key}/force"][:, finger, 0]
-            panel.plot(times, force, color=COLOURS[key], linestyle="--", linewidth=1.2, label=f"start: {LABELS[key]}")
-        panel.set_title(FINGERS[finger], fontsize=9)
-        panel.set(ylim=(0, None))
-    handles, names = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=3)
-    for panel in axes[1]:
-        panel.set_xlabel("time [s]")
-    for panel in axes[:, 0]:
-        panel.set_ylabel("normal force [N]")
-    return figure
-
-
-def rollout(rollouts: Trials, start: str = "linear_combination") -> Figure:
-    """The simulated hand: drift, commanded against measured thumb force, iterations, for every scenario."""
-    figure, (top, middle, bottom) = new_figure(7.2, 8.2, rows=3)
-    for colour, (scenario, label) in zip(_SCENARIO_COLOURS, SCENARIO_LABELS.items(), strict=True):
-        base = f"{scenario}/{start}/0"
-        if f"{base}/time" not in rollouts:
-            continue
-        times = rollouts[f"{base}/time"]
-        top.semilogy(times, np.maximum(rollouts[f"{base}/drift"] * 1e3, 1e-6), color=colour, label=label)
-        middle.plot(times, rollouts[f"{base}/commanded_force"][:, 0, 0], color=colour)
-        middle.plot(times, rollouts[f"{base}/measured_force"][:, 0, 0], color="black", linestyle=":", linewidth=1.2)
-        bottom.plot(times, rollouts[f"{base}/iterations"], color=colour)
-    top.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
-    top.set(ylabel="object drift [mm]\n(at least 1e-6 drawn)")
-    figure.legend(fontsize=8, frameon=False, loc="outside upper left")
-    middle.set(ylabel="thumb normal force [N]\n(dotted: measured)")
-    bottom.set(xlabel=f"time [s]   (start: {LABELS[start]})", ylabel="flow iterations")
-    return figure
-
-
-def new_figure(width: float, height: float, rows: int = 1, columns: int = 1) -> tuple[Figure, Any]:
-    """A figure of the house style, size in inches, and its axes."""
-    with plt.rc_context(_STYLE):
-        figure, axes = plt.subplots(rows, columns, figsize=(width, height), sharex=rows > 1, layout="constrained")
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, *, share: bool = True
+) -> tuple[Figure, Any]:
+    """A figure of the house style, size in inches, and its axes; rows share their x axis unless told otherwise."""
+    with rc_context(_STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        axes = figure.subplots(rows, columns, sharex=rows > 1 and share)
     for axis in np.ravel(axes):
         axis.spines[["top", "right"]].set_visible(False)
-        axis.grid(alpha=0.25)
+        axis.grid(color=LINE, linewidth=0.6)
+        axis.set_axisbelow(True)
     return figure, axes
 
 
 def close(figure: Figure) -> None:
     """Frees a figure."""
-    plt.close(figure)
+    figure.clear()
+
+
+def colour(name: str) -> str:
+    """The light colour of a name in `THEME`; an unknown name has a grey."""
+    return INK if name == "ink" else COLOURS.get(name, COLOURS["other_1"])
+
+
+def line_style(name: str) -> dict[str, Any]:
+    """How a start's line is drawn."""
+    return {
+        "color": colour(name),
+        "linestyle": (0, (3, 1.6)) if name in DASHED else "-",
+        "linewidth": 2.0 if name.startswith("learned") else 1.3,
+        "zorder": 3 if name.startswith("learned") else 2,
+    }
+
+
+def entry(label: str, name: str) -> tuple[str, str, bool]:
+    """A line of the legend; a name without a colour of its own has that of `colour`."""
+    return label, name if name in THEME or name == "ink" else "other_1", name in DASHED
+
+
+def level_text(value: float, _: object = None) -> str:
+    """A tick of a logarithmic axis.
+
+    Example:
+        >>> level_text(1e-4), level_text(100.0), level_text(0.1)
+        ('1e-4', '100', '0.1')
+    """
+    if value <= 0:
+        return "0"
+    return f"{value:g}" if 0.05 < value < 1e5 else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
+
+
+def decades(axis: Any) -> None:
+    """Labels a logarithmic axis (axes.xaxis or axes.yaxis) at its decades, a short one at 1, 2, 5 too, without mathematics."""
+    low, high = sorted(axis.get_view_interval())
+    if low > 0 and high < 200 * low:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(level_text)
+    axis.set_minor_locator(NullLocator())
+
+
+def svg(drawing: Drawing, key: str, alt: str) -> str:
+    """The figure as SVG for the page: text as text, colours as CSS variables, names that no other figure uses."""
+    out = io.StringIO()
+    with rc_context(_STYLE):
+        drawing.figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    text = out.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = re.sub(r"<style[^>]*>.*?</style>", "", text, flags=re.DOTALL)
+    box = re.search(r'viewBox="[^"]*"', text)
+    assert box is not None
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {box[0]} role="img" aria-label="{html.escape(alt)}">'
+    text = head + text[text.index(">") + 1 :]
+    used = set(re.findall(r'"#([^"]+)"|url\(#([^)]+)\)', text))
+    names = {first or second for first, second in used}
+    text = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m[1]}"' if m[1] in names else "", text)
+    text = re.sub(r'"#([^"]+)"', rf'"#{key}-\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{key}-\1)", text)
+    text = text.replace("xlink:href", "href")
+    text = re.sub(r"font: ([\d.]+)px [^;\"]*", r"font-size: \1px", text)
+    variables = {INK: "--ink", LINE: "--line", **{light: f"--c-{name}" for name, light in COLOURS.items()}}
+    text = re.sub(r"#[0-9a-f]{6}\b(?=[;\"])", lambda m: f"var({variables[m[0]]})" if m[0] in variables else m[0], text)
+    text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
+    return re.sub(r">\s+<", "><", text)
+
+
+def standalone(page: str, legend: Sequence[tuple[str, str, bool]]) -> str:
+    """The SVG of a page as a file of its own: with its colours for light and dark, a background, and its legend below."""
+    head, _, body = page.partition(">")
+    box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', head)
+    assert box is not None
+    width, height = float(box[1]), float(box[2])
+    lines = []
+    for k, (label, name, dashed) in enumerate(legend):
+        x, y = 8 + 0.5 * width * (k % 2) * (len(legend) > 1), height + 10 + 13 * (k // 2)
+        dash = ' stroke-dasharray="5 3"' if dashed else ""
+        tint = "--ink" if name == "ink" else f"--c-{name}"
+        lines.append(f'<path d="M{x:.0f} {y:.0f}h18" style="stroke: var({tint})" stroke-width="2.5"{dash}/>')
+        lines.append(f'<text x="{x + 24:.0f}" y="{y + 3:.0f}" style="font-size: 8px">{html.escape(label)}</text>')
+    tall = height + (13 * ((len(legend) + 1) // 2) + 8 if legend else 0)
+    head = head.replace(box[0], f'viewBox="0 0 {width:.0f} {tall:.0f}" width="{1.8 * width:.0f}"')
+    style = (
+        f":root {{ --ink: #1b1b1b; --line: #d5d8dd; --paper: #fff; {variables(False)} }} "
+        f"@media (prefers-color-scheme: dark) {{ :root {{ --ink: #e8e8e8; --line: #3a4049; --paper: #15171a; {variables(True)} }} }} "
+        "text { fill: var(--ink); font-family: system-ui, sans-serif; }"
+    )
+    back = '<rect width="100%" height="100%" style="fill: var(--paper)"/>'
+    return f"{head}><style>{style}</style>{back}{''.join(lines)}{body}"
+
+
+def variables(dark: bool) -> str:
+    """The colours as CSS declarations."""
+    return " ".join(f"--c-{name}: {pair[dark]};" for name, pair in THEME.items())

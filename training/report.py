@@ -2,82 +2,93 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from matplotlib.figure import Figure
 
-from training import figures
-from training.metrics import (
-    Trials,
-    claims,
-    rollout_metrics,
-    start_metrics,
-    table_one,
-    timing_metrics,
-)
-from training.rollouts import SCENARIO_LABELS
+from grasp_env.errors import InvalidInputError
+from training.figures import variables
+from training.metrics import metrics_of
+from training.report_details import feasibility_section, newton_section, sets_section, timing_section
+from training.report_facts import caveats_section, models_section, provenance_section
+from training.report_hand import hand_section, paper_section
+from training.report_model import Fold, Picture, Section, Table, number, percent
+from training.report_pictures import draw_all, loops
+from training.report_rl import rl_section
+from training.report_starts import claims_section, wins_section
 from training.runs import Run
-from training.starts import LABELS, WRENCH_SETS
 
-FIGURES: dict[str, str] = {
-    "hand.png": "The simulated hand holding the 0.1 m cuboid (PyBullet, software renderer).",
-    "iterations_ecdf.png": "Share of held-out wrenches solved within k accepted steps of the reduced flow.",
-    "convergence.png": "Convergence per start on the paper's constant wrench (the paper's Fig. 3).",
-    "forces_over_time.png": "Optimal contact forces along the paper's W_ext(t), full size.",
-    "start_against_optimum.png": "Start against optimum along W_ext(t), normal forces (the paper's Fig. 4).",
-    "rollout.png": "Roll-outs with the paper's start: drift, commanded and measured thumb force, iterations.",
-}
+__all__ = ["build_report", "number", "render", "report_path", "write_pages"]
 
 
 def build_report(run: Run) -> dict[str, Any]:
-    """Makes every output of a run from `trials.npz`, `timing.npz`, `traces.npz`, `rollouts.npz` and `run.json`.
+    """Makes every output of a run from its saved trials.
 
     Returns:
         The metrics, as written to metrics.json.
+
+    Raises:
+        InvalidInputError: the run is of an older version.
     """
-    trials, timing = run.read_arrays("trials.npz"), run.read_arrays("timing.npz")
-    traces, rollouts = run.read_arrays("traces.npz"), run.read_arrays("rollouts.npz")
-    metrics: dict[str, Any] = {
-        "run": run.read_json("run.json"),
-        "starts": start_metrics(trials),
-        "timing": timing_metrics(timing),
-        "table_one": table_one(trials),
-        "rollouts": rollout_metrics(rollouts),
-    }
-    metrics["claims"] = claims(trials, metrics)
+    if (run.folder / "trials.npz").is_file() and not (run.folder / "trials").is_dir():
+        raise InvalidInputError(
+            f"{run.folder} was made by an older version, with other trials: run `grasp evaluate` again"
+        )
+    metrics = metrics_of(run)
     run.write_json("metrics.json", metrics)
-    _draw(run, trials, traces, rollouts)
-    context = {
-        **metrics,
-        "labels": LABELS,
-        "sets": WRENCH_SETS,
-        "scenarios": SCENARIO_LABELS,
-        "figures": {name: text for name, text in FIGURES.items() if run.path(f"figures/{name}").is_file()},
-    }
-    run.write_text("report.md", render("report.md.j2", context))
-    images = {
-        name: base64.b64encode(run.path(f"figures/{name}").read_bytes()).decode("ascii") for name in context["figures"]
-    }
-    run.write_text("report.html", render("report.html.j2", {**context, "images": images}))
+    write_pages(run, metrics)
     return metrics
 
 
-def _draw(run: Run, trials: Trials, traces: Trials, rollouts: Trials) -> None:
-    drawings: dict[str, Callable[[], Figure]] = {
-        "convergence.png": lambda: figures.convergence(traces),
-        "iterations_ecdf.png": lambda: figures.iterations_ecdf(trials),
-        "forces_over_time.png": lambda: figures.forces_over_time(trials),
-        "start_against_optimum.png": lambda: figures.start_against_optimum(trials),
-        "rollout.png": lambda: figures.rollout(rollouts),
-    }
-    for name, draw in drawings.items():
-        figure = draw()
-        run.write(f"figures/{name}", lambda path, figure=figure: figure.savefig(path, format="png", dpi=130))
-        figures.close(figure)
+def write_pages(run: Run, metrics: dict[str, Any]) -> None:
+    """Draws the figures and writes report.md and report.html; what a run lacks is a dash, or left out."""
+    sections = _sections(run, metrics)
+    facts = metrics["run"]
+    name = (facts.get("config") or {}).get("name") or run.folder.name
+    context = {"title": f"Initial grasp forces: {name}", "quick": bool(facts.get("quick")), "sections": sections}
+    run.write_text("report.md", render("report.md.j2", context))
+    run.write_text(
+        "report.html", render("report.html.j2", {**context, "light": variables(False), "dark": variables(True)})
+    )
+
+
+def _sections(run: Run, metrics: dict[str, Any]) -> list[Section]:
+    results = _rl_results(run)
+    pictures = draw_all(run, metrics, results)
+
+    def of(*names: str) -> list[Picture]:
+        return [picture for picture in pictures if picture.name.split("-")[0] in names]
+
+    notes = (
+        "All figures: the flow's accepted steps, the same step rule for all starts, gaps to a Newton optimum. Fans: median and "
+        "p10 to p90 band over the cases. Shares count cases without a start as never solved.",
+    )
+    sections = [
+        claims_section(metrics),
+        wins_section(metrics),
+        Section("convergence", "How fast each start gets there", notes, of("fan", "ecdf", "budget", "profile")),
+        hand_section(metrics, of("rollout"), loops(run)),
+        timing_section(metrics, of("violins")),
+        newton_section(metrics, []),
+        feasibility_section(metrics, of("continuity")),
+        paper_section(metrics, of("constant", "forces", "against")),
+        rl_section(results, of("rl")),
+        sets_section(metrics),
+        models_section(metrics, of("training")),
+        caveats_section(metrics),
+        provenance_section(metrics),
+    ]
+    return [section for section in sections if section is not None and (section.blocks or section.items)]
+
+
+def _rl_results(run: Run) -> dict[str, Any] | None:
+    """What `grasp rl` has left in the run's folder, or in rl/ below it; None: nothing that can be read."""
+    for name in ("rl.json", "rl/rl.json"):
+        if (run.folder / name).is_file():
+            found = run.read_json(name)
+            return found if isinstance(found, dict) else {"content": found}
+    return None
 
 
 def render(template: str, context: dict[str, Any]) -> str:
@@ -90,24 +101,11 @@ def render(template: str, context: dict[str, Any]) -> str:
         lstrip_blocks=True,
     )
     environment.filters["number"] = number
-    environment.filters["percent"] = lambda value: "–" if value is None else f"{100 * value:.3g} %"
+    environment.filters["percent"] = percent
+    environment.tests["table"] = lambda block: isinstance(block, Table)
+    environment.tests["picture"] = lambda block: isinstance(block, Picture)
+    environment.tests["fold"] = lambda block: isinstance(block, Fold)
     return environment.get_template(template).render(context)
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number with `digits` significant digits and no exponent between 1e-3 and 1e5; an absent one as a dash.
-
-    Example:
-        >>> number(1234.5678), number(0.00012345), number(None), number(42)
-        ('1235', '0.000123', '–', '42')
-    """
-    if value is None:
-        return "–"
-    if value == 0 or (float(value).is_integer() and abs(value) < 1e5):
-        return f"{value:.0f}"
-    if abs(value) >= 10**digits:
-        return f"{value:.0f}"
-    return f"{value:.{digits}g}" if abs(value) >= 1e-4 else f"{value:.{digits - 1}e}"
 
 
 def report_path(run: Run) -> Path:

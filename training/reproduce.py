@@ -16,14 +16,15 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
-from grasp_env.force import ForceOptimizer
+from grasp_env.force import Objective
 from grasp_env.grasp import presets
-from grasp_env.grasp.wrench import PAPER_CONSTANT
+from grasp_env.grasp.wrench import PAPER_CONSTANT, sample_ball
 from training import study
 from training.metrics import table_one
 from training.report import number
 from training.runs import Run, default_name, provenance
-from training.starts import compare, make_starts, wrench_sets
+from training.starts import make_starts
+from training.trials import cases_of, compare
 
 COLOURS = ("#8a8a8a", "#c08a3e", "#1f5fa8", "#7fb2e5", "#7a4fa3", "#8fc98f", "#2e8b57", "#b3261e")
 METHOD_LABELS = {
@@ -46,7 +47,7 @@ def reproduce(out: Path, quick: bool = False, progress: bool = True) -> dict[str
     """
     run = Run.create(out, default_name("reproduce"))
     grasp, count = presets.paper_cuboid(), 20 if quick else 200
-    wrenches = wrench_sets(count, 0)["ball"]
+    wrenches = sample_ball(np.random.default_rng([0, 101]), count)
     with _progress(progress) as task:
         weights = study.weights_study(grasp, wrenches, task("weights and step rules", study.ROWS))
         times = study.rule_times(grasp, wrenches)
@@ -91,12 +92,8 @@ def reproduce(out: Path, quick: bool = False, progress: bool = True) -> dict[str
 
 def _table_one() -> dict[str, Any]:
     """Table I as `grasp evaluate` makes it, without learned starts."""
-    grasp = presets.paper_cuboid()
-    optimizer = ForceOptimizer(grasp)
-    trials = compare(
-        grasp, wrench_sets(1, 0)["constant"], make_starts(optimizer.objective, {}), optimizer, lambda: None
-    )
-    return table_one({f"constant/{key}": value for key, value in trials.items()})
+    phi = Objective()
+    return table_one(compare("constant", cases_of("constant", 1, 0), make_starts(phi, {}), {}, phi))
 
 
 def weights_figure(rows: list[dict[str, Any]]) -> Figure:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -20,6 +19,7 @@ SCENARIOS: dict[str, dict[str, Any]] = {
     "random": {"disturbance": "random"},
     "late": {"disturbance": "random", "wrench_delay": 1},
     "unknown": {"disturbance": "random", "wrench": "none"},
+    "impulses": {"disturbance": "impulses", "randomise": ("shape", "size", "mass", "friction")},
 }
 SCENARIO_LABELS = {
     "gravity": "gravity alone",
@@ -28,9 +28,10 @@ SCENARIO_LABELS = {
     "random": "gravity + random wrench (Ornstein-Uhlenbeck, 0.6 N / 0.02 N m per axis)",
     "late": "the same random wrench, told to the controller 4 ms late",
     "unknown": "the same random wrench, not told to the controller: pose feedback alone",
+    "impulses": "gravity + impacts (half sines of 5 N / 0.1 N m, 0.05 s) on random objects",
 }
 HOLD_SCENARIOS = ("gravity", "constant", "paper_path")
-RANDOM_SCENARIOS = ("random", "late", "unknown")
+RANDOM_SCENARIOS = ("random", "late", "unknown", "impulses")
 _SCALARS = (
     "iterations", "trials", "drift", "tilt", "slip", "slip_distance", "force_error", "peak_torque", "time",
     "optimality_gap",
@@ -86,21 +87,24 @@ def roll_out(
         env.close()
 
 
-def roll_out_all(
-    rules: dict[str, str | InitialForceRule], episodes: int, seed: int, objective: Objective, tick: Callable[[], None]
+def roll_out_scenario(
+    scenario: str,
+    rules: dict[str, str | InitialForceRule],
+    episodes: int,
+    seed: int,
+    objective: Objective,
+    steps: int = 100,
 ) -> dict[str, np.ndarray]:
-    """Every scenario x start: deterministic scenarios once, the random ones `episodes` times with paired seeds.
+    """A scenario from every start: a deterministic one once, a random one `episodes` times with paired seeds.
 
     Returns:
         "<scenario>/<start>/<episode>/<column>" arrays.
     """
     out: dict[str, np.ndarray] = {}
-    for scenario in SCENARIOS:
-        for episode in range(episodes if scenario in RANDOM_SCENARIOS else 1):
-            for key, rule in rules.items():
-                rows = roll_out(scenario, rule, seed + episode, objective=objective)
-                out.update({f"{scenario}/{key}/{episode}/{column}": value for column, value in rows.items()})
-                tick()
+    for episode in range(episodes if scenario in RANDOM_SCENARIOS else 1):
+        for key, rule in rules.items():
+            rows = roll_out(scenario, rule, seed + episode, steps, objective=objective)
+            out.update({f"{scenario}/{key}/{episode}/{column}": value for column, value in rows.items()})
     return out
 
 

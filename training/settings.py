@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from grasp_env._check import positive
 from grasp_env.errors import InvalidInputError
@@ -19,8 +20,11 @@ class FitConfig:
         steps: a fixed number of optimisation steps instead (then the result does not depend on the machine's speed).
         samples: labelled wrenches.
         hidden: widths of the hidden layers.
+        polish: learned Newton layers after the network, trained in the second half; 0: none, Newton steps take their place.
+        polish_width: of their hidden layers.
         batch_size: wrenches per optimisation step.
         learning_rate: peak of the one-cycle schedule.
+        tail: exponent of the network's gap in the loss: larger cares more about the worst wrenches.
         seed: of data, weights and batches.
         low: [N] least |(force, moment / 0.05 m)| of the training wrenches.
         high: [N] largest.
@@ -30,15 +34,19 @@ class FitConfig:
         barrier_weight: lambda of the Phi to learn [N^2].
         threads: torch threads. One repeats bit by bit, and for networks this small more gain little; where another
             process takes one of two cores, two threads were measured 50 times slower than one.
+        quick: less of everything: ends within a minute, and says so.
     """
 
     preset: str = "paper_cuboid"
-    seconds: float = 150.0
+    seconds: float = 240.0
     steps: int = 0
     samples: int = 400_000
-    hidden: tuple[int, ...] = (128, 128, 128)
+    hidden: tuple[int, ...] = (64, 64)
+    polish: int = 3
+    polish_width: int = 16
     batch_size: int = 2048
-    learning_rate: float = 4e-3
+    learning_rate: float = 2e-2
+    tail: float = 0.5
     seed: int = 0
     low: float = 0.1
     high: float = 20.0
@@ -47,21 +55,93 @@ class FitConfig:
     force_weight: float = 1.0
     barrier_weight: float = 0.01
     threads: int = 1
+    quick: bool = False
 
     def __post_init__(self) -> None:
-        if self.seconds <= 0 and self.steps <= 0:
-            raise InvalidInputError(f"give seconds > 0 or steps > 0, got seconds={self.seconds}, steps={self.steps}")
-        for name, least in (("threads", 1), ("batch_size", 1), ("seed", 0), ("steps", 0)):
+        _check_fit(self)
+        for name, least in (("threads", 1), ("polish", 0), ("polish_width", 1)):
             if getattr(self, name) < least:
                 raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
         if not self.hidden or min(self.hidden) < 1:
             raise InvalidInputError(f"hidden must be widths >= 1, got {self.hidden}")
-        for name in ("learning_rate", "force_weight", "barrier_weight"):
+        for name in ("tail", "force_weight", "barrier_weight"):
             positive(getattr(self, name), name)
-        if self.samples < 2 * self.batch_size:
-            raise InvalidInputError(f"samples must be at least two batches ({2 * self.batch_size}), got {self.samples}")
-        if not 0 < self.low < self.high or not 0 < self.friction_low < self.friction_high:
-            raise InvalidInputError("ranges must satisfy 0 < low < high")
+        for name in ("low", "friction_low"):
+            low, high = getattr(self, name), getattr(self, name.replace("low", "high"))
+            if not 0 < low < high < float("inf"):
+                raise InvalidInputError(
+                    f"{name} and {name.replace('low', 'high')} must be 0 < low < high, got {low} and {high}"
+                )
+
+    def resolved(self) -> FitConfig:
+        """The settings in force."""
+        if not self.quick:
+            return self
+        return replace(self, seconds=min(self.seconds, 25.0), samples=min(self.samples, 100_000))
+
+
+@dataclass(frozen=True)
+class AnyFitConfig:
+    """How the model for any grasp is fitted.
+
+    Attributes:
+        seconds: time for the optimisation steps; data generation comes on top (about a minute).
+        steps: a fixed number of optimisation steps instead (then the result does not depend on the machine's speed).
+        grasps: random ones to train on.
+        samples: labelled wrenches on them.
+        held_out: wrenches on other grasps, a quarter as many.
+        layers: learned Newton layers.
+        width: of their hidden layers.
+        batch_size: wrenches per optimisation step.
+        learning_rate: peak of the one-cycle schedule.
+        gap_floor: relative gaps below it count as none.
+        tail: exponent of the gap in the loss: larger cares more about the worst wrenches, towards 0 it is the logarithm.
+        seed: of data, weights and batches.
+        quick: less of everything: ends within a minute, and says so.
+    """
+
+    seconds: float = 600.0
+    steps: int = 0
+    grasps: int = 20_000
+    samples: int = 300_000
+    held_out: int = 6000
+    layers: int = 4
+    width: int = 32
+    batch_size: int = 512
+    learning_rate: float = 1e-2
+    gap_floor: float = 1e-5
+    tail: float = 0.15
+    seed: int = 0
+    quick: bool = False
+
+    def __post_init__(self) -> None:
+        _check_fit(self)
+        for name, least in (("grasps", 2), ("held_out", 40), ("layers", 1), ("width", 1)):
+            if getattr(self, name) < least:
+                raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
+        for name in ("gap_floor", "tail"):
+            positive(getattr(self, name), name)
+
+    def resolved(self) -> AnyFitConfig:
+        """The settings in force."""
+        if not self.quick:
+            return self
+        return replace(
+            self,
+            seconds=min(self.seconds, 25.0),
+            grasps=min(self.grasps, 1500),
+            samples=min(self.samples, 30_000),
+            held_out=min(self.held_out, 1500),
+        )
+
+
+def _check_fit(config: FitConfig | AnyFitConfig) -> None:
+    if not 0 < config.seconds < float("inf") and config.steps <= 0:
+        raise InvalidInputError(f"give seconds > 0 or steps > 0, got seconds={config.seconds}, steps={config.steps}")
+    for name, least in (("batch_size", 1), ("seed", 0), ("steps", 0), ("samples", 2 * config.batch_size)):
+        if getattr(config, name) < least:
+            raise InvalidInputError(f"{name} must be >= {least}, got {getattr(config, name)}")
+    positive(config.learning_rate, "learning_rate")
 
 
 @dataclass(frozen=True)
@@ -70,38 +150,54 @@ class EvaluateConfig:
 
     Attributes:
         out: folder of runs.
-        name: of this run; empty: evaluate-<date>-<time>.
-        wrenches: number of held-out wrenches (ball and smooth set each).
+        name: of this run; empty: evaluate-<date>-<time>. The name of an interrupted run continues it.
+        wrenches: number of cases of a full set of wrenches; the other sets have their share of it.
         timed: number of wrenches whose calls are timed.
-        episodes: of each random scenario, per start.
-        seed: of the held-out wrenches and the roll-outs; the network's is `fit.seed`.
-        quick: a small version that ends in about a minute and says that it is quick.
-        fit: how the network of this run is fitted.
+        repeats: how often each of those calls is timed.
+        guarded: wrenches over six decades on which each model's guarantee is counted.
+        paths: straight paths along which continuity is measured.
+        episodes: of each random scenario of the roll-outs, per start.
+        steps: of each roll-out, at 50 per second.
+        seed: of everything held out; the fitted network's is `fit.seed`.
+        quick: a small version that ends within a minute and says that it is quick.
+        workers: processes; 0: one per core. The results do not depend on it, the timings are taken by one alone.
+        fit_seconds: fit a network of the fixed grasp for so long and compare it, too; 0: none.
+        fit: how that network is fitted.
     """
 
     out: str = "runs"
     name: str = ""
     wrenches: int = 1000
     timed: int = 500
+    repeats: int = 7
+    guarded: int = 20_000
+    paths: int = 20
     episodes: int = 10
+    steps: int = 100
     seed: int = 0
     quick: bool = False
+    workers: int = 0
+    fit_seconds: float = 0.0
     fit: FitConfig = field(default_factory=FitConfig)
 
     def __post_init__(self) -> None:
-        for name, least in (("wrenches", 1), ("timed", 1), ("episodes", 1), ("seed", 0)):
-            if getattr(self, name) < least:
+        counts = ("wrenches", "timed", "repeats", "guarded", "paths", "episodes", "steps")
+        for name, least in (*((name, 1) for name in counts), ("seed", 0), ("workers", 0), ("fit_seconds", 0)):
+            if not getattr(self, name) >= least:
                 raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
         if self.fit.preset != "paper_cuboid":
             raise InvalidInputError(
-                f"the simulated hand holds the preset 'paper_cuboid', got fit.preset={self.fit.preset!r}: use `grasp fit` "
-                "for other grasps"
+                f"the fixed grasp of the comparison is the preset 'paper_cuboid', got fit.preset={self.fit.preset!r}: use "
+                "`grasp fit` for other grasps"
             )
 
     def resolved(self) -> EvaluateConfig:
         """The settings in force: `quick` shrinks everything but the protocol."""
-        name = self.name or default_name("evaluate")
+        fit = replace(self.fit, seconds=self.fit_seconds) if self.fit_seconds and not self.fit.steps else self.fit
+        full = replace(self, name=self.name or default_name("evaluate"), fit=fit)
         if not self.quick:
-            return replace(self, name=name)
-        small = replace(self.fit, seconds=15.0, samples=50_000)
-        return replace(self, name=name, wrenches=100, timed=50, episodes=2, fit=small)
+            return full
+        return replace(full, **{name: min(getattr(self, name), value) for name, value in _QUICK.items()})
+
+
+_QUICK: dict[str, Any] = {"wrenches": 50, "timed": 50, "repeats": 3, "guarded": 1000, "paths": 2, "episodes": 1}

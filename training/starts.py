@@ -1,198 +1,287 @@
-"""The comparison of starts on fixed wrenches: trials only, no statistics, no pictures."""
+"""Every start that the evaluation compares, as a function of a grasp, a wrench and the previous optimum."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from grasp_env.errors import InfeasibleStartError
+from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.force import (
     ForceOptimizer,
     ForceSolution,
     InitialForceRule,
     Objective,
+    OfflineBasis,
     initial_rule,
+    optimize_forces,
 )
-from grasp_env.force.repair import Correction, carry_over
-from grasp_env.grasp import Grasp, wrench
-from training.runs import Run
+from grasp_env.force.kernels import newton_step
+from grasp_env.force.record import FORCE, record_size
+from grasp_env.force.repair import CORRECTIONS, Correction, carry_over
+from grasp_env.force.start_kernels import best_on_segment
+from grasp_env.grasp import Grasp, presets, wrench
+from grasp_env.grasp.wrench import MAGNITUDE_LENGTH
+from policies import LearnedInitialForce
+from training.cases import HELD_OUT
 
 TOLERANCE = 1e-4
-Start = Callable[[Grasp, np.ndarray, "ForceSolution | None"], np.ndarray]
-"""A start as the comparison sees it: (grasp, wrench, optimum of the wrench before it) -> force."""
+Start = Callable[[Grasp, Wrench, "ContactForces | None"], ContactForces]
+"""(grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3) [N]."""
 
 LABELS = {
     "single_value": "single value",
     "lagrange": "Lagrange",
     "linear_combination_printed": "12-basis, as printed",
     "linear_combination": "12-basis (the paper, fixed at w = 0)",
+    "basis_tangent": "12-basis, one Newton correction",
+    "basis_newton": "12-basis, four Newton corrections",
     "previous_pseudoinverse": "previous solution, G^+",
     "previous_tangent": "previous solution, tangent",
+    "nearest_pseudoinverse": "nearest of 10,000 stored, G^+",
+    "nearest_tangent": "nearest of 10,000 stored, tangent",
+    "learned_fixed": "learned, fixed grasp",
+    "learned_any": "learned, any grasp",
+    "learned_previous": "learned, with the previous solution",
     "learned_fitted": "learned, fitted in this run",
-    "learned_shipped": "learned, shipped",
 }
-WRENCH_SETS = {
-    "ball": "held-out ball: force <= 2 N, moment <= 0.05 N m, independent draws",
-    "smooth": "random walk in that ball, 3 % of its radius per step",
-    "paper_path": "the paper's W_ext(t), 2 s in 200 samples",
-    "constant": "the paper's constant wrench",
+"""Every start, in the order of the tables."""
+SHORT = {
+    "single_value": "single value",
+    "lagrange": "Lagrange",
+    "linear_combination_printed": "12-basis, printed",
+    "linear_combination": "12-basis",
+    "basis_tangent": "12-basis + Newton",
+    "basis_newton": "12-basis + 4 Newton",
+    "previous_pseudoinverse": "previous, G^+",
+    "previous_tangent": "previous, tangent",
+    "nearest_pseudoinverse": "nearest, G^+",
+    "nearest_tangent": "nearest, tangent",
+    "learned_fixed": "learned, fixed",
+    "learned_any": "learned, any",
+    "learned_previous": "learned + previous",
+    "learned_fitted": "learned, fitted",
 }
+"""For legends."""
+LEARNED = ("learned_fixed", "learned_any", "learned_previous", "learned_fitted")
+MODELS = ("learned_fixed", "learned_any", "learned_fitted")
+"""The learned starts that are a saved model."""
+SHIPPED = {"learned_fixed": "four_finger", "learned_any": "any_grasp"}
+"""Their names in the package."""
+STORED = 10_000
+STORED_RANGE = (0.1, 20.0)
+"""[N] magnitudes of the stored solutions: those that the fixed-grasp model is trained on."""
+NEWTON_STEPS = 4
+"""Plain Newton corrections to set beside the learned layers of the any-grasp model, which are of that kind."""
+NEAR_PLACE, NEAR_NORMAL = 0.02, 0.95
+"""[m] and cosine by which contacts may differ from the fixed grasp's where what knows that grasp alone applies."""
 
 
-def wrench_sets(count: int, seed: int) -> dict[str, np.ndarray]:
-    """The wrenches (n, 6) of every set; no training set uses these generators."""
-    return {
-        "ball": wrench.sample_ball(np.random.default_rng([seed, 101]), count),
-        "smooth": wrench.sample_path(np.random.default_rng([seed, 102]), count),
-        "paper_path": wrench.paper_path(np.arange(200) * 0.01),
-        "constant": wrench.constant(np.array(wrench.PAPER_CONSTANT), 1),
-    }
+class DoesNotApply(Exception):
+    """The start knows nothing about this grasp, or needs a previous solution: skipped, and counted as such."""
 
 
-def make_starts(objective: Objective, learned: dict[str, InitialForceRule]) -> dict[str, Start]:
-    """Every start by its key in `LABELS`."""
-    starts: dict[str, Start] = {}
-    for name in ("single_value", "lagrange", "linear_combination_printed", "linear_combination"):
-        starts[name] = _forget(initial_rule(name, objective))
-    for correction in ("pseudoinverse", "tangent"):
-        starts[f"previous_{correction}"] = _previous(objective, correction)
-    for key, rule in learned.items():
-        starts[key] = _forget(rule)
-    return starts
-
-
-def compare(
-    grasp: Grasp,
-    wrenches: np.ndarray,
-    starts: dict[str, Start],
-    optimizer: ForceOptimizer,
-    tick: Callable[[], None],
-) -> dict[str, np.ndarray]:
-    """Runs the reduced flow from every start on every wrench to a relative gap of 1e-4 to the Newton optimum.
+def load_models(fitted: str | Path | None = None) -> dict[str, LearnedInitialForce]:
+    """The saved models by start: those that ship with the package, and one fitted in this run.
 
     Args:
-        grasp: the grasp.
-        wrenches: (n, 6), in order: "previous" starts from the optimum of the wrench before (of none: skipped).
-        starts: see `make_starts`.
-        optimizer: the reduced flow, the same step rule for all.
-        tick: called once per wrench.
-
-    Returns:
-        Arrays "<start>/iterations", "/trials" (int, -1: no start exists), "/start_gap", "/end_gap" (float, nan: no
-        start), "/status" (0 optimal, 1 iteration limit, 2 stalled, 3 no start) of shape (n,), "/force" (n, N, 3) the
-        start itself, and "optimum/force", "optimum/objective".
+        fitted: where that one lies; None: there is none.
     """
-    count, n = len(wrenches), grasp.n_contacts
-    newton = _newton(grasp, optimizer.objective, 1e-10)
-    out = {"optimum/force": np.zeros((count, n, 3)), "optimum/objective": np.zeros(count)}
-    for key in starts:
-        for column, fill in (("iterations", -1), ("trials", -1), ("status", 3)):
-            out[f"{key}/{column}"] = np.full(count, fill)
-        for column in ("start_gap", "end_gap"):
-            out[f"{key}/{column}"] = np.full(count, np.nan)
-        out[f"{key}/force"] = np.full((count, n, 3), np.nan)
-    before: ForceSolution | None = None
-    for k, w in enumerate(wrenches):
-        best = newton.solve(w).raise_for_status()
-        out["optimum/force"][k], out["optimum/objective"][k] = best.force, best.objective
-        for key, start in starts.items():
-            try:
-                force = start(grasp, w, before)
-            except InfeasibleStartError:
-                continue
-            solution = optimizer.solve(w, initial=force, optimum=best.objective)
-            begin = optimizer.objective.value(grasp.to_cone(force))
-            out[f"{key}/iterations"][k] = solution.iterations
-            out[f"{key}/trials"][k] = solution.trials
-            out[f"{key}/status"][k] = ("optimal", "iteration_limit", "stalled").index(solution.status.value)
-            out[f"{key}/start_gap"][k] = max(0.0, begin / best.objective - 1.0)
-            out[f"{key}/end_gap"][k] = max(0.0, solution.objective / best.objective - 1.0)
-            out[f"{key}/force"][k] = force
-        before = best
-        tick()
-    return out
+    models = {key: LearnedInitialForce.pretrained(name) for key, name in SHIPPED.items()}
+    if fitted is not None:
+        models["learned_fitted"] = LearnedInitialForce.load(fitted)
+    return models
 
 
-def traces(
-    grasp: Grasp, w: np.ndarray, starts: dict[str, Start], optimizer: ForceOptimizer, before: ForceSolution
-) -> dict[str, np.ndarray]:
-    """Relative gap of every iterate (to 1e-8) per start on one wrench, for the convergence figure."""
-    best = _newton(grasp, optimizer.objective, 1e-12).solve(w)
-    fine = ForceOptimizer(
-        grasp,
-        force_weight=optimizer.objective.force_weight,
-        barrier_weight=optimizer.objective.barrier_weight,
-        tolerance=1e-8,
-        step_rule=optimizer.step_rule,
-    )
-    out = {}
-    for key, start in starts.items():
-        try:
-            force = start(grasp, w, before)
-        except InfeasibleStartError:
-            continue
-        values = fine.solve(w, initial=force, optimum=best.objective, trace=True).objective_trace
-        out[f"{key}/trace"] = np.maximum(values / best.objective - 1.0, 1e-12)
-    return out
+def make_starts(objective: Objective, models: dict[str, LearnedInitialForce]) -> dict[str, Start]:
+    """Every start by its key in `LABELS`.
 
-
-def time_starts(
-    grasp: Grasp, wrenches: np.ndarray, starts: dict[str, Start], optimizer: ForceOptimizer
-) -> dict[str, np.ndarray]:
-    """Microseconds per public Python call, (n,) each: "<start>/start_us" and "<start>/total_us" (start and flow).
-
-    One warm-up pass over ten wrenches is not counted. Starts take turns on every wrench, so that a noisy moment of
-    the machine hits all alike. The whole call stops by its own certified gap, as a user's does.
+    Args:
+        objective: Phi.
+        models: see `load_models`; none: the classical starts alone.
     """
-    out = {}
-    for key in starts:
-        out[f"{key}/start_us"] = np.full(len(wrenches), np.nan)
-        out[f"{key}/total_us"] = np.full(len(wrenches), np.nan)
-    newton = _newton(grasp, optimizer.objective, 1e-4)
-    optima = [newton.solve(w) for w in wrenches]
-    for warm in (True, False):
-        for k, w in enumerate(wrenches[:10] if warm else wrenches):
-            before = optima[k - 1] if k else None
-            for key, start in starts.items():
-                begin = time.perf_counter_ns()
-                try:
-                    force = start(grasp, w, before)
-                except InfeasibleStartError:
-                    continue
-                middle = time.perf_counter_ns()
-                optimizer.solve(w, initial=force)
-                end = time.perf_counter_ns()
-                if not warm:
-                    out[f"{key}/start_us"][k] = (middle - begin) / 1e3
-                    out[f"{key}/total_us"][k] = (end - begin) / 1e3
-    return out
+    starts: dict[str, Start] = {}
+    for name in ("single_value", "lagrange", "linear_combination_printed", "linear_combination"):
+        starts[name] = memoryless(initial_rule(name, objective))
+    starts["basis_tangent"] = memoryless(BasisNewton(objective, 1))
+    starts["basis_newton"] = memoryless(BasisNewton(objective, NEWTON_STEPS))
+    for correction in CORRECTIONS:
+        starts[f"previous_{correction}"] = previous(objective, correction)
+    stored = Stored(objective)
+    for correction in CORRECTIONS:
+        starts[f"nearest_{correction}"] = memoryless(Nearest(stored, correction))
+    for key, model in models.items():
+        starts[key] = memoryless(model if key == "learned_any" else OnFixedGrasp(model))
+    if "learned_fixed" in models:
+        starts["learned_previous"] = with_memory(models, objective)
+    return {key: starts[key] for key in LABELS if key in starts}
 
 
-def save(run: Run, name: str, sets: Iterable[tuple[str, dict[str, np.ndarray]]]) -> None:
-    """Writes all trials as one .npz with keys "<set>/<start>/<column>"."""
-    run.write_arrays(name, {f"{key}/{inner}": value for key, arrays in sets for inner, value in arrays.items()})
+def memoryless(rule: InitialForceRule) -> Start:
+    """A start that does not look at the previous solution."""
+    return lambda grasp, load, before: rule(grasp, load)
 
 
-def _newton(grasp: Grasp, objective: Objective, tolerance: float) -> ForceOptimizer:
-    return ForceOptimizer(
-        grasp,
-        method="newton",
-        force_weight=objective.force_weight,
-        barrier_weight=objective.barrier_weight,
-        tolerance=tolerance,
-    )
+def previous(objective: Objective, correction: Correction) -> Start:
+    """The previous optimum, corrected to the new balance and repaired."""
 
-
-def _forget(rule: InitialForceRule) -> Start:
-    return lambda grasp, w, before: rule(grasp, w)
-
-
-def _previous(objective: Objective, correction: Correction) -> Start:
-    def start(grasp: Grasp, w: np.ndarray, before: ForceSolution | None) -> np.ndarray:
+    def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
         if before is None:
-            raise InfeasibleStartError("the first wrench has no previous solution")
-        return carry_over(grasp, w, before.force, objective, correction)
+            raise DoesNotApply
+        return carry_over(grasp, load, before, objective, correction)
 
     return start
+
+
+def with_memory(models: dict[str, LearnedInitialForce], objective: Objective) -> Start:
+    """The learned start that also knows the previous solution: of any grasp where there is such a model, else of the fixed one."""
+    model = remembering(memory_model(models))
+    everywhere = "learned_any" in models
+
+    def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
+        if not everywhere and not near_fixed(grasp):
+            raise DoesNotApply
+        return model.start(grasp, load, objective, None if before is None else as_solution(before))[1]
+
+    return start
+
+
+def memory_model(models: dict[str, LearnedInitialForce]) -> LearnedInitialForce:
+    """The model behind "learned_previous"."""
+    return models.get("learned_any", models["learned_fixed"])
+
+
+def remembering(model: LearnedInitialForce) -> LearnedInitialForce:
+    """The same model, which also starts from the previous solution where that has less Phi."""
+    return type(model)(model.checkpoint, model.objective, True)
+
+
+def as_solution(force: ContactForces) -> ForceSolution:
+    """A force (N, 3) as a previous solution, of which starts read no more than that."""
+    record = np.zeros(record_size(len(force)))
+    record[FORCE : FORCE + force.size] = force.reshape(-1)
+    return ForceSolution(record, "carried", "previous")
+
+
+class BasisNewton:
+    """The 12-basis's start after a few Newton steps on Phi within balance, each as long as lowers Phi most.
+
+    For a previous optimum one such step is its tangent correction: the baseline gets what the others get.
+    """
+
+    def __init__(self, objective: Objective, steps: int) -> None:
+        self.objective, self.steps = objective, steps
+
+    def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
+        """See `InitialForceRule`."""
+        x = grasp.to_cone(OfflineBasis.of(grasp, self.objective).combine(load))
+        step, multipliers, matrix = np.empty_like(x), np.empty(6), grasp.cone_matrix.copy()
+        weights = self.objective.weights(grasp.n_contacts)
+        for _ in range(self.steps):
+            if newton_step(x, matrix, load, weights, step, multipliers) < 0.0:
+                break
+            safe = x.copy()
+            best_on_segment(safe, safe + step, weights, x)
+        force = grasp.to_force(x).reshape(-1)
+        # rounding of the steps, which a nearly singular G makes visible
+        return (force - grasp.pseudoinverse @ (grasp.matrix @ force + load)).reshape(-1, 3)
+
+
+class Stored:
+    """Optimal forces of the fixed grasp for `STORED` wrenches, to be looked up by the nearest wrench."""
+
+    def __init__(self, objective: Objective) -> None:
+        self.objective, self.grasp = objective, presets.paper_cuboid()
+        loads = wrench.sample_magnitudes(np.random.default_rng([HELD_OUT, 1 << 20]), STORED, *STORED_RANGE)
+        self.forces = optimize_forces(self.grasp, loads, workers=1, **phi_options(objective)).force
+        self.tree = KDTree(scaled(loads))
+
+    def nearest(self, load: Wrench) -> ContactForces:
+        """The force (N, 3) stored for the wrench nearest to `load` (6,), moments over 0.05 m."""
+        return self.forces[int(self.tree.query(scaled(load))[1])]
+
+
+class Nearest:
+    """The nearest stored solution, corrected and repaired; of the fixed grasp and those near it."""
+
+    def __init__(self, stored: Stored, correction: Correction) -> None:
+        self.stored = stored
+        self.correction: Correction = correction
+        self.objective = stored.objective
+
+    def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
+        """See `InitialForceRule`."""
+        if not near_fixed(grasp):
+            raise DoesNotApply
+        return carry_over(grasp, load, self.stored.nearest(load), self.objective, self.correction)
+
+
+class OnFixedGrasp:
+    """A model of the fixed grasp, where the grasp is that one or near it."""
+
+    def __init__(self, model: LearnedInitialForce) -> None:
+        self.model, self.objective = model, model.objective
+
+    def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
+        """See `InitialForceRule`."""
+        if not near_fixed(grasp):
+            raise DoesNotApply
+        return self.model(grasp, load)
+
+
+def near_fixed(grasp: Grasp) -> bool:
+    """Whether the contacts are those of `presets.paper_cuboid()`, moved and tilted a little at most."""
+    fixed = _FIXED
+    return (
+        grasp.n_contacts == fixed.n_contacts
+        and bool(np.abs(grasp.positions - fixed.positions).max() <= NEAR_PLACE)
+        and bool((grasp.normals * fixed.normals).sum(axis=1).min() >= NEAR_NORMAL)
+    )
+
+
+_FIXED = presets.paper_cuboid()
+
+
+def carried(old: Grasp, force: ContactForces, now: Grasp, objective: Objective) -> ContactForces:
+    """A force of the grasp before in the contact frames of the grasp of now.
+
+    Each contact takes the force of the nearest old one within 20 mm, as a vector in the object frame. A finger that was not there
+    gets its own optimum of no load, u = sqrt(lambda / omega): strictly inside its cone, unlike no force.
+
+    Args:
+        old: the contacts of `force`.
+        force: (N, 3) [N].
+        now: the contacts of now.
+        objective: Phi.
+    """
+    if old is now:
+        return force
+    vectors, weights = old.to_object_frame(force), objective.weights(now.n_contacts)
+    apart = np.linalg.norm(now.positions[:, None] - old.positions, axis=2)
+    out = np.zeros((now.n_contacts, 3))
+    out[:, 0] = np.sqrt(weights[:, 1] / weights[:, 0]) / now.friction
+    for _ in range(min(apart.shape)):
+        here, there = np.unravel_index(int(apart.argmin()), apart.shape)
+        if apart[here, there] > NEAR_PLACE:
+            break
+        out[here] = now.frames[here].T @ vectors[there]
+        apart[here], apart[:, there] = np.inf, np.inf
+    return out
+
+
+def newton_optimizer(grasp: Grasp, objective: Objective, tolerance: float) -> ForceOptimizer:
+    """Newton on Phi to a relative gap."""
+    return ForceOptimizer(grasp, method="newton", tolerance=tolerance, **phi_options(objective))
+
+
+def phi_options(objective: Objective) -> dict[str, Any]:
+    """Phi as keywords of `ForceOptimizer`."""
+    return {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight}
+
+
+def scaled(loads: Array) -> Array:
+    """Wrenches (..., 6) with moments divided by 0.05 m [N]."""
+    return loads / np.repeat([1.0, MAGNITUDE_LENGTH], 3)

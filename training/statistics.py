@@ -78,3 +78,29 @@ def mean_interval(values: np.ndarray, seed: int = 0) -> dict[str, Any]:
     picks = np.random.default_rng(seed).integers(0, values.size, (_RESAMPLES, values.size))
     low, high = np.percentile(values[picks].mean(axis=1), [2.5, 97.5])
     return {"n": int(values.size), "mean": float(values.mean()), "low": float(low), "high": float(high)}
+
+
+def iqm(values: np.ndarray) -> float:
+    """Interquartile mean: of the middle half of all values, whatever their shape.
+
+    Example:
+        >>> iqm(np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 1000.0]))
+        3.5
+    """
+    ordered = np.sort(np.asarray(values, dtype=np.float64), axis=None)
+    cut = ordered.size // 4
+    return float(ordered[cut : ordered.size - cut].mean())
+
+
+def iqm_interval(values: np.ndarray, seed: int = 0) -> dict[str, Any]:
+    """Interquartile mean of (seeds, episodes) with a 95 % bootstrap interval over both: training seeds and episodes are drawn anew.
+
+    Example:
+        >>> iqm_interval(np.full((3, 8), 2.0))
+        {'n': 24, 'iqm': 2.0, 'low': 2.0, 'high': 2.0}
+    """
+    values = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    rng, (rows, columns) = np.random.default_rng(seed), values.shape
+    draws = [iqm(values[rng.integers(0, rows, rows)][:, rng.integers(0, columns, columns)]) for _ in range(_RESAMPLES)]
+    low, high = np.percentile(draws, [2.5, 97.5])
+    return {"n": values.size, "iqm": iqm(values), "low": float(low), "high": float(high)}

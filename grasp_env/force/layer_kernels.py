@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from grasp_env._compile import compiled
+from grasp_env._compile import compiled_lanes
 from grasp_env._views import cut
 from grasp_env.force.cholesky6 import factor6, solve6
 from grasp_env.force.kernels import phi
@@ -30,7 +30,7 @@ P, Q, ROOT, COS, SIN, I11, I12, I22, I33, F1, F2, N1, N2, N3, D1, D2, D3, ROW = 
 """Kept per contact: p, q, sqrt(p q), the force's direction, H^-1, its own step, the Newton step, the layer's step."""
 
 
-@compiled
+@compiled_lanes
 def refine(x, rows, rest, weights, network, width, steps, tolerance, multipliers):
     """Moves x towards the optimum of Phi by at most `steps` layers, each of which lowers Phi or is the last.
 
@@ -51,12 +51,16 @@ def refine(x, rows, rest, weights, network, width, steps, tolerance, multipliers
         thousandfold) is the caller's to take off.
     """
     count = x.size // 3
-    work = np.empty((count, ROW))
-    columns, half = np.empty((count, 3, 6)), np.empty((count, 3, 6))
-    lower, factor, right = np.empty(21), np.empty(21), np.empty(6)
-    features = np.empty((count, FEATURES), np.float32)
-    hidden, output = np.empty((2 * count + 2, width), np.float32), np.empty((count, 3), np.float32)
-    trial = np.empty(x.size)
+    padded = (count + 3) // 4 * 4
+    # two allocations: one costs as much as a row of a layer's products
+    scratch = np.empty(48 + count * (39 + ROW))
+    lower, factor, right = cut(scratch, 0, (21,)), cut(scratch, 21, (21,)), cut(scratch, 42, (6,))
+    trial, work = cut(scratch, 48, (3 * count,)), cut(scratch, 48 + 3 * count, (count, ROW))
+    columns = cut(scratch, 48 + count * (3 + ROW), (count, 3, 6))
+    half = cut(scratch, 48 + count * (21 + ROW), (count, 3, 6))
+    singles = np.zeros(padded * (FEATURES + 3) + (2 * padded + 2) * width, np.float32)
+    features, output = cut(singles, 0, (padded, FEATURES)), cut(singles, padded * FEATURES, (count, 3))
+    hidden = cut(singles, padded * (FEATURES + 3), (2 * padded + 2, width))
     value = phi(x, weights)
     taken = 0
     multipliers[:] = np.nan
@@ -95,7 +99,7 @@ def refine(x, rows, rest, weights, network, width, steps, tolerance, multipliers
     return taken
 
 
-@compiled
+@compiled_lanes
 def _system(x, rows, weights, work, columns, half, lower, factor):
     """Coordinates, scaled columns of G, H^-1, each contact's own step and the factor of G H^-1 G^T; False: singular."""
     lower[:] = 0.0
@@ -136,7 +140,7 @@ def _system(x, rows, weights, work, columns, half, lower, factor):
     return factor6(lower, factor) > 0.0
 
 
-@compiled
+@compiled_lanes
 def _newton_step(work, columns, half, factor, weights, right):
     """The Newton step into N1..N3; returns (decrement^2, sum of its squares)."""
     for k in range(work.shape[0]):
@@ -156,7 +160,7 @@ def _newton_step(work, columns, half, factor, weights, right):
     return decrement, size
 
 
-@compiled
+@compiled_lanes
 def _balance(work, columns, half, factor, right):
     """Takes from D1..D3 the least part, in the Hessian of Phi, that would change G f."""
     right[:] = 0.0
@@ -176,12 +180,12 @@ def _balance(work, columns, half, factor, right):
             work[k, D1 + a] -= total
 
 
-@compiled
+@compiled_lanes
 def _squash(v):
     return v / math.sqrt(1.0 + abs(v))
 
 
-@compiled
+@compiled_lanes
 def _read(work, rest, weights, relative, size, features):
     count = work.shape[0]
     one, two = 0.2 * math.log(relative + 1e-12), 0.2 * math.log(size + 1e-12)
@@ -199,49 +203,73 @@ def _read(work, rest, weights, relative, size, features):
         out[8], out[9], out[10] = one, two, count - 4.0
 
 
-@compiled
+@compiled_lanes
+def _products(values, first, inputs, numbers, start, width, hidden, into):
+    """Rows into..into + 3 of hidden += values[first..first + 3, :inputs] @ numbers, four contacts per pass over the weights."""
+    a, b = cut(hidden[into], 0, (width,)), cut(hidden[into + 1], 0, (width,))
+    c, d = cut(hidden[into + 2], 0, (width,)), cut(hidden[into + 3], 0, (width,))
+    for i in range(inputs):
+        row = cut(numbers, start + i * width, (width,))
+        p, q, r, s = values[first, i], values[first + 1, i], values[first + 2, i], values[first + 3, i]
+        for j in range(width):
+            v = row[j]
+            a[j] += p * v
+            b[j] += q * v
+            c[j] += r * v
+            d[j] += s * v
+
+
+@compiled_lanes
 def _forward(features, numbers, width, hidden, output):
-    """A perceptron on every contact that also hears the mean of all contacts' first hidden layer."""
-    count, one, part = features.shape[0], np.float32(1.0), np.float32(0.5)
+    """A perceptron on every contact that also hears the mean of all contacts' first hidden layer.
+
+    features (M, FEATURES), hidden (2 M + 2, width) work space, output (M, 3): M the contacts rounded up to four.
+    """
+    count, padded, one, part = output.shape[0], features.shape[0], np.float32(1.0), np.float32(0.5)
     second = FEATURES * width + width
     third = second + 2 * width * width + width
-    mean, common = hidden[2 * count], hidden[2 * count + 1]
-    mean[:] = np.float32(0.0)
-    for k in range(count):
-        h = hidden[k]
-        h[:] = numbers[FEATURES * width : second]
-        for i in range(FEATURES):
-            value, row = features[k, i], cut(numbers, i * width, (width,))
-            for j in range(width):
-                h[j] += value * row[j]
+    mean, common = hidden[2 * padded], hidden[2 * padded + 1]
+    for j in range(width):
+        mean[j] = np.float32(0.0)
+        common[j] = numbers[third - width + j]
+    for k in range(padded):
+        row = hidden[k]
         for j in range(width):
-            v = h[j]
-            h[j] = part * v * (one + v / np.sqrt(one + v * v))
-            mean[j] += h[j]
+            row[j] = numbers[second - width + j]
+    for k in range(0, padded, 4):
+        _products(features, k, FEATURES, numbers, 0, width, hidden, k)
+    for k in range(count):
+        row = hidden[k]
+        for j in range(width):
+            v = row[j]
+            row[j] = part * v * (one + v / np.sqrt(one + v * v))
+            mean[j] += row[j]
     scale = np.float32(1.0 / count)
-    common[:] = numbers[third - width : third]
     for i in range(width):
         value, row = mean[i] * scale, cut(numbers, second + (width + i) * width, (width,))
         for j in range(width):
             common[j] += value * row[j]
+    for k in range(padded):
+        row = hidden[padded + k]
+        for j in range(width):
+            row[j] = common[j]
+    for k in range(0, padded, 4):
+        _products(hidden, k, width, numbers, second, width, hidden, padded + k)
     for k in range(count):
-        h, g = hidden[k], hidden[count + k]
-        g[:] = common
-        for i in range(width):
-            value, row = h[i], cut(numbers, second + i * width, (width,))
-            for j in range(width):
-                g[j] += value * row[j]
+        row = hidden[padded + k]
+        for j in range(width):
+            v = row[j]
+            row[j] = part * v * (one + v / np.sqrt(one + v * v))
         a, b, c = numbers[third + 3 * width], numbers[third + 3 * width + 1], numbers[third + 3 * width + 2]
         for j in range(width):
-            v = g[j]
-            v = part * v * (one + v / np.sqrt(one + v * v))
+            v = row[j]
             a += v * numbers[third + 3 * j]
             b += v * numbers[third + 3 * j + 1]
             c += v * numbers[third + 3 * j + 2]
         output[k, 0], output[k, 1], output[k, 2] = a, b, c
 
 
-@compiled
+@compiled_lanes
 def _move(x, work, weights, value, halvings, trial):
     """Trial = x moved along D1..D3, REACH of the way to the nearest cone at most, halved until Phi < value; returns Phi."""
     theta = 1.0

@@ -311,7 +311,7 @@ class ForceOptimizer:
                 with suppress(InfeasibleStartError):
                     self._bound = self.initial.bind(grasp, self.objective, self.settings.tolerance, method.descend)
                     self._remembers, direct = self.initial.remembers, "rule"
-        self.grasp, self._method, self._direct = grasp, method, direct
+        self.grasp, self._method, self._direct, self._size = grasp, method, direct, record_size(grasp.n_contacts)
         # a flow that ended short would end so again
         self._final = STALLED if isinstance(method, Flow) else CONVERGED
 
@@ -321,7 +321,7 @@ class ForceOptimizer:
         if self._direct == "central":
             method.direct(np.zeros(6))
         elif self._direct == "rule":
-            self._bound(np.zeros(6), _NO_FORCE, np.empty(record_size(self.grasp.n_contacts)))
+            self._bound(np.zeros(6), _NO_FORCE, np.empty(self._size))
         elif self._direct:
             method.direct(np.zeros(6), None)
 

@@ -15,7 +15,7 @@ from grasp_env.force.descent_kernels import CONVERGED
 from grasp_env.force.factor_kernels import flow_lanes, orthonormal_rows, smooth_null_space, write_inverse
 from grasp_env.force.flow_products import PROJECTOR, ROW_SPACE
 from grasp_env.force.flow_record import least_change, run_flow
-from grasp_env.force.kernels import phi
+from grasp_env.force.kernels import lower_bound, phi, relative_gap
 from grasp_env.force.lanes import CENTRE, CONSTANTS, GAP, KNOWN, LANE_COUNT, LANES, LENGTH, STEPS, load, pack_into
 from grasp_env.force.layer_kernels import EASE, refine
 from grasp_env.force.newton_kernels import GIVEN, newton
@@ -248,9 +248,17 @@ def solve_contacts(points, normals, wrench, adjust, reference, held, rule, setti
     if layers.shape[0] > 0:
         rest, dual = np.empty(size), np.empty(6)
         turn(held.basis[12], held.divisor, held.basis_frames, frames, rest)
-        settled = EASE * settings[TOLERANCE]
-        refine(x, rows, rest, held.weights, layers, int(settings[WIDTH]), layers.shape[0], settled, dual)
+        settled, width = EASE * settings[TOLERANCE], int(settings[WIDTH])
+        refine(x, rows, rest, held.weights, layers, width, layers.shape[0], settled, dual)
         least_change(x, rows, inverse, unit)
+        value, bound = phi(x, held.weights), lower_bound(dual, rows, unit, held.weights)
+        if settings[PREVIOUS] > 0.0 and not relative_gap(value, bound) <= settings[TOLERANCE]:
+            # close to a cone the layers may get less far from the last optimum, though that has less Phi
+            other = safe.copy()
+            refine(other, rows, rest, held.weights, layers, width, layers.shape[0], settled, dual)
+            least_change(other, rows, inverse, unit)
+            if phi(other, held.weights) < value:
+                x[:] = other
     if adjust.size > 0:
         basis, moved = np.empty((size, adjust.size)), np.empty(size)
         if not smooth_null_space(frames, orthonormal, reference, basis):

@@ -43,8 +43,8 @@ def test_the_fixed_network_equals_torch():
     rule = LearnedInitialForce.pretrained("four_finger")
     sizes = rule.sizes
     network = Network(sizes[0], sizes[1:-1], sizes[-1])
-    tensors = {name: torch.from_numpy(value) for name, value in rule.checkpoint.tensors.items() if name != "reference"}
-    network.load_state_dict(tensors)
+    names = network.state_dict()
+    network.load_state_dict({name: torch.from_numpy(rule.checkpoint.tensors[name]) for name in names})
     rng = np.random.default_rng(3)
     inputs, _ = rule.features(wrench.sample_magnitudes(rng, 200), rng.uniform(0.25, 0.6, 200))
     with torch.no_grad():
@@ -59,12 +59,14 @@ def test_a_layers_perceptron_equals_torch(anywhere, twin):
     rng = np.random.default_rng(3)
     width = anywhere.width
     for n in (3, 4, 5):
-        features = rng.normal(size=(n, FEATURES)).astype(np.float32)
+        padded = -(-n // 4) * 4
+        features = np.zeros((padded, FEATURES), np.float32)
+        features[:n] = rng.normal(size=(n, FEATURES))
         for k, layer in enumerate(twin.layers):
             with torch.no_grad():
-                expected = layer(torch.from_numpy(features)[None], torch.ones(1, n))[0].numpy()
+                expected = layer(torch.from_numpy(features[:n])[None], torch.ones(1, n))[0].numpy()
             out = np.empty((n, 3), np.float32)
-            _forward(features, anywhere.layers[k], width, np.empty((2 * n + 2, width), np.float32), out)
+            _forward(features, anywhere.layers[k], width, np.empty((2 * padded + 2, width), np.float32), out)
             np.testing.assert_allclose(out, expected, atol=2e-6 * max(1.0, np.abs(expected).max()))
 
 

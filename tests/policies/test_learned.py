@@ -203,7 +203,8 @@ def test_model_cards_and_sizes_of_the_shipped_models():
     for name in MODELS:
         card = LearnedInitialForce.pretrained(name).checkpoint.card
         assert card["command"].startswith("grasp fit")
-        assert {"data", "seed", "seconds", "machine", "versions", "held_out_gap", "limits"} <= card.keys()
+        assert {"data", "config", "seconds", "machine", "versions", "held_out_gap", "limits"} <= card.keys()
+        assert isinstance(card["config"]["seed"], int)
         files = [PRETRAINED / f"{name}{suffix}" for suffix in (".safetensors", ".json")]
         total += sum(file.stat().st_size for file in files)
     assert total < 2_000_000

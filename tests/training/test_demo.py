@@ -60,7 +60,7 @@ def mp4_frames(path: Path) -> np.ndarray:
     return np.frombuffer(raw, np.uint8).reshape(-1, 64, 64, 3)
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".gif", ".png"])
+@pytest.mark.parametrize("suffix", [".mp4", ".gif", ".webp", ".png"])
 def test_every_second_step_is_a_frame(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"out{suffix}"
     record(out, seconds=0.2, env_id=ENV)
@@ -70,7 +70,7 @@ def test_every_second_step_is_a_frame(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_allclose(frames, 10.0 * np.array(steps), atol=3.0)  # H.264 loses a little
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".gif", ".png"])
+@pytest.mark.parametrize("suffix", [".mp4", ".gif", ".webp", ".png"])
 def test_stopped_it_leaves_nothing_and_an_older_file_as_it_was(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"out{suffix}"
     out.write_text("older")

@@ -1,106 +1,206 @@
-"""The whole of `grasp evaluate` in small; the report rebuilds from saved trials; metrics count what fails."""
+"""The whole of `grasp evaluate` in small; metrics from saved trials; claims that can fail; runs that go on."""
 
 from __future__ import annotations
 
+import copy
 import json
+from typing import Any
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from training import metrics as metrics_module
+from grasp_env.errors import InvalidInputError
+from training import evaluate as evaluate_module
+from training.cases import SETS
+from training.claims import claims, wins
 from training.cli import main
-from training.evaluate import evaluate
-from training.report import build_report, number
+from training.evaluate import evaluate, plan
+from training.metrics import metrics_of
+from training.report import number
+from training.rollouts import SCENARIOS
 from training.runs import Run
 from training.settings import EvaluateConfig, FitConfig
-from training.starts import LABELS
+from training.starts import LABELS, LEARNED
 from training.statistics import ratio_interval, summary
+
+SMALL: dict[str, Any] = {"wrenches": 6, "timed": 4, "repeats": 2, "guarded": 60, "paths": 1, "episodes": 1, "steps": 10}
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Run:
     out = tmp_path_factory.mktemp("runs")
-    config = EvaluateConfig(
-        out=str(out),
-        name="small",
-        wrenches=20,
-        timed=12,
-        episodes=1,
-        fit=FitConfig(steps=200, samples=8192, hidden=(32, 32), batch_size=512, threads=1),
-    )
-    evaluate(config, Console(quiet=True))
+    fit = FitConfig(steps=200, samples=8192, hidden=(32, 32), batch_size=512, threads=1)
+    with pytest.MonkeyPatch.context() as patch:  # the pages have tests of their own
+        patch.setattr(evaluate_module, "build_report", _metrics_only)
+        evaluate(EvaluateConfig(out=str(out), name="small", fit=fit, **SMALL), Console(quiet=True))
     return Run.open(out / "small", "metrics.json")
 
 
+def _metrics_only(run: Run) -> dict[str, Any]:
+    metrics = metrics_of(run)
+    run.write_json("metrics.json", metrics)
+    return metrics
+
+
+@pytest.fixture
+def metrics(run):
+    return copy.deepcopy(run.read_json("metrics.json"))
+
+
+def verdicts(metrics, part):
+    return [row["met"] for row in claims(metrics) if part in row["claim"]]
+
+
 def test_everything_promised_is_there(run):
-    names = ["report.html", "report.md", "metrics.json", "config.json", "model/four_finger.safetensors"]
-    figures = ["convergence", "iterations_ecdf", "forces_over_time", "start_against_optimum", "rollout", "hand"]
-    for name in names + [f"figures/{figure}.png" for figure in figures]:
-        assert run.path(name).stat().st_size > 500
+    names = ["metrics.json", "config.json", "plan.json", "model/four_finger.safetensors"]
+    files = ["timing", "continuity", "guarantee", "rollouts", *(f"trials/{name}" for name in SETS)]
+    for name in names + [f"{name}.npz" for name in files] + ["figures/hand.png"]:
+        assert run.path(name).stat().st_size > 300, name
     assert not list(run.folder.rglob(".*"))  # no temporary files
 
 
-def test_report_says_what_the_trials_say(run):
-    metrics, trials = run.read_json("metrics.json"), run.read_arrays("trials.npz")
-    assert metrics["starts"]["ball"].keys() == LABELS.keys()
-    basis = metrics["starts"]["ball"]["linear_combination"]
-    assert basis["iterations"]["median"] == np.median(trials["ball/linear_combination/iterations"])
-    page, text = run.path("report.html").read_text(), run.path("report.md").read_text()
-    for claim in metrics["claims"]:
-        assert claim["measured"] in text
-        assert claim["measured"] in page
-    assert "http://" not in page
-    assert "https://" not in page  # opens without a network
+def test_metrics_say_what_the_trials_say(run, metrics):
+    trials = run.read_arrays("trials/ball.npz")
+    for method, sets in metrics["starts"].items():
+        assert list(sets) == list(SETS)
+        basis = sets["ball"]["linear_combination"]
+        assert basis["iterations"]["median"] == np.median(trials[f"{method}/linear_combination/iterations"])
+        assert basis["iterations"] == sets["ball"]["linear_combination"]["iterations"]
+        assert basis["gap_after"]["0"]["median"] == pytest.approx(basis["start_gap"]["median"])
+    found = set(metrics["starts"]["reduced_flow"]["ball"])
+    assert found | {"learned_any"} == set(LABELS)
     assert metrics["table_one"]["rows"]["optimum"]["sum"] == pytest.approx(9.36, abs=0.01)
     for row in metrics["table_one"]["rows"].values():
         assert row["balance"] == pytest.approx(0.6, abs=1e-6)
+    assert set(metrics["rollouts"]) == set(SCENARIOS)
+    assert set(metrics["events"]["rollout_changes"]) <= {"lost", "landed", "slipped"}
 
 
-def test_every_start_ends_at_the_optimum(run):
-    trials = run.read_arrays("trials.npz")
+def test_every_start_ends_at_the_optimum_of_the_ball(run):
+    trials = run.read_arrays("trials/ball.npz")
     for key in LABELS:
-        gaps = trials[f"ball/{key}/end_gap"]
-        assert np.nanmax(gaps) <= 1e-4
+        if f"newton/{key}/status" in trials:
+            assert set(trials[f"newton/{key}/status"].tolist()) <= {0, 3, 4}
 
 
-def test_report_rebuilds_without_solving(run, monkeypatch, capsys):
-    before = run.read_json("metrics.json")
+def test_learned_starts_keep_their_guarantee(metrics):
+    for sets in metrics["starts"].values():
+        for rows in sets.values():
+            for key in set(LEARNED) & set(rows):
+                if rows[key]["cases"]:
+                    assert rows[key]["worse_than_basis"]["count"] == 0
+                    assert rows[key]["margin_min"] > 0.0
+    assert all(row["worse"] == 0 for row in metrics["guarantee"].values())
+
+
+def test_metrics_rebuild_without_solving(run, metrics, monkeypatch):
     monkeypatch.setattr("grasp_env.force.ForceOptimizer.solve", None)
     monkeypatch.setattr("grasp_env.sim.Scene.step", None)
-    run.path("report.html").unlink()
+    again = metrics_of(run)
+    run.write_json("again.json", again)
+    assert run.read_json("again.json") == metrics
+    run.path("again.json").unlink()
+
+
+def test_report_command_rebuilds(run, monkeypatch, capsys):
+    monkeypatch.setattr("grasp_env.force.ForceOptimizer.solve", None)
     assert main(["report", str(run.folder)]) == 0
     assert run.path("report.html").is_file()
-    after = run.read_json("metrics.json")
-    assert {k: v for k, v in after.items() if k != "run"} == {k: v for k, v in before.items() if k != "run"}
     assert "report.html" in capsys.readouterr().out.replace("\n", "")
 
 
-def test_missing_starts_are_counted_not_dropped(run):
-    trials = dict(run.read_arrays("trials.npz"))
-    trials["ball/lagrange/status"] = np.array([3] * 5 + [1] + [0] * 14)
-    row = metrics_module.start_metrics(trials)["ball"]["lagrange"]
-    assert row["no_start"] == 5
-    assert row["not_converged"] == 1
-    assert row["iterations"]["n"] == 15
-
-
-def test_claims_can_fail(run):
-    trials = dict(run.read_arrays("trials.npz"))
-    metrics = run.read_json("metrics.json")
-    trials["ball/learned_shipped/iterations"] = trials["ball/linear_combination/iterations"]
+def test_claims_can_fail_and_be_met(metrics):
+    row = metrics["starts"]["reduced_flow"]["ball"]["learned_fixed"]
+    for median, p99, met in ((0.0, 15.0, True), (1.0, 15.0, False), (0.0, 16.0, False)):
+        row["iterations"].update(median=median, p95=min(5.0, p99), p99=p99)
+        assert verdicts(metrics, "learned, fixed grasp: iterations of the flow") == [met]
+    row["no_start"] = 1
+    row["iterations"].update(median=0.0, p95=0.0, p99=0.0)
+    assert verdicts(metrics, "learned, fixed grasp: iterations of the flow") == [False]
     metrics["rollouts"]["constant"]["linear_combination"]["max_drift_mm"] = 1.5
-    verdicts = {row["claim"]: row["met"] for row in metrics_module.claims(trials, metrics)}
-    assert not next(met for claim, met in verdicts.items() if claim.startswith("learned, shipped: median"))
-    assert not next(met for claim, met in verdicts.items() if "constant" in claim)
+    assert verdicts(metrics, "scenario constant") == [False]
+    metrics["guarantee"]["learned_fixed"]["worse"] = 1
+    assert verdicts(metrics, "learned, fixed grasp: starts worse") == [False]
 
 
-def test_a_start_that_does_not_exist_fails_its_claims(run):
-    trials, metrics = dict(run.read_arrays("trials.npz")), run.read_json("metrics.json")
-    for column, value in (("iterations", -1), ("status", 3), ("start_gap", np.nan)):
-        trials[f"ball/learned_shipped/{column}"] = np.full(20, value)
-    verdicts = [row["met"] for row in metrics_module.claims(trials, metrics) if "learned, shipped" in row["claim"]]
-    assert verdicts == [False, False]
+def test_a_jump_must_beat_the_previous_solution(metrics):
+    rows = metrics["starts"]["reduced_flow"]["jump_50"]
+    rows["learned_fixed"]["iterations"].update(median=4.0, p99=25.0)
+    rows["previous_tangent"]["iterations"].update(median=5.0, p99=26.0)
+    assert verdicts(metrics, "jumps of 50 %") == [True]
+    rows["previous_tangent"]["iterations"].update(median=4.0)
+    assert verdicts(metrics, "jumps of 50 %") == [False]
+
+
+def test_what_was_not_measured_is_said(metrics):
+    for rows in metrics["starts"]["reduced_flow"].values():
+        rows.pop("learned_any", None)
+    row = next(row for row in claims(metrics) if "random grasps of 4" in row["claim"])
+    assert (row["met"], row["measured"]) == (None, "not measured in this run")
+
+
+def test_who_wins(metrics):
+    rows = metrics["starts"]["reduced_flow"]["jump_100"]
+    rows.pop("learned_any", None)
+    entries = {"learned_fixed": (1, 10), "previous_tangent": (20, 60), "linear_combination": (40, 110)}
+    for key, (median, p99) in entries.items():
+        rows[key]["iterations"].update(median=median, p99=p99)
+
+    def winner():
+        return next(row["winner"] for row in wins(metrics) if row["set"] == "jump_100")
+
+    assert winner() == "learned"
+    rows["previous_tangent"]["iterations"].update(median=0, p99=10)
+    assert winner() == "tie"
+    rows["previous_tangent"]["iterations"].update(p99=5)
+    assert winner() == "previous"
+
+
+def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
+    """What is whole stays, other settings are refused, and the results are those of a run that was not interrupted."""
+    half = Run.create(tmp_path, "half")
+    for path in [*(f"trials/{name}.npz" for name in SETS if name != "constant"), "plan.json", "fit.json", "timing.npz"]:
+        half.path(path).write_bytes(run.path(path).read_bytes())
+    for path in run.folder.glob("model/*"):
+        half.path(f"model/{path.name}").write_bytes(path.read_bytes())
+    plan_before, config = half.read_json("plan.json"), run.read_json("config.json")
+    wanted = EvaluateConfig(
+        **{
+            **config,
+            "out": str(tmp_path),
+            "name": "half",
+            "fit": FitConfig(**{**config["fit"], "hidden": tuple(config["fit"]["hidden"])}),
+        }
+    )
+    with pytest.raises(InvalidInputError, match="other settings"):
+        evaluate(EvaluateConfig(out=str(tmp_path), name="half", **{**SMALL, "wrenches": 7}), Console(quiet=True))
+    asked = []
+
+    def stop(run, jobs, config, fitted):
+        asked.extend(jobs)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(evaluate_module, "run_jobs", stop)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(wanted, Console(quiet=True))
+    assert set(asked) == {job for job in plan() if not job.startswith("trials/")} | {"trials/constant"}
+    assert half.read_json("plan.json") == plan_before
+    again, _ = evaluate_module.work("trials/constant", wanted, half.path(evaluate_module.MODEL))
+    first = run.read_arrays("trials/constant.npz")
+    assert again.keys() == first.keys()
+    for name, array in first.items():
+        np.testing.assert_array_equal(again[name], array, err_msg=name)
+
+
+def test_settings_are_checked():
+    with pytest.raises(InvalidInputError, match="repeats must be >= 1"):
+        EvaluateConfig(repeats=0)
+    with pytest.raises(InvalidInputError, match="fit_seconds must be >= 0"):
+        EvaluateConfig(fit_seconds=float("nan"))
+    quick = EvaluateConfig(quick=True, episodes=1, fit_seconds=3.0).resolved()
+    assert (quick.wrenches, quick.fit.seconds) == (50, 3.0)
+    assert quick.name.startswith("evaluate-")
 
 
 def test_summary_and_ratio():
@@ -166,8 +266,3 @@ def test_demo_picture_and_video(tmp_path):
         assert main(["demo", "--video", str(tmp_path / name), "--seconds", "0.2"]) == 0
         assert (tmp_path / name).stat().st_size > 2000
     assert sorted(path.name for path in tmp_path.iterdir()) == ["hand.gif", "hand.mp4", "hand.png"]
-
-
-def test_build_report_is_deterministic(run):
-    first = build_report(run)
-    assert build_report(run) == first

@@ -1,17 +1,49 @@
-"""Labels are optima, the metric is the gap, a short fit beats the basis, the same seed gives the same network."""
+"""Labels are optima, the metric is the gap, short fits learn and repeat, interrupts lose nothing, wrong input is refused."""
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import signal
+from collections import namedtuple
+from typing import Any
+
 import numpy as np
 import pytest
+import torch
 
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, ModelFileError
 from grasp_env.force import Objective, optimize_force
-from grasp_env.grasp import null_space_basis, presets, reference_basis, wrench
-from policies import LearnedInitialForce
+from grasp_env.grasp import null_space_basis, presets, reference_basis
+from policies.checkpoint import Checkpoint
+from policies.newton_layers import phi
+from training import fit_any as fit_any_module
+from training.any_dataset import UNIT, make_pool
+from training.cli import main
 from training.dataset import generate
 from training.fit import fit
-from training.settings import FitConfig
+from training.fit_any import fit_any
+from training.fit_loop import optimise
+from training.random_grasps import random_grasps
+from training.settings import AnyFitConfig, FitConfig
+
+FIXED: dict[str, Any] = {"steps": 40, "samples": 4096, "hidden": (16,), "batch_size": 256}
+ANY: dict[str, Any] = {
+    "steps": 6,
+    "samples": 1200,
+    "grasps": 60,
+    "held_out": 80,
+    "layers": 2,
+    "width": 8,
+    "batch_size": 64,
+}
+
+
+@pytest.fixture
+def small_scores(monkeypatch):
+    """Scores on fewer wrenches."""
+    monkeypatch.setattr("training.fit.HELD_OUT", 100)
 
 
 def test_labels_are_optima_and_the_metric_is_the_gap():
@@ -26,6 +58,7 @@ def test_labels_are_optima_and_the_metric_is_the_gap():
         force = particular + basis @ data.coordinates[k].astype(float)
         # coordinates are float32: 1e-7 of the force, a gap of its square times the conditioning
         assert objective.value(here.to_cone(force)) == pytest.approx(best.objective, rel=1e-6)
+        assert data.least[k] == pytest.approx(best.objective, rel=1e-9)
         step = rng.normal(size=6)
         step *= 1e-3 / np.linalg.norm(data.metric[k] @ step)  # a predicted gap of 1e-6, deep in the quadratic region
         exact = basis.T @ (best.force.reshape(-1) - particular)
@@ -33,40 +66,170 @@ def test_labels_are_optima_and_the_metric_is_the_gap():
         assert value / best.objective - 1.0 == pytest.approx(1e-6, rel=0.1)
 
 
-def test_a_short_fit_learns_and_repeats():
-    config = FitConfig(steps=400, samples=20_000, hidden=(64, 64), batch_size=512, threads=1)
-    one, two = fit(config), fit(config)
-    assert one.curve[-1, 2] < 0.05 * one.curve[0, 2]  # median gap, held out
-    for name, value in one.checkpoint.weights.items():
-        np.testing.assert_array_equal(value, two.checkpoint.weights[name])
-    rule = LearnedInitialForce(one.checkpoint)
-    grasp = presets.paper_cuboid()
-    starts = {"learned": rule, "basis": "linear_combination"}
-    steps = {
-        name: np.median(
-            [
-                optimize_force(grasp, w, initial=start).iterations  # type: ignore[arg-type]
-                for w in wrench.sample_ball(np.random.default_rng(2), 60)
-            ]
-        )
-        for name, start in starts.items()
-    }
-    assert steps["learned"] < steps["basis"]
+def test_random_grasps_have_closure_and_repeat():
+    one, two = (random_grasps(np.random.default_rng(3), 30, Objective()) for _ in range(2))
+    assert {grasp.n_contacts for grasp, _ in one} == {3, 4, 5}
+    for (a, basis), (b, same) in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a.matrix, b.matrix)
+        np.testing.assert_array_equal(basis, same)
+        for k in range(12):
+            unit = np.eye(6)[k % 6] * (1.0 if k < 6 else -1.0)
+            assert a.residual(a.to_force(basis[k]), unit) < 1e-9
+            assert a.cone_margin(a.to_force(basis[k])) > 0.0
+
+
+def test_samples_balance_and_no_start_beats_its_label():
+    pool = make_pool(np.random.default_rng(0), 40, 400)
+    problems = pool.problems(torch.arange(len(pool)))
+    for start in pool.starts.values():
+        made = torch.einsum("brnk,bnk->br", problems.rows, start) * UNIT
+        assert (made + pool.wrench).abs().max() < 1e-9 * pool.wrench.abs().max()
+        gap = phi(problems, start) / pool.least - 1.0
+        assert torch.isfinite(gap).all()
+        assert gap.min() > -1e-9
+    assert pool.refused <= 4
+
+
+def test_a_short_fit_learns(small_scores):
+    result = fit(FitConfig(**{**FIXED, "steps": 200, "samples": 20_000, "hidden": (32, 32)}))
+    assert result.curve[-1, 2] < 0.2 * result.curve[0, 2]  # median gap of the network, held out
+    for gaps in (result.checkpoint.card["held_out_gap"], result.checkpoint.card["held_out_gap"]["training range"]):
+        assert gaps["3 learned layers"]["p95"] < gaps["3 Newton steps"]["p95"] < gaps["repaired"]["p95"]
+
+
+def test_layers_learn_more_than_newton_steps():
+    checkpoint = fit_any(
+        AnyFitConfig(**{**ANY, "steps": 60, "samples": 6000, "grasps": 300, "held_out": 400, "width": 16})
+    )
+    for gaps in checkpoint.card["held_out_gap"].values():
+        learned, plain = gaps["after each layer"][-1], gaps["after as many plain Newton steps"][-1]
+        assert learned[1] < plain[1] < gaps["start"][1]  # p90
+    assert checkpoint.ranges["magnitude"][1] == pytest.approx(300.0)
+
+
+@pytest.mark.parametrize(("run", "settings"), [(fit, FitConfig(**FIXED)), (fit_any, AnyFitConfig(**ANY))])
+def test_the_same_bits_also_after_an_interrupt(run, settings, tmp_path, monkeypatch, small_scores):
+    whole = _checkpoint(run(settings))
+    module, name = ("training.fit", "NetworkTask") if run is fit else ("training.fit_any", "StartsTask")
+    task = getattr(__import__(module, fromlist=[name]), name)
+    real, calls = task.loss, []
+
+    def interrupted(self, rng, phase):
+        calls.append(1)
+        if len(calls) == 4:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return real(self, rng, phase)
+
+    monkeypatch.setattr(task, "loss", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(settings, out=tmp_path / "model")
+    assert len(calls) == 4
+    with pytest.raises(InvalidInputError, match="unfinished training: add --resume"):
+        run(settings, out=tmp_path / "model")
+    again = _checkpoint(run(settings, out=tmp_path / "model", resume=True))
+    assert whole.tensors.keys() == again.tensors.keys()
+    for key, value in whole.tensors.items():
+        np.testing.assert_array_equal(value, again.tensors[key])
+
+
+def _checkpoint(result) -> Checkpoint:
+    return getattr(result, "checkpoint", result)
+
+
+def test_a_state_is_refused_if_foreign_truncated_or_changed(tmp_path, monkeypatch):
+    settings = AnyFitConfig(**ANY)
+    monkeypatch.setattr(fit_any_module, "optimise", _interrupt_at_once)
+    with pytest.raises(KeyboardInterrupt):
+        fit_any(settings, out=tmp_path / "model")
+    state = tmp_path / "model.state.safetensors"
+    whole = state.read_bytes()
+    with pytest.raises(InvalidInputError, match=r"other settings \(seed was 0, is 1\)"):
+        fit_any(AnyFitConfig(**ANY, seed=1), out=tmp_path / "model", resume=True)
+    changed = bytearray(whole)
+    changed[-3] ^= 1
+    for blob in (whole[:-100], b"", bytes(changed), b"PK\x03\x04" + whole[:50]):
+        state.write_bytes(blob)
+        with pytest.raises(ModelFileError, match="truncated or was changed"):
+            fit_any(settings, out=tmp_path / "model", resume=True)
+    with pytest.raises(ModelFileError, match="nothing to resume"):
+        fit_any(settings, out=tmp_path / "other", resume=True)
+
+
+def _interrupt_at_once(task, plan):
+    real = task.loss
+
+    def loss(rng, phase):
+        os.kill(os.getpid(), signal.SIGINT)
+        return real(rng, phase)
+
+    task.loss = loss
+    return optimise(task, plan)
+
+
+def test_no_room_and_no_permission_are_said_before_work(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr("training.fit.generate", _no_work)
+    monkeypatch.setattr("training.fit_any.make_pool", _no_work)
+    for model in ("four_finger", "any_grasp"):
+        assert main(["fit", model, "--out", str(tmp_path / "file" / "model")]) == 2
+        assert "choose another --out" in capsys.readouterr().err
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10, 10, 1_000_000))
+    assert main(["fit", "any_grasp", "--out", str(tmp_path / "model")]) == 2
+    assert "1 MB free" in capsys.readouterr().err
+
+
+def _no_work(*args, **keywords):
+    raise AssertionError("work was started")
+
+
+def test_quick_says_so_and_the_command_saves_both_files(tmp_path, capsys, small_scores):
+    arguments = ["--quick", "--steps", "5", "--samples", "1000", "--batch-size", "64", "--out", str(tmp_path / "m.v2")]
+    assert main(["fit", *arguments, "--hidden", "8"]) == 0  # without a name: the fixed grasp
+    assert "quick" in capsys.readouterr().out
+    meta = json.loads((tmp_path / "m.v2.json").read_text())
+    assert meta["kind"] == "fixed_grasp"
+    assert meta["card"]["quick"] is True
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["m.v2.json", "m.v2.safetensors"]
+    arguments[-1] = str(tmp_path / "any")
+    assert main(["fit", "any_grasp", *arguments, "--grasps", "30", "--held-out", "40", "--layers", "1"]) == 0
+    assert Checkpoint.load(tmp_path / "any").card["quick"] is True
 
 
 @pytest.mark.parametrize(
     "wrong",
     [
         {"seconds": 0.0},
+        {"seconds": float("nan")},
+        {"seconds": float("inf")},
         {"samples": 10},
-        {"low": 0.0},
-        {"friction_low": 0.9},
         {"batch_size": 0},
         {"seed": -1},
+        {"steps": -1},
         {"learning_rate": float("nan")},
-        {"hidden": (0,)},
+        {"tail": 0.0},
     ],
 )
-def test_wrong_settings(wrong):
-    with pytest.raises(InvalidInputError):
+@pytest.mark.parametrize("config", [FitConfig, AnyFitConfig])
+def test_wrong_settings(config, wrong):
+    with pytest.raises(InvalidInputError, match=next(iter(wrong))):
+        config(**wrong)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"low": 0.0}, {"friction_low": 0.9}, {"hidden": (0,)}, {"hidden": ()}, {"threads": 0}, {"polish": -1}]
+)
+def test_wrong_settings_of_the_fixed_grasp(wrong):
+    with pytest.raises(InvalidInputError, match=next(iter(wrong))):
         FitConfig(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"layers": 0}, {"width": 0}, {"grasps": 1}, {"held_out": 3}, {"gap_floor": 0.0}])
+def test_wrong_settings_of_any_grasp(wrong):
+    with pytest.raises(InvalidInputError, match=next(iter(wrong))):
+        AnyFitConfig(**wrong)
+
+
+def test_an_unknown_preset_is_told(tmp_path, capsys):
+    assert main(["fit", "--preset", "six_fingers", "--out", str(tmp_path / "m")]) == 2
+    assert "paper_cuboid" in capsys.readouterr().err

@@ -15,7 +15,7 @@ class Demo:
     """Roll out the hand and save a picture or a video, with forces, friction cones and wrench drawn in.
 
     Attributes:
-        video: .mp4 or .gif for a video, .png for its last picture.
+        video: .mp4, .gif or .webp for a video, .png for its last picture.
         task: hold, move, payload or six_directions.
         disturbance: none, constant, paper_path, random, impulses or tilting_gravity; empty: the task's own, for hold the paper's path.
         motion: of move: lift, shake or rotate.

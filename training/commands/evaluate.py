@@ -13,18 +13,17 @@ from training.settings import EvaluateConfig
 
 @dataclass(frozen=True)
 class Evaluate(EvaluateConfig):
-    """Compare and write a report: all starts and a fitted network, or how well the hand holds.
+    """Compare and write a report: all starts of the optimisation, or how well the hand holds. An interrupted run goes on by its name.
 
     Attributes:
-        what: starts (fit a network, compare all starts, roll out the hand) or env (hold rates over random objects and wrenches,
-            failures, the squeeze that robustness costs; an interrupted run of the same name goes on).
+        what: starts (every start on every set of cases by both methods, times, continuity, roll-outs: about five minutes on two
+            cores, fits nothing unless told to) or env (hold rates over random objects and wrenches, failures, the squeeze that
+            robustness costs).
         episodes: per start of each random scenario, or of each main scenario of env; 0: 10, of env 500.
-        workers: of env: processes; 0: one per core.
     """
 
     what: tyro.conf.Positional[Literal["starts", "env"]] = "starts"
     episodes: int = 0
-    workers: int = 0
 
     def __post_init__(self) -> None:
         pass  # checked where the evaluation's own settings are made of these

@@ -2,33 +2,151 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
 from rich.console import Console
 
-from training.settings import FitConfig
+from training.settings import AnyFitConfig, FitConfig
+
+if TYPE_CHECKING:
+    from policies.checkpoint import Checkpoint
 
 
 @dataclass(frozen=True)
-class Fit(FitConfig):
-    """Train a network that predicts the initial force, and save it as two files.
+class FourFinger(FitConfig):
+    """Train a network for one grasp: wrench and friction to the initial force. Two files are saved.
 
     Attributes:
         out: their common stem.
+        resume: go on with the interrupted training that lies beside it, same settings.
     """
 
     out: Path = Path("runs/fit/four_finger")
+    resume: bool = False
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         from training.fit import fit
-        from training.runs import Run
 
-        Run.create(self.out.parent, "")
         settings = FitConfig(**{name: getattr(self, name) for name in FitConfig.__dataclass_fields__})
-        result = fit(settings, progress=sys.stderr.isatty(), command=" ".join(["grasp", *sys.argv[1:]]))
-        path = result.checkpoint.save(self.out)
-        gap = result.checkpoint.card["held_out_gap_second_order"]
-        Console().print(f"{path}: held-out gap {gap['median']:.1e} median, {gap['p99']:.1e} p99", highlight=False)
+        checkpoint = fit(settings, True, _command(), self.out, self.resume).checkpoint
+        told = checkpoint.card["held_out_gap"]
+        last = told[f"{self.polish} learned layers" if self.polish else "2 Newton steps"]
+        good = f"{100 * last['share below 0.0001']:.1f} % of the starts within 1e-4"
+        path = _save(checkpoint, self.out)
+        Console().print(
+            f"{path}{_quick(self.quick)}: on the standard ball a gap of {last['median']:.1e} median, {last['p99']:.1e} p99, {good}",
+            highlight=False,
+            soft_wrap=True,
+        )
+
+
+@dataclass(frozen=True)
+class AnyGrasp(AnyFitConfig):
+    """Train the layers that start any grasp of 3 to 5 contacts, on random grasps. Two files are saved.
+
+    Attributes:
+        out: their common stem.
+        resume: go on with the interrupted training that lies beside it, same settings.
+    """
+
+    out: Path = Path("runs/fit/any_grasp")
+    resume: bool = False
+
+    def execute(self) -> None:
+        """Runs it; raises the errors of the project."""
+        from training.fit_any import fit_any
+
+        settings = AnyFitConfig(**{name: getattr(self, name) for name in AnyFitConfig.__dataclass_fields__})
+        checkpoint = fit_any(settings, True, _command(), self.out, self.resume)
+        told = []
+        for start, gaps in checkpoint.card["held_out_gap"].items():
+            median, _, p99 = gaps["after each layer"][-1]
+            told.append(f"{start} start {median:.1e} median, {p99:.1e} p99")
+        path = _save(checkpoint, self.out)
+        Console().print(f"{path}{_quick(self.quick)}: held-out gap: {'; '.join(told)}", highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Designs(AnyFitConfig):
+    """Compare designs of a start for any grasp: the same data, loss and time for each, four contacts. A table is saved.
+
+    Attributes:
+        seconds: processor time for each design's optimisation steps.
+        out: folder of designs.json and designs.md; designs that are already in it are not trained again.
+    """
+
+    seconds: float = 120.0
+    out: Path = Path("runs/designs")
+
+    def execute(self) -> None:
+        """Runs it; raises the errors of the project."""
+        from training.fit_designs import compare, table
+
+        settings = AnyFitConfig(**{name: getattr(self, name) for name in AnyFitConfig.__dataclass_fields__})
+        Console(soft_wrap=True).print(table(compare(settings, self.out, True)), highlight=False)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Train a model of the initial force, and save it with its model card.
+
+    Attributes:
+        model: `grasp fit` alone is `grasp fit four_finger`.
+    """
+
+    model: Annotated[
+        Annotated[FourFinger, tyro.conf.subcommand("four_finger")]
+        | Annotated[AnyGrasp, tyro.conf.subcommand("any_grasp")]
+        | Annotated[Designs, tyro.conf.subcommand("designs")],
+        tyro.conf.arg(name=""),
+    ] = field(default_factory=FourFinger)
+
+    def execute(self) -> None:
+        """Runs it; raises the errors of the project."""
+        before = signal.signal(signal.SIGTERM, _terminated)
+        try:
+            self.model.execute()
+        finally:
+            signal.signal(signal.SIGTERM, before)
+
+
+def spelled_out(arguments: Sequence[str] | None) -> list[str]:
+    """The command line with `fit four_finger` where it says `fit` and goes on with an option.
+
+    Example:
+        >>> spelled_out(["fit", "--seed", "1"])
+        ['fit', 'four_finger', '--seed', '1']
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] == ["fit"] and words[1:2] and words[1].startswith("--") and words[1] != "--help":
+        words.insert(1, "four_finger")
+    return words
+
+
+def _terminated(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _command() -> str:
+    return " ".join(["grasp", *sys.argv[1:]])
+
+
+def _quick(quick: bool) -> str:
+    return " (quick: a rough model)" if quick else ""
+
+
+def _save(checkpoint: Checkpoint, out: Path) -> Path:
+    """Saves the finished model; the state of its training is no longer needed."""
+    from training.fit_state import StateFile
+
+    path = checkpoint.save(out)
+    StateFile(out, {}).remove()
+    return path

@@ -1,0 +1,108 @@
+"""`TrainedAgent`: a saved reinforcement-learning agent as a `Policy`. Its networks are small: numpy runs them, no torch."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grasp_env.errors import InvalidInputError, ModelFileError
+from policies.agent_files import find_checkpoint, read_arrays, read_meta, read_tensors
+
+NAMES = {
+    "ppo": ("mlp_extractor.policy_net", "action_net", np.tanh),
+    "sac": ("actor.latent_pi", "actor.mu", lambda x: np.maximum(x, 0.0)),
+}
+"""Of stable-baselines3's policies, by algorithm: hidden layers, last layer, activation."""
+
+
+class TrainedAgent:
+    """What `grasp rl` trained: predict(observation as the environment gives it) -> (action, state).
+
+    Observations are normalised with the means and variances that were running in training, which lie in the same folder.
+
+    Attributes:
+        meta: of its checkpoint: algorithm, action mode, steps, seed, settings, versions.
+
+    Args:
+        meta: what the checkpoint says of itself.
+        weights: of the policy, by stable-baselines3's names.
+        normaliser: "mean", "var" (observation,), "epsilon", "clip".
+        seed: of the samples that are not deterministic.
+    """
+
+    def __init__(
+        self, meta: dict[str, Any], weights: dict[str, np.ndarray], normaliser: dict[str, np.ndarray], seed: int = 0
+    ) -> None:
+        self.meta = meta
+        self._rng = np.random.default_rng(seed)
+        self._mean = normaliser["mean"]
+        self._scale = 1.0 / np.sqrt(normaliser["var"] + float(normaliser["epsilon"]))
+        self._clip = float(normaliser["clip"])
+        hidden, last, self._activation = NAMES[meta["algorithm"]]
+        self._squashed = meta["algorithm"] == "sac"
+        layers = sorted((n for n in weights if n.startswith(hidden) and n.endswith(".weight")), key=_place)
+        self._hidden = [(weights[name].T, weights[name.removesuffix("weight") + "bias"]) for name in layers]
+        self._last = weights[f"{last}.weight"].T, weights[f"{last}.bias"]
+        if self._squashed:
+            self._deviation: Any = weights["actor.log_std.weight"].T, weights["actor.log_std.bias"]
+        else:
+            self._deviation = weights["log_std"]
+        sizes = [len(self._mean), *(bias.shape[0] for _, bias in (*self._hidden, self._last))]
+        shapes = [weight.shape for weight, _ in (*self._hidden, self._last)]
+        if shapes != list(pairwise(sizes)) or (sizes[0], sizes[-1]) != (
+            meta["observation_size"],
+            meta["action_size"],
+        ):
+            raise ValueError(
+                f"layers of shapes {shapes} from {meta['observation_size']} to {meta['action_size']} numbers"
+            )
+        if not all(np.isfinite(part).all() for layer in (*self._hidden, self._last) for part in layer):
+            raise ValueError("weights are not finite")
+
+    @classmethod
+    def load(cls, folder: str | Path, seed: int = 0) -> TrainedAgent:
+        """The newest checkpoint of a seed's folder of `grasp rl`, or the checkpoint itself.
+
+        Raises:
+            ModelFileError: missing, truncated, changed, or of another schema, environment or observation.
+        """
+        folder = find_checkpoint(folder)
+        meta = read_meta(folder)
+        weights, normaliser = read_tensors(folder, meta, "policy"), read_arrays(folder, meta, "normaliser")
+        try:
+            return cls(meta, weights, normaliser, seed)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise ModelFileError(
+                f"agent {folder}: incomplete or malformed ({error}): train anew with `grasp rl`"
+            ) from None
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.float32], Any]:
+        """The action(s) in [-1, 1] for one observation (size,) or several (n, size).
+
+        Raises:
+            InvalidInputError: an observation of another size.
+        """
+        seen = np.asarray(observation)
+        if seen.shape[-1:] != self._mean.shape or seen.ndim not in (1, 2):
+            raise InvalidInputError(
+                f"observation must be ({len(self._mean)},) or (n, {len(self._mean)}), got shape {seen.shape}"
+            )
+        x = np.clip((seen - self._mean) * self._scale, -self._clip, self._clip).astype(np.float32)
+        for weight, bias in self._hidden:
+            x = self._activation(x @ weight + bias)
+        action = x @ self._last[0] + self._last[1]
+        if not deterministic:
+            log = self._deviation
+            log = np.clip(x @ log[0] + log[1], -20.0, 2.0) if self._squashed else log
+            action = action + np.exp(log) * self._rng.standard_normal(action.shape)
+        return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)).astype(np.float32), state
+
+
+def _place(name: str) -> int:
+    return int(name.split(".")[-2])

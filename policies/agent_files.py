@@ -1,0 +1,173 @@
+"""Folders of a reinforcement-learning agent: safetensors, npz and JSON, each with its hash. Nothing is pickled or unpickled."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from grasp_env.errors import ModelFileError
+from grasp_env.observation import bounds
+
+SCHEMA = "grasp-force/rl-agent/1"
+ENV_ID = "FourFingerGrasp-v0"
+META = "agent.json"
+STEM = "step-"
+ACTION_SIZES = {"initial_force": 6, "contact_force": 12}
+"""Of the four-finger hand, by action mode."""
+OBSERVATION_SIZE = len(bounds(4, 12))
+_AGAIN = "copy the whole folder again, or train anew with `grasp rl`"
+
+
+def write_checkpoint(
+    parent: Path,
+    steps: int,
+    meta: dict[str, Any],
+    tensors: dict[str, dict[str, np.ndarray]],
+    arrays: dict[str, dict[str, np.ndarray]],
+) -> Path:
+    """Writes `<parent>/step-<steps>` whole: a hidden folder first, renamed when complete; then drops the older ones.
+
+    Args:
+        parent: folder of the checkpoints.
+        steps: environment steps so far; names the folder.
+        meta: what the numbers mean, JSON-able.
+        tensors: by file stem, written as `<stem>.safetensors`.
+        arrays: by file stem, written as `<stem>.npz`.
+
+    Raises:
+        ModelFileError: the disk is full or the folder cannot be written; the older checkpoints are still there.
+    """
+    folder = parent / f"{STEM}{steps:09d}"
+    hidden = parent / f".{folder.name}.{os.getpid()}.tmp"
+    try:
+        hidden.mkdir(parents=True)
+        hashes = {}
+        blobs = {f"{stem}.safetensors": lambda values=values: save(values) for stem, values in tensors.items()}
+        blobs |= {f"{stem}.npz": lambda values=values: _npz(values) for stem, values in arrays.items()}
+        for name, make in blobs.items():
+            blob = make()
+            hashes[name] = hashlib.sha256(blob).hexdigest()
+            (hidden / name).write_bytes(blob)
+        body = {"schema": SCHEMA, "env_id": ENV_ID, **meta, "steps": steps, "files": hashes}
+        text = json.dumps({**body, "sha256": _digest(body)}, indent=2, allow_nan=False)
+        (hidden / META).write_text(text + "\n", encoding="utf-8")
+        if folder.exists():  # the same steps once more: the files may differ, the newer ones stay
+            os.replace(folder, hidden.with_suffix(".old"))
+        os.replace(hidden, folder)
+    except OSError as error:
+        raise ModelFileError(
+            f"cannot write {folder}: {error.strerror}; free some space or choose another --out"
+        ) from None
+    finally:
+        for rest in parent.glob(f".*.{os.getpid()}.*"):
+            shutil.rmtree(rest, ignore_errors=True)
+    for older in checkpoints(parent)[:-1]:
+        shutil.rmtree(older, ignore_errors=True)
+    return folder
+
+
+def checkpoints(parent: Path) -> list[Path]:
+    """The whole checkpoints of a folder, oldest first."""
+    return sorted(path for path in parent.glob(f"{STEM}*") if (path / META).is_file())
+
+
+def find_checkpoint(folder: str | Path) -> Path:
+    """The newest checkpoint of a seed's folder, or the folder itself where it is one.
+
+    Raises:
+        ModelFileError: there is none.
+    """
+    folder = Path(folder)
+    if (folder / META).is_file():
+        return folder
+    for parent in (folder / "checkpoints", folder):
+        if found := checkpoints(parent):
+            return found[-1]
+    raise ModelFileError(
+        f"{folder} holds no agent ({META} is missing): name a seed's folder of `grasp rl`, runs/rl/NAME/seed-0"
+    )
+
+
+def read_meta(folder: Path) -> dict[str, Any]:
+    """What a checkpoint says of itself, checked.
+
+    Raises:
+        ModelFileError: missing, not JSON, of another schema, environment or observation, or changed.
+    """
+    file = folder / META
+    try:
+        meta = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelFileError(f"agent {file}: {error.strerror}; {_AGAIN}") from None
+    except ValueError as error:
+        raise ModelFileError(f"agent {file} is not JSON ({error}): {_AGAIN}") from None
+    schema = meta.get("schema") if isinstance(meta, dict) else None
+    if schema != SCHEMA:
+        raise ModelFileError(
+            f"agent {file} has schema {schema!r}, this version reads {SCHEMA!r}: train anew with `grasp rl`"
+        )
+    if meta.get("env_id") != ENV_ID:
+        raise ModelFileError(
+            f"agent {file} was trained on {meta.get('env_id')!r}, this version has {ENV_ID!r}: train anew"
+        )
+    if meta.get("observation_size") != OBSERVATION_SIZE:
+        raise ModelFileError(
+            f"agent {file} sees {meta.get('observation_size')!r} numbers, {ENV_ID} shows {OBSERVATION_SIZE}: train anew"
+        )
+    if meta.get("action_size") != ACTION_SIZES.get(meta.get("action", "")):
+        raise ModelFileError(
+            f"agent {file} gives {meta.get('action_size')!r} numbers as {meta.get('action')!r}; known: {ACTION_SIZES}"
+        )
+    body = {name: value for name, value in meta.items() if name != "sha256"}
+    if meta.get("sha256") != _digest(body):
+        raise ModelFileError(f"agent {file} does not match its own sha256, it was changed: {_AGAIN}")
+    return meta
+
+
+def read_tensors(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.ndarray]:
+    """The tensors of `<stem>.safetensors`; raises `ModelFileError` where its hash is another."""
+    try:
+        return load(_checked(folder, meta, f"{stem}.safetensors"))
+    except SafetensorError as error:
+        raise ModelFileError(f"agent file {folder / stem}.safetensors is malformed ({error}): {_AGAIN}") from None
+
+
+def read_arrays(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.ndarray]:
+    """The arrays of `<stem>.npz`, no objects; raises `ModelFileError` where its hash is another."""
+    try:
+        with np.load(io.BytesIO(_checked(folder, meta, f"{stem}.npz")), allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (ValueError, EOFError, AttributeError) as error:
+        if isinstance(error, ModelFileError):
+            raise
+        raise ModelFileError(f"agent file {folder / stem}.npz is malformed ({error}): {_AGAIN}") from None
+
+
+def _checked(folder: Path, meta: dict[str, Any], name: str) -> bytes:
+    try:
+        blob = (folder / name).read_bytes()
+    except OSError as error:
+        raise ModelFileError(f"agent file {folder / name}: {error.strerror}; {_AGAIN}") from None
+    files = meta.get("files")
+    if not isinstance(files, dict) or hashlib.sha256(blob).hexdigest() != files.get(name):
+        raise ModelFileError(f"agent file {folder / name} does not match its sha256: truncated or changed; {_AGAIN}")
+    return blob
+
+
+def _npz(values: dict[str, np.ndarray]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **values)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def _digest(body: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()

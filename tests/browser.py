@@ -1,0 +1,141 @@
+"""A headless Chromium, driven over a pipe by its DevTools protocol: what a page shows, loads and complains about."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+
+
+def find_browser() -> str | None:
+    """The browser's path; None: there is none."""
+    return next((path for path in map(shutil.which, NAMES) if path), None)
+
+
+class Browser:
+    """One tab. Everything that it asks the network for, and every error, is kept in `requests` and `errors`."""
+
+    def __init__(self, write: int, read: int, seconds: float = 30.0) -> None:
+        self._write, self._read, self._seconds = write, read, seconds
+        self._buffer, self._number, self._session = b"", 0, ""
+        self._seen: set[str] = set()
+        self.requests: list[str] = []
+        self.errors: list[str] = []
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """Calls a method of the protocol and waits for its answer."""
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": params}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._write, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self._next()
+            if answer.get("id") == self._number:
+                if "error" in answer:
+                    raise RuntimeError(f"{method}: {answer['error']}")
+                return answer["result"]
+
+    def show(
+        self, path: Path, width: int, height: int, *, scale: float = 1.0, media: str = "", **features: str
+    ) -> None:
+        """Opens a file in a window of that size, for `media` "screen" or "print", with media features (prefers_...)."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=scale,
+            mobile=width < 600,
+        )
+        wanted = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
+        self.call("Emulation.setEmulatedMedia", media=media, features=wanted)
+        self._seen.discard("Page.loadEventFired")
+        self.call("Page.navigate", url=path.absolute().as_uri())
+        while "Page.loadEventFired" not in self._seen:
+            self._next()
+
+    def value(self, expression: str) -> Any:
+        """The value of a JavaScript expression in the page; a promise is awaited."""
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def picture(self, out: Path, *, whole: bool = True) -> None:
+        """Saves what it shows as PNG, the whole page or the window."""
+        shot = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        out.write_bytes(base64.b64decode(shot["data"]))
+
+    def pdf(self) -> bytes:
+        """The page as it prints."""
+        return base64.b64decode(self.call("Page.printToPDF", printBackground=False)["data"])
+
+    def _next(self) -> dict[str, Any]:
+        """The next message; events are noted on the way."""
+        end = time.monotonic() + self._seconds
+        while b"\0" not in self._buffer:
+            if not select.select([self._read], [], [], max(0.0, end - time.monotonic()))[0]:
+                raise TimeoutError(f"the browser said nothing for {self._seconds} s")
+            part = os.read(self._read, 1 << 20)
+            if not part:
+                raise RuntimeError("the browser has ended")
+            self._buffer += part
+        line, _, self._buffer = self._buffer.partition(b"\0")
+        message = json.loads(line)
+        self._note(message.get("method", ""), message.get("params", {}))
+        return message
+
+    def _note(self, event: str, params: dict[str, Any]) -> None:
+        self._seen.add(event)
+        if event == "Network.requestWillBeSent" and not params["request"]["url"].startswith("data:"):
+            self.requests.append(params["request"]["url"])
+        elif event == "Runtime.exceptionThrown":
+            self.errors.append(params["exceptionDetails"]["text"])
+        elif event == "Log.entryAdded" and params["entry"]["level"] in ("warning", "error"):
+            self.errors.append(params["entry"]["text"])
+        elif event == "Runtime.consoleAPICalled" and params["type"] in ("warning", "error", "assert"):
+            self.errors.append(str(params["args"]))
+
+
+@contextmanager
+def browser(executable: str) -> Iterator[Browser]:
+    """A browser without network, its profile in a temporary folder; ended and removed at the end."""
+    (child_read, write), (read, child_write) = os.pipe(), os.pipe()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        command = [
+            executable, "--headless", "--disable-gpu", "--no-first-run", "--remote-debugging-pipe", "--hide-scrollbars",
+            "--host-resolver-rules=MAP * ~NOTFOUND", "--disable-background-networking", "--disable-dev-shm-usage",
+            f"--user-data-dir={profile}", *(["--no-sandbox"] if os.geteuid() == 0 else []), "about:blank",
+        ]  # fmt: skip
+        # the protocol has its pipe at descriptors 3 and 4: put there by a process that then becomes the browser
+        become = "import fcntl, os, sys; a, b = (fcntl.fcntl(int(n), fcntl.F_DUPFD, 10) for n in sys.argv[1:3]); "
+        become += "os.dup2(a, 3); os.dup2(b, 4); os.execv(sys.argv[3], sys.argv[3:])"
+        python = [sys.executable, "-S", "-E", "-c", become, str(child_read), str(child_write), *command]
+        quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        with subprocess.Popen(python, pass_fds=(child_read, child_write), **quiet) as process:
+            os.close(child_read)
+            os.close(child_write)
+            try:
+                yield Browser(write, read)
+            finally:
+                os.close(write)  # the browser ends with its pipe
+                os.close(read)
+                try:
+                    process.wait(timeout=10)
+                except subprocess.TimeoutExpired:
+                    process.kill()

@@ -1,0 +1,128 @@
+"""The cases are what they are said to be, held out, and the same for the same seed."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from grasp_env.force import Objective, phase_one
+from grasp_env.grasp import presets
+from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
+from training.cases import GROUPS, SETS, directions, fixed_cases
+from training.cases_grasps import DISPLACEMENT, FRICTIONS, closed_grasp, grasp_cases
+from training.cases_recorded import IMPACT, record, recorded_cases, without
+from training.starts import carried, near_fixed
+from training.trials import cases_of
+
+RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
+
+
+def test_every_set_belongs_to_a_group():
+    assert {info.group for info in SETS.values()} == set(GROUPS)
+
+
+@pytest.mark.parametrize("name", [name for name, info in SETS.items() if info.grasp != "recorded"])
+def test_cases_repeat_and_depend_on_the_seed(name):
+    first, again = cases_of(name, 12, 3), cases_of(name, 12, 3)
+    assert len(first) == len(again) >= 1
+    for one, two in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one.wrench, two.wrench)
+        np.testing.assert_array_equal(one.grasp.matrix, two.grasp.matrix)
+    if name not in ("constant", "paper_path", "directions"):
+        assert not np.array_equal(first[-1].wrench, cases_of(name, 12, 4)[-1].wrench)
+
+
+@pytest.mark.parametrize(("name", "size"), [("jump_10", 0.1), ("jump_50", 0.5), ("jump_100", 1.0)])
+def test_jumps_have_their_size_and_stay_in_the_ball(name, size):
+    for case in fixed_cases(name, 20, 0):
+        assert case.before is not None
+        move = case.wrench - case.before[1]
+        assert np.linalg.norm(move[:3]) == pytest.approx(size * FORCE_RADIUS)
+        assert np.linalg.norm(move[3:]) == pytest.approx(size * MOMENT_RADIUS)
+        assert np.linalg.norm(case.wrench[:3]) <= FORCE_RADIUS
+        assert np.linalg.norm(case.wrench[3:]) <= MOMENT_RADIUS
+
+
+def test_paths_are_chained_and_end_at_their_ends():
+    cases = fixed_cases("trajectories", 400, 0)
+    assert len(cases) == 400
+    assert [k for k, case in enumerate(cases) if case.before is None] == [0, 200]
+    for old, now in pairwise(cases):
+        assert now.before is None or np.array_equal(now.before[1], old.wrench)
+    assert all(np.linalg.norm(case.wrench[:3]) <= FORCE_RADIUS for case in cases)
+    assert {case.group for case in cases} == {0, 1}
+
+
+def test_directions():
+    named = dict(directions())
+    assert len(named) == 18
+    assert all(
+        np.linalg.norm(w[:3]) + np.linalg.norm(w[3:]) / MOMENT_RADIUS == pytest.approx(1.0) for w in named.values()
+    )
+    assert np.linalg.matrix_rank(np.stack(list(named.values()))) == 6
+
+
+def test_near_grasps_are_near_and_random_ones_close():
+    fixed = presets.paper_cuboid()
+    assert {case.event for case in grasp_cases("friction", 6, 0)} == {f"{mu:g}" for mu in FRICTIONS}
+    for case in grasp_cases("positions", 20, 0):
+        moved = case.grasp.positions - fixed.positions
+        assert np.abs((moved * fixed.normals).sum(axis=1)).max() < 1e-12  # along the faces
+        assert 0.0 < np.linalg.norm(moved, axis=1).max() <= DISPLACEMENT
+        assert near_fixed(case.grasp)
+    for count in (3, 4, 5):
+        grasp = closed_grasp(np.random.default_rng(count), count)
+        assert grasp.n_contacts == count
+        assert phase_one(grasp, np.zeros(6)).margin > 0.0
+        assert not near_fixed(grasp)
+
+
+@pytest.fixture(scope="module")
+def changes():
+    return recorded_cases("rollout_changes", 24, 0)
+
+
+def test_changes_of_contact(changes):
+    assert {case.event for case in changes} == {"lost", "landed", "slipped"}
+    for case in changes:
+        assert case.before is not None
+        difference = case.grasp.n_contacts - case.before[0].n_contacts
+        assert difference == {"lost": -1, "landed": 1, "slipped": 0}[case.event]
+
+
+def test_forces_are_carried_by_place(changes):
+    """Persisting fingers keep their force as a vector; one that lands is inside its cone."""
+    for case in changes:
+        old, now = case.before[0], case.grasp
+        force = np.random.default_rng(0).uniform(0.5, 1.0, (old.n_contacts, 3))
+        new = carried(old, force, now, Objective())
+        vectors, before = now.to_object_frame(new), old.to_object_frame(force)
+        apart = np.linalg.norm(now.positions[:, None] - old.positions, axis=2)
+        for finger in range(now.n_contacts):
+            if apart[finger].min() < 0.012:
+                np.testing.assert_allclose(vectors[finger], before[apart[finger].argmin()], atol=1e-12)
+            else:
+                assert case.event == "landed"
+                assert new[finger, 0] == pytest.approx(0.1 / now.friction[finger])
+                assert not new[finger, 1:].any()
+
+
+def test_recordings_move_and_impacts_are_impacts():
+    (problems,) = record(1, np.random.default_rng(0), "random", ("four_finger",), 5)
+    assert len(problems) == 5
+    assert not np.array_equal(problems[0][0].positions, problems[-1][0].positions)
+    for case in recorded_cases("rollout_fixed", 5, 0):
+        assert case.before is not None
+        move = np.abs(case.wrench - case.before[1]) / RADII
+        assert np.linalg.norm(move) >= IMPACT
+        assert near_fixed(case.grasp)
+    assert all(case.before is None for case in recorded_cases("rollout_cold", 3, 0))
+
+
+def test_too_few_fingers_are_no_grasp():
+    assert without(presets.tripod(), 0) is None
+    rest = without(presets.five_finger_cuboid(), 1)
+    assert rest is not None
+    assert rest.n_contacts == 4

@@ -1,0 +1,265 @@
+"""The report from made-up trials: what it says, and what a headless Chromium shows of it without a network."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import Browser, browser, find_browser
+from synthetic_run import synthetic_run
+
+from grasp_env.errors import InvalidInputError
+from training.figures import THEME
+from training.report import build_report, write_pages
+from training.report_starts import claims_section, matrix
+from training.runs import Run
+
+EXECUTABLE = find_browser()
+needs_browser = pytest.mark.skipif(
+    EXECUTABLE is None, reason="no Chromium here: install Debian's (apt-get install chromium) or run .ci/run"
+)
+PAGE_LIMIT = 6e6
+"""[bytes] of the page, all pictures in it."""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> tuple[Run, dict[str, Any]]:
+    run, metrics = synthetic_run(tmp_path_factory.mktemp("runs") / "synthetic")
+    write_pages(run, metrics)
+    return run, metrics
+
+
+@pytest.fixture(scope="module")
+def page(made) -> Path:
+    return made[0].path("report.html")
+
+
+class Reader(HTMLParser):
+    """Checks that elements nest, and collects ids, anchors, pictures and table shapes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.alts: list[str | None] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        if tag not in ("meta", "link", "img", "input", "source", "br"):
+            self.open.append(tag)
+        self.ids += [found["id"] or ""] if "id" in found else []
+        self.links += [found["href"] or ""] if tag == "a" else []
+        self.alts += [found.get("alt")] if tag == "img" else []
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.ids += [found["id"] or ""] if "id" in found else []
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_the_page_is_whole_and_small(page):
+    text = page.read_text(encoding="utf-8")
+    assert page.stat().st_size < PAGE_LIMIT
+    assert "http:" not in text.replace('xmlns="http://www.w3.org/2000/svg"', "")
+    assert "https:" not in text
+    read = Reader(text)
+    assert read.open == []
+    assert len(read.ids) == len(set(read.ids))
+    assert {link[1:] for link in read.links} <= set(read.ids)
+    assert read.alts
+    assert all(read.alts)
+    assert set(re.findall(r"var\((--[\w-]+)\)", text)) <= {
+        *(f"--c-{name}" for name in THEME), "--ink", "--paper", "--soft", "--line", "--good", "--bad", "--open", "--best", "--link",
+    }  # fmt: skip
+    referenced = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text))
+    assert {first or second for first, second in referenced} <= set(read.ids)
+
+
+def test_every_figure_lies_beside_the_page(made):
+    run, _ = made
+    text = run.path("report.md").read_text(encoding="utf-8")
+    names = re.findall(r"\]\(figures/([^)]+)\)", text)
+    kinds = {name.split("-")[0].split(".")[0] for name in names}
+    assert kinds >= {
+        "fan", "ecdf", "budget", "profile", "violins", "continuity", "constant", "forces", "against", "rollout", "rl", "hand_paper", "training",
+    }  # fmt: skip
+    assert all(run.path(f"figures/{name}").stat().st_size > 200 for name in names)
+    assert not [path for path in run.folder.rglob(".*") if path.is_file()]  # no temporary files
+
+
+def test_both_texts_say_every_claim_missed_ones_first(made, page):
+    run, metrics = made
+    for text in (run.path("report.md").read_text(encoding="utf-8"), page.read_text(encoding="utf-8")):
+        for claim in metrics["claims"]:
+            assert claim["measured"] in text
+        assert text.index("a claim that is missed") < text.index("a claim without") < text.index("a claim that is met")
+    assert "<&>" not in page.read_text(encoding="utf-8")  # escaped
+    (table,) = claims_section(metrics).blocks
+    assert [row[0].text for row in table.cells] == ["NO", "not measured", "yes"]
+
+
+def test_markdown_tables_have_as_many_cells_as_columns(made):
+    width = 0
+    for line in made[0].path("report.md").read_text(encoding="utf-8").splitlines():
+        cells = line.replace("\\|", "").count("|") if line.startswith("|") else 0
+        assert not (cells and width) or cells == width, line
+        width = cells
+
+
+def test_the_best_start_of_a_row_is_marked_and_one_that_is_missing_is_not(made):
+    metrics = json.loads(json.dumps(made[1]))
+    rows = metrics["starts"]["reduced_flow"]
+    rows["ball"]["learned_fixed"]["no_start"] = 15  # of 30: its median says nothing about them
+    table = matrix(metrics, "reduced_flow", ("linear_combination", "learned_fixed", "learned_any"), "iterations")
+    names = list(rows)
+    for name, row in zip(names, table.cells, strict=True):
+        kinds = [cell.kind for cell in row[1:]]
+        assert kinds == (["", "", "best"] if name in ("ball", "random_3") else ["", "best", ""])
+    assert table.cells[names.index("ball")][2].text.endswith("†")
+    assert table.cells[names.index("random_3")][2].text == "–"
+
+
+def test_what_a_run_lacks_is_left_out_or_a_dash(made, tmp_path):
+    _, metrics = made
+    metrics = json.loads(json.dumps(metrics))
+    for name in ("events", "timing", "table_one", "continuity", "guarantee", "break_even", "rollouts", "wins"):
+        del metrics[name]
+    for rows in metrics["starts"]["reduced_flow"].values():
+        for row in rows.values():
+            del row["iterations_to"], row["gap_after"], row["raw"], row["start_gap"]
+            row["iterations"] = {"n": 0, "median": None}
+    metrics["run"] = {"quick": False}
+    write_pages(Run(tmp_path), metrics)
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert Reader(text).open == []
+    assert "–" in text
+    assert "Quick run" not in text
+    write_pages(Run(tmp_path), {"run": {}})
+    (tmp_path / "rl.json").write_text('{"rows": [1, 2], "other": {"a": null}}')
+    write_pages(Run(tmp_path), {"run": {}})
+    assert "Reinforcement learning" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_report_is_metrics_then_pages(made, tmp_path, monkeypatch):
+    _, metrics = made
+    monkeypatch.setattr("training.report.metrics_of", lambda run: {**metrics, "sets": {}})
+    assert build_report(Run(tmp_path))["claims"] == metrics["claims"]
+    first = (tmp_path / "report.html").read_bytes()
+    assert Run(tmp_path).read_json("metrics.json")["claims"] == metrics["claims"]
+    build_report(Run(tmp_path))
+    assert (tmp_path / "report.html").read_bytes() == first
+
+
+def test_a_run_of_an_older_version_is_refused(tmp_path):
+    (tmp_path / "trials.npz").write_bytes(b"")
+    with pytest.raises(InvalidInputError, match="older version"):
+        build_report(Run(tmp_path))
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    assert EXECUTABLE is not None
+    try:
+        opened = browser(EXECUTABLE)
+        tab = opened.__enter__()
+    except (RuntimeError, TimeoutError, OSError) as error:
+        pytest.skip(f"{EXECUTABLE} does not start here: {error}")
+    yield tab
+    opened.__exit__(None, None, None)
+
+
+def wide(tab: Browser) -> list[str]:
+    """What sticks out of the page to the right, without what scrolls in a box of its own."""
+    return tab.value(
+        "[...document.querySelectorAll('body *')].filter(e => !e.closest('.scroll > *') && !e.closest('svg') && "
+        "e.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map(e => e.outerHTML.slice(0, 200))"
+    )
+
+
+@needs_browser
+@pytest.mark.parametrize("size", [(360, 800), (1280, 900)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_opens_without_network_errors_or_overflow(chromium, page, size, scheme):
+    chromium.requests.clear()
+    chromium.errors.clear()
+    chromium.show(page, *size, prefers_color_scheme=scheme)
+    chromium.value("document.querySelectorAll('details').forEach(e => e.open = true)")
+    assert chromium.value("innerWidth") == size[0]
+    assert chromium.value("document.documentElement.scrollWidth") <= size[0]
+    assert wide(chromium) == []
+    assert chromium.value("[...document.images].length") >= 4
+    broken = "Promise.all([...document.images].map(i => i.decode().then(() => !i.naturalWidth, () => true)))"
+    assert not any(chromium.value(broken))
+    assert set(chromium.requests) == {page.as_uri()}
+    assert chromium.errors == []
+
+
+LUMINANCE = """(text, back) => { const light = c => { const [r, g, b] = c.match(/[\\d.]+/g).map(Number).map(v => v / 255)
+  .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4); return 0.2126 * r + 0.7152 * g + 0.0722 * b }
+  const [a, b] = [light(text), light(back)].sort((x, y) => y - x); return (a + 0.05) / (b + 0.05) }"""
+
+
+@needs_browser
+@pytest.mark.parametrize(("scheme", "background"), [("light", "rgb(255, 255, 255)"), ("dark", "rgb(21, 23, 26)")])
+def test_it_is_readable_in_light_and_dark(chromium, page, scheme, background):
+    chromium.show(page, 1280, 900, prefers_color_scheme=scheme)
+
+    def style(selector: str, prop: str) -> str:
+        return f"getComputedStyle(document.querySelector({json.dumps(selector)})).{prop}"
+
+    assert chromium.value(style("body", "backgroundColor")) == background
+    for selector, prop, least in (
+        ("body", "color", 7.0), ("a", "color", 4.5), (".bad", "color", 4.5), (".good", "color", 4.5), (".open", "color", 4.5),
+        ("figure svg text", "fill", 7.0), *((f".legend [style*='--c-{name})']", "borderTopColor", 3.0) for name in (
+            "linear_combination", "learned_fixed", "learned_any", "previous_tangent", "single_value", "lagrange"
+        )),
+    ):  # fmt: skip
+        ratio = chromium.value(f"({LUMINANCE})({style(selector, prop)}, '{background}')")
+        assert ratio >= least, (selector, ratio)
+
+
+@needs_browser
+def test_the_animation_stops_when_asked_or_when_less_motion_is_wanted(chromium, page):
+    shown = (
+        "[...document.querySelectorAll('.loop img')].filter(i => i.offsetHeight).map(i => i.currentSrc.slice(5, 15))"
+    )
+    chromium.show(page, 360, 800)
+    assert chromium.value(shown) == ["image/webp"] * 2
+    chromium.value("document.querySelectorAll('.loop input').forEach(e => e.click())")
+    assert chromium.value(shown) == ["image/jpeg"] * 2
+    chromium.show(page, 360, 800, prefers_reduced_motion="reduce")
+    assert chromium.value(shown) == ["image/jpeg"] * 2
+
+
+@needs_browser
+def test_it_prints_black_on_white(chromium, page):
+    chromium.show(page, 800, 1100, media="print", prefers_color_scheme="dark")
+    assert chromium.value("getComputedStyle(document.body).color") == "rgb(27, 27, 27)"
+    assert chromium.value("getComputedStyle(document.querySelector('nav')).display") == "none"
+    assert chromium.pdf().startswith(b"%PDF")
+
+
+@needs_browser
+def test_the_figures_show_on_their_own(chromium, made):
+    for name in ("fan-ball.svg", "violins.svg", "rl-return.svg"):
+        chromium.errors.clear()
+        chromium.show(made[0].path(f"figures/{name}"), 800, 600)
+        assert chromium.value("document.documentElement.tagName") == "svg"
+        assert chromium.value("document.querySelectorAll('parsererror').length") == 0
+        assert chromium.errors == []
+
+
+def test_ci_installs_the_browser():
+    script = Path(__file__).parents[2] / ".ci" / "run"
+    assert "chromium" in script.read_text()
+    assert shutil.which("bash")

@@ -1,0 +1,163 @@
+"""A training that can go on where it stopped: one file with weights, the optimiser's moments, random numbers and curve."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+from torch import nn
+
+from grasp_env.errors import InvalidInputError, ModelFileError
+from training.runs import Run
+
+SCHEMA = "grasp-force/training-state/1"
+SPACE = 32_000_000
+"""[bytes] that must be free before a training starts: model and state, and each once more while it is replaced."""
+
+
+@dataclass
+class Progress:
+    """How far a training is.
+
+    Attributes:
+        step: optimisation steps taken.
+        seconds: spent on them.
+        cpu_seconds: of one core: where programs share the cores, this is what training costs.
+        curve: rows of held-out scores.
+    """
+
+    step: int = 0
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    curve: list[list[float]] = field(default_factory=list)
+
+
+class StateFile:
+    """`<out>.state.safetensors`, replaced whole at every save and removed when the model is finished.
+
+    Args:
+        out: stem of the model's files.
+        settings: what decides the result; a state of other settings is refused.
+    """
+
+    def __init__(self, out: Path, settings: dict[str, Any]) -> None:
+        self.path = out.with_name(f"{out.name}.state.safetensors")
+        self._settings = json.loads(json.dumps(settings))  # as JSON, where tuples are lists
+
+    def prepare(self, resume: bool) -> None:
+        """Checks, before any work, that it can be written and whether there is something to go on from.
+
+        Raises:
+            InvalidInputError: the folder cannot be written, its disk is too full, or an unfinished training lies there.
+            ModelFileError: nothing to resume, or a damaged or foreign file.
+        """
+        Run.create(self.path.parent, "")
+        free = shutil.disk_usage(self.path.parent).free
+        if free < SPACE:
+            raise InvalidInputError(
+                f"{self.path.parent} has {free / 1e6:.0f} MB free, {SPACE / 1e6:.0f} MB are needed: make room or choose another --out"
+            )
+        if resume:
+            self._read()
+        elif self.path.exists():
+            raise InvalidInputError(
+                f"{self.path} is an unfinished training: add --resume, remove it, or choose another --out"
+            )
+
+    def save(
+        self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator, now: Progress
+    ) -> None:
+        """Writes everything under a temporary name, then renames."""
+        tensors = {f"weight.{name}": value.detach().numpy() for name, value in module.state_dict().items()}
+        for index, moments in optimiser.state_dict()["state"].items():
+            tensors |= {f"moment.{index}.{name}": value.numpy() for name, value in moments.items()}
+        tensors = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+        meta = {
+            "schema": SCHEMA,
+            "settings": self._settings,
+            "step": now.step,
+            "seconds": now.seconds,
+            "cpu_seconds": now.cpu_seconds,
+            "curve": now.curve,
+            "rng": rng.bit_generator.state,
+            "sha256": _digest(tensors),
+        }
+        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
+        try:
+            temporary.write_bytes(save(tensors, {"training": json.dumps(meta)}))
+            os.replace(temporary, self.path)
+        except OSError as error:
+            raise InvalidInputError(
+                f"cannot write {self.path} ({error.strerror}): the last state is still whole"
+            ) from None
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    def restore(self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator) -> Progress:
+        """Puts the saved weights, moments and random numbers back.
+
+        Raises:
+            ModelFileError: see `prepare`.
+        """
+        tensors, meta = self._read()
+        try:
+            module.load_state_dict({k[7:]: torch.from_numpy(v) for k, v in tensors.items() if k.startswith("weight.")})
+            moments: dict[int, dict[str, torch.Tensor]] = {}
+            for key, value in tensors.items():
+                if key.startswith("moment."):
+                    _, index, name = key.split(".")
+                    moments.setdefault(int(index), {})[name] = torch.from_numpy(value).clone()
+            optimiser.load_state_dict({"state": moments, "param_groups": optimiser.state_dict()["param_groups"]})
+            rng.bit_generator.state = meta["rng"]
+            curve = [[float(value) for value in row] for row in meta["curve"]]
+            return Progress(int(meta["step"]), float(meta["seconds"]), float(meta["cpu_seconds"]), curve)
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise self._damaged(error) from None
+
+    def remove(self) -> None:
+        """After the model was saved."""
+        self.path.unlink(missing_ok=True)
+
+    def _read(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        if not self.path.is_file():
+            raise ModelFileError(f"{self.path} does not exist, there is nothing to resume: leave --resume out")
+        try:
+            with safe_open(self.path, framework="numpy") as file:
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  not a mapping
+                meta = json.loads((file.metadata() or {})["training"])
+            if meta["schema"] != SCHEMA:
+                raise ModelFileError(f"{self.path} has schema {meta['schema']!r}, this version reads {SCHEMA!r}")
+            if meta["sha256"] != _digest(tensors):
+                raise ValueError("its sha256 does not fit")
+            settings = dict(meta["settings"])
+        except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+            if isinstance(error, ModelFileError):
+                raise
+            raise self._damaged(error) from None
+        names = sorted({*settings, *self._settings})
+        other = [name for name in names if settings.get(name) != self._settings.get(name)]
+        if other:
+            told = "; ".join(f"{name} was {settings.get(name)!r}, is {self._settings.get(name)!r}" for name in other)
+            raise InvalidInputError(
+                f"{self.path} was begun with other settings ({told}): repeat its command with --resume"
+            )
+        return tensors, meta
+
+    def _damaged(self, error: Exception) -> ModelFileError:
+        return ModelFileError(f"{self.path} is truncated or was changed ({error}): remove it and train anew")
+
+
+def _digest(tensors: dict[str, np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        digest.update(name.encode() + tensors[name].tobytes())
+    return digest.hexdigest()
