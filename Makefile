@@ -7,7 +7,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 
 help:
-	@echo "make evaluate   fit a network, compare all starts, roll out the hand: runs/<name>/report.html (about ten minutes)"
+	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about seven minutes)"
 	@echo "make test       the tests (at most six minutes)"
 	@echo "make slow       the long trials"
 	@echo "make check      format, lint and types"

@@ -27,7 +27,8 @@ def inlined(function: Callable[..., Any]) -> Any:
 def cut(array: Any, start: int, shape: tuple[int, ...]) -> Any:
     """The view array[start:].reshape(shape) of a flat C-contiguous array, unchecked.
 
-    In a kernel the view does not keep `array` alive: a kernel must not return it to Python.
+    In a kernel the view does not keep `array` alive: cut what the caller owns, never an array that the kernel made itself (it is
+    freed after its last use by name), and do not return the view.
     """
     return array[start : start + math.prod(shape)].reshape(shape)
 

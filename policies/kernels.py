@@ -43,7 +43,7 @@ def forward(features, sizes, weights, out):
     for size in sizes:
         width = max(width, size)
     both = np.empty(2 * width, np.float32)
-    a, b = cut(both, 0, (width,)), cut(both, width, (width,))
+    a, b = both[:width], both[width:]  # not `cut`: views must keep it alive
     for i in range(sizes[0]):
         a[i] = features[i]
     offset = 0
@@ -200,13 +200,13 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
     count = x.size // 3
     cone_matrix, _, inverse, divisor, weights, basis = split_contacts(numbers, count)
     scratch = np.empty(18 + 2 * x.size)
-    safe, carried = cut(scratch, 18, (x.size,)), cut(scratch, 18 + x.size, (x.size,))
+    safe, carried = scratch[18 : 18 + x.size], scratch[18 + x.size :]
     combine(basis, wrench, False, safe)
     if guessed:
         better(x, safe, weights)
     else:
         x[:] = safe
-    options, six, multipliers = cut(numbers, OPTIONS, (8,)), cut(scratch, 0, (6,)), cut(scratch, 6, (6,))
+    options, six, multipliers = cut(numbers, OPTIONS, (8,)), scratch[:6], scratch[6:12]
     load(wrench, options, six)
     value, bound, done = np.inf, -np.inf, False
     if previous.size > 0:
@@ -224,7 +224,7 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
             done = relative_gap(value, bound) <= numbers[TOLERANCE]
     if not done:
         # also where the carried force has less Phi: close to a cone the layers may get less far from it
-        dual = cut(scratch, 12, (6,))
+        dual = scratch[12:18]
         other, other_bound = _polished(x, six, wrench, layers, width, steps, guessed, numbers, dual)
         if not value <= other:
             value, bound, multipliers = other, other_bound, dual
@@ -242,7 +242,7 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
     record[OBJECTIVE], record[BOUND], record[MARGIN] = value, bound, cone_slack(x)
     given = pull_back(options, multipliers)
     residual(cone_matrix, x, wrench, six)
-    record[RESIDUAL] = unit_size(six, options, cut(scratch, 12, (6,)))
+    record[RESIDUAL] = unit_size(six, options, safe)
     for r in range(6):
         record[WRENCH + r], record[MULTIPLIERS + r] = wrench[r], given[r]
     for j in range(x.size):

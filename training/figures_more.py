@@ -140,7 +140,8 @@ def training_curve(card: dict[str, Any]) -> Drawing | None:
     curve = card.get("curve")
     if not isinstance(curve, dict) or len(curve.get("rows") or []) < 2:
         return None
-    columns, rows = curve["columns"], np.array(curve["rows"], dtype=float)
+    rows = [row.split() if isinstance(row, str) else row for row in curve["rows"]]
+    columns, rows = curve["columns"], np.array(rows, dtype=float)
     figure, axes = new_figure(WIDTH, 2.8)
     shown = range(max(2, len(columns) - len(_CURVE)), len(columns))
     for name, column in zip(_CURVE, shown, strict=False):

@@ -52,15 +52,19 @@ def refine(x, rows, rest, weights, network, width, steps, tolerance, multipliers
     """
     count = x.size // 3
     padded = (count + 3) // 4 * 4
-    # two allocations: one costs as much as a row of a layer's products
+    # two allocations: one costs as much as a row of a layer's products. (Not `cut`: views must keep them alive.)
     scratch = np.empty(48 + count * (39 + ROW))
-    lower, factor, right = cut(scratch, 0, (21,)), cut(scratch, 21, (21,)), cut(scratch, 42, (6,))
-    trial, work = cut(scratch, 48, (3 * count,)), cut(scratch, 48 + 3 * count, (count, ROW))
-    columns = cut(scratch, 48 + count * (3 + ROW), (count, 3, 6))
-    half = cut(scratch, 48 + count * (21 + ROW), (count, 3, 6))
+    lower, factor, right = scratch[:21], scratch[21:42], scratch[42:48]
+    trial = scratch[48 : 48 + 3 * count]
+    start = 48 + 3 * count
+    work = scratch[start : start + count * ROW].reshape((count, ROW))
+    start += count * ROW
+    columns = scratch[start : start + 18 * count].reshape((count, 3, 6))
+    half = scratch[start + 18 * count :].reshape((count, 3, 6))
     singles = np.zeros(padded * (FEATURES + 3) + (2 * padded + 2) * width, np.float32)
-    features, output = cut(singles, 0, (padded, FEATURES)), cut(singles, padded * FEATURES, (count, 3))
-    hidden = cut(singles, padded * (FEATURES + 3), (2 * padded + 2, width))
+    features = singles[: padded * FEATURES].reshape((padded, FEATURES))
+    output = singles[padded * FEATURES : padded * FEATURES + 3 * count].reshape((count, 3))
+    hidden = singles[padded * (FEATURES + 3) :].reshape((2 * padded + 2, width))
     value = phi(x, weights)
     taken = 0
     multipliers[:] = np.nan

@@ -191,10 +191,7 @@ class ForceOptimizer:
             if direct == "central":
                 record = method.direct(wrench)
             elif direct == "rule":
-                before, record = (
-                    self.previous if self._remembers else None,
-                    np.empty(record_size(self.grasp.n_contacts)),
-                )
+                record, before = np.empty(self._size), self.previous if self._remembers else None
                 direct = self._bound(wrench, _NO_FORCE if before is None else before._record[FORCE:], record)
             else:
                 before = self.previous if direct == "previous" else None
