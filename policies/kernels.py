@@ -32,6 +32,8 @@ from grasp_env.force.record import (
 )  # fmt: skip
 from grasp_env.force.start_kernels import best_on_segment, combine, tangent
 
+OUTSIDE, OPEN = 1, 2
+"""What a start answers; 0: inside the training range, and certified. REFUSED is 4."""
 SETTLED = 1e-7
 """Relative gap that the Newton decrement must promise for further layers to be left out, where no tolerance is larger."""
 
@@ -168,11 +170,11 @@ def start_fixed(wrench, previous, numbers, sizes, flat, layers, width, polish, r
             REFUSED for a wrench that is not finite.
 
     Returns:
-        Whether the wrench was larger than those of training.
+        OUTSIDE where the wrench was larger than those of training, plus OPEN where a descent has to go on; or REFUSED.
     """
     record[CODE] = REFUSED
     if not _finite(wrench):
-        return True
+        return REFUSED
     x = np.empty((record.size - FORCE) // 7 * 3)
     divisor = split_contacts(numbers, x.size // 3)[3]
     raw_fixed(wrench, numbers, sizes, flat, x)
@@ -186,7 +188,7 @@ def start_layers(wrench, previous, numbers, layers, width, record):
     """The start that learned Newton layers make, as `start_fixed`; layers, width: see `layer_kernels.refine`."""
     record[CODE] = REFUSED
     if not _finite(wrench):
-        return True
+        return REFUSED
     x = np.empty((record.size - FORCE) // 7 * 3)
     return _refined(wrench, previous, layers, width, layers.shape[0], numbers, x, False, record)
 
@@ -249,7 +251,8 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
         record[FORCE + j] = record[FORCE + x.size + j] = x[j] / divisor[j // 3, j % 3]
     for k in range(count):
         record[FORCE + 2 * x.size + k] = 0.0
-    return not _size(wrench, numbers) <= numbers[LIMIT_SIZE]
+    outside = 0 if _size(wrench, numbers) <= numbers[LIMIT_SIZE] else OUTSIDE
+    return outside if done else outside + OPEN
 
 
 @compiled

@@ -13,10 +13,11 @@ import numpy as np
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError, UnknownNameError
 from grasp_env.force import ForceSolution, Objective, OfflineBasis
-from grasp_env.force.descent_kernels import LIMIT
+from grasp_env.force.descent_kernels import STALLED
 from grasp_env.force.lanes import options
 from grasp_env.force.record import CODE, FORCE, REFUSED, record_size
 from grasp_env.grasp import Grasp
+from policies import kernels
 from policies.checkpoint import Checkpoint
 
 PRETRAINED = Path(__file__).parent / "pretrained"
@@ -125,22 +126,24 @@ class LearnedInitialForce(ABC):
             descend: (start (3N,) [N], wrench, record) -> None, the optimizer's method.
 
         Returns:
-            solve(wrench, previous, record) -> the start's name; previous: (>= 3N,) force [N] or (0,).
+            solve(wrench, previous, record) -> the start's name, "" where only the general path can say what is wrong;
+            previous: (>= 3N,) force [N] or (0,).
         """
         rule = self if objective == self.objective else self.with_objective(objective)
         start, network = type(rule)._kernel, rule._network(grasp)
         numbers = rule._numbers(grasp, tolerance)
-        names, first, last = (
-            (self.name, self.name + OUTSIDE),
-            FORCE + 3 * grasp.n_contacts,
-            FORCE + 6 * grasp.n_contacts,
-        )
+        name, outside, count = self.name, self.name + OUTSIDE, 3 * grasp.n_contacts
+        names = (name, outside, name, outside, "")
 
         def solve(wrench: Array, previous: Array, record: Array) -> str:
-            name = names[start(wrench, previous, numbers, *network, record)]
-            if record[CODE] == LIMIT:
-                descend(record[first:last].copy(), wrench, record)
-            return name
+            answer = start(wrench, previous, numbers, *network, record)
+            if answer >= kernels.OPEN:
+                if answer == REFUSED:
+                    return ""
+                descend(record[FORCE + count : FORCE + 2 * count].copy(), wrench, record)
+                if not record[CODE] <= STALLED:
+                    return ""
+            return names[answer]
 
         return solve
 
@@ -166,10 +169,12 @@ class LearnedInitialForce(ABC):
         known = self.remembers and previous is not None and previous.n_contacts == grasp.n_contacts
         before = np.array(previous.force).reshape(-1) if known and previous is not None else _NOTHING
         record = np.empty(record_size(grasp.n_contacts))
-        outside = type(rule)._kernel(np.array(wrench, dtype=np.float64), before, numbers, *network, record)
-        if record[CODE] == REFUSED:
+        answer = type(rule)._kernel(np.array(wrench, dtype=np.float64), before, numbers, *network, record)
+        if answer == REFUSED:
             raise InfeasibleStartError(f"a wrench needs finite numbers, got {np.asarray(wrench).tolist()}")
-        return self.name + OUTSIDE * outside, record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(-1, 3)
+        return self.name + OUTSIDE * (answer & kernels.OUTSIDE), record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(
+            -1, 3
+        )
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
         """Whether grasp and wrench lie in the training range; elsewhere the start is still safe, and solutions say so."""

@@ -41,7 +41,7 @@ class FitConfig:
     seconds: float = 240.0
     steps: int = 0
     samples: int = 400_000
-    hidden: tuple[int, ...] = (64, 64)
+    hidden: tuple[int, ...] = (96, 96)
     polish: int = 3
     polish_width: int = 16
     batch_size: int = 2048

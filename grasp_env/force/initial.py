@@ -51,7 +51,9 @@ class CompiledRule(InitialForceRule, Protocol):
     def bind(
         self, grasp: Grasp, objective: Objective, tolerance: float, descend: Callable[[Array, Array, Array], None]
     ) -> Callable[[Array, Array, Array], str]:
-        """solve(wrench, previous, record) -> the start's name; it writes `record` (`record.py`).
+        """solve(wrench, previous, record) -> the start's name, "" where the general path has to say what is wrong.
+
+        It writes `record` (`record.py`).
 
         Args:
             grasp: the contacts; raises `InfeasibleStartError` where the rule does not know them.

@@ -193,6 +193,10 @@ class ForceOptimizer:
             elif direct == "rule":
                 record, before = np.empty(self._size), self.previous if self._remembers else None
                 direct = self._bound(wrench, _NO_FORCE if before is None else before._record[FORCE:], record)
+                if direct:
+                    self.previous = solution = ForceSolution(record, self.settings.method, direct)
+                    return solution
+                record = None
             else:
                 before = self.previous if direct == "previous" else None
                 direct = "previous" if before is not None else "linear_combination"
