@@ -64,6 +64,8 @@ def write_checkpoint(
             os.replace(folder, hidden.with_suffix(".old"))
         os.replace(hidden, folder)
     except OSError as error:
+        if hidden.with_suffix(".old").exists() and not folder.exists():
+            os.replace(hidden.with_suffix(".old"), folder)
         raise ModelFileError(
             f"cannot write {folder}: {error.strerror}; free some space or choose another --out"
         ) from None

@@ -41,6 +41,8 @@ class FixedGraspForce(LearnedInitialForce):
             self.n_contacts = int(numbers["n_contacts"])
             trained = Objective(float(numbers["force_weight"]), float(numbers["barrier_weight"]))
             learned, width = int(numbers["polish"]), int(numbers["polish_width"])
+            if learned < 0:
+                raise ValueError(f"polish {learned}")
             self._ranges = checkpoint.ranges["magnitude"], checkpoint.ranges["friction"]
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise malformed("of kind fixed_grasp", error) from None

@@ -218,8 +218,7 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
         combine(basis, wrench, False, safe)
         if known:
             least_change(carried, cone_matrix, inverse, wrench)
-            if not guessed:
-                better(carried, safe, weights)
+            better(carried, safe, weights)
             known = phi(carried, weights) < phi(x, weights)
         if known:
             value, bound = _polished(carried, six, wrench, layers, width, steps, guessed, numbers, multipliers)
@@ -232,7 +231,8 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
             value, bound, multipliers = other, other_bound, dual
         else:
             x[:] = carried
-            bound = max(bound, other_bound)
+            if other_bound > bound:
+                bound, multipliers = other_bound, dual
         done = relative_gap(value, bound) <= numbers[TOLERANCE]
     else:
         x[:] = carried

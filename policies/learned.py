@@ -57,8 +57,7 @@ class LearnedInitialForce(ABC):
         self.checkpoint = checkpoint
         self.objective = objective or Objective()
         self.remembers = remembers
-        self._grasp: Grasp | None = None
-        self._prepared: tuple[Array, tuple[Any, ...]] | None = None
+        self._prepared: tuple[Grasp, Array, tuple[Any, ...]] | None = None
 
     @staticmethod
     def load(path: str | Path, *, remembers: bool = False) -> LearnedInitialForce:
@@ -111,7 +110,7 @@ class LearnedInitialForce(ABC):
     def with_objective(self, objective: Objective) -> LearnedInitialForce:
         """The same model for another Phi, exact up to scale: Phi knows forces in units of sqrt(lambda / omega) only."""
         other = copy(self)
-        other.objective, other._grasp, other._prepared = objective, None, None
+        other.objective, other._prepared = objective, None
         return other
 
     def bind(
@@ -163,9 +162,10 @@ class LearnedInitialForce(ABC):
             InfeasibleStartError: see `__call__`.
         """
         rule = self if objective == self.objective else self.with_objective(objective)
-        if rule._grasp is not grasp or rule._prepared is None:
-            rule._prepared, rule._grasp = (rule._numbers(grasp, 0.0), rule._network(grasp)), grasp
-        numbers, network = rule._prepared
+        prepared = rule._prepared  # one tuple, read once: threads may share a rule
+        if prepared is None or prepared[0] is not grasp:
+            prepared = rule._prepared = grasp, rule._numbers(grasp, 0.0), rule._network(grasp)
+        _, numbers, network = prepared
         known = self.remembers and previous is not None and previous.n_contacts == grasp.n_contacts
         before = np.array(previous.force).reshape(-1) if known and previous is not None else _NOTHING
         record = np.empty(record_size(grasp.n_contacts))

@@ -128,7 +128,8 @@ def timing_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
         return Table(caption, columns, out)
 
     notes = (
-        "Public Python calls on this machine, one thread, compiled kernels warm, warm-up not counted, starts taking turns on "
+        "Public Python calls on this machine, one thread, compiled kernels warm, warm-up not counted, one start "
+        "at a time in blocks that take turns, as in a loop that does nothing else, on "
         f"every wrench ({number(timing.get('wrenches'))} of the held-out ball, fixed grasp). “Start alone” includes inference "
         "and repair; “with …” is the whole call to a certified gap of 1e-4; where the solver has the start compiled, as the "
         "12-basis, it never returns to Python in between and can be shorter than the start alone. Best of "

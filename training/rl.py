@@ -44,6 +44,12 @@ def train(config: RLConfig, out: Path, resume: bool = False, console: Console | 
     """
     console = console or Console(stderr=True)
     config = config.resolved()
+    folders = {seed: out / f"seed-{seed}" for seed in config.seeds}
+    begun = [folder for folder in folders.values() if checkpoints(folder / rl_checkpoint.FOLDER)]
+    if resume:
+        for seed, folder in folders.items():
+            if folder in begun:
+                rl_checkpoint.check_settings(folder, config, seed)
     finished = out / "run.json"
     if resume and finished.is_file():
         done = Run(out).read_json("run.json")["config"]
@@ -52,8 +58,6 @@ def train(config: RLConfig, out: Path, resume: bool = False, console: Console | 
             return Run(out).read_json("rl.json")
         finished.unlink()
     run = Run.create(out.parent, out.name)
-    folders = {seed: out / f"seed-{seed}" for seed in config.seeds}
-    begun = [folder for folder in folders.values() if checkpoints(folder / rl_checkpoint.FOLDER)]
     if begun and not resume:
         raise InvalidInputError(f"{begun[0]} holds an unfinished training: add --resume, or choose another --out")
     if resume and not begun:

@@ -69,6 +69,18 @@ def resume(folder: Path, agent: PPO | SAC, envs: VecNormalize, config: RLConfig,
         InvalidInputError: it was trained with other settings.
     """
     found = find_checkpoint(folder)
+    meta = check_settings(folder, config, seed)
+    saved = {stem: read_tensors(found, meta, stem) for stem in ("policy", "optimiser")}
+    stems = ("normaliser", "state", *(("replay",) if config.algorithm == "sac" else ()))
+    saved |= {stem: read_arrays(found, meta, stem) for stem in stems}
+    restore(agent, envs, saved, first_seed(seed, meta["steps"]))
+    envs.seed(first_seed(seed, meta["steps"]))
+    return meta
+
+
+def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
+    """What the newest checkpoint of `folder` says of itself; raises as `resume` does, before anything is changed."""
+    found = find_checkpoint(folder)
     meta = read_meta(found)
     now = {**asdict(config), "env_settings": config.env_settings}
     before = {**meta["config"], "env_settings": meta["env_settings"]}
@@ -82,11 +94,6 @@ def resume(folder: Path, agent: PPO | SAC, envs: VecNormalize, config: RLConfig,
         raise InvalidInputError(
             f"{found} was trained with other settings ({told or 'another seed'}): give the same, or another --out"
         )
-    saved = {stem: read_tensors(found, meta, stem) for stem in ("policy", "optimiser")}
-    stems = ("normaliser", "state", *(("replay",) if config.algorithm == "sac" else ()))
-    saved |= {stem: read_arrays(found, meta, stem) for stem in stems}
-    restore(agent, envs, saved, first_seed(seed, meta["steps"]))
-    envs.seed(first_seed(seed, meta["steps"]))
     return meta
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces
+from grasp_env._check import Array
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import ForceOptimizer, InitialForceRule, Objective, OfflineBasis
 from grasp_env.force.repair import Correction
@@ -67,9 +68,10 @@ def time_calls(
     repeats: int,
     tick: Callable[[], None] = lambda: None,
 ) -> Trials:
-    """Times every start on every wrench, `repeats` times over, starts taking turns on each wrench.
+    """Times every start on every wrench, `repeats` times over, starts taking turns at each repeat.
 
-    So a noisy moment of the machine hits all alike. The previous solution is that of the wrench before, as in a loop.
+    A block of one start's calls in a row is what a control loop that does nothing else pays: its code and data are in the cache;
+    between the calls of others everything takes longer. The previous solution is that of the wrench before, as in a loop.
 
     Args:
         wrenches: (n, 6).
@@ -86,24 +88,28 @@ def time_calls(
     loops = {method: optimizers(grasp, method, starts, models, objective) for method in METHODS}
     out = {f"{key}/start_us": np.full((repeats, count), np.nan) for key in starts}
     out |= {f"{method}/{key}/total_us": np.full((repeats, count), np.nan) for method in METHODS for key in starts}
+    newton = ForceOptimizer(grasp, method="newton", **phi_options(objective))
+    optima = [newton.solve(load).force for load in wrenches]
     collecting = gc.isenabled()
     try:
         for turn in range(-1, repeats):
             gc.collect()
             gc.disable()
-            for k, load in enumerate(wrenches[:WARM_UP] if turn < 0 else wrenches):
-                for key, start in starts.items():
-                    before = _before(loops[METHODS[0]][key])
-                    calls: dict[str, Callable[[], object]] = {
-                        f"{method}/{key}/total_us": lambda m=method, key=key, load=load: loops[m][key].solve(load)
-                        for method in METHODS
-                    }
-                    if before is not None or not key.startswith("previous"):
-                        calls[f"{key}/start_us"] = lambda s=start, b=before, load=load: s(grasp, load, b)
-                    for name, call in calls.items():
+            loads = wrenches[:WARM_UP] if turn < 0 else wrenches
+            for key, start in starts.items():
+                calls: dict[str, Callable[[int], object]] = {
+                    f"{method}/{key}/total_us": lambda k, m=method, key=key: loops[m][key].solve(wrenches[k])
+                    for method in METHODS
+                }
+                calls[f"{key}/start_us"] = lambda k, s=start: s(grasp, wrenches[k], optima[k - 1])
+                for name, call in calls.items():
+                    for k in range(WARM_UP):
+                        with suppress(InfeasibleStartError):
+                            call(k % len(loads))
+                    for k in range(len(loads)):
                         begin = time.perf_counter_ns()
                         try:
-                            call()
+                            call(k)
                         except InfeasibleStartError:
                             continue
                         end = time.perf_counter_ns()
@@ -130,7 +136,3 @@ def time_bases(objective: Objective) -> Array:
             best = min(best, (time.perf_counter_ns() - begin) / 1e3)
         times.append(best)
     return np.array(times)
-
-
-def _before(optimizer: ForceOptimizer) -> ContactForces | None:
-    return None if optimizer.previous is None else optimizer.previous.force

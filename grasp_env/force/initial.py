@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env._check import Array, ContactForces, Wrench
-from grasp_env.errors import InfeasibleStartError, UnknownNameError
+from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnknownNameError
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.feasibility import phase_one
+from grasp_env.force.layer_kernels import FEATURES
 from grasp_env.force.objective import Objective
 from grasp_env.force.solution import ForceSolution
 from grasp_env.force.start_kernels import ray_interval
@@ -75,6 +76,17 @@ class LayeredRule(CompiledRule, Protocol):
     name: str
     layers: NDArray[np.float32]
     width: int
+
+
+def check_layers(layers: NDArray[np.float32], width: int) -> None:
+    """Raises `InvalidInputError` unless kernels can read these learned layers."""
+    numbers = 2 * width * width + (FEATURES + 5) * width + 3
+    fits = isinstance(layers, np.ndarray) and layers.dtype == np.float32 and layers.ndim == 2 and layers.flags.carray
+    if not (fits and width > 0 and layers.shape[1] == numbers):
+        raise InvalidInputError(
+            f"learned layers must be a C-contiguous float32 array (K, {numbers}) for width {width}, got "
+            f"{getattr(layers, 'dtype', type(layers).__name__)} {getattr(layers, 'shape', '')}"
+        )
 
 
 @dataclass(frozen=True)

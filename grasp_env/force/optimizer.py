@@ -192,6 +192,8 @@ class ForceOptimizer:
                 record = method.direct(wrench)
             elif direct == "rule":
                 record, before = np.empty(self._size), self.previous if self._remembers else None
+                if before is not None and len(before._record) != self._size:
+                    before = None  # of another number of contacts
                 direct = self._bound(wrench, _NO_FORCE if before is None else before._record[FORCE:], record)
                 if direct:
                     self.previous = solution = ForceSolution(record, self.settings.method, direct)
@@ -316,13 +318,23 @@ class ForceOptimizer:
         # a flow that ended short would end so again
         self._final = STALLED if isinstance(method, Flow) else CONVERGED
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_bound"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._set_grasp(self.grasp)  # a bound rule is a closure: made anew
+
     def _warm_up(self) -> None:
         """Compiles, or loads, the kernels of the control loop's path before the first call that counts."""
         method: Any = self._method
         if self._direct == "central":
             method.direct(np.zeros(6))
         elif self._direct == "rule":
-            self._bound(np.zeros(6), _NO_FORCE, np.empty(self._size))
+            record = np.empty(self._size)
+            self._bound(np.zeros(6), _NO_FORCE, record)
+            count = 3 * self.grasp.n_contacts
+            method.descend(record[FORCE + count : FORCE + 2 * count].copy(), np.zeros(6), record)
         elif self._direct:
             method.direct(np.zeros(6), None)
 

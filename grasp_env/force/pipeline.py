@@ -10,8 +10,8 @@ import numpy as np
 from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench
 from grasp_env.errors import InfeasibleStartError, UnknownNameError, UnsupportedProblemError
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.descent_kernels import CONVERGED
-from grasp_env.force.initial import LayeredRule
+from grasp_env.force.descent_kernels import STALLED
+from grasp_env.force.initial import LayeredRule, check_layers
 from grasp_env.force.lanes import LANES
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.optimizer import MAX_ITERATIONS, ForceOptimizer
@@ -42,7 +42,7 @@ class ForcePipeline:
     by more than `pipeline_kernels.FAR`, the 12 optima are computed again for the contacts of now and kept from then on.
     A result depends on the nominal grasp and the calls since `reset`, on nothing else.
 
-    Whatever is not solved that way (rank-deficient contacts, wrong numbers, no force closure, max_iterations) goes to a
+    Whatever is not solved that way (rank-deficient contacts, wrong numbers, no force closure) goes to a
     `ForceOptimizer` on the grasp of now, whose solutions, errors and proofs are returned. One pipeline belongs to one thread.
 
     Attributes:
@@ -91,6 +91,8 @@ class ForcePipeline:
         if method not in PIPELINE_METHODS:
             raise UnknownNameError("method of a pipeline", method, PIPELINE_METHODS)
         layered = isinstance(initial, LayeredRule)
+        if layered:
+            check_layers(initial.layers, initial.width)
         if not layered and initial not in STARTS:
             raise UnknownNameError("start of a pipeline", str(initial), STARTS, ", or give a rule of learned layers")
         if set(grasp.models.names) != {"hard"}:
@@ -193,7 +195,7 @@ class ForcePipeline:
         """`solve` of C-contiguous float64 arrays of the right shapes, which are not looked at; `adjust` (0,): none."""
         record = np.empty(self._size)
         self._compiled(points, normals, wrench, adjust, record)
-        if record[CODE] != CONVERGED:
+        if record[CODE] > STALLED:
             return self._general(points, normals, wrench, adjust, record)
         return ForceSolution(record, self.method, self.initial)
 
@@ -249,7 +251,7 @@ class ForcePipeline:
                 self.held.basis[:] = OfflineBasis.of(grasp, self.objective).cone_forces
                 self.held.basis_frames[:] = grasp.frames
                 self._compiled(points, normals, wrench, adjust, record)
-                if record[CODE] == CONVERGED:
+                if record[CODE] <= STALLED:
                     return ForceSolution(record, self.method, self.initial)
         wrench = as_wrench(wrench)
         optimizer = ForceOptimizer(grasp, **self._options)

@@ -11,7 +11,7 @@ from grasp_env._check import LARGEST, Array
 from grasp_env._compile import compiled
 from grasp_env._views import cut, inlined
 from grasp_env.force.basis_kernels import ACCEPTED_GAP, BASIS_ITERATIONS, BASIS_TOLERANCE, offline_basis
-from grasp_env.force.descent_kernels import CONVERGED
+from grasp_env.force.descent_kernels import STALLED
 from grasp_env.force.factor_kernels import flow_lanes, orthonormal_rows, smooth_null_space, write_inverse
 from grasp_env.force.flow_products import PROJECTOR, ROW_SPACE
 from grasp_env.force.flow_record import least_change, run_flow
@@ -192,7 +192,7 @@ def carry_contacts(held, points, normals, wrench, frames, cone_matrix, force):
 
 @compiled
 def solve_contacts(points, normals, wrench, adjust, reference, held, rule, settings, layers, record):
-    """One solve; writes `record`, and on CONVERGED what is held. REFUSED: the general path has to say why.
+    """One solve; writes `record`, and what is held unless REFUSED. REFUSED: the general path has to say why.
 
     Args:
         points, normals: (N, 3) contact points [m] and inward unit normals, object frame.
@@ -285,7 +285,7 @@ def solve_contacts(points, normals, wrench, adjust, reference, held, rule, setti
             constants, PROJECTOR if blocks == 1 else ROW_SPACE, first, none, places, x, cone_matrix, held.divisor, held.weights,
             wrench, rule, options, record, no_trace,
         )  # fmt: skip
-    if record[CODE] == CONVERGED:
+    if record[CODE] <= STALLED:  # also cut short: balanced and inside the cones
         for j in range(size):
             held.x[j] = record[FORCE + j] * held.divisor[j // 3, j % 3]
         held.frames[:] = frames

@@ -161,6 +161,27 @@ def test_memory_is_never_worse_than_either(rule):
     assert value <= optimizer.objective.value(grasp.to_cone(rule(grasp, jump))) * (1 + 1e-4)
 
 
+def test_a_remembering_start_is_never_worse_than_the_previous_start_and_keeps_its_certificate(rule):
+    """Also after jumps, where the carried force leaves the cones and is repaired."""
+    from grasp_env.force.kernels import lower_bound
+    from grasp_env.force.repair import carry_over
+
+    grasp, objective = presets.paper_cuboid(), Objective()
+    remembering = type(rule)(rule.checkpoint, remembers=True)
+    optimizer = ForceOptimizer(grasp, initial=remembering)
+    rng = np.random.default_rng(11)
+    for w in wrench.sample_magnitudes(rng, 300, 0.1, 20.0):
+        before = optimizer.previous
+        if before is not None:
+            classical = objective.value(grasp.to_cone(carry_over(grasp, w, before.force, objective)))
+            _, force = remembering.start(grasp, w, objective, before)
+            assert objective.value(grasp.to_cone(force)) <= classical * (1 + 1e-12)
+        solution = optimizer.solve(w)
+        bound = lower_bound(solution.multipliers.copy(), grasp.cone_matrix.copy(), w, objective.weights(4))
+        if solution.iterations == 0:
+            assert solution.objective <= bound * (1 + 1.001e-4)
+
+
 def test_an_episode_in_the_environment_uses_the_compiled_pipeline(anywhere):
     from grasp_env.env import FourFingerGrasp
     from grasp_env.force.pipeline import ForcePipeline
@@ -195,6 +216,9 @@ def test_contacts_that_a_model_does_not_know(fixed, anywhere):
 
 def test_pickle_keeps_every_bit(rule):
     grasp, w = presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)
+    optimizer = ForceOptimizer(grasp, initial=rule)
+    again = pickle.loads(pickle.dumps(optimizer))
+    np.testing.assert_array_equal(again.solve(w).force, optimizer.solve(w).force)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(rule))(grasp, w), rule(grasp, w))
 
 

@@ -151,7 +151,8 @@ def test_two_resumes_from_one_checkpoint_are_equal_bit_by_bit(algorithm, ppo, sa
 
 
 def test_a_finished_run_says_so_and_others_are_refused(ppo, sac, tmp_path, capsys):
-    arguments = ["rl", "--out", str(ppo), "--steps", "96", "--envs", "2"]
+    same = ["--rollout", "48", "--warmup", "32", "--buffer", "200"]
+    arguments = ["rl", "--out", str(ppo), "--steps", "96", "--envs", "2", *same]
     assert main([*arguments, "--resume"]) == 0
     assert "is finished, 96 steps" in capsys.readouterr().err
     assert main(arguments) == 2
