@@ -83,7 +83,7 @@ class LearnedInitialForce(ABC):
 
         Args:
             name: "any_grasp": three to five hard contacts anywhere; "four_finger": the contacts of `presets.paper_cuboid()`,
-                half the time per call.
+                three quarters of the time per call.
             remembers: see `load`.
 
         Raises:
