@@ -8,7 +8,7 @@ STAMP := .venv/.installed
 
 help:
 	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about seven minutes)"
-	@echo "make test       the tests (at most six minutes)"
+	@echo "make test       the tests (about six minutes)"
 	@echo "make slow       the long trials"
 	@echo "make check      format, lint and types"
 	@echo "make format     format and mend what can be mended"
