@@ -6,11 +6,11 @@ import json
 import pickle
 import re
 import warnings
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from episodes import episode
 from gymnasium.utils.env_checker import check_env as gym_check
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
@@ -20,32 +20,9 @@ from grasp_env.env import FourFingerGrasp
 from grasp_env.errors import GraspError
 from grasp_env.force import initial_rule
 
-ENV = "grasp_env:FourFingerGrasp-v0"
 ZERO = np.zeros(6, dtype=np.float32)
 DOC = FourFingerGrasp.__doc__ or ""
 ALL = ("shape", "size", "mass", "friction")
-
-
-def episode(
-    steps: int | None = 20, seed: int = 3, action: np.ndarray | None = None, **settings: Any
-) -> tuple[np.ndarray, list[dict[str, Any]]]:
-    """Observations (the first is reset's) and infos of the steps of an episode; steps None: all."""
-    env = gym.make(ENV, **settings)
-    try:
-        zero = np.zeros(env.action_space.shape or (), dtype=np.float32)
-        out, infos = [env.reset(seed=seed)[0]], []
-        while steps is None or len(infos) < steps:
-            obs, reward, terminated, truncated, info = env.step(zero if action is None else action)
-            assert np.isfinite(obs).all()
-            assert np.isfinite(reward)
-            assert env.observation_space.contains(obs)
-            out.append(obs)
-            infos.append({**info, "terminated": terminated, "truncated": truncated})
-            if terminated or truncated:
-                break
-        return np.array(out), infos
-    finally:
-        env.close()
 
 
 def block(obs: np.ndarray, name: str, tips: int = 4, joints: int = 12) -> np.ndarray:

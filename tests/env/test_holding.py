@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
+from episodes import episode
 
 from grasp_env.config import CONTROLLERS
 from grasp_env.env import FourFingerGrasp
@@ -17,30 +16,7 @@ from grasp_env.sim.hand_frames import roll_pitch_yaw, rotation_matrix
 from grasp_env.sim.urdf import hand_urdf
 from grasp_env.task import TASKS
 
-ENV = "grasp_env:FourFingerGrasp-v0"
 ZERO = np.zeros(6, dtype=np.float32)
-
-
-def episode(
-    steps: int | None = 20, seed: int = 3, action: np.ndarray | None = None, **settings: Any
-) -> tuple[np.ndarray, list[dict[str, Any]]]:
-    """Observations (the first is reset's) and infos of the steps of an episode; steps None: all."""
-    env = gym.make(ENV, **settings)
-    try:
-        zero = np.zeros(env.action_space.shape or (), dtype=np.float32)
-        out, infos = [env.reset(seed=seed)[0]], []
-        while steps is None or len(infos) < steps:
-            obs, reward, terminated, truncated, info = env.step(zero if action is None else action)
-            assert np.isfinite(obs).all()
-            assert np.isfinite(reward)
-            assert env.observation_space.contains(obs)
-            out.append(obs)
-            infos.append({**info, "terminated": terminated, "truncated": truncated})
-            if terminated or truncated:
-                break
-        return np.array(out), infos
-    finally:
-        env.close()
 
 
 @pytest.mark.parametrize(

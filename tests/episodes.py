@@ -1,0 +1,32 @@
+"""Episodes of the environment, for the tests that look at what happened in them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+ENV = "grasp_env:FourFingerGrasp-v0"
+
+
+def episode(
+    steps: int | None = 20, seed: int = 3, action: np.ndarray | None = None, **settings: Any
+) -> tuple[np.ndarray, list[dict[str, Any]]]:
+    """Observations (the first is reset's) and infos of the steps of an episode; steps None: all."""
+    env = gym.make(ENV, **settings)
+    try:
+        zero = np.zeros(env.action_space.shape or (), dtype=np.float32)
+        out, infos = [env.reset(seed=seed)[0]], []
+        while steps is None or len(infos) < steps:
+            obs, reward, terminated, truncated, info = env.step(zero if action is None else action)
+            assert np.isfinite(obs).all()
+            assert np.isfinite(reward)
+            assert env.observation_space.contains(obs)
+            out.append(obs)
+            infos.append({**info, "terminated": terminated, "truncated": truncated})
+            if terminated or truncated:
+                break
+        return np.array(out), infos
+    finally:
+        env.close()
