@@ -201,8 +201,9 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
     """
     count = x.size // 3
     cone_matrix, _, inverse, divisor, weights, basis = split_contacts(numbers, count)
-    scratch = np.empty(18 + 2 * x.size)
-    safe, carried = scratch[18 : 18 + x.size], scratch[18 + x.size :]
+    scratch = np.empty(18 + 3 * x.size)
+    safe, carried = scratch[18 : 18 + x.size], scratch[18 + x.size : 18 + 2 * x.size]
+    before = scratch[18 + 2 * x.size :]
     combine(basis, wrench, False, safe)
     if guessed:
         better(x, safe, weights)
@@ -213,9 +214,8 @@ def _refined(wrench, previous, layers, width, steps, numbers, x, guessed, record
     value, bound, done = np.inf, -np.inf, False
     if previous.size > 0:
         for j in range(x.size):
-            safe[j] = previous[j] * divisor[j // 3, j % 3]
-        known = phi(safe, weights) < np.inf and tangent(safe, cone_matrix, wrench, weights, carried)
-        combine(basis, wrench, False, safe)
+            before[j] = previous[j] * divisor[j // 3, j % 3]
+        known = phi(before, weights) < np.inf and tangent(before, cone_matrix, wrench, weights, carried)
         if known:
             least_change(carried, cone_matrix, inverse, wrench)
             better(carried, safe, weights)

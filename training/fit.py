@@ -123,10 +123,7 @@ def fit(
     """
     config = config.resolved()
     grasp = presets.preset(config.preset)
-    state = None
-    if out is not None:
-        state = StateFile(out, {"kind": "fixed_grasp", **asdict(config)})
-        state.prepare(resume)
+    state = StateFile.begin(out, {"kind": "fixed_grasp", **asdict(config)}, resume)
     torch.set_num_threads(config.threads)
     reference = reference_basis(grasp)
     objective = Objective(config.force_weight, config.barrier_weight)

@@ -111,10 +111,7 @@ def fit_any(
     """
     torch.set_num_threads(1)
     config = config.resolved()
-    state = None
-    if out is not None:
-        state = StateFile(out, {"kind": "any_grasp", **asdict(config)})
-        state.prepare(resume)
+    state = StateFile.begin(out, {"kind": "any_grasp", **asdict(config)}, resume)
     train = make_pool(np.random.default_rng([config.seed, 0]), config.grasps, config.samples)
     held_out = make_pool(np.random.default_rng([HELD_OUT_SEED, 1]), config.held_out // 4, config.held_out)
     torch.manual_seed(config.seed)

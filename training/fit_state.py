@@ -53,6 +53,15 @@ class StateFile:
         self.path = out.with_name(f"{out.name}.state.safetensors")
         self._settings = json.loads(json.dumps(settings))  # as JSON, where tuples are lists
 
+    @classmethod
+    def begin(cls, out: Path | None, settings: dict[str, Any], resume: bool) -> StateFile | None:
+        """The state of a training, prepared; None where it is not kept."""
+        if out is None:
+            return None
+        state = cls(out, settings)
+        state.prepare(resume)
+        return state
+
     def prepare(self, resume: bool) -> None:
         """Checks, before any work, that it can be written and whether there is something to go on from.
 

@@ -7,9 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from grasp_env.env import FourFingerGrasp
 from grasp_env.force import InitialForceRule, Objective
-from grasp_env.sim import Camera, CameraConfig
 from policies.controllers import Policy, ZeroPolicy
 
 SCENARIOS: dict[str, dict[str, Any]] = {
@@ -106,13 +104,3 @@ def roll_out_scenario(
             rows = roll_out(scenario, rule, seed + episode, steps, objective=objective)
             out.update({f"{scenario}/{key}/{episode}/{column}": value for column, value in rows.items()})
     return out
-
-
-def picture(size: int = 640) -> np.ndarray:
-    """(size, size, 3) the hand holding the cuboid, rendered without a display."""
-    env = FourFingerGrasp(render_mode="rgb_array")
-    try:
-        env.reset(seed=0)
-        return Camera(env.scene, CameraConfig(width=size, height=size, supersampling=3)).capture()
-    finally:
-        env.close()
