@@ -110,21 +110,26 @@ class Scene:
     def keep(self, name: str = "start") -> None:
         """Makes the present state one that `reset` returns to: 1 ms; one is kept of each name, each takes 97 kB."""
         client = self.client.number
-        bullet.performCollisionDetection(physicsClientId=client)  # a bare state restores inexactly
+        contacts = self._contacts()
         if name in self._kept:
-            bullet.removeState(self._kept[name], physicsClientId=client)
-        self._kept[name] = bullet.saveState(physicsClientId=client)
+            bullet.removeState(self._kept[name][0], physicsClientId=client)
+        self._kept[name] = bullet.saveState(physicsClientId=client), contacts
         self.reset(name)
 
     def reset(self, name: str = "start") -> None:
-        """Returns to a kept state, bit by bit; gravity and the object's dynamics stay as they are.
+        """Returns to a kept state and its contact forces, bit by bit; gravity and the object's dynamics stay as they are.
 
         Raises:
             UnknownNameError: nothing of that name was kept.
         """
         if name not in self._kept:
             raise UnknownNameError("kept state", name, self._kept)
-        bullet.restoreState(stateId=self._kept[name], physicsClientId=self.client.number)
+        client, world = self.client.number, self._world
+        state, self._resting = self._kept[name]
+        bullet.restoreState(stateId=state, physicsClientId=client)
+        # Bullet restores contacts to the first pair of shapes of two links, not to the one they were of: new collision proxies make
+        # the next step find them anew. Nothing is lost, as its solver starts from no impulses; until then those kept are read
+        bullet.setCollisionFilterPair(world.hand, world.object, -1, -1, 1, physicsClientId=client)
         self._read = False
 
     def step(self, torques: ArrayLike, external_wrench: ArrayLike | None = None) -> None:
@@ -154,6 +159,7 @@ class Scene:
             bullet.applyExternalForce(world.object, -1, wrench[:3], (0.0, 0.0, 0.0), bullet.LINK_FRAME, client)
             bullet.applyExternalTorque(world.object, -1, wrench[3:], bullet.LINK_FRAME, client)
         bullet.stepSimulation(client)
+        self._resting = None
         self._read = False
 
     def look(self) -> Snapshot:
@@ -183,7 +189,7 @@ class Scene:
         joints = bullet.getJointStates(world.hand, world.joints, client)
         pose = bullet.getBasePositionAndOrientation(world.object, client)
         velocity = bullet.getBaseVelocity(world.object, client)
-        contacts = bullet.getContactPoints(world.hand, world.object, physicsClientId=client)
+        contacts = self._contacts()
         room = 2 * len(world.joints) + BODY + ROW * len(contacts)
         if room > len(self.reading):
             self.reading = np.empty(2 * room)
@@ -219,8 +225,15 @@ class Scene:
         self.observed = (
             self.tree_numbers, self.tree_indices, surface.kind, surface.numbers, surface.triangles, surface.normals, self.gravity,
         )  # fmt: skip
-        self._kept: dict[str, int] = {}  # the server that held others was emptied
+        self._kept: dict[str, tuple[int, Any]] = {}  # the server that held others was emptied
+        self._resting: Any = None
         self._read = False
+
+    def _contacts(self) -> Any:
+        """What the server says of the contacts in the last step, after a reset what it said when the state was kept."""
+        if self._resting is not None:
+            return self._resting
+        return bullet.getContactPoints(self._world.hand, self._world.object, physicsClientId=self.client.number)
 
     def _set_object(self, changed: ObjectDescription) -> None:
         self.config = replace(self.config, object=changed)

@@ -19,6 +19,7 @@ from grasp_env.sim.client import bullet
 ENV = "grasp_env:FourFingerGrasp-v0"
 RANDOM = {"disturbance": "random"}
 OBJECTS = {"randomise": ("shape", "size", "mass", "friction")}
+ROUND = {"shape": "sphere", "disturbance": "random"}
 NOISY = {"disturbance": "random", "pose_noise": 1e-5, "force_noise": 0.01, "sensor_delay": 0.004}
 
 
@@ -50,7 +51,7 @@ def _send(queue: Any, settings: list[dict[str, Any]]) -> None:
 
 @pytest.mark.parametrize("start", ["spawn", "fork"])
 def test_same_bits_in_another_process(start):
-    settings = [RANDOM, OBJECTS, NOISY]
+    settings = [RANDOM, ROUND, OBJECTS, NOISY]
     context = multiprocessing.get_context(start)
     queue = context.Queue()
     process = context.Process(target=_send, args=(queue, settings))
@@ -64,7 +65,7 @@ def test_same_bits_in_another_process(start):
 
 
 @pytest.mark.parametrize(
-    "settings", [{}, RANDOM, OBJECTS, NOISY, {"task": "payload", "disturbance": "tilting_gravity"}]
+    "settings", [{}, RANDOM, ROUND, OBJECTS, NOISY, {"task": "payload", "disturbance": "tilting_gravity"}]
 )
 def test_same_bits_whatever_came_before(settings):
     env = FourFingerGrasp(**settings)

@@ -1,0 +1,111 @@
+"""What an episode starts from: contact forces that carry the weight of any shape, the same bits at every reset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+
+from grasp_env.env import FourFingerGrasp
+from grasp_env.sim import Scene
+from grasp_env.sim.objects import SHAPES
+
+ZERO = np.zeros(1, dtype=np.float32)
+OBJECTS: list[dict[str, Any]] = [
+    {"shape": "cuboid"},
+    {"shape": "cuboid", "size": (0.06, 0.12, 0.08), "object_mass": 1.0, "friction": 0.7},
+    {"shape": "cylinder"},
+    {"shape": "cylinder", "size": (0.08, 0.09), "object_mass": 0.05},
+    {"shape": "cylinder", "size": (0.07, 0.12), "object_mass": 0.5, "friction": 0.8},
+    {"shape": "sphere"},
+    {"shape": "sphere", "size": (0.07,), "object_mass": 0.05},
+    {"shape": "sphere", "size": (0.12,), "object_mass": 0.5, "friction": 0.8},
+    {"shape": "capsule"},
+    {"shape": "capsule", "size": (0.08, 0.12), "object_mass": 0.5, "friction": 0.7},
+    {"shape": "mesh"},
+    {"shape": "mesh", "object_mass": 0.5, "friction": 0.8},
+    *({"shape": shape, "gravity": (6.0, -2.0, -7.5)} for shape in SHAPES),
+    *({"shape": "sphere", "hand": hand} for hand in ("three_finger", "five_finger", "four_finger_4dof")),
+]
+
+
+def make(folder: Path, **settings: Any) -> FourFingerGrasp:
+    """Without actions, under a random wrench; the mesh is an egg of 320 faces."""
+    if settings["shape"] == "mesh":
+        egg = trimesh.creation.icosphere(2, 0.045)
+        egg.apply_scale((1.0, 1.2, 1.0))
+        egg.export(folder / "egg.obj")
+        settings = {**settings, "mesh": str(folder / "egg.obj")}
+    return FourFingerGrasp(disturbance="random", action_mode="none", **settings)
+
+
+def start(env: FourFingerGrasp) -> np.ndarray:
+    """Everything that can be read at a reset, whose forces are checked, and in the steps after it."""
+    env.reset(seed=5)
+    scene, rows = env.scene, []
+    s = scene.look()
+    assert s.touching.all()
+    weight = scene.config.weight
+    miss = np.linalg.norm(s.rotation @ s.forces.sum(axis=0) + weight) / np.linalg.norm(weight)
+    assert miss < 0.01  # what the environment promises
+    for _ in range(10):
+        scene.look()
+        rows.append(scene.buffer.copy())
+        env.step(ZERO)
+    return np.array(rows)
+
+
+def disturb(scene: Scene, seed: int, steps: int) -> None:
+    """Lets the object fall (seed 0), or shakes it and the hand so that links touch what they never touch else."""
+    rng = np.random.default_rng(seed)
+    push = np.zeros(6) if seed == 0 else np.array([2.0, 2.0, 2.0, 0.05, 0.05, 0.05])
+    torque = 0.0 if seed == 0 else 0.3
+    for _ in range(steps):
+        scene.step(torque * rng.normal(size=len(scene.bodies.joints)), push * rng.normal(size=6))
+
+
+@pytest.mark.parametrize("settings", OBJECTS, ids=str)
+def test_contact_forces_carry_the_weight_at_every_reset(tmp_path: Path, settings: dict[str, Any]) -> None:
+    env = make(tmp_path, **settings)
+    first = start(env)
+    np.testing.assert_array_equal(start(env), first)
+    for seed, steps in ((0, 5), (0, 200), (1, 3), (2, 20), (3, 60)):
+        disturb(env.scene, seed, steps)
+        np.testing.assert_array_equal(start(env), first)
+    env.close()
+
+
+def go_on(scene: Scene) -> np.ndarray:
+    """Everything that can be read now and in a few steps under given torques."""
+    rows = []
+    for _ in range(6):
+        scene.look()
+        rows.append(scene.buffer.copy())
+        scene.advance([0.02] * len(scene.bodies.joints), None)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_state_kept_on_the_way_goes_on_as_if_it_had_not_been_kept(tmp_path: Path, shape: str) -> None:
+    """A turning object: tilted, moving, its contacts rolling."""
+    records = []
+    for kept in (False, True):
+        env = make(tmp_path, shape=shape, task="move", motion="rotate")
+        env.reset(seed=1)
+        for _ in range(40):
+            env.step(ZERO)
+        scene = env.scene
+        assert np.abs(scene.look().rotation - np.eye(3)).max() > 0.1
+        if kept:
+            scene.keep("here")
+        records.append(go_on(scene))
+        for seed in range(3 * kept):
+            disturb(scene, seed, 60)
+            scene.reset("here")
+            records.append(go_on(scene))
+        env.close()
+    for record in records[1:]:
+        np.testing.assert_array_equal(record, records[0])
