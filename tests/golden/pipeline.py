@@ -1,0 +1,123 @@
+"""`ForcePipeline` over contacts that move: smooth and in jumps, with adjustments, carried between solves."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+from golden.case import Case, named, problem_of
+from golden.grasps import GRASPS, PAPER, wrenches
+from golden.record import Outcome, attempt, of_solution
+
+from grasp_env.force import BarzilaiBorweinStep, ForcePipeline
+from grasp_env.grasp import Grasp
+from policies import LearnedInitialForce
+
+
+def path(grasp: Grasp, steps: int, size: tuple[float, float], smooth: bool) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Contact points [m] and normals of each step, off the nominal ones by about `size` [m], [1]."""
+    rng, shape = np.random.default_rng(21), grasp.positions.shape
+    if smooth:
+        turns = np.linspace(0.0, 2.0 * np.pi, steps, endpoint=False)
+        first, second = rng.standard_normal((2, 2, *shape))
+        moves = [np.sin(a) * first + (1.0 - np.cos(a)) * second for a in turns]
+    else:
+        moves = list(rng.standard_normal((steps, 2, *shape)))
+    out = []
+    for off, turn in moves:
+        normals = grasp.normals + size[1] * turn
+        out.append((grasp.positions + size[0] * off, normals / np.linalg.norm(normals, axis=1)[:, None]))
+    return out
+
+
+def walk(
+    name: str, size: tuple[float, float], smooth: bool, adjust: float = 0.0, rule: bool | None = None, **options: Any
+) -> list[Outcome]:
+    """Twelve solves along a path, the last six after `reset`; `rule`: a learned start that remembers or does not."""
+    grasp = GRASPS[name]
+    if rule is not None:
+        options["initial"] = LearnedInitialForce.pretrained("any_grasp", remembers=rule)
+    pipeline, rows = ForcePipeline(grasp, **options), []
+    rng = np.random.default_rng(22)
+    loads = PAPER + wrenches(23, 12, 0.3 if smooth else 1.0)
+    for k, (points, normals) in enumerate(path(grasp, 12, size, smooth)):
+        if k == 6:
+            pipeline.reset()
+        shift = adjust * rng.standard_normal(grasp.null_dimension) if adjust and k % 3 else None
+        now = Grasp.from_contacts(points, normals, grasp.friction)
+        problem = problem_of(now, loads[k], options)
+        found = pipeline.solve(points, normals, loads[k], adjust=shift)
+        rows.append(of_solution(found, problem))
+        rows.append(Outcome("array", "frames", extra=pipeline.frames.reshape(-1).copy()))
+        rows.append(Outcome("array", "cone_matrix", extra=pipeline.cone_matrix.reshape(-1).copy()))
+    return rows
+
+
+def carried(name: str, jump: float) -> list[Outcome]:
+    """`carry` after tight solves: contacts and wrench a little on, the wrench by `jump` of the paper's."""
+    grasp, rows = GRASPS[name], []
+    pipeline = ForcePipeline(grasp, method="newton", tolerance=1e-12)
+    for points, normals in path(grasp, 6, (1e-3, 0.02), True):
+        pipeline.solve(points, normals, PAPER)
+        force = np.empty((grasp.n_contacts, 3))
+        code = pipeline.carry(points + 1e-5, normals, PAPER * (1.0 + jump), force)
+        rows.append(Outcome("force", f"carry {code}", force=np.column_stack([force, np.zeros(len(force))])))
+    return rows
+
+
+def _refused() -> list[Outcome]:
+    """Contacts that no wrench or not this one can be balanced by: answered as the optimizer answers."""
+    grasp = GRASPS["cuboid"]
+    pipeline, rows = ForcePipeline(grasp), []
+    line = np.array([[0.01 * k, 0.0, 0.0] for k in range(4)])
+    up = np.tile([0.0, 0.0, 1.0], (4, 1))
+    square = np.array([[0.03, 0.0, 0.0], [-0.03, 0.02, 0.0], [-0.02, -0.03, 0.0], [0.02, 0.03, 0.0]])
+    given: list[tuple[Any, Any, Any]] = [
+        (grasp.positions, grasp.normals, PAPER), (line, up, PAPER), (square, up, np.array([0, 0, 2.0, 0, 0, 0])),
+        (grasp.positions, grasp.normals, np.full(6, np.nan)), (np.where(grasp.positions == 0.03, np.inf, grasp.positions), grasp.normals, PAPER),
+        (grasp.positions, 2.0 * grasp.normals, PAPER), (grasp.positions[:3], grasp.normals, PAPER),
+        (grasp.positions, grasp.normals, PAPER * 1e13), (grasp.positions, grasp.normals, PAPER),
+    ]  # fmt: skip
+    for points, normals, wrench in given:
+        try:
+            now = Grasp.from_contacts(points, normals, grasp.friction)
+        except ValueError:
+            now = grasp
+        problem = problem_of(now, wrench, {})
+        rows.append(
+            attempt(lambda p=points, n=normals, w=wrench, q=problem: of_solution(pipeline.solve(p, n, w), q), problem)
+        )
+        rows.append(Outcome("array", "x is nan", extra=np.isnan(pipeline.x).astype(float)))
+    return rows
+
+
+SMALL, LARGE = (1e-3, 0.02), (4e-3, 0.1)
+
+
+def cases() -> dict[str, Case]:
+    """All of them."""
+    out: list[Case] = []
+    names = ("tripod", "cuboid", "5 uneven")
+    for name, method, initial in product(names, ("reduced_flow", "newton"), ("linear_combination", "previous")):
+        for label, size, smooth in (("smooth", SMALL, True), ("jumps", LARGE, False)):
+            text, options = f"{method} from {initial}, {name}, {label}", {"method": method, "initial": initial}
+            # the start is a function of the previous optimum, here known to 1e-4 of Phi, in the tight case to 1e-12
+            start = np.inf if initial == "previous" else 1e-6
+            out.append(Case(text, lambda n=name, z=size, s=smooth, o=options: walk(n, z, s, **o), start=start))
+            tight = {**options, "tolerance": 1e-12}
+            out.append(Case(f"{text}, tight", lambda n=name, z=size, s=smooth, o=tight: walk(n, z, s, **o), True, 1e-5))
+        text, options = f"{method} from {initial}, {name}, adjusted", {"method": method, "initial": initial, "tolerance": 1e-12}  # fmt: skip
+        out.append(Case(text, lambda n=name, o=options: walk(n, SMALL, True, 2.0, **o), tight=True, start=1e-5))
+    for method, rule in product(("reduced_flow", "newton"), (False, True)):
+        text = f"{method} from learned layers{', remembering' if rule else ''}"
+        out.append(Case(text, lambda m=method, r=rule: walk("cuboid", SMALL, True, rule=r, method=m)))
+        options = {"method": method, "tolerance": 1e-12}
+        out.append(Case(f"{text}, tight", lambda r=rule, o=options: walk("5 uneven", LARGE, False, rule=r, **o), True))
+    weights = {"force_weight": (1.0, 2.0, 0.5, 3.0), "barrier_weight": 0.1, "tolerance": 1e-12}
+    out.append(Case("newton, unequal weights", lambda: walk("cuboid", SMALL, True, method="newton", **weights), True, 1e-6))  # fmt: skip
+    out.append(Case("reduced_flow by BB", lambda: walk("cuboid", SMALL, True, step_rule=BarzilaiBorweinStep()), start=1e-6))  # fmt: skip
+    for name, jump in product(names, (0.0, 0.01, 20.0)):
+        out.append(Case(f"carry, {name}, {jump:g}", lambda n=name, j=jump: carried(n, j)))
+    out.append(Case("refused", _refused))
+    return named(out)
