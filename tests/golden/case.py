@@ -26,12 +26,16 @@ class Case:
         run: () -> the outcomes.
         tight: whether objective and forces are compared, besides what every solution has to prove.
         start: part of the largest component to which starts are compared; inf: not at all.
+        close: the same for arrays that no solver made.
+        honest: part by which what a solution says of its objective may be off its force's.
     """
 
     name: str
     run: Callable[[], list[Outcome]]
     tight: bool = False
     start: float = np.inf
+    close: float = 1e-12
+    honest: float = 1e-9
 
 
 def loads(name: str, wanted: np.ndarray) -> np.ndarray:

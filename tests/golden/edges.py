@@ -29,7 +29,7 @@ def _sizes() -> list[Case]:
     weights: dict[str, dict[str, Any]] = {
         "unequal": {"force_weight": (1.0, 2.0, 0.5, 3.0), "barrier_weight": (0.01, 0.1, 0.002, 1.0)},
         "unequal, omega": {"force_weight": np.array([0.2, 5.0, 1.0, 1.0])},
-        **{f"barrier {value:g}": {"barrier_weight": value} for value in (1e-8, 1e-5, 1.0, 1e4)},
+        **{f"barrier {value:g}": {"barrier_weight": value} for value in (1e-11, 1e-6, 1e-5, 1.0, 1e4)},
         **{f"force {value:g}": {"force_weight": value} for value in (1e-3, 1e3)},
     }
     some = np.array([PAPER, NONE, LIGHT])

@@ -12,15 +12,24 @@ SOLVED = (OPTIMAL, "iteration_limit", "stalled")
 DIGITS = 1e-9
 """Relative difference of two objectives."""
 CONIC_DIGITS = 5e-9
-"""Of the exact problems, which are certified to 1e-9 at best and end within a few of it where they stall."""
+"""Of the exact problems, which are certified to 1e-9 at best."""
 FORCES = {"newton": 1e-6, "reduced_flow": 1e-6, "full_flow": 1e-6}
 """Of the largest component: Phi is flat at its least, so 1e-12 of it are 1e-6 of the force."""
 STEPS = 2
 """Iterations by which a second-order method may exceed the recorded ones: a gap near the tolerance falls to either side."""
-FLOW_STEPS = 1.15, 3.0
-"""Factor and summand for the flows: the last digit of a wrench moves their hundreds of iterations by up to a tenth."""
+FLOW_STEPS = 1.25, 3.0
+"""Factor and summand for the flows: the last digit of a wrench moves their hundreds of iterations by up to a fifth."""
+SMALL = 1e-2
+"""Arrays whose largest entry is below this count as of this size [m, N, N m]: a centre at the origin is rounding."""
+SINGLE = 1e-6
+"""Of the largest entry, for numbers that were rounded to 24 bits."""
+DRIFT, TOTAL = 1.25, 0.01
+"""By which the drift of all episodes together may grow, and their mean force change: in the simulation the last digit of a
+force grows to 4 % and 0.01 %, and to 33 % of a single episode's drift."""
 STALLED_GAP = 2e-8
 """Of a tight conic solution that ends stalled where the recorded one is optimal, or the other way round."""
+LINEAR_BALANCE = 1e-9
+"""Ten times what the linear program's solver is asked for."""
 BALANCE = 1e-11
 """Residual of balance as a part of forces and wrench; or ten times the recorded one, where contacts are far from the origin."""
 NOTHING = 1e-280
@@ -48,14 +57,18 @@ def _compare(case: Case, now: Outcome, then: Outcome) -> list[str]:
             # forces within the cones but not within the pyramids: infeasible for the linear program alone
             unproven = now.problem is not None and now.problem.method == "linear" and not then.extra.size
             out += [] if unproven and not now.extra.size else _proof(now)
+        elif now.end == "episodes":
+            out += _held(now.extra.reshape(-1, 4), then.extra.reshape(-1, 4))
         else:
-            for name in ("force", "extra"):
-                out += _close(name, getattr(now, name), getattr(then, name), 1e-6 if name == "force" else 1e-12)
+            out += _close("force", now.force, then.force, FORCES["newton"])
+            # observations are float32
+            part = max(case.close, SINGLE) if now.text.startswith("observation") else case.close
+            out += _close(now.text, now.extra, then.extra, part, SMALL)
         return out
     assert now.problem is not None
     if not np.array_equal(now.wrench, then.wrench):
         out.append(f"another problem: wrench {now.wrench.tolist()}, recorded {then.wrench.tolist()}")
-    out += certified(now, now.problem, then)
+    out += certified(now, now.problem, then, case.honest)
     out += _bounds(now, then)
     out += _steps(now, then, now.problem)
     if case.tight:
@@ -69,7 +82,7 @@ def _compare(case: Case, now: Outcome, then: Outcome) -> list[str]:
 
 def _as_good(case: Case, now: Outcome, then: Outcome) -> bool:
     """Rounding decides between optimal and stalled where a method is asked for all the digits it has."""
-    if then.end == "stalled" and now.end == OPTIMAL:
+    if then.end in ("stalled", "iteration_limit") and now.end == OPTIMAL:  # with the proof that `certified` asks for
         return True
     exact = case.tight and now.problem is not None and now.problem.method == "conic"
     return (
@@ -80,10 +93,10 @@ def _as_good(case: Case, now: Outcome, then: Outcome) -> bool:
     )
 
 
-def certified(row: Outcome, problem: Problem, then: Outcome) -> list[str]:
+def certified(row: Outcome, problem: Problem, then: Outcome, honest: float = 1e-9) -> list[str]:
     """What a solution promises: balance, cones, limits, its objective, and the gap that its status says.
 
-    What it says of itself may be as far from what it is as the record's was: flows of thousands of steps drift.
+    `honest`: part by which what it says of its objective and margin may be off what they are.
     """
     grasp, out = problem.grasp, []
     force, torsion = row.force[:, :3], row.force[:, 3]
@@ -92,7 +105,8 @@ def certified(row: Outcome, problem: Problem, then: Outcome) -> list[str]:
     load = grasp.unit_frame @ problem.wrench
     made = grasp.unit_frame @ (grasp.matrix @ force.reshape(-1) + grasp.torsion_matrix @ torsion)
     residual, scale = float(np.abs(load + made).max()), float(np.abs(row.force).max() + np.abs(load).max()) + NOTHING
-    if not residual <= max(BALANCE * scale, 10.0 * then.residual):
+    balance = LINEAR_BALANCE if problem.method == "linear" else BALANCE
+    if not residual <= max(balance * scale, 10.0 * then.residual):
         out.append(f"misses balance by {residual:.3g} N")
     if not abs(residual - row.residual) <= BALANCE * scale:
         out.append(f"says it misses balance by {row.residual:.3g} N, misses it by {residual:.3g} N")
@@ -101,16 +115,15 @@ def certified(row: Outcome, problem: Problem, then: Outcome) -> list[str]:
     margin = _margin(problem, force)
     if not (margin >= -1e-12 * scale if exact else margin > 0.0):
         out.append(f"leaves a cone by {-margin:.3g} N")
-    known = abs(_margin(problem, then.force[:, :3]) - then.margin)
-    if not abs(margin - row.margin) <= 1e-12 * scale + 2.0 * known:
+    if not abs(margin - row.margin) <= honest * scale:
         out.append(f"says margin {row.margin:.6g} N, has {margin:.6g} N")
     if not (np.abs(torsion) <= grasp.models.torsional_friction * force[:, 0] + 1e-12 * scale).all():
         out.append("torsion beyond its friction")
     if problem.limits is not None:
         out += problem.limits.violations(grasp, force, torsion, 1e-9 * scale)
     if exact or (problem.limits is None and grasp.hard):
-        value, known = _value(problem, force), abs(_value(problem, then.force[:, :3]) - then.objective)
-        if not abs(value - row.objective) <= DIGITS * abs(value) + 2.0 * known:
+        value = _value(problem, force)
+        if not abs(value - row.objective) <= honest * abs(value):
             out.append(f"says objective {row.objective:.12g}, has {value:.12g}")
     if row.end == OPTIMAL and problem.method != "linear" and row.objective > 0.0:
         gap = (row.objective - row.lower_bound) / row.lower_bound if row.lower_bound > 0.0 else np.inf
@@ -147,7 +160,7 @@ def _bounds(now: Outcome, then: Outcome) -> list[str]:
 
 
 def _steps(now: Outcome, then: Outcome, problem: Problem) -> list[str]:
-    if then.end == "stalled":  # where rounding ends a solve, and after how many steps, is rounding too
+    if "stalled" in (now.end, then.end):  # where rounding ends a solve, and after how many steps, is rounding too
         return []
     factor, more = FLOW_STEPS if problem.method in FLOWS else (1.0, STEPS)
     most = factor * then.iterations + more
@@ -157,13 +170,17 @@ def _steps(now: Outcome, then: Outcome, problem: Problem) -> list[str]:
 def _tight(now: Outcome, then: Outcome, problem: Problem) -> list[str]:
     out: list[str] = []
     part = CONIC_DIGITS if problem.method == "conic" else DIGITS
+    if problem.method == "conic" and "stalled" in (now.end, then.end):
+        part = STALLED_GAP
     if not abs(now.objective - then.objective) <= part * abs(then.objective):
         out.append(f"objective {now.objective:.15g}, recorded {then.objective:.15g}")
     if problem.method in FORCES:
         digits = FORCES[problem.method]
         out += _close("force", now.force[:, :3], then.force[:, :3], digits)
-        out += _close("torsion", now.force[:, 3], then.force[:, 3], digits)
-        out += _close("multipliers", now.multipliers, then.multipliers, 10.0 * digits)
+        largest = float(np.abs(then.force).max()) + NOTHING
+        gamma = float(problem.grasp.models.torsional_friction.max())
+        out += _close("torsion", now.force[:, 3], then.force[:, 3], digits, gamma * largest)
+        out += _close("multipliers", now.multipliers, then.multipliers, 10.0 * digits, then.objective / largest)
     return out
 
 
@@ -181,14 +198,31 @@ def _trace(now: Outcome, then: Outcome, case: Case) -> list[str]:
     return out
 
 
-def _close(name: str, now: np.ndarray, then: np.ndarray, part: float) -> list[str]:
+def _close(name: str, now: np.ndarray, then: np.ndarray, part: float, floor: float = 0.0) -> list[str]:
+    """Within a part of the largest recorded entry, or of `floor` where all are smaller."""
     if now.shape != then.shape:
         return [f"{name} has shape {now.shape}, recorded {then.shape}"]
     off = float(np.abs(now - then).max(initial=0.0))
-    size = float(np.abs(then).max(initial=0.0))
+    size = max(float(np.abs(then).max(initial=0.0)), floor)
     return (
         [] if off <= part * size else [f"{name} off by {off:.3g}, {off / size if size else np.inf:.3g} of its largest"]
     )
+
+
+def _held(now: np.ndarray, then: np.ndarray) -> list[str]:
+    """Episodes (M, 4): as often held and as long, with no more drift and no other force."""
+    out: list[str] = []
+    for name, column in (("held", 0), ("steps", 1)):
+        if not np.array_equal(now[:, column], then[:, column]):
+            out.append(f"{name} {now[:, column].sum():g}, recorded {then[:, column].sum():g}")
+    drift, known = float(now[:, 2].mean()), float(then[:, 2].mean())
+    # few episodes say less
+    if not drift <= known * (DRIFT if len(then) >= 50 else 1.0 + 2.0 * (DRIFT - 1.0)):
+        out.append(f"drift {1e3 * drift:.4g} mm, recorded {1e3 * known:.4g} mm")
+    force, known = float(now[:, 3].mean()), float(then[:, 3].mean())
+    if not abs(force - known) <= TOTAL * known:
+        out.append(f"total force {force:.4g} N, recorded {known:.4g} N")
+    return out
 
 
 def _proof(row: Outcome) -> list[str]:

@@ -75,7 +75,7 @@ def _refused() -> list[Outcome]:
     square = np.array([[0.03, 0.0, 0.0], [-0.03, 0.02, 0.0], [-0.02, -0.03, 0.0], [0.02, 0.03, 0.0]])
     given: list[tuple[Any, Any, Any]] = [
         (grasp.positions, grasp.normals, PAPER), (line, up, PAPER), (square, up, np.array([0, 0, 2.0, 0, 0, 0])),
-        (grasp.positions, grasp.normals, np.full(6, np.nan)), (np.where(grasp.positions == 0.03, np.inf, grasp.positions), grasp.normals, PAPER),
+        (grasp.positions, grasp.normals, np.full(6, np.nan)), (np.where(np.eye(4, 3) > 0.0, np.inf, grasp.positions), grasp.normals, PAPER),
         (grasp.positions, 2.0 * grasp.normals, PAPER), (grasp.positions[:3], grasp.normals, PAPER),
         (grasp.positions, grasp.normals, PAPER * 1e13), (grasp.positions, grasp.normals, PAPER),
     ]  # fmt: skip

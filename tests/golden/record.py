@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,8 @@ from grasp_env.grasp import Grasp
 
 FOLDER = Path(__file__).parent
 NUMBERS = ("iterations", "trials", "objective", "lower_bound", "residual", "margin")
+LONGEST = 120
+"""Characters of a message that is kept: the longer ones advise, and may advise better."""
 _NONE = np.empty(0)
 _SIX = np.full(6, np.nan)
 
@@ -94,10 +97,16 @@ def attempt(call: Callable[[], Outcome], problem: Problem | None = None, message
         proof = getattr(getattr(error, "solution", None), "certificate", None)
         return Outcome(
             type(error).__name__,
-            str(error) if message else "",
+            _words(error) if message else "",
             extra=_NONE if proof is None else np.array(proof),
             problem=problem,
         )
+
+
+def _words(error: GraspError) -> str:
+    """The project's own words; what numpy adds behind "numbers of shape ...:" is numpy's."""
+    text = re.sub(r"(be numbers of shape \S+):.*", r"\1", str(error), flags=re.DOTALL)
+    return text if len(text) <= LONGEST and "\n" not in text else ""
 
 
 def save(path: Path, cases: Iterable[tuple[str, list[Outcome]]]) -> None:
