@@ -1,23 +1,32 @@
-# Everything runs in .venv, which the first target that needs it makes.
-# PYTHON=/path/to/python3.11 chooses the interpreter; ARGS="..." goes to the command.
+# Everything runs in .venv, which the first target that needs it makes, with the core (C++20) built into the source tree.
+# PYTHON=/path/to/python3.11 chooses the interpreter; ARGS="..." goes to the command. CXX=clang++, BUILD_TYPE=Debug and ARCH=x86-64-v3
+# build the core in a folder of its own and test that one: make test CXX=clang++ ARGS=tests/core
 
 .DEFAULT_GOAL := help
-.PHONY: help install evaluate test slow check format clean
+.PHONY: help install core stubs evaluate test slow sanitize check format clean
 BIN := .venv/bin
 STAMP := .venv/.installed
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 help:
 	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about seven minutes)"
 	@echo "make test       the tests (about six minutes)"
 	@echo "make slow       the long trials"
-	@echo "make check      format, lint and types"
+	@echo "make sanitize   the tests of the core under AddressSanitizer and UBSan"
+	@echo "make check      format, lint, types and the stub of the core"
 	@echo "make format     format and mend what can be mended"
+	@echo "make stubs      write grasp_env/core/_core.pyi anew"
+	@echo "make core       only build the core; CXX=clang++ BUILD_TYPE=Debug ARCH=x86-64-v3 build another one, which make test then takes"
 	@echo "make install    only the set-up"
 
-install: $(STAMP)
+install: core
 
 # torch goes first and alone: resolved together with other packages a newer build with gigabytes of CUDA may come
 $(STAMP): pyproject.toml constraints.txt
+	@for compiler in "$(CXX)" c++ g++ clang++; do command -v "$$compiler" >/dev/null && found=1; done; \
+	if [ -z "$$found" ]; then \
+	  echo "No C++ compiler: install g++ (Debian, Ubuntu: apt-get install g++; Fedora: dnf install gcc-c++; macOS: xcode-select --install)." >&2; exit 1; \
+	fi
 	@fits() { "$$1" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 12))' >/dev/null 2>&1; }; \
 	python="$(PYTHON)"; \
 	if [ -x $(BIN)/python ]; then \
@@ -34,18 +43,46 @@ $(STAMP): pyproject.toml constraints.txt
 	fi; \
 	"$$python" -m venv .venv || { \
 	  rm -rf .venv; echo "$$python cannot make a virtual environment: on Debian or Ubuntu install $$(basename "$$python")-venv" >&2; exit 1; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt pip setuptools
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt torch==2.13.0
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-build-isolation -e ".[dev,video,bench]"
+	$(PIP) pip setuptools scikit-build-core nanobind cmake ninja
+	$(PIP) torch==2.13.0
+	$(PIP) --no-build-isolation -e ".[dev,video,bench]"
 	@touch $(STAMP)
 
-evaluate: $(STAMP)
+# The core in the tree is the one pip built; ninja knows what has changed since.
+BUILD := build/core
+ifeq ($(origin CXX),command line)
+unexport CXX
+BUILD := $(BUILD)-$(notdir $(CXX))
+OPTIONS += -DCMAKE_CXX_COMPILER=$(CXX)
+endif
+ifdef ARCH
+BUILD := $(BUILD)-$(ARCH)
+OPTIONS += -DGRASP_ARCH=$(ARCH)
+endif
+ifdef BUILD_TYPE
+BUILD := $(BUILD)-$(BUILD_TYPE)
+OPTIONS += -DCMAKE_BUILD_TYPE=$(BUILD_TYPE)
+endif
+ifdef OPTIONS
+export GRASP_CORE_BUILD := $(BUILD)
+endif
+
+core: $(STAMP)
+ifdef OPTIONS
+	@$(BIN)/cmake -S . -B $(BUILD) -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DPython_EXECUTABLE=$(abspath $(BIN)/python) \
+	  -DGRASP_CORE_TEST=ON $(OPTIONS) >$(BUILD).log || { cat $(BUILD).log; exit 1; }
+	@$(BIN)/cmake --build $(BUILD)
+else
+	@if [ -f $(BUILD)/build.ninja ]; then $(BIN)/cmake --build $(BUILD); else $(PIP) --no-build-isolation --no-deps -e .; fi
+endif
+
+evaluate: core
 	$(BIN)/grasp evaluate $(ARGS)
 
-test: $(STAMP)
+test: core
 	$(BIN)/python -m pytest $(ARGS)
 
-slow: $(STAMP)
+slow: core
 	$(BIN)/python -m pytest -m slow $(ARGS)
 
 check: $(STAMP)

@@ -1,0 +1,53 @@
+// How this module was built: benchmarks and reports say it.
+#include <nanobind/stl/string.h>
+
+#include <grasp/version.hpp>
+
+#include "module.hpp"
+
+namespace {
+
+std::string compiler() {
+#if defined(__clang__)
+    return "Clang " __clang_version__;
+#else
+    return "GCC " __VERSION__;
+#endif
+}
+
+// The widest vectors the compiler was allowed to use.
+std::string instruction_set() {
+#if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
+    return "AVX-512";
+#elif defined(__AVX2__) && defined(__FMA__)
+    return "AVX2";
+#elif defined(__AVX__)
+    return "AVX";
+#elif defined(__SSE4_2__)
+    return "SSE4.2";
+#elif defined(__SSE2__)
+    return "SSE2";
+#elif defined(__ARM_FEATURE_SVE)
+    return "SVE";
+#elif defined(__ARM_NEON)
+    return "NEON";
+#else
+    return "scalar";
+#endif
+}
+
+nb::typed<nb::dict, nb::str, nb::str> build_info() {
+    nb::dict info;
+    info["version"] = GRASP_VERSION;
+    info["compiler"] = compiler();
+    info["instruction_set"] = instruction_set();
+    info["build_type"] = GRASP_BUILD_TYPE;
+    info["flags"] = GRASP_FLAGS;
+    return info;
+}
+
+}  // namespace
+
+void bind_build_info(nb::module_& m) {
+    m.def("build_info", &build_info, "Version, compiler, instruction set, build type and flags of this module.");
+}

@@ -1,0 +1,7 @@
+// The module: one function per file of this folder adds its part.
+#include "module.hpp"
+
+NB_MODULE(_core, m) {
+    m.doc() = "The compiled core; `grasp_env.core` is its door.";
+    bind_build_info(m);
+}

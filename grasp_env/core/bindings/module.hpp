@@ -1,0 +1,9 @@
+// What every file of this folder includes: nanobind, and the functions that bind the parts.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+void bind_build_info(nb::module_& m);
