@@ -1,12 +1,13 @@
 # Everything runs in .venv, which the first target that needs it makes, with the core (C++20) built into the source tree.
-# PYTHON=/path/to/python3.11 chooses the interpreter; ARGS="..." goes to the command. CXX=clang++, BUILD_TYPE=Debug and ARCH=x86-64-v3
-# build the core in a folder of its own and test that one: make test CXX=clang++ ARGS=tests/core
+# PYTHON=/path/to/python3.11 chooses the interpreter; ARGS="..." goes to the command. CXX=clang++, GRASP_BUILD_TYPE=Debug,
+# GRASP_ARCH=x86-64-v3 and GRASP_SANITIZE=ON build the core once more, in a folder of its own, and test that one.
 
 .DEFAULT_GOAL := help
 .PHONY: help install core stubs evaluate test slow sanitize check format clean
 BIN := .venv/bin
 STAMP := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+EDITABLE := $(PIP) --no-build-isolation -C build-dir=build/core -e
 
 help:
 	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about seven minutes)"
@@ -16,7 +17,7 @@ help:
 	@echo "make check      format, lint, types and the stub of the core"
 	@echo "make format     format and mend what can be mended"
 	@echo "make stubs      write grasp_env/core/_core.pyi anew"
-	@echo "make core       only build the core; CXX=clang++ BUILD_TYPE=Debug ARCH=x86-64-v3 build another one, which make test then takes"
+	@echo "make core       only build the core"
 	@echo "make install    only the set-up"
 
 install: core
@@ -41,58 +42,76 @@ $(STAMP): pyproject.toml constraints.txt
 	  echo "CPython 3.10 or 3.11 is needed (pybullet has wheels for no later one); found: $$found." >&2; \
 	  echo "Install python3.11 with its venv module, or run: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; \
 	fi; \
+	"$$python" -c 'import os, sysconfig as s; os.stat(s.get_path("include") + "/Python.h")' 2>/dev/null || { \
+	  echo "$$python has no Python.h: on Debian or Ubuntu install $$(basename "$$python")-dev, on Fedora $$(basename "$$python")-devel" >&2; exit 1; }; \
 	"$$python" -m venv .venv || { \
 	  rm -rf .venv; echo "$$python cannot make a virtual environment: on Debian or Ubuntu install $$(basename "$$python")-venv" >&2; exit 1; }
 	$(PIP) pip setuptools scikit-build-core nanobind cmake ninja
 	$(PIP) torch==2.13.0
-	$(PIP) --no-build-isolation -e ".[dev,video,bench]"
+	$(EDITABLE) ".[dev,video,bench]"
 	@touch $(STAMP)
 
-# The core in the tree is the one pip built; ninja knows what has changed since.
+# The core in the tree is the one pip built; ninja knows what has changed since. Any other leaves the tree alone.
 BUILD := build/core
 ifeq ($(origin CXX),command line)
 unexport CXX
-BUILD := $(BUILD)-$(notdir $(CXX))
 OPTIONS += -DCMAKE_CXX_COMPILER=$(CXX)
+BUILD := $(BUILD)-$(notdir $(CXX))
 endif
-ifdef ARCH
-BUILD := $(BUILD)-$(ARCH)
-OPTIONS += -DGRASP_ARCH=$(ARCH)
+ifdef GRASP_ARCH
+OPTIONS += -DGRASP_ARCH=$(GRASP_ARCH)
+BUILD := $(BUILD)-$(GRASP_ARCH)
 endif
-ifdef BUILD_TYPE
-BUILD := $(BUILD)-$(BUILD_TYPE)
-OPTIONS += -DCMAKE_BUILD_TYPE=$(BUILD_TYPE)
+ifdef GRASP_BUILD_TYPE
+OPTIONS += -DCMAKE_BUILD_TYPE=$(GRASP_BUILD_TYPE)
+BUILD := $(BUILD)-$(GRASP_BUILD_TYPE)
 endif
+ifdef GRASP_SANITIZE
+OPTIONS += -DGRASP_SANITIZE=$(GRASP_SANITIZE)
+BUILD := $(BUILD)-sanitize
+endif
+NINJA := $(BIN)/cmake --build $(BUILD) $(if $(filter core,$(MAKECMDGOALS)),,-- --quiet)
+PYTEST := $(BIN)/python -m pytest
 ifdef OPTIONS
-export GRASP_CORE_BUILD := $(BUILD)
+PYTEST := env GRASP_CORE_BUILD=$(BUILD) $$(cat $(BUILD)/environment) $(PYTEST)
 endif
 
 core: $(STAMP)
 ifdef OPTIONS
+	@mkdir -p build
 	@$(BIN)/cmake -S . -B $(BUILD) -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DPython_EXECUTABLE=$(abspath $(BIN)/python) \
 	  -DGRASP_CORE_TEST=ON $(OPTIONS) >$(BUILD).log || { cat $(BUILD).log; exit 1; }
-	@$(BIN)/cmake --build $(BUILD)
+	@$(NINJA)
 else
-	@if [ -f $(BUILD)/build.ninja ]; then $(BIN)/cmake --build $(BUILD); else $(PIP) --no-build-isolation --no-deps -e .; fi
+	@if [ -f $(BUILD)/build.ninja ]; then $(NINJA); else $(EDITABLE) . --no-deps; fi
 endif
+
+STUB := $(BIN)/python -m nanobind.stubgen -q -m grasp_env.core._core -o
+stubs: core
+	$(STUB) grasp_env/core/_core.pyi
 
 evaluate: core
 	$(BIN)/grasp evaluate $(ARGS)
 
 test: core
-	$(BIN)/python -m pytest $(ARGS)
+	$(PYTEST) $(ARGS)
 
 slow: core
-	$(BIN)/python -m pytest -m slow $(ARGS)
+	$(PYTEST) -m slow $(ARGS)
 
-check: $(STAMP)
+sanitize:
+	@$(MAKE) --no-print-directory test GRASP_SANITIZE=ON ARGS="tests/core $(ARGS)"
+
+check: core
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright
+	@$(STUB) build/_core.pyi && diff -u grasp_env/core/_core.pyi build/_core.pyi || { \
+	  echo "grasp_env/core/_core.pyi (-) is not what the built module says (+): run make stubs" >&2; exit 1; }
 
 format: $(STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
 clean:
-	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache
+	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache grasp_env/core/_core*.so tests/core/_core_test*.so

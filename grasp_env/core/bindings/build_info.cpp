@@ -1,22 +1,12 @@
 // How this module was built: benchmarks and reports say it.
-#include <nanobind/stl/string.h>
-
 #include <grasp/version.hpp>
 
 #include "module.hpp"
 
 namespace {
 
-std::string compiler() {
-#if defined(__clang__)
-    return "Clang " __clang_version__;
-#else
-    return "GCC " __VERSION__;
-#endif
-}
-
 // The widest vectors the compiler was allowed to use.
-std::string instruction_set() {
+const char* instruction_set() {
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
     return "AVX-512";
 #elif defined(__AVX2__) && defined(__FMA__)
@@ -39,7 +29,7 @@ std::string instruction_set() {
 nb::typed<nb::dict, nb::str, nb::str> build_info() {
     nb::dict info;
     info["version"] = GRASP_VERSION;
-    info["compiler"] = compiler();
+    info["compiler"] = GRASP_COMPILER;
     info["instruction_set"] = instruction_set();
     info["build_type"] = GRASP_BUILD_TYPE;
     info["flags"] = GRASP_FLAGS;

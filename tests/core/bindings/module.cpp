@@ -1,6 +1,8 @@
 // _core_test: the insides of the core, for tests/core only; never part of a wheel.
 #include <nanobind/nanobind.h>
 
+#include <vector>
+
 #include <grasp/version.hpp>
 
 namespace nb = nanobind;
@@ -8,13 +10,8 @@ namespace nb = nanobind;
 NB_MODULE(_core_test, m) {
     m.attr("version") = GRASP_VERSION;
 #ifdef GRASP_SANITIZE
-    // what the sanitizers must catch: `make sanitize` proves on it that they watch
-    m.def("read_out_of_bounds", [](int index) {
-        const auto numbers = new double[4]{1.0, 2.0, 3.0, 4.0};
-        const double read = numbers[index];
-        delete[] numbers;
-        return read;
-    });
-    m.def("overflow", [](int number) { return number + 1; });
+    // what the sanitizers must catch with the wrong arguments: the proof that they watch
+    m.def("read", [](int size, int index) { return std::vector<double>(size, 1.0).data()[index]; });
+    m.def("successor", [](int number) { return number + 1; });
 #endif
 }

@@ -1,0 +1,28 @@
+"""The tests take the core of the source tree, or another build of it: `make test CXX=clang++`, `make sanitize`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+
+
+class OtherBuild:
+    """Finds the core's modules in a build folder, before anybody else can find those of the source tree."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        """As every finder: None for other modules; a build without the module is an error."""
+        if name not in ("grasp_env.core._core", "_core_test"):
+            return None
+        spec = PathFinder.find_spec(name, [str(self.folder)])
+        if spec is None:
+            raise ImportError(f"{self.folder} holds no {name}: run `make core` with the options of that build")
+        return spec
+
+
+if "GRASP_CORE_BUILD" in os.environ:
+    sys.meta_path.insert(0, OtherBuild(Path(__file__).parent / os.environ["GRASP_CORE_BUILD"]))
