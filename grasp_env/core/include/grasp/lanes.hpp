@@ -1,0 +1,75 @@
+// Lanes: W contacts in one vector register, with the operators of numbers; a double is the register of one lane.
+#pragma once
+#include <array>
+#include <limits>
+#include <type_traits>
+#include <vector>
+
+namespace grasp {
+
+// What one register of this build holds. Wider vectors than the machine's go through memory: twelve times as slow.
+#if defined(__AVX512F__)
+inline constexpr int REGISTER = 8;
+#elif defined(__AVX__)
+inline constexpr int REGISTER = 4;
+#else
+inline constexpr int REGISTER = 2;
+#endif
+
+template <int W> struct LaneType { typedef double type __attribute__((vector_size(8 * W))); };
+template <> struct LaneType<1> { typedef double type; };
+template <int W> using Lanes = typename LaneType<W>::type;
+template <class V> inline constexpr int width = int(sizeof(V) / sizeof(double));
+inline constexpr double infinity = std::numeric_limits<double>::infinity();
+
+template <class V> inline V all(double a) { return V{} + a; }
+template <class V> inline V min(V a, V b) { return a < b ? a : b; }
+template <class V> inline V max(V a, V b) { return a > b ? a : b; }
+template <class V> inline V abs(V a) { return max(a, -a); }
+
+template <class V> inline double get(const V& a, int n) {
+    if constexpr (width<V> == 1) return a;
+    else return a[n];
+}
+template <class V> inline void set(V& a, int n, double value) {
+    if constexpr (width<V> == 1) a = value;
+    else a[n] = value;
+}
+template <class V> inline V sqrt(V a) {
+    if constexpr (width<V> == 1) {
+        return __builtin_sqrt(a);
+    } else {
+        V root;
+        for (int n = 0; n < width<V>; ++n) root[n] = __builtin_sqrt(a[n]);
+        return root;
+    }
+}
+
+// Reductions over the lanes, as a tree.
+template <class V, class F> inline double reduce(V a, F pair) {
+    if constexpr (width<V> == 1) return a;
+    else if constexpr (width<V> == 2) return pair(a[0], a[1]);
+    else if constexpr (width<V> == 4)
+        return reduce(pair(__builtin_shufflevector(a, a, 0, 1), __builtin_shufflevector(a, a, 2, 3)), pair);
+    else return reduce(pair(__builtin_shufflevector(a, a, 0, 1, 2, 3), __builtin_shufflevector(a, a, 4, 5, 6, 7)), pair);
+}
+template <class V> inline double sum(V a) {
+    return reduce(a, [](auto p, auto q) { return p + q; });
+}
+template <class V> inline double least(V a) {
+    return reduce(a, [](auto p, auto q) { return min(p, q); });
+}
+template <class V> inline double largest(V a) {
+    return reduce(a, [](auto p, auto q) { return max(p, q); });
+}
+
+// B registers' worth of T, or as many as the contacts need where B = 0.
+template <class T, int B> struct BlocksType { using type = std::array<T, B>; };
+template <class T> struct BlocksType<T, 0> { using type = std::vector<T>; };
+template <class T, int B> using Blocks = typename BlocksType<T, B>::type;
+
+template <class Items> inline void resize(Items& items, std::size_t count) {
+    if constexpr (requires { items.resize(count); }) items.resize(count);
+}
+
+}  // namespace grasp
