@@ -1,0 +1,204 @@
+// Contacts packed for the registers, W to a block, and what every solver asks of a force x on them (cone coordinates).
+#pragma once
+#include "contacts.hpp"
+#include "phi.hpp"
+#include "record.hpp"
+
+namespace grasp {
+
+// Constants of W contacts. Unused lanes hold a contact without effect: G = 0, weights 1, mask 0, force (1, 0, 0).
+template <class V> struct Block {
+    Vec3<V> g[6], inverse[6];  // row r of G, and of (G^+)^T, unit frame
+    V gjg[21];                 // G J G^T, J = diag(1, -1, -1)
+    Vec3<V> scale, divisor;
+    Weights<V> weights;
+    V cost, mask;  // price of u in the sum of normal forces, 1 / mu; 1 for a contact
+
+    Vec3<V> transposed(const Vec6& n) const { return combined(g, n); }   // G^T n
+    Vec3<V> least(const Vec6& n) const { return combined(inverse, n); }  // G^+ n
+    // out += G x, lane by lane
+    void add_wrench(const Vec3<V>& x, V (&out)[6]) const {
+#pragma GCC unroll 8
+        for (int r = 0; r < 6; ++r) out[r] += dot(g[r], x);
+    }
+
+private:
+    static Vec3<V> combined(const Vec3<V>* rows, const Vec6& n) {
+        const auto pair = [&](int r) { return all<V>(n[r]) * rows[r] + all<V>(n[r + 1]) * rows[r + 1]; };
+        return pair(0) + pair(2) + pair(4);
+    }
+};
+
+template <class V> inline Vec6 sums(const V (&a)[6]) {
+    Vec6 out;
+#pragma GCC unroll 8
+    for (int r = 0; r < 6; ++r) out[r] = sum(a[r]);
+    return out;
+}
+
+template <class V, int B> class Cones {
+public:
+    static constexpr int W = width<V>;
+    using Field = Blocks<Vec3<V>, B>;  // a triple per contact
+    int count;
+    UnitFrame unit;
+    Blocks<Block<V>, B> blocks;
+
+    explicit Cones(int count) : count(count) { resize(blocks, needed()); }
+
+    Field field() const {
+        Field out;
+        resize(out, needed());
+        for (auto& x : out) x = {all<V>(1.0), V{}, V{}};
+        return out;
+    }
+
+    void pack(const Contacts& c) {
+        const int size = 3 * count;
+        unit = c.unit;
+        for (int i = 0; i < W * int(blocks.size()); ++i) {
+            auto& block = blocks[i / W];
+            const int n = i % W;
+            const bool used = i < count;
+            set(block.mask, n, used);
+            set(block.cost, n, used ? 1.0 / c.divisor[3 * i] : 1.0);
+            set(block.weights.omega, n, used ? c.omega[i] : 1.0), set(block.weights.lambda, n, used ? c.lambda[i] : 1.0);
+            for (int a = 0; a < 3; ++a) {
+                set(block.scale[a], n, used ? c.scale[3 * i + a] : 1.0);
+                set(block.divisor[a], n, used ? c.divisor[3 * i + a] : 1.0);
+                for (int r = 0; r < 6; ++r) {
+                    set(block.g[r][a], n, used ? c.rows[r * size + 3 * i + a] : 0.0);
+                    set(block.inverse[r][a], n, used ? c.inverse[6 * (3 * i + a) + r] : 0.0);
+                }
+            }
+        }
+        for (auto& block : blocks)
+            for (int r = 0; r < 6; ++r)
+                for (int s = 0; s <= r; ++s) block.gjg[packed(r, s)] = lorentz(block.g[r], block.g[s]);
+    }
+
+    // (3N,) numbers into the lanes, and back
+    void load(const double* from, Field& x) const {
+        each([&](int b, int n, int at) {
+            for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a]);
+        });
+    }
+    void store(const Field& x, double* to) const {
+        each([&](int b, int n, int at) {
+            for (int a = 0; a < 3; ++a) to[at + a] = get(x[b][a], n);
+        });
+    }
+    // the same of forces (normal, o, t) [N]
+    void load_force(const double* from, Field& x) const {
+        each([&](int b, int n, int at) {
+            for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a] * get(blocks[b].scale[a], n));
+        });
+    }
+    void store_force(const Field& x, double* to) const {
+        for (int b = 0; b < int(blocks.size()); ++b)
+            for (int a = 0; a < 3; ++a) {
+                const V force = x[b][a] / blocks[b].divisor[a];
+                for (int n = 0; n < W && W * b + n < count; ++n) to[3 * (W * b + n) + a] = get(force, n);
+            }
+    }
+
+    // +inf unless strictly inside every cone
+    double phi(const Field& x) const {
+        return phi_of([&](int b) { return x[b]; });
+    }
+    // of x + alpha step
+    double phi_along(const Field& x, const Field& step, double alpha) const {
+        return phi_of([&](int b) { return x[b] + all<V>(alpha) * step[b]; });
+    }
+    // d Phi(x + alpha step) / d alpha
+    double slope_along(const Field& x, const Field& step, double alpha) const {
+        V total{};
+        for (int b = 0; b < int(blocks.size()); ++b)
+            total += blocks[b].mask * dot(gradient(x[b] + all<V>(alpha) * step[b], blocks[b].weights), step[b]);
+        return sum(total);
+    }
+
+    Vec6 wrench(const Field& x) const {  // G x
+        V out[6] = {};
+        for (int b = 0; b < int(blocks.size()); ++b) blocks[b].add_wrench(x[b], out);
+        return sums(out);
+    }
+    // x -= G^+ (G x + w), w in the unit frame: balanced by the least change in force
+    void balance(Field& x, const Vec6& w) const { subtract(x, wrench(x) + w); }
+    // x -= G^+ missed
+    void subtract(Field& x, const Vec6& missed) const {
+        for (int b = 0; b < int(blocks.size()); ++b) x[b] -= blocks[b].least(missed);
+    }
+
+    // 1 / (largest step inside the cones); <= 0: all of the ray is inside
+    double reach(const Field& x, const Field& step) const {
+        V most{};
+        for (int b = 0; b < int(blocks.size()); ++b) most = max(most, Boundary<V>(x[b]).per(step[b]));
+        return largest(most);
+    }
+    // Least distance to a cone's surface.
+    double margin(const Field& x) const {
+        V room = all<V>(infinity);
+        for (int b = 0; b < int(blocks.size()); ++b) room = min(room, blocks[b].mask > 0.5 ? slack(x[b]) : all<V>(infinity));
+        return least(room);
+    }
+    // Whether all numbers are finite and below what forces can be.
+    bool sane(const Field& x) const {
+        V total{};
+        for (int b = 0; b < int(blocks.size()); ++b) total += abs(x[b].u) + abs(x[b].o) + abs(x[b].t);
+        return sum(total) < LARGEST;
+    }
+    double largest_normal(const Field& x) const {  // |u|
+        V most{};
+        for (int b = 0; b < int(blocks.size()); ++b) most = max(most, blocks[b].mask * abs(x[b].u));
+        return largest(most);
+    }
+
+    // Dual value at nu (unit frame): a lower bound of min Phi that needs no trust in the iterations; -inf: none.
+    double lower_bound(const Vec6& nu, const Vec6& w) const {
+        return bound(nu, w, [&](const Vec3<V>& y, int b, V& room) { return dual(y, blocks[b].weights, room); });
+    }
+    // The same in half the time where x is close to the optimum.
+    double lower_bound(const Vec6& nu, const Vec6& w, const Field& x, double tight) const {
+        return bound(nu, w, [&](const Vec3<V>& y, int b, V& room) {
+            return dual_near(y, blocks[b].weights, x[b], tight, room);
+        });
+    }
+
+    // Writes forces, residual and margin of x: what a solution is checked by.
+    void certify(const Field& x, const Vec6& w, const Record& record) const {
+        record.summary().residual = size(wrench(x) + w);
+        record.summary().margin = margin(x);
+        store_force(x, record.force());
+    }
+
+private:
+    int needed() const { return (count + W - 1) / W; }
+
+    template <class F> void each(F&& f) const {
+        for (int b = 0; b < int(blocks.size()); ++b)
+            for (int n = 0; n < W && W * b + n < count; ++n) f(b, n, 3 * (W * b + n));
+    }
+    template <class F> double phi_of(F&& at) const {
+        V total{}, room = all<V>(infinity);
+        for (int b = 0; b < int(blocks.size()); ++b) {
+            const Vec3<V> x = at(b);
+            total += blocks[b].mask * grasp::phi(x, blocks[b].weights);
+            room = min(room, min(x.u, lorentz(x, x)));
+        }
+        const double value = sum(total);
+        return least(room) > 0.0 && value == value ? value : infinity;
+    }
+    template <class F> double bound(const Vec6& nu, const Vec6& w, F&& part) const {
+        V total{}, smallest = all<V>(infinity);
+        for (int b = 0; b < int(blocks.size()); ++b) {
+            V room;
+            total += blocks[b].mask * part(blocks[b].transposed(nu), b, room);
+            smallest = min(smallest, room);
+        }
+        const double value = sum(total) - dot(nu, w);
+        return least(smallest) > 0.0 && value == value ? value : -infinity;
+    }
+};
+
+}  // namespace grasp

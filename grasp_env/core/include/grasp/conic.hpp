@@ -1,0 +1,259 @@
+// The exact problem: least sum of normal forces, balance, friction cones. Primal-dual interior point with Nesterov-Todd scaling and
+// Mehrotra's corrector (Nesterov, Todd 1997; Mehrotra 1992; as in Vandenberghe 2010, "The CVXOPT linear and quadratic cone program
+// solvers"); every iterate is a valid grasp, and y scaled onto the boundary is a certified bound.
+//
+//     min sum_i c_i u_i  s.t.  G x = -w,  x_i in the cone u >= |(o, t)|      max -w . y  s.t.  s_i = c_i e_u - G_i^T y in it
+//
+// In these coordinates the scaling of a contact is eta (2 v v^T - J), v . J v = 1, so the 6 x 6 matrix of an iteration is the sum of
+// eta (2 (G v)(G v)^T - G J G^T) with G J G^T constant.
+#pragma once
+#include "newton.hpp"
+
+namespace grasp {
+
+// M = eta (2 v v^T - J) takes s to x; sqrt(eta) * `scaled` is its square root.
+template <class T> struct Scaling {
+    Vec3<T> v;
+    T eta, shrink, root;  // 1 / (1 + v_0), 1 / sqrt(s . J s)
+
+    Scaling() = default;
+    Scaling(const Vec3<T>& x, const Vec3<T>& s) {
+        const T i = 1.0 / lorentz(s, s);
+        eta = sqrt(lorentz(x, x) * i);
+        const Vec3<T> z{x.u + eta * s.u, x.o - eta * s.o, x.t - eta * s.t};
+        v = (1.0 / sqrt(lorentz(z, z))) * z;
+        shrink = 1.0 / (1.0 + v.u);
+        root = sqrt(i);
+    }
+    Vec3<T> scaled(const Vec3<T>& d) const {
+        const T z = v.o * d.o + v.t * d.t, k = d.u + z * shrink;
+        return {v.u * d.u + z, d.o + k * v.o, d.t + k * v.t};
+    }
+    Vec3<T> twice(const Vec3<T>& d) const {  // M d
+        const T z = 2.0 * dot(v, d);
+        return {eta * (z * v.u - d.u), eta * (z * v.o + d.o), eta * (z * v.t + d.t)};
+    }
+};
+
+template <class V, int B> class ConicOn {
+public:
+    using Field = typename Cones<V, B>::Field;
+    Options options;
+    Cones<V, B> cones;
+    Field rest;  // an internal force strictly inside the cones: what a start squeezes with
+
+    ConicOn(int count, const Options& options)
+        : options(options), cones(count), rest(cones.field()), force_(cones.field()), first_(cones.field()) {
+        resize(at_, cones.blocks.size());
+    }
+
+    Code solve(const double* wrench, const Record& record) {
+        record.clear();
+        Summary& out = record.summary();
+        out.code = REFUSED;
+        if (!sane_wrench(wrench)) return REFUSED;
+        std::copy(wrench, wrench + 6, out.wrench.begin());
+        const Vec6 unit = cones.unit.of(wrench);
+        const double scale = size(unit);
+        if (scale < NOTHING) {  // no force is needed, and none is less
+            out.code = CONVERGED;
+            return CONVERGED;
+        }
+        const Vec6 minus = (-1.0 / scale) * unit;
+        double price = start(minus), gap = price, goal = options.tolerance, certified = infinity;
+        Vec6 y{};
+        int iterations = 0;
+        Code code = CONVERGED;
+        for (;; ++iterations) {
+            while (gap <= goal * price) {  // the iterations' own gap is not proof: the certificate's is
+                certified = certify(unit, minus, scale, y, record);
+                if (certified <= options.tolerance) break;
+                goal *= 0.1;
+                if (!(gap > 0.0) || goal < 1e-3 * options.tolerance) {
+                    code = STALLED;
+                    break;
+                }
+            }
+            if (certified <= options.tolerance || code == STALLED) break;
+            if (iterations >= options.limit) {
+                code = LIMIT;
+                break;
+            }
+            Ldl6 schur;
+            if (!(system(schur) > 0.0)) {
+                code = STALLED;
+                break;
+            }
+            // predictor: dx + M ds = -x, so that S dy = G x = -w
+            const auto [primal, dual, cross, square] = predict(schur.solve(minus));
+            const double after = gap + dual * cross - primal * (gap + cross) - primal * dual * (cross + square);
+            const double part = std::max(after, 0.0) / gap, centring = std::min(1.0, part * part * part);
+            const double reach = 0.9 + (STEP - 0.9) * std::min(primal, dual);
+            const Vec6 dy = schur.solve(centre(centring * gap / (2.0 * cones.count)));
+            const auto [longest_x, longest_s] = direct(dy, reach);
+            if (!(longest_x + longest_s > 1e-6)) {
+                code = STALLED;
+                break;
+            }
+            y = y + longest_s * dy;
+            const auto reached = advance(longest_x, longest_s);
+            gap = reached.gap, price = reached.price;
+        }
+        if (!(certified <= options.tolerance) && certify(unit, minus, scale, y, record) <= options.tolerance) code = CONVERGED;
+        out.code = code, out.iterations = out.trials = iterations;
+        return code;
+    }
+
+private:
+    static constexpr double STEP = 0.995;  // the largest part of the way to the boundary
+
+    struct At {
+        Vec3<V> x, s;     // primal and dual slack
+        Scaling<V> m;
+        Vec3<V> l, d, q;  // scaled point, (scaled) dual direction, dx
+        V share, l0;      // of the boundary at l; 1 / l_0
+        Vec3<V> first;    // first x, for the record
+
+        Boundary<V> boundary() const { return {l, m.root, share}; }  // l . J l = s . J s
+    };
+    Blocks<At, B> at_;
+    Field force_, first_;  // what is written
+    int blocks() const { return int(at_.size()); }
+
+    // x = -G^+ w + k rest with k beyond what the triangle inequality asks, s = c; returns the price
+    double start(const Vec6& minus) {
+        V squeeze = all<V>(1e-6), price{};
+        for (int b = 0; b < blocks(); ++b) {
+            at_[b].x = cones.blocks[b].least(minus);
+            squeeze = max(squeeze, -slack(at_[b].x) / slack(rest[b]));
+        }
+        const V k = all<V>(1.3 * largest(squeeze));
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            at_[b].x += k * rest[b];
+            at_[b].first = at_[b].x;
+            at_[b].s = {c.cost, V{}, V{}};
+            price += c.mask * c.cost * at_[b].x.u;
+        }
+        return sum(price);
+    }
+
+    // S = sum eta (2 (G v)(G v)^T - G J G^T), factored; returns its least pivot
+    double system(Ldl6& schur) {
+        V s[21] = {};
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            const auto& m = at_[b].m = Scaling<V>(at_[b].x, at_[b].s);
+            V g[6];
+#pragma GCC unroll 8
+            for (int r = 0; r < 6; ++r) g[r] = dot(c.g[r], m.v);
+#pragma GCC unroll 8
+            for (int r = 0; r < 6; ++r) {
+                const V e = 2.0 * g[r];
+#pragma GCC unroll 8
+                for (int k = 0; k <= r; ++k) s[packed(r, k)] += m.eta * (e * g[k] - c.gjg[packed(r, k)]);
+            }
+        }
+        Packed6 lower;
+#pragma GCC unroll 32
+        for (int k = 0; k < 21; ++k) lower[k] = sum(s[k]);
+        return schur.factor(lower);
+    }
+
+    // Longest steps of x and s along the predictor ds = -G^T dy, s . dx part and ds . ds part.
+    struct Predicted { double primal, dual, cross, square; };
+    Predicted predict(const Vec6& dy) {
+        V primal = all<V>(1.0), dual = all<V>(1.0), cross{}, square{};
+        for (int b = 0; b < blocks(); ++b) {
+            auto& at = at_[b];
+            const auto& m = at.m;
+            const Vec3<V> l = at.l = m.scaled(at.s), e = at.d = m.scaled(-cones.blocks[b].transposed(dy));
+            const V n = l.u * m.root + 1.0, both = 1.0 / (n * l.u);  // one division for two
+            at.share = both * l.u, at.l0 = both * n;
+            const auto way = at.boundary().way(e);
+            dual = max(dual, way.away - way.along), primal = max(primal, 1.0 + way.away + way.along);
+            const V part = cones.blocks[b].mask * m.eta;
+            cross += part * dot(l, e), square += part * dot(e, e);
+        }
+        return {1.0 / largest(primal), 1.0 / largest(dual), sum(cross), sum(square)};
+    }
+
+    // d = scaled right side with centring and second order, q its unscaled image; returns -G q
+    Vec6 centre(double target) {
+        V out[6] = {};
+        for (int b = 0; b < blocks(); ++b) {
+            auto& at = at_[b];
+            const auto& m = at.m;
+            const Vec3<V>&l = at.l, e = at.d, f = l + e;
+            const Vec3<V> r{target / m.eta + dot(f, e), f.u * e.o + e.u * f.o, f.u * e.t + e.u * f.t};
+            const V h = lorentz(l, r) * m.root * m.root;
+            at.d = Vec3<V>{h, (r.o - h * l.o) * at.l0, (r.t - h * l.t) * at.l0} - l;
+            at.q = m.eta * m.scaled(at.d);
+            cones.blocks[b].add_wrench(at.q, out);
+        }
+        return -1.0 * sums(out);
+    }
+
+    // d = ds, q = dx; returns the steps, `reach` of the way to the boundary of x and s
+    struct Steps { double primal, dual; };
+    Steps direct(const Vec6& dy, double reach) {
+        V primal = all<V>(reach), dual = all<V>(reach);
+        for (int b = 0; b < blocks(); ++b) {
+            auto& at = at_[b];
+            const Vec3<V> d = -cones.blocks[b].transposed(dy), e = at.m.scaled(d);
+            const Boundary<V> edge = at.boundary();
+            dual = max(dual, edge.per(e)), primal = max(primal, edge.per(at.d - e));
+            at.q -= at.m.twice(d);
+            at.d = d;
+        }
+        return {reach / largest(primal), reach / largest(dual)};
+    }
+
+    struct Reached { double gap, price; };
+    Reached advance(double primal, double dual) {
+        V gap{}, price{};
+        for (int b = 0; b < blocks(); ++b) {
+            auto& at = at_[b];
+            const auto& c = cones.blocks[b];
+            at.x += all<V>(primal) * at.q, at.s += all<V>(dual) * at.d;
+            gap += c.mask * dot(at.x, at.s), price += c.mask * c.cost * at.x.u;
+        }
+        return {sum(gap), sum(price)};
+    }
+
+    // Balances the last digits, scales y onto the boundary of its set, writes force and certificates; returns the gap. For any y the
+    // largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|), g = G^T y over the contacts where that is positive.
+    double certify(const Vec6& unit, const Vec6& minus, double scale, const Vec6& y, const Record& record) {
+        V before[6] = {}, steepest{}, squeeze{}, price{};
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            c.add_wrench(at_[b].x, before);
+            const Vec3<V> g = c.transposed(y);
+            steepest = max(steepest, (g.u + sqrt(g.o * g.o + g.t * g.t)) / c.cost);
+        }
+        const double most = largest(steepest), theta = most > 0.0 ? 1.0 / most : 1.0;
+        const Vec6 left = sums(before) - minus;
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            auto& x = at_[b].x;
+            x -= c.least(left);
+            const V outside = 1e-15 * x.u - slack(x);  // 1e-15: what the rounding of the next lines may cost
+            // the last digits of balance may take x out of its cone: an internal force takes it back
+            squeeze = max(squeeze, 1.1 * c.mask * outside / slack(rest[b]));
+        }
+        const V k = all<V>(largest(squeeze));
+        for (int b = 0; b < blocks(); ++b) {
+            force_[b] = all<V>(scale) * (at_[b].x + k * rest[b]), first_[b] = all<V>(scale) * at_[b].first;
+            price += cones.blocks[b].mask * cones.blocks[b].cost * force_[b].u;
+        }
+        cones.store_force(first_, record.initial_force());
+        cones.certify(force_, unit, record);
+        Summary& out = record.summary();
+        out.multipliers = cones.unit.pull_back(theta * y);
+        out.lower_bound = scale * std::max(theta * dot(minus, y), 0.0);
+        out.objective = sum(price);
+        return out.lower_bound > 0.0 ? (out.objective - out.lower_bound) / out.lower_bound : infinity;
+    }
+};
+
+}  // namespace grasp

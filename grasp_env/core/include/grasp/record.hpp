@@ -1,0 +1,41 @@
+// One solution as one row of numbers: what solvers write, single or in a batch.
+#pragma once
+#include <cstddef>
+#include "linear6.hpp"
+
+namespace grasp {
+
+// How a solve ended.
+enum Code { CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED };  // REFUSED: numbers that are not finite, or no start
+
+struct Summary {
+    double code = REFUSED;   // a `Code`
+    double iterations = 0;   // accepted steps
+    double trials = 0;       // all steps tried
+    double objective = 0;    // Phi, or the sum of the normal forces [N]
+    double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none
+    double residual = 0;     // largest |component| of G f + w in the unit frame [N]
+    double margin = 0;       // least distance to a cone's surface [N]
+    double reserved = 0;
+    Vec6 wrench{};       // what is balanced [N, N m]
+    Vec6 multipliers{};  // nu of balance: grad objective = G^T nu (+ the cones' multipliers)
+};
+
+// A row: the summary, then force (N, 3), initial force (N, 3) [N], torsion (N,) [N m].
+constexpr int record_size(int count) { return int(sizeof(Summary) / sizeof(double)) + 7 * count; }
+
+class Record {
+public:
+    Record(double* row, int count) : row_(row), count_(count) {}
+    Summary& summary() const { return *reinterpret_cast<Summary*>(row_); }
+    double* force() const { return row_ + sizeof(Summary) / sizeof(double); }
+    double* initial_force() const { return force() + 3 * count_; }
+    double* torsion() const { return force() + 6 * count_; }
+    void clear() const { std::fill(row_, row_ + record_size(count_), 0.0); }
+
+private:
+    double* row_;
+    int count_;
+};
+
+}  // namespace grasp
