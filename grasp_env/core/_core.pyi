@@ -1,8 +1,185 @@
 """The compiled core; `grasp_env.core` is its door."""
 
+from numpy.typing import NDArray
 
 
 def build_info() -> dict[str, str]:
     """
     Version, compiler, instruction set, build type and flags of this module.
     """
+
+def record_fields() -> dict[str, int]:
+    """
+    Where the fields of a solution stand in its row of numbers; from `force` on 3N force, 3N initial force, N torsion.
+    """
+
+def codes() -> dict[str, int]:
+    """How a solve ends, by name."""
+
+def record_size(contacts: int) -> int:
+    """Numbers in a row of N contacts."""
+
+TANGENT_SWITCH: float = 0.9
+
+UNIT_TOLERANCE: float = 1e-06
+
+ROUNDING: float = 1e-15
+
+LARGEST: float = 1000000000000.0
+
+NOTHING: float = 1e-280
+
+def grasp_arrays(positions: object, normals: object, models: object, tangents: object, frames: object, matrix: object, cone_matrix: object, torsion_matrix: object, centre: object, frame: object) -> float:
+    """
+    Fills the arrays of a `Grasp` from `frames` on; returns its length [m], negative where its rank may not be 6.
+    """
+
+class Contacts:
+    """Hard contacts: what they transmit and weigh, and where they are."""
+
+    @staticmethod
+    def make(positions: object, normals: object, scale: object, weights: object, tangents: object) -> Contacts:
+        """
+        (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2) omega and lambda,
+        (N, 3) tangents or (0, 3). ValueError where the rank of G is not 6.
+        """
+
+    @property
+    def count(self) -> int:
+        """N."""
+
+class Newton:
+    """
+    Newton on Phi and the starts, on the hard contacts of one grasp; x is in cone coordinates [N].
+    """
+
+    @staticmethod
+    def make(contacts: Contacts, tolerance: float, limit: int) -> Newton: ...
+
+    def set_basis(self, basis: object) -> None:
+        """Takes the 12-basis with the rest force, (13, 3N) in cone coordinates."""
+
+    def make_basis(self, basis: object, warm: bool = False, interior: object | None = None) -> float:
+        """
+        Fills the 12-basis, (13, 3N); returns the worst relative gap, inf: none. `warm`: it holds that of nearby contacts.
+        interior: (3N,) an internal force strictly inside the cones; None: it is searched.
+        """
+
+    def internal_force(self, x: object) -> bool:
+        """
+        Fills x (3N,) with an internal force strictly inside; False: none found.
+        """
+
+    def solve(self, wrench: object, record: object) -> int:
+        """From the 12-basis into a record; returns the code."""
+
+    def follow(self, wrench: object, previous: object, record: object) -> int:
+        """From the force of a previous record, carried over; returns the code."""
+
+    def descend(self, wrench: object, force: object, optimum: float, trace: object, record: object) -> int:
+        """
+        From a force (N, 3); optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.
+        """
+
+    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
+        """
+        (M, 6) into (M, 20 + 7N), from the 12-basis or from the forces in the rows of `previous`; releases the GIL.
+        """
+
+    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
+        """Best seconds of `passes` calls each, into (M,)."""
+
+    def combine(self, wrench: object, printed: bool, force: object) -> None:
+        """The combination of the 12-basis, (N, 3)."""
+
+    def carry(self, wrench: object, previous: object, tangent: bool, force: object) -> bool:
+        """
+        A previous optimum (N, 3) carried to this wrench, by the tangent correction or by G^+; False: not finite.
+        """
+
+    def repair(self, wrench: object, candidate: object, force: object) -> bool:
+        """
+        The force of least Phi on the way from the combination to a candidate (N, 3), balanced; False: not finite.
+        """
+
+    def inside(self, point: object, ray: object) -> tuple[float, float]:
+        """
+        (low, high) of the k with point + k ray strictly inside; none: low >= high.
+        """
+
+    def newton_step(self, wrench: object, x: object, step: object, multipliers: object) -> float:
+        """
+        The Newton step at x (3N,); returns the squared decrement, negative where there is none.
+        """
+
+    def segment(self, safe: object, x: object) -> float:
+        """
+        x (3N,) = the least Phi on the segment from `safe` to it; returns how far.
+        """
+
+class Conic:
+    """The least sum of normal forces on the hard contacts of one grasp."""
+
+    @staticmethod
+    def make(contacts: Contacts, tolerance: float, limit: int, interior: object) -> Conic:
+        """
+        interior: (3N,) an internal force strictly inside the cones, cone coordinates.
+        """
+
+    def solve(self, wrench: object, record: object) -> int:
+        """Into a record; returns the code."""
+
+    def solve_many(self, wrenches: object, records: object) -> None:
+        """(M, 6) into (M, 20 + 7N); releases the GIL."""
+
+    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
+        """Best seconds of `passes` calls each, into (M,)."""
+
+class Pipeline:
+    """
+    Contacts in, certified force out, for contacts that move from call to call.
+    """
+
+    @staticmethod
+    def make(nominal: Contacts, tolerance: float, limit: int, basis: object, frames: object, remembers: bool, reference: object) -> Pipeline: ...
+
+    def reset(self) -> None:
+        """Forgets all calls."""
+
+    def forget(self) -> None:
+        """Forgets the last optimum."""
+
+    def set_basis(self, basis: object, frames: object) -> None:
+        """
+        Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.
+        """
+
+    def solve(self, points: object, normals: object, wrench: object, adjust: object, record: object) -> int:
+        """
+        Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or (0,) into a record; returns the code.
+        """
+
+    def begin(self, points: object, normals: object, wrench: object, adjust: object) -> bool:
+        """The contacts of now and the start there; False: none."""
+
+    def adjust(self, points: object, normals: object, wrench: object, adjust: object) -> bool:
+        """Adds an internal force to the start and repairs it."""
+
+    def descend(self, wrench: object, record: object) -> int:
+        """Newton from the start, into a record; returns the code."""
+
+    def keep(self, record: object) -> None:
+        """A record of the contacts of now becomes the last optimum."""
+
+    def carry(self, points: object, normals: object, wrench: object, force: object) -> int:
+        """
+        The last optimum carried to contacts and wrench of now, (N, 3); 0: carried, 1: repaired, 2: clipped.
+        """
+
+    def arrays(self) -> dict[str, NDArray]:
+        """
+        Views of what is held, and of the contacts of now, by name: overwritten in place.
+        """
+
+    def unit_frame(self) -> tuple[float, float, float, float]:
+        """Length and centre [m] of the contacts of now."""

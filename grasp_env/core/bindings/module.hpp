@@ -7,3 +7,8 @@ namespace nb = nanobind;
 using namespace nb::literals;
 
 void bind_build_info(nb::module_& m);
+void bind_record(nb::module_& m);
+void bind_contacts(nb::module_& m);
+void bind_newton(nb::module_& m);
+void bind_conic(nb::module_& m);
+void bind_pipeline(nb::module_& m);

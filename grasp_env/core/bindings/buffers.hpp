@@ -1,0 +1,47 @@
+// Python's own buffer protocol: an array is read as it is where its numbers lie as the core reads them, and refused elsewhere (Python
+// then converts it, or says what is wrong). Never a silent copy, never a misread layout.
+#pragma once
+
+#include <cstring>
+
+#include "module.hpp"
+
+class Buffer {
+public:
+    Buffer(nb::handle object, bool writable = false) {
+        if (!PyObject_CheckBuffer(object.ptr())) return;
+        const int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
+        held_ = PyObject_GetBuffer(object.ptr(), &view_, flags) == 0;
+        if (!held_) PyErr_Clear();
+    }
+    ~Buffer() {
+        if (held_) PyBuffer_Release(&view_);
+    }
+    Buffer(const Buffer&) = delete;
+    Buffer& operator=(const Buffer&) = delete;
+
+    // Whether these are float64 of this shape; -1: any length
+    template <class... Sizes> bool has(Sizes... sizes) const {
+        const Py_ssize_t wanted[] = {Py_ssize_t(sizes)...};
+        if (!held_ || std::strcmp(view_.format, "d") != 0 || view_.ndim != int(sizeof...(sizes))) return false;
+        for (int a = 0; a < view_.ndim; ++a)
+            if (wanted[a] >= 0 && view_.shape[a] != wanted[a]) return false;
+        return true;
+    }
+    Py_ssize_t length(int axis) const { return view_.shape[axis]; }
+    double* data() const { return static_cast<double*>(view_.buf); }
+
+private:
+    Py_buffer view_;
+    bool held_ = false;
+};
+
+// The numbers of an array that Python has made for the core: of this shape, or a TypeError (a mistake of the package's own code).
+class Numbers : public Buffer {
+public:
+    template <class... Sizes> Numbers(nb::handle object, bool writable, Sizes... sizes) : Buffer(object, writable) {
+        if (!has(sizes...)) throw nb::type_error("a C-contiguous float64 array of another shape is needed");
+    }
+};
+template <class... Sizes> inline Numbers in(nb::handle object, Sizes... sizes) { return {object, false, sizes...}; }
+template <class... Sizes> inline Numbers out(nb::handle object, Sizes... sizes) { return {object, true, sizes...}; }

@@ -1,0 +1,135 @@
+// Newton on Phi and the starts.
+#include <nanobind/stl/unique_ptr.h>
+
+#include <grasp/solvers.hpp>
+
+#include "buffers.hpp"
+#include "timing.hpp"
+
+using namespace grasp;
+
+namespace {
+
+std::unique_ptr<Newton> make(const Contacts& contacts, double tolerance, int limit) {
+    return Newton::make(contacts, {tolerance, limit});
+}
+
+// The control loop's call. REFUSED where the wrench is no (6,) float64 array of finite numbers, or there is no basis.
+int solve(Newton& newton, nb::handle wrench, nb::handle record) {
+    const Buffer load(wrench);
+    const Numbers row = out(record, record_size(newton.contacts.count));
+    return load.has(6) ? newton.solve({.wrench = load.data()}, row.data()) : int(REFUSED);
+}
+
+// The same from a previous record.
+int follow(Newton& newton, nb::handle wrench, nb::handle previous, nb::handle record) {
+    const int size = record_size(newton.contacts.count);
+    const Buffer load(wrench), before(previous);
+    const Numbers row = out(record, size);
+    if (!load.has(6) || !before.has(size)) return REFUSED;
+    const Call call{.wrench = load.data(), .start = Start::tangent, .force = Record(before.data(), newton.contacts.count).force()};
+    return newton.solve(call, row.data());
+}
+
+// From a given force, with what studies ask for.
+int descend(Newton& newton, nb::handle wrench, nb::handle force, double optimum, nb::handle trace, nb::handle record) {
+    const int count = newton.contacts.count;
+    const Numbers load = in(wrench, 6), start = in(force, count, 3), values = out(trace, -1);
+    const Numbers row = out(record, record_size(count));
+    const Call call{.wrench = load.data(), .start = Start::given, .force = start.data(), .optimum = optimum,
+                    .trace = values.data(), .traced = int(values.length(0))};
+    return newton.solve(call, row.data());
+}
+
+// (M, 6) wrenches into (M, 20 + 7N) records, each from the 12-basis or from the force in its row of `previous`; releases the GIL.
+void solve_many(const Newton& newton, nb::handle wrenches, nb::handle previous, nb::handle records) {
+    const int count = newton.contacts.count, size = record_size(count);
+    const Numbers loads = in(wrenches, -1, 6);
+    const Py_ssize_t many = loads.length(0);
+    const Numbers rows = out(records, many, size);
+    const bool follows = !previous.is_none();
+    const Numbers before = follows ? in(previous, many, size) : in(records, many, size);
+    nb::gil_scoped_release free;
+    const auto own = newton.clone();
+    for (Py_ssize_t k = 0; k < many; ++k) {
+        Call call{.wrench = loads.data() + 6 * k};
+        if (follows) call.start = Start::tangent, call.force = Record(before.data() + size * k, count).force();
+        own->solve(call, rows.data() + size * k);
+    }
+}
+
+void times(Newton& newton, nb::handle wrenches, int passes, nb::handle records, nb::handle best) {
+    time_calls(wrenches, passes, record_size(newton.contacts.count), records, best,
+               [&](const double* wrench, double* row) { newton.solve({.wrench = wrench}, row); });
+}
+
+double fill_basis(Newton& newton, nb::handle basis, bool warm, nb::handle interior) {
+    const int size = 3 * newton.contacts.count;
+    const Numbers rows = out(basis, 13, size);
+    if (interior.is_none()) return newton.make_basis(warm, nullptr, rows.data());
+    return newton.make_basis(warm, in(interior, size).data(), rows.data());
+}
+
+bool internal_force(Newton& newton, nb::handle x) { return newton.internal_force(out(x, 3 * newton.contacts.count).data()); }
+
+void combine(Newton& newton, nb::handle wrench, bool printed, nb::handle force) {
+    newton.combine(in(wrench, 6).data(), printed, out(force, newton.contacts.count, 3).data());
+}
+
+bool carry(Newton& newton, nb::handle wrench, nb::handle previous, bool tangent, nb::handle force) {
+    const int count = newton.contacts.count;
+    return newton.carry(in(wrench, 6).data(), in(previous, count, 3).data(), tangent ? Start::tangent : Start::pseudoinverse,
+                        out(force, count, 3).data());
+}
+
+bool repair(Newton& newton, nb::handle wrench, nb::handle candidate, nb::handle force) {
+    const int count = newton.contacts.count;
+    return newton.repair(in(wrench, 6).data(), in(candidate, count, 3).data(), out(force, count, 3).data());
+}
+
+nb::typed<nb::tuple, double, double> interval(Newton& newton, nb::handle point, nb::handle ray) {
+    const int size = 3 * newton.contacts.count;
+    const Interval found = newton.inside(in(point, size).data(), in(ray, size).data());
+    return nb::make_tuple(found.low, found.high);
+}
+
+double newton_step(Newton& newton, nb::handle wrench, nb::handle x, nb::handle step, nb::handle multipliers) {
+    const int size = 3 * newton.contacts.count;
+    return newton.newton_step(in(wrench, 6).data(), in(x, size).data(), out(step, size).data(), out(multipliers, 6).data());
+}
+
+double segment(Newton& newton, nb::handle safe, nb::handle x) {
+    const int size = 3 * newton.contacts.count;
+    return newton.segment(in(safe, size).data(), out(x, size).data());
+}
+
+void set_basis(Newton& newton, nb::handle basis) { newton.set_basis(in(basis, 13, 3 * newton.contacts.count).data()); }
+
+}  // namespace
+
+void bind_newton(nb::module_& m) {
+    nb::class_<Newton>(m, "Newton", "Newton on Phi and the starts, on the hard contacts of one grasp; x is in cone coordinates [N].")
+        .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a)
+        .def("set_basis", &set_basis, "basis"_a, "Takes the 12-basis with the rest force, (13, 3N) in cone coordinates.")
+        .def("make_basis", &fill_basis, "basis"_a, "warm"_a = false, "interior"_a = nb::none(),
+             "Fills the 12-basis, (13, 3N); returns the worst relative gap, inf: none. `warm`: it holds that of nearby contacts.\n"
+             "interior: (3N,) an internal force strictly inside the cones; None: it is searched.")
+        .def("internal_force", &internal_force, "x"_a, "Fills x (3N,) with an internal force strictly inside; False: none found.")
+        .def("solve", &solve, "wrench"_a, "record"_a, "From the 12-basis into a record; returns the code.")
+        .def("follow", &follow, "wrench"_a, "previous"_a, "record"_a,
+             "From the force of a previous record, carried over; returns the code.")
+        .def("descend", &descend, "wrench"_a, "force"_a, "optimum"_a, "trace"_a, "record"_a,
+             "From a force (N, 3); optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.")
+        .def("solve_many", &solve_many, "wrenches"_a, "previous"_a.none(), "records"_a,
+             "(M, 6) into (M, 20 + 7N), from the 12-basis or from the forces in the rows of `previous`; releases the GIL.")
+        .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` calls each, into (M,).")
+        .def("combine", &combine, "wrench"_a, "printed"_a, "force"_a, "The combination of the 12-basis, (N, 3).")
+        .def("carry", &carry, "wrench"_a, "previous"_a, "tangent"_a, "force"_a,
+             "A previous optimum (N, 3) carried to this wrench, by the tangent correction or by G^+; False: not finite.")
+        .def("repair", &repair, "wrench"_a, "candidate"_a, "force"_a,
+             "The force of least Phi on the way from the combination to a candidate (N, 3), balanced; False: not finite.")
+        .def("inside", &interval, "point"_a, "ray"_a, "(low, high) of the k with point + k ray strictly inside; none: low >= high.")
+        .def("newton_step", &newton_step, "wrench"_a, "x"_a, "step"_a, "multipliers"_a,
+             "The Newton step at x (3N,); returns the squared decrement, negative where there is none.")
+        .def("segment", &segment, "safe"_a, "x"_a, "x (3N,) = the least Phi on the segment from `safe` to it; returns how far.");
+}

@@ -1,0 +1,110 @@
+// Contacts that move from call to call.
+#include <nanobind/stl/unique_ptr.h>
+
+#include <grasp/solvers.hpp>
+
+#include "buffers.hpp"
+#include "views.hpp"
+
+using namespace grasp;
+
+namespace {
+
+std::unique_ptr<Pipeline> make(const Contacts& nominal, double tolerance, int limit, nb::handle basis, nb::handle frames,
+                               bool remembers, nb::handle reference) {
+    const int count = nominal.count, size = 3 * count;
+    return Pipeline::make(nominal, {tolerance, limit}, in(basis, 13, size).data(), in(frames, count, 3, 3).data(), remembers,
+                          in(reference, size, size - 6).data());
+}
+
+// The arguments of a call, each where it lies as the core reads it.
+struct Given {
+    int count;
+    Buffer points, normals, wrench, adjust;
+
+    Given(Pipeline& pipeline, nb::handle p, nb::handle n, nb::handle w, nb::handle a)
+        : count(pipeline.contacts().count), points(p), normals(n), wrench(w), adjust(a) {}
+    bool readable() const {
+        return points.has(count, 3) && normals.has(count, 3) && wrench.has(6) &&
+               (adjust.has(0) || adjust.has(3 * count - 6));
+    }
+    Load load() const {
+        return {points.data(), normals.data(), wrench.data(), adjust.length(0) ? adjust.data() : nullptr};
+    }
+};
+
+int solve(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench, nb::handle adjust, nb::handle record) {
+    const Given given(pipeline, points, normals, wrench, adjust);
+    const Numbers row = out(record, record_size(given.count));
+    return given.readable() ? pipeline.solve(given.load(), row.data()) : int(REFUSED);
+}
+
+bool begin(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench, nb::handle adjust) {
+    const Given given(pipeline, points, normals, wrench, adjust);
+    return given.readable() && pipeline.begin(given.load());
+}
+
+bool adjust(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench, nb::handle adjust) {
+    const Given given(pipeline, points, normals, wrench, adjust);
+    return given.readable() && pipeline.adjust(given.load());
+}
+
+int descend(Pipeline& pipeline, nb::handle wrench, nb::handle record) {
+    return pipeline.descend(in(wrench, 6).data(), out(record, record_size(pipeline.contacts().count)).data());
+}
+
+int carry(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench, nb::handle force) {
+    const int count = pipeline.contacts().count;
+    const Numbers p = in(points, count, 3), n = in(normals, count, 3), w = in(wrench, 6);
+    return pipeline.carry({p.data(), n.data(), w.data()}, out(force, count, 3).data());
+}
+
+nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
+    auto& pipeline = nb::cast<Pipeline&>(self);
+    auto& held = pipeline.held();
+    auto& now = const_cast<Contacts&>(pipeline.contacts());
+    const size_t count = now.count, size = 3 * count;
+    nb::dict named;
+    named["x"] = view(self, held.x, {size});
+    named["frames"] = view(self, held.frames, {count, 3, 3});
+    named["cone_matrix"] = view(self, held.cone_matrix, {6, size});
+    named["basis"] = view(self, held.basis, {13, size});
+    named["basis_frames"] = view(self, held.basis_frames, {count, 3, 3});
+    named["start"] = view(self, pipeline.start(), {size});
+    named["safe"] = view(self, const_cast<std::vector<double>&>(pipeline.safe()), {size});
+    named["frames_now"] = view(self, now.frames, {count, 3, 3});
+    named["cone_matrix_now"] = view(self, now.cone_matrix, {6, size});
+    named["rows_now"] = view(self, now.rows, {6, size});
+    named["inverse_now"] = view(self, now.inverse, {size, 6});
+    return named;
+}
+
+nb::typed<nb::tuple, double, double, double, double> unit_frame(const Pipeline& pipeline) {
+    const UnitFrame& unit = pipeline.contacts().unit;
+    return nb::make_tuple(unit.length, unit.centre.u, unit.centre.o, unit.centre.t);
+}
+
+}  // namespace
+
+void bind_pipeline(nb::module_& m) {
+    nb::class_<Pipeline>(m, "Pipeline", "Contacts in, certified force out, for contacts that move from call to call.")
+        .def_static("make", &make, "nominal"_a, "tolerance"_a, "limit"_a, "basis"_a, "frames"_a, "remembers"_a, "reference"_a)
+        .def("reset", &Pipeline::reset, "Forgets all calls.")
+        .def("forget", &Pipeline::forget, "Forgets the last optimum.")
+        .def("set_basis", [](Pipeline& p, nb::handle basis, nb::handle frames) {
+            const int count = p.contacts().count;
+            p.set_basis(in(basis, 13, 3 * count).data(), in(frames, count, 3, 3).data());
+        }, "basis"_a, "frames"_a, "Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.")
+        .def("solve", &solve, "points"_a, "normals"_a, "wrench"_a, "adjust"_a, "record"_a,
+             "Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or (0,) into a record; returns the code.")
+        .def("begin", &begin, "points"_a, "normals"_a, "wrench"_a, "adjust"_a, "The contacts of now and the start there; False: none.")
+        .def("adjust", &adjust, "points"_a, "normals"_a, "wrench"_a, "adjust"_a, "Adds an internal force to the start and repairs it.")
+        .def("descend", &descend, "wrench"_a, "record"_a, "Newton from the start, into a record; returns the code.")
+        .def("keep", [](Pipeline& p, nb::handle record) {
+            p.keep(out(record, record_size(p.contacts().count)).data());
+        }, "record"_a, "A record of the contacts of now becomes the last optimum.")
+        .def("carry", &carry, "points"_a, "normals"_a, "wrench"_a, "force"_a,
+             "The last optimum carried to contacts and wrench of now, (N, 3); 0: carried, 1: repaired, 2: clipped.")
+        .def("arrays", &arrays, "Views of what is held, and of the contacts of now, by name: overwritten in place.")
+        .def("unit_frame", &unit_frame, "Length and centre [m] of the contacts of now.");
+}

@@ -1,0 +1,35 @@
+// The layout of a solution, so that it stands once.
+#include <grasp/record.hpp>
+
+#include "module.hpp"
+
+using grasp::Summary;
+
+namespace {
+
+nb::typed<nb::dict, nb::str, int> record_fields() {
+    nb::dict places;
+    const auto place = [&](const char* name, std::size_t offset) { places[name] = int(offset / sizeof(double)); };
+    place("code", offsetof(Summary, code)), place("iterations", offsetof(Summary, iterations));
+    place("trials", offsetof(Summary, trials)), place("objective", offsetof(Summary, objective));
+    place("lower_bound", offsetof(Summary, lower_bound)), place("residual", offsetof(Summary, residual));
+    place("margin", offsetof(Summary, margin)), place("wrench", offsetof(Summary, wrench));
+    place("multipliers", offsetof(Summary, multipliers)), place("force", sizeof(Summary));
+    return places;
+}
+
+nb::typed<nb::dict, nb::str, int> codes() {
+    nb::dict named;
+    named["converged"] = int(grasp::CONVERGED), named["limit"] = int(grasp::LIMIT), named["stalled"] = int(grasp::STALLED);
+    named["infeasible"] = int(grasp::INFEASIBLE), named["refused"] = int(grasp::REFUSED);
+    return named;
+}
+
+}  // namespace
+
+void bind_record(nb::module_& m) {
+    m.def("record_fields", &record_fields,
+          "Where the fields of a solution stand in its row of numbers; from `force` on 3N force, 3N initial force, N torsion.");
+    m.def("codes", &codes, "How a solve ends, by name.");
+    m.def("record_size", &grasp::record_size, "contacts"_a, "Numbers in a row of N contacts.");
+}

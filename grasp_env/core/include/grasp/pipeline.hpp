@@ -1,0 +1,190 @@
+// Contacts that move from call to call: frames and G, the start, Newton and the certificates in one call.
+#pragma once
+#include "adjust.hpp"
+#include "basis.hpp"
+
+namespace grasp {
+
+// What is held between calls, written in the contact frames that it was found in.
+struct Held {
+    std::vector<double> x;             // (3N,) the last optimum, cone coordinates [N]; nan: none
+    std::vector<double> frames;        // (N, 3, 3) its contact frames, columns (n, o, t), object frame
+    std::vector<double> cone_matrix;   // (6, 3N) its G in cone coordinates
+    std::vector<double> basis;         // (13, 3N) the offline basis, cone coordinates
+    std::vector<double> basis_frames;  // (N, 3, 3) the contact frames it is written in
+
+    explicit Held(int count)
+        : x(3 * count), frames(9 * count), cone_matrix(18 * count), basis(39 * count), basis_frames(9 * count) {}
+};
+
+struct Load {
+    const double *points, *normals;  // (N, 3) contact points [m] and inward unit normals, object frame
+    const double* wrench;            // (6,) [N, N m], object frame
+    const double* adjust = nullptr;  // (3N - 6,) coordinates [N] of an internal force added to the start, or none
+};
+
+// How a force was carried.
+enum Carried { CARRIED, REPAIRED, CLIPPED };
+
+template <class V, int B> class PipelineOn {
+public:
+    using Field = typename Cones<V, B>::Field;
+    Contacts contacts;  // of the last call
+    NewtonOn<V, B> newton;
+    Held held;
+    bool remembers;                  // whether to start from the last optimum
+    std::vector<double> start, safe;  // (3N,) of the last call: where the descent begins, and the combination
+
+    // basis: (13, 3N) of the nominal contacts, whose frames (N, 3, 3) it is written in
+    PipelineOn(const Contacts& nominal, const Options& options, const double* basis, const double* frames, bool remembers,
+               const double* reference)
+        : contacts(nominal), newton(nominal.count, options), held(nominal.count), remembers(remembers), start(3 * nominal.count),
+          safe(3 * nominal.count), nominal_(basis, basis + 39 * nominal.count),
+          nominal_frames_(frames, frames + 9 * nominal.count), space_(nominal.count, reference), spare_(newton.starter.basis),
+          last_(newton.cones), turned_(newton.cones.field()), safe_(newton.cones.field()) {
+        reset();
+    }
+
+    // Forgets all calls.
+    void reset() {
+        set_basis(nominal_.data(), nominal_frames_.data());
+        forget();
+    }
+    void forget() { std::fill(held.x.begin(), held.x.end(), std::numeric_limits<double>::quiet_NaN()); }
+
+    void set_basis(const double* basis, const double* frames) {
+        auto& starter = newton.starter;
+        for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, starter.basis[k]);
+        starter.basis_tangents.load(frames, contacts.count);
+        starter.has_basis = true;
+        std::copy(basis, basis + 39 * contacts.count, held.basis.begin());
+        std::copy(frames, frames + 9 * contacts.count, held.basis_frames.begin());
+    }
+
+    // REFUSED: the general path has to say why.
+    Code solve(const Load& load, double* row) {
+        const Record record(row, contacts.count);
+        record.summary().code = REFUSED;
+        if (!begin(load) || (load.adjust && !adjust(load))) return REFUSED;
+        const Code code = descend(load.wrench, row);
+        keep(row);
+        return code;
+    }
+
+    // Contacts of now and the start there, in newton.x; false where there is none.
+    bool begin(const Load& load) {
+        if (!place(load)) return false;
+        const Vec6 w = newton.cones.unit.of(load.wrench);
+        auto& starter = newton.starter;
+        if (!starter.combination(newton.cones, newton.system, load.wrench, w, safe_)) {
+            if (!renew()) return false;
+            starter.combine(load.wrench, safe_);
+            newton.cones.balance(safe_, w);
+        }
+        newton.x = safe_;
+        if (remembers && turn_last()) {
+            newton.x = turned_;
+            starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
+        }
+        newton.cones.store(newton.x, start.data()), newton.cones.store(safe_, safe.data());
+        return true;
+    }
+
+    // An internal force added to the start, which is then repaired; false where it is not finite or the coordinates end here.
+    bool adjust(const Load& load) {
+        if (!space_.place(contacts)) return false;
+        for (int j = 0; j < 3 * contacts.count; ++j)
+            start[j] += space_.force(j, load.adjust) * contacts.scale[j];
+        newton.cones.load(start.data(), newton.x);
+        if (!newton.cones.sane(newton.x)) return false;
+        newton.cones.balance(newton.x, newton.cones.unit.of(load.wrench));
+        newton.starter.segment(newton.cones, safe_, newton.x);
+        newton.cones.store(newton.x, start.data());
+        return true;
+    }
+
+    // Newton from `start`, which may have been replaced since `begin`.
+    Code descend(const double* wrench, double* row) {
+        const Record record(row, contacts.count);
+        newton.cones.load(start.data(), newton.x);
+        return newton.descend({.wrench = wrench, .start = Start::given}, newton.cones.unit.of(wrench), record);
+    }
+
+    // A record of the contacts of now becomes the last optimum; also one cut short: balanced and inside the cones.
+    void keep(double* row) {
+        const double* force = Record(row, contacts.count).force();
+        for (int j = 0; j < 3 * contacts.count; ++j) held.x[j] = force[j] * contacts.scale[j];
+        held.frames = contacts.frames, held.cone_matrix = contacts.cone_matrix;
+    }
+
+    // Between two solves: the last optimum carried to contacts and wrench of now, back inside the cones if need be. Changes nothing
+    // that is held. force: (N, 3) [N] in the frames of the contacts of now.
+    Carried carry(const Load& load, double* force) {
+        const auto& cones = newton.cones;
+        auto& starter = newton.starter;
+        place(load);
+        turn_last();
+        const Vec6 w = cones.unit.of(load.wrench);
+        Field& x = newton.x;
+        x = turned_;
+        if (newton.system.assemble(cones, x)) newton.system.restore(cones, newton.system.made + w, x);
+        Carried outcome = CARRIED;
+        if (!(cones.phi(x) < infinity)) {
+            starter.combine(load.wrench, turned_);
+            starter.turn(cones, turned_, starter.basis_tangents, safe_);
+            if (!cones.sane(x)) x = safe_;
+            if (starter.tangent(cones, newton.system, w, safe_) && cones.phi(safe_) < infinity) {
+                starter.segment(cones, safe_, x);
+                outcome = REPAIRED;
+            } else {  // give up a little balance (a pose feedback takes it back), never the friction cone
+                for (auto& v : x) v.u = max(v.u, 1.05 * sqrt(v.o * v.o + v.t * v.t));
+                outcome = CLIPPED;
+            }
+        }
+        cones.store_force(x, force);
+        return outcome;
+    }
+
+private:
+    std::vector<double> nominal_, nominal_frames_;
+    NullSpace space_;
+    std::array<Field, 13> spare_;
+    Tangents<V, B> last_;  // those of the last optimum
+    Field turned_, safe_;
+
+    bool place(const Load& load) {
+        if (!sane_wrench(load.wrench) || contacts.place(load.points, load.normals) != Placed::good) return false;
+        newton.cones.pack(contacts);
+        newton.starter.tangents.load(contacts.frames.data(), contacts.count);
+        newton.starter.moved = true;
+        return true;
+    }
+
+    // The last optimum in the frames of now; false where there is none.
+    bool turn_last() {
+        Field& there = newton.x;
+        newton.cones.load(held.x.data(), there);
+        last_.load(held.frames.data(), contacts.count);
+        newton.starter.turn(newton.cones, there, last_, turned_);
+        return newton.cones.phi(there) < infinity;
+    }
+
+    // The offline basis of the contacts of now in place of the one that is held; false: none found from there.
+    bool renew() {
+        auto& starter = newton.starter;
+        spare_ = starter.basis;
+        for (int k = 0; k < 13; ++k) starter.turn(newton.cones, spare_[k], starter.basis_tangents, starter.basis[k]);
+        const bool found = make_basis(newton, true) < ACCEPTED_GAP;
+        starter.has_basis = true;
+        if (!found) {
+            starter.basis = spare_, starter.moved = true;
+            return false;
+        }
+        for (int k = 0; k < 13; ++k) newton.cones.store(starter.basis[k], &held.basis[3 * contacts.count * k]);
+        held.basis_frames = contacts.frames;
+        starter.basis_tangents = starter.tangents;
+        return true;
+    }
+};
+
+}  // namespace grasp

@@ -1,0 +1,205 @@
+// The solvers whatever the number of contacts: what bindings and other programs hold.
+#pragma once
+#include "conic.hpp"
+#include "dispatch.hpp"
+#include "pipeline.hpp"
+
+namespace grasp {
+
+// Newton on Phi, and the starts, on the contacts of one grasp. Forces are (3N,) [N], x is (3N,) in cone coordinates [N].
+class Newton {
+public:
+    const Contacts contacts;
+    Options options;
+
+    static std::unique_ptr<Newton> make(const Contacts& contacts, const Options& options);
+    virtual ~Newton() = default;
+    virtual std::unique_ptr<Newton> clone() const = 0;
+
+    virtual Code solve(const Call& call, double* row) = 0;
+    // (13, 3N) the optima of Phi for +e_1..+e_6, -e_1..-e_6 and for no wrench; returns the worst relative gap, inf: failed.
+    // basis: that of nearby contacts, where `warm`; interior: an internal force x strictly inside, or null: it is searched.
+    virtual double make_basis(bool warm, const double* interior, double* basis) = 0;
+    virtual void set_basis(const double* basis) = 0;
+    virtual bool has_basis() const = 0;
+    virtual bool internal_force(double* x) = 0;
+    virtual void combine(const double* wrench, bool printed, double* force) = 0;
+    // A previous optimum for this wrench; false where a number is not finite.
+    virtual bool carry(const double* wrench, const double* previous, Start how, double* force) = 0;
+    // The force of least Phi on the way from the combination to a candidate, balanced by the least change.
+    virtual bool repair(const double* wrench, const double* candidate, double* force) = 0;
+    virtual Interval inside(const double* point, const double* ray) = 0;
+    // The Newton step at x, its multipliers (given frame); returns the squared decrement, negative: S lost definiteness.
+    virtual double newton_step(const double* wrench, const double* x, double* step, double* multipliers) = 0;
+    // x = the least Phi on the segment from `safe` to it; returns how far along
+    virtual double segment(const double* safe, double* x) = 0;
+
+protected:
+    Newton(const Contacts& contacts, const Options& options) : contacts(contacts), options(options) {}
+};
+
+// The least sum of normal forces on the contacts of one grasp.
+class Conic {
+public:
+    const Contacts contacts;
+
+    // interior: (3N,) an internal force strictly inside the cones, cone coordinates
+    static std::unique_ptr<Conic> make(const Contacts& contacts, const Options& options, const double* interior);
+    virtual ~Conic() = default;
+    virtual std::unique_ptr<Conic> clone() const = 0;
+    virtual Code solve(const double* wrench, double* row) = 0;
+
+protected:
+    explicit Conic(const Contacts& contacts) : contacts(contacts) {}
+};
+
+// Contacts that move from call to call; see `PipelineOn`.
+class Pipeline {
+public:
+    static std::unique_ptr<Pipeline> make(const Contacts& nominal, const Options& options, const double* basis,
+                                          const double* frames, bool remembers, const double* reference);
+    virtual ~Pipeline() = default;
+    virtual Held& held() = 0;
+    virtual const Contacts& contacts() const = 0;
+    virtual std::vector<double>& start() = 0;
+    virtual const std::vector<double>& safe() const = 0;
+    virtual void reset() = 0;
+    virtual void forget() = 0;
+    virtual void set_basis(const double* basis, const double* frames) = 0;
+    virtual Code solve(const Load& load, double* row) = 0;
+    virtual bool begin(const Load& load) = 0;
+    virtual bool adjust(const Load& load) = 0;
+    virtual Code descend(const double* wrench, double* row) = 0;
+    virtual void keep(double* row) = 0;
+    virtual Carried carry(const Load& load, double* force) = 0;
+};
+
+namespace detail {
+
+template <class V, int B> class NewtonAny final : public Newton {
+public:
+    NewtonAny(const Contacts& contacts, const Options& options) : Newton(contacts, options), on_(contacts.count, options) {
+        on_.cones.pack(contacts);
+    }
+    std::unique_ptr<Newton> clone() const override { return std::make_unique<NewtonAny>(*this); }
+
+    Code solve(const Call& call, double* row) override {
+        on_.options = options;
+        return on_.solve(call, Record(row, contacts.count));
+    }
+    double make_basis(bool warm, const double* interior, double* basis) override {
+        if (warm) load_basis(basis);
+        else if (interior) on_.cones.load(interior, on_.x);
+        else if (!on_.internal_force()) return infinity;
+        const double gap = grasp::make_basis(on_, warm);
+        for (int k = 0; k < 13; ++k) on_.cones.store(on_.starter.basis[k], basis + 3 * contacts.count * k);
+        return gap;
+    }
+    void set_basis(const double* basis) override {
+        load_basis(basis);
+        on_.starter.has_basis = true;
+    }
+    bool has_basis() const override { return on_.starter.has_basis; }
+    bool internal_force(double* x) override {
+        const bool found = on_.internal_force();
+        on_.cones.store(on_.x, x);
+        return found;
+    }
+    void combine(const double* wrench, bool printed, double* force) override {
+        on_.starter.combine(wrench, on_.x, printed);
+        on_.cones.store_force(on_.x, force);
+    }
+    bool carry(const double* wrench, const double* previous, Start how, double* force) override {
+        const Vec6 w = on_.cones.unit.of(wrench);
+        const bool found = sane_wrench(wrench) && on_.begin({.wrench = wrench, .start = how, .force = previous}, w);
+        if (found) on_.cones.store_force(on_.x, force);
+        return found;
+    }
+    bool repair(const double* wrench, const double* candidate, double* force) override {
+        if (!sane_wrench(wrench) || !has_basis()) return false;
+        auto& safe = on_.starter.safe();
+        on_.starter.combine(wrench, safe);
+        on_.cones.load_force(candidate, on_.x);
+        on_.cones.balance(on_.x, on_.cones.unit.of(wrench));
+        on_.starter.segment(on_.cones, safe, on_.x);
+        on_.cones.store_force(on_.x, force);
+        return true;
+    }
+    Interval inside(const double* point, const double* ray) override {
+        on_.cones.load(point, on_.x), on_.cones.load(ray, on_.starter.safe());
+        return grasp::inside(on_.cones, on_.x, on_.starter.safe());
+    }
+    double newton_step(const double* wrench, const double* x, double* step, double* multipliers) override {
+        on_.cones.load(x, on_.x);
+        Vec6 nu{};
+        const double decrement = on_.newton_step(on_.cones.unit.of(wrench), on_.starter.safe(), nu);
+        on_.cones.store(on_.starter.safe(), step);
+        nu = on_.cones.unit.pull_back(nu);
+        std::copy(nu.begin(), nu.end(), multipliers);
+        return decrement;
+    }
+    double segment(const double* safe, double* x) override {
+        on_.cones.load(safe, on_.starter.safe()), on_.cones.load(x, on_.x);
+        const double along = on_.starter.segment(on_.cones, on_.starter.safe(), on_.x);
+        on_.cones.store(on_.x, x);
+        return along;
+    }
+
+private:
+    NewtonOn<V, B> on_;
+
+    void load_basis(const double* basis) {
+        for (int k = 0; k < 13; ++k) on_.cones.load(basis + 3 * contacts.count * k, on_.starter.basis[k]);
+    }
+};
+
+template <class V, int B> class ConicAny final : public Conic {
+public:
+    ConicAny(const Contacts& contacts, const Options& options, const double* interior)
+        : Conic(contacts), on_(contacts.count, options) {
+        on_.cones.pack(contacts);
+        on_.cones.load(interior, on_.rest);
+    }
+    std::unique_ptr<Conic> clone() const override { return std::make_unique<ConicAny>(*this); }
+    Code solve(const double* wrench, double* row) override { return on_.solve(wrench, Record(row, contacts.count)); }
+
+private:
+    ConicOn<V, B> on_;
+};
+
+template <class V, int B> class PipelineAny final : public Pipeline {
+public:
+    template <class... Arguments>
+    explicit PipelineAny(const Arguments&... arguments) : on_(arguments...) {}
+    Held& held() override { return on_.held; }
+    const Contacts& contacts() const override { return on_.contacts; }
+    std::vector<double>& start() override { return on_.start; }
+    const std::vector<double>& safe() const override { return on_.safe; }
+    void reset() override { on_.reset(); }
+    void forget() override { on_.forget(); }
+    void set_basis(const double* basis, const double* frames) override { on_.set_basis(basis, frames); }
+    Code solve(const Load& load, double* row) override { return on_.solve(load, row); }
+    bool begin(const Load& load) override { return on_.begin(load); }
+    bool adjust(const Load& load) override { return on_.adjust(load); }
+    Code descend(const double* wrench, double* row) override { return on_.descend(wrench, row); }
+    void keep(double* row) override { on_.keep(row); }
+    Carried carry(const Load& load, double* force) override { return on_.carry(load, force); }
+
+private:
+    PipelineOn<V, B> on_;
+};
+
+}  // namespace detail
+
+inline std::unique_ptr<Newton> Newton::make(const Contacts& contacts, const Options& options) {
+    return instance<Newton, detail::NewtonAny>(contacts.count, contacts, options);
+}
+inline std::unique_ptr<Conic> Conic::make(const Contacts& contacts, const Options& options, const double* interior) {
+    return instance<Conic, detail::ConicAny>(contacts.count, contacts, options, interior);
+}
+inline std::unique_ptr<Pipeline> Pipeline::make(const Contacts& nominal, const Options& options, const double* basis,
+                                                const double* frames, bool remembers, const double* reference) {
+    return instance<Pipeline, detail::PipelineAny>(nominal.count, nominal, options, basis, frames, remembers, reference);
+}
+
+}  // namespace grasp
