@@ -48,6 +48,18 @@ class Contacts:
     def count(self) -> int:
         """N."""
 
+ACCEPTED_GAP: float = 0.01
+
+def combine(basis: object, wrench: object, printed: bool, to: object) -> None:
+    """
+    The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest (Eqs. 33, 34).
+    """
+
+def solve_scaled(contacts: Contacts, scales: object, wrenches: object, forces: object, tolerance: float, limit: int, records: object) -> None:
+    """
+    Newton from given forces (M, N, 3) on contacts with M scales (M, N, 3) of cone coordinates, into (M, 20 + 7N).
+    """
+
 class Newton:
     """
     Newton on Phi and the starts, on the hard contacts of one grasp; x is in cone coordinates [N].
@@ -70,11 +82,10 @@ class Newton:
         Fills x (3N,) with an internal force strictly inside; False: none found.
         """
 
-    def solve(self, wrench: object, record: object) -> int:
-        """From the 12-basis into a record; returns the code."""
-
-    def follow(self, wrench: object, previous: object, record: object) -> int:
-        """From the force of a previous record, carried over; returns the code."""
+    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
+        """
+        From the 12-basis, or from the force of a previous record carried over, into a record; returns the code.
+        """
 
     def descend(self, wrench: object, force: object, optimum: float, trace: object, record: object) -> int:
         """
@@ -88,9 +99,6 @@ class Newton:
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
         """Best seconds of `passes` calls each, into (M,)."""
-
-    def combine(self, wrench: object, printed: bool, force: object) -> None:
-        """The combination of the 12-basis, (N, 3)."""
 
     def carry(self, wrench: object, previous: object, tangent: bool, force: object) -> bool:
         """
@@ -126,8 +134,8 @@ class Conic:
         interior: (3N,) an internal force strictly inside the cones, cone coordinates.
         """
 
-    def solve(self, wrench: object, record: object) -> int:
-        """Into a record; returns the code."""
+    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
+        """Into a record; returns the code. previous: not read."""
 
     def solve_many(self, wrenches: object, records: object) -> None:
         """(M, 6) into (M, 20 + 7N); releases the GIL."""
@@ -154,16 +162,18 @@ class Pipeline:
         Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.
         """
 
-    def solve(self, points: object, normals: object, wrench: object, adjust: object, record: object) -> int:
+    def solve(self, points: object | None, normals: object | None, wrench: object | None, adjust: object | None, record: object) -> int:
         """
         Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or (0,) into a record; returns the code.
         """
 
-    def begin(self, points: object, normals: object, wrench: object, adjust: object) -> bool:
+    def begin(self, points: object | None, normals: object | None, wrench: object | None) -> bool:
         """The contacts of now and the start there; False: none."""
 
-    def adjust(self, points: object, normals: object, wrench: object, adjust: object) -> bool:
-        """Adds an internal force to the start and repairs it."""
+    def adjust(self, wrench: object | None, coordinates: object | None) -> bool:
+        """
+        Adds an internal force in (3N - 6,) coordinates to the start and repairs it; False: not finite.
+        """
 
     def descend(self, wrench: object, record: object) -> int:
         """Newton from the start, into a record; returns the code."""

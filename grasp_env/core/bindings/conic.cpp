@@ -14,7 +14,8 @@ std::unique_ptr<Conic> make(const Contacts& contacts, double tolerance, int limi
     return Conic::make(contacts, {tolerance, limit}, in(interior, 3 * contacts.count).data());
 }
 
-int solve(Conic& conic, nb::handle wrench, nb::handle record) {
+// As that of Newton; an interior point has no use for a previous solution.
+int solve(Conic& conic, nb::handle wrench, nb::handle, nb::handle record) {
     const Buffer load(wrench);
     const Numbers row = out(record, record_size(conic.contacts.count));
     return load.has(6) ? conic.solve(load.data(), row.data()) : int(REFUSED);
@@ -41,7 +42,7 @@ void bind_conic(nb::module_& m) {
     nb::class_<Conic>(m, "Conic", "The least sum of normal forces on the hard contacts of one grasp.")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "interior"_a,
                     "interior: (3N,) an internal force strictly inside the cones, cone coordinates.")
-        .def("solve", &solve, "wrench"_a, "record"_a, "Into a record; returns the code.")
+        .def("solve", &solve, "wrench"_a.none(), "previous"_a.none(), "record"_a, "Into a record; returns the code. previous: not read.")
         .def("solve_many", &solve_many, "wrenches"_a, "records"_a, "(M, 6) into (M, 20 + 7N); releases the GIL.")
         .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` calls each, into (M,).");
 }

@@ -14,21 +14,17 @@ std::unique_ptr<Newton> make(const Contacts& contacts, double tolerance, int lim
     return Newton::make(contacts, {tolerance, limit});
 }
 
-// The control loop's call. REFUSED where the wrench is no (6,) float64 array of finite numbers, or there is no basis.
-int solve(Newton& newton, nb::handle wrench, nb::handle record) {
+// The control loop's call, from the 12-basis or from the force of a previous record. REFUSED where the wrench is no (6,) float64 array of
+// finite numbers, the previous record is of other contacts, or there is no basis.
+int solve(Newton& newton, nb::handle wrench, nb::handle previous, nb::handle record) {
+    const int count = newton.contacts.count, size = record_size(count);
     const Buffer load(wrench);
-    const Numbers row = out(record, record_size(newton.contacts.count));
-    return load.has(6) ? newton.solve({.wrench = load.data()}, row.data()) : int(REFUSED);
-}
-
-// The same from a previous record.
-int follow(Newton& newton, nb::handle wrench, nb::handle previous, nb::handle record) {
-    const int size = record_size(newton.contacts.count);
-    const Buffer load(wrench), before(previous);
     const Numbers row = out(record, size);
-    if (!load.has(6) || !before.has(size)) return REFUSED;
-    const Call call{.wrench = load.data(), .start = Start::tangent, .force = Record(before.data(), newton.contacts.count).force()};
-    return newton.solve(call, row.data());
+    if (!load.has(6)) return REFUSED;
+    if (previous.is_none()) return newton.solve({.wrench = load.data()}, row.data());
+    const Buffer before(previous);
+    if (!before.has(size)) return REFUSED;
+    return newton.solve({.wrench = load.data(), .start = Start::tangent, .force = Record(before.data(), count).force()}, row.data());
 }
 
 // From a given force, with what studies ask for.
@@ -58,6 +54,22 @@ void solve_many(const Newton& newton, nb::handle wrenches, nb::handle previous, 
     }
 }
 
+// Newton from given forces (M, N, 3) on contacts in one place with M scales (M, N, 3) of cone coordinates; releases the GIL.
+void solve_scaled(const Contacts& contacts, nb::handle scales, nb::handle wrenches, nb::handle forces, double tolerance, int limit,
+                  nb::handle records) {
+    const int count = contacts.count, size = record_size(count);
+    const Numbers loads = in(wrenches, -1, 6);
+    const Py_ssize_t many = loads.length(0);
+    const Numbers factors = in(scales, many, count, 3), starts = in(forces, many, count, 3), rows = out(records, many, size);
+    nb::gil_scoped_release free;
+    Contacts scaled = contacts;
+    for (Py_ssize_t k = 0; k < many; ++k) {
+        if (!scaled.rescale(factors.data() + 3 * count * k)) continue;
+        Newton::make(scaled, {tolerance, limit})->solve(
+            {.wrench = loads.data() + 6 * k, .start = Start::given, .force = starts.data() + 3 * count * k}, rows.data() + size * k);
+    }
+}
+
 void times(Newton& newton, nb::handle wrenches, int passes, nb::handle records, nb::handle best) {
     time_calls(wrenches, passes, record_size(newton.contacts.count), records, best,
                [&](const double* wrench, double* row) { newton.solve({.wrench = wrench}, row); });
@@ -72,8 +84,15 @@ double fill_basis(Newton& newton, nb::handle basis, bool warm, nb::handle interi
 
 bool internal_force(Newton& newton, nb::handle x) { return newton.internal_force(out(x, 3 * newton.contacts.count).data()); }
 
-void combine(Newton& newton, nb::handle wrench, bool printed, nb::handle force) {
-    newton.combine(in(wrench, 6).data(), printed, out(force, newton.contacts.count, 3).data());
+// the combination of a 12-basis (13, M), into (M,)
+void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
+    const Numbers rows = in(basis, 13, -1), load = in(wrench, 6);
+    const Py_ssize_t size = rows.length(1);
+    const Numbers sum = out(to, size);
+    const Combination made(load.data(), printed);
+    std::fill(sum.data(), sum.data() + size, 0.0);
+    for (int k = 0; k < 7; ++k)
+        for (Py_ssize_t j = 0; j < size; ++j) sum.data()[j] += made.weights[k] * rows.data()[size * made.rows[k] + j];
 }
 
 bool carry(Newton& newton, nb::handle wrench, nb::handle previous, bool tangent, nb::handle force) {
@@ -108,6 +127,11 @@ void set_basis(Newton& newton, nb::handle basis) { newton.set_basis(in(basis, 13
 }  // namespace
 
 void bind_newton(nb::module_& m) {
+    m.attr("ACCEPTED_GAP") = ACCEPTED_GAP;
+    m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
+          "The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest (Eqs. 33, 34).");
+    m.def("solve_scaled", &solve_scaled, "contacts"_a, "scales"_a, "wrenches"_a, "forces"_a, "tolerance"_a, "limit"_a, "records"_a,
+          "Newton from given forces (M, N, 3) on contacts with M scales (M, N, 3) of cone coordinates, into (M, 20 + 7N).");
     nb::class_<Newton>(m, "Newton", "Newton on Phi and the starts, on the hard contacts of one grasp; x is in cone coordinates [N].")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a)
         .def("set_basis", &set_basis, "basis"_a, "Takes the 12-basis with the rest force, (13, 3N) in cone coordinates.")
@@ -115,15 +139,13 @@ void bind_newton(nb::module_& m) {
              "Fills the 12-basis, (13, 3N); returns the worst relative gap, inf: none. `warm`: it holds that of nearby contacts.\n"
              "interior: (3N,) an internal force strictly inside the cones; None: it is searched.")
         .def("internal_force", &internal_force, "x"_a, "Fills x (3N,) with an internal force strictly inside; False: none found.")
-        .def("solve", &solve, "wrench"_a, "record"_a, "From the 12-basis into a record; returns the code.")
-        .def("follow", &follow, "wrench"_a, "previous"_a, "record"_a,
-             "From the force of a previous record, carried over; returns the code.")
+        .def("solve", &solve, "wrench"_a.none(), "previous"_a.none(), "record"_a,
+             "From the 12-basis, or from the force of a previous record carried over, into a record; returns the code.")
         .def("descend", &descend, "wrench"_a, "force"_a, "optimum"_a, "trace"_a, "record"_a,
              "From a force (N, 3); optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.")
         .def("solve_many", &solve_many, "wrenches"_a, "previous"_a.none(), "records"_a,
              "(M, 6) into (M, 20 + 7N), from the 12-basis or from the forces in the rows of `previous`; releases the GIL.")
         .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` calls each, into (M,).")
-        .def("combine", &combine, "wrench"_a, "printed"_a, "force"_a, "The combination of the 12-basis, (N, 3).")
         .def("carry", &carry, "wrench"_a, "previous"_a, "tangent"_a, "force"_a,
              "A previous optimum (N, 3) carried to this wrench, by the tangent correction or by G^+; False: not finite.")
         .def("repair", &repair, "wrench"_a, "candidate"_a, "force"_a,

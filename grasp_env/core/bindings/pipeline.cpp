@@ -39,14 +39,15 @@ int solve(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle 
     return given.readable() ? pipeline.solve(given.load(), row.data()) : int(REFUSED);
 }
 
-bool begin(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench, nb::handle adjust) {
-    const Given given(pipeline, points, normals, wrench, adjust);
-    return given.readable() && pipeline.begin(given.load());
+bool begin(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench) {
+    const Buffer p(points), n(normals), w(wrench);
+    const int count = pipeline.contacts().count;
+    return p.has(count, 3) && n.has(count, 3) && w.has(6) && pipeline.begin({p.data(), n.data(), w.data()});
 }
 
-bool adjust(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench, nb::handle adjust) {
-    const Given given(pipeline, points, normals, wrench, adjust);
-    return given.readable() && pipeline.adjust(given.load());
+bool adjust(Pipeline& pipeline, nb::handle wrench, nb::handle coordinates) {
+    const Buffer w(wrench), c(coordinates);
+    return w.has(6) && c.has(3 * pipeline.contacts().count - 6) && pipeline.adjust(w.data(), c.data());
 }
 
 int descend(Pipeline& pipeline, nb::handle wrench, nb::handle record) {
@@ -71,7 +72,8 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
     named["basis"] = view(self, held.basis, {13, size});
     named["basis_frames"] = view(self, held.basis_frames, {count, 3, 3});
     named["start"] = view(self, pipeline.start(), {size});
-    named["safe"] = view(self, const_cast<std::vector<double>&>(pipeline.safe()), {size});
+    named["safe"] = view(self, pipeline.safe(), {size});
+    named["rest_now"] = view(self, pipeline.rest(), {size});
     named["frames_now"] = view(self, now.frames, {count, 3, 3});
     named["cone_matrix_now"] = view(self, now.cone_matrix, {6, size});
     named["rows_now"] = view(self, now.rows, {6, size});
@@ -95,10 +97,11 @@ void bind_pipeline(nb::module_& m) {
             const int count = p.contacts().count;
             p.set_basis(in(basis, 13, 3 * count).data(), in(frames, count, 3, 3).data());
         }, "basis"_a, "frames"_a, "Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.")
-        .def("solve", &solve, "points"_a, "normals"_a, "wrench"_a, "adjust"_a, "record"_a,
+        .def("solve", &solve, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "adjust"_a.none(), "record"_a,
              "Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or (0,) into a record; returns the code.")
-        .def("begin", &begin, "points"_a, "normals"_a, "wrench"_a, "adjust"_a, "The contacts of now and the start there; False: none.")
-        .def("adjust", &adjust, "points"_a, "normals"_a, "wrench"_a, "adjust"_a, "Adds an internal force to the start and repairs it.")
+        .def("begin", &begin, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "The contacts of now and the start there; False: none.")
+        .def("adjust", &adjust, "wrench"_a.none(), "coordinates"_a.none(),
+             "Adds an internal force in (3N - 6,) coordinates to the start and repairs it; False: not finite.")
         .def("descend", &descend, "wrench"_a, "record"_a, "Newton from the start, into a record; returns the code.")
         .def("keep", [](Pipeline& p, nb::handle record) {
             p.keep(out(record, record_size(p.contacts().count)).data());

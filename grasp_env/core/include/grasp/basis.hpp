@@ -84,8 +84,10 @@ template <class V, int B> double make_basis(NewtonOn<V, B>& newton, bool warm) {
             worst = infinity;
             break;
         }
-        newton.descend(call, w, record);
-        basis[k] = newton.x;
+        newton.descend(call, w, record, LONG);
+        newton.polish(w);
+        cones.balance(x, w);
+        basis[k] = x;
         const Summary& s = record.summary();
         worst = s.lower_bound > 0.0 ? std::max(worst, (s.objective - s.lower_bound) / s.lower_bound) : infinity;
     }

@@ -59,6 +59,19 @@ public:
         return invert() ? Placed::good : Placed::rank_lost;
     }
 
+    // The same contacts with another (N, 3) scale of cone coordinates; false where rank is lost.
+    bool rescale(const double* scales) {
+        const int size = 3 * count;
+        for (int j = 0; j < size; ++j) {
+            scale[j] = scales[j], divisor[j] = scales[j] > 0.0 ? scales[j] : infinity;
+            const Vec6 made = column(matrix.data(), size, j), unit_made = unit.of(made.data());
+            set_column(cone_matrix.data(), size, j, 1.0 / divisor[j] * made);
+            set_column(orthonormal.data(), size, j, (scale[j] > 0.0 ? 1.0 : 0.0) * unit_made);
+            set_column(rows.data(), size, j, 1.0 / divisor[j] * unit_made);
+        }
+        return invert();
+    }
+
 private:
     std::vector<double> inward_;
     static constexpr double RANK = 1e-8;  // least ratio of singular values of G in the unit frame that counts as rank 6

@@ -4,6 +4,9 @@
 
 namespace grasp {
 
+// Parts of the way to the boundary that a step goes at most: with the shorter one it takes a fifth fewer steps.
+inline constexpr double SHORT = 0.7, LONG = 0.95;
+
 struct Options {
     double tolerance = 1e-4;  // relative certified gap
     int limit = 20000;        // most accepted steps
@@ -45,7 +48,13 @@ public:
         if (!sane_wrench(call.wrench)) return REFUSED;
         const Vec6 w = cones.unit.of(call.wrench);
         if (!begin(call, w)) return REFUSED;
-        return descend(call, w, record);
+        Code code = descend(call, w, record, SHORT);
+        if (code == STALLED && begin(call, w)) {  // forces at very different depths: the other way there may be passable
+            const Summary first = record.summary();
+            code = descend(call, w, record, LONG);
+            record.summary().iterations += first.iterations, record.summary().trials += first.trials;
+        }
+        return code;
     }
 
     // The start of a call, in x.
@@ -63,7 +72,8 @@ public:
     }
 
     // From the start in x, which is balanced and strictly inside, to the record.
-    Code descend(const Call& call, const Vec6& w, const Record& record) {
+    // fraction: of the way to the boundary that a step goes at most.
+    Code descend(const Call& call, const Vec6& w, const Record& record, double fraction) {
         cones.store_force(x, record.initial_force());
         const bool known = call.optimum == call.optimum;
         const double tolerance = options.tolerance, tight = std::min(1e-2, 0.1 * std::sqrt(std::sqrt(tolerance)));
@@ -92,7 +102,7 @@ public:
                 code = LIMIT;
                 break;
             }
-            double alpha = reach > 0.0 ? std::min(1.0, FRACTION / reach) : 1.0;
+            double alpha = reach > 0.0 ? std::min(1.0, fraction / reach) : 1.0;
             if (!search(value, decrement, alpha, trials)) {
                 if (!known) bound = std::max(bound, cones.lower_bound(nu, w));
                 code = bound > 0.0 && value - bound <= tolerance * bound ? CONVERGED : STALLED;
@@ -129,6 +139,16 @@ public:
         return decrement;
     }
 
+    // One more whole step from a converged x, where it does not raise Phi: from the tolerance to the last digits.
+    void polish(const Vec6& w) {
+        if (!system.assemble(cones, x)) return;
+        const Vec6 left = system.made + w;
+        const double value = cones.phi(x);
+        find_step(system.multipliers(left), left, value);
+        if (cones.phi_along(x, step_, 1.0) <= value)
+            for (int b = 0; b < int(x.size()); ++b) x[b] += step_[b];
+    }
+
     // An internal force strictly inside the cones, in x: infeasible-start Newton from the axes; false without force closure.
     bool internal_force() {
         for (int b = 0; b < int(x.size()); ++b)
@@ -151,7 +171,6 @@ private:
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
     static constexpr double BALANCED = 1e-13;  // a step that misses balance by less than this part of Phi needs no refinement
     static constexpr double SHORTEST = 1e-10;  // a step moves x by at least this part of its length
-    static constexpr double FRACTION = 0.7;    // of the way to the boundary: a fifth fewer steps than 0.95
     static constexpr double BELOW = -1e-9;     // rounding by which Phi may fall short of its bound
     static constexpr double MISSED = 1e-8;     // part of wrench and force by which a given start may miss balance
     Field step_;
@@ -168,7 +187,7 @@ private:
         for (int b = 0; b < int(x.size()); ++b) {
             const auto& c = cones.blocks[b];
             step_[b] -= c.least(missed);
-            decrement -= c.mask * dot(step_[b], system.gradient[b]);
+            decrement -= dot(step_[b], system.gradient[b]);
             reach = max(reach, Boundary<V>(x[b]).per(step_[b]));
         }
         return {sum(decrement), largest(reach)};

@@ -33,13 +33,13 @@ public:
     NewtonOn<V, B> newton;
     Held held;
     bool remembers;                  // whether to start from the last optimum
-    std::vector<double> start, safe;  // (3N,) of the last call: where the descent begins, and the combination
+    std::vector<double> start, safe, rest;  // (3N,) of the last call: where the descent begins, the combination, the optimum at rest
 
     // basis: (13, 3N) of the nominal contacts, whose frames (N, 3, 3) it is written in
     PipelineOn(const Contacts& nominal, const Options& options, const double* basis, const double* frames, bool remembers,
                const double* reference)
         : contacts(nominal), newton(nominal.count, options), held(nominal.count), remembers(remembers), start(3 * nominal.count),
-          safe(3 * nominal.count), nominal_(basis, basis + 39 * nominal.count),
+          safe(3 * nominal.count), rest(3 * nominal.count), nominal_(basis, basis + 39 * nominal.count),
           nominal_frames_(frames, frames + 9 * nominal.count), space_(nominal.count, reference), spare_(newton.starter.basis),
           last_(newton.cones), turned_(newton.cones.field()), safe_(newton.cones.field()) {
         reset();
@@ -65,7 +65,7 @@ public:
     Code solve(const Load& load, double* row) {
         const Record record(row, contacts.count);
         record.summary().code = REFUSED;
-        if (!begin(load) || (load.adjust && !adjust(load))) return REFUSED;
+        if (!begin(load) || (load.adjust && !adjust(load.wrench, load.adjust))) return REFUSED;
         const Code code = descend(load.wrench, row);
         keep(row);
         return code;
@@ -81,23 +81,24 @@ public:
             starter.combine(load.wrench, safe_);
             newton.cones.balance(safe_, w);
         }
-        newton.x = safe_;
-        if (remembers && turn_last()) {
-            newton.x = turned_;
-            starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
-        }
+        const bool carried = remembers && turn_last();
+        newton.x = carried ? turned_ : safe_;
+        if (carried) starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
         newton.cones.store(newton.x, start.data()), newton.cones.store(safe_, safe.data());
+        starter.turn(newton.cones, starter.basis[12], starter.basis_tangents, turned_);
+        newton.cones.store(turned_, rest.data());
         return true;
     }
 
-    // An internal force added to the start, which is then repaired; false where it is not finite or the coordinates end here.
-    bool adjust(const Load& load) {
+    // An internal force, in (3N - 6,) coordinates [N], added to the start, which is then repaired; false where it is not finite or the
+    // coordinates end here.
+    bool adjust(const double* wrench, const double* coordinates) {
         if (!space_.place(contacts)) return false;
         for (int j = 0; j < 3 * contacts.count; ++j)
-            start[j] += space_.force(j, load.adjust) * contacts.scale[j];
+            start[j] += space_.force(j, coordinates) * contacts.scale[j];
         newton.cones.load(start.data(), newton.x);
         if (!newton.cones.sane(newton.x)) return false;
-        newton.cones.balance(newton.x, newton.cones.unit.of(load.wrench));
+        newton.cones.balance(newton.x, newton.cones.unit.of(wrench));
         newton.starter.segment(newton.cones, safe_, newton.x);
         newton.cones.store(newton.x, start.data());
         return true;
@@ -106,8 +107,15 @@ public:
     // Newton from `start`, which may have been replaced since `begin`.
     Code descend(const double* wrench, double* row) {
         const Record record(row, contacts.count);
+        const Call call{.wrench = wrench, .start = Start::given};
+        const Vec6 w = newton.cones.unit.of(wrench);
         newton.cones.load(start.data(), newton.x);
-        return newton.descend({.wrench = wrench, .start = Start::given}, newton.cones.unit.of(wrench), record);
+        Code code = newton.descend(call, w, record, SHORT);
+        if (code == STALLED) {
+            newton.cones.load(start.data(), newton.x);
+            code = newton.descend(call, w, record, LONG);
+        }
+        return code;
     }
 
     // A record of the contacts of now becomes the last optimum; also one cut short: balanced and inside the cones.

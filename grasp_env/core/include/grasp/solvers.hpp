@@ -23,7 +23,6 @@ public:
     virtual void set_basis(const double* basis) = 0;
     virtual bool has_basis() const = 0;
     virtual bool internal_force(double* x) = 0;
-    virtual void combine(const double* wrench, bool printed, double* force) = 0;
     // A previous optimum for this wrench; false where a number is not finite.
     virtual bool carry(const double* wrench, const double* previous, Start how, double* force) = 0;
     // The force of least Phi on the way from the combination to a candidate, balanced by the least change.
@@ -62,13 +61,14 @@ public:
     virtual Held& held() = 0;
     virtual const Contacts& contacts() const = 0;
     virtual std::vector<double>& start() = 0;
-    virtual const std::vector<double>& safe() const = 0;
+    virtual std::vector<double>& safe() = 0;
+    virtual std::vector<double>& rest() = 0;
     virtual void reset() = 0;
     virtual void forget() = 0;
     virtual void set_basis(const double* basis, const double* frames) = 0;
     virtual Code solve(const Load& load, double* row) = 0;
     virtual bool begin(const Load& load) = 0;
-    virtual bool adjust(const Load& load) = 0;
+    virtual bool adjust(const double* wrench, const double* coordinates) = 0;
     virtual Code descend(const double* wrench, double* row) = 0;
     virtual void keep(double* row) = 0;
     virtual Carried carry(const Load& load, double* force) = 0;
@@ -104,10 +104,6 @@ public:
         const bool found = on_.internal_force();
         on_.cones.store(on_.x, x);
         return found;
-    }
-    void combine(const double* wrench, bool printed, double* force) override {
-        on_.starter.combine(wrench, on_.x, printed);
-        on_.cones.store_force(on_.x, force);
     }
     bool carry(const double* wrench, const double* previous, Start how, double* force) override {
         const Vec6 w = on_.cones.unit.of(wrench);
@@ -174,13 +170,14 @@ public:
     Held& held() override { return on_.held; }
     const Contacts& contacts() const override { return on_.contacts; }
     std::vector<double>& start() override { return on_.start; }
-    const std::vector<double>& safe() const override { return on_.safe; }
+    std::vector<double>& safe() override { return on_.safe; }
+    std::vector<double>& rest() override { return on_.rest; }
     void reset() override { on_.reset(); }
     void forget() override { on_.forget(); }
     void set_basis(const double* basis, const double* frames) override { on_.set_basis(basis, frames); }
     Code solve(const Load& load, double* row) override { return on_.solve(load, row); }
     bool begin(const Load& load) override { return on_.begin(load); }
-    bool adjust(const Load& load) override { return on_.adjust(load); }
+    bool adjust(const double* wrench, const double* coordinates) override { return on_.adjust(wrench, coordinates); }
     Code descend(const double* wrench, double* row) override { return on_.descend(wrench, row); }
     void keep(double* row) override { on_.keep(row); }
     Carried carry(const Load& load, double* force) override { return on_.carry(load, force); }

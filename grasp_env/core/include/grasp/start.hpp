@@ -13,6 +13,22 @@ enum class Start {
     pseudoinverse,  // a previous optimum: the least change in force, G^+
 };
 
+// sum E_k f_k + max(0, 1 - sum E_k) f_rest, E_k = max(0, +-w_k) (Eqs. 33, 34): which of the 13 offline optima (+e_1..+e_6, -e_1..-e_6,
+// rest), and how much of each. As `printed` without the rest, which keeps it away from P = 0 at small wrenches.
+struct Combination {
+    int rows[7];
+    double weights[7];
+
+    Combination(const double* wrench, bool printed) {
+        double total = 0.0;
+        for (int k = 0; k < 6; ++k) {
+            weights[k] = std::abs(wrench[k]), total += weights[k];
+            rows[k] = wrench[k] > 0.0 ? k : k + 6;
+        }
+        rows[6] = 12, weights[6] = printed ? 0.0 : std::max(0.0, 1.0 - total);
+    }
+};
+
 // The tangents that a force is written in.
 template <class V, int B> struct Tangents {
     using Field = typename Cones<V, B>::Field;
@@ -41,18 +57,11 @@ public:
         for (auto& row : basis) row = cones.field();
     }
 
-    // sum E_k f_k + max(0, 1 - sum E_k) f_rest, E_k = max(0, +-w_k) (Eqs. 33, 34); as `printed` without the rest
-    void combine(const double* wrench, Field& out, bool printed = false) const {
-        const Field* rows[7];
-        double weight[7], total = 0.0;
-        for (int k = 0; k < 6; ++k) {
-            weight[k] = std::abs(wrench[k]), total += weight[k];
-            rows[k] = &basis[wrench[k] > 0.0 ? k : k + 6];
-        }
-        rows[6] = &basis[12], weight[6] = printed ? 0.0 : std::max(0.0, 1.0 - total);
+    void combine(const double* wrench, Field& out) const {
+        const Combination made(wrench, false);
         for (int b = 0; b < int(out.size()); ++b) {
-            Vec3<V> x = all<V>(weight[6]) * (*rows[6])[b];
-            for (int k = 0; k < 6; ++k) x += all<V>(weight[k]) * (*rows[k])[b];
+            Vec3<V> x = all<V>(made.weights[6]) * basis[12][b];
+            for (int k = 0; k < 6; ++k) x += all<V>(made.weights[k]) * basis[made.rows[k]][b];
             out[b] = x;
         }
     }

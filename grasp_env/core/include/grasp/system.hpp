@@ -20,7 +20,7 @@ public:
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             const auto& c = cones.blocks[b];
             const Sym3<V> h = inverse[b] = inverse_hessian(x[b], c.weights);
-            gradient[b] = grasp::gradient(x[b], c.weights);
+            gradient[b] = c.mask * grasp::gradient(x[b], c.weights);  // so that unused lanes stay where they are
             c.add_wrench(h * gradient[b], q), c.add_wrench(x[b], l);
 #pragma GCC unroll 8
             for (int r = 0; r < 6; ++r) {
