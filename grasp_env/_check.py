@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from grasp_env.core import LARGEST
 from grasp_env.errors import InvalidInputError
 
 Array: TypeAlias = NDArray[np.float64]
@@ -16,12 +17,6 @@ Wrench: TypeAlias = Array
 """(6,): force [N] then moment about the object origin [N m], object frame, acting ON the object."""
 ContactForces: TypeAlias = Array
 """(N, 3): force of each finger on the object [N] as (normal, o, t) in that contact's frame."""
-
-LARGEST = 1e12
-"""[N], [N m] beyond which numbers are mistakes, and squares of squares would overflow."""
-
-NOTHING = 1e-280
-"""[N] below which a wrench counts as none: its square has no digits left."""
 
 
 def as_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Array:

@@ -12,16 +12,26 @@ import numpy as np
 from grasp_env._check import LARGEST
 from grasp_env._compile import compiled
 from grasp_env._views import cut, inlined
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT
 from grasp_env.force.flow_record import least_change, unit_size
-from grasp_env.force.kernels import cone_slack, lower_bound, phi, relative_gap, residual
+from grasp_env.force.kernels import (
+    best_on_segment,
+    combine,
+    cone_slack,
+    lower_bound,
+    phi,
+    relative_gap,
+    residual,
+    tangent,
+)
 from grasp_env.force.lanes import load, pull_back
 from grasp_env.force.layer_kernels import EASE, refine
 from grasp_env.force.record import (
     BOUND,
     CODE,
+    CONVERGED,
     FORCE,
     ITERATIONS,
+    LIMIT,
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
@@ -30,7 +40,6 @@ from grasp_env.force.record import (
     TRIALS,
     WRENCH,
 )  # fmt: skip
-from grasp_env.force.start_kernels import best_on_segment, combine, tangent
 
 OUTSIDE, OPEN = 1, 2
 """What a start answers; 0: inside the training range, and certified. REFUSED is 4."""

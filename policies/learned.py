@@ -13,9 +13,8 @@ import numpy as np
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError, UnknownNameError
 from grasp_env.force import ForceSolution, Objective, OfflineBasis
-from grasp_env.force.descent_kernels import STALLED
 from grasp_env.force.lanes import options
-from grasp_env.force.record import CODE, FORCE, REFUSED, record_size
+from grasp_env.force.record import CODE, FORCE, REFUSED, STALLED, record_size
 from grasp_env.grasp import Grasp
 from policies import kernels
 from policies.checkpoint import Checkpoint

@@ -9,14 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from grasp_env import core
 from grasp_env._check import Array
-from grasp_env._compile import compiled
 from grasp_env.errors import NotConvergedError
 from grasp_env.force import Objective
-from grasp_env.force.lanes import options, pack
-from grasp_env.force.newton_kernels import BASIS, TANGENT, newton
-from grasp_env.force.record import BOUND, FORCE, OBJECTIVE
-from grasp_env.force.start_kernels import combine
+from grasp_env.force.basis import core_contacts
+from grasp_env.force.record import BOUND, FORCE, OBJECTIVE, record_size
 from grasp_env.grasp import Grasp
 from policies.newton_layers import Problems
 from training.random_grasps import closed, displaced, random_grasps
@@ -32,7 +30,7 @@ JUMPS = (0.01, 2.0)
 """How far away the previous wrench was, in magnitudes, log-uniform."""
 TWINS = 0.2
 """Share of grasps with a twin whose contacts lie elsewhere: half of the previous solutions on it belong to the twin."""
-LABEL_GAP, ACCEPTED_GAP = 1e-10, 1e-7
+LABEL_GAP, ACCEPTED_GAP, LABEL_ITERATIONS = 1e-10, 1e-7, 300
 MOST_CONTACTS = 5
 
 
@@ -92,7 +90,7 @@ def label(
     before_index: np.ndarray | None = None,
     before: Array | None = None,
 ) -> Pool:
-    """Labels samples with the compiled Newton solver; those whose label misses a relative gap of 1e-7 are dropped and counted.
+    """Labels samples with Newton; those whose label misses a relative gap of 1e-7 are dropped and counted.
 
     Args:
         made: grasps with their bases (13, 3N).
@@ -110,28 +108,23 @@ def label(
     frames = np.linalg.inv(np.array([grasp.unit_frame for grasp, _ in made]))
     basis_start, carried = np.zeros((2, samples, MOST_CONTACTS, 3))
     least, gap = np.empty(samples), np.empty(samples)
+    loads = np.einsum("bij,bj->bi", frames[index], wrench)
+    earlier = np.einsum("bij,bj->bi", frames[twin], before)
+    solvers = [_solver(grasp, basis) for grasp, basis in made]
     for count in np.unique(counts):
-        members = np.flatnonzero(counts == count)
-        place = np.zeros(len(made), np.int64)
-        place[members] = np.arange(len(members))
         chosen = np.flatnonzero(counts[index] == count)
-        weights = OBJECTIVE_LEARNED.weights(int(count))
-        bases = np.array([made[k][1] for k in members])
-        found = np.empty((len(chosen), 2, 3 * count)), np.empty(len(chosen)), np.empty(len(chosen))
-        _label(
-            np.array([pack(made[k][0], made[k][1][12], weights) for k in members]),
-            bases,
-            np.array([options(made[k][0], LABEL_GAP, 300) for k in members]),
-            np.array([made[k][0].models.cone_divisor for k in members]),
-            np.stack([place[index[chosen]], place[twin[chosen]]], 1),
-            np.einsum("bij,bj->bi", frames[index[chosen]], wrench[chosen]),
-            np.einsum("bij,bj->bi", frames[twin[chosen]], before[chosen]),
-            weights,
-            *found,
-        )
-        starts, least[chosen], gap[chosen] = found
-        basis_start[chosen, :count] = starts[:, 0].reshape(-1, count, 3) / UNIT
-        carried[chosen, :count] = starts[:, 1].reshape(-1, count, 3) / UNIT
+        missed, records = np.empty(len(chosen)), np.empty((2, len(chosen), record_size(int(count))))
+        _each(solvers, twin[chosen], earlier[chosen], None, records[0])
+        missed = _gaps(records[0])
+        _each(solvers, index[chosen], loads[chosen], records[0], records[1])
+        least[chosen], gap[chosen] = records[1][:, OBJECTIVE], np.maximum(_gaps(records[1]), missed)
+        scales = np.array([grasp.models.cone_scale for grasp, _ in made if grasp.n_contacts == count])
+        place = np.cumsum(counts == count) - 1
+        initial = records[1][:, FORCE + 3 * count : FORCE + 6 * count].reshape(-1, count, 3)
+        carried[chosen, :count] = initial * scales[place[index[chosen]]] / UNIT
+        for sample in chosen:
+            core.combine(made[index[sample]][1], loads[sample], False, start := np.empty(3 * count))
+            basis_start[sample, :count] = start.reshape(-1, 3) / UNIT
     kept = np.flatnonzero(gap <= ACCEPTED_GAP)
     if len(kept) < 0.99 * samples:
         raise NotConvergedError(f"{samples - len(kept)} of {samples} labels have a relative gap over {ACCEPTED_GAP:g}")
@@ -184,22 +177,25 @@ def _wrenches(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     return wrench, wrench + direction() * size * log_uniform(*JUMPS)
 
 
-@compiled
-def _label(constants, bases, options, divisors, places, wrenches, before, weights, starts, least, gap):
-    """Per sample: the optimum before, the start carried from it, the basis start, min Phi now and its relative gap."""
-    size = bases.shape[2]
-    record, nothing = np.empty(FORCE + 7 * (size // 3)), np.empty(0)
-    previous = np.empty(size)
-    for k in range(wrenches.shape[0]):
-        now, then = places[k, 0], places[k, 1]
-        combine(bases[now], wrenches[k], False, starts[k, 0])
-        newton(constants[then], bases[then], BASIS, nothing, before[k], weights, options[then], record, nothing)
-        previous[:] = record[FORCE : FORCE + size]
-        missed = (record[OBJECTIVE] - record[BOUND]) / record[BOUND]
-        newton(constants[now], bases[now], TANGENT, previous, wrenches[k], weights, options[now], record, nothing)
-        for j in range(size):
-            starts[k, 1, j] = record[FORCE + size + j] * divisors[now, j // 3, j % 3]
-        least[k] = record[OBJECTIVE]
-        gap[k] = max((record[OBJECTIVE] - record[BOUND]) / record[BOUND], missed)
-        if not record[BOUND] > 0.0:
-            gap[k] = np.inf
+def _solver(grasp: Grasp, basis: Array) -> core.Newton:
+    solver = core.Newton.make(core_contacts(grasp, OBJECTIVE_LEARNED), LABEL_GAP, LABEL_ITERATIONS)
+    solver.set_basis(basis)
+    return solver
+
+
+def _each(
+    solvers: list[core.Newton], places: np.ndarray, wrenches: Array, previous: Array | None, records: Array
+) -> None:
+    """Solves sample k on grasp places[k] into records[k], from the 12-basis or from the force of previous[k]."""
+    for place in np.unique(places):
+        chosen = np.flatnonzero(places == place)
+        found = np.empty((len(chosen), records.shape[1]))
+        solvers[place].solve_many(wrenches[chosen], None if previous is None else previous[chosen], found)
+        records[chosen] = found
+
+
+def _gaps(records: Array) -> Array:
+    """Relative gaps; inf without a positive bound."""
+    bound = records[:, BOUND]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(bound > 0.0, (records[:, OBJECTIVE] - bound) / bound, np.inf)

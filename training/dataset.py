@@ -8,16 +8,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from grasp_env._compile import compiled
+from grasp_env import core
+from grasp_env._check import Array
 from grasp_env.errors import NotConvergedError
 from grasp_env.force import Objective, OfflineBasis
-from grasp_env.force.kernels import cholesky, inverse_hessian
-from grasp_env.force.lanes import CONSTANTS, options, pack_into
-from grasp_env.force.newton_kernels import GIVEN, newton
-from grasp_env.force.record import BOUND, FORCE, OBJECTIVE
-from grasp_env.force.start_kernels import combine
+from grasp_env.force.basis import core_contacts
+from grasp_env.force.record import BOUND, FORCE, OBJECTIVE, record_size
 from grasp_env.grasp import Grasp, null_space_basis
 from grasp_env.grasp.wrench import sample_magnitudes
+
+LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
+CHUNK = 4096
+"""Samples whose metric is made at once."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ def generate(
     frictions: tuple[float, float],
     workers: int = 2,
 ) -> Dataset:
-    """Samples and labels `count` wrenches with the compiled Newton solver (relative gap 1e-10).
+    """Samples and labels `count` wrenches with Newton (relative gap 1e-10).
 
     Args:
         grasp: the contacts; its friction is replaced.
@@ -62,7 +64,7 @@ def generate(
         count: how many.
         magnitudes: [N] range of |(force, moment / 0.05 m)|, log-uniform.
         frictions: range, uniform.
-        workers: threads (the kernel releases the GIL).
+        workers: threads (the core releases the GIL).
 
     Raises:
         NotConvergedError: a label missed 1e-6, which would train on a wrong answer.
@@ -70,27 +72,33 @@ def generate(
     wrenches = sample_magnitudes(rng, count, *magnitudes)
     friction = rng.uniform(*frictions, count)
     # a force inside the narrowest cones is inside all: one basis serves every friction
-    basis = OfflineBasis.of(grasp.with_friction(frictions[0]), objective).cone_forces
+    narrow = grasp.with_friction(frictions[0])
+    basis = OfflineBasis.of(narrow, objective)
+    contacts = core_contacts(narrow, objective)
     null_space = null_space_basis(grasp, reference)
-    coordinates = np.empty((count, null_space.shape[1]), np.float32)
-    metric = np.empty((count, null_space.shape[1], null_space.shape[1]), np.float32)
+    dimension = null_space.shape[1]
+    coordinates = np.empty((count, dimension), np.float32)
+    metric = np.empty((count, dimension, dimension), np.float32)
     least = np.empty(count)
 
     def work(part: slice) -> float:
-        return _label(
-            wrenches[part],
-            friction[part],
-            grasp.unit_frame @ grasp.matrix,
-            grasp.pseudoinverse @ np.linalg.inv(grasp.unit_frame),
-            null_space,
-            basis,
-            frictions[0],
-            objective.weights(grasp.n_contacts),
-            options(grasp, 1e-10, 200),
-            coordinates[part],
-            metric[part],
-            least[part],
-        )
+        starts, scale = np.empty((part.stop - part.start, grasp.n_contacts, 3)), np.ones_like(grasp.normals)
+        scales = np.broadcast_to(scale, starts.shape).copy()
+        scales[:, :, 0] = friction[part, None]
+        for start, load in zip(starts, wrenches[part], strict=True):
+            start[:] = basis.combine(load)
+        records = np.empty((len(starts), record_size(grasp.n_contacts)))
+        core.solve_scaled(contacts, scales, wrenches[part], starts, LABEL_GAP, LABEL_ITERATIONS, records)
+        value, bound = records[:, OBJECTIVE], records[:, BOUND]
+        least[part] = value
+        force = records[:, FORCE : FORCE + 3 * grasp.n_contacts]
+        coordinates[part] = force @ null_space
+        for begin in range(0, len(records), CHUNK):
+            few = slice(begin, begin + CHUNK)
+            where = slice(part.start + begin, part.start + min(begin + CHUNK, len(records)))
+            metric[where] = _metric(force[few], scales[few], null_space, objective, value[few])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(np.where(bound > 0.0, (value - bound) / bound, np.inf).max(initial=0.0))
 
     edges = np.linspace(0, count, workers + 1).astype(int)
     with ThreadPoolExecutor(workers) as pool:
@@ -100,58 +108,20 @@ def generate(
     return Dataset(wrenches, friction, coordinates, metric, least)
 
 
-@compiled
-def _label(
-    wrenches, friction, matrix, pseudoinverse, null_space, basis, basis_friction, weights, options, coordinates, metric,
-    least,
-):  # fmt: skip
-    size, dimension = null_space.shape
-    x = np.empty(size)
-    cone_matrix = np.empty((6, size))
-    blocks = np.empty((size // 3, 3, 3))
-    reduced = np.empty((dimension, dimension))
-    scaled = np.empty((size, dimension))
-    nothing = np.empty(0)
-    divisor, inverse = np.ones((size // 3, 3)), np.empty((size, 6))
-    constants = np.empty(((size // 3 + 3) // 4, 4 * CONSTANTS))
-    record = np.empty(FORCE + 7 * (size // 3))
-    worst = 0.0
-    for sample in range(wrenches.shape[0]):
-        mu = friction[sample]
-        combine(basis, wrenches[sample], False, x)
-        for j in range(size):
-            ratio = mu if j % 3 == 0 else 1.0
-            if j % 3 == 0:
-                x[j] /= basis_friction  # the start, as a force
-                divisor[j // 3, 0] = mu
-            for i in range(6):
-                cone_matrix[i, j] = matrix[i, j] / ratio
-                inverse[j, i] = pseudoinverse[j, i] * ratio
-            for k in range(dimension):
-                scaled[j, k] = null_space[j, k] * ratio
-        pack_into(cone_matrix, inverse, x, divisor, weights, constants)
-        newton(constants, null_space, GIVEN, x, wrenches[sample], weights, options, record, nothing)
-        value, bound = record[OBJECTIVE], record[BOUND]
-        worst = max(worst, (value - bound) / bound)
-        least[sample] = value
-        for j in range(size):
-            x[j] = record[FORCE + j] * (mu if j % 3 == 0 else 1.0)
-        inverse_hessian(x, weights, blocks)
-        reduced[:] = 0.0
-        for c in range(size // 3):
-            hessian = np.linalg.inv(blocks[c])
-            for a in range(dimension):
-                for b in range(dimension):
-                    for row in range(3):
-                        for column in range(3):
-                            reduced[a, b] += scaled[3 * c + row, a] * hessian[row, column] * scaled[3 * c + column, b]
-        cholesky(reduced)
-        root = np.sqrt(0.5 / value)
-        for a in range(dimension):
-            total = 0.0
-            for j in range(size):
-                total += null_space[j, a] * (x[j] / mu if j % 3 == 0 else x[j])
-            coordinates[sample, a] = total
-            for b in range(dimension):
-                metric[sample, a, b] = reduced[b, a] * root if b >= a else 0.0
-    return worst
+def _metric(force: Array, scales: Array, null_space: Array, objective: Objective, least: Array) -> Array:
+    """(B, K, K) upper factors of the Hessian of Phi in null-space coordinates at optima `force` (B, 3N), over 2 min Phi.
+
+    Args:
+        force: (B, 3N) [N].
+        scales: (B, N, 3) of cone coordinates.
+        null_space: (3N, K).
+        objective: Phi.
+        least: (B,) min Phi.
+    """
+    many, count = len(force), scales.shape[1]
+    x = force * scales.reshape(many, -1)
+    blocks = np.stack([objective.hessian(each) for each in x])
+    scaled = (scales.reshape(many, -1, 1) * null_space).reshape(many, count, 3, -1)
+    reduced = np.einsum("bcra,bcrs,bcsk->bak", scaled, blocks, scaled, optimize=True)
+    lower = np.linalg.cholesky(reduced * (0.5 / least)[:, None, None])
+    return lower.transpose(0, 2, 1)

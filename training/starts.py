@@ -19,10 +19,9 @@ from grasp_env.force import (
     initial_rule,
     optimize_forces,
 )
-from grasp_env.force.kernels import newton_step
+from grasp_env.force.basis import starter
 from grasp_env.force.record import FORCE, record_size
 from grasp_env.force.repair import CORRECTIONS, Correction, carry_over
-from grasp_env.force.start_kernels import best_on_segment
 from grasp_env.grasp import Grasp, presets, wrench
 from grasp_env.grasp.wrench import MAGNITUDE_LENGTH
 from policies import LearnedInitialForce
@@ -178,13 +177,13 @@ class BasisNewton:
     def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
         """See `InitialForceRule`."""
         x = grasp.to_cone(OfflineBasis.of(grasp, self.objective).combine(load))
-        step, multipliers, matrix = np.empty_like(x), np.empty(6), grasp.cone_matrix.copy()
-        weights = self.objective.weights(grasp.n_contacts)
+        step, multipliers, solver = np.empty_like(x), np.empty(6), starter(grasp, self.objective)
         for _ in range(self.steps):
-            if newton_step(x, matrix, load, weights, step, multipliers) < 0.0:
+            if solver.newton_step(load, x, step, multipliers) < 0.0:
                 break
-            safe = x.copy()
-            best_on_segment(safe, safe + step, weights, x)
+            step += x
+            solver.segment(x, step)
+            x = step.copy()
         force = grasp.to_force(x).reshape(-1)
         # rounding of the steps, which a nearly singular G makes visible
         return (force - grasp.pseudoinverse @ (grasp.matrix @ force + load)).reshape(-1, 3)

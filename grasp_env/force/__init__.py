@@ -1,10 +1,15 @@
-"""Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem. numpy, scipy, numba only."""
+"""Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem.
+
+Hard contacts by `newton` and `conic`, and all starts, are the compiled core's; what needs scipy or numba is imported when it is
+asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.batch import ForceSolutions, optimize_forces
-from grasp_env.force.closure import ForceClosure, force_closure
 from grasp_env.force.description import cone_margin, description_matrix
-from grasp_env.force.feasibility import Feasibility, phase_one
 from grasp_env.force.initial import (
     RULES,
     InitialForceRule,
@@ -15,17 +20,42 @@ from grasp_env.force.initial import (
     initial_rule,
 )
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.linear import LinearForces, linear_forces
 from grasp_env.force.methods import DESCENTS, METHODS
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
 from grasp_env.force.pipeline import ForcePipeline
-from grasp_env.force.quality import Epsilon, GraspQuality, epsilon, quality, singular_values
 from grasp_env.force.repair import Repair, carry_over
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep
 from grasp_env.force.torques import contact_jacobian, joint_torques
-from grasp_env.force.worst_case import WorstCase, WrenchBall, worst_case
+
+if TYPE_CHECKING:
+    from grasp_env.force.closure import ForceClosure, force_closure
+    from grasp_env.force.feasibility import Feasibility, phase_one
+    from grasp_env.force.grasp_quality import Epsilon, GraspQuality, epsilon, quality, singular_values
+    from grasp_env.force.linear import LinearForces, linear_forces
+    from grasp_env.force.worst_wrench import WorstCase, WrenchBall, worst_case
+
+_LATER = {
+    "closure": ("ForceClosure", "force_closure"),
+    "feasibility": ("Feasibility", "phase_one"),
+    "linear": ("LinearForces", "linear_forces"),
+    "grasp_quality": ("Epsilon", "GraspQuality", "epsilon", "quality", "singular_values"),
+    "worst_wrench": ("WorstCase", "WrenchBall", "worst_case"),
+}
+_HOME = {name: module for module, names in _LATER.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = globals()[name] = getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
 
 __all__ = [
     "DESCENTS",

@@ -7,13 +7,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench
-from grasp_env.errors import InfeasibleStartError
-from grasp_env.force.basis_kernels import ACCEPTED_GAP, BASIS_ITERATIONS, BASIS_TOLERANCE, offline_basis
-from grasp_env.force.feasibility import phase_one
-from grasp_env.force.lanes import options, pack
+from grasp_env.errors import InfeasibleStartError, RankDeficientGraspError
 from grasp_env.force.objective import Objective
-from grasp_env.force.start_kernels import combine
 from grasp_env.grasp.grasp import Grasp
 
 
@@ -37,7 +34,7 @@ class OfflineBasis:
     def compute(
         cls, grasp: Grasp, objective: Objective | None = None, warm: OfflineBasis | None = None
     ) -> OfflineBasis:
-        """Solves the 13 problems (compiled Newton, relative gap 1e-10).
+        """Solves the 13 problems (Newton, relative gap 1e-10).
 
         Args:
             grasp: the grasp.
@@ -48,25 +45,32 @@ class OfflineBasis:
             InfeasibleStartError: the grasp has no force closure, so some unit wrench has no force.
         """
         objective = objective or Objective()
-        cone_pseudoinverse = grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None]
+        solver = core.Newton.make(core_contacts(grasp, objective), 1.0, 0)
+        forces = np.empty((13, 3 * grasp.n_contacts))
         if warm is not None and len(warm.cone_divisor) == grasp.n_contacts:
-            cone_forces = warm.cone_forces.copy()
-            interior = np.zeros(3 * grasp.n_contacts)
-            if _solve(cone_forces, True, interior, grasp, cone_pseudoinverse, objective):
-                return cls(grasp.models.cone_divisor, objective, cone_forces)
-        answer = phase_one(grasp, np.zeros(6))
-        if answer.force is None:
-            raise InfeasibleStartError(
-                "the grasp has no force closure, so the offline basis does not exist; "
-                "use initial='phase_one', which needs a force for this wrench only"
-            )
-        cone_forces = np.empty((13, 3 * grasp.n_contacts))
-        if not _solve(cone_forces, False, grasp.to_cone(answer.force), grasp, cone_pseudoinverse, objective):
+            forces[:] = warm.cone_forces
+            if solver.make_basis(forces, warm=True) < core.ACCEPTED_GAP:
+                return cls(grasp.models.cone_divisor, objective, forces)
+        if not solver.internal_force(np.empty(forces.shape[1])):
+            from grasp_env.force.feasibility import (
+                phase_one,
+            )  # the general program, which can also prove that there is none
+
+            interior = phase_one(grasp, np.zeros(6)).force
+            if interior is None:
+                raise InfeasibleStartError(
+                    "the grasp has no force closure, so the offline basis does not exist; "
+                    "use initial='phase_one', which needs a force for this wrench only"
+                )
+            gap = solver.make_basis(forces, interior=grasp.to_cone(interior))
+        else:
+            gap = solver.make_basis(forces)
+        if not gap < core.ACCEPTED_GAP:
             raise InfeasibleStartError(
                 f"the offline basis did not converge at barrier_weight={objective.barrier_weight}: raise it, or the grasp "
                 "is too close to losing force closure"
             )
-        return cls(grasp.models.cone_divisor, objective, cone_forces)
+        return cls(grasp.models.cone_divisor, objective, forces)
 
     @classmethod
     def of(cls, grasp: Grasp, objective: Objective | None = None) -> OfflineBasis:
@@ -104,27 +108,43 @@ class OfflineBasis:
         rest force is added. Balanced by linearity, strictly inside the cones by convexity.
         """
         x = np.empty(self.cone_forces.shape[1])
-        combine(self.cone_forces, wrench, printed, x)
+        core.combine(self.cone_forces, np.array(wrench, dtype=np.float64), printed, x)
         return x.reshape(-1, 3) / self.cone_divisor
+
+
+def core_contacts(grasp: Grasp, objective: Objective, tangents: Array | None = None) -> core.Contacts:
+    """The hard contacts of a grasp with the weights of Phi, for the core's solvers.
+
+    Args:
+        grasp: the contacts.
+        objective: Phi.
+        tangents: (N, 3) directions of o when they move, (0, 3): the default rule; None: those of now.
+
+    Raises:
+        RankDeficientGraspError: rank(G) < 6.
+    """
+    weights = objective.weights(grasp.n_contacts)
+    along = np.ascontiguousarray(grasp.frames[:, :, 1]) if tangents is None else tangents
+    try:
+        return core.Contacts.make(grasp.positions, grasp.normals, grasp.models.cone_scale, weights, along)
+    except ValueError as error:
+        raise RankDeficientGraspError(str(error)) from None
+
+
+def starter(grasp: Grasp, objective: Objective) -> core.Newton:
+    """The core's starts on a grasp with its 12-basis, remembered as long as `grasp` lives.
+
+    Raises:
+        InfeasibleStartError: see `OfflineBasis.compute`.
+    """
+    known = _STARTERS.setdefault(grasp, {})
+    if objective not in known:
+        basis = OfflineBasis.of(grasp, objective)
+        known[objective] = core.Newton.make(core_contacts(grasp, objective), 1.0, 0)
+        known[objective].set_basis(basis.cone_forces)
+    return known[objective]
 
 
 # weak keys: a basis goes with its grasp
 _REMEMBERED: WeakKeyDictionary[Grasp, dict[Objective, OfflineBasis]] = WeakKeyDictionary()
-
-
-def _solve(
-    cone_forces: Array, warm: bool, interior: Array, grasp: Grasp, pseudoinverse: Array, objective: Objective
-) -> bool:
-    weights = objective.weights(grasp.n_contacts)
-    worst = offline_basis(
-        cone_forces,
-        warm,
-        interior,
-        pack(grasp, interior, weights),
-        grasp.cone_matrix.copy(),  # kernels take writable arrays only: one compiled signature
-        pseudoinverse,
-        grasp.models.cone_divisor.copy(),
-        weights,
-        options(grasp, BASIS_TOLERANCE, BASIS_ITERATIONS),
-    )
-    return bool(worst < ACCEPTED_GAP)
+_STARTERS: WeakKeyDictionary[Grasp, dict[Objective, core.Newton]] = WeakKeyDictionary()

@@ -1,4 +1,4 @@
-"""Many wrenches, many grasps: the compiled solvers over arrays, on all cores, with the bits of one call at a time."""
+"""Many wrenches, many grasps: the core's solvers over arrays, on all cores, with the bits of one call at a time."""
 
 from __future__ import annotations
 
@@ -12,22 +12,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grasp_env._check import LARGEST, Array, as_array
-from grasp_env._compile import compiled
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
-from grasp_env.force.conic_kernels import conic
-from grasp_env.force.descent_kernels import CONVERGED, STALLED
 from grasp_env.force.methods import Conic, Newton
-from grasp_env.force.newton_kernels import BASIS, newton
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.force.record import (
     BOUND,
     CODE,
+    CONVERGED,
     FORCE,
     ITERATIONS,
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
     RESIDUAL,
+    STALLED,
     WRENCH,
     record_size,
 )
@@ -161,7 +159,7 @@ def optimize_forces(
         grasps: one grasp for all wrenches, or M grasps of one number of contacts.
         wrenches: (M, 6) external wrenches on the object [N, N m], object frame.
         method: as in `optimize_force`.
-        workers: threads; None: one per core. The kernels release the GIL.
+        workers: threads; None: one per core. The core releases the GIL.
         options: further keywords of `ForceOptimizer` (initial by name or rule, limits, weights, tolerance, ...).
 
     Returns:
@@ -196,7 +194,7 @@ def optimize_forces(
         else:
             unfinished = np.arange(len(loads))
         proofs: dict[int, ForceSolution] = {}
-        name = "central" if not optimizer._method.needs_start else "linear_combination"
+        name = "linear_combination" if optimizer._method.takes_start else "central"
         for k in unfinished:
             optimizer.previous = None
             name = _one(optimizer, loads[k], records[k], int(k), proofs) or name
@@ -254,11 +252,10 @@ def _one(
 def _compiled_run(optimizer: ForceOptimizer) -> Callable[[Array, Array], None] | None:
     method = optimizer._method
     if isinstance(method, Conic):
-        return lambda loads, records: _conic_many(method.constants, loads, method.options, records)
-    if isinstance(method, Newton) and optimizer._direct == "linear_combination":
-        return lambda loads, records: _newton_many(
-            method.constants, method.basis, loads, method.weights, method.options, records
-        )
+        return method.solver.solve_many
+    if isinstance(method, Newton) and optimizer._loop is not None and optimizer._loop.name == "linear_combination":
+        solver = method.solver
+        return lambda loads, records: solver.solve_many(loads, None, records)
     return None
 
 
@@ -271,16 +268,3 @@ def _over_parts(work: Callable[[slice], None], count: int, threads: int) -> None
     with ThreadPoolExecutor(threads) as pool:
         for _ in pool.map(work, parts):
             pass
-
-
-@compiled
-def _conic_many(constants, wrenches, options, records):
-    for k in range(wrenches.shape[0]):
-        conic(constants, wrenches[k], options, records[k])
-
-
-@compiled
-def _newton_many(constants, basis, wrenches, weights, options, records):
-    nothing = np.empty(0)
-    for k in range(wrenches.shape[0]):
-        newton(constants, basis, BASIS, nothing, wrenches[k], weights, options, records[k], nothing)

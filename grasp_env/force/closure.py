@@ -12,9 +12,9 @@ import numpy as np
 
 from grasp_env._check import Array, ContactForces
 from grasp_env.errors import NotConvergedError
-from grasp_env.force.descent_kernels import CONVERGED
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.program import CLEAR, ForceProgram
+from grasp_env.force.record import CONVERGED
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.grasp import Grasp
 

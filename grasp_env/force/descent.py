@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
+from grasp_env.force.record import CONVERGED, LIMIT, STALLED
 from grasp_env.force.step_size import Ray, StepRule
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench
 from grasp_env.errors import NotConvergedError
-from grasp_env.force.descent_kernels import CONVERGED
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.program import CLEAR, ForceProgram
+from grasp_env.force.record import CONVERGED
 from grasp_env.grasp.grasp import Grasp
 
 

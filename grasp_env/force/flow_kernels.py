@@ -11,12 +11,22 @@ import numpy as np
 
 from grasp_env._compile import compiled_lanes
 from grasp_env.force.cholesky6 import factor6, solve6
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, SHORTEST, STALLED
 from grasp_env.force.flow_products import BETWEEN, NEXT, NEXT_GRADIENT, PAST, PROJECTOR, ROW, SLOPE, direct, project
 from grasp_env.force.kernels import relative_gap
 from grasp_env.force.lanes import CONSTANTS, GAP, KNOWN, LAM, LANE_COUNT, MASK, OMEGA, STEPS, load
 from grasp_env.force.phi_lanes import GRADIENT, STEP, A, C, X, newton_system, phi_bound, spread
-from grasp_env.force.step_size import ADAPTIVE, ARMIJO, BARZILAI_BORWEIN, EXACT, FIXED, FLAT, LEAP, MOST_TRIALS
+from grasp_env.force.record import CONVERGED, LIMIT, STALLED
+from grasp_env.force.step_size import (
+    ADAPTIVE,
+    ARMIJO,
+    BARZILAI_BORWEIN,
+    EXACT,
+    FIXED,
+    FLAT,
+    LEAP,
+    MOST_TRIALS,
+    SHORTEST,
+)
 
 KIND, FIRST, GROW, SHRINK, DECREASE = range(5)
 """Places in a rule's parameters."""

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import LARGEST
 from grasp_env._compile import compiled
-from grasp_env.force.descent_kernels import BALANCE_TOLERANCE
+from grasp_env.core import LARGEST
 from grasp_env.force.flow_kernels import flow
-from grasp_env.force.kernels import certified_bound, cone_slack, phi, residual
+from grasp_env.force.kernels import best_on_segment, certified_bound, combine, cone_slack, phi, residual, tangent
 from grasp_env.force.lanes import load, pull_back
-from grasp_env.force.newton_kernels import TANGENT
+from grasp_env.force.method import BALANCE_TOLERANCE
 from grasp_env.force.record import (
     BOUND,
     CODE,
@@ -24,7 +23,9 @@ from grasp_env.force.record import (
     TRIALS,
     WRENCH,
 )
-from grasp_env.force.start_kernels import best_on_segment, combine, tangent
+
+BASIS, TANGENT = 1, 2
+"""Kinds of starts."""
 
 
 @compiled
@@ -38,7 +39,7 @@ def solve_flow(
 
     Args:
         constants, form, first, second, places, rule, options: see `flow_kernels.flow`.
-        kind: BASIS or TANGENT, see `newton_kernels`.
+        kind: BASIS or TANGENT.
         start: (>= 3N,) for TANGENT: the previous force (normal, o, t) [N].
         basis: (13, 3N) the offline basis, cone coordinates.
         inverse, cone_matrix: G^+ (3N, 6) and G (6, 3N) in cone coordinates.

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnknownNameError
-from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.feasibility import phase_one
-from grasp_env.force.layer_kernels import FEATURES
+from grasp_env.force.basis import OfflineBasis, starter
+from grasp_env.force.method import Settings, Start, given_start, infeasible_error
 from grasp_env.force.objective import Objective
+from grasp_env.force.repair import Repair, carry_over
 from grasp_env.force.solution import ForceSolution
-from grasp_env.force.start_kernels import ray_interval
 from grasp_env.grasp.grasp import Grasp
 
 SQUEEZE = 1.1
@@ -80,6 +79,8 @@ class LayeredRule(CompiledRule, Protocol):
 
 def check_layers(layers: NDArray[np.float32], width: int) -> None:
     """Raises `InvalidInputError` unless kernels can read these learned layers."""
+    from grasp_env.force.layer_kernels import FEATURES
+
     numbers = 2 * width * width + (FEATURES + 5) * width + 3
     fits = isinstance(layers, np.ndarray) and layers.dtype == np.float32 and layers.ndim == 2 and layers.flags.carray
     if not (fits and width > 0 and layers.shape[1] == numbers):
@@ -124,7 +125,7 @@ class SingleValue:
         """The start (N, 3) [N]; see the class."""
         rest = OfflineBasis.of(grasp, self.objective).cone_forces[12]
         particular = grasp.to_cone(-(grasp.pseudoinverse @ wrench).reshape(-1, 3))
-        low, _ = ray_interval(particular, rest)
+        low, _ = starter(grasp, self.objective).inside(particular, rest)
         return grasp.to_force(particular + max(SQUEEZE * low, 1.0) * rest)
 
 
@@ -149,7 +150,7 @@ class Lagrange:
         solve = scaled.T @ np.linalg.solve(scaled @ grasp.matrix.T, np.stack([wrench, grasp.matrix @ normals], axis=1))
         point = grasp.to_cone((-solve[:, 0]).reshape(-1, 3))
         ray = grasp.to_cone((normals - solve[:, 1]).reshape(-1, 3))
-        low, high = ray_interval(point, ray)
+        low, high = starter(grasp, self.objective).inside(point, ray)
         if not low < high:
             raise InfeasibleStartError(
                 "the Lagrange start has no strictly feasible squeeze k for this grasp and wrench; "
@@ -167,20 +168,43 @@ class PhaseOne:
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """The start (N, 3) [N]; see the class."""
+        from grasp_env.force.feasibility import phase_one
+
         answer = phase_one(grasp, wrench)
         if answer.force is None:
             raise InfeasibleStartError("no force strictly inside the cones balances the wrench")
         return answer.force
 
 
-RULES: dict[str, Callable[[Objective], InitialForceRule]] = {
-    "linear_combination": LinearCombination,
-    "linear_combination_printed": lambda objective: LinearCombination(objective, printed=True),
-    "single_value": SingleValue,
-    "lagrange": Lagrange,
-    "phase_one": PhaseOne,
+@dataclass(frozen=True)
+class StartRule:
+    """An entry of `RULES`: makes the rule for a Phi.
+
+    Attributes:
+        label: for people.
+        make: Objective -> the rule.
+        needs: what the grasp must have: "closure" for the 12-basis, "wrench" where a force for the wrench is enough.
+    """
+
+    label: str
+    make: Callable[[Objective], InitialForceRule]
+    needs: str = "closure"
+
+    def __call__(self, objective: Objective) -> InitialForceRule:
+        """The rule for that Phi."""
+        return self.make(objective)
+
+
+RULES: dict[str, StartRule] = {
+    "linear_combination": StartRule("12-basis (the paper, fixed at w = 0)", LinearCombination),
+    "linear_combination_printed": StartRule(
+        "12-basis, as printed", lambda objective: LinearCombination(objective, printed=True)
+    ),
+    "single_value": StartRule("single value", SingleValue),
+    "lagrange": StartRule("Lagrange", Lagrange),
+    "phase_one": StartRule("phase one, the deepest force", PhaseOne, needs="wrench"),
 }
-"""Names of the start rules; "previous" lives in `ForceOptimizer`, which remembers."""
+"""The start rules by name; "previous" lives in `ForceOptimizer`, which remembers."""
 
 
 def initial_rule(name: str, objective: Objective | None = None) -> InitialForceRule:
@@ -198,3 +222,49 @@ def initial_rule(name: str, objective: Objective | None = None) -> InitialForceR
     if name not in RULES:
         raise UnknownNameError("initial-force rule", name, RULES)
     return RULES[name](objective or Objective())
+
+
+class RuleStarts:
+    """Methods on Phi over hard contacts: any rule, a given force, or the previous solution is their start."""
+
+    takes_start = True
+    uses_basis = True
+    grasp: Grasp
+    settings: Settings
+
+    def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
+        """See `Method.start`: a checked name, a rule, an (N, 3) force or None, which is the paper's start."""
+        grasp, objective = self.grasp, self.settings.objective
+        if isinstance(initial, np.ndarray | list | tuple):
+            return given_start("given", initial, grasp.n_contacts)
+        if initial is None or (initial == "previous" and previous is None):
+            initial = "linear_combination"  # also where there is nothing to carry over yet
+        try:
+            if initial == "previous":
+                assert previous is not None
+                if previous.n_contacts != grasp.n_contacts:
+                    raise InfeasibleStartError(
+                        f"the previous solution has {previous.n_contacts} contacts, the grasp {grasp.n_contacts}"
+                    )
+                return Start("previous", carry_over(grasp, wrench, previous.force, objective, self.settings.correction))
+            if isinstance(initial, str):
+                return given_start(initial, initial_rule(initial, objective)(grasp, wrench), grasp.n_contacts)
+            if isinstance(initial, CompiledRule):
+                return given_start(*initial.start(grasp, wrench, objective, previous), grasp.n_contacts)
+            force = initial(grasp, wrench)
+            if getattr(initial, "objective", objective) != objective:
+                # made for another Phi, in which its guarantees hold: give them in this one
+                force = Repair(objective)(grasp, wrench, force)
+            return given_start(rule_name(initial), force, grasp.n_contacts)
+        except InfeasibleStartError as error:
+            from grasp_env.force.feasibility import phase_one
+
+            found = phase_one(grasp, wrench)
+            if found.certificate is not None:
+                raise infeasible_error(grasp, wrench, self.settings.method, str(initial), found.certificate) from error
+            raise
+
+
+def rule_name(rule: Any) -> str:
+    """What solutions call the start of a rule or a callable."""
+    return getattr(rule, "name", None) or getattr(rule, "__name__", type(rule).__name__)

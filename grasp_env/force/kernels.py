@@ -1,8 +1,8 @@
-"""Compiled building blocks in cone coordinates: Phi, its derivatives, the 6 x 6 Schur complement, the dual bound.
+"""What compiled kernels still ask of the force side until they move to the core: numba twins of `core/include/grasp`, nothing else.
 
-Everything here works on flat cone coordinates x = (u_1, o_1, t_1, u_2, ...), u = mu * normal [N], with `cone_matrix`
-(6, 3N) the grasp matrix in those coordinates and `weights` (N, 2) the omega and lambda of each contact. `objective.py`, `newton.py` and `reduced_flow.py` hold the plain numpy
-twins that the tests compare with. Kernels are compiled at first use and cached on disk.
+The flows, the learned layers, the general program and the control tick call these. Everything here works on flat cone coordinates
+x = (u_1, o_1, t_1, u_2, ...), u = mu * normal [N], with `cone_matrix` (6, 3N) the grasp matrix in those coordinates and `weights`
+(N, 2) the omega and lambda of each contact. Kernels are compiled at first use and cached on disk.
 """
 
 from __future__ import annotations
@@ -148,16 +148,6 @@ def residual(cone_matrix, x, wrench, out):
 
 
 @compiled
-def worst_residual(x, cone_matrix, wrench, length, out):
-    """Largest |component| of G f + w, moments divided by `length` [N]; `out` (6,) is work space."""
-    residual(cone_matrix, x, wrench, out)
-    worst = 0.0
-    for i in range(6):
-        worst = max(worst, abs(out[i]) if i < 3 else abs(out[i]) / length)
-    return worst
-
-
-@compiled
 def newton_step(x, cone_matrix, wrench, weights, step, multipliers):
     """Equality-constrained Newton step into `step` (3N,) and its multipliers (6,); returns the squared decrement.
 
@@ -269,3 +259,97 @@ def relative_gap(value, bound):
     if bound > 0.0:
         return max(0.0, (value - bound) / bound)
     return np.inf
+
+
+@compiled
+def combine(basis, wrench, printed, out):
+    """Out (3N,) = sum E_k f_k (+ max(0, 1 - sum E_k) f_rest unless `printed`), E_k = max(0, +-w_k) (Eqs. 33, 34).
+
+    basis: (13, 3N), the optima for +e_1..+e_6, -e_1..-e_6 and for w = 0.
+    """
+    total = 0.0
+    out[:] = 0.0
+    for k in range(6):
+        weight = abs(wrench[k])
+        total += weight
+        row = k if wrench[k] > 0.0 else k + 6
+        if weight > 0.0:
+            for j in range(out.size):
+                out[j] += weight * basis[row, j]
+    if not printed and total < 1.0:
+        for j in range(out.size):
+            out[j] += (1.0 - total) * basis[12, j]
+
+
+@compiled
+def tangent(x, cone_matrix, wrench, weights, out):
+    """Out = x + H^-1 G^T (G H^-1 G^T)^-1 (-(G f + w)), H the Hessian of Phi at x; False when S lost definiteness.
+
+    The predictor of the optimum when the wrench (or G) has moved away from the one that x balances.
+    """
+    size = x.size
+    blocks = np.empty((size // 3, 3, 3))
+    half = np.empty((size, 6))
+    s = np.empty((6, 6))
+    r = np.empty(6)
+    inverse_hessian(x, weights, blocks)
+    schur(cone_matrix, blocks, half, s)
+    residual(cone_matrix, x, wrench, r)
+    if not cholesky(s):
+        return False
+    cholesky_solve(s, r)
+    for j in range(size):
+        total = x[j]
+        for i in range(6):
+            total -= half[j, i] * r[i]
+        out[j] = total
+    return True
+
+
+@compiled
+def best_on_segment(safe, candidate, weights, out):
+    """The force of least Phi on the segment from `safe` (strictly inside) to `candidate`, into `out`; returns theta.
+
+    Phi is convex along the segment: its slope is driven to zero by bisection inside the cones, to a thousandth of theta. The
+    result is never worse than `safe`, nor than `candidate` where that is strictly inside.
+    """
+    size = safe.size
+    move = candidate - safe
+    value_safe = phi(safe, weights)
+    value_candidate = phi(candidate, weights)
+    low, high = 0.0, 1.0
+    g = np.empty(size)
+    if value_candidate == np.inf:
+        high = min(1.0, 0.999 * step_to_boundary(safe, move))
+    best, best_value = 0.0, value_safe
+    if value_candidate < best_value:
+        best, best_value = 1.0, value_candidate
+    theta = high
+    for _ in range(40):
+        for j in range(size):
+            out[j] = safe[j] + theta * move[j]
+        value = phi(out, weights)
+        if value < best_value:
+            best, best_value = theta, value
+        if value == np.inf:
+            high = theta
+        else:
+            gradient(out, weights, g)
+            slope = 0.0
+            for j in range(size):
+                slope += g[j] * move[j]
+            if slope <= 0.0:
+                if theta == 1.0:
+                    break
+                low = theta
+            else:
+                high = theta
+        if high - low < 1e-3 * high:
+            break
+        theta = 0.5 * (low + high)
+    if best == 1.0:
+        out[:] = candidate
+    else:
+        for j in range(size):
+            out[j] = safe[j] + best * move[j]
+    return best

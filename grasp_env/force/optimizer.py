@@ -8,25 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env._check import ContactForces, Wrench, as_array, as_wrench, positive
-from grasp_env.errors import (
-    InfeasibleStartError,
-    InvalidInputError,
-    UnknownNameError,
-    UnsupportedProblemError,
-)
+from grasp_env._check import ContactForces, as_wrench, positive
+from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnknownNameError, UnsupportedProblemError
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.descent_kernels import CONVERGED, STALLED
-from grasp_env.force.feasibility import answer
-from grasp_env.force.initial import RULES, CompiledRule, InitialForceRule, initial_rule
+from grasp_env.force.initial import RULES, InitialForceRule
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.method import Settings, Start, infeasible_error
-from grasp_env.force.methods import METHODS, Conic, Flow, Newton, make_method
+from grasp_env.force.method import CRITERIA, Settings
+from grasp_env.force.methods import METHODS, make_method
 from grasp_env.force.objective import Objective, Weight
-from grasp_env.force.program import CRITERIA, ForceProgram
-from grasp_env.force.program_methods import ProgramNewton
-from grasp_env.force.record import CODE, FORCE, record_size
-from grasp_env.force.repair import CORRECTIONS, Correction, Repair, carry_over
+from grasp_env.force.record import STALLED, record_size
+from grasp_env.force.repair import CORRECTIONS, Correction
 from grasp_env.force.solution import ForceSolution
 from grasp_env.force.step_size import StepRule, checked_rule
 from grasp_env.grasp.grasp import Grasp, as_grasp
@@ -36,7 +27,6 @@ TOLERANCE = 1e-4
 """Default relative gap of the descents on Phi."""
 CONIC_TOLERANCE = 1e-6
 """Default relative gap of the conic problem."""
-NAN = float("nan")
 
 Initial = str | InitialForceRule | ForceSolution | np.ndarray
 """A rule's name, a rule, a solution to carry over, or an (N, 3) force to start from."""
@@ -45,8 +35,7 @@ Initial = str | InitialForceRule | ForceSolution | np.ndarray
 class ForceOptimizer:
     """Optimises grasp forces again and again: holds the offline basis, the kernels' data and the previous solution.
 
-    Kernels are compiled, or loaded from the disk cache, on construction. One optimizer belongs to one thread; several
-    may run at once.
+    One optimizer belongs to one thread; several may run at once.
 
     Attributes:
         grasp: the contacts as they are now.
@@ -111,15 +100,13 @@ class ForceOptimizer:
             correction,
         )
         if initial is not None:
-            _check_name(initial)
+            _check_initial(initial)
             if method in ("conic", "linear"):
                 raise InvalidInputError(f"method {method!r} starts from its own centre, got initial={initial!r}")
         # a solution is where the first call starts; the next ones start from their own previous one
         self.previous: ForceSolution | None = initial if isinstance(initial, ForceSolution) else None
         self.initial: Initial | None = "previous" if isinstance(initial, ForceSolution) else initial
-        self._rules: dict[str, InitialForceRule] = {}
         self._set_grasp(grasp)
-        self._warm_up()
 
     @property
     def method(self) -> str:
@@ -144,13 +131,12 @@ class ForceOptimizer:
     @property
     def limit_labels(self) -> tuple[str, ...]:
         """What each entry of a solution's `limit_multipliers` belongs to."""
-        program = getattr(self._method, "program", None)
-        return program.labels if isinstance(program, ForceProgram) and self.method != "linear" else ()
+        return getattr(self._method, "limit_labels", ())
 
     def move_to(self, grasp: Grasp) -> None:
         """The contacts moved: re-optimise the offline basis from the old one, keep the previous solution."""
         as_grasp(grasp)
-        if self.grasp.n_contacts == grasp.n_contacts and self._uses_basis:
+        if self.grasp.n_contacts == grasp.n_contacts and self._method.uses_basis:
             # a grasp without force closure has no basis; rules that need one will say so
             with suppress(InfeasibleStartError):
                 OfflineBasis.of(self.grasp, self.objective).moved_to(grasp)
@@ -175,40 +161,20 @@ class ForceOptimizer:
             optimum: a known min Phi: stop at the relative gap to it instead of the certified one (for studies).
             trace: keep Phi of every iterate in `objective_trace`.
         """
-        direct = self._direct
-        if (
-            direct != ""
-            and initial is None
-            and optimum is None
-            and not trace
-            and type(wrench) is np.ndarray
-            and wrench.dtype is _FLOAT
-            and wrench.shape == _SIX
-            and wrench.flags.carray
-        ):
-            # the control loop's path: one compiled call, which checks that the numbers are finite
-            method: Any = self._method
-            if direct == "central":
-                record = method.direct(wrench)
-            elif direct == "rule":
-                record, before = np.empty(self._size), self.previous if self._remembers else None
-                if before is not None and len(before._record) != self._size:
-                    before = None  # of another number of contacts
-                direct = self._bound(wrench, _NO_FORCE if before is None else before._record[FORCE:], record)
-                if direct:
-                    self.previous = solution = ForceSolution(record, self.settings.method, direct)
-                    return solution
-                record = None
-            else:
-                before = self.previous if direct == "previous" else None
-                direct = "previous" if before is not None else "linear_combination"
-                record = method.direct(wrench, None if before is None else before._record)
-            if record is not None and record[CODE] <= self._final:
-                solution = ForceSolution(record, self.settings.method, direct)
-                self.previous = solution
+        loop = self._loop
+        if loop is not None and initial is None and optimum is None and not trace:
+            # the control loop's path: one compiled call, which reads the array as it is or refuses it
+            before = self.previous if loop.remembers else None
+            record = np.empty(self._size)
+            code = loop.call(wrench, None if before is None else before._record, record)
+            if code <= STALLED:
+                name = loop.name if before is None else loop.carried
+                self.previous = solution = ForceSolution(record, self.settings.method, name)
                 return solution
-        solution = self._solve(as_wrench(wrench), initial, optimum, trace)
-        self.previous = solution
+        load = as_wrench(wrench)
+        known = float("nan") if optimum is None else positive(optimum, "optimum")
+        start = self._method.start(load, self._checked_initial(initial), self._before(initial))
+        self.previous = solution = self._method.run(load, start, known, trace)
         return solution
 
     def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
@@ -217,133 +183,39 @@ class ForceOptimizer:
         Raises:
             UnsupportedProblemError: the method starts from its own centre.
         """
-        start = self._start(as_wrench(wrench), self.initial if initial is None else initial)
-        if start is None and isinstance(self._method, ProgramNewton):
-            start = self._method.deepest(as_wrench(wrench))
+        start = None
+        if self._method.takes_start:
+            start = self._method.start(as_wrench(wrench), self._checked_initial(initial), self._before(initial))
         if start is None:
             raise UnsupportedProblemError(f"method {self.method!r} takes no initial force")
         return start.force
 
-    def _solve(self, wrench: Wrench, initial: Initial | None, optimum: float | None, trace: bool) -> ForceSolution:
-        known = NAN if optimum is None else positive(optimum, "optimum")
-        if not self._method.needs_start and initial is not None:
-            raise InvalidInputError(f"method {self.method!r} starts from its own centre, got initial={initial!r}")
-        start = self._start(wrench, self.initial if initial is None else initial)
-        return self._method.run(wrench, start, known, trace)
+    def _checked_initial(self, initial: Initial | None) -> Any:
+        """The start of a call: its own where it has one; "previous" for a solution."""
+        if initial is None:
+            initial = self.initial
+        else:
+            _check_initial(initial)
+        return "previous" if isinstance(initial, ForceSolution) else initial
 
-    def _start(self, wrench: Wrench, initial: Initial | None) -> Start | None:
-        if not self._method.needs_start:
-            return None
-        if isinstance(initial, np.ndarray | list | tuple):
-            return self._given("given", initial)
-        previous = initial if isinstance(initial, ForceSolution) else self.previous
-        name = "previous" if isinstance(initial, ForceSolution) else initial
-        if name is not None:
-            _check_name(name)
-        if name == "previous" and previous is None:
-            name = None  # nothing to carry over yet
-        if isinstance(self._method, ProgramNewton):
-            return self._program_start(self._method, wrench, name, previous)
-        if name is None:
-            name = "linear_combination"  # the paper's start
-        try:
-            if name == "previous":
-                assert previous is not None
-                if previous.n_contacts != self.grasp.n_contacts:
-                    raise InfeasibleStartError(
-                        f"the previous solution has {previous.n_contacts} contacts, the grasp {self.grasp.n_contacts}"
-                    )
-                correction = self.settings.correction
-                return Start("previous", carry_over(self.grasp, wrench, previous.force, self.objective, correction))
-            if isinstance(name, str):
-                return Start(name, self._rule(name)(self.grasp, wrench))
-            if isinstance(name, CompiledRule):
-                return self._given(*name.start(self.grasp, wrench, self.objective, previous))
-            force = name(self.grasp, wrench)
-            if getattr(name, "objective", self.objective) != self.objective:
-                # made for another Phi, in which its guarantees hold: give them in this one
-                force = Repair(self.objective)(self.grasp, wrench, force)
-            return self._given(getattr(name, "name", None) or getattr(name, "__name__", type(name).__name__), force)
-        except InfeasibleStartError as error:
-            found = answer(ForceProgram(self.grasp), wrench)
-            if found.certificate is not None:
-                raise infeasible_error(self.grasp, wrench, self.method, str(name), found.certificate) from error
-            raise
-
-    def _program_start(
-        self, method: ProgramNewton, wrench: Wrench, name: str | InitialForceRule | None, previous: ForceSolution | None
-    ) -> Start | None:
-        if name is None or name == "phase_one":
-            return None
-        if name == "previous":
-            assert previous is not None
-            return method.carried(wrench, previous)
-        if not isinstance(name, str):
-            return self._given(getattr(name, "__name__", type(name).__name__), name(self.grasp, wrench))
-        raise UnsupportedProblemError(
-            f"initial={name!r} knows hard contacts without further limits; use 'phase_one' or 'previous', or leave it out"
-        )
-
-    def _given(self, name: str, force: ArrayLike) -> Start:
-        try:
-            return Start(name, as_array(force, (self.grasp.n_contacts, 3), "initial force"))
-        except InvalidInputError as error:
-            raise InfeasibleStartError(f"initial-force rule {name!r}: {error}") from None
-
-    def _rule(self, name: str) -> InitialForceRule:
-        if name not in self._rules:
-            self._rules[name] = initial_rule(name, self.objective)
-        return self._rules[name]
-
-    @property
-    def _uses_basis(self) -> bool:
-        return self._method.needs_start and not isinstance(self._method, ProgramNewton)
+    def _before(self, initial: Initial | None) -> ForceSolution | None:
+        return initial if isinstance(initial, ForceSolution) else self.previous
 
     def _set_grasp(self, grasp: Grasp) -> None:
         # everything that may refuse the grasp first: an optimizer is never half moved
-        method = make_method(grasp, self.settings, getattr(self, "_method", None))
-        # which of the compiled calls `solve` may take without looking further; "" for none
-        direct = ""
-        if isinstance(method, Conic):
-            direct = "central"
-        elif isinstance(method, Newton | Flow) and method.has_basis and self.settings.correction == "tangent":
-            initial = self.initial if isinstance(self.initial, str) else "linear_combination" * (self.initial is None)
-            direct = initial if initial in ("linear_combination", "previous") else ""
-            if isinstance(self.initial, CompiledRule):
-                # contacts that the rule does not know are refused by the general path, in words
-                with suppress(InfeasibleStartError):
-                    self._bound = self.initial.bind(grasp, self.objective, self.settings.tolerance, method.descend)
-                    self._remembers, direct = self.initial.remembers, "rule"
-        self.grasp, self._method, self._direct, self._size = grasp, method, direct, record_size(grasp.n_contacts)
-        # a flow that ended short would end so again
-        self._final = STALLED if isinstance(method, Flow) else CONVERGED
+        method = make_method(grasp, self.settings)
+        self.grasp, self._method, self._size = grasp, method, record_size(grasp.n_contacts)
+        self._loop = method.loop(self.initial)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_bound"}
+        return {name: value for name, value in vars(self).items() if name not in ("_method", "_loop")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._set_grasp(self.grasp)  # a bound rule is a closure: made anew
-
-    def _warm_up(self) -> None:
-        """Compiles, or loads, the kernels of the control loop's path before the first call that counts."""
-        method: Any = self._method
-        if self._direct == "central":
-            method.direct(np.zeros(6))
-        elif self._direct == "rule":
-            record = np.empty(self._size)
-            self._bound(np.zeros(6), _NO_FORCE, record)
-            count = 3 * self.grasp.n_contacts
-            method.descend(record[FORCE + count : FORCE + 2 * count].copy(), np.zeros(6), record)
-        elif self._direct:
-            method.direct(np.zeros(6), None)
+        self._set_grasp(self.grasp)  # compiled solvers are made anew
 
 
-_FLOAT, _SIX = np.dtype(np.float64), (6,)
-_NO_FORCE = np.empty(0)
-
-
-def _check_name(initial: object) -> None:
+def _check_initial(initial: object) -> None:
     allowed = (*RULES, "previous")
     if isinstance(initial, str) and initial not in allowed:
         hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in initial else ""

@@ -3,34 +3,55 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench
 from grasp_env.errors import InfeasibleStartError, UnknownNameError, UnsupportedProblemError
-from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.descent_kernels import STALLED
+from grasp_env.force.basis import OfflineBasis, core_contacts
 from grasp_env.force.initial import LayeredRule, check_layers
-from grasp_env.force.lanes import LANES
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.optimizer import MAX_ITERATIONS, ForceOptimizer
-from grasp_env.force.pipeline_kernels import FLOW, NEWTON, Held, carry_contacts, held_size, solve_held, split_held
-from grasp_env.force.record import CODE, REFUSED, record_size
+from grasp_env.force.record import CODE, REFUSED, STALLED, record_size
 from grasp_env.force.repair import Repair
 from grasp_env.force.solution import ForceSolution
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.grasp import Grasp, as_grasp
-from grasp_env.grasp.kernels import contact_geometry
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
 
-PIPELINE_METHODS = {"reduced_flow": FLOW, "newton": NEWTON}
+PIPELINE_METHODS = ("reduced_flow", "newton")
 STARTS = ("linear_combination", "previous")
-_FLOAT, _SIX = np.dtype(np.float64), (6,)
-_NONE, _DEFAULT = np.empty(0), np.zeros((0, 3))
-"""No adjustment; tangents by the default rule."""
-_LOADED: set[tuple[str, int]] = set()
-"""Methods and numbers of contacts whose kernels this process has called."""
+_NONE = np.empty(0)
+"""No adjustment."""
+
+
+class Held(NamedTuple):
+    """What a pipeline holds between calls: views of the core's struct of that name, overwritten in place.
+
+    The optimum and the basis are written in the contact frames that they were found in; other contacts get them turned, with a
+    tangent correction.
+
+    Attributes:
+        x: (3N,) the last optimum, cone coordinates [N]; nan: none.
+        frames: (N, 3, 3) its contact frames, columns (n, o, t), object frame.
+        cone_matrix: (6, 3N) its G in cone coordinates.
+        basis: (13, 3N) offline basis, cone coordinates.
+        basis_frames: (N, 3, 3) the contact frames it is written in.
+        divisor: (N, 3) force = cone coordinates / divisor.
+        weights: (N, 2) omega and lambda of Phi.
+        tangents: (N, 3) directions of o, or (0, 3): the default rule.
+    """
+
+    x: Array
+    frames: Array
+    cone_matrix: Array
+    basis: Array
+    basis_frames: Array
+    divisor: Array
+    weights: Array
+    tangents: Array
 
 
 class ForcePipeline:
@@ -39,7 +60,7 @@ class ForcePipeline:
     One compiled call does what `Grasp.from_contacts`, `ForceOptimizer.move_to` and `ForceOptimizer.solve` do: contact
     frames and G, the start, the flow or Newton, the certificates. The start is the paper's combination of the 12 offline optima
     of the NOMINAL grasp, taken to the contacts of now by the tangent correction; where that leaves the cones, or Phi grows
-    by more than `pipeline_kernels.FAR`, the 12 optima are computed again for the contacts of now and kept from then on.
+    by more than a factor of two, the 12 optima are computed again for the contacts of now and kept from then on.
     A result depends on the nominal grasp and the calls since `reset`, on nothing else.
 
     Whatever is not solved that way (rank-deficient contacts, wrong numbers, no force closure) goes to a
@@ -47,7 +68,7 @@ class ForcePipeline:
 
     Attributes:
         grasp: the nominal grasp: models, friction, tangents (the default rule unless it was made with others).
-        held: the arrays that kernels read, see `Held`; overwritten in place by `solve` and `reset`. Owned by the pipeline.
+        held: what is held between calls, see `Held`; overwritten in place by `solve` and `reset`. Owned by the pipeline.
         reference: (3N, 3N - 6) object-frame directions of `adjust`.
 
     Example:
@@ -72,7 +93,7 @@ class ForcePipeline:
         step_rule: StepRule | None = None,
         reference: Array | None = None,
     ) -> None:
-        """Computes the offline basis and compiles, or loads, the kernels.
+        """Computes the offline basis; for the flow and learned layers compiles, or loads, their kernels.
 
         Args:
             grasp: the nominal grasp, hard contacts (round or elliptic cones) with force closure.
@@ -101,10 +122,8 @@ class ForcePipeline:
             )
         self.grasp, self.method = grasp, method
         self.initial = initial.name if layered else str(initial)
-        self._layers = initial.layers if layered else np.zeros((0, 0), np.float32)
-        remembers = initial.remembers if layered else initial == "previous"
         self.objective = Objective(force_weight, barrier_weight)
-        self._options: dict[str, Any] = {
+        self._given: dict[str, Any] = {
             "method": method,
             "force_weight": force_weight,
             "barrier_weight": barrier_weight,
@@ -112,35 +131,50 @@ class ForcePipeline:
             "max_iterations": max_iterations,
             "step_rule": step_rule,
         }
-        checked = ForceOptimizer(grasp, **self._options)
-        self._nominal = OfflineBasis.of(grasp, self.objective).cone_forces
         count = grasp.n_contacts
-        default = (
-            grasp.frames
-            == contact_geometry(grasp.positions.copy(), grasp.normals.copy(), np.ones((count, 3)), _DEFAULT)[0]
-        ).all()
-        self._numbers = np.empty(held_size(count))
-        self.held: Held = split_held(self._numbers, count, _DEFAULT if default else grasp.frames[:, :, 1].copy())
-        self.held.divisor[:] = grasp.models.cone_divisor
-        self.held.weights[:] = self.objective.weights(count)
         self.reference: Array = (
             reference_basis(grasp)
             if reference is None
             else as_array(reference, (3 * count, grasp.null_dimension), "reference")
         )
-        self._rule = checked.step_rule.parameters()
-        width = initial.width if layered else 0
-        settings = (PIPELINE_METHODS[method], remembers, checked.tolerance, checked.max_iterations, LANES, width)
-        self._settings = np.array(settings, dtype=np.float64)
-        self._shape, self._size = (count, 3), record_size(count)
-        self._scratch = np.empty((count, 3, 3)), np.empty((6, 3 * count))
-        if (method, count) not in _LOADED:  # compiles, or loads, the kernels, before the first call that counts
-            for adjust in (_NONE, np.full(grasp.null_dimension, 1e-3)):
-                self.reset()
+        remembers = initial.remembers if layered else initial == "previous"
+        self._layers = (initial.layers, initial.width) if layered else None
+        self._shape, self._coordinates, self._size = (count, 3), (grasp.null_dimension,), record_size(count)
+        self._remembers = remembers
+        self._make()
+
+    def _make(self) -> None:
+        """What is compiled: after it a pipeline is as new."""
+        grasp, checked = self.grasp, ForceOptimizer(self.grasp, **self._given)
+        default = Grasp.unchecked(grasp.positions, grasp.normals, grasp.models)
+        tangents = np.zeros((0, 3)) if (default.frames == grasp.frames).all() else grasp.frames[:, :, 1].copy()
+        basis = OfflineBasis.of(grasp, self.objective).cone_forces
+        self._core = core.Pipeline.make(
+            core_contacts(grasp, self.objective, tangents), checked.tolerance, checked.max_iterations, basis,
+            np.ascontiguousarray(grasp.frames), self._remembers, np.ascontiguousarray(self.reference),
+        )  # fmt: skip
+        arrays = self._core.arrays()
+        weights = self.objective.weights(grasp.n_contacts)
+        x, frames, cone_matrix, rows, basis_frames = (arrays[name] for name in Held._fields[:5])
+        self.held = Held(x, frames, cone_matrix, rows, basis_frames, grasp.models.cone_divisor, weights, tangents)
+        self._solve = self._core.solve
+        if self.method == "reduced_flow" or self._layers is not None:
+            from grasp_env.force.pipeline_descent import KernelDescent
+
+            self._solve = KernelDescent(self._core, checked, self.held, self._layers, self._remembers).solve
+            for adjust in (
+                _NONE,
+                np.full(grasp.null_dimension, 1e-3),
+            ):  # compiles, or loads, before the first call that counts
                 self.solve(grasp.positions, grasp.normals, np.zeros(6), adjust=adjust)
-            self.carry(grasp.positions.copy(), grasp.normals.copy(), np.zeros(6), np.empty((count, 3)))
-            _LOADED.add((method, count))
-        self.reset()
+            self.reset()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in ("_core", "_solve", "held")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._make()
 
     @property
     def x(self) -> Array:
@@ -159,8 +193,7 @@ class ForcePipeline:
 
     def reset(self) -> None:
         """Forgets all calls: the next solve gives the bits that the first ever gave."""
-        self.held.basis[:] = self._nominal
-        self.held.basis_frames[:] = self.grasp.frames
+        self._core.reset()
         self._hold(self.grasp, None)
 
     def solve(self, points: Array, normals: Array, wrench: Wrench, *, adjust: Array | None = None) -> ForceSolution:
@@ -181,30 +214,29 @@ class ForcePipeline:
             RankDeficientGraspError, InfeasibleWrenchError, InfeasibleStartError: the contacts cannot balance the wrench.
                 Nothing stale is left: `self.x` is nan then.
         """
-        points = _ready(points, self._shape, "points")
-        normals = _ready(normals, self._shape, "normals")
-        wrench = _ready(wrench, _SIX, "wrench")
-        if adjust is None:
+        if adjust is None or (type(adjust) is np.ndarray and adjust.shape == self._coordinates and not adjust.any()):
             adjust = _NONE
-        elif adjust is not _NONE:
+        record = np.empty(self._size)
+        if self._solve(points, normals, wrench, adjust, record) <= STALLED:
+            return ForceSolution(record, self.method, self.initial)
+        # what cannot be read as it is, and what has to be said in words
+        points, normals = as_array(points, self._shape, "points"), as_array(normals, self._shape, "normals")
+        wrench = as_wrench(wrench)
+        if adjust is not _NONE:
             adjust = as_array(adjust, (self.grasp.null_dimension,), "adjust")
-            adjust = adjust if adjust.any() else _NONE
         return self.solve_ready(points, normals, wrench, adjust)
 
     def solve_ready(self, points: Array, normals: Array, wrench: Wrench, adjust: Array = _NONE) -> ForceSolution:
         """`solve` of C-contiguous float64 arrays of the right shapes, which are not looked at; `adjust` (0,): none."""
         record = np.empty(self._size)
-        self._compiled(points, normals, wrench, adjust, record)
-        if record[CODE] > STALLED:
+        if self._solve(points, normals, wrench, adjust, record) > STALLED:
             return self._general(points, normals, wrench, adjust, record)
         return ForceSolution(record, self.method, self.initial)
 
     def carry(self, points: Array, normals: Array, wrench: Wrench, out_force: ContactForces) -> int:
         """Between two solves: the last optimum carried to the contacts and the wrench of now, back inside the cones if need be.
 
-        The call from Python of the kernel `pipeline_kernels.carry_contacts(held, points, normals, wrench, frames, cone_matrix,
-        force)`, which compiled control loops call with `pipeline.held`. Neither changes what is held. Arrays are trusted:
-        finite, C-contiguous float64, writable.
+        Changes nothing that is held. Arrays are trusted: finite, C-contiguous float64, writable.
 
         Args:
             points, normals, wrench: as in `solve`.
@@ -214,31 +246,16 @@ class ForcePipeline:
             CARRIED (0): the tangent correction, strictly inside. REPAIRED (1): the least Phi on the way to it from the carried
             combination. CLIPPED (2): inside the cones, but balance is given up as far as they ask.
         """
-        return carry_contacts(self.held, points, normals, wrench, *self._scratch, out_force)
+        return self._core.carry(points, normals, wrench, out_force)
 
     def _hold(self, grasp: Grasp, solution: ForceSolution | None) -> None:
         self.held.frames[:] = grasp.frames
         self.held.cone_matrix[:] = grasp.cone_matrix
         self.held.x[:] = np.nan if solution is None else grasp.to_cone(solution.force)
 
-    def _compiled(self, points: Array, normals: Array, wrench: Wrench, adjust: Array, record: Array) -> None:
-        solve_held(
-            points,
-            normals,
-            wrench,
-            adjust,
-            self.reference,
-            self._numbers,
-            self.held.tangents,
-            self._rule,
-            self._settings,
-            self._layers,
-            record,
-        )
-
     def _general(self, points: Array, normals: Array, wrench: Wrench, adjust: Array, record: Array) -> ForceSolution:
-        """What the compiled call left: first once more with a new basis, then a `ForceOptimizer` on the grasp of now."""
-        self.held.x[:] = np.nan
+        """What the core left: first once more with a new basis, then a `ForceOptimizer` on the grasp of now."""
+        self._core.forget()
         tangents = self.held.tangents
         grasp = Grasp.from_contacts(
             points,
@@ -248,13 +265,12 @@ class ForcePipeline:
         )
         if record[CODE] == REFUSED:
             with suppress(InfeasibleStartError):  # no force closure: the general path says so
-                self.held.basis[:] = OfflineBasis.of(grasp, self.objective).cone_forces
-                self.held.basis_frames[:] = grasp.frames
-                self._compiled(points, normals, wrench, adjust, record)
-                if record[CODE] <= STALLED:
+                basis = OfflineBasis.of(grasp, self.objective).cone_forces
+                self._core.set_basis(basis, np.ascontiguousarray(grasp.frames))
+                if self._solve(points, normals, wrench, adjust, record) <= STALLED:
                     return ForceSolution(record, self.method, self.initial)
         wrench = as_wrench(wrench)
-        optimizer = ForceOptimizer(grasp, **self._options)
+        optimizer = ForceOptimizer(grasp, **self._given)
         start = None
         if adjust.size:
             moved = optimizer.start(wrench) + (null_space_basis(grasp, self.reference) @ adjust).reshape(-1, 3)
@@ -262,10 +278,3 @@ class ForcePipeline:
         solution = optimizer.solve(wrench, initial=start)
         self._hold(grasp, solution)
         return solution
-
-
-def _ready(value: Array, shape: tuple[int, ...], name: str) -> Array:
-    """`value` where kernels can read it as it is, else a copy."""
-    if type(value) is np.ndarray and value.dtype is _FLOAT and value.shape == shape and value.flags.carray:
-        return value
-    return as_array(value, shape, name)

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._check import NOTHING, Array, ContactForces, Wrench
+from grasp_env._check import Array, ContactForces, Wrench
+from grasp_env.core import NOTHING
 from grasp_env.errors import UnknownNameError
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT
 from grasp_env.force.limits import ForceLimits
+from grasp_env.force.method import CRITERIA
 from grasp_env.force.program_kernels import NEARLY, interior_point
 from grasp_env.force.program_newton import general_newton
+from grasp_env.force.record import CONVERGED, LIMIT
 from grasp_env.grasp.grasp import Grasp
 
 _Structure = tuple[NDArray[np.int64], NDArray[np.int64], Array]
-CRITERIA = ("sum", "max")
-"""What `conic` makes least: the sum of the normal forces, or the largest of them."""
 DIVERGED = 1e12
 """Multipliers of a wrench of size one beyond which they say nothing."""
 CLEAR = 1e-9

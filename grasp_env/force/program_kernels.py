@@ -16,8 +16,8 @@ import math
 import numpy as np
 
 from grasp_env._compile import compiled
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
 from grasp_env.force.kernels import cholesky, cholesky_solve
+from grasp_env.force.record import CONVERGED, LIMIT, STALLED
 
 FEASIBLE = 1e-9
 """Residuals, relative to the data, at which an iterate counts as feasible."""

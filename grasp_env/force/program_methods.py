@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from grasp_env._check import Array, Wrench
-from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError
-from grasp_env.force.descent_kernels import BALANCE_TOLERANCE, CONVERGED, STALLED
+from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, UnsupportedProblemError
 from grasp_env.force.feasibility import Feasibility, answer
+from grasp_env.force.initial import InitialForceRule, rule_name
 from grasp_env.force.linear import linear_forces
-from grasp_env.force.method import Settings, Start, infeasible_error, refuse
+from grasp_env.force.method import (
+    BALANCE_TOLERANCE,
+    Loop,
+    OwnStart,
+    Settings,
+    Start,
+    given_start,
+    infeasible_error,
+    refuse,
+)
 from grasp_env.force.program import Answer, ForceProgram
 from grasp_env.force.record import (
     BOUND,
     CODE,
+    CONVERGED,
     FORCE,
     ITERATIONS,
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
     RESIDUAL,
+    STALLED,
     TRIALS,
     WRENCH,
     record_size,
@@ -33,9 +46,20 @@ _NO_TRACE = np.empty(0)
 class _Program:
     """Soft contacts, further limits, no force closure: what the methods on `ForceProgram` share."""
 
+    uses_basis = False
+
     def __init__(self, grasp: Grasp, settings: Settings) -> None:
         self.grasp, self.settings = grasp, settings
         self.program = ForceProgram(grasp, settings.limits)
+
+    @property
+    def limit_labels(self) -> tuple[str, ...]:
+        """What each entry of a solution's `limit_multipliers` belongs to."""
+        return self.program.labels
+
+    def loop(self, initial: Any) -> Loop | None:
+        """None: the general program takes the general path."""
+        return None
 
     def solution(
         self, found: Answer, wrench: Wrench, start: Array, name: str, trace: Array, known: bool = False
@@ -72,10 +96,8 @@ class _Program:
         return found
 
 
-class ProgramConic(_Program):
+class ProgramConic(OwnStart, _Program):
     """Least sum or least maximum of normal forces within all limits."""
-
-    needs_start = False
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`.
@@ -105,12 +127,33 @@ class ProgramConic(_Program):
 class ProgramNewton(_Program):
     """Newton on Phi within all limits."""
 
-    needs_start = True
+    takes_start = True
+
+    def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
+        """See `Method.start`: the deepest force unless one is given, carried over, or a callable's.
+
+        Raises:
+            UnsupportedProblemError: a rule's name, which knows hard contacts without further limits.
+        """
+        if isinstance(initial, np.ndarray | list | tuple):
+            return given_start("given", initial, self.grasp.n_contacts)
+        if initial is None or initial == "phase_one" or (initial == "previous" and previous is None):
+            return self.deepest(wrench)
+        if initial == "previous":
+            assert previous is not None
+            return self.carried(wrench, previous)
+        if isinstance(initial, str):
+            raise UnsupportedProblemError(
+                f"initial={initial!r} knows hard contacts without further limits; use 'phase_one' or 'previous', or leave "
+                "it out"
+            )
+        rule: InitialForceRule = initial
+        return given_start(rule_name(rule), rule(self.grasp, wrench), self.grasp.n_contacts)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
-        """See `Method`; without a start the deepest force is taken."""
+        """See `Method`."""
+        assert start is not None
         program, settings = self.program, self.settings
-        start = start or self.deepest(wrench)
         z = program.variables(start.force, start.torsion)
         size = float(np.abs(start.force).max()) + float(np.abs(program.frame @ wrench).max())
         if program.residual(z, wrench) > BALANCE_TOLERANCE * size:
@@ -147,14 +190,16 @@ class ProgramNewton(_Program):
         return Start("previous", found.force, found.torsion)
 
 
-class Linear:
+class Linear(OwnStart):
     """The classical pyramid program by HiGHS, for comparison."""
-
-    needs_start = False
 
     def __init__(self, grasp: Grasp, settings: Settings) -> None:
         self.grasp, self.settings = grasp, settings
         self.program = ForceProgram(grasp, settings.limits)
+
+    def loop(self, initial: Any) -> Loop | None:
+        """None: HiGHS is no control loop's."""
+        return None
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`. Optimal for the pyramids; no lower bound for the cones.

@@ -12,10 +12,14 @@ import math
 import numpy as np
 
 from grasp_env._compile import compiled
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, SHORTEST, STALLED
 from grasp_env.force.kernels import gradient, inner_minimum, inverse_hessian, relative_gap
-from grasp_env.force.newton_kernels import BALANCED, REFINEMENTS
 from grasp_env.force.program_kernels import boundary, factor, solve
+from grasp_env.force.record import CONVERGED, LIMIT, STALLED
+from grasp_env.force.step_size import SHORTEST
+
+REFINEMENTS = 3
+BALANCED = 1e-13
+"""A step that misses balance by less than this part of Phi needs no refinement [N / N]."""
 
 
 @compiled

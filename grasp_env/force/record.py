@@ -1,19 +1,44 @@
-"""One solution as one row of numbers: what compiled solvers write, single or in a batch, and `ForceSolution` reads."""
+"""One solution as one row of numbers: what solvers write, single or in a batch, and `ForceSolution` reads.
+
+The layout is the core's `Summary` (`core/include/grasp/record.hpp`); its places are read off there.
+"""
 
 from __future__ import annotations
 
-CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN = range(7)
+from grasp_env.core import codes, record_fields, record_size
+
+_PLACES, _CODES = record_fields(), codes()
+
+CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN = (
+    _PLACES[name] for name in ("code", "iterations", "trials", "objective", "lower_bound", "residual", "margin")
+)
 """How it ended and what certifies it."""
-INFEASIBLE, REFUSED = 3, 4
-"""Codes besides `descent_kernels`' CONVERGED, LIMIT, STALLED: proven infeasible; a wrench that is not finite."""
-WRENCH = 8
+WRENCH = _PLACES["wrench"]
 """6: the wrench that is balanced."""
-MULTIPLIERS = 14
+MULTIPLIERS = _PLACES["multipliers"]
 """6: nu of balance: grad objective = G^T nu (+ the cone multipliers), d objective / d w = -nu."""
-FORCE = 20
+FORCE = _PLACES["force"]
 """3N force, then 3N initial force, then N torsion."""
+CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED = (
+    _CODES[name] for name in ("converged", "limit", "stalled", "infeasible", "refused")
+)
+"""How a solve ends; REFUSED: numbers that are not finite, or no start: the general path says in words what is wrong."""
 
-
-def record_size(count: int) -> int:
-    """Numbers in a record of N contacts."""
-    return FORCE + 7 * count
+__all__ = [
+    "BOUND",
+    "CODE",
+    "CONVERGED",
+    "FORCE",
+    "INFEASIBLE",
+    "ITERATIONS",
+    "LIMIT",
+    "MARGIN",
+    "MULTIPLIERS",
+    "OBJECTIVE",
+    "REFUSED",
+    "RESIDUAL",
+    "STALLED",
+    "TRIALS",
+    "WRENCH",
+    "record_size",
+]

@@ -7,11 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from grasp_env._check import LARGEST, Array, ContactForces, Wrench, as_wrench
+from grasp_env._check import ContactForces, Wrench, as_wrench
 from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.force.basis import OfflineBasis
+from grasp_env.force.basis import starter
 from grasp_env.force.objective import Objective
-from grasp_env.force.start_kernels import best_on_segment, tangent
 from grasp_env.grasp.grasp import Grasp
 
 Correction = Literal["tangent", "pseudoinverse"]
@@ -41,15 +40,9 @@ class Repair:
         flat = np.asarray(candidate, dtype=np.float64)
         if flat.shape != (grasp.n_contacts, 3):
             raise InvalidInputError(f"candidate must have shape ({grasp.n_contacts}, 3), got {flat.shape}")
-        safe = grasp.to_cone(OfflineBasis.of(grasp, self.objective).combine(wrench))
-        flat = flat.reshape(-1)
-        if np.abs(flat).max() < LARGEST:  # also false for nan
-            x = grasp.to_cone((flat - grasp.pseudoinverse @ (grasp.matrix @ flat + wrench)).reshape(-1, 3))
-        else:
-            x = safe.copy()
-        out = np.empty_like(x)
-        best_on_segment(safe, x, self.objective.weights(grasp.n_contacts), out)
-        return grasp.to_force(out)
+        out = np.empty(flat.shape)
+        starter(grasp, self.objective).repair(wrench, np.ascontiguousarray(flat), out)
+        return out
 
 
 def carry_over(
@@ -70,12 +63,10 @@ def carry_over(
     """
     if correction not in CORRECTIONS:
         raise UnknownNameError("correction", correction, CORRECTIONS)
-    candidate: Array = np.asarray(previous, dtype=np.float64)
-    if correction == "tangent":
-        x = grasp.to_cone(previous)
-        out = np.empty_like(x)
-        u, o, t = x.reshape(-1, 3).T
-        inside = (u > np.hypot(o, t)).all()
-        if inside and tangent(x, grasp.cone_matrix.copy(), wrench, objective.weights(grasp.n_contacts), out):
-            candidate = grasp.to_force(out)
-    return Repair(objective)(grasp, wrench, candidate)
+    wrench = as_wrench(wrench)
+    before = np.ascontiguousarray(previous, dtype=np.float64)
+    if before.shape != (grasp.n_contacts, 3):
+        raise InvalidInputError(f"previous must have shape ({grasp.n_contacts}, 3), got {before.shape}")
+    out = np.empty(before.shape)
+    starter(grasp, objective).carry(wrench, before, correction == "tangent", out)
+    return out

@@ -16,10 +16,11 @@ import numpy as np
 
 from grasp_env._check import Array, positive
 from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.force.descent_kernels import SHORTEST
 
 FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT = range(5)
 """Kinds, the first parameter of a rule."""
+SHORTEST = 1e-10
+"""The first trial of an iteration moves x by at least this fraction of its length."""
 MOST_TRIALS = 60
 """Of a search for the exact minimum, before it settles for any decrease."""
 FLAT, LEAP = 1e-12, 10.0

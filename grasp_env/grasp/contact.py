@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env.grasp.kernels import TANGENT_SWITCH
+from grasp_env.core import TANGENT_SWITCH
 
 
 def contact_frames(normals: Array) -> Array:

@@ -76,9 +76,16 @@ class ContactModels:
 
     @cached_property
     def packed(self) -> Array:
-        """(9, N) the rows that `kernels.grasp_arrays` reads; writable, as kernels have one signature."""
-        rows = (self.friction.T, self.torsional_friction[None], self.cone_scale.T, self.cone_divisor.T)
+        """(7, N) the rows that the core reads: gamma, then cone_scale, then cone_divisor."""
+        rows = (self.torsional_friction[None], self.cone_scale.T, self.cone_divisor.T)
         return np.ascontiguousarray(np.concatenate(rows))
+
+    @cached_property
+    def mean_friction(self) -> Array:
+        """(N,) sqrt(mu_o mu_t); 0 where frictionless. Read-only, shared by all grasps of these contacts."""
+        mean = np.where(self.friction[:, 0] > 0.0, self.cone_scale[:, 0], 0.0)
+        mean.setflags(write=False)
+        return mean
 
     def _frozen(self) -> ContactModels:
         for array in (self.friction, self.torsional_friction, self.cone_scale, self.cone_divisor):

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env._check import Array, ContactForces, Wrench, as_array
+from grasp_env.core import ROUNDING, UNIT_TOLERANCE, grasp_arrays
 from grasp_env.errors import InvalidInputError, RankDeficientGraspError
 from grasp_env.grasp.contact_model import ContactModels
-from grasp_env.grasp.kernels import ROUNDING, UNIT_TOLERANCE, grasp_arrays
 
 RANK_TOLERANCE = 1e-8
 """Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank 6."""
@@ -128,38 +128,20 @@ class Grasp:
 
     @classmethod
     def _made(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
-        count = len(positions)
-        friction, centre = np.empty(count), np.empty(3)
-        frames, matrix, cone_matrix = np.empty((count, 3, 3)), np.empty((6, 3 * count)), np.empty((6, 3 * count))
-        torsion_matrix, frame = np.empty((6, count)), np.empty((6, 6))
-        length: float = grasp_arrays(
-            positions,
-            normals,
-            models.packed,
-            tangents,
-            friction,
-            frames,
-            matrix,
-            cone_matrix,
-            torsion_matrix,
-            centre,
-            frame,
+        count, empty = len(positions), np.empty
+        frames, centre, frame = empty((count, 3, 3)), empty(3), empty((6, 6))
+        matrix, cone_matrix, torsion_matrix = empty((6, 3 * count)), empty((6, 3 * count)), empty((6, count))
+        length = grasp_arrays(
+            positions, normals, models.packed, tangents, frames, matrix, cone_matrix, torsion_matrix, centre, frame
         )
-        for array in (positions, normals, friction, frames, matrix, centre, cone_matrix, torsion_matrix, frame):
+        for array in (positions, normals, frames, matrix, centre, cone_matrix, torsion_matrix, frame):
             array.setflags(write=False)
-        grasp = cls(
-            positions,
-            normals,
-            friction,
-            frames,
-            matrix,
-            abs(length),
-            centre,
-            cone_matrix,
-            models,
-            torsion_matrix,
-            frame,
-        )
+        grasp = object.__new__(cls)
+        vars(grasp).update(  # the frozen dataclass's own __init__ costs a microsecond
+            positions=positions, normals=normals, friction=models.mean_friction, frames=frames, matrix=matrix,
+            length=abs(length), centre=centre, cone_matrix=cone_matrix, models=models, torsion_matrix=torsion_matrix,
+            unit_frame=frame,
+        )  # fmt: skip
         if not length > 0.0:
             grasp.pseudoinverse  # noqa: B018  raises where the rank is not 6
         return grasp

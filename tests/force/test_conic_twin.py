@@ -8,15 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from grasp_env.force.conic import ConicProgram, Iterate, nt_step, per_boundary, scaling
+from grasp_env.force.conic_kernels import conic
 from problems import GRASPS, PAPER_WRENCH, random_grasp
 
 from grasp_env.force import ForceLimits, lanes, record
-from grasp_env.force.conic import ConicProgram, Iterate, nt_step, per_boundary, scaling
-from grasp_env.force.conic_kernels import conic
-from grasp_env.force.descent_kernels import LIMIT
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.program import ForceProgram
 from grasp_env.force.program_kernels import boundary, factor, interior_point, missed, scaled, solve
+from grasp_env.force.record import LIMIT
 from grasp_env.grasp import Grasp
 
 LOAD = np.array([0.7, -0.4, 0.9, 0.011, -0.007, 0.013])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grasp_env.force.start_kernels import ray_interval
 from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp, weights
 
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, cone_margin, optimize_force, phase_one
 from grasp_env.force.kernels import phi
-from grasp_env.force.start_kernels import ray_interval
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp import wrench as wrenches
 

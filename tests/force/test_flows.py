@@ -6,13 +6,13 @@ from math import floor
 
 import numpy as np
 import pytest
+from grasp_env.force.oracle import full_flow as plain_full_flow
 from problems import GRASPS, PAPER_WRENCH, closure_grasps, weights
 
 from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force import AdaptiveStep, LinearCombination, Objective, OfflineBasis, descent_kernels, full_flow
 from grasp_env.force.descent import Descent, descend
 from grasp_env.force.flow import FORMS, Flow, fastest_form, operations, run_flow
-from grasp_env.force.oracle import full_flow as plain_full_flow
 from grasp_env.force.reduced_flow import (
     flow_vector,
     landscape,

@@ -6,21 +6,21 @@ from functools import cache
 
 import numpy as np
 import pytest
+from grasp_env.force.newton import newton_step
+from grasp_env.force.newton_kernels import GIVEN, newton
 from problems import GRASPS, PAPER_WRENCH, random_grasp
 from scipy.linalg import null_space
 from scipy.optimize import minimize
 
 from grasp_env.force import ForceLimits, lanes, phi_lanes, record
 from grasp_env.force.cholesky6 import PACKED, factor6, solve6
-from grasp_env.force.descent_kernels import LIMIT
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.kernels import inverse_hessian
-from grasp_env.force.newton import newton_step
-from grasp_env.force.newton_kernels import GIVEN, newton
 from grasp_env.force.objective import Objective
 from grasp_env.force.phi_lanes import GRADIENT, WIDTH, B, X
 from grasp_env.force.program import ForceProgram
 from grasp_env.force.program_newton import general_bound, general_newton, general_phi, slacks
+from grasp_env.force.record import LIMIT
 from grasp_env.grasp import Grasp
 
 LOAD = np.array([0.7, -0.4, 0.9, 0.011, -0.007, 0.013])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grasp_env.force.newton import newton_step
 from problems import GRASPS, PROBLEMS, Problem, closure_grasps, pyramid_margin, weights
 from scipy.optimize import minimize
 
 from grasp_env.force import Objective, description_matrix, kernels
-from grasp_env.force.newton import newton_step
 from grasp_env.grasp import wrench as wrenches
 
 WEIGHTS = [(1.0, 0.01), (1.0, 1.0), (2.5, 0.3), (0.2, 1e-4)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grasp_env.force.start_kernels import tangent
 from problems import PAPER_WRENCH
 
 from grasp_env.errors import (
@@ -17,7 +18,6 @@ from grasp_env.errors import (
 from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Repair, Status
 from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.force.pipeline_kernels import CARRIED, CLIPPED, REPAIRED, carry, carry_contacts, turn
-from grasp_env.force.start_kernels import tangent
 from grasp_env.grasp import Grasp, null_space_basis, presets
 from policies import LearnedInitialForce
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grasp_env.force.start_kernels import best_on_segment, combine, ray_interval
 from problems import PAPER_WRENCH, closure_grasps, weights
 
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, carry_over, cone_margin, optimize_force
 from grasp_env.force.kernels import cone_slack, phi, step_to_boundary
 from grasp_env.force.repair import CORRECTIONS, Correction
-from grasp_env.force.start_kernels import best_on_segment, combine, ray_interval
 from grasp_env.grasp import Grasp, presets, wrench
 
 OBJECTIVE = Objective()

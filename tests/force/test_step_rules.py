@@ -12,9 +12,9 @@ from scipy.optimize import minimize_scalar
 from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force import LinearCombination, Objective, OfflineBasis, full_flow, reduced_flow
 from grasp_env.force.descent import descend
-from grasp_env.force.descent_kernels import CONVERGED, LIMIT, STALLED
 from grasp_env.force.flow import FORMS, Flow
 from grasp_env.force.flow_kernels import flow as compiled_flow
+from grasp_env.force.record import CONVERGED, LIMIT, STALLED
 from grasp_env.force.step_size import (
     AdaptiveStep,
     ArmijoStep,

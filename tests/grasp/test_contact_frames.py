@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grasp_env.grasp.kernels import TANGENT_SWITCH, contact_geometry
 from problems import GRASPS, random_grasp
 
 from grasp_env.grasp.contact import contact_frames
 from grasp_env.grasp.grasp import grasp_matrix
-from grasp_env.grasp.kernels import TANGENT_SWITCH, contact_geometry
 
 
 @pytest.fixture(scope="module")

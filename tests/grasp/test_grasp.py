@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grasp_env.grasp.kernels import is_clearly_full_rank
 from problems import GRASPS, random_grasp
 
 from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, UnknownNameError
 from grasp_env.grasp import Grasp, presets
-from grasp_env.grasp.kernels import is_clearly_full_rank
 
 POSITIONS = presets.tripod().positions
 NORMALS = presets.tripod().normals

@@ -4,10 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from grasp_env.grasp.kernels import TANGENT_SWITCH
 from problems import GRASPS, random_grasp
 
 from grasp_env.grasp import Grasp, null_space_basis, presets, reference_basis
-from grasp_env.grasp.kernels import TANGENT_SWITCH
 
 
 def _in_object_frame(grasp: Grasp, basis: np.ndarray) -> np.ndarray:

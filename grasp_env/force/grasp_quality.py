@@ -9,8 +9,8 @@ import numpy as np
 
 from grasp_env._check import Array, Wrench, positive
 from grasp_env.force.closure import force_closure
-from grasp_env.force.program import CRITERIA
-from grasp_env.force.worst_case import WrenchBall, worst_case
+from grasp_env.force.method import CRITERIA
+from grasp_env.force.worst_wrench import WrenchBall, worst_case
 from grasp_env.grasp.grasp import Grasp
 
 
