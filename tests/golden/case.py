@@ -18,6 +18,11 @@ TIGHT = {"reduced_flow": 1e-12, "full_flow": 1e-12, "newton": 1e-12, "conic": 1e
 """Where solutions are compared digit by digit: the least relative gap that every method reaches; the conic ones stall below 1e-9."""
 
 
+BASIS = 5e-5
+"""Part of the largest component to which starts are compared that are made of the 12-basis: the recorded one is certified to 1e-10 of
+Phi, so its forces are known to a few times 1e-5."""
+
+
 @dataclass(frozen=True, eq=False)
 class Case:
     """A named call, or several in a row.

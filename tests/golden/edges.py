@@ -6,7 +6,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from golden.case import FLOWS, Case, loads, named, solve
+from golden.case import BASIS, FLOWS, Case, loads, named, solve
 from golden.grasps import FLOOR, GRASPS, LIGHT, NONE, PAPER, wrenches
 
 from grasp_env.force import ForceLimits
@@ -36,7 +36,7 @@ def _sizes() -> list[Case]:
     for (label, options), method in product(weights.items(), ("newton", "reduced_flow")):
         for name in ("cuboid", "4 uneven"):
             every = {**options, "method": method, "max_iterations": 3000}
-            out.append(Case(f"{method}, {label}, {name}", lambda g=GRASPS[name], o=every: solve(g, some, **o), start=1e-6))  # fmt: skip
+            out.append(Case(f"{method}, {label}, {name}", lambda g=GRASPS[name], o=every: solve(g, some, **o), start=BASIS))  # fmt: skip
             if method == "newton":
                 every = {**every, "tolerance": 1e-12}
                 out.append(Case(f"newton, {label}, {name}, tight", lambda g=GRASPS[name], o=every: solve(g, some, **o), tight=True))  # fmt: skip
@@ -49,12 +49,12 @@ def _ends() -> list[Case]:
     best = {"cuboid": 12.253093871456, "5 uneven": None}["cuboid"]
     for method in (*FLOWS, "newton"):
         out.append(Case(f"{method}, known optimum", lambda m=method: solve(
-            GRASPS["cuboid"], PAPER[None], {"optimum": best}, method=m, tolerance=1e-6), start=1e-6))  # fmt: skip
+            GRASPS["cuboid"], PAPER[None], {"optimum": best}, method=m, tolerance=1e-6), start=BASIS))  # fmt: skip
         out.append(Case(f"{method}, trace", lambda m=method: solve(
-            GRASPS["cuboid"], np.array([PAPER, NONE]), {"trace": True}, method=m, tolerance=1e-8), start=1e-6))  # fmt: skip
+            GRASPS["cuboid"], np.array([PAPER, NONE]), {"trace": True}, method=m, tolerance=1e-8), start=BASIS))  # fmt: skip
         for most in (0, 1, 3):
             out.append(Case(f"{method}, {most} iterations", lambda m=method, k=most: solve(
-                GRASPS["cuboid"], WANTED, {"trace": True}, method=m, max_iterations=k, tolerance=1e-9), start=1e-6))  # fmt: skip
+                GRASPS["cuboid"], WANTED, {"trace": True}, method=m, max_iterations=k, tolerance=1e-9), start=BASIS))  # fmt: skip
     for criterion, most in product(("sum", "max"), (0, 2)):
         out.append(Case(f"conic {criterion}, {most} iterations", lambda c=criterion, k=most: solve(
             GRASPS["cuboid"], WANTED, method="conic", criterion=c, max_iterations=k)))  # fmt: skip

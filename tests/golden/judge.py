@@ -35,8 +35,9 @@ BALANCE = 1e-11
 NOTHING = 1e-280
 """[N] below which wrenches and forces count as none."""
 FACETS = 64
-ITERATES = 10
-"""Entries of a trace that are compared to `DIGITS`: the first ones follow from the step rule, later ones from rounding."""
+ITERATES, ITERATE = 10, 1e-3
+"""Entries of a flow's trace that are compared, and how closely: the first ones follow from the step rule, later ones from rounding; a
+start that is known to `case.BASIS` moves a line search by up to a few 1e-4. Newton's way is its own affair."""
 
 
 def differences(case: Case, now: list[Outcome], then: list[Outcome]) -> list[str]:
@@ -60,7 +61,9 @@ def _compare(case: Case, now: Outcome, then: Outcome) -> list[str]:
         elif now.end == "episodes":
             out += _held(now.extra.reshape(-1, 4), then.extra.reshape(-1, 4))
         else:
-            out += _close("force", now.force, then.force, FORCES["newton"])
+            out += _close(
+                "force", now.force, then.force, max(FORCES["newton"], case.start if case.start < np.inf else 0.0)
+            )
             # observations are float32
             part = max(case.close, SINGLE) if now.text.startswith("observation") else case.close
             out += _close(now.text, now.extra, then.extra, part, SMALL)
@@ -192,9 +195,9 @@ def _trace(now: Outcome, then: Outcome, case: Case) -> list[str]:
         out.append("the objective rises along the trace")
     if now.extra[-1] != now.objective:
         out.append(f"the trace ends with {now.extra[-1]:.12g} at an objective of {now.objective:.12g}")
-    if case.start < np.inf:
+    if case.start < np.inf and now.problem is not None and now.problem.method in FLOWS:
         most = min(len(now.extra), len(then.extra), ITERATES)
-        out += _close("trace", now.extra[:most], then.extra[:most], 1e3 * DIGITS)
+        out += _close("trace", now.extra[:most], then.extra[:most], ITERATE)
     return out
 
 

@@ -6,7 +6,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from golden.case import Case, named, solve
+from golden.case import BASIS, Case, named, solve
 from golden.grasps import FLOOR, GRASPS, LIGHT, NONE, PAPER, wrenches
 from golden.record import Outcome, attempt
 
@@ -53,9 +53,21 @@ def cases() -> dict[str, Case]:
         for name in (*known[model], "slippery", "8 random", "soft", "rough and frictionless"):
             grasp = GRASPS[name]
             loads = wanted if name != "far" else wanted[1:2]
-            out.append(Case(f"{model} itself, {name}", lambda m=model, g=grasp, w=loads: started(m, g, w), tight=True))
             out.append(
-                Case(f"{model} itself, {name}, far", lambda m=model, g=grasp: started(m, g, FAR[:, :]), tight=True)
+                Case(
+                    f"{model} itself, {name}",
+                    lambda m=model, g=grasp, w=loads: started(m, g, w),
+                    tight=True,
+                    start=BASIS,
+                )
+            )
+            out.append(
+                Case(
+                    f"{model} itself, {name}, far",
+                    lambda m=model, g=grasp: started(m, g, FAR[:, :]),
+                    tight=True,
+                    start=BASIS,
+                )
             )
         weights = Objective(2.0, 0.3)
         out.append(
@@ -75,7 +87,7 @@ def cases() -> dict[str, Case]:
                 Case(
                     text,
                     lambda m=model, g=GRASPS[name], w=loads, e=each, o=method: solved(m, g, w, e, False, method=o),
-                    start=1e-6,
+                    start=BASIS,
                 )
             )
         for method in ("reduced_flow", "newton"):
@@ -93,7 +105,7 @@ def cases() -> dict[str, Case]:
                 Case(
                     f"{method} from {model}, weights",
                     lambda m=model, o=more: solved(m, GRASPS["cuboid"], wanted, False, False, **o),
-                    start=1e-6,
+                    start=BASIS,
                 )
             )
     return named(out)

@@ -6,7 +6,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from golden.case import TIGHT, Case, named, problem_of, solve
+from golden.case import BASIS, TIGHT, Case, named, problem_of, solve
 from golden.grasps import FLOOR, GRASPS, LIGHT, PAPER, wrenches
 from golden.record import Outcome, of_solution
 
@@ -28,7 +28,7 @@ def _previous() -> list[Case]:
         # the starts are functions of optima known to 1e-6
         out.append(Case(
             f"{method} from previous by {correction}, {name}, tight",
-            lambda g=GRASPS[name], o={**options, "tolerance": 1e-12}: solve(g, path, **o), tight=True, start=1e-5,
+            lambda g=GRASPS[name], o={**options, "tolerance": 1e-12}: solve(g, path, **o), tight=True, start=BASIS,
         ))  # fmt: skip
     for method, initial in (("reduced_flow", "previous"), ("newton", "previous"), ("newton", None), ("conic", None)):
         options = {"method": method, "initial": initial, "tolerance": TIGHT[method]}
@@ -40,7 +40,7 @@ def _previous() -> list[Case]:
             lambda g=GRASPS[name], o=options: solve(g, path, **o), tight=True,
         ))  # fmt: skip
     for method in ("reduced_flow", "newton"):
-        out.append(Case(f"{method} from another optimizer's solution", lambda m=method: _handed(m), start=1e-5))
+        out.append(Case(f"{method} from another optimizer's solution", lambda m=method: _handed(m), start=BASIS))
     return out
 
 

@@ -6,7 +6,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from golden.case import Case, named, problem_of
+from golden.case import BASIS, Case, named, problem_of
 from golden.grasps import GRASPS, PAPER, wrenches
 from golden.record import Outcome, attempt, of_solution
 
@@ -103,20 +103,22 @@ def cases() -> dict[str, Case]:
         for label, size, smooth in (("smooth", SMALL, True), ("jumps", LARGE, False)):
             text, options = f"{method} from {initial}, {name}, {label}", {"method": method, "initial": initial}
             # the start is a function of the previous optimum, here known to 1e-4 of Phi, in the tight case to 1e-12
-            start = np.inf if initial == "previous" else 1e-6
+            start = np.inf if initial == "previous" else BASIS
             out.append(Case(text, lambda n=name, z=size, s=smooth, o=options: walk(n, z, s, **o), start=start))
             tight = {**options, "tolerance": 1e-12}
-            out.append(Case(f"{text}, tight", lambda n=name, z=size, s=smooth, o=tight: walk(n, z, s, **o), True, 1e-5))
+            out.append(
+                Case(f"{text}, tight", lambda n=name, z=size, s=smooth, o=tight: walk(n, z, s, **o), True, BASIS)
+            )
         text, options = f"{method} from {initial}, {name}, adjusted", {"method": method, "initial": initial, "tolerance": 1e-12}  # fmt: skip
-        out.append(Case(text, lambda n=name, o=options: walk(n, SMALL, True, 2.0, **o), tight=True, start=1e-5))
+        out.append(Case(text, lambda n=name, o=options: walk(n, SMALL, True, 2.0, **o), tight=True, start=BASIS))
     for method, rule in product(("reduced_flow", "newton"), (False, True)):
         text = f"{method} from learned layers{', remembering' if rule else ''}"
         out.append(Case(text, lambda m=method, r=rule: walk("cuboid", SMALL, True, rule=r, method=m)))
         options = {"method": method, "tolerance": 1e-12}
         out.append(Case(f"{text}, tight", lambda r=rule, o=options: walk("5 uneven", LARGE, False, rule=r, **o), True))
     weights = {"force_weight": (1.0, 2.0, 0.5, 3.0), "barrier_weight": 0.1, "tolerance": 1e-12}
-    out.append(Case("newton, unequal weights", lambda: walk("cuboid", SMALL, True, method="newton", **weights), True, 1e-6))  # fmt: skip
-    out.append(Case("reduced_flow by BB", lambda: walk("cuboid", SMALL, True, step_rule=BarzilaiBorweinStep()), start=1e-6))  # fmt: skip
+    out.append(Case("newton, unequal weights", lambda: walk("cuboid", SMALL, True, method="newton", **weights), True, BASIS))  # fmt: skip
+    out.append(Case("reduced_flow by BB", lambda: walk("cuboid", SMALL, True, step_rule=BarzilaiBorweinStep()), start=BASIS))  # fmt: skip
     for name, jump in product(names, (0.0, 0.01, 20.0)):
         out.append(Case(f"carry, {name}, {jump:g}", lambda n=name, j=jump: carried(n, j)))
     out.append(Case("refused", _refused))

@@ -6,7 +6,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from golden.case import FLOWS, TIGHT, Case, loads, named, solve
+from golden.case import BASIS, FLOWS, TIGHT, Case, loads, named, solve
 from golden.grasps import GRASPS, HARD, LIGHT, NONE, OTHER, PAPER, wrenches
 from golden.record import Outcome
 
@@ -41,7 +41,7 @@ def _methods() -> list[Case]:
         options = {"method": method, "criterion": criterion}
         label = f"{method} {criterion}" if method == "conic" else method
         tight = {**options, "tolerance": TIGHT[method]}
-        start = 1e-6 if grasp.hard and method in (*FLOWS, "newton") else np.inf
+        start = BASIS if grasp.hard and method in (*FLOWS, "newton") else np.inf
         # the flow of frictionless contacts drifts out of balance, and says Phi of before it is put right
         honest = 1e-3 if method in FLOWS and name == "frictionless" else 1e-9
         out.append(Case(
@@ -77,7 +77,7 @@ def _starts() -> list[Case]:
         out.append(Case(
             f"{method} from {rule}, {name}",
             lambda g=GRASPS[name], w=wanted, m=method, r=rule: solve(g, w, method=m, initial=r),
-            start=np.inf if rule == "phase_one" else 1e-6,
+            start=np.inf if rule == "phase_one" else BASIS,
         ))  # fmt: skip
     cuboid, wanted = GRASPS["cuboid"], np.array([PAPER, NONE, LIGHT])
     for method in (*FLOWS, "newton"):
@@ -94,7 +94,7 @@ def _starts() -> list[Case]:
             lambda m=method: solve(
                 cuboid, wanted, method=m, barrier_weight=0.1, initial=LinearCombination(Objective(1.0, 1e-3))
             ),
-            start=1e-6,
+            start=BASIS,
         ))  # fmt: skip
     return out
 
@@ -113,7 +113,7 @@ def _steps() -> list[Case]:
     return [
         Case(f"{method}, {rule}, {name}", lambda m=method, r=rule, n=name: solve(
             GRASPS[n], wanted, {"trace": True}, method=m, step_rule=STEPS[r], max_iterations=3000
-        ), start=1e-6)
+        ), start=BASIS)
         for method, rule, name in product(FLOWS, STEPS, ("cuboid", "5 uneven", "elliptic"))
     ]  # fmt: skip
 
@@ -142,11 +142,11 @@ def _basis() -> list[Case]:
             arrays["null_space_basis"] = null_space_basis(grasp)
         return [Outcome("array", name, extra=np.array(array).reshape(-1)) for name, array in arrays.items()]
 
-    out = [Case(f"basis of {name}", lambda g=grasp: basis(g), tight=True) for name, grasp in HARD.items()
+    out = [Case(f"basis of {name}", lambda g=grasp: basis(g), tight=True, start=BASIS) for name, grasp in HARD.items()
            if grasp.n_contacts <= 8]  # fmt: skip
-    out.append(Case("basis of elliptic", lambda: basis(OTHER["elliptic"]), tight=True))
+    out.append(Case("basis of elliptic", lambda: basis(OTHER["elliptic"]), tight=True, start=BASIS))
     out.append(Case("basis, unequal weights", lambda: basis(
-        GRASPS["cuboid"], force_weight=(1.0, 2.0, 0.5, 3.0), barrier_weight=(0.01, 0.1, 0.002, 1.0)), tight=True))  # fmt: skip
+        GRASPS["cuboid"], force_weight=(1.0, 2.0, 0.5, 3.0), barrier_weight=(0.01, 0.1, 0.002, 1.0)), tight=True, start=BASIS))  # fmt: skip
     # thirty metres from the origin the pseudo-inverse has three digits less
     out += [Case(f"arrays of {name}", lambda g=grasp: shapes(g), close=1e-10 if name == "far" else 1e-12)
             for name, grasp in GRASPS.items()]  # fmt: skip

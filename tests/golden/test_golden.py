@@ -10,7 +10,33 @@ from golden.groups import GROUPS
 from golden.judge import differences
 from golden.record import FOLDER, Outcome, load
 
-ACCEPTED: dict[str, str] = {}
+ROOT = "both are certified to 1e-12 of Phi, whose root, 1e-6, is what forces are known to; 3e-6 here"
+SHORTER = "steps go 0.7 of the way to a cone instead of 0.95: a fifth fewer on average, three to five more from starts close to a cone"
+TICK = "Newton's last step lands elsewhere within its tolerance: forces and torques of the first tick agree to 3e-9 instead of 1e-9"
+ACCEPTED: dict[str, str] = {
+    **{
+        f"environment: first tick, {name}": TICK
+        for name in (
+            "newton",
+            "newton from previous",
+            "newton, adjusted",
+            "random object",
+            "four joints a finger",
+            "unequal friction",
+        )
+    },
+    "solver: reduced_flow, 16 random, tight": ROOT,
+    "solver: reduced_flow, 50 random, tight": ROOT,
+    "solver: reduced_flow, rough and frictionless, tight": ROOT,
+    "solver: newton, rough and frictionless, heavy, tight": ROOT,
+    "solver: reduced_flow, far": "30 m from the origin a start misses balance by the last digits of 3 kN: 1.4e-10 N, recorded 1e-11",
+    "solver: newton, far, tight": SHORTER,
+    "solver: newton, far, heavy, tight": SHORTER,
+    "solver: newton from phase_one, 3 uneven": SHORTER,
+    "edges: newton, millimetres, sizes": SHORTER,
+    "pipeline: newton from linear_combination, tripod, jumps": SHORTER,
+    "pipeline: newton from linear_combination, tripod, jumps, tight": SHORTER,
+}
 """Cases that may differ from their record, "group: case" -> why. One that no longer differs fails until it is taken out."""
 
 CASES = {f"{group}: {name}": (group, case) for group, cases in GROUPS.items() for name, case in cases().items()}
