@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from grasp_env.errors import InvalidInputError
+from training.bench.core_show import show_core
 from training.bench.scaling import scaling_figure
 from training.figures import close
 from training.runs import Run
@@ -17,7 +18,9 @@ from training.runs import Run
 
 def show(result: dict[str, Any], console: Console) -> None:
     """Prints a result."""
-    {"solver": _solver, "scaling": _scaling, "batch": _batch, "env": _env}[result["kind"]](result, console)
+    {"solver": _solver, "scaling": _scaling, "batch": _batch, "env": _env, "core": show_core}[result["kind"]](
+        result, console
+    )
     machine = result["provenance"]["machine"]
     console.print(
         f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}; best pass per problem, warm-up "

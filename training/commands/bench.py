@@ -20,28 +20,35 @@ class Bench:
 
     Attributes:
         what: solver (ours beside Clarabel, QOCO, QOCOGEN, ... from the extra [bench]), scaling (cost against contacts),
-            batch (solves per second on one core and all) or env (steps per second beside bare PyBullet, resets, memory).
+            batch (solves per second on one core and all), env (steps per second beside bare PyBullet, resets, memory)
+            or core (this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps).
         contacts: numbers of contacts; empty: the benchmark's own.
         wrenches: problems per size; 0: the benchmark's own number.
-        quick: of env: a small version, about 20 s; its numbers are rough.
+        quick: of env and core: a small version, about 20 s; its numbers are rough.
+        baseline: of core: folder of another checkout with its own .venv (git worktree add PATH COMMIT; make -C PATH install);
+            without it only this one is timed.
+        start: of core: also the first solve of so many new processes per method and side, on empty caches: a side that
+            compiles then takes about a minute for each.
         seed: of the problems.
         out: folder for the JSON, figures and generated C code.
         compare: an earlier JSON of the same kind to set beside.
         json: print JSON for machines.
     """
 
-    what: tyro.conf.Positional[Literal["solver", "scaling", "batch", "env"]]
+    what: tyro.conf.Positional[Literal["solver", "scaling", "batch", "env", "core"]]
     contacts: tuple[int, ...] = ()
     wrenches: int = 0
     seed: int = 0
     quick: bool = False
     out: Path = Path("runs/bench")
+    baseline: Path | None = None
+    start: int = 0
     compare: Path | None = None
     json: bool = False
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
-        from training.bench import batch, env, scaling, show, solver
+        from training.bench import batch, core, env, scaling, show, solver
         from training.runs import Run
 
         options: dict[str, Any] = {"seed": self.seed}
@@ -49,7 +56,12 @@ class Bench:
             options["quick"] = self.quick
         elif self.wrenches:
             options["wrenches"] = _at_least(self.wrenches, "wrenches", 8)
-        if self.contacts and self.what in ("solver", "scaling"):
+        if self.what == "core":
+            options |= {"baseline": self.baseline, "start": _at_least(self.start, "start", 0)}
+            options |= {"rounds": 2, "passes": 2, "wrenches": self.wrenches or 80} if self.quick else {}
+        elif self.baseline is not None or self.start:
+            raise InvalidInputError(f"baseline and start belong to grasp bench core, not to {self.what}")
+        if self.contacts and self.what in ("solver", "scaling", "core"):
             options["sizes"] = tuple(_at_least(count, "contacts", 3) for count in self.contacts)
         if self.what == "solver":
             options["folder"] = self.out
@@ -58,7 +70,9 @@ class Bench:
         with console.status("starting") as status:
             if sys.stderr.isatty():
                 options["tick"] = status.update
-            benches = {"solver": solver.solver, "scaling": scaling.scaling, "batch": batch.batch, "env": env.env_bench}
+            benches = {
+                "solver": solver.solver, "scaling": scaling.scaling, "batch": batch.batch, "env": env.env_bench, "core": core.core,
+            }  # fmt: skip
             run = benches[self.what]
             result = run(**options)
         path = show.save(result, self.out)
