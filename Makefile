@@ -53,6 +53,7 @@ $(STAMP): pyproject.toml constraints.txt
 
 # The core in the tree is the one pip built; ninja knows what has changed since. Any other leaves the tree alone.
 BUILD := build/core
+OPTIONS :=
 ifeq ($(origin CXX),command line)
 unexport CXX
 OPTIONS += -DCMAKE_CXX_COMPILER=$(CXX)

@@ -112,7 +112,7 @@ def test_wheel_has_headers_and_data_and_no_development_files(tmp_path: Path) -> 
         path.relative_to(ROOT).as_posix()
         for package in ("grasp_env", "policies", "training")
         for path in (ROOT / package).rglob("*")
-        if path.is_file() and path.suffix not in (".pyc", ".so")
+        if path.is_file() and path.parent.name != "__pycache__" and path.suffix != ".so"
     }
     left_out = {name for name in sources if name.startswith(("grasp_env/core/bindings/", "training/assets/"))}
     assert files == sources - left_out
