@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grasp_env.core import LARGEST
+from grasp_env.core import LARGEST, all_finite
 from grasp_env.errors import InvalidInputError
 
 Array: TypeAlias = NDArray[np.float64]
@@ -33,16 +33,17 @@ def as_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
         grasp_env.errors.InvalidInputError: masses must be finite, got [1.0, nan]
     """
     try:
-        if np.iscomplexobj(value):
+        if not (type(value) is np.ndarray and value.dtype.kind == "f") and np.iscomplexobj(value):
             raise TypeError("complex")
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        array = np.array(value, dtype=np.float64, order="C")
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {error}") from None
-    if array.ndim != len(shape) or any(
-        want is not None and want != got for want, got in zip(shape, array.shape, strict=False)
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(want is not None and want != got for want, got in zip(shape, array.shape, strict=False))
     ):
         raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {array.shape}")
-    if not np.isfinite(array).all():
+    if not all_finite(array):
         raise InvalidInputError(f"{name} must be finite, got {array.tolist()}")
     return array
 

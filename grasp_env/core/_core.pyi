@@ -29,6 +29,14 @@ LARGEST: float = 1000000000000.0
 
 NOTHING: float = 1e-280
 
+def all_finite(array: object) -> bool:
+    """Whether all numbers of a C-contiguous float64 array are finite."""
+
+def normalise(normals: object) -> int:
+    """
+    Gives (N, 3) directions unit length in place; returns the first that misses it by more than UNIT_TOLERANCE, -1: none.
+    """
+
 def grasp_arrays(positions: object, normals: object, models: object, tangents: object, frames: object, matrix: object, cone_matrix: object, torsion_matrix: object, centre: object, frame: object) -> float:
     """
     Fills the arrays of a `Grasp` from `frames` on; returns its length [m], negative where its rank may not be 6.
@@ -170,9 +178,12 @@ class Pipeline:
     def begin(self, points: object | None, normals: object | None, wrench: object | None) -> bool:
         """The contacts of now and the start there; False: none."""
 
+    def resume(self) -> None:
+        """Takes `start` back, which may have been replaced since `begin`."""
+
     def adjust(self, wrench: object | None, coordinates: object | None) -> bool:
         """
-        Adds an internal force in (3N - 6,) coordinates to the start and repairs it; False: not finite.
+        Adds an internal force in (3N - 6,) coordinates to the start and repairs it, `start` included; False: not finite.
         """
 
     def descend(self, wrench: object, record: object) -> int:

@@ -1,4 +1,4 @@
-"""What `flow.matrices`, `Grasp.pseudoinverse` and `null_space_basis` are made of, compiled, from one orthonormalisation.
+"""What `flow.matrices` is made of, compiled, from one orthonormalisation.
 
 Rows are orthonormalised by two Cholesky factors (Cholesky QR twice: to rounding for condition numbers up to 1e7).
 """
@@ -12,11 +12,6 @@ import numpy as np
 from grasp_env._compile import compiled
 from grasp_env.force.kernels import cholesky
 from grasp_env.force.lanes import LANES
-
-CLOSE = 1e-14
-"""Largest entry of B^T B - 1 at which the columns of B count as orthonormal."""
-MOST_ROUNDS = 60
-"""Of a polar factor; six halve the distance of a singular value of 0.1, the last three take all digits."""
 
 
 @compiled
@@ -52,17 +47,6 @@ def orthonormal_rows(matrix, rows, lower):
                         total += lower[i, k] * gram[k, j]
                     lower[i, j] = total
     return True
-
-
-@compiled
-def write_inverse(rows, lower, divisor, out):
-    """Out (3N, 6) = diag(divisor) rows^T lower^-1: from G in forces to G^+ in cone coordinates."""
-    for j in range(rows.shape[1]):
-        for r in range(5, -1, -1):
-            total = rows[r, j] * divisor[j // 3, j % 3]
-            for i in range(r + 1, 6):
-                total -= lower[i, r] * out[j, i]
-            out[j, r] = total / lower[r, r]
 
 
 @compiled
@@ -103,57 +87,3 @@ def flow_lanes(cone_rows):
         if a % 4 >= count:
             out[0, 0, 13 * a] = 0.0
     return out
-
-
-@compiled
-def smooth_null_space(frames, rows, reference, out):
-    """`null_space_basis` into out (3N, 3N - 6); False where the reference does not span the null space.
-
-    The polar factor B (B^T B)^-1/2 is the limit of B <- B (3 - B^T B) / 2, as a projection has no singular value above one.
-
-    Args:
-        frames: (N, 3, 3) contact frames.
-        rows: (6, 3N) orthonormal rows that span those of G (forces).
-        reference: (3N, 3N - 6) object-frame directions.
-        out: overwritten.
-    """
-    size, columns = out.shape
-    for j in range(size):
-        k = j // 3
-        for c in range(columns):
-            out[j, c] = 0.0
-            for a in range(3):
-                out[j, c] += frames[k, a, j % 3] * reference[3 * k + a, c]
-    _reject(rows, out)
-    gram, line = np.empty((columns, columns)), np.empty(columns)
-    for _ in range(MOST_ROUNDS):
-        worst = 0.0
-        for b in range(columns):
-            for c in range(b + 1):
-                total = 0.0
-                for j in range(size):
-                    total += out[j, b] * out[j, c]
-                gram[b, c] = gram[c, b] = total
-                worst = max(worst, abs(total - (1.0 if b == c else 0.0)))
-        if worst <= CLOSE:
-            _reject(rows, out)
-            return True
-        for j in range(size):
-            for c in range(columns):
-                line[c] = 1.5 * out[j, c]
-                for b in range(columns):
-                    line[c] -= 0.5 * out[j, b] * gram[b, c]
-            out[j] = line
-    return False
-
-
-@compiled
-def _reject(rows, columns):
-    """Takes off columns (3N, d) what lies along the orthonormal rows (6, 3N)."""
-    for c in range(columns.shape[1]):
-        for r in range(6):
-            total = 0.0
-            for j in range(columns.shape[0]):
-                total += rows[r, j] * columns[j, c]
-            for j in range(columns.shape[0]):
-                columns[j, c] -= total * rows[r, j]

@@ -47,7 +47,7 @@ class Start:
     torsion: Array | None = None
 
 
-@dataclass
+@dataclass(slots=True)
 class Loop:
     """The control loop's call: from wrench to record in one compiled call.
 

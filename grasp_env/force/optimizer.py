@@ -28,6 +28,7 @@ TOLERANCE = 1e-4
 CONIC_TOLERANCE = 1e-6
 """Default relative gap of the conic problem."""
 
+_empty = np.empty
 Initial = str | InitialForceRule | ForceSolution | np.ndarray
 """A rule's name, a rule, a solution to carry over, or an (N, 3) force to start from."""
 
@@ -164,12 +165,13 @@ class ForceOptimizer:
         loop = self._loop
         if loop is not None and initial is None and optimum is None and not trace:
             # the control loop's path: one compiled call, which reads the array as it is or refuses it
-            before = self.previous if loop.remembers else None
-            record = np.empty(self._size)
-            code = loop.call(wrench, None if before is None else before._record, record)
-            if code <= STALLED:
-                name = loop.name if before is None else loop.carried
-                self.previous = solution = ForceSolution(record, self.settings.method, name)
+            record = _empty(self._size)
+            if not loop.remembers or self.previous is None:
+                if loop.call(wrench, None, record) <= STALLED:
+                    self.previous = solution = ForceSolution(record, self._name, loop.name)
+                    return solution
+            elif loop.call(wrench, self.previous._record, record) <= STALLED:
+                self.previous = solution = ForceSolution(record, self._name, loop.carried)
                 return solution
         load = as_wrench(wrench)
         known = float("nan") if optimum is None else positive(optimum, "optimum")
@@ -205,7 +207,7 @@ class ForceOptimizer:
         # everything that may refuse the grasp first: an optimizer is never half moved
         method = make_method(grasp, self.settings)
         self.grasp, self._method, self._size = grasp, method, record_size(grasp.n_contacts)
-        self._loop = method.loop(self.initial)
+        self._loop, self._name = method.loop(self.initial), self.settings.method
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name not in ("_method", "_loop")}

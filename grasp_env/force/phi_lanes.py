@@ -1,4 +1,4 @@
-"""Phi four contacts at a time: what Newton and the flows share. Layout as in `lanes.py`; variables behind the constants."""
+"""Phi four contacts at a time: what the flows certify themselves by. Layout as in `lanes.py`; variables behind the constants."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from grasp_env._compile import compiled_lanes
-from grasp_env.force.lanes import CONSTANTS, LAM, MASK, OMEGA, PINV, G
+from grasp_env.force.lanes import CONSTANTS, LAM, MASK, OMEGA, G
 
 X, STEP, GRADIENT, B = CONSTANTS, CONSTANTS + 3, CONSTANTS + 6, CONSTANTS + 9
 """Iterate, Newton step, gradient of Phi, and the six entries of the inverse Hessian block."""
@@ -17,42 +17,11 @@ WIDTH = 4 * (CONSTANTS + 17)
 
 
 @compiled_lanes
-def longest(work, field):
-    """Largest magnitude of the normal components of a field."""
-    longest = 0.0
-    for b in range(work.shape[0]):
-        for n in range(4):
-            longest = max(longest, abs(work[b, 4 * field + n]) * work[b, 4 * MASK + n])
-    return longest
-
-
-@compiled_lanes
 def spread(x, work):
     """Flat cone coordinates (3N,) into the lanes."""
     for i in range(x.size // 3):
         for a in range(3):
             work[i // 4, 4 * (X + a) + i % 4] = x[3 * i + a]
-
-
-@compiled_lanes
-def trial_phi(work, alpha, lanes):
-    """Phi at x + alpha step; +inf unless strictly inside every cone."""
-    total, least = 0.0, np.inf
-    for b in range(work.shape[0]):
-        row = work[b]
-        for n in range(lanes):
-            u = row[4 * X + n] + alpha * row[4 * STEP + n]
-            o = row[4 * (X + 1) + n] + alpha * row[4 * (STEP + 1) + n]
-            t = row[4 * (X + 2) + n] + alpha * row[4 * (STEP + 2) + n]
-            d = u * u - o * o - t * t
-            row[4 * A + n] = min(u, d)
-            row[4 * C + n] = row[4 * MASK + n] * (
-                3.0 * row[4 * OMEGA + n] * u + row[4 * LAM + n] * (1.0 / u + 2.0 * u / d)
-            )
-        for n in range(lanes):
-            least = min(least, row[4 * A + n])
-            total += row[4 * C + n]
-    return total if least > 0.0 and total == total else np.inf
 
 
 @compiled_lanes
@@ -99,111 +68,6 @@ def newton_system(work, sums, lanes):
                     sums[2 * r * (r + 1) + 4 * s + n] += (
                         h0 * row[p + 4 * s] + h1 * row[p + 4 * s + 24] + h2 * row[p + 4 * s + 48]
                     )
-
-
-@compiled_lanes
-def direction(work, sums, n0, n1, n2, n3, n4, n5, lanes):
-    """STEP = B (G^T nu - grad); sums (6 x 4) = G STEP."""
-    for r in range(24):
-        sums[r] = 0.0
-    for b in range(work.shape[0]):
-        row = work[b]
-        for n in range(lanes):
-            p = 4 * G + n
-            y0 = (
-                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
-            )
-            p += 24
-            y1 = (
-                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
-            )
-            p += 24
-            y2 = (
-                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
-            )
-            y0, y1, y2 = y0 - row[4 * GRADIENT + n], y1 - row[4 * (GRADIENT + 1) + n], y2 - row[4 * (GRADIENT + 2) + n]
-            b1, b2, b4 = row[4 * (B + 1) + n], row[4 * (B + 2) + n], row[4 * (B + 4) + n]
-            e0 = row[4 * B + n] * y0 + b1 * y1 + b2 * y2
-            e1 = b1 * y0 + row[4 * (B + 3) + n] * y1 + b4 * y2
-            e2 = b2 * y0 + b4 * y1 + row[4 * (B + 5) + n] * y2
-            row[4 * STEP + n], row[4 * (STEP + 1) + n], row[4 * (STEP + 2) + n] = e0, e1, e2
-            for r in range(6):
-                p = 4 * (G + r) + n
-                sums[4 * r + n] += row[p] * e0 + row[p + 24] * e1 + row[p + 48] * e2
-
-
-@compiled_lanes
-def correct(work, sums, multipliers, lanes):
-    """STEP -= B G^T multipliers; sums (6 x 4) = G STEP."""
-    n0, n1, n2, n3, n4, n5 = multipliers
-    for r in range(24):
-        sums[r] = 0.0
-    for b in range(work.shape[0]):
-        row = work[b]
-        for n in range(lanes):
-            p = 4 * G + n
-            y0 = (
-                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
-            )
-            p += 24
-            y1 = (
-                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
-            )
-            p += 24
-            y2 = (
-                row[p] * n0 + row[p + 4] * n1 + row[p + 8] * n2 + row[p + 12] * n3 + row[p + 16] * n4 + row[p + 20] * n5
-            )
-            b1, b2, b4 = row[4 * (B + 1) + n], row[4 * (B + 2) + n], row[4 * (B + 4) + n]
-            row[4 * STEP + n] -= row[4 * B + n] * y0 + b1 * y1 + b2 * y2
-            row[4 * (STEP + 1) + n] -= b1 * y0 + row[4 * (B + 3) + n] * y1 + b4 * y2
-            row[4 * (STEP + 2) + n] -= b2 * y0 + b4 * y1 + row[4 * (B + 5) + n] * y2
-            e0, e1, e2 = row[4 * STEP + n], row[4 * (STEP + 1) + n], row[4 * (STEP + 2) + n]
-            for r in range(6):
-                p = 4 * (G + r) + n
-                sums[4 * r + n] += row[p] * e0 + row[p + 24] * e1 + row[p + 48] * e2
-
-
-@compiled_lanes
-def rebalance(work, left, lanes):
-    """STEP -= G^+ left, the least change in force."""
-    n0, n1, n2, n3, n4, n5 = left[0], left[1], left[2], left[3], left[4], left[5]
-    for b in range(work.shape[0]):
-        row = work[b]
-        for n in range(lanes):
-            for a in range(3):
-                p = 4 * (PINV + 6 * a) + n
-                row[4 * (STEP + a) + n] -= (
-                    row[p] * n0
-                    + row[p + 4] * n1
-                    + row[p + 8] * n2
-                    + row[p + 12] * n3
-                    + row[p + 16] * n4
-                    + row[p + 20] * n5
-                )
-
-
-@compiled_lanes
-def reach_and_decrement(work, lanes):
-    """(Squared decrement -grad . step, 1 / largest step inside the cones)."""
-    decrement, reach = 0.0, 0.0
-    for b in range(work.shape[0]):
-        row = work[b]
-        for n in range(lanes):
-            e0, e1, e2 = row[4 * STEP + n], row[4 * (STEP + 1) + n], row[4 * (STEP + 2) + n]
-            row[4 * C + n] = -row[4 * MASK + n] * (
-                e0 * row[4 * GRADIENT + n] + e1 * row[4 * (GRADIENT + 1) + n] + e2 * row[4 * (GRADIENT + 2) + n]
-            )
-            u, o, t = row[4 * X + n], row[4 * (X + 1) + n], row[4 * (X + 2) + n]
-            i = 1.0 / (u * u - o * o - t * t)
-            j = math.sqrt(i)
-            rho = (u * e0 - o * e1 - t * e2) * i
-            k = (e0 * j + rho) / (1.0 + u * j)
-            r1, r2 = e1 - k * o, e2 - k * t
-            row[4 * A + n] = j * math.sqrt(r1 * r1 + r2 * r2) - rho
-        for n in range(lanes):
-            reach = max(reach, row[4 * A + n])
-            decrement += row[4 * C + n]
-    return decrement, reach
 
 
 @compiled_lanes

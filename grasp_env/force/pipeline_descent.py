@@ -51,6 +51,7 @@ class KernelDescent:
                 now["start"], now["safe"], self._remembers, now["rest_now"], *geometry, held.weights, wrench, self._tolerance,
                 *self._layers, numbers,
             )  # fmt: skip
+            self._core.resume()
         if np.size(adjust) and not self._core.adjust(wrench, adjust):
             return REFUSED
         if self._flows:

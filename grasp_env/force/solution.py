@@ -47,6 +47,7 @@ _HELP = {
 }
 STATUSES = (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED, Status.INFEASIBLE)
 """By code."""
+_BY_CODE = {float(code): status for code, status in enumerate(STATUSES)}
 _NOTHING = np.empty(0)
 _NOTHING.flags.writeable = False
 
@@ -91,8 +92,11 @@ class ForceSolution:
     @property
     def force(self) -> ContactForces:
         """(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame."""
-        n = self.n_contacts
-        return _read_only(self._record[FORCE : FORCE + 3 * n].reshape(n, 3))
+        record = self._record
+        where, shape = _FORCES[len(record)]  # every nanosecond here is paid by the control loop
+        view = record[where].reshape(shape)
+        view.setflags(False)  # pyright: ignore[reportCallIssue]
+        return view
 
     @property
     def torsion(self) -> Array:
@@ -118,7 +122,7 @@ class ForceSolution:
     @property
     def status(self) -> Status:
         """How the optimisation ended."""
-        return STATUSES[int(self._record[CODE])]
+        return _BY_CODE[self._record.item(CODE)]
 
     @property
     def iterations(self) -> int:
@@ -186,9 +190,21 @@ class ForceSolution:
         )
 
 
+class _Forces(dict[int, tuple[slice, tuple[int, int]]]):
+    """Where the force stands in a record of so many numbers, and its shape."""
+
+    def __missing__(self, size: int) -> tuple[slice, tuple[int, int]]:
+        count = (size - FORCE) // 7
+        self[size] = slice(FORCE, FORCE + 3 * count), (count, 3)
+        return self[size]
+
+
+_FORCES = _Forces()
+
+
 def _read_only(view: Array) -> Array:
     # the certificates belong to these numbers, and the next solve may start from them
-    view.flags.writeable = False
+    view.setflags(False)  # pyright: ignore[reportCallIssue]
     return view
 
 

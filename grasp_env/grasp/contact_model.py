@@ -48,11 +48,21 @@ class ContactModels:
         cls, models: str | Sequence[str], friction: ArrayLike, torsional_friction: ArrayLike | None, count: int
     ) -> ContactModels:
         """See `Grasp.from_contacts` for the arguments and errors."""
-        if models == "hard" and torsional_friction is None and np.ndim(friction) < 2:
+        plain = type(friction) is float and 0.0 < friction < np.inf
+        if (
+            isinstance(models, str)
+            and models == "hard"
+            and torsional_friction is None
+            and (plain or np.ndim(friction) < 2)
+        ):
             # what control loops make at every step: round cones at every contact
-            mu = _friction(friction, count, np.ones(count, dtype=bool))
-            scale = np.ones((count, 3))
-            scale[:, 0] = mu[:, 0]
+            coefficient = friction
+            if not plain:
+                coefficient = as_array(friction, (count,) if np.ndim(friction) else (), "friction")
+                if not (coefficient > 0.0).all():
+                    raise _not_positive(friction)
+            mu, scale = np.empty((count, 2)), np.ones((count, 3))
+            mu[:, 0] = mu[:, 1] = scale[:, 0] = coefficient
             return cls(("hard",) * count, mu, np.zeros(count), scale, scale.copy())._frozen()
         names = (models,) * count if isinstance(models, str) else tuple(models)
         for name in names:
@@ -77,19 +87,20 @@ class ContactModels:
     @cached_property
     def packed(self) -> Array:
         """(7, N) the rows that the core reads: gamma, then cone_scale, then cone_divisor."""
-        rows = (self.torsional_friction[None], self.cone_scale.T, self.cone_divisor.T)
-        return np.ascontiguousarray(np.concatenate(rows))
+        rows = np.empty((7, len(self.names)))
+        rows[0], rows[1:4], rows[4:] = self.torsional_friction, self.cone_scale.T, self.cone_divisor.T
+        return rows
 
     @cached_property
     def mean_friction(self) -> Array:
         """(N,) sqrt(mu_o mu_t); 0 where frictionless. Read-only, shared by all grasps of these contacts."""
-        mean = np.where(self.friction[:, 0] > 0.0, self.cone_scale[:, 0], 0.0)
+        mean = self.cone_scale[:, 0] * (self.friction[:, 0] > 0.0)
         mean.setflags(write=False)
         return mean
 
     def _frozen(self) -> ContactModels:
         for array in (self.friction, self.torsional_friction, self.cone_scale, self.cone_divisor):
-            array.setflags(write=False)
+            array.setflags(False)  # pyright: ignore[reportCallIssue]
         return self
 
 
@@ -102,11 +113,15 @@ def _friction(value: ArrayLike, count: int, rough: np.ndarray) -> Array:
     else:
         mu = np.repeat(as_array(value, (count,), "friction")[:, None], 2, axis=1)
     if (mu[rough] <= 0.0).any():
-        raise InvalidInputError(
-            f"friction must be > 0 at every contact that is not frictionless, got {np.asarray(value).tolist()}"
-        )
+        raise _not_positive(value)
     mu[~rough] = 0.0
     return mu
+
+
+def _not_positive(value: ArrayLike) -> InvalidInputError:
+    return InvalidInputError(
+        f"friction must be > 0 at every contact that is not frictionless, got {np.asarray(value).tolist()}"
+    )
 
 
 def _torsional(value: ArrayLike | None, count: int, soft: np.ndarray) -> Array:

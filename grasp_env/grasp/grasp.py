@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env._check import Array, ContactForces, Wrench, as_array
-from grasp_env.core import ROUNDING, UNIT_TOLERANCE, grasp_arrays
+from grasp_env.core import grasp_arrays, normalise
 from grasp_env.errors import InvalidInputError, RankDeficientGraspError
 from grasp_env.grasp.contact_model import ContactModels
 
@@ -94,15 +94,13 @@ class Grasp:
         points: Array = as_array(positions, (None, 3), "positions")
         inward: Array = as_array(normals, (len(points), 3), "normals")
         models = ContactModels.checked(contact_model, friction, torsional_friction, len(points))
-        lengths = np.sqrt(np.einsum("ij,ij->i", inward, inward))
-        off = np.abs(lengths - 1.0)
-        if off.size and off.max() > UNIT_TOLERANCE:
-            worst = int(off.argmax())
+        worst = normalise(inward)
+        if worst >= 0:
+            given = np.asarray(normals, dtype=np.float64)[worst]
             raise InvalidInputError(
-                f"normals must be unit vectors into the object; normal {worst} is {inward[worst].tolist()} with "
-                f"length {lengths[worst]:.6g}: divide it by its length"
+                f"normals must be unit vectors into the object; normal {worst} is {given.tolist()} with "
+                f"length {np.sqrt(given @ given):.6g}: divide it by its length"
             )
-        inward = np.where(off[:, None] > ROUNDING, inward / lengths[:, None], inward)
         return cls._made(points, inward, models, _tangents(tangents, inward))
 
     @classmethod
@@ -135,7 +133,7 @@ class Grasp:
             positions, normals, models.packed, tangents, frames, matrix, cone_matrix, torsion_matrix, centre, frame
         )
         for array in (positions, normals, frames, matrix, centre, cone_matrix, torsion_matrix, frame):
-            array.setflags(write=False)
+            array.setflags(False)  # pyright: ignore[reportCallIssue]
         grasp = object.__new__(cls)
         vars(grasp).update(  # the frozen dataclass's own __init__ costs a microsecond
             positions=positions, normals=normals, friction=models.mean_friction, frames=frames, matrix=matrix,

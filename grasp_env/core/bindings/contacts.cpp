@@ -17,12 +17,17 @@ double grasp_arrays(nb::handle positions, nb::handle normals, nb::handle models,
     const Numbers along = in(tangents, -1, 3);
     const Numbers f = out(frames, count, 3, 3), g = out(matrix, 6, size), c = out(cone_matrix, 6, size);
     const Numbers t = out(torsion_matrix, 6, count), middle = out(centre, 3), map = out(frame, 6, 6);
-    std::vector<double> divisor(size), rows;
-    const double* soft = kinds.data();
-    for (int i = 0; i < count; ++i)
-        for (int a = 0; a < 3; ++a) divisor[3 * i + a] = kinds.data()[(4 + a) * count + i];
-    write_geometry(count, p.data(), n.data(), along.length(0) ? along.data() : nullptr, divisor.data(),
-                   {f.data(), g.data(), c.data()});
+    std::vector<double> rows;
+    const double *soft = kinds.data(), *per_mu = kinds.data() + 4 * count;
+    for (int i = 0; i < count; ++i) {
+        const Frame axes(point(n.data() + 3 * i), along.length(0) ? along.data() + 3 * i : nullptr);
+        for (int a = 0; a < 3; ++a) {
+            const Vec6 made = unit_wrench(point(p.data() + 3 * i), axes[a]);
+            for (int r = 0; r < 3; ++r) f.data()[9 * i + 3 * r + a] = made[r];
+            set_column(g.data(), size, 3 * i + a, made);
+            set_column(c.data(), size, 3 * i + a, (1.0 / per_mu[count * a + i]) * made);
+        }
+    }
     const UnitFrame unit(p.data(), count);
     unit.write(map.data());
     for (int a = 0; a < 3; ++a) middle.data()[a] = unit.centre[a];
@@ -38,7 +43,36 @@ double grasp_arrays(nb::handle positions, nb::handle normals, nb::handle models,
         }
         if (soft[i] > 0.0) set_column(rows.data(), columns, next++, unit.of(column(t.data(), count, i).data()));
     }
-    return clearly_full_rank(rows.data(), columns) ? unit.length : -unit.length;
+    const Packed6 s = gram(rows.data(), columns);
+    Ldl6 factor;
+    factor.factor(s);
+    return rank_bound(s, factor) > CLEAR_RANK ? unit.length : -unit.length;
+}
+
+// Whether all numbers of a C-contiguous float64 array are finite.
+bool all_finite(nb::handle array) {
+    Py_buffer view;
+    if (PyObject_GetBuffer(array.ptr(), &view, PyBUF_C_CONTIGUOUS | PyBUF_FORMAT) != 0) throw nb::python_error();
+    const bool good = std::strcmp(view.format, "d") == 0;
+    double total = 0.0;
+    if (good)
+        for (Py_ssize_t k = 0; k < view.len / 8; ++k) total += 0.0 * static_cast<const double*>(view.buf)[k];
+    PyBuffer_Release(&view);
+    if (!good) throw nb::type_error("a C-contiguous float64 array is needed");
+    return total == 0.0;
+}
+
+// (N, 3) normals in place: those that miss unit length by more than rounding are divided by it. Returns the first that misses it by more
+// than UNIT_TOLERANCE, -1: none.
+int normalise(nb::handle normals) {
+    const Numbers n = out(normals, -1, 3);
+    int first = -1;
+    for (int i = int(n.length(0)) - 1; i >= 0; --i) {
+        const Point given = point(n.data() + 3 * i), made = normalised(given);
+        if (!(std::abs(length(given) - 1.0) <= UNIT_TOLERANCE)) first = i;
+        for (int a = 0; a < 3; ++a) n.data()[3 * i + a] = made[a];
+    }
+    return first;
 }
 
 Contacts make(nb::handle positions, nb::handle normals, nb::handle scale, nb::handle weights, nb::handle tangents) {
@@ -57,6 +91,9 @@ Contacts make(nb::handle positions, nb::handle normals, nb::handle scale, nb::ha
 void bind_contacts(nb::module_& m) {
     m.attr("TANGENT_SWITCH") = TANGENT_SWITCH, m.attr("UNIT_TOLERANCE") = UNIT_TOLERANCE, m.attr("ROUNDING") = ROUNDING;
     m.attr("LARGEST") = LARGEST, m.attr("NOTHING") = NOTHING;
+    m.def("all_finite", &all_finite, "array"_a, "Whether all numbers of a C-contiguous float64 array are finite.");
+    m.def("normalise", &normalise, "normals"_a,
+          "Gives (N, 3) directions unit length in place; returns the first that misses it by more than UNIT_TOLERANCE, -1: none.");
     m.def("grasp_arrays", &grasp_arrays, "positions"_a, "normals"_a, "models"_a, "tangents"_a, "frames"_a, "matrix"_a,
           "cone_matrix"_a, "torsion_matrix"_a, "centre"_a, "frame"_a,
           "Fills the arrays of a `Grasp` from `frames` on; returns its length [m], negative where its rank may not be 6.");

@@ -42,12 +42,16 @@ int solve(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle 
 bool begin(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench) {
     const Buffer p(points), n(normals), w(wrench);
     const int count = pipeline.contacts().count;
-    return p.has(count, 3) && n.has(count, 3) && w.has(6) && pipeline.begin({p.data(), n.data(), w.data()});
+    if (!p.has(count, 3) || !n.has(count, 3) || !w.has(6) || !pipeline.begin({p.data(), n.data(), w.data()})) return false;
+    pipeline.publish();
+    return true;
 }
 
 bool adjust(Pipeline& pipeline, nb::handle wrench, nb::handle coordinates) {
     const Buffer w(wrench), c(coordinates);
-    return w.has(6) && c.has(3 * pipeline.contacts().count - 6) && pipeline.adjust(w.data(), c.data());
+    if (!w.has(6) || !c.has(3 * pipeline.contacts().count - 6) || !pipeline.adjust(w.data(), c.data())) return false;
+    pipeline.publish();
+    return true;
 }
 
 int descend(Pipeline& pipeline, nb::handle wrench, nb::handle record) {
@@ -100,8 +104,9 @@ void bind_pipeline(nb::module_& m) {
         .def("solve", &solve, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "adjust"_a.none(), "record"_a,
              "Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or (0,) into a record; returns the code.")
         .def("begin", &begin, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "The contacts of now and the start there; False: none.")
+        .def("resume", &Pipeline::resume, "Takes `start` back, which may have been replaced since `begin`.")
         .def("adjust", &adjust, "wrench"_a.none(), "coordinates"_a.none(),
-             "Adds an internal force in (3N - 6,) coordinates to the start and repairs it; False: not finite.")
+             "Adds an internal force in (3N - 6,) coordinates to the start and repairs it, `start` included; False: not finite.")
         .def("descend", &descend, "wrench"_a, "record"_a, "Newton from the start, into a record; returns the code.")
         .def("keep", [](Pipeline& p, nb::handle record) {
             p.keep(out(record, record_size(p.contacts().count)).data());

@@ -24,7 +24,8 @@ public:
                     total += c.frames[9 * (j / 3) + 3 * a + j % 3] * reference_[columns_ * (3 * (j / 3) + a) + k];
                 basis_[columns_ * j + k] = total;
             }
-        reject(c.orthonormal);
+        c.orthonormal(rows_);
+        reject();
         for (int round = 0; round < ROUNDS; ++round) {
             double worst = 0.0;
             for (int b = 0; b < columns_; ++b)
@@ -35,7 +36,7 @@ public:
                     worst = std::max(worst, std::abs(total - (b == k)));
                 }
             if (worst <= CLOSE) {
-                reject(c.orthonormal);
+                reject();
                 return true;
             }
             for (int j = 0; j < size_; ++j) {
@@ -62,14 +63,15 @@ private:
     static constexpr int ROUNDS = 60;
     static constexpr double CLOSE = 1e-14;  // largest entry of B^T B - 1 at which the columns count as orthonormal
     int size_, columns_;
-    std::vector<double> reference_, basis_, gram_, line_;
+    std::vector<double> reference_, basis_, gram_, line_, rows_;
 
-    void reject(const std::vector<double>& rows) {
+    // Takes off what lies along the rows of G.
+    void reject() {
         for (int k = 0; k < columns_; ++k)
             for (int r = 0; r < 6; ++r) {
                 double total = 0.0;
-                for (int j = 0; j < size_; ++j) total += rows[size_ * r + j] * basis_[columns_ * j + k];
-                for (int j = 0; j < size_; ++j) basis_[columns_ * j + k] -= total * rows[size_ * r + j];
+                for (int j = 0; j < size_; ++j) total += rows_[size_ * r + j] * basis_[columns_ * j + k];
+                for (int j = 0; j < size_; ++j) basis_[columns_ * j + k] -= total * rows_[size_ * r + j];
             }
     }
 };

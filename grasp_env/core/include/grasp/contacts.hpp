@@ -21,16 +21,17 @@ public:
     std::vector<double> matrix;       // (6, 3N) G
     std::vector<double> cone_matrix;  // (6, 3N) G in cone coordinates
     std::vector<double> rows;         // (6, 3N) the same in the unit frame
-    std::vector<double> orthonormal;  // (6, 3N) an orthonormal basis of the rows of G (forces)
+    std::vector<double> force_rows;   // (6, 3N) G in forces, unit frame; zero where nothing is transmitted
     std::vector<double> inverse;      // (3N, 6) G^+ in cone coordinates, unit frame: the least change in force
 
     Contacts() = default;
     // scale: (N, 3) mu for the normal and 1 for round cones; 0 where nothing is transmitted. weights: (N, 2) omega, lambda.
     Contacts(int count, const double* scales, const double* weights, const double* along = nullptr)
         : count(count), scale(scales, scales + 3 * count), divisor(3 * count), omega(count), lambda(count),
-          frames(9 * count), matrix(18 * count), cone_matrix(18 * count), rows(18 * count), orthonormal(18 * count),
-          inverse(18 * count), inward_(3 * count) {
-        for (int j = 0; j < 3 * count; ++j) divisor[j] = scale[j] > 0.0 ? scale[j] : infinity;
+          frames(9 * count), matrix(18 * count), cone_matrix(18 * count), rows(18 * count), force_rows(18 * count),
+          inverse(18 * count), used_(3 * count), per_(3 * count),
+          inward_(3 * count) {
+        transmit();
         for (int i = 0; i < count; ++i) omega[i] = weights[2 * i], lambda[i] = weights[2 * i + 1];
         if (along) tangents.assign(along, along + 3 * count);
     }
@@ -47,47 +48,106 @@ public:
             for (int a = 0; a < 3; ++a) inward_[3 * i + a] = made[a];
         }
         if (!good) return Placed::refused;
-        write_geometry(count, positions, inward_.data(), tangents.empty() ? nullptr : tangents.data(), divisor.data(),
-                       {frames.data(), matrix.data(), cone_matrix.data()});
         unit = UnitFrame(positions, count);
         const int size = 3 * count;
-        for (int j = 0; j < size; ++j) {
-            set_column(orthonormal.data(), size, j,
-                       (scale[j] > 0.0 ? 1.0 : 0.0) * unit.of(column(matrix.data(), size, j).data()));
-            set_column(rows.data(), size, j, unit.of(column(cone_matrix.data(), size, j).data()));
+        const double per_length = unit.scale();
+        Packed6 s{};
+        for (int i = 0; i < count; ++i) {
+            const Frame frame(point(inward_.data() + 3 * i), tangents.empty() ? nullptr : tangents.data() + 3 * i);
+            const Point at = point(positions + 3 * i), arm = per_length * (at - unit.centre);
+            for (int a = 0; a < 3; ++a) {
+                const int j = 3 * i + a;
+                const Vec6 made = unit_wrench(at, frame[a]), row = used_[j] * unit_wrench(arm, frame[a]);
+#pragma GCC unroll 8
+                for (int r = 0; r < 6; ++r)
+#pragma GCC unroll 8
+                    for (int q = 0; q <= r; ++q) s[packed(r, q)] += row[r] * row[q];
+                for (int r = 0; r < 3; ++r) frames[9 * i + 3 * r + a] = made[r];
+                set_column(matrix.data(), size, j, made), set_column(cone_matrix.data(), size, j, per_[j] * made);
+                set_column(force_rows.data(), size, j, row), set_column(rows.data(), size, j, per_[j] * row);
+            }
         }
-        return invert() ? Placed::good : Placed::rank_lost;
+        return invert(s) ? Placed::good : Placed::rank_lost;
+    }
+
+    // An orthonormal basis of the rows of G (forces) into (6, 3N).
+    void orthonormal(std::vector<double>& out) const {
+        out = force_rows;
+        double lower[6][6];
+        if (!orthonormalise(gram(out.data(), 3 * count), out, lower)) {
+            Rotations(out, 3 * count).normalise();
+        }
     }
 
     // The same contacts with another (N, 3) scale of cone coordinates; false where rank is lost.
     bool rescale(const double* scales) {
         const int size = 3 * count;
-        for (int j = 0; j < size; ++j) {
-            scale[j] = scales[j], divisor[j] = scales[j] > 0.0 ? scales[j] : infinity;
-            const Vec6 made = column(matrix.data(), size, j), unit_made = unit.of(made.data());
-            set_column(cone_matrix.data(), size, j, 1.0 / divisor[j] * made);
-            set_column(orthonormal.data(), size, j, (scale[j] > 0.0 ? 1.0 : 0.0) * unit_made);
-            set_column(rows.data(), size, j, 1.0 / divisor[j] * unit_made);
-        }
-        return invert();
+        std::copy(scales, scales + size, scale.begin());
+        transmit();
+        for (int j = 0; j < size; ++j)
+            for (int r = 0; r < 6; ++r) {
+                cone_matrix[size * r + j] = per_[j] * matrix[size * r + j];
+                rows[size * r + j] = per_[j] * force_rows[size * r + j];
+            }
+        return invert(gram(force_rows.data(), size));
     }
 
 private:
+    std::vector<double> used_, per_;  // 1 where a force is transmitted; 1 / divisor
     std::vector<double> inward_;
     static constexpr double RANK = 1e-8;  // least ratio of singular values of G in the unit frame that counts as rank 6
+    static constexpr double WELL = 1e-6;  // `rank_bound` from which G G^T may be inverted as it is: six digits are left at least
 
-    // From G in forces and the unit frame, in `orthonormal`, to an orthonormal basis of its rows and to its inverse.
-    bool invert() {
-        return clearly_full_rank(orthonormal.data(), 3 * count) ? invert_by_factors() : invert_by_rotations();
+    void transmit() {
+        for (int j = 0; j < 3 * count; ++j) {
+            used_[j] = scale[j] > 0.0, divisor[j] = scale[j] > 0.0 ? scale[j] : infinity;
+            per_[j] = 1.0 / divisor[j];
+        }
     }
 
-    // Two Cholesky factors (exact to rounding for condition numbers up to 1e7): G = L Q, G^+ = Q^T L^-1.
-    bool invert_by_factors() {
+    bool invert(const Packed6& s) {  // s: Gram matrix of the rows
         const int size = 3 * count;
-        double lower[6][6] = {};
+        Ldl6 factor;
+        factor.factor(s);
+        const double clear = rank_bound(s, factor);
+        if (clear > WELL) {  // G^+ = G^T (G G^T)^-1
+            for (int j = 0; j < size; ++j) {
+                const Vec6 solved = factor.solve(column(force_rows.data(), size, j));
+                for (int r = 0; r < 6; ++r) inverse[6 * j + r] = scale[j] * solved[r];
+            }
+            return true;
+        }
+        work_ = force_rows;
+        if (clear > CLEAR_RANK) {  // G = L Q, G^+ = Q^T L^-1
+            double lower[6][6];
+            if (!orthonormalise(s, work_, lower)) return false;
+            for (int j = 0; j < size; ++j)
+                for (int r = 5; r >= 0; --r) {
+                    double a = work_[size * r + j] * scale[j];
+                    for (int i = r + 1; i < 6; ++i) a -= lower[i][r] * inverse[6 * j + i];
+                    inverse[6 * j + r] = a / lower[r][r];
+                }
+            return true;
+        }
+        Rotations found(work_, size);
+        if (!(found.fewest >= RANK * found.most && found.fewest > 0.0)) return false;
+        found.normalise();
+        for (int j = 0; j < size; ++j)
+            for (int q = 0; q < 6; ++q) {
+                double total = 0.0;
+                for (int r = 0; r < 6; ++r) total += work_[size * r + j] * found.turn[r][q] / found.value[r];
+                inverse[6 * j + q] = total * scale[j];
+            }
+        return true;
+    }
+
+    // Rows (6, 3N) with Gram matrix s = lower * (orthonormal rows), by two Cholesky factors: to rounding for condition numbers up to
+    // 1e7. False where rank is lost.
+    bool orthonormalise(Packed6 s, std::vector<double>& rows, double (&lower)[6][6]) const {
+        const int size = 3 * count;
         for (int pass = 0; pass < 2; ++pass) {
-            const Packed6 s = gram(orthonormal.data(), size);
-            double factor[6][6] = {};
+            if (pass == 1) s = gram(rows.data(), size);
+            double factor[6][6] = {}, both[6][6] = {};
             for (int i = 0; i < 6; ++i)
                 for (int j = 0; j <= i; ++j) {
                     double a = s[packed(i, j)];
@@ -96,76 +156,64 @@ private:
                     factor[i][j] = i == j ? std::sqrt(a) : a / factor[j][j];
                 }
             for (int i = 0; i < 6; ++i) {
-                double* row = &orthonormal[size * i];
+                double* row = &rows[size * i];
                 for (int k = 0; k < i; ++k)
-                    for (int j = 0; j < size; ++j) row[j] -= factor[i][k] * orthonormal[size * k + j];
-                for (int j = 0; j < size; ++j) row[j] *= 1.0 / factor[i][i];
-            }
-            double both[6][6] = {};
-            for (int i = 0; i < 6; ++i)
+                    for (int j = 0; j < size; ++j) row[j] -= factor[i][k] * rows[size * k + j];
+                for (int j = 0; j < size; ++j) row[j] /= factor[i][i];
                 for (int j = 0; j <= i; ++j) {
                     if (pass == 0) both[i][j] = factor[i][j];
                     else
                         for (int k = j; k <= i; ++k) both[i][j] += lower[i][k] * factor[k][j];
                 }
+            }
             std::copy(&both[0][0], &both[0][0] + 36, &lower[0][0]);
         }
-        double reciprocal[6];
-        for (int r = 0; r < 6; ++r) reciprocal[r] = 1.0 / lower[r][r];
-        for (int j = 0; j < size; ++j)
-            for (int r = 5; r >= 0; --r) {
-                double a = orthonormal[size * r + j] * scale[j];
-                for (int i = r + 1; i < 6; ++i) a -= lower[i][r] * inverse[6 * j + i];
-                inverse[6 * j + r] = a * reciprocal[r];
-            }
         return true;
     }
 
     // Jacobi's one-sided rotations: the singular values to their own last digits, for contacts that hardly span the wrenches.
-    bool invert_by_rotations() {
-        const int size = 3 * count;
-        double* a = orthonormal.data();
-        double turn[6][6] = {};  // rows of U^T: a = U^T G
-        for (int r = 0; r < 6; ++r) turn[r][r] = 1.0;
-        for (int sweep = 0, again = 1; again && sweep < 60; ++sweep) {
-            again = 0;
-            for (int p = 0; p < 6; ++p)
-                for (int q = p + 1; q < 6; ++q) {
-                    double pp = 0.0, qq = 0.0, pq = 0.0;
-                    for (int j = 0; j < size; ++j)
-                        pp += a[size * p + j] * a[size * p + j], qq += a[size * q + j] * a[size * q + j],
-                            pq += a[size * p + j] * a[size * q + j];
-                    if (!(std::abs(pq) > 1e-16 * std::sqrt(pp * qq))) continue;
-                    again = 1;
-                    const double zeta = (qq - pp) / (2.0 * pq);
-                    const double t = (zeta < 0.0 ? -1.0 : 1.0) / (std::abs(zeta) + std::sqrt(1.0 + zeta * zeta));
-                    const double c = 1.0 / std::sqrt(1.0 + t * t), s = c * t;
-                    const auto rotate = [&](double* first, double* second, int items) {
-                        for (int j = 0; j < items; ++j) {
-                            const double x = first[j], y = second[j];
-                            first[j] = c * x - s * y, second[j] = s * x + c * y;
-                        }
-                    };
-                    rotate(a + size * p, a + size * q, size), rotate(turn[p], turn[q], 6);
-                }
-        }
-        double value[6], most = 0.0, fewest = infinity;
-        for (int r = 0; r < 6; ++r) {
-            double square = 0.0;
-            for (int j = 0; j < size; ++j) square += a[size * r + j] * a[size * r + j];
-            value[r] = std::sqrt(square), most = std::max(most, value[r]), fewest = std::min(fewest, value[r]);
-        }
-        if (!(fewest >= RANK * most && fewest > 0.0)) return false;
-        for (int r = 0; r < 6; ++r)
-            for (int j = 0; j < size; ++j) a[size * r + j] /= value[r];
-        for (int j = 0; j < size; ++j)
-            for (int q = 0; q < 6; ++q) {
-                double total = 0.0;
-                for (int r = 0; r < 6; ++r) total += a[size * r + j] * turn[r][q] / value[r];
-                inverse[6 * j + q] = total * scale[j];
+    struct Rotations {
+        std::vector<double>& rows;  // turned in place: `turn` times what was given
+        int size;
+        double turn[6][6] = {}, value[6] = {}, most = 0.0, fewest = infinity;
+
+        Rotations(std::vector<double>& given, int columns) : rows(given), size(columns) {
+            for (int r = 0; r < 6; ++r) turn[r][r] = 1.0;
+            for (int sweep = 0, again = 1; again && sweep < 60; ++sweep) {
+                again = 0;
+                for (int p = 0; p < 6; ++p)
+                    for (int q = p + 1; q < 6; ++q) again |= rotate(p, q);
             }
-        return true;
-    }
+            for (int r = 0; r < 6; ++r) {
+                double square = 0.0;
+                for (int j = 0; j < size; ++j) square += rows[size * r + j] * rows[size * r + j];
+                value[r] = std::sqrt(square), most = std::max(most, value[r]), fewest = std::min(fewest, value[r]);
+            }
+        }
+        void normalise() {
+            for (int r = 0; r < 6; ++r)
+                for (int j = 0; j < size; ++j) rows[size * r + j] /= value[r];
+        }
+
+    private:
+        bool rotate(int p, int q) {
+            double *a = &rows[size * p], *b = &rows[size * q], pp = 0.0, qq = 0.0, pq = 0.0;
+            for (int j = 0; j < size; ++j) pp += a[j] * a[j], qq += b[j] * b[j], pq += a[j] * b[j];
+            if (!(std::abs(pq) > 1e-16 * std::sqrt(pp * qq))) return false;
+            const double zeta = (qq - pp) / (2.0 * pq);
+            const double t = (zeta < 0.0 ? -1.0 : 1.0) / (std::abs(zeta) + std::sqrt(1.0 + zeta * zeta));
+            const double c = 1.0 / std::sqrt(1.0 + t * t), s = c * t;
+            const auto mix = [&](double* first, double* second, int items) {
+                for (int j = 0; j < items; ++j) {
+                    const double x = first[j], y = second[j];
+                    first[j] = c * x - s * y, second[j] = s * x + c * y;
+                }
+            };
+            mix(a, b, size), mix(turn[p], turn[q], 6);
+            return true;
+        }
+    };
+    std::vector<double> work_;
 };
 
 }  // namespace grasp

@@ -40,6 +40,7 @@ struct Frame {
         o = normalised(o);
         t = cross(n, o);
     }
+    const Point& operator[](int a) const { return a == 0 ? n : a == 1 ? o : t; }
 };
 
 // Where a wrench is (force, moment about the contacts' centre / their length) [N]: of one size wherever the origin is and however
@@ -102,48 +103,26 @@ inline Packed6 gram(const double* rows, int columns) {
     return s;
 }
 
-// Whether six rows have rank 6 beyond doubt; where not, only their singular values can tell.
-// det S <= least eigenvalue * (trace / 5)^5 for S = rows rows^T, so the pivots of S bound that eigenvalue from below.
-inline bool clearly_full_rank(const double* rows, int columns) {
-    constexpr double CLEAR = 1e-10, LOST = 1e-13;  // of the trace: the least eigenvalue; a pivot that rounding may have made
-    Packed6 s = gram(rows, columns);
+// A lower bound of the least eigenvalue of a 6 x 6 Gram matrix s over its trace, from its factor; 0 where rounding may have made it: where it is above
+// CLEAR_RANK the rows have rank 6 beyond doubt, elsewhere only their singular values can tell.
+// det S <= least eigenvalue * (trace / 5)^5, so the pivots of S bound that eigenvalue from below.
+inline constexpr double CLEAR_RANK = 1e-10;
+inline double rank_bound(const Packed6& s, const Ldl6& factor) {
+    constexpr double LOST = 1e-13;  // of the trace: a pivot that rounding may have made
     double trace = 0.0, bound = 1.0;
     for (int r = 0; r < 6; ++r) trace += s[packed(r, r)];
-    for (int j = 0; j < 6; ++j) {
-        const double pivot = s[packed(j, j)];
-        if (!(pivot > LOST * trace)) return false;
-        bound *= pivot / (0.2 * trace);
-        for (int i = j + 1; i < 6; ++i) {
-            const double factor = s[packed(i, j)] / pivot;
-            for (int k = j + 1; k <= i; ++k) s[packed(i, k)] -= factor * s[packed(k, j)];
-        }
+    for (int r = 0; r < 6; ++r) {
+        const double pivot = 1.0 / factor.l[packed(r, r)];
+        if (!(pivot > LOST * trace)) return 0.0;
+        bound *= pivot * (5.0 / trace);
     }
-    return 0.2 * bound > CLEAR;
+    return 0.2 * bound;
 }
 
-// Contact frames (N, 3, 3) with columns (n, o, t), G (6, 3N) and the same in cone coordinates, of contacts (N, 3) with inward unit
-// normals. tangents: (N, 3), or null for the default rule.
-struct GeometryArrays {
-    double *frames, *matrix, *cone_matrix;
-};
-
-inline void write_geometry(int count, const double* positions, const double* normals, const double* tangents,
-                           const double* divisor, const GeometryArrays& out) {
-    for (int i = 0; i < count; ++i) {
-        const Frame frame(point(normals + 3 * i), tangents ? tangents + 3 * i : nullptr);
-        const Point arm = point(positions + 3 * i);
-        const Point* axes = &frame.n;
-        for (int a = 0; a < 3; ++a) {
-            const Point moment = cross(arm, axes[a]);
-            const Vec6 made{axes[a].u, axes[a].o, axes[a].t, moment.u, moment.o, moment.t};
-            const int j = 3 * i + a;
-            for (int r = 0; r < 3; ++r) out.frames[9 * i + 3 * r + a] = made[r];
-            for (int r = 0; r < 6; ++r) {
-                out.matrix[3 * count * r + j] = made[r];
-                out.cone_matrix[3 * count * r + j] = made[r] / divisor[j];
-            }
-        }
-    }
+// The wrench of a unit force along an axis at the end of an arm.
+inline Vec6 unit_wrench(const Point& arm, const Point& axis) {
+    const Point moment = cross(arm, axis);
+    return {axis.u, axis.o, axis.t, moment.u, moment.o, moment.t};
 }
 
 }  // namespace grasp

@@ -40,7 +40,7 @@ public:
 
     NewtonOn(int count, const Options& options)
         : options(options), cones(count), system(cones), starter(cones), x(cones.field()),
-          row(record_size(count)), step_(cones.field()) {}
+          row(record_size(count)), step_(cones.field()), begun_(cones.field()) {}
 
     // Start, descent, certificates. REFUSED: numbers that are not finite, or no start that is balanced and strictly inside.
     Code solve(const Call& call, const Record& record) {
@@ -48,12 +48,18 @@ public:
         if (!sane_wrench(call.wrench)) return REFUSED;
         const Vec6 w = cones.unit.of(call.wrench);
         if (!begin(call, w)) return REFUSED;
+        begun_ = x;
+        return descend_from(begun_, call, w, record);
+    }
+
+    // From the start in x, of which `begun` is a copy.
+    Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record) {
         Code code = descend(call, w, record, SHORT);
-        if (code == STALLED && begin(call, w)) {  // forces at very different depths: the other way there may be passable
-            const Summary first = record.summary();
-            code = descend(call, w, record, LONG);
-            record.summary().iterations += first.iterations, record.summary().trials += first.trials;
-        }
+        if (code != STALLED) return code;
+        const Summary first = record.summary();  // forces at very different depths: the other way there may be passable
+        x = begun;
+        code = descend(call, w, record, LONG);
+        record.summary().iterations += first.iterations, record.summary().trials += first.trials;
         return code;
     }
 
@@ -173,7 +179,7 @@ private:
     static constexpr double SHORTEST = 1e-10;  // a step moves x by at least this part of its length
     static constexpr double BELOW = -1e-9;     // rounding by which Phi may fall short of its bound
     static constexpr double MISSED = 1e-8;     // part of wrench and force by which a given start may miss balance
-    Field step_;
+    Field step_, begun_;
 
     struct Direction { double decrement, reach; };  // squared Newton decrement, 1 / (largest step inside the cones)
 

@@ -66,7 +66,7 @@ public:
         const Record record(row, contacts.count);
         record.summary().code = REFUSED;
         if (!begin(load) || (load.adjust && !adjust(load.wrench, load.adjust))) return REFUSED;
-        const Code code = descend(load.wrench, row);
+        const Code code = descend(load.wrench, record);
         keep(row);
         return code;
     }
@@ -84,38 +84,36 @@ public:
         const bool carried = remembers && turn_last();
         newton.x = carried ? turned_ : safe_;
         if (carried) starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
+        return true;
+    }
+
+    // What others go on from: `start`, `safe` and `rest`.
+    void publish() {
+        const auto& starter = newton.starter;
         newton.cones.store(newton.x, start.data()), newton.cones.store(safe_, safe.data());
         starter.turn(newton.cones, starter.basis[12], starter.basis_tangents, turned_);
         newton.cones.store(turned_, rest.data());
-        return true;
     }
+    // What they made of `start`.
+    void resume() { newton.cones.load(start.data(), newton.x); }
 
     // An internal force, in (3N - 6,) coordinates [N], added to the start, which is then repaired; false where it is not finite or the
     // coordinates end here.
     bool adjust(const double* wrench, const double* coordinates) {
         if (!space_.place(contacts)) return false;
-        for (int j = 0; j < 3 * contacts.count; ++j)
-            start[j] += space_.force(j, coordinates) * contacts.scale[j];
-        newton.cones.load(start.data(), newton.x);
+        newton.cones.store(newton.x, start.data());
+        for (int j = 0; j < 3 * contacts.count; ++j) start[j] += space_.force(j, coordinates) * contacts.scale[j];
+        resume();
         if (!newton.cones.sane(newton.x)) return false;
         newton.cones.balance(newton.x, newton.cones.unit.of(wrench));
         newton.starter.segment(newton.cones, safe_, newton.x);
-        newton.cones.store(newton.x, start.data());
         return true;
     }
 
-    // Newton from `start`, which may have been replaced since `begin`.
-    Code descend(const double* wrench, double* row) {
-        const Record record(row, contacts.count);
-        const Call call{.wrench = wrench, .start = Start::given};
-        const Vec6 w = newton.cones.unit.of(wrench);
-        newton.cones.load(start.data(), newton.x);
-        Code code = newton.descend(call, w, record, SHORT);
-        if (code == STALLED) {
-            newton.cones.load(start.data(), newton.x);
-            code = newton.descend(call, w, record, LONG);
-        }
-        return code;
+    // Newton from the start in newton.x.
+    Code descend(const double* wrench, const Record& record) {
+        turned_ = newton.x;
+        return newton.descend_from(turned_, {.wrench = wrench, .start = Start::given}, newton.cones.unit.of(wrench), record);
     }
 
     // A record of the contacts of now becomes the last optimum; also one cut short: balanced and inside the cones.

@@ -69,6 +69,8 @@ public:
     virtual Code solve(const Load& load, double* row) = 0;
     virtual bool begin(const Load& load) = 0;
     virtual bool adjust(const double* wrench, const double* coordinates) = 0;
+    virtual void publish() = 0;
+    virtual void resume() = 0;
     virtual Code descend(const double* wrench, double* row) = 0;
     virtual void keep(double* row) = 0;
     virtual Carried carry(const Load& load, double* force) = 0;
@@ -178,7 +180,11 @@ public:
     Code solve(const Load& load, double* row) override { return on_.solve(load, row); }
     bool begin(const Load& load) override { return on_.begin(load); }
     bool adjust(const double* wrench, const double* coordinates) override { return on_.adjust(wrench, coordinates); }
-    Code descend(const double* wrench, double* row) override { return on_.descend(wrench, row); }
+    void publish() override { on_.publish(); }
+    void resume() override { on_.resume(); }
+    Code descend(const double* wrench, double* row) override {
+        return on_.descend(wrench, Record(row, on_.contacts.count));
+    }
     void keep(double* row) override { on_.keep(row); }
     Carried carry(const Load& load, double* force) override { return on_.carry(load, force); }
 
