@@ -16,12 +16,18 @@ from typing import Any
 
 from numba import njit
 
+from grasp_env import core
+
 _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(
     r"^[ \t]*(?:from|import)[ \t]+(grasp_env[\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|.*))?", re.MULTILINE
 )
 
 
+_CORE = repr(
+    (core.record_fields(), core.codes(), core.LARGEST, core.NOTHING, core.ROUNDING, core.TANGENT_SWITCH)
+).encode()
+"""What kernels take from the core and keep as constants."""
 VECTOR_MATH = {"contract", "arcp", "nsz", "reassoc"}
 """What LLVM needs to vectorise sums over contacts. NaN and inf keep their meaning."""
 
@@ -54,7 +60,7 @@ def _stamp(path: Path) -> str:
         if file not in seen:
             seen.add(file)
             waiting += _imports(file)
-    return hashlib.sha256(b"".join(file.read_bytes() for file in sorted(seen))).hexdigest()
+    return hashlib.sha256(b"".join(file.read_bytes() for file in sorted(seen)) + _CORE).hexdigest()
 
 
 @cache

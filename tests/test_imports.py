@@ -57,6 +57,7 @@ def test_packages_never_import_upwards(package: str, forbidden: set[str]) -> Non
 def test_the_solver_imports_numpy_scipy_numba_only(package: str) -> None:
     allowed = SOLVER | set(sys.stdlib_module_names)
     inside = (
+        "grasp_env.core",
         "grasp_env.errors",
         "grasp_env._check",
         "grasp_env._compile",
@@ -67,9 +68,32 @@ def test_the_solver_imports_numpy_scipy_numba_only(package: str) -> None:
     for path in _files("grasp_env", package):
         assert _roots(path) <= allowed, path
         for name in _imports(path):
-            assert not name.startswith("grasp_env") or name.startswith(inside), (path, name)
+            # `from grasp_env import core` also names the package itself
+            assert not name.startswith("grasp_env.") or name.startswith(inside), (path, name)
             # geometry knows nothing of forces
             assert package == "force" or not name.startswith("grasp_env.force"), (path, name)
+
+
+def test_the_core_is_below_everything_else() -> None:
+    """Its door imports the compiled module and nothing else; geometry imports the door, so that no kernel is compiled for it."""
+    for path in _files("grasp_env", "core"):
+        assert {name for name in _roots(path) if name not in sys.stdlib_module_names} <= {"grasp_env", "numpy"}, path
+        assert all(name.startswith("grasp_env.core") for name in _imports(path) if name.startswith("grasp_env")), path
+    for path in _files("grasp_env", "grasp"):
+        assert not _imports(path) & {"grasp_env._compile", "grasp_env._views"}, path
+        assert "numba" not in _roots(path), path
+
+
+def test_numba_is_imported_where_kernels_are_compiled() -> None:
+    users = {str(path.relative_to(ROOT)) for path in _files("grasp_env", "force") if "numba" in _roots(path)}
+    assert users == set()  # all of them ask `_compile` and `_views`
+    asking = {path.name for path in _files("grasp_env", "force")
+              if _imports(path) & {"grasp_env._compile", "grasp_env._views"}}  # fmt: skip
+    # what hard contacts need by `newton` and `conic` is not among them
+    core_side = {"__init__.py", "basis.py", "batch.py", "initial.py", "method.py", "methods.py", "optimizer.py", "pipeline.py",
+                 "record.py", "repair.py", "solution.py"}  # fmt: skip
+    assert not asking & core_side
+    assert "kernels.py" in asking
 
 
 def test_pybullet_is_imported_in_one_file() -> None:
@@ -105,3 +129,54 @@ def test_the_solver_pulls_in_no_simulator_and_no_network(module: str) -> None:
     )
     loaded = {name.split(".")[0] for name in done.stdout.split()}
     assert not loaded & {"pybullet", "torch", "stable_baselines3", "matplotlib", "policies", "training"}
+
+
+HARD = """
+import sys
+import numpy as np
+import grasp_env.force as force
+from grasp_env.grasp import presets
+
+def loaded():
+    return sorted(({name.split(".")[0] for name in sys.modules} & {"numba", "llvmlite", "scipy", "torch"})
+                  | {name for name in sys.modules if name.startswith("grasp_env.") and "kernels" in name})
+
+grasp, wrench = presets.paper_cuboid(), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
+assert not loaded(), ("import", loaded())
+for method in ("newton", "conic"):
+    optimizer = force.ForceOptimizer(grasp, method=method)
+    for k in range(2):
+        assert optimizer.solve(wrench).status is force.Status.OPTIMAL
+    optimizer.move_to(presets.tripod())
+    assert optimizer.solve(0.1 * wrench).status is force.Status.OPTIMAL
+    assert force.optimize_forces(grasp, np.tile(wrench, (3, 1)), method=method).optimal.all()
+    assert not loaded(), (method, loaded())
+for initial in ("previous", "linear_combination", "single_value", "lagrange", None):
+    force.optimize_force(grasp, wrench, method="newton", initial=initial)
+    assert not loaded(), (initial, loaded())
+force.Repair()(grasp, wrench, np.ones((4, 3)))
+pipeline = force.ForcePipeline(grasp, method="newton", initial="previous")
+for adjust in (None, np.ones(6)):
+    assert pipeline.solve(grasp.positions, grasp.normals, wrench, adjust=adjust).status is force.Status.OPTIMAL
+pipeline.carry(grasp.positions, grasp.normals, wrench, np.empty((4, 3)))
+assert not loaded(), ("pipeline", loaded())
+"""
+
+
+def test_hard_contacts_need_neither_numba_nor_scipy_nor_torch() -> None:
+    """In a fresh process: what a control loop waits for before its first force."""
+    done = subprocess.run([sys.executable, "-c", HARD], cwd=ROOT, timeout=120, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_hard_contacts_are_solved_where_they_cannot_be_imported() -> None:
+    script = "import sys\nfor name in ('numba', 'scipy', 'torch', 'gymnasium'):\n    sys.modules[name] = None\n"
+    asked = """
+import numpy as np
+from grasp_env.force import optimize_force
+from grasp_env.grasp import presets
+for method in ("newton", "conic"):
+    optimize_force(presets.paper_cuboid(), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0]), method=method)
+"""
+    done = subprocess.run([sys.executable, "-c", script + asked], cwd=ROOT, timeout=120, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -172,7 +172,7 @@ class Pipeline:
 
     def solve(self, points: object | None, normals: object | None, wrench: object | None, adjust: object | None, record: object) -> int:
         """
-        Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or (0,) into a record; returns the code.
+        Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or None into a record; returns the code.
         """
 
     def begin(self, points: object | None, normals: object | None, wrench: object | None) -> bool:

@@ -23,8 +23,6 @@ from grasp_env.grasp.null_space import null_space_basis, reference_basis
 
 PIPELINE_METHODS = ("reduced_flow", "newton")
 STARTS = ("linear_combination", "previous")
-_NONE = np.empty(0)
-"""No adjustment."""
 
 
 class Held(NamedTuple):
@@ -162,10 +160,8 @@ class ForcePipeline:
             from grasp_env.force.pipeline_descent import KernelDescent
 
             self._solve = KernelDescent(self._core, checked, self.held, self._layers, self._remembers).solve
-            for adjust in (
-                _NONE,
-                np.full(grasp.null_dimension, 1e-3),
-            ):  # compiles, or loads, before the first call that counts
+            # compiles, or loads, before the first call that counts
+            for adjust in (None, np.full(grasp.null_dimension, 1e-3)):
                 self.solve(grasp.positions, grasp.normals, np.zeros(6), adjust=adjust)
             self.reset()
 
@@ -214,20 +210,21 @@ class ForcePipeline:
             RankDeficientGraspError, InfeasibleWrenchError, InfeasibleStartError: the contacts cannot balance the wrench.
                 Nothing stale is left: `self.x` is nan then.
         """
-        if adjust is None or (type(adjust) is np.ndarray and adjust.shape == self._coordinates and not adjust.any()):
-            adjust = _NONE
+        if type(adjust) is np.ndarray and adjust.shape == self._coordinates and not adjust.any():
+            adjust = None
         record = np.empty(self._size)
         if self._solve(points, normals, wrench, adjust, record) <= STALLED:
             return ForceSolution(record, self.method, self.initial)
-        # what cannot be read as it is, and what has to be said in words
+        # what cannot be read as it is, and what has to be said in words: nothing stale is left
+        self._core.forget()
         points, normals = as_array(points, self._shape, "points"), as_array(normals, self._shape, "normals")
         wrench = as_wrench(wrench)
-        if adjust is not _NONE:
+        if adjust is not None:
             adjust = as_array(adjust, (self.grasp.null_dimension,), "adjust")
         return self.solve_ready(points, normals, wrench, adjust)
 
-    def solve_ready(self, points: Array, normals: Array, wrench: Wrench, adjust: Array = _NONE) -> ForceSolution:
-        """`solve` of C-contiguous float64 arrays of the right shapes, which are not looked at; `adjust` (0,): none."""
+    def solve_ready(self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None = None) -> ForceSolution:
+        """`solve` of C-contiguous float64 arrays of the right shapes, which are not looked at."""
         record = np.empty(self._size)
         if self._solve(points, normals, wrench, adjust, record) > STALLED:
             return self._general(points, normals, wrench, adjust, record)
@@ -253,7 +250,9 @@ class ForcePipeline:
         self.held.cone_matrix[:] = grasp.cone_matrix
         self.held.x[:] = np.nan if solution is None else grasp.to_cone(solution.force)
 
-    def _general(self, points: Array, normals: Array, wrench: Wrench, adjust: Array, record: Array) -> ForceSolution:
+    def _general(
+        self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None, record: Array
+    ) -> ForceSolution:
         """What the core left: first once more with a new basis, then a `ForceOptimizer` on the grasp of now."""
         self._core.forget()
         tangents = self.held.tangents
@@ -272,7 +271,7 @@ class ForcePipeline:
         wrench = as_wrench(wrench)
         optimizer = ForceOptimizer(grasp, **self._given)
         start = None
-        if adjust.size:
+        if adjust is not None:
             moved = optimizer.start(wrench) + (null_space_basis(grasp, self.reference) @ adjust).reshape(-1, 3)
             start = Repair(self.objective)(grasp, wrench, moved)
         solution = optimizer.solve(wrench, initial=start)

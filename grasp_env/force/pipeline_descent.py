@@ -52,7 +52,7 @@ class KernelDescent:
                 *self._layers, numbers,
             )  # fmt: skip
             self._core.resume()
-        if np.size(adjust) and not self._core.adjust(wrench, adjust):
+        if adjust is not None and not self._core.adjust(wrench, adjust):
             return REFUSED
         if self._flows:
             flow_from(

@@ -4,7 +4,7 @@
                                            (u, o, t)_i in its cone, w_i >= 0 where contact i is soft
 
 A contact's torsion is u - w in units of its limit, so w >= 0 is one of its two bounds and a row w - 2u <= 0 the other. The
-method is that of `conic_kernels.py` from an infeasible start. Each limit joins the equations with slack / multiplier on the
+method is that of the core's `conic.hpp` from an infeasible start. Each limit joins the equations with slack / multiplier on the
 diagonal (the form that subtracts nothing large), and every step is corrected once by what it misses. Contacts enter by the
 rows that they touch, so an iteration costs O(N) and one factorisation of all rows. The plain twin of an iteration is `conic.nt_step`.
 """

@@ -90,7 +90,7 @@ def general_newton(
 
     inverse: (N, 4, 6) the least change of z for a unit of balance.
 
-    Returns (code, iterations, trials, Phi, lower bound); see `newton_kernels.newton` for the options.
+    Returns (code, iterations, trials, Phi, lower bound); see `newton.hpp` of the core.
     """
     count, m = z.shape[0], right.size
     none = np.empty((m, 0))

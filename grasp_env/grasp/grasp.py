@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -99,7 +100,7 @@ class Grasp:
             given = np.asarray(normals, dtype=np.float64)[worst]
             raise InvalidInputError(
                 f"normals must be unit vectors into the object; normal {worst} is {given.tolist()} with "
-                f"length {np.sqrt(given @ given):.6g}: divide it by its length"
+                f"length {math.hypot(*given):.6g}: divide it by its length"
             )
         return cls._made(points, inward, models, _tangents(tangents, inward))
 

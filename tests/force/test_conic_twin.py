@@ -1,4 +1,4 @@
-"""Compiled interior-point methods, one to four iterations deep, against the dense `conic.nt_step`."""
+"""The compiled interior points, one to four iterations deep, against their dense twins `oracles.conic` and `oracles.interior_point`."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from grasp_env.force.conic import ConicProgram, Iterate, nt_step, per_boundary, scaling
-from grasp_env.force.conic_kernels import conic
+from oracles import conic
+from oracles.interior_point import ConicProgram, Iterate, nt_step, per_boundary, scaling
 from problems import GRASPS, PAPER_WRENCH, random_grasp
 
-from grasp_env.force import ForceLimits, lanes, record
+from grasp_env import core
+from grasp_env.force import ForceLimits, Objective, record
+from grasp_env.force.basis import core_contacts
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.program import ForceProgram
 from grasp_env.force.program_kernels import boundary, factor, interior_point, missed, scaled, solve
@@ -23,7 +25,7 @@ LOAD = np.array([0.7, -0.4, 0.9, 0.011, -0.007, 0.013])
 CUBOID = GRASPS["cuboid, 4"]
 
 
-# the twin itself
+# the twins themselves
 
 
 def inside(rng: np.random.Generator, size: int) -> np.ndarray:
@@ -39,6 +41,9 @@ def test_the_scaling_takes_s_to_x_and_the_boundary_is_where_steps_end(size: int)
     for _ in range(50):
         x, s, d = inside(rng, size), inside(rng, size), rng.standard_normal(size)
         w = scaling(x, s)
+        if size == 3:
+            np.testing.assert_array_equal(conic.scaling(x, s), w)
+            assert conic.per_boundary(x, d) == per_boundary(x, d)
         np.testing.assert_allclose(w @ w @ s, x, rtol=1e-10, atol=1e-10)
         j = np.array([1.0, -1.0, -1.0])[:size]
         form = w @ (j[:, None] * w)
@@ -66,7 +71,7 @@ def test_the_kernels_scaling_and_boundary_are_the_twins() -> None:
         assert boundary(*x, *d) == pytest.approx(per_boundary(x, d), rel=1e-9, abs=1e-12)
 
 
-# conic_kernels.conic: hard contacts
+# core.Conic: hard contacts
 
 
 @cache
@@ -86,33 +91,22 @@ def closed_grasp(count: int, kind: str) -> tuple[Grasp, np.ndarray]:
             return grasp, grasp.to_cone(found.force)
 
 
-def padded_program(grasp: Grasp, unit: np.ndarray) -> ConicProgram:
-    """The kernel's program: its empty lanes hold contacts without effect that limit the steps all the same."""
-    count = grasp.n_contacts
-    every = 4 * (-(-count // 4))
-    matrix, cost = np.zeros((6, 3 * every)), np.zeros(3 * every)
-    matrix[:, : 3 * count] = grasp.unit_frame @ grasp.cone_matrix
-    cost[0::3] = 1.0
-    cost[0 : 3 * count : 3] = 1.0 / grasp.models.cone_divisor[:, 0]
-    return ConicProgram(
-        matrix, -unit, cost, np.zeros((6, 0)), np.zeros(0), (3,) * every, count, (0.9, 0.095), 0.0
-    )  # fmt: skip
+def lanes_of(count: int) -> int:
+    """Contacts that the core's registers hold together: 4 or 8 where they all fit, else as many as one register of this build."""
+    if count <= 8:
+        return 4 if count <= 4 else 8
+    return {"AVX-512": 8, "AVX2": 4, "AVX": 4}.get(core.build_info()["instruction_set"], 2)
 
 
-def start_of(program: ConicProgram, grasp: Grasp, rest: np.ndarray) -> Iterate:
-    """x = -G^+ w + k rest, k 1.3 times what takes every contact inside; s = c."""
-    count, n = grasp.n_contacts, len(program.cost)
-    # least change of the force, not of the cone coordinates: G^+ of the columns in newtons
-    divisor = grasp.models.cone_scale.reshape(-1)
-    columns = program.matrix[:, : 3 * count] * divisor
-    x, internal = np.zeros(n), np.zeros(n)
-    x[: 3 * count] = divisor * np.linalg.lstsq(columns, program.right, rcond=None)[0]
-    internal[0::3] = 1.0
-    internal[: 3 * count] = rest
-    u, o, t = x.reshape(-1, 3).T
-    depth = internal[0::3] - np.hypot(internal[1::3], internal[2::3])
-    squeeze = 1.3 * max(1e-6, ((np.hypot(o, t) - u) / depth).max())
-    return Iterate(x + squeeze * internal, program.cost.copy(), np.zeros(0), np.zeros(6))
+def inverse_of(grasp: Grasp) -> np.ndarray:
+    """(3N, 6) of the unit frame: the least change of the force, not of the cone coordinates; G^+ of the columns in newtons."""
+    scale = grasp.models.cone_scale.reshape(-1)
+    return scale[:, None] * np.linalg.pinv(grasp.unit_frame @ grasp.cone_matrix * scale)
+
+
+def program_of(grasp: Grasp, unit: np.ndarray, lanes: int) -> conic.Program:
+    """The core's program: its empty lanes hold contacts without effect that limit the steps all the same."""
+    return conic.padded(grasp.unit_frame @ grasp.cone_matrix, unit, grasp.models.cone_divisor, lanes)
 
 
 @pytest.mark.parametrize(
@@ -121,19 +115,19 @@ def start_of(program: ConicProgram, grasp: Grasp, rest: np.ndarray) -> Iterate:
 )
 def test_conic_takes_the_twins_steps(count: int, kind: str) -> None:
     grasp, rest = closed_grasp(count, kind)
-    constants = lanes.pack(grasp, rest, np.ones((count, 2)))
+    contacts = core_contacts(grasp, Objective())
     divisor = grasp.models.cone_divisor
     for load in (LOAD, 20.0 * PAPER_WRENCH):
         loaded = grasp.unit_frame @ load
         size = float(np.abs(loaded).max())
-        program = padded_program(grasp, loaded / size)
-        at = start_of(program, grasp, rest)
+        program = program_of(grasp, loaded / size, lanes_of(count))
+        at = conic.start(program, inverse_of(grasp), rest)
         first = size * at.x[: 3 * count].reshape(count, 3) / divisor
         seen = [first]
         for k in range(1, 5):
-            at = nt_step(program, at)
+            at = conic.iteration(program, at)
             row = np.zeros(record.record_size(count))
-            conic(constants, load, lanes.options(grasp, 1e-15, k), row)
+            assert core.Conic.make(contacts, 1e-15, k, rest).solve(load, None, row) == LIMIT
             assert (row[record.CODE], row[record.ITERATIONS]) == (LIMIT, k)
             x = at.x[: 3 * count].reshape(count, 3)
             force, start = row[record.FORCE : record.FORCE + 6 * count].reshape(2, count, 3)
@@ -147,6 +141,7 @@ def test_conic_takes_the_twins_steps(count: int, kind: str) -> None:
             multipliers = row[record.MULTIPLIERS : record.MULTIPLIERS + 6]
             np.testing.assert_allclose(multipliers, nu, rtol=0, atol=1e-9 * np.abs(nu).max())
             assert row[record.BOUND] == pytest.approx(max(-nu @ load, 0.0), rel=1e-8, abs=near)
+            assert conic.certified_bound(program, at.y)[0] * size == pytest.approx(max(-nu @ load, 0.0), rel=1e-9)
             seen.append(force)
         # every iteration moved: equal iterates would prove nothing
         assert all(np.abs(b - a).max() > 1e-6 * np.abs(b).max() for a, b in pairwise(seen))
@@ -157,14 +152,29 @@ def test_empty_lanes_shorten_steps(count: int, away: float) -> None:
     """What the comparison above would miss if the twin left them out: nothing where all lanes are taken."""
     grasp, rest = closed_grasp(count, "round")
     unit = grasp.unit_frame @ LOAD
-    n = 3 * count
-    program = padded_program(grasp, unit / np.abs(unit).max())
-    bare = program._replace(matrix=program.matrix[:, :n], cost=program.cost[:n], sizes=(3,) * count)
-    at, other = start_of(program, grasp, rest), start_of(bare, grasp, rest)
+    unit /= np.abs(unit).max()
+    padded, bare = program_of(grasp, unit, lanes_of(count)), program_of(grasp, unit, 1)
+    at, other = (conic.start(program, inverse_of(grasp), rest) for program in (padded, bare))
     for _ in range(4):
-        at, other = nt_step(program, at), nt_step(bare, other)
-    apart = np.abs(at.x[:n] - other.x).max() / np.abs(other.x).max()
+        at, other = conic.iteration(padded, at), conic.iteration(bare, other)
+    apart = np.abs(at.x[: 3 * count] - other.x).max() / np.abs(other.x).max()
     assert away <= apart <= (0.05 if away else 0.0)
+
+
+@pytest.mark.parametrize(("count", "kind"), [(4, "round"), (5, "elliptic")])
+def test_both_twins_take_one_step(count: int, kind: str) -> None:
+    """`oracles.interior_point` without limits and shared variables is `oracles.conic`."""
+    grasp, rest = closed_grasp(count, kind)
+    program = program_of(grasp, grasp.unit_frame @ LOAD, 1)
+    general = ConicProgram(
+        *program[:3], np.zeros((6, 0)), np.zeros(0), (3,) * count, program.counted, program.reach, 0.0
+    )  # fmt: skip
+    at = conic.start(program, inverse_of(grasp), rest)
+    other = Iterate(at.x, at.s, np.zeros(0), at.y)
+    for _ in range(4):
+        at, other = conic.iteration(program, at), nt_step(general, other)
+        for mine, theirs in zip(at, (other.x, other.s, other.y), strict=True):
+            np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())
 
 
 # program_kernels.interior_point: soft contacts, limits, shared variables

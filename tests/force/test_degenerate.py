@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from grasp_env.force.start_kernels import ray_interval
 from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp, weights
 
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, cone_margin, optimize_force, phase_one
+from grasp_env.force.basis import starter
 from grasp_env.force.kernels import phi
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp import wrench as wrenches
@@ -20,13 +20,14 @@ def _inside(rng: np.random.Generator) -> np.ndarray:
 def test_rays_straight_through_the_apex() -> None:
     """The discriminant is zero there and rounds to either side."""
     rng = np.random.default_rng(0)
+    solver = starter(GRASPS["tripod"], Objective())
     for _ in range(2000):
-        x, factor = _inside(rng), rng.uniform(0.1, 3.0)
+        x, factor = np.tile(_inside(rng), 3), rng.uniform(0.1, 3.0)
         # a double root: half the digits
-        low, high = ray_interval(-factor * x, x)
+        low, high = solver.inside(-factor * x, x)
         assert low == pytest.approx(factor, rel=1e-6)
         assert high == np.inf
-        low, high = ray_interval(factor * x, -x)
+        low, high = solver.inside(factor * x, -x)
         assert low == 0.0
         assert high == pytest.approx(factor, rel=1e-6)
 

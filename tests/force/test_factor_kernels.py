@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from problems import GRASPS, random_grasp
 
-from grasp_env.force.factor_kernels import flow_lanes, orthonormal_rows, smooth_null_space, write_inverse
+from grasp_env.force.factor_kernels import flow_lanes, orthonormal_rows
 from grasp_env.force.flow import fastest_form, matrices
-from grasp_env.grasp import Grasp, null_space_basis, presets, reference_basis
+from grasp_env.grasp import Grasp, presets
 
 RANDOM = {f"random, {k}": random_grasp(np.random.default_rng(k), 3 + k % 6) for k in range(12)}
 ALL = {**GRASPS, **RANDOM}
@@ -22,15 +22,10 @@ def factors(grasp: Grasp) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_rows_and_inverse(name: str) -> None:
-    grasp = ALL[name]
-    matrix, rows, lower = factors(grasp)
+def test_rows(name: str) -> None:
+    matrix, rows, lower = factors(ALL[name])
     np.testing.assert_allclose(rows @ rows.T, np.eye(6), atol=1e-14)
     np.testing.assert_allclose(lower @ rows, matrix, atol=1e-13)
-    inverse = np.empty((3 * grasp.n_contacts, 6))
-    write_inverse(rows, lower, grasp.models.cone_divisor.copy(), inverse)
-    expected = (grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None]) @ np.linalg.inv(grasp.unit_frame)
-    np.testing.assert_allclose(inverse, expected, atol=1e-11 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -49,20 +44,6 @@ def _rows(table: np.ndarray) -> np.ndarray:
     return table.reshape(-1, 3, 6, 4).transpose(0, 2, 1, 3)
 
 
-@pytest.mark.parametrize("name", ALL)
-def test_null_space(name: str) -> None:
-    grasp = ALL[name]
-    rng = np.random.default_rng(0)
-    normals = grasp.normals + 0.1 * rng.standard_normal(grasp.normals.shape)
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    moved = Grasp.from_contacts(grasp.positions + 2e-3 * rng.standard_normal(normals.shape), normals, 0.5)
-    reference = reference_basis(grasp)
-    _, rows, _ = factors(moved)
-    out = np.empty_like(reference)
-    assert smooth_null_space(moved.frames.copy(), rows, reference, out)
-    np.testing.assert_allclose(out, null_space_basis(moved, reference), atol=1e-10)
-
-
 def test_what_has_no_factors() -> None:
     grasp = presets.tripod()
     matrix = grasp.unit_frame @ grasp.matrix
@@ -70,8 +51,3 @@ def test_what_has_no_factors() -> None:
     matrix[5] = 0.0
     assert not orthonormal_rows(matrix, rows, lower)
     assert len(flow_lanes(matrix)) == 0
-    _, rows, _ = factors(grasp)
-    # a reference along the range of G^T spans nothing of the null space
-    out = np.empty((9, 3))
-    in_object = np.einsum("nij,njk->nik", grasp.frames, rows.T.reshape(3, 3, 6))[:, :, :3].reshape(9, 3)
-    assert not smooth_null_space(grasp.frames.copy(), rows, in_object, out)

@@ -6,11 +6,11 @@ from math import floor
 
 import numpy as np
 import pytest
-from grasp_env.force.oracle import full_flow as plain_full_flow
+from oracles.full_flow import full_flow as plain_full_flow
 from problems import GRASPS, PAPER_WRENCH, closure_grasps, weights
 
 from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.force import AdaptiveStep, LinearCombination, Objective, OfflineBasis, descent_kernels, full_flow
+from grasp_env.force import AdaptiveStep, LinearCombination, Objective, OfflineBasis, full_flow, record
 from grasp_env.force.descent import Descent, descend
 from grasp_env.force.flow import FORMS, Flow, fastest_form, operations, run_flow
 from grasp_env.force.reduced_flow import (
@@ -94,7 +94,7 @@ def test_every_compiled_form_gives_the_iterates_of_the_plain_flow(name: str, for
         code, iterations, trials, value, _ = flow.run(
             weights(x, 1.0, 0.1), x, LIGHT, rule, tolerance=1e-300, max_iterations=k, trace=trace
         )
-        assert (code, iterations) == (descent_kernels.LIMIT, k)
+        assert (code, iterations) == (record.LIMIT, k)
         np.testing.assert_allclose(x, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
         np.testing.assert_allclose(trace[: k + 1], descent.values[: k + 1], rtol=1e-10)
         assert np.isnan(trace[k + 1 :]).all()
@@ -110,7 +110,7 @@ def test_every_form_stays_balanced_and_certifies_the_same_optimum(form: str) -> 
         code, iterations, _, value, bound = run_flow(
             grasp, weights(x, 1.0, 0.1), x, LIGHT, AdaptiveStep(), form=form, tolerance=1e-9, trace=trace
         )
-        assert code == descent_kernels.CONVERGED, name
+        assert code == record.CONVERGED, name
         assert (np.diff(trace[: iterations + 1]) < 0.0).all()
         assert bound <= value <= bound * (1.0 + 1e-9)
         assert value == pytest.approx(OBJECTIVE.value(x), rel=1e-13)
@@ -119,7 +119,7 @@ def test_every_form_stays_balanced_and_certifies_the_same_optimum(form: str) -> 
         again = run_flow(
             grasp, weights(x, 1.0, 0.1), _start(grasp), LIGHT, AdaptiveStep(), optimum=value, tolerance=1e-9
         )
-        assert again[0] == descent_kernels.CONVERGED
+        assert again[0] == record.CONVERGED
         assert again[3] == pytest.approx(value, rel=1e-8)
 
 
@@ -172,7 +172,7 @@ def test_plain_full_flow_and_compiled_full_flow_end_alike() -> None:
     trace = np.full(60, np.nan)
     slow = plain_full_flow(grasp, OBJECTIVE, plain, LIGHT, AdaptiveStep(), 1e-5, float("nan"), 500, trace)
     fast = run_flow(grasp, weights(plain, 1.0, 0.1), compiled, LIGHT, AdaptiveStep(), form="full", tolerance=1e-5)
-    assert slow[0] == fast[0] == descent_kernels.CONVERGED
+    assert slow[0] == fast[0] == record.CONVERGED
     assert abs(slow[1] - fast[1]) <= 1  # the plain one looks at the bound more often
     assert slow[3] == pytest.approx(fast[3], rel=1e-5)
     assert trace[0] == pytest.approx(OBJECTIVE.value(_start(grasp)))

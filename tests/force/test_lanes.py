@@ -6,13 +6,15 @@ from functools import cache
 
 import numpy as np
 import pytest
-from grasp_env.force.newton import newton_step
-from grasp_env.force.newton_kernels import GIVEN, newton
+from oracles.boundary import longest_step
+from oracles.newton import newton_step
 from problems import GRASPS, PAPER_WRENCH, random_grasp
 from scipy.linalg import null_space
 from scipy.optimize import minimize
 
+from grasp_env import core
 from grasp_env.force import ForceLimits, lanes, phi_lanes, record
+from grasp_env.force.basis import core_contacts
 from grasp_env.force.cholesky6 import PACKED, factor6, solve6
 from grasp_env.force.feasibility import phase_one
 from grasp_env.force.kernels import inverse_hessian
@@ -146,7 +148,7 @@ def test_load_is_the_unit_frame_and_pull_back_its_transpose() -> None:
             assert n @ out == pytest.approx(back @ w, rel=1e-10, abs=1e-10)
 
 
-# Newton, four contacts at a time
+# the sums over four contacts, and the core's Newton
 
 
 def depths(rng: np.random.Generator, count: int, depth: float = 0.5) -> np.ndarray:
@@ -224,7 +226,7 @@ def start_near_the_optimum(grasp: Grasp, objective: Objective, load: np.ndarray,
     assert force is not None
     x, g, unit = grasp.to_cone(force).reshape(-1), grasp.unit_frame @ grasp.cone_matrix, grasp.unit_frame @ load
     for _ in range(60):
-        step, _, decrement = newton_step(x, g, unit, objective)
+        step, _, decrement = newton_step(x, g, unit, objective.weights(grasp.n_contacts))
         alpha = 1.0
         while not objective.value(x + alpha * step) <= objective.value(x) - 1e-4 * alpha * decrement and alpha > 1e-9:
             alpha *= 0.5
@@ -237,15 +239,15 @@ def start_near_the_optimum(grasp: Grasp, objective: Objective, load: np.ndarray,
 
 
 def one_iteration(grasp: Grasp, objective: Objective, load: np.ndarray, x: np.ndarray, limit: int) -> np.ndarray:
-    count = grasp.n_contacts
-    weights = objective.weights(count)
-    row = np.zeros(record.record_size(count))
-    constants = lanes.pack(grasp, np.zeros(3 * count), weights)
-    start = (x.reshape(-1, 3) / grasp.models.cone_divisor).reshape(-1)
-    nothing = np.zeros((13, 3 * count))
-    newton(constants, nothing, GIVEN, start, load, weights, lanes.options(grasp, 1e-15, limit), row, np.empty(0))
+    row = np.zeros(record.record_size(grasp.n_contacts))
+    solver = core.Newton.make(core_contacts(grasp, objective), 1e-15, limit)
+    assert solver.descend(load, grasp.to_force(x), float("nan"), np.empty(0), row) == LIMIT
     assert (row[record.CODE], row[record.ITERATIONS]) == (LIMIT, limit)
     return row
+
+
+REACH = 0.7
+"""Part of the way to the boundary that the core's steps go at most."""
 
 
 @pytest.mark.parametrize("away", [0.2, 0.6, 0.9])
@@ -253,11 +255,12 @@ def one_iteration(grasp: Grasp, objective: Objective, load: np.ndarray, x: np.nd
 def test_newton_takes_the_twins_step(count: int, away: float) -> None:
     grasp, objective = some_grasp(count), objective_of(count, 0.1)
     frame, divisor, full = grasp.unit_frame, grasp.models.cone_divisor.reshape(-1), 0
+    rows, weights = frame @ grasp.cone_matrix, objective.weights(count)
     for load in (LOAD, PAPER_WRENCH, 10.0 * LOAD):
         x = start_near_the_optimum(grasp, objective, load, away)
         # in the unit frame, where the dense system is well conditioned
         unit = frame @ load
-        step, multipliers, decrement = newton_step(x, frame @ grasp.cone_matrix, unit, objective)
+        step, multipliers, decrement = newton_step(x, rows, unit, weights)
         multipliers = frame.T @ multipliers
         none = one_iteration(grasp, objective, load, x, 0)
         near = 1e-8 * np.abs(multipliers).max()
@@ -267,30 +270,20 @@ def test_newton_takes_the_twins_step(count: int, away: float) -> None:
         assert none[record.BOUND] == pytest.approx(bound, rel=1e-8)
         row = one_iteration(grasp, objective, load, x, 1)
         after = row[record.FORCE : record.FORCE + 3 * count] * divisor
-        alpha = min(1.0, 0.95 * longest(x, step)) * 0.5 ** (row[record.TRIALS] - 1.0)
+        alpha = min(1.0, REACH * longest_step(x, step)) * 0.5 ** (row[record.TRIALS] - 1.0)
         # a step is the small difference of large terms where forces lie deep in their cones
         np.testing.assert_allclose(after - x, alpha * step, rtol=0, atol=1e-6 * np.abs(step).max())
         np.testing.assert_allclose(after - x, alpha * step, rtol=0, atol=1e-9 * np.abs(x).max())
         # the rule itself: the first trial that is low enough
-        value, tried = objective.value(x), min(1.0, 0.95 * longest(x, step))
+        value, tried = objective.value(x), min(1.0, REACH * longest_step(x, step))
         while objective.value(x + tried * step) >= value - 1e-4 * tried * decrement:
             tried *= 0.5
         assert alpha == pytest.approx(tried, rel=1e-12)
         full += alpha == 1.0
-        second = frame.T @ newton_step(after, frame @ grasp.cone_matrix, unit, objective)[1]
+        second = frame.T @ newton_step(after, rows, unit, weights)[1]
         np.testing.assert_allclose(row[record.MULTIPLIERS : record.MULTIPLIERS + 6], second, rtol=0, atol=near)
     if away == 0.2:
         assert full == 3
-
-
-def longest(x: np.ndarray, step: np.ndarray) -> float:
-    """The largest step inside all cones, inf without one: least positive root of d(x + a step), contact by contact."""
-    far = np.inf
-    for p, d in zip(x.reshape(-1, 3), step.reshape(-1, 3), strict=True):
-        j = np.array([1.0, -1.0, -1.0])
-        roots = np.roots([d @ (j * d), 2.0 * (p @ (j * d)), p @ (j * p)])
-        far = min([far, *(r.real for r in roots if r.real > 0.0 and abs(r.imag) < 1e-12)])
-    return far
 
 
 # Newton with soft contacts and limits

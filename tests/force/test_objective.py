@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from grasp_env.force.newton import newton_step
+from oracles.newton import newton_step
 from problems import GRASPS, PROBLEMS, Problem, closure_grasps, pyramid_margin, weights
 from scipy.optimize import minimize
 
+from grasp_env import core
 from grasp_env.force import Objective, description_matrix, kernels
+from grasp_env.force.basis import core_contacts
 from grasp_env.grasp import wrench as wrenches
 
 WEIGHTS = [(1.0, 0.01), (1.0, 1.0), (2.5, 0.3), (0.2, 1e-4)]
@@ -131,17 +133,33 @@ def test_newton_step_is_the_dense_kkt_step(omega: float, lam: float) -> None:
         u = rng.uniform(0.5, 2.0, grasp.n_contacts)  # depths of one order: the dense system stays well conditioned
         x = np.stack([u, *(rng.uniform(-0.5, 0.5, (2, grasp.n_contacts)) * u)], axis=1).reshape(-1)
         wrench = wrenches.sample_ball(rng, 1)[0]
-        step, multipliers = np.empty_like(x), np.empty(6)
-        decrement = kernels.newton_step(x, grasp.cone_matrix.copy(), wrench, weights(x, omega, lam), step, multipliers)
-        dense_step, dense_multipliers, dense_decrement = newton_step(x, grasp.cone_matrix, wrench, objective)
-        # the dense matrix mixes lambda and lengths: condition numbers up to about 1e7
-        np.testing.assert_allclose(step, dense_step, rtol=0, atol=1e-8 * np.abs(dense_step).max())
-        np.testing.assert_allclose(multipliers, dense_multipliers, rtol=0, atol=1e-8 * np.abs(dense_multipliers).max())
-        scale = abs(dense_decrement) + np.abs(objective.gradient(x)).max() * np.abs(dense_step).max()
-        assert abs(decrement - dense_decrement) < 1e-8 * scale
-        # the step restores balance whatever x was
-        left = grasp.cone_matrix @ (x + step) + wrench
-        assert np.abs(left).max() < 1e-10 * (np.abs(x + step).max() + 1.0)
+        by_the_kernel, by_the_core = (np.empty_like(x), np.empty(6)), (np.empty_like(x), np.empty(6))
+        solver = core.Newton.make(core_contacts(grasp, objective), 1.0, 0)
+        decrements = (
+            kernels.newton_step(x, grasp.cone_matrix.copy(), wrench, weights(x, omega, lam), *by_the_kernel),
+            solver.newton_step(wrench, x, *by_the_core),
+        )
+        dense_step, dense_multipliers, dense_decrement = newton_step(
+            x, grasp.cone_matrix, wrench, weights(x, omega, lam)
+        )
+        # x is not balanced: the core's decrement is -grad Phi . step all the same, the kernel's -(grad Phi - G^T nu) . step
+        dense_decrements = (
+            dense_decrement + float(dense_multipliers @ grasp.cone_matrix @ dense_step),
+            dense_decrement,
+        )
+        for (step, multipliers), decrement, dense_decrement in zip(
+            (by_the_kernel, by_the_core), decrements, dense_decrements, strict=True
+        ):
+            # the dense matrix mixes lambda and lengths: condition numbers up to about 1e7
+            np.testing.assert_allclose(step, dense_step, rtol=0, atol=1e-8 * np.abs(dense_step).max())
+            np.testing.assert_allclose(
+                multipliers, dense_multipliers, rtol=0, atol=1e-8 * np.abs(dense_multipliers).max()
+            )
+            scale = abs(dense_decrement) + np.abs(objective.gradient(x)).max() * np.abs(dense_step).max()
+            assert abs(decrement - dense_decrement) < 1e-8 * scale
+            # the step restores balance whatever x was
+            left = grasp.cone_matrix @ (x + step) + wrench
+            assert np.abs(left).max() < 1e-10 * (np.abs(x + step).max() + 1.0)
 
 
 @pytest.mark.parametrize(("omega", "lam"), WEIGHTS)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from grasp_env.force.start_kernels import tangent
-from problems import PAPER_WRENCH
+from problems import PAPER_WRENCH, random_grasp
 
+from grasp_env.carry_kernels import CARRIED, CLIPPED, REPAIRED, carry_or_repair, turn, write_contact_geometry
 from grasp_env.errors import (
     InfeasibleStartError,
     InfeasibleWrenchError,
@@ -15,9 +15,10 @@ from grasp_env.errors import (
     UnknownNameError,
     UnsupportedProblemError,
 )
-from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Repair, Status
+from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Repair, Status, phase_one
+from grasp_env.force.kernels import combine, tangent
 from grasp_env.force.pipeline import ForcePipeline
-from grasp_env.force.pipeline_kernels import CARRIED, CLIPPED, REPAIRED, carry, carry_contacts, turn
+from grasp_env.force.record import REFUSED, record_size
 from grasp_env.grasp import Grasp, null_space_basis, presets
 from policies import LearnedInitialForce
 
@@ -160,6 +161,44 @@ def test_an_adjustment_is_the_formula_of_the_general_path(count: int, initial: s
         assert objective.value(grasp.to_cone(got)) <= objective.value(grasp.to_cone(on_segment)) * (1.0 + 1e-12)
 
 
+@pytest.mark.parametrize("count", [3, 4, 5, 6, 7, 8, 9])
+def test_an_adjustment_is_along_the_basis_of_any_number_of_contacts(count: int) -> None:
+    """Every single coordinate, on contacts up to 6 degrees and 2 mm away."""
+    rng = np.random.default_rng(count)
+    while True:
+        nominal = random_grasp(rng, count)
+        if phase_one(nominal, np.zeros(6)).margin > 0.02:
+            break
+    pipeline, turned = ForcePipeline(nominal, method="newton"), 0.1 * rng.standard_normal((count, 3))
+    points = nominal.positions + 2e-3 * rng.standard_normal((count, 3))
+    normals = (nominal.normals + turned) / np.linalg.norm(nominal.normals + turned, axis=1)[:, None]
+    now = Grasp.from_contacts(points, normals, nominal.friction)
+    wrench, basis = 0.1 * some_wrench(rng), null_space_basis(now, pipeline.reference)
+    start = pipeline.solve(points, normals, wrench).initial_force
+    for k, coordinate in enumerate(np.eye(now.null_dimension)):
+        best = start
+        for sign in (-0.1, 0.1):  # one of them makes Phi fall
+            pipeline.reset()
+            pipeline.solve(points, normals, wrench)  # with the basis of its own, where it asks for one
+            made = pipeline.solve(points, normals, wrench, adjust=sign * coordinate).initial_force
+            best = made if np.abs(made - start).max() > np.abs(best - start).max() else best
+        moved = (best - start).reshape(-1)
+        along = float(basis[:, k] @ moved)
+        assert abs(along) > 1e-4
+        np.testing.assert_allclose(moved, along * basis[:, k], rtol=0, atol=1e-10)
+
+
+def test_a_reference_that_does_not_span_the_internal_forces() -> None:
+    grasp = NOMINAL[3]
+    rows = np.linalg.svd(grasp.matrix, full_matrices=False)[2]
+    along = np.einsum("nij,njk->nik", grasp.frames, rows.T.reshape(3, 3, 6))[:, :, :3].reshape(9, 3)
+    pipeline = ForcePipeline(grasp, method="newton", reference=along)
+    record = np.empty(record_size(3))
+    given = grasp.positions.copy(), grasp.normals.copy(), 0.1 * PAPER_WRENCH
+    assert pipeline._core.solve(*given, np.ones(3), record) == REFUSED
+    assert pipeline.solve(*given).status is Status.OPTIMAL
+
+
 def test_an_adjustment_on_the_nominal_contacts_to_the_last_digits() -> None:
     grasp = NOMINAL[4]
     pipeline, optimizer = ForcePipeline(grasp), ForceOptimizer(grasp)
@@ -216,10 +255,45 @@ def test_carry_repairs_and_clips() -> None:
     assert grasp.residual(force, heavy) < 1e-9
     assert grasp.cone_margin(force) > 0.0
     # friction cones that no balanced force of any combination is in: a wrench along which the basis does not reach
-    thin, x, out = np.zeros((13, 12)), pipeline.x.copy(), np.empty(12)
-    assert carry(x, thin, pipeline.cone_matrix, heavy, pipeline.held.weights, out) == CLIPPED
-    u, o, t = out.reshape(-1, 3).T
-    assert (u >= 1.04 * np.hypot(o, t)).all()
+    x, out = pipeline.x.copy(), np.empty(12)
+    assert carry_or_repair(x, np.zeros(12), pipeline.cone_matrix, heavy, pipeline.held.weights, out) == CLIPPED
+    pipeline._core.set_basis(np.zeros((13, 12)), np.ascontiguousarray(grasp.frames))
+    assert pipeline.carry(points, normals, heavy, force) == CLIPPED
+    for clipped in (out, grasp.to_cone(force)):
+        u, o, t = clipped.reshape(-1, 3).T
+        assert (u >= 1.04 * np.hypot(o, t)).all()
+    np.testing.assert_allclose(grasp.to_cone(force), out, rtol=0, atol=1e-9 * np.abs(out).max())
+
+
+@pytest.mark.parametrize("count", NOMINAL)
+def test_the_control_tick_carries_as_the_pipeline_does(count: int) -> None:
+    """`carry_kernels`, step by step, against one call of the core."""
+    rng = np.random.default_rng(count)
+    pipeline = ForcePipeline(NOMINAL[count], method="newton")
+    held, size, seen = pipeline.held, 3 * count, set()
+    frames, matrix, cone_matrix = np.empty((count, 3, 3)), np.empty((6, size)), np.empty((6, size))
+    x, combined, there, out = np.empty((4, size))
+    force = np.empty((count, 3))
+    for jump in (1e-3, 0.1, 1.0, 10.0, 100.0) * 4:
+        points, normals = contacts(rng, count)
+        wrench = some_wrench(rng)
+        pipeline.solve(points, normals, wrench)
+        points, normals = contacts(rng, count)
+        wrench = wrench + jump * some_wrench(rng)
+        write_contact_geometry(points, normals, held.divisor.copy(), held.tangents, frames, matrix, cone_matrix)
+        now = grasp_of(count, points, normals)
+        np.testing.assert_allclose(frames, now.frames, rtol=0, atol=3e-15)
+        np.testing.assert_allclose(matrix, now.matrix, rtol=0, atol=3e-15)
+        np.testing.assert_allclose(cone_matrix, now.cone_matrix, rtol=1e-14, atol=3e-15)
+        turn(held.x, held.divisor.copy(), held.frames, frames, x)
+        combine(held.basis, wrench, False, there)
+        turn(there, held.divisor.copy(), held.basis_frames, frames, combined)
+        outcome = carry_or_repair(x, combined, cone_matrix, wrench, held.weights, out)
+        assert pipeline.carry(points, normals, wrench, force) == outcome
+        # a system of condition up to 1e7, solved in two frames
+        np.testing.assert_allclose(now.to_cone(force), out, rtol=0, atol=1e-7 * np.abs(out).max())
+        seen.add(outcome)
+    assert seen >= {CARRIED, REPAIRED}
 
 
 def test_carry_without_an_optimum_is_the_carried_combination() -> None:
@@ -245,8 +319,9 @@ def test_frames_that_switch_axes_carry_the_force_along() -> None:
     pipeline = ForcePipeline(grasp, initial="previous", method="newton", tolerance=1e-8)
     wrench = 0.2 * PAPER_WRENCH
     before = pipeline.solve(points, normals, wrench)
-    frames, cone_matrix, force = np.empty((4, 3, 3)), np.empty((6, 12)), np.empty((4, 3))
-    assert carry_contacts(pipeline.held, points, turned, wrench.copy(), frames, cone_matrix, force) == CARRIED
+    force = np.empty((4, 3))
+    assert pipeline.carry(points, turned, wrench.copy(), force) == CARRIED
+    frames = pipeline._core.arrays()["frames_now"].copy()
     np.testing.assert_array_equal(frames, after.frames)
     np.testing.assert_allclose(
         np.einsum("nij,nj->ni", frames, force),

@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from grasp_env.grasp.kernels import is_clearly_full_rank
+from oracles import geometry
 from problems import GRASPS, random_grasp
 
+from grasp_env.core import grasp_arrays
 from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, UnknownNameError
 from grasp_env.grasp import Grasp, presets
 
@@ -158,19 +159,38 @@ def test_unchecked_contacts_make_the_same_grasp(models: str, tangents: np.ndarra
 
 
 def test_a_doubtful_rank_is_left_to_the_singular_values() -> None:
+    """They cost ten times the rest of a grasp, and are remembered where they were asked."""
     rng = np.random.default_rng(0)
-    clear = 0
-    for ratio in 10.0 ** np.arange(-12.0, 0.0, 0.25):
-        u, _ = np.linalg.qr(rng.standard_normal((6, 6)))
-        v, _ = np.linalg.qr(rng.standard_normal((9, 6)))
-        rows = (u * np.array([1.0, 0.9, 0.8, 0.7, 0.6, ratio])) @ v.T
-        found = is_clearly_full_rank(rows)
+    clear, refused = 0, 0
+    for thin in 10.0 ** np.arange(-12.0, 0.0, 0.125):
+        base = random_grasp(rng, 3 + clear % 4)
+        # nearly on a line, off the origin: no moment about it
+        positions = base.positions * [1.0, thin, thin] + [0.1, -0.2, 0.3]
+        frames = np.array([geometry.frame(n) for n in base.normals])
+        rows = geometry.unit_frame(positions)[2] @ geometry.grasp_matrix(positions, frames)
+        ratio = geometry.rank_ratio(rows)
+        try:
+            grasp = Grasp.from_contacts(positions, base.normals, base.friction)
+        except RankDeficientGraspError:
+            assert ratio < 1.1e-8
+            refused += 1
+            continue
+        assert ratio > 0.9e-8
+        found = "pseudoinverse" not in vars(grasp)
         clear += found
         assert not found or ratio > 1e-6
         assert found or ratio < 1e-2
     assert clear > 8
-    assert not is_clearly_full_rank(np.zeros((6, 9)))
-    assert not is_clearly_full_rank(np.full((6, 9), np.nan))
+    assert refused > 8
+
+
+@pytest.mark.parametrize("bad", [0.0, np.nan, np.inf])
+def test_the_core_never_says_that_such_arrays_have_full_rank(bad: float) -> None:
+    grasp = presets.tripod()
+    arrays = [np.empty(getattr(grasp, name).shape) for name in ("frames", "matrix", "cone_matrix", "torsion_matrix")]
+    for positions, normals in ((np.full((3, 3), bad), NORMALS), (POSITIONS, np.full((3, 3), bad))):
+        given = positions, normals, grasp.models.packed, np.zeros((0, 3))
+        assert not grasp_arrays(*given, *arrays, np.empty(3), np.empty((6, 6))) > 0.0
 
 
 def test_normals_within_rounding_of_unit_length_are_normalised() -> None:

@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from grasp_env.grasp.kernels import TANGENT_SWITCH
 from problems import GRASPS, random_grasp
 
+from grasp_env.core import TANGENT_SWITCH
 from grasp_env.grasp import Grasp, null_space_basis, presets, reference_basis
 
 

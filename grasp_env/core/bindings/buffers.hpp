@@ -9,7 +9,7 @@
 class Buffer {
 public:
     Buffer(nb::handle object, bool writable = false) {
-        if (!PyObject_CheckBuffer(object.ptr())) return;
+        if (object.is_none() || !PyObject_CheckBuffer(object.ptr())) return;
         const int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
         held_ = PyObject_GetBuffer(object.ptr(), &view_, flags) == 0;
         if (!held_) PyErr_Clear();

@@ -21,16 +21,14 @@ std::unique_ptr<Pipeline> make(const Contacts& nominal, double tolerance, int li
 struct Given {
     int count;
     Buffer points, normals, wrench, adjust;
+    bool adjusts;
 
     Given(Pipeline& pipeline, nb::handle p, nb::handle n, nb::handle w, nb::handle a)
-        : count(pipeline.contacts().count), points(p), normals(n), wrench(w), adjust(a) {}
+        : count(pipeline.contacts().count), points(p), normals(n), wrench(w), adjust(a), adjusts(!a.is_none()) {}
     bool readable() const {
-        return points.has(count, 3) && normals.has(count, 3) && wrench.has(6) &&
-               (adjust.has(0) || adjust.has(3 * count - 6));
+        return points.has(count, 3) && normals.has(count, 3) && wrench.has(6) && (!adjusts || adjust.has(3 * count - 6));
     }
-    Load load() const {
-        return {points.data(), normals.data(), wrench.data(), adjust.length(0) ? adjust.data() : nullptr};
-    }
+    Load load() const { return {points.data(), normals.data(), wrench.data(), adjusts ? adjust.data() : nullptr}; }
 };
 
 int solve(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench, nb::handle adjust, nb::handle record) {
@@ -102,7 +100,7 @@ void bind_pipeline(nb::module_& m) {
             p.set_basis(in(basis, 13, 3 * count).data(), in(frames, count, 3, 3).data());
         }, "basis"_a, "frames"_a, "Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.")
         .def("solve", &solve, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "adjust"_a.none(), "record"_a,
-             "Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or (0,) into a record; returns the code.")
+             "Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or None into a record; returns the code.")
         .def("begin", &begin, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "The contacts of now and the start there; False: none.")
         .def("resume", &Pipeline::resume, "Takes `start` back, which may have been replaced since `begin`.")
         .def("adjust", &adjust, "wrench"_a.none(), "coordinates"_a.none(),

@@ -204,9 +204,11 @@ private:
         for (int halving = 0; halving < HALVINGS; ++halving, alpha *= 0.5) {
             ++trials;
             const double found = cones.phi_along(x, step_, alpha);
-            if (found < value - 1e-4 * alpha * decrement || (found <= value && decrement < 1e-9 * value)) {
+            const bool falls = found < value - 1e-4 * alpha * decrement, flat = decrement < 1e-9 * value;
+            if (falls || (flat && found <= value)) {
                 // far from the optimum steps are as long as Phi is straight: what counts is how far x moves
-                if (!(alpha * cones.largest_normal(step_) > SHORTEST * cones.largest_normal(x))) return false;
+                const bool suspect = flat || halving > 0;
+                if (suspect && !(alpha * cones.largest_normal(step_) > SHORTEST * cones.largest_normal(x))) return false;
                 value = found;
                 return true;
             }

@@ -73,7 +73,7 @@ public:
 
     // Contacts of now and the start there, in newton.x; false where there is none.
     bool begin(const Load& load) {
-        if (!place(load)) return false;
+        if (place(load) != Placed::good) return false;
         const Vec6 w = newton.cones.unit.of(load.wrench);
         auto& starter = newton.starter;
         if (!starter.combination(newton.cones, newton.system, load.wrench, w, safe_)) {
@@ -128,18 +128,23 @@ public:
     Carried carry(const Load& load, double* force) {
         const auto& cones = newton.cones;
         auto& starter = newton.starter;
-        place(load);
+        const Placed placed = place(load);
+        if (placed == Placed::refused) {
+            std::fill(force, force + 3 * contacts.count, 0.0);
+            return CLIPPED;
+        }
         turn_last();
         const Vec6 w = cones.unit.of(load.wrench);
         Field& x = newton.x;
         x = turned_;
-        if (newton.system.assemble(cones, x)) newton.system.restore(cones, newton.system.made + w, x);
+        const bool spans = placed == Placed::good;
         Carried outcome = CARRIED;
-        if (!(cones.phi(x) < infinity)) {
+        if (spans && newton.system.assemble(cones, x)) newton.system.restore(cones, newton.system.made + w, x);
+        if (!spans || !(cones.phi(x) < infinity)) {
             starter.combine(load.wrench, turned_);
             starter.turn(cones, turned_, starter.basis_tangents, safe_);
             if (!cones.sane(x)) x = safe_;
-            if (starter.tangent(cones, newton.system, w, safe_) && cones.phi(safe_) < infinity) {
+            if (spans && starter.tangent(cones, newton.system, w, safe_) && cones.phi(safe_) < infinity) {
                 starter.segment(cones, safe_, x);
                 outcome = REPAIRED;
             } else {  // give up a little balance (a pose feedback takes it back), never the friction cone
@@ -158,12 +163,14 @@ private:
     Tangents<V, B> last_;  // those of the last optimum
     Field turned_, safe_;
 
-    bool place(const Load& load) {
-        if (!sane_wrench(load.wrench) || contacts.place(load.points, load.normals) != Placed::good) return false;
+    Placed place(const Load& load) {
+        if (!sane_wrench(load.wrench)) return Placed::refused;
+        const Placed placed = contacts.place(load.points, load.normals);
+        if (placed == Placed::refused) return placed;
         newton.cones.pack(contacts);
         newton.starter.tangents.load(contacts.frames.data(), contacts.count);
         newton.starter.moved = true;
-        return true;
+        return placed;
     }
 
     // The last optimum in the frames of now; false where there is none.
