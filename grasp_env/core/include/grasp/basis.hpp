@@ -84,7 +84,7 @@ template <class V, int B> double make_basis(NewtonOn<V, B>& newton, bool warm) {
             worst = infinity;
             break;
         }
-        newton.descend(call, w, record, LONG);
+        newton.descend_from(starter.safe() = x, call, w, record, LONG);
         newton.polish(w);
         cones.balance(x, w);
         basis[k] = x;

@@ -52,14 +52,15 @@ public:
         return descend_from(begun_, call, w, record);
     }
 
-    // From the start in x, of which `begun` is a copy.
-    Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record) {
-        Code code = descend(call, w, record, SHORT);
+    // From the start in x, of which `begun` is a copy: with steps that reach `first` of the way to the boundary, and where forces at very
+    // different depths stall those, with the others.
+    Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record, double first = SHORT) {
+        Code code = descend(call, w, record, first);
         if (code != STALLED) return code;
-        const Summary first = record.summary();  // forces at very different depths: the other way there may be passable
+        const double tried = record.summary().trials;
         x = begun;
-        code = descend(call, w, record, LONG);
-        record.summary().iterations += first.iterations, record.summary().trials += first.trials;
+        code = descend(call, w, record, SHORT + LONG - first);
+        record.summary().trials += tried;
         return code;
     }
 
