@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import grasp_env
-from grasp_env.force import ForceOptimizer, ForcePipeline
+from grasp_env.force import ForceOptimizer, ForcePipeline, phase_one
 from grasp_env.grasp import Grasp
 from training.bench.grasps import problems
 from training.runs import provenance
@@ -52,19 +52,29 @@ class Timed:
 
 
 def cases(seed: int, count: int, wrenches: int) -> list[Case]:
-    """The problems of the other benchmarks, and a path round each grasp."""
+    """The problems of the other benchmarks, and a path round each grasp on which it keeps force closure."""
     rng, out = np.random.default_rng([seed, count, 1]), []
     for grasp, loads in problems(seed, count, wrenches):
         angle = STEP * np.arange(len(loads))[:, None, None]
         phase, shift, tilt = rng.uniform(0.0, 2.0 * np.pi, (count, 1)), *rng.uniform(-1.0, 1.0, (2, count, 3))
-        points = grasp.positions + SHIFT * shift * np.sin(angle + phase)
-        normals = grasp.normals + TILT * tilt * np.cos(angle + phase)
-        normals /= np.sqrt((normals**2).sum(axis=2, keepdims=True))
+        part = 1.0  # of the way: halved until closure is kept
+        while True:
+            points = grasp.positions + part * SHIFT * shift * np.sin(angle + phase)
+            normals = grasp.normals + part * TILT * tilt * np.cos(angle + phase)
+            normals /= np.sqrt((normals**2).sum(axis=2, keepdims=True))
+            if all(closed(p, n, grasp) for p, n in zip(points, normals, strict=True)):
+                break
+            part *= 0.5
         path = np.cos(angle[:, 0]) * loads[0] + np.sin(angle[:, 0]) * loads[1]
         out.append(
             Case(grasp, loads, [(p.copy(), n.copy(), w.copy()) for p, n, w in zip(points, normals, path, strict=True)])
         )
     return out
+
+
+def closed(points: Array, normals: Array, grasp: Grasp) -> bool:
+    """Whether contacts with the friction of `grasp` have force closure."""
+    return phase_one(Grasp.from_contacts(points, normals, grasp.friction), np.zeros(6)).feasible
 
 
 def solving(solve: Callable[..., Any], calls: list[Any], restart: Callable[[], object]) -> Timed:

@@ -26,8 +26,8 @@ void solve_many(const Conic& conic, nb::handle wrenches, nb::handle records) {
     const Numbers loads = in(wrenches, -1, 6);
     const Py_ssize_t many = loads.length(0);
     const Numbers rows = out(records, many, size);
+    const auto own = conic.clone();  // before others may use it
     nb::gil_scoped_release free;
-    const auto own = conic.clone();
     for (Py_ssize_t k = 0; k < many; ++k) own->solve(loads.data() + 6 * k, rows.data() + size * k);
 }
 

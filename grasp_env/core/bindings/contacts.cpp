@@ -14,7 +14,7 @@ double grasp_arrays(nb::handle positions, nb::handle normals, nb::handle models,
     const Numbers p = in(positions, -1, 3);
     const int count = int(p.length(0)), size = 3 * count;
     const Numbers n = in(normals, count, 3), kinds = in(models, 7, count);
-    const Numbers along = in(tangents, -1, 3);
+    const Numbers any = in(tangents, -1, 3), along = any.length(0) ? in(tangents, count, 3) : in(tangents, 0, 3);
     const Numbers f = out(frames, count, 3, 3), g = out(matrix, 6, size), c = out(cone_matrix, 6, size);
     const Numbers t = out(torsion_matrix, 6, count), middle = out(centre, 3), map = out(frame, 6, 6);
     std::vector<double> rows;
@@ -79,6 +79,11 @@ Contacts make(nb::handle positions, nb::handle normals, nb::handle scale, nb::ha
     const Numbers p = in(positions, -1, 3);
     const int count = int(p.length(0));
     const Numbers n = in(normals, count, 3), s = in(scale, count, 3), w = in(weights, count, 2), along = in(tangents, -1, 3);
+    for (int j = 0; j < 3 * count; ++j)
+        if (!(s.data()[j] >= 0.0 && s.data()[j] < infinity) || (j % 3 == 0 && s.data()[j] == 0.0))
+            throw nb::value_error("scale must be finite and >= 0, that of normals > 0");
+    for (int j = 0; j < 2 * count; ++j)
+        if (!(w.data()[j] > 0.0 && w.data()[j] < infinity)) throw nb::value_error("weights must be finite and > 0");
     Contacts contacts(count, s.data(), w.data(), along.length(0) ? in(tangents, count, 3).data() : nullptr);
     const Placed placed = contacts.place(p.data(), n.data());
     if (placed == Placed::refused) throw nb::value_error("positions must be finite and normals of unit length");

@@ -45,8 +45,8 @@ void solve_many(const Newton& newton, nb::handle wrenches, nb::handle previous, 
     const Numbers rows = out(records, many, size);
     const bool follows = !previous.is_none();
     const Numbers before = follows ? in(previous, many, size) : in(records, many, size);
+    const auto own = newton.clone();  // before others may use it
     nb::gil_scoped_release free;
-    const auto own = newton.clone();
     for (Py_ssize_t k = 0; k < many; ++k) {
         Call call{.wrench = loads.data() + 6 * k};
         if (follows) call.start = Start::tangent, call.force = Record(before.data() + size * k, count).force();
@@ -64,7 +64,10 @@ void solve_scaled(const Contacts& contacts, nb::handle scales, nb::handle wrench
     nb::gil_scoped_release free;
     Contacts scaled = contacts;
     for (Py_ssize_t k = 0; k < many; ++k) {
-        if (!scaled.rescale(factors.data() + 3 * count * k)) continue;
+        if (!scaled.rescale(factors.data() + 3 * count * k)) {
+            Record(rows.data() + size * k, count).summary().code = REFUSED;
+            continue;
+        }
         Newton::make(scaled, {tolerance, limit})->solve(
             {.wrench = loads.data() + 6 * k, .start = Start::given, .force = starts.data() + 3 * count * k}, rows.data() + size * k);
     }

@@ -11,7 +11,7 @@ public:
     // reference: (3N, 3N - 6) object-frame directions
     NullSpace(int count, const double* reference)
         : size_(3 * count), columns_(std::max(0, 3 * count - 6)), reference_(reference, reference + size_ * columns_),
-          basis_(size_ * columns_), gram_(columns_ * columns_), line_(columns_) {}
+          basis_(size_ * columns_), gram_(columns_ * columns_), line_(columns_), rows_(6 * size_) {}
 
     int dimension() const { return columns_; }
 
@@ -33,7 +33,8 @@ public:
                     double total = 0.0;
                     for (int j = 0; j < size_; ++j) total += basis_[columns_ * j + b] * basis_[columns_ * j + k];
                     gram_[columns_ * b + k] = gram_[columns_ * k + b] = total;
-                    worst = std::max(worst, std::abs(total - (b == k)));
+                    const double off = std::abs(total - (b == k));
+                    worst = off <= worst ? worst : off;  // keeps what is not a number
                 }
             if (worst <= CLOSE) {
                 reject();

@@ -16,6 +16,7 @@ inline Interval inside(const Vec3<double>& point, const Vec3<double>& ray) {
     const double a = lorentz(ray, ray), b = lorentz(point, ray), c = lorentz(point, point);
     const double discriminant = b * b - a * c;
     const Interval none{0.0, -1.0};
+    if (!(std::abs(a) + std::abs(b) + std::abs(c) < infinity)) return none;
     if (a > 0.0) {  // the ray ends inside one of the two opposite cones, so b^2 >= a c but for rounding
         const double root = std::sqrt(std::max(discriminant, 0.0));
         double near = 0.0, far = 0.0;
@@ -98,12 +99,12 @@ template <class V, int B> double make_basis(NewtonOn<V, B>& newton, bool warm) {
 
 // k > 0 of least Phi(k x) for x strictly inside: Phi(k x) = k a + b / k.
 template <class V, int B> double squeeze(const Cones<V, B>& cones, const typename Cones<V, B>::Field& x) {
-    V force{}, both{};
+    V force{}, barrier{};
     for (int b = 0; b < int(x.size()); ++b) {
         const auto& c = cones.blocks[b];
-        force += c.mask * 3.0 * c.weights.omega * x[b].u, both += c.mask * phi(x[b], c.weights);
+        force += c.mask * phi(x[b], {c.weights.omega, V{}}), barrier += c.mask * phi(x[b], {V{}, c.weights.lambda});
     }
-    return std::sqrt((sum(both) - sum(force)) / sum(force));
+    return std::sqrt(sum(barrier) / sum(force));
 }
 
 }  // namespace grasp

@@ -51,7 +51,7 @@ public:
         record.clear();
         Summary& out = record.summary();
         out.code = REFUSED;
-        if (!sane_wrench(wrench)) return REFUSED;
+        if (!sane_wrench(wrench) || !cones.sane(rest) || !(cones.margin(rest) > 0.0)) return REFUSED;
         std::copy(wrench, wrench + 6, out.wrench.begin());
         const Vec6 unit = cones.unit.of(wrench);
         const double scale = size(unit);

@@ -30,7 +30,7 @@ public:
         : count(count), scale(scales, scales + 3 * count), divisor(3 * count), omega(count), lambda(count),
           frames(9 * count), matrix(18 * count), cone_matrix(18 * count), rows(18 * count), force_rows(18 * count),
           inverse(18 * count), used_(3 * count), per_(3 * count),
-          inward_(3 * count) {
+          inward_(3 * count), work_(18 * count) {
         transmit();
         for (int i = 0; i < count; ++i) omega[i] = weights[2 * i], lambda[i] = weights[2 * i + 1];
         if (along) tangents.assign(along, along + 3 * count);
@@ -84,29 +84,34 @@ public:
         const int size = 3 * count;
         std::copy(scales, scales + size, scale.begin());
         transmit();
-        for (int j = 0; j < size; ++j)
-            for (int r = 0; r < 6; ++r) {
-                cone_matrix[size * r + j] = per_[j] * matrix[size * r + j];
-                rows[size * r + j] = per_[j] * force_rows[size * r + j];
-            }
+        for (int j = 0; j < size; ++j) {
+            const Vec6 made = column(matrix.data(), size, j), row = unit.of(made.data());
+            set_column(cone_matrix.data(), size, j, per_[j] * made);
+            set_column(force_rows.data(), size, j, used_[j] * row), set_column(rows.data(), size, j, per_[j] * row);
+        }
         return invert(gram(force_rows.data(), size));
     }
 
 private:
     std::vector<double> used_, per_;  // 1 where a force is transmitted; 1 / divisor
-    std::vector<double> inward_;
+    std::vector<double> inward_, work_;  // (N, 3) normals as they are taken; (6, 3N)
     static constexpr double RANK = 1e-8;  // least ratio of singular values of G in the unit frame that counts as rank 6
     static constexpr double WELL = 1e-6;  // `rank_bound` from which G G^T may be inverted as it is: six digits are left at least
 
     void transmit() {
         for (int j = 0; j < 3 * count; ++j) {
+            if (!(scale[j] > 0.0 && scale[j] < infinity)) scale[j] = 0.0;
             used_[j] = scale[j] > 0.0, divisor[j] = scale[j] > 0.0 ? scale[j] : infinity;
             per_[j] = 1.0 / divisor[j];
         }
     }
 
-    bool invert(const Packed6& s) {  // s: Gram matrix of the rows
+    bool invert(const Packed6& s) {
+        if (count == 0) return false;  // s: Gram matrix of the rows
         const int size = 3 * count;
+        double total = 0.0;
+        for (double v : s) total += std::abs(v);
+        if (!(total < infinity)) return false;
         Ldl6 factor;
         factor.factor(s);
         const double clear = rank_bound(s, factor);
@@ -156,7 +161,7 @@ private:
                     factor[i][j] = i == j ? std::sqrt(a) : a / factor[j][j];
                 }
             for (int i = 0; i < 6; ++i) {
-                double* row = &rows[size * i];
+                double* row = rows.data() + size * i;
                 for (int k = 0; k < i; ++k)
                     for (int j = 0; j < size; ++j) row[j] -= factor[i][k] * rows[size * k + j];
                 for (int j = 0; j < size; ++j) row[j] /= factor[i][i];
@@ -197,7 +202,7 @@ private:
 
     private:
         bool rotate(int p, int q) {
-            double *a = &rows[size * p], *b = &rows[size * q], pp = 0.0, qq = 0.0, pq = 0.0;
+            double *a = rows.data() + size * p, *b = rows.data() + size * q, pp = 0.0, qq = 0.0, pq = 0.0;
             for (int j = 0; j < size; ++j) pp += a[j] * a[j], qq += b[j] * b[j], pq += a[j] * b[j];
             if (!(std::abs(pq) > 1e-16 * std::sqrt(pp * qq))) return false;
             const double zeta = (qq - pp) / (2.0 * pq);
@@ -213,7 +218,6 @@ private:
             return true;
         }
     };
-    std::vector<double> work_;
 };
 
 }  // namespace grasp

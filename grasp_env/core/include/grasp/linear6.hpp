@@ -28,7 +28,7 @@ inline double dot(const Vec6& a, const Vec6& b) {
 // Largest magnitude.
 inline double size(const Vec6& a) {
     double most = 0.0;
-    for (double v : a) most = std::max(most, std::abs(v));
+    for (double v : a) most = std::abs(v) <= most ? most : std::abs(v);  // keeps what is not a number
     return most;
 }
 

@@ -84,7 +84,9 @@ public:
         cones.store_force(x, record.initial_force());
         const bool known = call.optimum == call.optimum;
         const double tolerance = options.tolerance, tight = std::min(1e-2, 0.1 * std::sqrt(std::sqrt(tolerance)));
-        double value = cones.phi(x), bound = known ? call.optimum : -infinity;
+        double value = cones.phi(x);
+        if (!(value < infinity)) return REFUSED;
+        double bound = known ? call.optimum : -infinity;
         int iterations = 0, trials = 0;
         Code code = STALLED;
         Vec6 nu{};
@@ -112,7 +114,7 @@ public:
             double alpha = reach > 0.0 ? std::min(1.0, fraction / reach) : 1.0;
             if (!search(value, decrement, alpha, trials)) {
                 if (!known) bound = std::max(bound, cones.lower_bound(nu, w));
-                code = bound > 0.0 && value - bound <= tolerance * bound ? CONVERGED : STALLED;
+                code = certified() ? CONVERGED : STALLED;
                 break;
             }
             for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];

@@ -86,8 +86,8 @@ template <class T> inline T dual(const Vec3<T>& y, const Weights<T>& w, T& room)
     return inner.value(r, w);
 }
 
-// The same from the r of a nearby force x, no contraction. Where the second Newton step is not tiny (`tight`; the error is of the
-// fourth order) nothing is claimed (room < 0): a value above the least would not be a bound.
+// The same from the r of a nearby force x, no contraction. Where the second Newton step is not a small part (`tight`) of r nothing
+// is claimed (room < 0); what it may leave, of the fourth order, is taken off: a value above the least would not be a bound.
 template <class T> inline T dual_near(const Vec3<T>& y, const Weights<T>& w, const Vec3<T>& x, double tight, T& room) {
     const Inner<T> inner(y, w);
     const T s = sqrt(x.o * x.o + x.t * x.t);
@@ -95,8 +95,9 @@ template <class T> inline T dual_near(const Vec3<T>& y, const Weights<T>& w, con
     r -= inner.change(r);
     const T last = inner.change(r);
     r -= last;
-    room = abs(last) < tight * r ? inner.low : all<T>(-1.0);
-    return inner.value(r, w);
+    const T part = last / r, part2 = part * part;
+    room = abs(part) < tight ? inner.low : all<T>(-1.0);
+    return (1.0 - 0.25 * part2 * part2) * inner.value(r, w);  // r is off by the square of `last`, the value by the square of that
 }
 
 }  // namespace grasp

@@ -73,7 +73,8 @@ public:
 
     // Contacts of now and the start there, in newton.x; false where there is none.
     bool begin(const Load& load) {
-        if (place(load) != Placed::good) return false;
+        placed_ = place(load) == Placed::good;
+        if (!placed_) return false;
         const Vec6 w = newton.cones.unit.of(load.wrench);
         auto& starter = newton.starter;
         if (!starter.combination(newton.cones, newton.system, load.wrench, w, safe_)) {
@@ -100,7 +101,7 @@ public:
     // An internal force, in (3N - 6,) coordinates [N], added to the start, which is then repaired; false where it is not finite or the
     // coordinates end here.
     bool adjust(const double* wrench, const double* coordinates) {
-        if (!space_.place(contacts)) return false;
+        if (!placed_ || !sane_wrench(wrench) || !space_.place(contacts)) return false;
         newton.cones.store(newton.x, start.data());
         for (int j = 0; j < 3 * contacts.count; ++j) start[j] += space_.force(j, coordinates) * contacts.scale[j];
         resume();
@@ -112,6 +113,7 @@ public:
 
     // Newton from the start in newton.x.
     Code descend(const double* wrench, const Record& record) {
+        if (!placed_ || !sane_wrench(wrench)) return REFUSED;
         turned_ = newton.x;
         return newton.descend_from(turned_, {.wrench = wrench, .start = Start::given}, newton.cones.unit.of(wrench), record);
     }
@@ -162,6 +164,7 @@ private:
     std::array<Field, 13> spare_;
     Tangents<V, B> last_;  // those of the last optimum
     Field turned_, safe_;
+    bool placed_ = false;  // whether there are contacts of now
 
     Placed place(const Load& load) {
         if (!sane_wrench(load.wrench)) return Placed::refused;

@@ -7,7 +7,8 @@
 namespace grasp {
 
 // Newton on Phi, and the starts, on the contacts of one grasp. Forces are (3N,) [N], x is (3N,) in cone coordinates [N].
-class Newton {
+// Aligned as their registers are: who deletes through them need not know.
+class alignas(64) Newton {
 public:
     const Contacts contacts;
     Options options;
@@ -38,7 +39,7 @@ protected:
 };
 
 // The least sum of normal forces on the contacts of one grasp.
-class Conic {
+class alignas(64) Conic {
 public:
     const Contacts contacts;
 
@@ -53,7 +54,7 @@ protected:
 };
 
 // Contacts that move from call to call; see `PipelineOn`.
-class Pipeline {
+class alignas(64) Pipeline {
 public:
     static std::unique_ptr<Pipeline> make(const Contacts& nominal, const Options& options, const double* basis,
                                           const double* frames, bool remembers, const double* reference);

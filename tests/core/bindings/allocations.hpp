@@ -1,0 +1,11 @@
+// Counts what is taken from the heap.
+#pragma once
+
+extern long allocations;  // since the module was loaded; stays 0 under the sanitizers, which have an operator new of their own
+
+// How many allocations f makes.
+template <class F> long counted(F&& f) {
+    const long before = allocations;
+    f();
+    return allocations - before;
+}

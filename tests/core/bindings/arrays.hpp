@@ -1,0 +1,70 @@
+// numpy in, numpy out. Speed is no matter here: arguments are converted, results are copies.
+#pragma once
+
+#include <nanobind/ndarray.h>
+
+#include <grasp/solvers.hpp>
+
+#include "module.hpp"
+
+using In = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+
+// The numbers of an argument that must have `size` of them.
+inline const double* numbers(const In& a, size_t size) {
+    if (a.size() != size) throw nb::value_error("an array of another size is needed");
+    return a.data();
+}
+inline grasp::Vec6 six(const In& a) {
+    grasp::Vec6 out;
+    std::copy_n(numbers(a, 6), 6, out.begin());
+    return out;
+}
+
+inline nb::object array(std::vector<double> values, std::initializer_list<size_t> shape) {
+    auto* kept = new std::vector<double>(std::move(values));
+    const nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); });
+    return nb::cast(nb::ndarray<nb::numpy, double>(kept->data(), shape, owner));
+}
+template <class Numbers> nb::object array(const Numbers& values) {
+    return array(std::vector<double>(values.begin(), values.end()), {values.size()});
+}
+
+// f(V{}) with V the register of so many lanes.
+template <class F> auto with_lanes(int lanes, F&& f) {
+    switch (lanes) {
+        case 1: return f(grasp::Lanes<1>{});
+        case 2: return f(grasp::Lanes<2>{});
+        case 4: return f(grasp::Lanes<4>{});
+        case 8: return f(grasp::Lanes<8>{});
+    }
+    throw nb::value_error("lanes: 1, 2, 4 or 8");
+}
+
+// The solvers' layouts that the tests compare: lanes, and registers where their number is fixed (0: as many as needed). Under the
+// sanitizers, which take long to compile, those that the core chooses from on the widest machine, and plain numbers.
+#ifdef GRASP_SANITIZE
+inline constexpr int LAYOUTS[][2] = {{1, 0}, {8, 0}, {4, 1}, {8, 1}};
+#else
+inline constexpr int LAYOUTS[][2] = {{1, 0}, {2, 0}, {4, 0}, {8, 0}, {4, 1}, {8, 1}};
+#endif
+
+template <template <class, int> class Made, class Base, class... Arguments>
+std::unique_ptr<Base> instance_of(int lanes, int blocks, const Arguments&... arguments) {
+    using grasp::Lanes;
+    const int layout = 10 * lanes + blocks;
+    if (layout == 10) return std::make_unique<Made<Lanes<1>, 0>>(arguments...);
+#ifndef GRASP_SANITIZE
+    if (layout == 20) return std::make_unique<Made<Lanes<2>, 0>>(arguments...);
+    if (layout == 40) return std::make_unique<Made<Lanes<4>, 0>>(arguments...);
+#endif
+    if (layout == 41) return std::make_unique<Made<Lanes<4>, 1>>(arguments...);
+    if (layout == 80) return std::make_unique<Made<Lanes<8>, 0>>(arguments...);
+    if (layout == 81) return std::make_unique<Made<Lanes<8>, 1>>(arguments...);
+    throw nb::value_error("a layout of LAYOUTS is needed");
+}
+
+// grasp::Contacts under a name of this module's own: _core registers the type itself.
+struct Placement {
+    grasp::Contacts contacts;
+    grasp::Placed placed;
+};

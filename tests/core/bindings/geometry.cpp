@@ -1,0 +1,93 @@
+// Frames, contacts and their inverses, internal forces.
+#include <nanobind/stl/optional.h>
+
+#include "arrays.hpp"
+
+using namespace grasp;
+
+namespace {
+
+nb::object frame(In normal, std::optional<In> along) {
+    const Frame made(point(numbers(normal, 3)), along ? numbers(*along, 3) : nullptr);
+    std::vector<double> out(9);
+    const Point* axes = &made.n;
+    for (int a = 0; a < 3; ++a)
+        for (int r = 0; r < 3; ++r) out[3 * r + a] = axes[a][r];
+    return array(out, {3, 3});
+}
+
+UnitFrame unit_of(const In& positions) {
+    const int count = int(positions.size() / 3);
+    return {numbers(positions, 3 * count), count};
+}
+nb::tuple unit_frame(In positions) {
+    const UnitFrame unit = unit_of(positions);
+    std::vector<double> map(36);
+    unit.write(map.data());
+    return nb::make_tuple(array(std::array{unit.centre.u, unit.centre.o, unit.centre.t}), unit.length, array(map, {6, 6}));
+}
+nb::object to_unit(In positions, In wrench) { return array(unit_of(positions).of(numbers(wrench, 6))); }
+nb::object pull_back(In positions, In n) { return array(unit_of(positions).pull_back(six(n))); }
+
+Placement place(In positions, In normals, In scale, In weights, std::optional<In> tangents) {
+    const int count = int(positions.size() / 3);
+    const size_t size = 3 * count;
+    Contacts contacts(count, numbers(scale, size), numbers(weights, 2 * count), tangents ? numbers(*tangents, size) : nullptr);
+    const Placed placed = contacts.place(numbers(positions, size), numbers(normals, size));
+    return {contacts, placed};
+}
+int move(Placement& p, In positions, In normals) {
+    const size_t size = 3 * p.contacts.count;
+    return int(p.placed = p.contacts.place(numbers(positions, size), numbers(normals, size)));
+}
+
+nb::dict arrays_of(const Placement& p) {
+    const Contacts& c = p.contacts;
+    const size_t count = c.count, size = 3 * count;
+    nb::dict out;
+    out["frames"] = array(c.frames, {count, 3, 3});
+    out["matrix"] = array(c.matrix, {6, size}), out["cone_matrix"] = array(c.cone_matrix, {6, size});
+    std::vector<double> orthonormal;
+    c.orthonormal(orthonormal);
+    out["rows"] = array(c.rows, {6, size}), out["force_rows"] = array(c.force_rows, {6, size});
+    out["orthonormal"] = array(orthonormal, {6, size});
+    out["inverse"] = array(c.inverse, {size, 6}), out["divisor"] = array(c.divisor, {count, 3});
+    return out;
+}
+
+nb::tuple interval(In point, In ray) {
+    const Vec3<double> p{point.data()[0], point.data()[1], point.data()[2]}, r{ray.data()[0], ray.data()[1], ray.data()[2]};
+    const Interval found = inside(p, r);
+    return nb::make_tuple(found.low, found.high);
+}
+
+nb::object null_space(const Placement& p, In reference) {
+    const int size = 3 * p.contacts.count;
+    NullSpace space(p.contacts.count, numbers(reference, size * (size - 6)));
+    if (!space.place(p.contacts)) return nb::none();
+    std::vector<double> out(size * (size - 6)), unit(size - 6);
+    for (int k = 0; k < size - 6; ++k) {
+        unit[k] = 1.0;
+        for (int j = 0; j < size; ++j) out[(size - 6) * j + k] = space.force(j, unit.data());
+        unit[k] = 0.0;
+    }
+    return array(out, {size_t(size), size_t(size - 6)});
+}
+
+}  // namespace
+
+void bind_geometry(nb::module_& m) {
+    m.def("frame", &frame, "normal"_a, "along"_a = nb::none(), "(3, 3) columns (n, o, t).");
+    m.def("unit_frame", &unit_frame, "positions"_a, "Centre, length and the map (6, 6).");
+    m.def("to_unit", &to_unit, "positions"_a, "wrench"_a), m.def("pull_back", &pull_back, "positions"_a, "n"_a);
+    m.def("inside", &interval, "point"_a, "ray"_a, "(low, high) of one cone.");
+    m.def("null_space", &null_space, "placement"_a, "reference"_a, "(3N, 3N - 6); None: not spanned.");
+    nb::class_<Placement>(m, "Placement")
+        .def_prop_ro("verdict", [](const Placement& p) { return int(p.placed); }, "0: good, 1: refused, 2: rank lost.")
+        .def_prop_ro("arrays", &arrays_of)
+        .def("place", &move, "positions"_a, "normals"_a)
+        .def("rescale", [](Placement& p, In scale) {
+            return p.contacts.rescale(numbers(scale, 3 * p.contacts.count));
+        }, "scale"_a, "False where rank is lost.");
+    m.def("place", &place, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a = nb::none());
+}

@@ -1,0 +1,155 @@
+// Cones, the linear system and the starts, on registers of so many lanes: x in and out as (3N,) cone coordinates.
+#include "arrays.hpp"
+
+using namespace grasp;
+
+namespace {
+
+template <class V> class Insides {
+public:
+    using Field = typename Cones<V, 0>::Field;
+
+    explicit Insides(const Placement& p) : contacts_(p.contacts), newton_(contacts_.count, Options{}) {
+        newton_.cones.pack(contacts_);
+        starter().tangents.load(contacts_.frames.data(), contacts_.count);
+    }
+
+    nb::object stored(const In& x) const { return out(field(x)); }
+    // forces into cone coordinates, and back
+    nb::tuple loaded_force(const In& force) const {
+        Field x = cones().field();
+        cones().load_force(numbers(force, size()), x);
+        std::vector<double> back(size());
+        cones().store_force(x, back.data());
+        return nb::make_tuple(out(x), array(back));
+    }
+    double phi(const In& x) const { return cones().phi(field(x)); }
+    nb::tuple along(const In& x, const In& step, double alpha) const {
+        const Field a = field(x), b = field(step, 0.0);
+        return nb::make_tuple(cones().phi_along(a, b, alpha), cones().slope_along(a, b, alpha));
+    }
+    nb::object wrench(const In& x) const { return array(cones().wrench(field(x))); }
+    nb::object balance(const In& x, const In& w) const {
+        Field a = field(x);
+        cones().balance(a, six(w));
+        return out(a);
+    }
+    double reach(const In& x, const In& step) const { return cones().reach(field(x), field(step, 0.0)); }
+    double margin(const In& x) const { return cones().margin(field(x)); }
+    bool sane(const In& x) const { return cones().sane(field(x)); }
+    double largest_normal(const In& x) const { return cones().largest_normal(field(x)); }
+    double lower_bound(const In& nu, const In& w) const { return cones().lower_bound(six(nu), six(w)); }
+    double lower_bound_near(const In& nu, const In& w, const In& x, double tight) const {
+        return cones().lower_bound(six(nu), six(w), field(x), tight);
+    }
+    nb::object certified(const In& x, const In& w) const {
+        std::vector<double> row(record_size(contacts_.count));
+        cones().certify(field(x), six(w), Record(row.data(), contacts_.count));
+        return array(row);
+    }
+
+    // whether S is definite, G H^-1 grad, G x, the multipliers, the step at them, G step
+    nb::tuple system(const In& x, const In& w) {
+        const Field at = field(x);
+        auto& system = newton_.system;
+        const bool good = system.assemble(cones(), at);
+        const Vec6 nu = system.multipliers(system.made + six(w));
+        Field step = cones().field();
+        const Vec6 moved = system.direction(cones(), nu, step);
+        return nb::make_tuple(good, array(system.pull), array(system.made), array(nu), out(step), array(moved));
+    }
+    // x corrected by the change that is least in the Hessian at `at`, and its G x
+    nb::tuple restore(const In& at, const In& missed, const In& x) {
+        Field changed = field(x);
+        newton_.system.assemble(cones(), field(at));
+        const Vec6 made = newton_.system.restore(cones(), six(missed), changed);
+        return nb::make_tuple(out(changed), array(made));
+    }
+    double squeezed(const In& x) const { return squeeze(cones(), field(x)); }
+    nb::tuple inside(const In& point, const In& ray) const {
+        const Interval found = grasp::inside(cones(), field(point), field(ray));
+        return nb::make_tuple(found.low, found.high);
+    }
+
+    // basis (13, 3N) in cone coordinates; frames (N, 3, 3) it is written in
+    void set_basis(const In& basis, const In& frames) {
+        const double* rows = numbers(basis, 13 * size());
+        for (int k = 0; k < 13; ++k) cones().load(rows + size() * k, starter().basis[k]);
+        starter().basis_tangents.load(numbers(frames, 3 * size()), contacts_.count);
+        starter().has_basis = true;
+    }
+    nb::object combine(const In& wrench) {
+        Field x = cones().field();
+        starter().combine(numbers(wrench, 6), x);
+        return out(x);
+    }
+    // found or not, and the combination carried to the contacts of now
+    nb::tuple combination(const In& wrench, bool moved) {
+        Field x = cones().field();
+        starter().moved = moved;
+        const bool found = starter().combination(cones(), newton_.system, numbers(wrench, 6), contacts_.unit.of(wrench.data()), x);
+        return nb::make_tuple(found, out(x));
+    }
+    nb::object turned(const In& x, const In& frames) {
+        Tangents<V, 0> from(cones());
+        from.load(numbers(frames, 3 * size()), contacts_.count);
+        Field turned = cones().field();
+        starter().turn(cones(), field(x), from, turned);
+        return out(turned);
+    }
+    nb::tuple tangent(const In& x, const In& w) {
+        Field at = field(x);
+        const bool found = starter().tangent(cones(), newton_.system, six(w), at);
+        return nb::make_tuple(found, out(at));
+    }
+    nb::tuple segment(const In& safe, const In& x) {
+        Field end = field(x);
+        const double theta = starter().segment(cones(), field(safe), end);
+        return nb::make_tuple(theta, out(end));
+    }
+    nb::object carry(const In& safe, const In& w, bool tangent, const In& x) {
+        Field at = field(x);
+        starter().carry(cones(), newton_.system, field(safe), six(w), tangent ? Start::tangent : Start::pseudoinverse, at);
+        return out(at);
+    }
+
+private:
+    Contacts contacts_;
+    NewtonOn<V, 0> newton_;
+
+    const Cones<V, 0>& cones() const { return newton_.cones; }
+    Starter<V, 0>& starter() { return newton_.starter; }
+    size_t size() const { return 3 * contacts_.count; }
+    // empty: what stands in the lanes that hold no contact, as a force (1, 0, 0) or as a step (0, 0, 0)
+    Field field(const In& x, double empty = 1.0) const {
+        Field made = cones().field();
+        for (auto& triple : made) triple.u = all<V>(empty);
+        cones().load(numbers(x, size()), made);
+        return made;
+    }
+    nb::object out(const Field& x) const {
+        std::vector<double> stored(size());
+        cones().store(x, stored.data());
+        return array(stored);
+    }
+};
+
+template <class V> void bind(nb::module_& m, const char* name) {
+    using I = Insides<V>;
+    nb::class_<I>(m, name)
+        .def(nb::init<const Placement&>())
+        .def("stored", &I::stored).def("loaded_force", &I::loaded_force).def("phi", &I::phi)
+        .def("along", &I::along).def("wrench", &I::wrench).def("balance", &I::balance).def("reach", &I::reach)
+        .def("margin", &I::margin).def("sane", &I::sane).def("largest_normal", &I::largest_normal)
+        .def("lower_bound", &I::lower_bound).def("lower_bound_near", &I::lower_bound_near)
+        .def("certified", &I::certified).def("system", &I::system).def("restore", &I::restore)
+        .def("squeezed", &I::squeezed).def("inside", &I::inside).def("set_basis", &I::set_basis)
+        .def("combine", &I::combine).def("combination", &I::combination).def("turned", &I::turned)
+        .def("tangent", &I::tangent).def("segment", &I::segment).def("carry", &I::carry);
+}
+
+}  // namespace
+
+void bind_insides(nb::module_& m) {
+    bind<Lanes<1>>(m, "Insides1"), bind<Lanes<4>>(m, "Insides4"), bind<Lanes<8>>(m, "Insides8");
+}

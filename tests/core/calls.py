@@ -1,0 +1,137 @@
+"""Every call of the compiled module that takes arrays, with arguments that are right: what `test_boundary` then spoils."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from samples import sample, wrenches
+from test_pipeline import reference_of
+
+from grasp_env.core import _core
+
+REFUSED = _core.codes()["refused"]
+TOLERANCE, LIMIT = 1e-6, 100
+COUNT = 4
+SAMPLE = sample(COUNT)
+LOADS = wrenches(np.random.default_rng(0), 3)
+SIZE = _core.record_size(COUNT)
+INTERNAL = reference_of(SAMPLE)
+
+
+def contacts() -> _core.Contacts:
+    s = SAMPLE
+    return _core.Contacts.make(s.positions, s.normals, s.scale, s.weights, np.zeros((0, 3)))
+
+
+def newton() -> _core.Newton:
+    made = _core.Newton.make(contacts(), TOLERANCE, LIMIT)
+    made.set_basis(SAMPLE.basis)
+    return made
+
+
+def conic() -> _core.Conic:
+    return _core.Conic.make(contacts(), TOLERANCE, LIMIT, SAMPLE.rest)
+
+
+def pipeline() -> _core.Pipeline:
+    return _core.Pipeline.make(contacts(), TOLERANCE, LIMIT, SAMPLE.basis, SAMPLE.frames, True, INTERNAL)
+
+
+def begun() -> _core.Pipeline:
+    made = pipeline()
+    assert made.solve(SAMPLE.positions, SAMPLE.normals, LOADS[0], None, np.zeros(SIZE)) == 0
+    return made
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call.
+
+    Attributes:
+        run: takes the arrays by name.
+        given: the arrays that are read; written: those that are filled, by their shapes.
+        any_length: those of `given` and `written` whose first axis may have any length.
+    """
+
+    run: Callable[..., object]
+    given: dict[str, np.ndarray]
+    written: dict[str, tuple[int, ...]]
+    any_length: frozenset[str] = frozenset()
+
+    def arguments(self) -> dict[str, np.ndarray]:
+        """Right ones, nothing shared."""
+        return {name: a.copy() for name, a in self.given.items()} | {
+            name: np.full(shape, -7.0) for name, shape in self.written.items()
+        }
+
+
+def _record() -> np.ndarray:
+    row = np.zeros(SIZE)
+    assert newton().solve(LOADS[1], None, row) == 0
+    return row
+
+
+def calls() -> dict[str, Call]:
+    s, x = SAMPLE, SAMPLE.basis[0]
+    force = (x / s.divisor.reshape(-1)).reshape(COUNT, 3)
+    models = np.concatenate([np.zeros((1, COUNT)), s.scale.T, s.divisor.T])
+    rows, many = np.array([_record()] * 3), (3, SIZE)
+    basis, n, c, p, b = {"basis": s.basis}, newton(), conic(), pipeline(), begun()
+    moved = {"points": s.positions, "normals": s.normals, "wrench": LOADS[0]}
+    geometry = {"frames": (COUNT, 3, 3), "matrix": (6, 12), "cone_matrix": (6, 12), "torsion_matrix": (6, COUNT)}
+    place = {"positions": s.positions, "normals": s.normals}
+    optional = {"tangents": s.frames[:, :, 1].copy()}
+    made = {"tolerance": TOLERANCE, "limit": LIMIT}
+    return {
+        "Contacts.make": Call(_core.Contacts.make, place | {"scale": s.scale, "weights": s.weights} | optional, {}),
+        "grasp_arrays": Call(
+            _core.grasp_arrays, place | {"models": models} | optional, geometry | {"centre": (3,), "frame": (6, 6)}
+        ),
+        "combine": Call(partial(_core.combine, printed=False), basis | {"wrench": LOADS[0]}, {"to": (12,)}),
+        "solve_scaled": Call(
+            partial(_core.solve_scaled, contacts(), **made),
+            {"scales": np.array([s.scale]), "wrenches": np.eye(6)[:1], "forces": force[None]},
+            {"records": (1, SIZE)},
+        ),
+        "Newton.set_basis": Call(newton().set_basis, basis, {}),
+        "Newton.make_basis": Call(partial(newton().make_basis, warm=True), {"interior": s.rest}, {"basis": (13, 12)}),
+        "Newton.internal_force": Call(n.internal_force, {}, {"x": (12,)}),
+        "Newton.solve": Call(n.solve, {"wrench": LOADS[0], "previous": rows[0]}, {"record": (SIZE,)}),
+        "Newton.descend": Call(
+            partial(n.descend, optimum=np.nan),
+            {"wrench": np.eye(6)[0], "force": force},
+            {"trace": (5,), "record": (SIZE,)},
+            frozenset({"trace"}),
+        ),
+        "Newton.solve_many": Call(n.solve_many, {"wrenches": LOADS, "previous": rows}, {"records": many}),
+        "Newton.times": Call(partial(n.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
+        "Newton.carry": Call(
+            partial(n.carry, tangent=True), {"wrench": LOADS[0], "previous": force}, {"force": (COUNT, 3)}
+        ),
+        "Newton.repair": Call(n.repair, {"wrench": LOADS[0], "candidate": force}, {"force": (COUNT, 3)}),
+        "Newton.inside": Call(n.inside, {"point": x, "ray": s.rest}, {}),
+        "Newton.newton_step": Call(n.newton_step, {"wrench": LOADS[0], "x": x}, {"step": (12,), "multipliers": (6,)}),
+        "Newton.segment": Call(lambda safe, x: n.segment(safe, x), {"safe": s.rest}, {"x": (12,)}),
+        "Conic.make": Call(partial(_core.Conic.make, contacts(), **made), {"interior": s.rest}, {}),
+        "Conic.solve": Call(partial(c.solve, previous=None), {"wrench": LOADS[0]}, {"record": (SIZE,)}),
+        "Conic.solve_many": Call(c.solve_many, {"wrenches": LOADS}, {"records": many}),
+        "Conic.times": Call(partial(c.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
+        "Pipeline.make": Call(
+            partial(_core.Pipeline.make, contacts(), remembers=True, **made),
+            basis | {"frames": s.frames, "reference": INTERNAL},
+            {},
+        ),
+        "Pipeline.set_basis": Call(pipeline().set_basis, basis | {"frames": s.frames}, {}),
+        "Pipeline.solve": Call(p.solve, moved | {"adjust": np.full(6, 0.1)}, {"record": (SIZE,)}),
+        "Pipeline.begin": Call(p.begin, moved, {}),
+        "Pipeline.adjust": Call(b.adjust, {"wrench": LOADS[0], "coordinates": np.full(6, 0.1)}, {}),
+        "Pipeline.descend": Call(b.descend, {"wrench": LOADS[0]}, {"record": (SIZE,)}),
+        "Pipeline.keep": Call(begun().keep, {}, {"record": (SIZE,)}),
+        "Pipeline.carry": Call(begun().carry, moved, {"force": (COUNT, 3)}),
+    }
+
+
+CALLS = calls()

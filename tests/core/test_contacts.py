@@ -1,0 +1,246 @@
+"""Frames, G and its inverse, in every way `Contacts::place` makes them; internal forces that follow moving contacts."""
+
+from __future__ import annotations
+
+import _core_test as insides
+import numpy as np
+import pytest
+from oracles import geometry as oracle
+from samples import Sample, random_contacts, sample, thinned, with_frictionless
+
+EPS = 2.0**-52
+GOOD, REFUSED, RANK_LOST = range(3)
+SWITCH = 0.9
+
+
+def directions() -> np.ndarray:
+    """Uniform, the six axes, and both sides of the switch of the tangents; unit length to rounding."""
+    rng = np.random.default_rng(0)
+    sides = [
+        (s * x, a) for x in SWITCH + np.array([-1e-9, 0.0, 1e-9]) for s in (1.0, -1.0) for a in rng.uniform(0, 6.3, 5)
+    ]
+    around = [[x, np.sqrt(1 - x * x) * np.cos(a), np.sqrt(1 - x * x) * np.sin(a)] for x, a in sides]
+    every = np.concatenate([rng.standard_normal((300, 3)), np.eye(3), -np.eye(3), around])
+    return every / np.linalg.norm(every, axis=1)[:, None]
+
+
+def test_frames_are_the_written_rule() -> None:
+    for n in directions():
+        found = insides.frame(n)
+        # near |n_x| = 0.9 the projection divides by 0.44 at least
+        np.testing.assert_allclose(found, oracle.frame(n), atol=4e-15)
+        np.testing.assert_allclose(found.T @ found, np.eye(3), atol=3e-15)
+        np.testing.assert_array_equal(found[:, 0], n)
+
+
+@pytest.mark.parametrize("close", [1.0, 1e-3, 1e-6])
+def test_frames_along_a_tangent(close: float) -> None:
+    rng = np.random.default_rng(1)
+    for n in directions()[:60]:
+        along = n + close * rng.standard_normal(3)
+        found = insides.frame(n, along)
+        np.testing.assert_allclose(found.T @ found, np.eye(3), atol=4e-15)
+        np.testing.assert_allclose(found, oracle.frame(n, along), atol=4e-15 / close)
+        # made again from its own tangent it keeps its bits
+        np.testing.assert_array_equal(insides.frame(n, found[:, 1]), found)
+
+
+def test_unit_frame() -> None:
+    rng = np.random.default_rng(2)
+    for count in (1, 2, 3, 8, 50):
+        positions = rng.uniform(0.2, 0.3, (count, 3))
+        centre, length, unit = insides.unit_frame(positions)
+        wanted = oracle.unit_frame(positions)
+        np.testing.assert_allclose(centre, wanted[0], rtol=4 * EPS)
+        assert length == pytest.approx(wanted[1], rel=1e-13, abs=1e-16)
+        if count > 1:
+            np.testing.assert_allclose(unit, wanted[2], rtol=1e-12, atol=1e-12)
+        for w, n in rng.standard_normal((10, 2, 6)):
+            np.testing.assert_allclose(insides.to_unit(positions, w), unit @ w, rtol=0, atol=1e-14 * np.abs(unit).max())
+            np.testing.assert_allclose(
+                insides.pull_back(positions, n), unit.T @ n, rtol=0, atol=1e-14 * np.abs(unit).max()
+            )
+
+
+def check(s: Sample, tolerance: float) -> None:
+    """All arrays of contacts that are placed; `tolerance` is that of G^+ relative to its largest entry."""
+    found = s.placement.arrays
+    assert s.placement.verdict == GOOD
+    np.testing.assert_allclose(found["frames"], s.frames, atol=4e-15)
+    size = 1.0 + np.abs(s.positions).max()
+    np.testing.assert_allclose(found["matrix"], oracle.grasp_matrix(s.positions, s.frames), atol=8e-15 * size)
+    np.testing.assert_allclose(found["cone_matrix"], s.cone_matrix, atol=3e-14 * size)
+    np.testing.assert_array_equal(found["divisor"], s.divisor)
+    rows = found["rows"]
+    # moments about the centre, divided by the length: what is left of the digits of positions far away
+    shift = np.abs(s.unit).max()
+    np.testing.assert_allclose(rows, s.rows, rtol=0, atol=1e-14 * shift * size)
+    inverse = found["inverse"]
+    np.testing.assert_allclose(inverse, s.inverse, rtol=0, atol=tolerance * np.abs(s.inverse).max())
+    np.testing.assert_allclose(rows @ inverse, np.eye(6), rtol=0, atol=tolerance * max(1.0, np.abs(inverse).max()))
+    basis = found["orthonormal"]
+    np.testing.assert_allclose(basis @ basis.T, np.eye(6), atol=tolerance)
+    of_force = rows * np.where(np.isfinite(s.divisor), s.divisor, 0.0).reshape(-1)
+    np.testing.assert_allclose(of_force @ basis.T @ basis, of_force, rtol=0, atol=tolerance * np.abs(of_force).max())
+
+
+@pytest.mark.parametrize("kind", ["hard", "frictionless"])
+@pytest.mark.parametrize("count", [*range(3, 18), 50])
+def test_contacts_of_good_condition(count: int, kind: str) -> None:
+    s = sample(count, kind)
+    check(s, 1e-12 / oracle.rank_ratio(s.rows) ** 2)
+
+
+def nearly_on_a_line(rng: np.random.Generator, count: int, thin: float) -> Sample:
+    return thinned(random_contacts(rng, count), thin)
+
+
+WELL = 1e-6
+"""The bound of the rank above which the core inverts G G^T as it is."""
+
+
+@pytest.mark.parametrize("count", [3, 4, 7, 16])
+@pytest.mark.parametrize("thin", [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7])
+def test_contacts_nearly_on_a_line(count: int, thin: float) -> None:
+    """All ways to invert: the normal equations, two factors, rotations."""
+    s = nearly_on_a_line(np.random.default_rng(count), count, thin)
+    of_force = s.unit @ oracle.grasp_matrix(s.positions, s.frames)
+    bound, ratio = insides.rank_bound(of_force), oracle.rank_ratio(of_force)
+    assert bound > insides.CLEAR_RANK or thin < 0.05
+    assert not bound > insides.CLEAR_RANK or thin > 5e-6
+    # rounding of G itself moves its inverse by 1 / ratio, that of G G^T by its square
+    check(s, 100.0 * EPS / ratio ** (2 if bound > WELL else 1))
+
+
+def test_all_ways_to_invert_were_taken() -> None:
+    ways = set()
+    for count in (3, 4, 7, 16):
+        for thin in (1e-1, 1e-2, 1e-3, 1e-4, 1e-6):
+            s = nearly_on_a_line(np.random.default_rng(count), count, thin)
+            bound = insides.rank_bound(s.unit @ oracle.grasp_matrix(s.positions, s.frames))
+            ways.add((bound > WELL, bound > insides.CLEAR_RANK))
+    assert ways == {(True, True), (False, True), (False, False)}
+
+
+@pytest.mark.parametrize("thin", [0.0, 1e-9, 1e-12])
+def test_rank_lost(thin: float) -> None:
+    for count in (3, 4, 9):
+        assert nearly_on_a_line(np.random.default_rng(count), count, thin).placement.verdict == RANK_LOST
+    base = random_contacts(np.random.default_rng(0), 4)
+    for keep in (1, 2):  # none at all: see test_boundary
+        assert (
+            Sample(*(a[:keep] for a in (base.positions, base.normals, base.scale, base.weights))).placement.verdict
+            == RANK_LOST
+        )
+    # normal forces alone, of five contacts: rank 5
+    five = random_contacts(np.random.default_rng(1), 5)
+    assert with_frictionless(five, slice(None)).placement.verdict == RANK_LOST
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("which", ["positions", "normals"])
+def test_numbers_that_are_none_are_refused(which: str, bad: float) -> None:
+    base = random_contacts(np.random.default_rng(2), 4)
+    for k in range(12):
+        arrays = {"positions": base.positions.copy(), "normals": base.normals.copy()}
+        arrays[which].reshape(-1)[k] = bad
+        assert base.placement.place(**arrays) == REFUSED
+    assert base.placement.place(base.positions, base.normals) == GOOD
+    check(base, 1e-11)  # and what was refused has left nothing behind
+
+
+def test_normals_are_of_unit_length_or_refused() -> None:
+    base = random_contacts(np.random.default_rng(3), 4)
+    for off, verdict in ((1e-7, GOOD), (2e-6, REFUSED), (-2e-6, REFUSED), (-1.0, REFUSED)):
+        made = insides.place(base.positions, base.normals * (1.0 + off), base.scale, base.weights)
+        assert made.verdict == verdict
+        if verdict == GOOD:
+            np.testing.assert_allclose(np.linalg.norm(made.arrays["frames"][:, :, 0], axis=1), 1.0, atol=4e-16)
+
+
+@pytest.mark.parametrize("what", ["tangent along the normal", "scale is nan"])
+def test_arrays_that_are_none_are_never_good(what: str) -> None:
+    s = random_contacts(np.random.default_rng(4), 4)
+    scale, tangents = s.scale.copy(), s.frames[:, :, 1].copy()
+    if what == "scale is nan":
+        scale[0, 1] = np.nan
+    else:
+        tangents[0], s.normals[0] = [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]
+    made = insides.place(s.positions, s.normals, scale, s.weights, tangents)
+    assert made.verdict != GOOD or np.isfinite(made.arrays["inverse"]).all()
+
+
+@pytest.mark.parametrize("far", [0.0, 1.0, 1e3])
+def test_where_the_origin_is_and_how_large_the_object_do_not_matter(far: float) -> None:
+    base = sample(5)
+    rows = base.placement.arrays["rows"]
+    for size in (1e-3, 1.0, 1e3):
+        moved = insides.place(size * base.positions + far * size, base.normals, base.scale, base.weights)
+        # the digits of positions that the distance takes
+        np.testing.assert_allclose(moved.arrays["rows"], rows, rtol=0, atol=1e-13 * (1.0 + 30.0 * far))
+
+
+def test_placing_again_is_to_the_bit_and_copies_are_independent() -> None:
+    first, other = sample(6), random_contacts(np.random.default_rng(5), 6)
+    made = insides.place(first.positions, first.normals, first.scale, first.weights)
+    before = made.arrays
+    assert made.place(other.positions, other.normals) == GOOD
+    assert np.abs(made.arrays["rows"] - before["rows"]).max() > 0.1
+    assert made.place(first.positions, first.normals) == GOOD
+    for name, numbers in made.arrays.items():
+        np.testing.assert_array_equal(numbers, before[name])
+
+
+@pytest.mark.parametrize("kind", ["other friction", "frictionless"])
+def test_another_scale_is_as_if_placed_with_it(kind: str) -> None:
+    s = sample(8)
+    scale = s.scale[::-1].copy() if kind == "other friction" else sample(8, "frictionless").scale
+    made = insides.place(s.positions, s.normals, s.scale, s.weights)
+    assert made.rescale(scale)
+    wanted = insides.place(s.positions, s.normals, scale, s.weights).arrays
+    for name, numbers in made.arrays.items():
+        np.testing.assert_allclose(numbers, wanted[name], rtol=1e-13, atol=1e-13)
+
+
+# internal forces
+
+
+def reference_of(s: Sample) -> np.ndarray:
+    """(3N, 3N - 6) object-frame directions: those of the contacts themselves, turned a little."""
+    internal = np.linalg.svd(s.rows * np.nan_to_num(s.divisor, posinf=0.0).reshape(-1))[2][6:].T
+    frames = np.zeros((3 * s.count, 3 * s.count))
+    for k, frame in enumerate(s.frames):
+        frames[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = frame
+    return frames @ internal
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 8, 12])
+@pytest.mark.parametrize("away", [0.0, 0.05, 0.3])
+def test_null_space_is_the_polar_factor(count: int, away: float) -> None:
+    s = sample(count)
+    rng = np.random.default_rng(count)
+    positions = s.positions + away * 0.05 * rng.standard_normal(s.positions.shape)
+    normals = s.normals + away * rng.standard_normal(s.normals.shape)
+    moved = Sample(positions, normals / np.linalg.norm(normals, axis=1)[:, None], s.scale, s.weights)
+    reference = reference_of(s)
+    here = np.einsum("nba,nbk->nak", moved.frames, reference.reshape(count, 3, -1)).reshape(reference.shape)
+    matrix = moved.unit @ oracle.grasp_matrix(moved.positions, moved.frames)
+    wanted = oracle.polar_basis(here, matrix)
+    found = insides.null_space(moved.placement, reference)
+    np.testing.assert_allclose(found.T @ found, np.eye(3 * count - 6), atol=1e-13)
+    np.testing.assert_allclose(matrix @ found, 0.0, atol=1e-12)
+    # a projection that hardly keeps its rank: the polar factor moves by rounding over its least singular value
+    least = np.linalg.svd(wanted.T @ here, compute_uv=False)[-1]
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 / least)
+
+
+def test_a_reference_that_does_not_span_has_no_basis() -> None:
+    s = sample(5)
+    reference = reference_of(s)
+    for lost in (np.zeros_like(reference), np.where(np.arange(9) < 8, reference, reference[:, :1])):
+        assert insides.null_space(s.placement, lost) is None
+
+
+def test_a_reference_of_nan_has_no_basis() -> None:
+    s = sample(5)
+    assert insides.null_space(s.placement, np.full((15, 9), np.nan)) is None

@@ -1,0 +1,93 @@
+"""Six equations: L D L^T against numpy, over all condition numbers, and where there is none."""
+
+from __future__ import annotations
+
+import _core_test as insides
+import numpy as np
+import pytest
+
+LOWER = np.tril_indices(6)
+
+
+def definite(rng: np.random.Generator, condition: float) -> np.ndarray:
+    basis = np.linalg.qr(rng.standard_normal((6, 6)))[0]
+    matrix = (basis * np.geomspace(1.0, 1.0 / condition, 6)) @ basis.T
+    return 0.5 * (matrix + matrix.T)
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e2, 1e6, 1e10, 1e13])
+@pytest.mark.parametrize("scale", [1.0, 1e-8, 1e8, 1e-150, 1e150])
+def test_factor_and_solve_are_numpys(condition: float, scale: float) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        matrix, b = scale * definite(rng, condition), rng.standard_normal(6)
+        least, packed = insides.factor(matrix)
+        factor = np.zeros((6, 6))
+        factor[LOWER] = packed
+        lower, pivots = np.eye(6) + np.tril(factor, -1), 1.0 / np.diag(factor)
+        assert least == pytest.approx(pivots.min(), rel=1e-12)
+        # backward stable: the errors of L D L^T and of the residual are rounding, whatever the condition
+        np.testing.assert_allclose((lower * pivots) @ lower.T, matrix, rtol=0, atol=1e-14 * scale)
+        y = insides.solve(matrix, b)
+        assert np.abs(matrix @ y - b).max() < 1e-14 * scale * np.abs(y).max() + 1e-14
+        wanted = np.linalg.solve(matrix / scale, b) / scale
+        np.testing.assert_allclose(y, wanted, rtol=0, atol=1e-14 * condition * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("k", range(6))
+def test_a_matrix_that_is_not_positive(k: int) -> None:
+    basis = np.linalg.qr(np.random.default_rng(k).standard_normal((6, 6)))[0]
+    values = np.ones(6)
+    values[k] = -0.1
+    assert not insides.factor((basis * values) @ basis.T)[0] > 0.0
+    assert insides.factor(np.diag(np.where(np.arange(6) == k, -1.0, 1.0)))[0] == -1.0
+    assert not insides.factor(np.diag(np.where(np.arange(6) == k, 0.0, 1.0)))[0] > 0.0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_none_have_no_positive_pivot(bad: float) -> None:
+    for r, s in zip(*LOWER, strict=True):
+        matrix = np.eye(6) + 0.1
+        matrix[r, s] = bad
+        if not (bad == np.inf and r == s):  # a diagonal of inf has a factor: nothing moves along it
+            assert not insides.factor(matrix)[0] > 0.0, (r, s)
+
+
+def test_only_the_lower_triangle_is_read() -> None:
+    matrix = definite(np.random.default_rng(1), 10.0)
+    half = np.where(np.tri(6) > 0.0, matrix, np.nan)
+    np.testing.assert_array_equal(insides.solve(half, np.ones(6)), insides.solve(matrix, np.ones(6)))
+
+
+def test_gram() -> None:
+    rows = np.random.default_rng(2).standard_normal((6, 21))
+    np.testing.assert_allclose(insides.gram(rows), (rows @ rows.T)[LOWER], rtol=0, atol=1e-13)
+
+
+def test_size_is_the_largest_magnitude() -> None:
+    a = np.array([0.0, 1.0, -7.0, 3.0, 0.0, 2.0])
+    assert insides.size(a) == 7.0
+    assert insides.size(np.zeros(6)) == 0.0
+    assert insides.size(np.where(a == 1.0, np.inf, a)) == np.inf
+
+
+def test_size_of_numbers_that_are_none() -> None:
+    assert np.isnan(insides.size(np.full(6, np.nan)))
+
+
+def test_the_bound_of_the_rank_is_one() -> None:
+    """Of the least eigenvalue of the Gram matrix over its trace; far below it only where many are small."""
+    rng, clear = np.random.default_rng(0), 0
+    for ratio in 10.0 ** np.arange(-12.0, 0.0, 0.25):
+        u, v = (np.linalg.qr(rng.standard_normal((n, 6)))[0] for n in (6, 9))
+        values = np.array([1.0, 0.9, 0.8, 0.7, 0.6, ratio])
+        for scale in (1.0, 1e-100, 1e100):
+            found = insides.rank_bound(scale * (u * values) @ v.T)
+            least = values.min() ** 2 / (values**2).sum()
+            assert found <= least * (1.0 + 1e-9) + 1e-15
+            assert found > 0.01 * least or least < 1e-12
+            clear += found > insides.CLEAR_RANK
+            assert not found > insides.CLEAR_RANK or ratio > 1e-6
+    assert clear > 24
+    for rows in (np.zeros((6, 9)), np.full((6, 9), np.nan), np.full((6, 9), np.inf), np.ones((6, 9))):
+        assert not insides.rank_bound(rows) > 0.0

@@ -1,0 +1,127 @@
+"""Where rays enter and leave the cones: exact scans on integers, roots on real numbers."""
+
+from __future__ import annotations
+
+import _core_test as insides
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import boundary as oracle
+
+LANES = (1, 2, 4, 8)
+EPS = 2.0**-52
+GRID = np.arange(0, 64 * 64) / 64.0  # dyadic: with small integers the scan has no rounding at all
+integers = st.integers(-3, 3)
+
+
+@settings(max_examples=800, deadline=None, derandomize=True)
+@given(st.tuples(integers, integers, integers), st.tuples(integers, integers, integers))
+def test_interval_against_an_exact_scan(point: tuple, ray: tuple) -> None:
+    """Integers hit every degenerate case: zero rays and points, those on the cone, through the apex, along the surface."""
+    p, d = np.array(point, float), np.array(ray, float)
+    low, high = insides.inside(p, d)
+    u, o, t = (p + GRID[:, None] * d).T
+    scan = (u > 0.0) & (u * u > o * o + t * t)
+    # roots of quadratics with integer coefficients: grid points at them are left out
+    clear = (np.abs(GRID - low) > 1e-9 * (1 + GRID)) & (np.abs(GRID - high) > 1e-9 * (1 + GRID))
+    assert (((low < GRID) & (high > GRID)) == scan)[clear].all()
+    if scan.any():
+        assert low < high
+
+
+def rays(rng: np.random.Generator, kind: int) -> tuple[np.ndarray, np.ndarray]:
+    """A point and a ray (3,) over decades: anywhere, into the cone, through the apex, from deep inside, from the surface."""
+    point, ray = (
+        rng.standard_normal(3) * 10.0 ** rng.uniform(-6, 6),
+        rng.standard_normal(3) * 10.0 ** rng.uniform(-3, 3),
+    )
+    if kind == 1:
+        ray[0] = np.hypot(ray[1], ray[2]) * rng.uniform(1.0, 2.0)
+    if kind == 2:
+        point = -rng.uniform(0.1, 3.0) * ray
+    if kind >= 3:
+        point[0] = np.hypot(point[1], point[2]) * (1.0 + 10.0 ** rng.uniform(-9, 1))
+    return point, ray
+
+
+@pytest.mark.parametrize("kind", range(4))
+def test_interval_is_between_the_crossings(kind: int) -> None:
+    rng, hits = np.random.default_rng(kind), 0
+    for _ in range(400):
+        point, ray = rays(rng, kind)
+        found, wanted = insides.inside(point, ray), oracle.ray_interval(point, ray)
+        # the discriminant of a tangent ray rounds to either side of zero: half the digits of the scale of k
+        scale = np.abs(point).max() / np.abs(ray).max()
+        if not wanted[1] - wanted[0] > 1e-6 * scale:
+            assert not found[1] - found[0] > 2e-6 * scale
+            continue
+        hits += 1
+        for mine, theirs in zip(found, wanted, strict=True):
+            assert mine == theirs or abs(mine - theirs) <= 1e-6 * (scale + abs(theirs))
+    assert hits > 20
+
+
+def test_rays_through_the_apex() -> None:
+    """The discriminant is zero there and rounds to either side."""
+    rng = np.random.default_rng(0)
+    for _ in range(500):
+        x, factor = np.array([1.0, *rng.uniform(-0.6, 0.6, 2)]), rng.uniform(0.1, 3.0)
+        low, high = insides.inside(-factor * x, x)
+        assert low == pytest.approx(factor, rel=1e-6)  # a double root: half the digits
+        assert high == np.inf
+        low, high = insides.inside(factor * x, -x)
+        assert low == 0.0
+        assert high == pytest.approx(factor, rel=1e-6)
+
+
+def moves(rng: np.random.Generator, number: int, shallow: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points strictly inside (n, 3), their relative depth, and moves of about their size."""
+    u, angle = 10.0 ** rng.uniform(-4, 4, number), rng.uniform(0, 6.3, number)
+    s = u * (1.0 - shallow * rng.uniform(0.5, 1.0, number))
+    x = np.stack([u, s * np.cos(angle), s * np.sin(angle)], axis=1)
+    move = rng.standard_normal((number, 3)) * u[:, None]
+    into = rng.random(number) < 0.3
+    move[into, 0] = 1.5 * np.hypot(move[into, 1], move[into, 2])
+    return x, 1.0 - np.hypot(x[:, 1], x[:, 2]) / u, move
+
+
+@pytest.mark.parametrize("shallow", [1.0, 1e-2, 1e-5, 1e-9])
+@pytest.mark.parametrize("lanes", LANES)
+def test_steps_end_on_the_surface(lanes: int, shallow: float) -> None:
+    x, depth, move = moves(np.random.default_rng(lanes), 500, shallow)
+    away, along, per = insides.boundary(lanes, x, move).T
+    longest = np.array([oracle.longest_step(p, d) for p, d in zip(x, move, strict=True)])
+    # x . J x keeps 1 - EPS / depth of its digits, and 1 / step is of the order of move / (u depth)
+    near = EPS * 40.0 * np.abs(move).max(axis=1) / x[:, 0] / depth**2
+    ends = longest < np.inf
+    assert ends.sum() > 100
+    assert (np.abs(per[ends] - 1.0 / longest[ends]) <= near[ends]).all()
+    assert (per[~ends] <= near[~ends]).all()
+    assert (~ends).sum() > 50
+    # and what is said about the way back
+    back = np.array([oracle.longest_step(p, -d) for p, d in zip(x, move, strict=True)])
+    ends = back < np.inf
+    assert (np.abs((away + along)[ends] - 1.0 / back[ends]) <= near[ends]).all()
+    assert ((away + along)[~ends] <= near[~ends]).all()
+
+
+@pytest.mark.parametrize("lanes", LANES)
+def test_the_end_of_a_step_from_deep_inside(lanes: int) -> None:
+    """Where the step ends is on the surface itself, to rounding: nothing of it was lost."""
+    x, _, move = moves(np.random.default_rng(7), 400, 1.0)
+    per = insides.boundary(lanes, x, move)[:, 2]
+    ends = per > 1e-6
+    end = x[ends] + move[ends] / per[ends, None]
+    slack = end[:, 0] - np.hypot(end[:, 1], end[:, 2])
+    size = np.abs(x[ends]).max(axis=1) + np.abs(move[ends]).max(axis=1) / per[ends]
+    assert (np.abs(slack) <= 1e-12 * size).all()
+
+
+@pytest.mark.parametrize("where", ["point", "ray"])
+def test_numbers_that_are_none_are_nowhere_inside(where: str) -> None:
+    for k in range(3):
+        asked = {"point": np.array([2.0, 0.5, 0.1]), "ray": np.array([0.3, 0.2, 0.1])}
+        asked[where][k] = np.nan
+        low, high = insides.inside(**asked)
+        assert not low < high
