@@ -13,7 +13,7 @@ from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnknownNam
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.initial import RULES, InitialForceRule
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.method import CRITERIA, Settings
+from grasp_env.force.method import CRITERIA, Settings, readable
 from grasp_env.force.methods import METHODS, make_method
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.record import STALLED, record_size
@@ -173,6 +173,8 @@ class ForceOptimizer:
             elif loop.call(wrench, self.previous._record, record) <= STALLED:
                 self.previous = solution = ForceSolution(record, self._name, loop.carried)
                 return solution
+            if not readable(wrench):
+                return self.solve(as_wrench(wrench))
         load = as_wrench(wrench)
         known = float("nan") if optimum is None else positive(optimum, "optimum")
         start = self._method.start(load, self._checked_initial(initial), self._before(initial))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from grasp_env import core
 from grasp_env._check import Array
 from grasp_env.force.lanes import CENTRE, LENGTH, options
+from grasp_env.force.method import readable
 from grasp_env.force.pipeline_kernels import flow_from, refine_start
 from grasp_env.force.record import CODE, REFUSED
 
@@ -41,7 +42,8 @@ class KernelDescent:
     def solve(self, points: Any, normals: Any, wrench: Any, adjust: Any, record: Array) -> int:
         """See `core.Pipeline.solve`."""
         record[CODE] = REFUSED
-        if not self._core.begin(points, normals, wrench):
+        # kernels have one signature: another wrench is converted first
+        if not readable(wrench) or not self._core.begin(points, normals, wrench):
             return REFUSED
         held, now, numbers = self._held, self._now, self._options
         numbers[LENGTH], *numbers[CENTRE : CENTRE + 3] = self._core.unit_frame()
