@@ -241,20 +241,6 @@ def as_grasp(value: object) -> Grasp:
     return value
 
 
-def grasp_matrix(positions: Array, frames: Array) -> Array:
-    """G, (6, 3N): per contact the force columns over the moment columns p x R.
-
-    Args:
-        positions: (N, 3) contact points [m].
-        frames: (N, 3, 3) columns (n, o, t).
-    """
-    x, y, z = positions.T[:, :, None]
-    fx, fy, fz = frames[:, 0, :], frames[:, 1, :], frames[:, 2, :]
-    moments = np.stack([y * fz - z * fy, z * fx - x * fz, x * fy - y * fx], axis=0)
-    forces = np.stack([fx, fy, fz], axis=0)
-    return np.concatenate([forces, moments], axis=0).reshape(6, -1)
-
-
 def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
     """Directions for o, (N, 3) and never along a normal; (0, 3) for the default rule."""
     if tangents is None:

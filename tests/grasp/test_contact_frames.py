@@ -2,14 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles.geometry import frame
+from oracles.geometry import frame, grasp_matrix
 from problems import GRASPS, random_grasp
 
 from grasp_env.carry_kernels import write_contact_geometry
 from grasp_env.core import TANGENT_SWITCH
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.contact import contact_frames
-from grasp_env.grasp.grasp import grasp_matrix
 
 
 @pytest.fixture(scope="module")
