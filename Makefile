@@ -46,7 +46,7 @@ $(STAMP): pyproject.toml constraints.txt
 	  echo "$$python has no Python.h: on Debian or Ubuntu install $$(basename "$$python")-dev, on Fedora $$(basename "$$python")-devel" >&2; exit 1; }; \
 	"$$python" -m venv .venv || { \
 	  rm -rf .venv; echo "$$python cannot make a virtual environment: on Debian or Ubuntu install $$(basename "$$python")-venv" >&2; exit 1; }
-	$(PIP) pip setuptools scikit-build-core nanobind cmake ninja
+	$(PIP) pip setuptools scikit-build-core nanobind numpy cmake ninja
 	$(PIP) torch==2.13.0
 	$(EDITABLE) ".[dev,video,bench]"
 	@touch $(STAMP)
@@ -87,7 +87,7 @@ else
 	@if [ -f $(BUILD)/build.ninja ]; then $(NINJA); else $(EDITABLE) . --no-deps; fi
 endif
 
-STUB := $(BIN)/python -m nanobind.stubgen -q -m grasp_env.core._core -o
+STUB := $(BIN)/python -m nanobind.stubgen -q -p grasp_env/core/bindings/stub.pat -m grasp_env.core._core -o
 stubs: core
 	$(STUB) grasp_env/core/_core.pyi
 

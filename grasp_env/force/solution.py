@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces, Wrench
+from grasp_env._check import Array, Wrench
+from grasp_env.core import Solution
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force.record import (
     BOUND,
@@ -47,15 +49,16 @@ _HELP = {
 }
 STATUSES = (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED, Status.INFEASIBLE)
 """By code."""
-_BY_CODE = {float(code): status for code, status in enumerate(STATUSES)}
-_NOTHING = np.empty(0)
-_NOTHING.flags.writeable = False
 
 
-class ForceSolution:
+class ForceSolution(Solution):
     """A grasp force with its certificates: a view of one record of numbers (`record.py`), read on demand.
 
     Attributes:
+        n_contacts: N.
+        force: (N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.
+        initial_force: (N, 3) the start [N].
+        torsion: (N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft.
         method: the method's name.
         initial: the name of the start rule.
         objective_trace: Phi of every iterate, when asked for; else empty.
@@ -65,49 +68,17 @@ class ForceSolution:
             where there are none.
     """
 
-    __slots__ = ("_record", "certificate", "initial", "limit_multipliers", "method", "objective_trace")
+    __slots__ = ()
 
-    def __init__(
-        self,
-        record: Array,
-        method: str,
-        initial: str,
-        objective_trace: Array = _NOTHING,
-        certificate: Array | None = None,
-        limit_multipliers: Array = _NOTHING,
-    ) -> None:
-        """Wraps a record (20 + 7N,), which is kept, not copied."""
-        self._record = record
-        self.method = method
-        self.initial = initial
-        self.objective_trace = objective_trace
-        self.certificate = certificate
-        self.limit_multipliers = limit_multipliers
-
-    @property
-    def n_contacts(self) -> int:
-        """N."""
-        return (len(self._record) - FORCE) // 7
-
-    @property
-    def force(self) -> ContactForces:
-        """(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame."""
-        record = self._record
-        where, shape = _FORCES[len(record)]  # every nanosecond here is paid by the control loop
-        view = record[where].reshape(shape)
-        view.setflags(False)  # pyright: ignore[reportCallIssue]
-        return view
-
-    @property
-    def torsion(self) -> Array:
-        """(N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft."""
-        return _read_only(self._record[FORCE + 6 * self.n_contacts :])
-
-    @property
-    def initial_force(self) -> ContactForces:
-        """(N, 3) the start [N]."""
-        n = self.n_contacts
-        return _read_only(self._record[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3))
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (
+            self._record,
+            self.method,
+            self.initial,
+            self.objective_trace,
+            self.certificate,
+            self.limit_multipliers,
+        )
 
     @property
     def wrench(self) -> Wrench:
@@ -122,7 +93,7 @@ class ForceSolution:
     @property
     def status(self) -> Status:
         """How the optimisation ended."""
-        return _BY_CODE[self._record.item(CODE)]
+        return STATUSES[self.code]
 
     @property
     def iterations(self) -> int:
@@ -188,18 +159,6 @@ class ForceSolution:
             f"{self.iterations} iterations, objective {self.objective:.6g}, gap {self.optimality_gap:.1e}, "
             f"balance {self.equilibrium_residual:.1e} N, margin {self.cone_margin:.3g} N)"
         )
-
-
-class _Forces(dict[int, tuple[slice, tuple[int, int]]]):
-    """Where the force stands in a record of so many numbers, and its shape."""
-
-    def __missing__(self, size: int) -> tuple[slice, tuple[int, int]]:
-        count = (size - FORCE) // 7
-        self[size] = slice(FORCE, FORCE + 3 * count), (count, 3)
-        return self[size]
-
-
-_FORCES = _Forces()
 
 
 def _read_only(view: Array) -> Array:

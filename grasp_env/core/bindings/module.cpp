@@ -5,6 +5,7 @@ NB_MODULE(_core, m) {
     m.doc() = "The compiled core; `grasp_env.core` is its door.";
     bind_build_info(m);
     bind_record(m);
+    bind_solution(m);
     bind_contacts(m);
     bind_newton(m);
     bind_conic(m);
