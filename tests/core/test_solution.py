@@ -51,7 +51,7 @@ def test_nothing_leaks() -> None:
         solution = ForceSolution(record, "newton", "given", trace)
         for name in ("force", "initial_force", "torsion", "status", "objective_trace"):
             getattr(solution, name)
-    del solution
+        del solution
     assert (sys.getrefcount(record), sys.getrefcount(trace)) == before
 
 
