@@ -9,7 +9,7 @@ import numpy as np
 from grasp_env._compile import compiled
 from grasp_env._views import inlined
 from grasp_env.core import LARGEST, ROUNDING, TANGENT_SWITCH
-from grasp_env.force.kernels import best_on_segment, cholesky, cholesky_solve, combine, phi, tangent
+from grasp_env.phi_kernels import best_on_segment, cholesky, cholesky_solve, combine, phi, tangent
 
 
 @inlined

@@ -9,7 +9,7 @@ import numpy as np
 from grasp_env._compile import compiled
 from grasp_env._views import cut, inlined, small
 from grasp_env.carry_kernels import bound_change, carry, least_norm, write_contact_geometry
-from grasp_env.force.kernels import cholesky, cholesky_solve
+from grasp_env.phi_kernels import cholesky, cholesky_solve
 from grasp_env.sim.kinematics_kernels import add_force_torques, write_jacobian
 from grasp_env.sim.snapshot import add_point_velocity, split, unpack_tree, write_rotation
 

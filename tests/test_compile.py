@@ -34,17 +34,17 @@ def test_stamp_is_in_force():
 def test_imports_of_every_form_are_followed(tmp_path):
     forms = tmp_path / "forms.py"
     forms.write_text(
-        "from grasp_env.force.kernels import phi\n"
+        "from grasp_env.phi_kernels import phi\n"
         "from grasp_env.force.record import (\n    CODE,\n    FORCE,\n)\n"
-        "from grasp_env.force import lanes, step_size\n"
+        "from grasp_env.force import basis, step_size\n"
         "import grasp_env.errors\n"
         "def later():\n    from grasp_env.core import LARGEST\n"
     )
-    named = ("force/kernels.py", "force/record.py", "force/__init__.py", "force/lanes.py", "force/step_size.py", "errors.py",
+    named = ("phi_kernels.py", "force/record.py", "force/__init__.py", "force/basis.py", "force/step_size.py", "errors.py",
              "core/__init__.py")  # fmt: skip
     assert set(_imports(forms)) == {PACKAGE / name for name in named}
-    found = {path.name for path in _imports(PACKAGE / "force" / "pipeline_kernels.py")}
-    assert {"kernels.py", "lanes.py", "layer_kernels.py", "flow_record.py"} <= found
+    found = {path.name for path in _imports(PACKAGE / "control_kernels.py")}
+    assert {"phi_kernels.py", "carry_kernels.py"} <= found
 
 
 def test_an_edit_of_a_callee_is_noticed(tmp_path):
@@ -61,7 +61,7 @@ def test_an_edit_of_a_callee_is_noticed(tmp_path):
         return float(run.stdout)
 
     before = run()
-    kernels = tmp_path / "grasp_env" / "force" / "kernels.py"
+    kernels = tmp_path / "grasp_env" / "phi_kernels.py"
     text = kernels.read_text()
     edited = text.replace("pivot = math.sqrt(pivot)", "pivot = 2.0 * math.sqrt(pivot)")
     assert edited != text

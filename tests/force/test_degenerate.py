@@ -8,9 +8,9 @@ from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp, weigh
 
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, cone_margin, optimize_force, phase_one
 from grasp_env.force.basis import starter
-from grasp_env.force.kernels import phi
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp import wrench as wrenches
+from grasp_env.phi_kernels import phi
 
 
 def _inside(rng: np.random.Generator) -> np.ndarray:

@@ -20,8 +20,8 @@ from grasp_env.force import (
     phase_one,
 )
 from grasp_env.force.basis import _REMEMBERED
-from grasp_env.force.kernels import step_to_boundary
 from grasp_env.grasp import Grasp, presets
+from grasp_env.phi_kernels import step_to_boundary
 
 
 def test_a_remembered_basis_does_not_keep_its_grasp_alive():

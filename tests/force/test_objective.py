@@ -1,4 +1,4 @@
-"""Phi and its derivatives: the numpy twin against the definition, the kernels against the twin, bounds against scipy."""
+"""Phi and its derivatives: the numpy twin against the definition, the core's step against a dense one, bounds against scipy."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from problems import GRASPS, PROBLEMS, Problem, closure_grasps, pyramid_margin, 
 from scipy.optimize import minimize
 
 from grasp_env import core
-from grasp_env.force import Objective, description_matrix, kernels
+from grasp_env.force import Objective, description_matrix
 from grasp_env.force.basis import core_contacts
 from grasp_env.grasp import wrench as wrenches
 
@@ -33,14 +33,12 @@ def test_phi_is_the_trace_of_its_definition(omega: float, lam: float) -> None:
         expected = omega * np.trace(matrix) + lam * np.trace(np.linalg.inv(matrix))
         # the inverse of P loses digits by its condition number, at most 100 here
         assert Objective(omega, lam).value(x) == pytest.approx(expected, rel=1e-12)
-        assert kernels.phi(x, weights(x, omega, lam)) == pytest.approx(expected, rel=1e-12)
 
 
 def test_phi_is_infinite_outside_and_on_the_cones() -> None:
     inside = np.array([1.0, 0.2, 0.1])
     for outside in ([1.0, 1.0, 0.0], [1.0, 0.8, 0.7], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]):
         for x in (np.array([*inside, *outside]), np.array([*outside, *inside])):
-            assert kernels.phi(x, weights(x, 1.0, 0.01)) == np.inf
             assert Objective().value(x) == np.inf
 
 
@@ -69,63 +67,6 @@ def test_derivatives_by_finite_differences(omega: float, lam: float) -> None:
 
 
 @pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
-def test_kernels_are_the_twin(omega: float, lam: float) -> None:
-    rng = np.random.default_rng(2)
-    objective = Objective(omega, lam)
-    for _ in range(100):
-        x = _inside(rng, 4)
-        # the factors (u^2 - s^2) lose a factor of 50 of the rounding at a margin of 2 %, its cube thrice that
-        assert kernels.phi(x, weights(x, omega, lam)) == pytest.approx(objective.value(x), rel=1e-13)
-        gradient = np.empty(12)
-        kernels.gradient(x, weights(x, omega, lam), gradient)
-        np.testing.assert_allclose(gradient, objective.gradient(x), rtol=1e-11, atol=1e-12 * np.abs(gradient).max())
-        inverse = np.empty((4, 3, 3))
-        kernels.inverse_hessian(x, weights(x, omega, lam), inverse)
-        blocks = objective.hessian(x)
-        for one, other in zip(inverse, blocks, strict=True):
-            np.testing.assert_allclose(one @ other, np.eye(3), atol=1e-8)  # condition numbers reach 1e4
-        assert kernels.cone_slack(x) == pytest.approx((x[0::3] - np.hypot(x[1::3], x[2::3])).min(), abs=1e-15 * x.max())
-
-
-def test_inverse_hessian_on_the_axis_of_the_cone() -> None:
-    x = np.array([2.0, 0.0, 0.0])
-    inverse = np.empty((1, 3, 3))
-    kernels.inverse_hessian(x, weights(x, 1.0, 0.5), inverse)
-    np.testing.assert_allclose(inverse[0] @ Objective(1.0, 0.5).hessian(x)[0], np.eye(3), atol=1e-15)
-
-
-@pytest.mark.parametrize("name", GRASPS)
-def test_schur_complement_and_cholesky_are_numpys(name: str) -> None:
-    rng = np.random.default_rng(3)
-    grasp = GRASPS[name]
-    count = grasp.n_contacts
-    root = rng.standard_normal((count, 3, 3))
-    blocks = np.einsum("nij,nkj->nik", root, root) + 0.1 * np.eye(3)
-    half, s = np.empty((3 * count, 6)), np.empty((6, 6))
-    kernels.schur(grasp.cone_matrix.copy(), blocks, half, s)
-    g = grasp.cone_matrix
-    dense = np.zeros((3 * count, 3 * count))
-    for k in range(count):
-        dense[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = blocks[k]
-    expected = g @ dense @ g.T
-    np.testing.assert_allclose(half, dense @ g.T, atol=1e-13)
-    np.testing.assert_allclose(np.tril(s), np.tril(expected), atol=1e-12)
-    b = rng.standard_normal(6)
-    solved = b.copy()
-    assert kernels.cholesky(s)
-    np.testing.assert_allclose(np.tril(s), np.linalg.cholesky(expected), atol=1e-12)
-    kernels.cholesky_solve(s, solved)
-    # forces of order 1 and moments of order 0.05 m squared: a condition number of about 1e4
-    np.testing.assert_allclose(expected @ solved, b, atol=1e-11)
-
-
-def test_cholesky_refuses_what_is_not_positive_definite() -> None:
-    assert not kernels.cholesky(np.diag([1.0, 1.0, 0.0, 1.0, 1.0, 1.0]))
-    assert not kernels.cholesky(np.diag([1.0, 1.0, -1.0, 1.0, 1.0, 1.0]))
-    assert not kernels.cholesky(np.diag([1.0, 1.0, np.nan, 1.0, 1.0, 1.0]))
-
-
-@pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
 def test_newton_step_is_the_dense_kkt_step(omega: float, lam: float) -> None:
     rng = np.random.default_rng(4)
     objective = Objective(omega, lam)
@@ -133,56 +74,20 @@ def test_newton_step_is_the_dense_kkt_step(omega: float, lam: float) -> None:
         u = rng.uniform(0.5, 2.0, grasp.n_contacts)  # depths of one order: the dense system stays well conditioned
         x = np.stack([u, *(rng.uniform(-0.5, 0.5, (2, grasp.n_contacts)) * u)], axis=1).reshape(-1)
         wrench = wrenches.sample_ball(rng, 1)[0]
-        by_the_kernel, by_the_core = (np.empty_like(x), np.empty(6)), (np.empty_like(x), np.empty(6))
+        step, multipliers = np.empty_like(x), np.empty(6)
         solver = core.Newton.make(core_contacts(grasp, objective), 1.0, 0)
-        decrements = (
-            kernels.newton_step(x, grasp.cone_matrix.copy(), wrench, weights(x, omega, lam), *by_the_kernel),
-            solver.newton_step(wrench, x, *by_the_core),
-        )
+        decrement = solver.newton_step(wrench, x, step, multipliers)
         dense_step, dense_multipliers, dense_decrement = newton_step(
             x, grasp.cone_matrix, wrench, weights(x, omega, lam)
         )
-        # x is not balanced: the core's decrement is -grad Phi . step all the same, the kernel's -(grad Phi - G^T nu) . step
-        dense_decrements = (
-            dense_decrement + float(dense_multipliers @ grasp.cone_matrix @ dense_step),
-            dense_decrement,
-        )
-        for (step, multipliers), decrement, dense_decrement in zip(
-            (by_the_kernel, by_the_core), decrements, dense_decrements, strict=True
-        ):
-            # the dense matrix mixes lambda and lengths: condition numbers up to about 1e7
-            np.testing.assert_allclose(step, dense_step, rtol=0, atol=1e-8 * np.abs(dense_step).max())
-            np.testing.assert_allclose(
-                multipliers, dense_multipliers, rtol=0, atol=1e-8 * np.abs(dense_multipliers).max()
-            )
-            scale = abs(dense_decrement) + np.abs(objective.gradient(x)).max() * np.abs(dense_step).max()
-            assert abs(decrement - dense_decrement) < 1e-8 * scale
-            # the step restores balance whatever x was
-            left = grasp.cone_matrix @ (x + step) + wrench
-            assert np.abs(left).max() < 1e-10 * (np.abs(x + step).max() + 1.0)
-
-
-@pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
-def test_lower_bound_kernel_is_the_twin(omega: float, lam: float) -> None:
-    rng = np.random.default_rng(5)
-    objective = Objective(omega, lam)
-    finite = 0
-    for grasp in (*GRASPS.values(), *closure_grasps()):
-        for _ in range(20):
-            multipliers = rng.standard_normal(6) * rng.choice([0.1, 1.0]) * omega
-            multipliers[3:] /= grasp.length
-            wrench = wrenches.sample_ball(rng, 1)[0]
-            kernel = kernels.lower_bound(
-                multipliers, grasp.cone_matrix.copy(), wrench, objective.weights(grasp.n_contacts)
-            )
-            twin = objective.lower_bound(multipliers, grasp.cone_matrix, wrench)
-            finite += np.isfinite(twin)
-            if not np.isfinite(twin):
-                assert kernel == -np.inf == twin
-            else:
-                # roots of a quartic are exact to about 1e-8 near a double root, squared in the value
-                assert kernel == pytest.approx(twin, rel=1e-9, abs=1e-9 * abs(float(multipliers @ wrench)))
-    assert finite > 100
+        # the dense matrix mixes lambda and lengths: condition numbers up to about 1e7
+        np.testing.assert_allclose(step, dense_step, rtol=0, atol=1e-8 * np.abs(dense_step).max())
+        np.testing.assert_allclose(multipliers, dense_multipliers, rtol=0, atol=1e-8 * np.abs(dense_multipliers).max())
+        scale = abs(dense_decrement) + np.abs(objective.gradient(x)).max() * np.abs(dense_step).max()
+        assert abs(decrement - dense_decrement) < 1e-8 * scale
+        # the step restores balance whatever x was
+        left = grasp.cone_matrix @ (x + step) + wrench
+        assert np.abs(left).max() < 1e-10 * (np.abs(x + step).max() + 1.0)
 
 
 def _least_by_scipy(y: np.ndarray, omega: float, lam: float) -> float:
@@ -207,7 +112,7 @@ def test_lower_bound_is_the_brute_force_minimum_of_the_lagrangian() -> None:
     checked = 0
     while checked < 6:
         multipliers = rng.standard_normal(6) * np.array([0.4, 0.4, 0.4, 8.0, 8.0, 8.0])
-        bound = kernels.lower_bound(multipliers, grasp.cone_matrix.copy(), wrench, objective.weights(grasp.n_contacts))
+        bound = objective.lower_bound(multipliers, grasp.cone_matrix, wrench)
         if not np.isfinite(bound):
             continue
         y = (grasp.cone_matrix.T @ multipliers).reshape(-1, 3)
@@ -233,9 +138,7 @@ def test_weak_duality(omega: float, lam: float) -> None:
             value = objective.value(grasp.to_cone(force))
             multipliers = rng.standard_normal(6) * omega * rng.choice([1e-3, 0.1, 0.5, 2.0])
             multipliers[3:] /= grasp.length
-            bound = kernels.lower_bound(
-                multipliers, grasp.cone_matrix.copy(), wrench, objective.weights(grasp.n_contacts)
-            )
+            bound = objective.lower_bound(multipliers, grasp.cone_matrix, wrench)
             if np.isfinite(value) and np.isfinite(bound):
                 compared += 1
                 assert bound <= value * (1.0 + 1e-12)
@@ -245,18 +148,11 @@ def test_weak_duality(omega: float, lam: float) -> None:
 @pytest.mark.parametrize("problem", PROBLEMS, ids=str)
 def test_no_multipliers_beat_the_optimum(problem: Problem) -> None:
     rng = np.random.default_rng(8)
-    matrix = problem.grasp.cone_matrix.copy()
-    weights = Objective(problem.force_weight, problem.barrier_weight).weights(problem.grasp.n_contacts)
+    matrix = problem.grasp.cone_matrix
+    objective = Objective(problem.force_weight, problem.barrier_weight)
     for scale in (1e-3, 1e-1, 0.5, 1.0):
         for _ in range(50):
             multipliers = scale * problem.force_weight * rng.standard_normal(6)
             multipliers[3:] /= problem.grasp.length
-            bound = kernels.lower_bound(multipliers, matrix, problem.wrench, weights)
+            bound = objective.lower_bound(multipliers, matrix, problem.wrench)
             assert bound <= problem.optimum * (1.0 + 1e-9)  # the optimum is written down to 1e-10
-
-
-def test_relative_gap() -> None:
-    assert kernels.relative_gap(3.0, 2.0) == 0.5
-    assert kernels.relative_gap(2.0 - 1e-16, 2.0) == 0.0
-    assert kernels.relative_gap(3.0, 0.0) == np.inf
-    assert kernels.relative_gap(3.0, -np.inf) == np.inf

@@ -16,10 +16,10 @@ from grasp_env.errors import (
     UnsupportedProblemError,
 )
 from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Repair, Status, phase_one
-from grasp_env.force.kernels import combine, tangent
 from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.force.record import REFUSED, record_size
 from grasp_env.grasp import Grasp, null_space_basis, presets
+from grasp_env.phi_kernels import combine, tangent
 from policies import LearnedInitialForce
 
 NOMINAL = {3: presets.tripod(), 4: presets.paper_cuboid(), 5: presets.five_finger_cuboid()}

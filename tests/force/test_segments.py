@@ -13,9 +13,9 @@ from problems import PAPER_WRENCH, closure_grasps, random_grasp, weights
 from grasp_env import core
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, carry_over, cone_margin, optimize_force
 from grasp_env.force.basis import core_contacts, starter
-from grasp_env.force.kernels import best_on_segment, combine, cone_slack, phi, step_to_boundary
 from grasp_env.force.repair import CORRECTIONS, Correction
 from grasp_env.grasp import Grasp, presets, wrench
+from grasp_env.phi_kernels import best_on_segment, combine, phi, step_to_boundary
 
 OBJECTIVE = Objective()
 GRASPS = [presets.tripod(), presets.paper_cuboid(), presets.five_finger_cuboid(), *closure_grasps()[:5]]
@@ -131,7 +131,7 @@ def test_best_on_segment_is_the_best_of_the_segment(grasp: Grasp, segment: Segme
         theta = segment(grasp, safe, candidate, out)
         assert 0.0 <= theta <= 1.0
         value = phi(out, weights(safe))
-        assert cone_slack(out) > 0.0
+        assert cone_margin(grasp.to_force(out), grasp.friction) > 0.0
         assert value <= phi(safe, weights(safe)) * (1.0 + ROUNDING[segment])
         assert value <= phi(candidate, weights(safe)) * (1.0 + ROUNDING[segment])
         scan = min(phi(safe + k * (candidate - safe), weights(safe)) for k in thetas)
@@ -186,7 +186,7 @@ def test_repair_of_twenty_thousand_candidates_is_never_worse_than_the_basis(segm
         out = np.empty_like(safe)
         segment(grasp, safe, x, out)
         assert phi(out, weights(safe)) <= phi(safe, weights(safe)) * (1.0 + ROUNDING[segment])
-        assert cone_slack(out) > 0.0
+        assert cone_margin(grasp.to_force(out), grasp.friction) > 0.0
         force = grasp.to_force(out)
         # what a candidate of 1e8 N leaves of its balance is 1e-7 N, times the part of it that is taken
         assert grasp.residual(force, load) <= 1e-9 * (np.abs(force).max() + np.abs(load).max() / grasp.length)
