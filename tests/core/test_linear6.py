@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import _core_test as insides
 import numpy as np
 import pytest
@@ -91,3 +93,47 @@ def test_the_bound_of_the_rank_is_one() -> None:
     assert clear > 24
     for rows in (np.zeros((6, 9)), np.full((6, 9), np.nan), np.full((6, 9), np.inf), np.ones((6, 9))):
         assert not insides.rank_bound(rows) > 0.0
+
+
+def exactly(matrix: np.ndarray, right: list[Fraction]) -> list[Fraction]:
+    """(A^T A)^-1 right in fractions, by elimination."""
+    rows = [[Fraction(v) for v in row] for row in matrix]
+    system = [[sum(r[i] * r[j] for r in rows) for j in range(6)] + [right[i]] for i in range(6)]
+    for k in range(6):
+        for i in range(6):
+            if i != k:
+                factor = system[i][k] / system[k][k]
+                system[i] = [a - factor * b for a, b in zip(system[i], system[k], strict=True)]
+    return [system[k][6] / system[k][k] for k in range(6)]
+
+
+@pytest.mark.parametrize("decades", [0, 4, 8, 12])
+@pytest.mark.parametrize("count", [6, 9, 24])
+def test_rows_of_any_size(count: int, decades: int) -> None:
+    """Rows that differ by all digits, so that A^T A has none of the small ones: each is as good as its own digits."""
+    rng = np.random.default_rng(count + decades)
+    for _ in range(4):
+        plain, sizes = rng.standard_normal((count, 6)), 10.0 ** -rng.uniform(0.0, decades, count)
+        matrix, g, b = plain * sizes[:, None], rng.standard_normal(count), rng.standard_normal(6)
+        whole, rest, reached, z, n = insides.qr(matrix, g, b)
+        assert whole
+        wanted = np.array([float(v) for v in exactly(matrix, [Fraction(v) for v in b])])
+        # the condition that counts is that of the rows without their sizes
+        error = 1e-14 * np.linalg.cond(plain[np.argsort(-sizes)[:6]])
+        np.testing.assert_allclose(n, wanted, rtol=0, atol=error * np.abs(wanted).max())
+        np.testing.assert_allclose(z / sizes, plain @ wanted, rtol=0, atol=error * np.abs(wanted).max())
+        exact = [[Fraction(v) for v in row] for row in matrix]
+        pull = [sum(row[k] * Fraction(v) for row, v in zip(exact, g, strict=True)) for k in range(6)]
+        multipliers = exactly(matrix, pull)
+        reach = [sum(a * n for a, n in zip(row, multipliers, strict=True)) for row in exact]
+        wanted = np.array([float(v) for v in multipliers])
+        np.testing.assert_allclose(reached, wanted, rtol=0, atol=error * np.abs(wanted).max())
+        wanted = np.array([float(Fraction(v) - a) for v, a in zip(g, reach, strict=True)])
+        np.testing.assert_allclose(rest, wanted, rtol=0, atol=error * np.abs(g).max())
+
+
+@pytest.mark.parametrize("bad", [0.0, np.nan, np.inf])
+def test_rows_without_rank_six(bad: float) -> None:
+    matrix = np.random.default_rng(0).standard_normal((9, 6))
+    matrix[:, 3] = bad
+    assert not insides.qr(matrix, np.ones(9), np.ones(6))[0]

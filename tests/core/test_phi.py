@@ -48,6 +48,21 @@ def test_gradient(lanes: int) -> None:
 
 
 @pytest.mark.parametrize("lanes", LANES)
+def test_axes_of_the_inverse_hessian(lanes: int) -> None:
+    """Each to its own last digits but those of u - s: small ones keep theirs beside large ones."""
+    found = insides.axes(lanes, X, WEIGHTS)
+    for x, w, row, depth in zip(X.astype(LONG), WEIGHTS, found, DEPTH, strict=True):
+        error = EPS * (16.0 + 4.0 / depth)
+        axes = oracle.axes(x, *w)
+        for made, axis in zip(row[:9].reshape(3, 3), axes, strict=True):
+            assert np.abs(made - axis).max() <= error * np.abs(axis).max()
+        parts = [oracle.gradient(x, np.array([[omega, lam]])) for omega, lam in ((w[0], 0.0), (0.0, w[1]))]
+        # across there is no slope; the price's is a sum of equal signs, the barrier's too
+        for made, (part, axis) in zip(row[9:], ((g, a) for g in parts for a in axes[:2]), strict=True):
+            assert abs(made - part @ axis) <= error * np.abs(part) @ np.abs(axis)
+
+
+@pytest.mark.parametrize("lanes", LANES)
 def test_inverse_hessian(lanes: int) -> None:
     found = insides.inverse_hessian(lanes, X, WEIGHTS).reshape(-1, 3, 3)
     wanted = np.array([oracle.inverse_hessian(x, *w) for x, w in zip(X.astype(LONG), WEIGHTS, strict=True)]).astype(

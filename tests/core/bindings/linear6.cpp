@@ -34,6 +34,19 @@ double bound_of_rank(In rows) {
 }
 double size_of(In a) { return size(six(a)); }
 
+
+// Of A (n, 6), g (n,) and b (6,): what A does not reach of g, its multipliers, the least z with A^T z = b, its multipliers.
+nb::tuple rows_by_size(In matrix, In g, In b) {
+    const int rows = int(matrix.shape(0));
+    Qr6 qr(rows);
+    for (int i = 0; i < rows; ++i)
+        for (int k = 0; k < 6; ++k) qr(i, k) = numbers(matrix, 6 * rows)[6 * i + k];
+    const bool found = qr.factor();
+    std::vector<double> rest(numbers(g, rows), numbers(g, rows) + rows), z(rows);
+    const Vec6 reached = qr.reject(rest), n = qr.least(six(b), z);
+    return nb::make_tuple(found, array(rest), array(reached), array(z), array(n));
+}
+
 }  // namespace
 
 void bind_linear6(nb::module_& m) {
@@ -43,4 +56,5 @@ void bind_linear6(nb::module_& m) {
     m.attr("CLEAR_RANK") = CLEAR_RANK;
     m.def("rank_bound", &bound_of_rank, "rows"_a);
     m.def("size", &size_of, "a"_a);
+    m.def("qr", &rows_by_size, "matrix"_a, "g"_a, "b"_a, "Whether it has rank 6; g - A n, n; z = A n with A^T z = b, n.");
 }

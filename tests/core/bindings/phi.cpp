@@ -66,6 +66,18 @@ nb::object inverse_hessian_of(int lanes, In x, In weights) {
     });
 }
 
+nb::object axes_of(int lanes, In x, In weights) {
+    return with_lanes(lanes, [&](auto zero) {
+        using V = decltype(zero);
+        const Rows<V> at(x, 3), w(weights, 2);
+        return over<V, 13>(x.shape(0), [&](size_t k, auto& out) {
+            const Axes<V> a(at.triple(k), w.weights(k));
+            for (int i = 0; i < 9; ++i) out[i] = a[i / 3][i % 3];
+            out[9] = a.price.along, out[10] = a.price.inward, out[11] = a.barrier.along, out[12] = a.barrier.inward;
+        });
+    });
+}
+
 nb::object dual_of(int lanes, In y, In weights) {
     return with_lanes(lanes, [&](auto zero) {
         using V = decltype(zero);
@@ -129,6 +141,8 @@ void bind_phi(nb::module_& m) {
     m.def("phi", &phi_of, "lanes"_a, "x"_a, "weights"_a, "(n, 2): phi of one contact, wherever x is, and its slack.");
     m.def("gradient", &gradient_of, "lanes"_a, "x"_a, "weights"_a, "(n, 3).");
     m.def("inverse_hessian", &inverse_hessian_of, "lanes"_a, "x"_a, "weights"_a, "(n, 9).");
+    m.def("axes", &axes_of, "lanes"_a, "x"_a, "weights"_a,
+          "(n, 13): along, inward, across; what the price pulls along and inward, and what the barrier does.");
     m.def("dual", &dual_of, "lanes"_a, "y"_a, "weights"_a, "(n, 2): value and room.");
     m.def("dual_near", &dual_near_of, "lanes"_a, "y"_a, "weights"_a, "x"_a, "tight"_a, "(n, 2): value and room.");
     m.def("boundary", &boundary_of, "lanes"_a, "x"_a, "move"_a, "(n, 3): away, along, and 1 / (largest step inside).");

@@ -23,7 +23,7 @@ template <class V> struct Block {
     }
 
 private:
-    static Vec3<V> combined(const Vec3<V>* rows, const Vec6& n) {
+    [[gnu::always_inline]] static Vec3<V> combined(const Vec3<V>* rows, const Vec6& n) {
         const auto pair = [&](int r) { return all<V>(n[r]) * rows[r] + all<V>(n[r + 1]) * rows[r + 1]; };
         return pair(0) + pair(2) + pair(4);
     }
@@ -110,6 +110,10 @@ public:
     double phi_along(const Field& x, const Field& step, double alpha) const {
         return phi_of([&](int b) { return x[b] + all<V>(alpha) * step[b]; });
     }
+    // the same with `part` of the price of squeezing
+    double phi_along(const Field& x, const Field& step, double alpha, double part) const {
+        return phi_of([&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
+    }
     // d Phi(x + alpha step) / d alpha
     double slope_along(const Field& x, const Field& step, double alpha) const {
         V total{};
@@ -118,7 +122,7 @@ public:
         return sum(total);
     }
 
-    Vec6 wrench(const Field& x) const {  // G x
+    [[gnu::always_inline]] Vec6 wrench(const Field& x) const {  // G x
         V out[6] = {};
         for (int b = 0; b < int(blocks.size()); ++b) blocks[b].add_wrench(x[b], out);
         return sums(out);
@@ -165,6 +169,17 @@ public:
         });
     }
 
+    // Scales multipliers that miss the dual cones into them, as nu = 0 is inside.
+    void scale_inside(Vec6& nu) const {
+        V most{};
+        for (int b = 0; b < int(blocks.size()); ++b) {
+            const Vec3<V> y = blocks[b].transposed(nu);
+            most = max(most, blocks[b].mask * (y.u + sqrt(y.o * y.o + y.t * y.t)) / (3.0 * blocks[b].weights.omega));
+        }
+        const double outside = largest(most);
+        if (outside > INSIDE) nu = (INSIDE / outside) * nu;
+    }
+
     // Writes forces, residual and margin of x: what a solution is checked by.
     void certify(const Field& x, const Vec6& w, const Record& record) const {
         record.summary().residual = size(wrench(x) + w);
@@ -173,17 +188,18 @@ public:
     }
 
 private:
+    static constexpr double INSIDE = 1.0 - 1e-13;  // of the way to the surface of the dual cones: beyond it rounding decides
     int needed() const { return (count + W - 1) / W; }
 
     template <class F> void each(F&& f) const {
         for (int b = 0; b < int(blocks.size()); ++b)
             for (int n = 0; n < W && W * b + n < count; ++n) f(b, n, 3 * (W * b + n));
     }
-    template <class F> double phi_of(F&& at) const {
+    template <class F, class... Part> double phi_of(F&& at, Part... part) const {
         V total{}, room = all<V>(infinity);
         for (int b = 0; b < int(blocks.size()); ++b) {
             const Vec3<V> x = at(b);
-            total += blocks[b].mask * grasp::phi(x, blocks[b].weights);
+            total += blocks[b].mask * grasp::phi(x, Weights<V>{(blocks[b].weights.omega * ... * part), blocks[b].weights.lambda});
             room = min(room, min(x.u, lorentz(x, x)));
         }
         const double value = sum(total);

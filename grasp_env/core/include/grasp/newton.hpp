@@ -1,6 +1,7 @@
 // Damped Newton on Phi under balance; linear in the number of contacts.
 #pragma once
 #include "start.hpp"
+#include "steep.hpp"
 
 namespace grasp {
 
@@ -34,13 +35,14 @@ public:
     Options options;
     Cones<V, B> cones;
     System<V, B> system;
+    Steep<V, B> steep;
     Starter<V, B> starter;
     Field x;  // the start, then the iterate
     std::vector<double> row;  // a record to work with
 
     NewtonOn(int count, const Options& options)
-        : options(options), cones(count), system(cones), starter(cones), x(cones.field()),
-          row(record_size(count)), step_(cones.field()), begun_(cones.field()) {}
+        : options(options), cones(count), system(cones), steep(cones), starter(cones), x(cones.field()),
+          row(record_size(count)), step_(cones.field()), begun_(cones.field()), best_(cones.field()), centring_(cones.field()) {}
 
     // Start, descent, certificates. REFUSED: numbers that are not finite, or no start that is balanced and strictly inside.
     Code solve(const Call& call, const Record& record) {
@@ -52,16 +54,22 @@ public:
         return descend_from(begun_, call, w, record);
     }
 
-    // From the start in x, of which `begun` is a copy: with steps that reach `first` of the way to the boundary, and where forces at very
-    // different depths stall those, with the others.
-    Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record, double first = SHORT) {
-        Code code = descend(call, w, record, first);
-        if (code != STALLED) return code;
-        const double tried = record.summary().trials;
-        x = begun;
-        code = descend(call, w, record, SHORT + LONG - first);
-        record.summary().trials += tried;
-        return code;
+    // From the start in x, of which `begun` is a copy, to the record: with steps that reach `fraction` of the way to the boundary, and
+    // where those stall along the central path.
+    Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record, double fraction = SHORT) {
+        cones.store_force(x, record.initial_force());
+        const bool known = call.optimum == call.optimum;
+        Progress at{.value = cones.phi(x), .bound = known ? call.optimum : -infinity, .known = known};
+        if (!(at.value < infinity)) return REFUSED;
+        Code code = descend(call, w, at, fraction);
+        if (code == STALLED) {
+            const double value = at.value;
+            best_ = x;
+            x = begun;
+            code = follow(call, w, at);
+            if (code == STALLED && value < at.value) x = best_;
+        }
+        return finish(code, begun, call, w, at, record);
     }
 
     // The start of a call, in x.
@@ -76,66 +84,6 @@ public:
         cones.load_force(call.force, x);
         starter.carry(cones, system, starter.safe(), w, call.start, x);
         return true;
-    }
-
-    // From the start in x, which is balanced and strictly inside, to the record.
-    // fraction: of the way to the boundary that a step goes at most.
-    Code descend(const Call& call, const Vec6& w, const Record& record, double fraction) {
-        cones.store_force(x, record.initial_force());
-        const bool known = call.optimum == call.optimum;
-        const double tolerance = options.tolerance, tight = std::min(1e-2, 0.1 * std::sqrt(std::sqrt(tolerance)));
-        double value = cones.phi(x);
-        if (!(value < infinity)) return REFUSED;
-        double bound = known ? call.optimum : -infinity;
-        int iterations = 0, trials = 0;
-        Code code = STALLED;
-        Vec6 nu{};
-        // far below its bound is a force that misses balance: steps restore it
-        const auto certified = [&] {
-            return bound > 0.0 && value - bound <= tolerance * bound && (known || value - bound >= BELOW * bound);
-        };
-        for (;; ++iterations) {
-            if (iterations < call.traced) call.trace[iterations] = value;
-            if (!system.assemble(cones, x)) break;
-            const Vec6 left = system.made + w;
-            nu = system.multipliers(left);
-            const auto [decrement, reach] = find_step(nu, left, value);
-            // Phi - min Phi is half the squared decrement to third order: the bound costs a quarter of an iteration, so it waits
-            if (!known && (decrement < 4.0 * tolerance * value || iterations >= options.limit))
-                bound = std::max(bound, cones.lower_bound(nu, w));
-            if (certified()) {
-                code = CONVERGED;
-                break;
-            }
-            if (iterations >= options.limit) {
-                code = LIMIT;
-                break;
-            }
-            double alpha = reach > 0.0 ? std::min(1.0, fraction / reach) : 1.0;
-            if (!search(value, decrement, alpha, trials)) {
-                if (!known) bound = std::max(bound, cones.lower_bound(nu, w));
-                code = certified() ? CONVERGED : STALLED;
-                break;
-            }
-            for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
-            // the multipliers belong to where the step went: where it was a small whole one, they certify that without a system
-            if (alpha == 1.0 && decrement < std::sqrt(tolerance) * value) {
-                if (!known) bound = std::max(bound, cones.lower_bound(nu, w, x, tight));
-                if (certified()) {
-                    if (++iterations < call.traced) call.trace[iterations] = value;
-                    code = CONVERGED;
-                    break;
-                }
-            }
-        }
-        if (iterations > 0) cones.balance(x, w);  // what rounding left of G x + w
-        Summary& s = record.summary();
-        s.code = code, s.iterations = iterations, s.trials = trials, s.objective = value, s.lower_bound = bound;
-        s.reserved = 0.0, s.multipliers = cones.unit.pull_back(nu);
-        std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-        std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
-        cones.certify(x, w, record);
-        return code;
     }
 
     // The Newton step at x into `out`, its multipliers in the unit frame, and its squared decrement; negative: S lost definiteness.
@@ -178,11 +126,14 @@ public:
 
 private:
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
-    static constexpr double BALANCED = 1e-13;  // a step that misses balance by less than this part of Phi needs no refinement
+    static constexpr int PATIENCE = 40;        // whole descents take half as many steps, unless they crawl along a surface
+    static constexpr double MISSES = 1e-13;    // a step that misses balance by less than this part of Phi needs no refinement
+    static constexpr double BALANCED = 1e-9;   // part of the wrench, or of forces up to 1 N, that a balanced force may miss
+    static constexpr double ROUNDED = 1e-13;   // part of Phi
     static constexpr double SHORTEST = 1e-10;  // a step moves x by at least this part of its length
     static constexpr double BELOW = -1e-9;     // rounding by which Phi may fall short of its bound
     static constexpr double MISSED = 1e-8;     // part of wrench and force by which a given start may miss balance
-    Field step_, begun_;
+    Field step_, begun_, best_, centring_;
 
     struct Direction { double decrement, reach; };  // squared Newton decrement, 1 / (largest step inside the cones)
 
@@ -190,7 +141,7 @@ private:
     // of Phi while it is large (a few digits a time), then by the least change.
     Direction find_step(const Vec6& nu, const Vec6& left, double value) {
         Vec6 missed = left + system.direction(cones, nu, step_);
-        for (int round = 0; round < REFINEMENTS && size(missed) > BALANCED * value; ++round)
+        for (int round = 0; round < REFINEMENTS && size(missed) > MISSES * value; ++round)
             missed = left + system.restore(cones, missed, step_);
         V decrement{}, reach{};
         for (int b = 0; b < int(x.size()); ++b) {
@@ -202,11 +153,127 @@ private:
         return {sum(decrement), largest(reach)};
     }
 
-    // Halves alpha until Phi falls; false where no step that moves x does.
-    bool search(double& value, double decrement, double& alpha, int& trials) {
+    // How far a descent has come.
+    struct Progress {
+        double value, bound;
+        bool known;  // whether the bound is an optimum that the caller knows
+        int iterations = 0, trials = 0;
+        Vec6 nu{};
+    };
+
+    // far below its bound is a force that misses balance: steps restore it
+    bool certified(double value, const Progress& at) const {
+        const double above = value - at.bound;
+        return at.bound > 0.0 && above <= options.tolerance * at.bound && (at.known || above >= BELOW * at.bound);
+    }
+
+    // Damped Newton from x, its system factored as it is: where forces exceed their distance to the cones by 1e4 it loses its digits.
+    [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, Progress& at, double fraction) {
+        const double tolerance = options.tolerance, tight = std::min(1e-2, 0.1 * std::sqrt(std::sqrt(tolerance)));
+        for (;; ++at.iterations) {
+            if (at.iterations < call.traced) call.trace[at.iterations] = at.value;
+            if (!system.assemble(cones, x)) return STALLED;
+            const Vec6 left = system.made + w;
+            at.nu = system.multipliers(left);
+            const auto [decrement, reach] = find_step(at.nu, left, at.value);
+            // Phi - min Phi is half the squared decrement to third order: the bound costs a quarter of an iteration, so it waits
+            if (!at.known && (decrement < 4.0 * tolerance * at.value || at.iterations >= options.limit))
+                at.bound = std::max(at.bound, cones.lower_bound(at.nu, w));
+            if (certified(at.value, at)) return CONVERGED;
+            if (at.iterations >= options.limit) return LIMIT;
+            if (at.iterations >= PATIENCE) return STALLED;
+            double alpha = reach > 0.0 ? std::min(1.0, fraction / reach) : 1.0;
+            if (!search(at.value, decrement, alpha, at.trials, [&] { return cones.phi_along(x, step_, alpha); })) {
+                if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w));
+                return certified(at.value, at) ? CONVERGED : STALLED;
+            }
+            for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
+            // the multipliers belong to where the step went: where it was a small whole one, they certify that without a system
+            if (alpha == 1.0 && decrement < std::sqrt(tolerance) * at.value) {
+                if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, x, tight));
+                if (certified(at.value, at)) {
+                    if (++at.iterations < call.traced) call.trace[at.iterations] = at.value;
+                    return CONVERGED;
+                }
+            }
+        }
+    }
+
+    // Newton along the central path from x: every step goes to the optimum of the barrier and the largest part of the price of squeezing
+    // for which that is within reach. Forces then come close to the cones no sooner than they must, where steps along a curved surface
+    // are short, and the system keeps its digits.
+    [[gnu::cold, gnu::noinline]] Code follow(const Call& call, const Vec6& w, Progress& at) {
+        double part = 0.0;
+        for (at.value = cones.phi(x), at.iterations = 0;; ++at.iterations) {
+            if (at.iterations < call.traced) call.trace[at.iterations] = at.value;
+            const Vec6 left = cones.wrench(x) + w;
+            if (!steep.assemble(cones, x, left, step_, centring_)) return STALLED;
+            part = reachable(part);
+            Vec6 nu = steep.multipliers(part);
+            cones.scale_inside(nu);
+            if (const double bound = at.known ? at.bound : cones.lower_bound(nu, w); bound >= at.bound) at.bound = bound, at.nu = nu;
+            if (certified(at.value, at)) return CONVERGED;
+            if (at.iterations >= options.limit) return LIMIT;
+            for (int b = 0; b < int(x.size()); ++b) step_[b] = all<V>(part) * step_[b] + centring_[b];
+            for (int round = 0; round < REFINEMENTS; ++round) steep.restore(left + cones.wrench(step_), step_);
+            cones.subtract(step_, left + cones.wrench(step_));
+            const double reach = cones.reach(x, step_);
+            double alpha = reach > 0.0 ? std::min(1.0, LONG / reach) : 1.0, merit = cones.phi_along(x, step_, 0.0, part);
+            const auto along = [&] { return cones.phi_along(x, step_, alpha, part); };
+            if (!search(merit, steep.decrement(part), alpha, at.trials, along)) return STALLED;
+            for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
+            at.value = cones.phi(x);
+        }
+    }
+
+    // The largest part of the price that a whole step of `follow` may go to, no less than that to which x is nearest.
+    double reachable(double before) const {
+        const auto reach = [&](double part) {
+            V most{};
+            for (int b = 0; b < int(x.size()); ++b)
+                most = max(most, Boundary<V>(x[b]).per(all<V>(part) * step_[b] + centring_[b]));
+            return largest(most);
+        };
+        if (reach(1.0) <= LONG) return 1.0;
+        double low = std::min(std::max(steep.nearest(), std::max(1e-3 * before, 1e-30)), 1.0), high = 1.0;
+        if (reach(low) > LONG) return low;
+        while (high > 1.1 * low) {
+            const double middle = std::sqrt(low * high);
+            (reach(middle) <= LONG ? low : high) = middle;
+        }
+        return low;
+    }
+
+    // What is claimed of x is checked of the force that is returned: balance, cones, gap.
+    Code finish(Code code, const Field& safe, const Call& call, const Vec6& w, const Progress& at, const Record& record) {
+        Summary& s = record.summary();
+        if (at.iterations > 0) cones.balance(x, w);  // what rounding left of G x + w
+        cones.certify(x, w, record);
+        if (!(s.margin > 0.0 && balanced(s.residual, w))) mend(safe, w, record);
+        s.objective = cones.phi(x), s.lower_bound = at.bound, s.multipliers = cones.unit.pull_back(at.nu);
+        if (std::abs(s.objective - at.value) <= ROUNDED * at.value) s.objective = at.value;
+        if (!balanced(s.residual, w) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
+        s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.reserved = 0.0;
+        std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
+        std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
+        return code;
+    }
+    bool balanced(double residual, const Vec6& w) const {
+        return residual <= BALANCED * std::max(size(w), std::min(cones.largest_normal(x), 1.0));
+    }
+    // What misses balance is balanced; what rounding took out of a cone goes back, on the way to `safe`.
+    [[gnu::cold, gnu::noinline]] void mend(const Field& safe, const Vec6& w, const Record& record) {
+        cones.balance(x, w);
+        for (double part = 1e-15; part < 1.0 && !(cones.margin(x) > 0.0); part *= 4.0)
+            for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(part) * (safe[b] - x[b]);
+        cones.certify(x, w, record);
+    }
+
+    // Halves alpha until what `along` it falls, and with it `value`; false where no step that moves x does.
+    template <class F> bool search(double& value, double decrement, double& alpha, int& trials, F&& along) {
         for (int halving = 0; halving < HALVINGS; ++halving, alpha *= 0.5) {
             ++trials;
-            const double found = cones.phi_along(x, step_, alpha);
+            const double found = along();
             const bool falls = found < value - 1e-4 * alpha * decrement, flat = decrement < 1e-9 * value;
             if (falls || (flat && found <= value)) {
                 // far from the optimum steps are as long as Phi is straight: what counts is how far x moves

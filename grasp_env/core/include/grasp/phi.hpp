@@ -31,6 +31,29 @@ template <class T> inline Sym3<T> inverse_hessian(const Vec3<T>& x, const Weight
             across + bend * t * t};
 }
 
+// The same inverse as a sum of three a a^T, and the gradient along each a, that of the price of squeezing and of the barrier apart;
+// across has none. In p = u - s and q = u + s, where neither loses digits to the other: one axis lies along q, close to the force, one
+// along p, towards the surface, one across both.
+template <class T> struct Axes {
+    Vec3<T> along, inward, across;
+    struct Pull { T along, inward; } price, barrier;
+
+    Axes() = default;
+    Axes(const Vec3<T>& x, const Weights<T>& w) {
+        const T s = sqrt(x.o * x.o + x.t * x.t), p = x.u - s, q = x.u + s;
+        const T o = s > 1e-140 ? x.o / s : all<T>(1.0), t = s > 1e-140 ? x.t / s : T{};
+        const T k = 0.5 / (x.u * x.u * x.u), p3 = p * p * p, q3 = q * q * q, share = 1.0 / (2.0 + k * p3), tilt = k * p3 * share;
+        const T one = sqrt(q3 * (2.0 + k * p3) / (w.lambda * (4.0 + 2.0 * k * (p3 + q3)))), two = sqrt(p3 * share / w.lambda);
+        along = (0.5 * one) * Vec3<T>{1.0 - tilt, (1.0 + tilt) * o, (1.0 + tilt) * t};
+        inward = (0.5 * two) * Vec3<T>{all<T>(1.0), -o, -t};
+        across = (0.5 * p * q / sqrt(w.lambda * x.u)) * Vec3<T>{T{}, -t, o};
+        const T both = 0.5 / (x.u * x.u), near = both + 1.0 / (p * p), far = both + 1.0 / (q * q);
+        price = {1.5 * w.omega * one * (1.0 - tilt), 1.5 * w.omega * two};
+        barrier = {-w.lambda * one * (far - tilt * near), -w.lambda * two * near};
+    }
+    const Vec3<T>& operator[](int k) const { return k == 0 ? along : k == 1 ? inward : across; }
+};
+
 // How far a ray from x inside the cone goes before it leaves: what depends on x alone is made once.
 template <class T> struct Boundary {
     Vec3<T> x;
@@ -41,7 +64,7 @@ template <class T> struct Boundary {
 
     // 1 / (largest step inside the cone) along a move is away - along, and along its opposite away + along.
     struct Way { T away, along; };
-    Way way(const Vec3<T>& move) const {
+    [[gnu::always_inline]] Way way(const Vec3<T>& move) const {
         const T along = lorentz(x, move) * root * root, k = (move.u * root + along) * share;
         const T a = move.o - k * x.o, b = move.t - k * x.t;
         return {root * sqrt(a * a + b * b), along};
