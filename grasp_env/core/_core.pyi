@@ -1,8 +1,7 @@
 """The compiled core; `grasp_env.core` is its door."""
 
-from typing import Any
+from collections.abc import Sequence
 
-import numpy as np
 from numpy.typing import NDArray
 
 
@@ -21,35 +20,6 @@ def codes() -> dict[str, int]:
 
 def record_size(contacts: int) -> int:
     """Numbers in a row of N contacts."""
-
-class Solution:
-    """One record and what was said of it; see `grasp_env.force.ForceSolution`."""
-
-    _record: np.ndarray
-    method: str
-    initial: str
-    objective_trace: np.ndarray
-    certificate: np.ndarray | None
-    limit_multipliers: np.ndarray
-    def __init__(
-        self,
-        record: np.ndarray,
-        method: str,
-        initial: str,
-        objective_trace: np.ndarray = ...,
-        certificate: np.ndarray | None = None,
-        limit_multipliers: np.ndarray = ...,
-    ) -> None: ...
-    @property
-    def n_contacts(self) -> int: ...
-    @property
-    def code(self) -> int: ...
-    @property
-    def force(self) -> np.ndarray: ...
-    @property
-    def initial_force(self) -> np.ndarray: ...
-    @property
-    def torsion(self) -> np.ndarray: ...
 
 TANGENT_SWITCH: float = 0.9
 
@@ -183,6 +153,93 @@ class Conic:
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
         """Best seconds of `passes` calls each, into (M,)."""
 
+LAYER_FEATURES: int = 11
+
+LAYER_REACH: float = 0.9
+
+MOST_LAYERS: int = 64
+
+NETWORK_FEATURES: int = 8
+
+MOST_STAGES: int = 8
+
+WIDEST: int = 1024
+
+def layer_size(width: int) -> int:
+    """Numbers of one learned layer; 0: too wide."""
+
+class Network:
+    """A float32 perceptron with activation v/2 (1 + v / sqrt(1 + v^2))."""
+
+    @staticmethod
+    def make(sizes: Sequence[int], weights: object) -> Network:
+        """
+        sizes: inputs, hidden ..., outputs; weights: of each stage (inputs x outputs), then its bias, flat.
+        """
+
+class Layers:
+    """Learned Newton layers."""
+
+    @staticmethod
+    def make(width: int, weights: object) -> Layers:
+        """weights: (K, layer_size(width)), see layers.hpp."""
+
+class Model:
+    """
+    A trained model on contacts as they are now: a network, layers, or both.
+    """
+
+    @staticmethod
+    def make(network: Network | None, layers: Layers | None) -> Model: ...
+
+    def normalise(self, length: float, floor: float, log_mean: float, log_scale: float, friction_mean: float, friction_scale: float) -> None:
+        """Of the network's features, see policies/features.py."""
+
+    def place(self, null_space: object, friction: float, scale: float) -> None:
+        """
+        (3N, 3N - 6) internal forces that the network's outputs stand for; scale: sqrt(lambda / omega) over that of training.
+        """
+
+    def trained_on(self, length: float, centre: object, largest: float) -> None:
+        """
+        The frame (length and centre [m]) in which training measured wrenches, their largest size [N]; < 0: none is inside.
+        """
+
+class Learned:
+    """
+    A trained model's starts on the hard contacts of one grasp, and Newton from them.
+    """
+
+    @staticmethod
+    def make(contacts: Contacts, tolerance: float, limit: int, basis: object, model: Model) -> Learned:
+        """basis: (13, 3N) the offline optima, cone coordinates."""
+
+    def start(self, wrench: object | None, previous: object | None, record: object) -> int:
+        """
+        The start into a record; returns `converged` where it is certified, `limit` where a descent has to go on from the initial
+        force in it. previous: the record of another wrench's optimum, or None.
+        """
+
+    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
+        """
+        The start, and Newton from it unless it is certified, into a record; returns the code.
+        """
+
+    def predict(self, wrench: object, force: object) -> bool:
+        """
+        The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network. False: not finite.
+        """
+
+    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
+        """Best seconds of `passes` solves each, into (M,)."""
+
+    def covers(self, wrench: object) -> bool:
+        """Whether wrench, contacts and friction lie in the training range."""
+
+    @property
+    def outside(self) -> bool:
+        """Whether the last wrench was not covered."""
+
 class Pipeline:
     """
     Contacts in, certified force out, for contacts that move from call to call.
@@ -201,6 +258,9 @@ class Pipeline:
         """
         Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.
         """
+
+    def set_layers(self, layers: Layers) -> None:
+        """Learned layers that go on from every start."""
 
     def solve(self, points: object | None, normals: object | None, wrench: object | None, adjust: object | None, record: object) -> int:
         """

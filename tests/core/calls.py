@@ -19,6 +19,7 @@ SAMPLE = sample(COUNT)
 LOADS = wrenches(np.random.default_rng(0), 3)
 SIZE = _core.record_size(COUNT)
 INTERNAL = reference_of(SAMPLE)
+LAYER_WEIGHTS = 0.1 * np.random.default_rng(1).standard_normal((2, _core.layer_size(1)))
 
 
 def contacts() -> _core.Contacts:
@@ -38,6 +39,23 @@ def conic() -> _core.Conic:
 
 def pipeline() -> _core.Pipeline:
     return _core.Pipeline.make(contacts(), TOLERANCE, LIMIT, SAMPLE.basis, SAMPLE.frames, True, INTERNAL)
+
+
+def model(placed: bool = True) -> _core.Model:
+    """A network of these contacts, and layers."""
+    rng = np.random.default_rng(0)
+    made = _core.Model.make(
+        _core.Network.make([8, 6], 0.1 * rng.standard_normal(54)), _core.Layers.make(1, LAYER_WEIGHTS)
+    )
+    made.normalise(0.05, 0.2, 0.5, 1.3, 0.4, 0.12)
+    if placed:
+        made.place(INTERNAL, 0.5, 1.0)
+        made.trained_on(0.05, np.zeros(3), 20.0)
+    return made
+
+
+def learned() -> _core.Learned:
+    return _core.Learned.make(contacts(), TOLERANCE, LIMIT, SAMPLE.basis, model())
 
 
 def begun() -> _core.Pipeline:
@@ -79,7 +97,7 @@ def calls() -> dict[str, Call]:
     force = (x / s.divisor.reshape(-1)).reshape(COUNT, 3)
     models = np.concatenate([np.zeros((1, COUNT)), s.scale.T, s.divisor.T])
     rows, many = np.array([_record()] * 3), (3, SIZE)
-    basis, n, c, p, b = {"basis": s.basis}, newton(), conic(), pipeline(), begun()
+    basis, n, c, p, b, start = {"basis": s.basis}, newton(), conic(), pipeline(), begun(), learned()
     moved = {"points": s.positions, "normals": s.normals, "wrench": LOADS[0]}
     geometry = {"frames": (COUNT, 3, 3), "matrix": (6, 12), "cone_matrix": (6, 12), "torsion_matrix": (6, COUNT)}
     place = {"positions": s.positions, "normals": s.normals}
@@ -119,6 +137,15 @@ def calls() -> dict[str, Call]:
         "Conic.solve": Call(partial(c.solve, previous=None), {"wrench": LOADS[0]}, {"record": (SIZE,)}),
         "Conic.solve_many": Call(c.solve_many, {"wrenches": LOADS}, {"records": many}),
         "Conic.times": Call(partial(c.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
+        "Network.make": Call(partial(_core.Network.make, [8, 6]), {"weights": np.full(54, 0.1)}, {}),
+        "Layers.make": Call(partial(_core.Layers.make, 1), {"weights": LAYER_WEIGHTS}, {}, frozenset({"weights"})),
+        "Model.trained_on": Call(partial(model().trained_on, length=1.0, largest=1.0), {"centre": np.zeros(3)}, {}),
+        "Learned.make": Call(partial(_core.Learned.make, contacts(), TOLERANCE, LIMIT, model=model()), basis, {}),
+        "Learned.start": Call(start.start, {"wrench": LOADS[0], "previous": rows[0]}, {"record": (SIZE,)}),
+        "Learned.solve": Call(start.solve, {"wrench": LOADS[0], "previous": rows[0]}, {"record": (SIZE,)}),
+        "Learned.predict": Call(start.predict, {"wrench": LOADS[0]}, {"force": (COUNT, 3)}),
+        "Learned.covers": Call(start.covers, {"wrench": LOADS[0]}, {}),
+        "Learned.times": Call(partial(start.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
         "Pipeline.make": Call(
             partial(_core.Pipeline.make, contacts(), remembers=True, **made),
             basis | {"frames": s.frames, "reference": INTERNAL},

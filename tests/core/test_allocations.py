@@ -6,6 +6,7 @@ import _core_test as insides
 import numpy as np
 import pytest
 from samples import Sample, sample, wrenches
+from test_learned import KINDS, learned
 from test_pipeline import path, pipeline
 
 COUNTED = pytest.mark.skipif(not insides.counts_allocations, reason="the sanitizers have an operator new of their own")
@@ -32,6 +33,18 @@ def test_newton(count: int, calls: int) -> None:
     loads = wrenches(np.random.default_rng(count), 12, 3.0)
     forces = np.array([made.solve(load)[20 : 20 + 3 * count] for load in loads])
     assert made.allocations(loads, forces, calls) == 0
+
+
+@COUNTED
+@many
+@counts
+@pytest.mark.parametrize("kind", KINDS)
+def test_learned_starts(count: int, calls: int, kind: str) -> None:
+    s, (sizes, layers) = sample(count), KINDS[kind]
+    made = learned(s, LAYOUTS[count], 1, sizes, 0.1, layers, 1e-4)
+    loads = wrenches(np.random.default_rng(count), 12, 3.0)
+    forces = np.array([made.solve(load)[20 : 20 + 3 * count] for load in loads])
+    assert made.allocations(loads, forces, calls // 5) == 0
 
 
 @COUNTED

@@ -11,7 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calls import CALLS, COUNT, REFUSED, SAMPLE, begun
+from calls import CALLS, COUNT, INTERNAL, LAYER_WEIGHTS, LIMIT, REFUSED, SAMPLE, TOLERANCE, begun, contacts, model
+
+from grasp_env.core import _core
 
 ROOT = Path(__file__).parents[2]
 each_call = pytest.mark.parametrize("name", CALLS)
@@ -90,6 +92,8 @@ SPOILED = {
 ROWS_OF_ANY = {"a row more", "a row less", "one more", "one less", "empty"}
 OPTIONAL = {
     ("Newton.make_basis", "interior"),
+    ("Learned.solve", "previous"),
+    ("Learned.start", "previous"),
     ("Newton.solve", "previous"),
     ("Newton.solve_many", "previous"),
     ("Pipeline.solve", "adjust"),
@@ -273,7 +277,27 @@ else:
 """)
 
 
-@pytest.mark.parametrize("what", ["newton", "conic", "pipeline"])
+def test_models_of_other_contacts_and_wrong_numbers_are_refused() -> None:
+    for fails in (
+        lambda: _core.Learned.make(contacts(), TOLERANCE, LIMIT, SAMPLE.basis, model(placed=False)),
+        lambda: _core.Network.make([8, 10**6], np.zeros(1)),
+        lambda: _core.Network.make([], np.zeros(1)),
+        lambda: _core.Network.make([8, 6], np.full(54, 1e39)),
+        lambda: _core.Network.make([8, 6], np.full(54, np.nan)),
+        lambda: _core.Layers.make(0, LAYER_WEIGHTS),
+        lambda: _core.Layers.make(1, np.zeros((_core.MOST_LAYERS + 1, LAYER_WEIGHTS.shape[1]))),
+        lambda: model().normalise(0.0, 0.2, 0.5, 1.3, 0.4, 0.12),
+        lambda: model().normalise(0.05, 0.2, 0.5, np.nan, 0.4, 0.12),
+    ):
+        with pytest.raises(ValueError, match=r"other contacts|stages|finite|wide|layers"):
+            fails()
+    short = model()
+    short.place(np.ascontiguousarray(INTERNAL[:, :5]), 0.5, 1.0)
+    with pytest.raises(ValueError, match="other contacts"):
+        _core.Learned.make(contacts(), TOLERANCE, LIMIT, SAMPLE.basis, short)
+
+
+@pytest.mark.parametrize("what", ["newton", "conic", "learned", "pipeline"])
 def test_solvers_are_deleted_as_they_were_made(what: str) -> None:
     survives(f"made = {what}(); del made", ASAN_OPTIONS="detect_leaks=0")
 

@@ -9,5 +9,6 @@ NB_MODULE(_core, m) {
     bind_contacts(m);
     bind_newton(m);
     bind_conic(m);
+    bind_learned(m);
     bind_pipeline(m);
 }

@@ -11,5 +11,6 @@ void bind_record(nb::module_& m);
 void bind_contacts(nb::module_& m);
 void bind_newton(nb::module_& m);
 void bind_conic(nb::module_& m);
+void bind_learned(nb::module_& m);
 void bind_pipeline(nb::module_& m);
 void bind_solution(nb::module_& m);

@@ -20,5 +20,6 @@ NB_MODULE(_core_test, m) {
     bind_newton(m);
     bind_conic(m);
     bind_pipeline(m);
+    bind_learned(m);
     bind_allocations(m);
 }

@@ -13,4 +13,5 @@ void bind_insides(nb::module_& m);
 void bind_newton(nb::module_& m);
 void bind_conic(nb::module_& m);
 void bind_pipeline(nb::module_& m);
+void bind_learned(nb::module_& m);
 void bind_allocations(nb::module_& m);

@@ -44,6 +44,11 @@ public:
     nb::object safe() const { return array(on_->safe()); }
     nb::object last() const { return array(on_->held().x); }
     nb::object basis() const { return array(on_->held().basis, {13, size_t(3 * count())}); }
+    void set_layers(int width, const In& weights) {
+        const double* from = numbers(weights, weights.size());
+        const std::vector<float> single(from, from + weights.size());
+        on_->set_layers(Layers(int(weights.size() / Layers::numbers(width)), width, single.data()));
+    }
     void reset() { on_->reset(); }
     void forget() { on_->forget(); }
 
@@ -82,6 +87,6 @@ void bind_pipeline(nb::module_& m) {
         .def("solve", &P::solve, "points"_a, "normals"_a, "wrench"_a, "adjust"_a = nb::none()).def("carry", &P::carry)
         .def("begin", &P::begin, "points"_a, "normals"_a, "wrench"_a, "adjust"_a = nb::none())
         .def_prop_ro("start", &P::start).def_prop_ro("safe", &P::safe).def_prop_ro("last", &P::last)
-        .def_prop_ro("basis", &P::basis).def("reset", &P::reset).def("forget", &P::forget)
+        .def_prop_ro("basis", &P::basis).def("set_layers", &P::set_layers).def("reset", &P::reset).def("forget", &P::forget)
         .def("allocations", &P::allocations_in, "points"_a, "normals"_a, "wrenches"_a, "adjust"_a, "calls"_a);
 }

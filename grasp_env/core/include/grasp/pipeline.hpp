@@ -2,6 +2,7 @@
 #pragma once
 #include "adjust.hpp"
 #include "basis.hpp"
+#include "learned.hpp"
 
 namespace grasp {
 
@@ -41,7 +42,7 @@ public:
         : contacts(nominal), newton(nominal.count, options), held(nominal.count), remembers(remembers), start(3 * nominal.count),
           safe(3 * nominal.count), rest(3 * nominal.count), nominal_(basis, basis + 39 * nominal.count),
           nominal_frames_(frames, frames + 9 * nominal.count), space_(nominal.count, reference), spare_(newton.starter.basis),
-          last_(newton.cones), turned_(newton.cones.field()), safe_(newton.cones.field()) {
+          last_(newton.cones), turned_(newton.cones.field()), safe_(newton.cones.field()), refiner_(newton.cones, {}) {
         reset();
     }
 
@@ -60,6 +61,9 @@ public:
         std::copy(basis, basis + 39 * contacts.count, held.basis.begin());
         std::copy(frames, frames + 9 * contacts.count, held.basis_frames.begin());
     }
+
+    // Learned layers that go on from every start; none: none do.
+    void set_layers(const Layers& layers) { refiner_ = {newton.cones, layers}; }
 
     // REFUSED: the general path has to say why.
     Code solve(const Load& load, double* row) {
@@ -85,6 +89,10 @@ public:
         const bool carried = remembers && turn_last();
         newton.x = carried ? turned_ : safe_;
         if (carried) starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
+        if (refiner_.layers.layers.count()) {
+            starter.turn(newton.cones, starter.basis[12], starter.basis_tangents, turned_);
+            refiner_(newton.cones, newton.system, turned_, w, newton.options.tolerance, false, remembers ? &safe_ : nullptr, newton.x);
+        }
         return true;
     }
 
@@ -164,6 +172,7 @@ private:
     std::array<Field, 13> spare_;
     Tangents<V, B> last_;  // those of the last optimum
     Field turned_, safe_;
+    Refiner<V, B> refiner_;
     bool placed_ = false;  // whether there are contacts of now
 
     Placed place(const Load& load) {

@@ -2,6 +2,7 @@
 #pragma once
 #include "conic.hpp"
 #include "dispatch.hpp"
+#include "learned.hpp"
 #include "pipeline.hpp"
 
 namespace grasp {
@@ -53,6 +54,26 @@ protected:
     explicit Conic(const Contacts& contacts) : contacts(contacts) {}
 };
 
+// A trained model's starts on the contacts of one grasp, and Newton from them; see `LearnedOn`.
+class alignas(64) Learned {
+public:
+    const Contacts contacts;
+    Options options;
+
+    // basis: (13, 3N) the offline optima; model: one that `fits` the contacts
+    static std::unique_ptr<Learned> make(const Contacts& contacts, const Options& options, const double* basis, const Model& model);
+    virtual ~Learned() = default;
+    virtual std::unique_ptr<Learned> clone() const = 0;
+    virtual Code start(const double* wrench, const double* previous, double* row) = 0;
+    virtual Code solve(const double* wrench, const double* previous, double* row) = 0;
+    virtual bool predict(const double* wrench, double* force) = 0;
+    virtual bool covers(const double* wrench) const = 0;
+    virtual bool outside() const = 0;
+
+protected:
+    Learned(const Contacts& contacts, const Options& options) : contacts(contacts), options(options) {}
+};
+
 // Contacts that move from call to call; see `PipelineOn`.
 class alignas(64) Pipeline {
 public:
@@ -67,6 +88,7 @@ public:
     virtual void reset() = 0;
     virtual void forget() = 0;
     virtual void set_basis(const double* basis, const double* frames) = 0;
+    virtual void set_layers(const Layers& layers) = 0;
     virtual Code solve(const Load& load, double* row) = 0;
     virtual bool begin(const Load& load) = 0;
     virtual bool adjust(const double* wrench, const double* coordinates) = 0;
@@ -166,6 +188,28 @@ private:
     ConicOn<V, B> on_;
 };
 
+template <class V, int B> class LearnedAny final : public Learned {
+public:
+    LearnedAny(const Contacts& contacts, const Options& options, const double* basis, const Model& model)
+        : Learned(contacts, options), on_(contacts, options, basis, model) {}
+    std::unique_ptr<Learned> clone() const override { return std::make_unique<LearnedAny>(*this); }
+
+    Code start(const double* wrench, const double* previous, double* row) override {
+        on_.newton.options = options;
+        return on_.start(wrench, previous, Record(row, contacts.count));
+    }
+    Code solve(const double* wrench, const double* previous, double* row) override {
+        on_.newton.options = options;
+        return on_.solve(wrench, previous, Record(row, contacts.count));
+    }
+    bool predict(const double* wrench, double* force) override { return on_.predict(wrench, force); }
+    bool covers(const double* wrench) const override { return on_.covers(wrench); }
+    bool outside() const override { return on_.outside; }
+
+private:
+    LearnedOn<V, B> on_;
+};
+
 template <class V, int B> class PipelineAny final : public Pipeline {
 public:
     template <class... Arguments>
@@ -178,6 +222,7 @@ public:
     void reset() override { on_.reset(); }
     void forget() override { on_.forget(); }
     void set_basis(const double* basis, const double* frames) override { on_.set_basis(basis, frames); }
+    void set_layers(const Layers& layers) override { on_.set_layers(layers); }
     Code solve(const Load& load, double* row) override { return on_.solve(load, row); }
     bool begin(const Load& load) override { return on_.begin(load); }
     bool adjust(const double* wrench, const double* coordinates) override { return on_.adjust(wrench, coordinates); }
@@ -200,6 +245,10 @@ inline std::unique_ptr<Newton> Newton::make(const Contacts& contacts, const Opti
 }
 inline std::unique_ptr<Conic> Conic::make(const Contacts& contacts, const Options& options, const double* interior) {
     return instance<Conic, detail::ConicAny>(contacts.count, contacts, options, interior);
+}
+inline std::unique_ptr<Learned> Learned::make(const Contacts& contacts, const Options& options, const double* basis,
+                                              const Model& model) {
+    return instance<Learned, detail::LearnedAny>(contacts.count, contacts, options, basis, model);
 }
 inline std::unique_ptr<Pipeline> Pipeline::make(const Contacts& nominal, const Options& options, const double* basis,
                                                 const double* frames, bool remembers, const double* reference) {

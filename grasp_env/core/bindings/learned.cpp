@@ -1,0 +1,121 @@
+// Trained models and their starts.
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/unique_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include <grasp/solvers.hpp>
+
+#include "buffers.hpp"
+#include "timing.hpp"
+
+using namespace grasp;
+
+namespace {
+
+// Weights are kept as float32; here they come as the float64 of every other array.
+std::vector<float> singles(const Numbers& from, size_t count) {
+    std::vector<float> out(from.data(), from.data() + count);
+    for (const float v : out)
+        if (!(std::abs(v) <= std::numeric_limits<float>::max())) throw nb::value_error("weights must be finite in float32");
+    return out;
+}
+
+Network make_network(const std::vector<int>& sizes, nb::handle weights) {
+    const size_t count = Network::numbers(sizes);
+    if (!count) throw nb::value_error("a network has 1 to MOST_STAGES stages, each of 1 to WIDEST numbers");
+    return Network(sizes, singles(in(weights, count), count).data());
+}
+
+Layers make_layers(int width, nb::handle weights) {
+    const int each = Layers::numbers(width);
+    if (!each) throw nb::value_error("layers are 1 to WIDEST wide");
+    const Numbers rows = in(weights, -1, each);
+    if (rows.length(0) > MOST_LAYERS) throw nb::value_error("at most MOST_LAYERS layers");
+    return Layers(int(rows.length(0)), width, singles(rows, rows.length(0) * each).data());
+}
+
+Model make_model(const std::optional<Network>& network, const std::optional<Layers>& layers) {
+    Model model;
+    if (network) model.network = *network;
+    if (layers) model.layers = *layers;
+    return model;
+}
+
+void normalise(Model& model, double length, double floor, double log_mean, double log_scale, double friction_mean,
+               double friction_scale) {
+    for (const double positive : {length, floor, log_scale, friction_scale})
+        if (!(positive > 0.0 && positive < infinity)) throw nb::value_error("lengths and scales must be finite and > 0");
+    model.normalisation = {length, floor, log_mean, log_scale, friction_mean, friction_scale};
+}
+
+void place(Model& model, nb::handle null_space, double friction, double scale) {
+    const Numbers columns = in(null_space, -1, -1);
+    model.null_space.assign(columns.data(), columns.data() + columns.length(0) * columns.length(1));
+    model.friction = friction, model.scale = scale;
+}
+
+void trained_on(Model& model, double length, nb::handle centre, double largest) {
+    model.trained.length = length, model.trained.centre = point(in(centre, 3).data()), model.largest = largest;
+}
+
+std::unique_ptr<Learned> make(const Contacts& contacts, double tolerance, int limit, nb::handle basis, const Model& model) {
+    if (!model.fits(contacts.count)) throw nb::value_error("the model's network or null space is for other contacts");
+    return Learned::make(contacts, {tolerance, limit}, in(basis, 13, 3 * contacts.count).data(), model);
+}
+
+// From the combination or the network, or from the force of a previous record where that is better. REFUSED where the wrench is no (6,)
+// float64 array of finite numbers, or the previous record is of other contacts.
+template <Code (Learned::*run)(const double*, const double*, double*)>
+int called(Learned& learned, nb::handle wrench, nb::handle previous, nb::handle record) {
+    const int count = learned.contacts.count, size = record_size(count);
+    const Buffer load(wrench);
+    const Numbers row = out(record, size);
+    if (!load.has(6)) return REFUSED;
+    if (previous.is_none()) return (learned.*run)(load.data(), nullptr, row.data());
+    const Buffer before(previous);
+    return before.has(size) ? (learned.*run)(load.data(), Record(before.data(), count).force(), row.data()) : REFUSED;
+}
+
+bool predict(Learned& learned, nb::handle wrench, nb::handle force) {
+    return learned.predict(in(wrench, 6).data(), out(force, learned.contacts.count, 3).data());
+}
+
+void times(Learned& learned, nb::handle wrenches, int passes, nb::handle records, nb::handle best) {
+    time_calls(wrenches, passes, record_size(learned.contacts.count), records, best,
+               [&](const double* wrench, double* row) { learned.solve(wrench, nullptr, row); });
+}
+
+}  // namespace
+
+void bind_learned(nb::module_& m) {
+    m.attr("LAYER_FEATURES") = LAYER_FEATURES, m.attr("LAYER_REACH") = LAYER_REACH, m.attr("MOST_LAYERS") = MOST_LAYERS;
+    m.attr("NETWORK_FEATURES") = NETWORK_FEATURES, m.attr("MOST_STAGES") = MOST_STAGES, m.attr("WIDEST") = WIDEST;
+    m.def("layer_size", [](int width) { return Layers::numbers(width); }, "width"_a, "Numbers of one learned layer; 0: too wide.");
+    nb::class_<Network>(m, "Network", "A float32 perceptron with activation v/2 (1 + v / sqrt(1 + v^2)).")
+        .def_static("make", &make_network, "sizes"_a, "weights"_a,
+                    "sizes: inputs, hidden ..., outputs; weights: of each stage (inputs x outputs), then its bias, flat.");
+    nb::class_<Layers>(m, "Layers", "Learned Newton layers.")
+        .def_static("make", &make_layers, "width"_a, "weights"_a, "weights: (K, layer_size(width)), see layers.hpp.");
+    nb::class_<Model>(m, "Model", "A trained model on contacts as they are now: a network, layers, or both.")
+        .def_static("make", &make_model, "network"_a.none(), "layers"_a.none())
+        .def("normalise", &normalise, "length"_a, "floor"_a, "log_mean"_a, "log_scale"_a, "friction_mean"_a, "friction_scale"_a,
+             "Of the network's features, see policies/features.py.")
+        .def("place", &place, "null_space"_a, "friction"_a, "scale"_a,
+             "(3N, 3N - 6) internal forces that the network's outputs stand for; scale: sqrt(lambda / omega) over that of training.")
+        .def("trained_on", &trained_on, "length"_a, "centre"_a, "largest"_a,
+             "The frame (length and centre [m]) in which training measured wrenches, their largest size [N]; < 0: none is inside.");
+    nb::class_<Learned>(m, "Learned", "A trained model's starts on the hard contacts of one grasp, and Newton from them.")
+        .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "basis"_a, "model"_a,
+                    "basis: (13, 3N) the offline optima, cone coordinates.")
+        .def("start", &called<&Learned::start>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
+             "The start into a record; returns `converged` where it is certified, `limit` where a descent has to go on from the initial\n"
+             "force in it. previous: the record of another wrench's optimum, or None.")
+        .def("solve", &called<&Learned::solve>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
+             "The start, and Newton from it unless it is certified, into a record; returns the code.")
+        .def("predict", &predict, "wrench"_a, "force"_a,
+             "The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network. False: not finite.")
+        .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` solves each, into (M,).")
+        .def("covers", [](const Learned& learned, nb::handle wrench) { return learned.covers(in(wrench, 6).data()); }, "wrench"_a,
+             "Whether wrench, contacts and friction lie in the training range.")
+        .def_prop_ro("outside", &Learned::outside, "Whether the last wrench was not covered.");
+}

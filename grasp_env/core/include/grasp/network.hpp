@@ -1,0 +1,138 @@
+// Small perceptrons in float32, many contacts at a time; the activation v/2 (1 + v / sqrt(1 + v^2)) costs no exponential.
+#pragma once
+#include <algorithm>
+#include <span>
+#include "lanes.hpp"
+
+namespace grasp {
+
+inline constexpr int FLOATS = 2 * REGISTER;  // of one register
+typedef float Floats __attribute__((vector_size(4 * FLOATS)));
+
+// Bounds of what a file may ask for.
+inline constexpr int MOST_STAGES = 8, WIDEST = 1024;
+
+inline Floats load_floats(const float* from) {
+    Floats v;
+    __builtin_memcpy(&v, from, sizeof v);
+    return v;
+}
+inline Floats activation(Floats v) {
+    const Floats square = 1.0f + v * v;
+    Floats root;
+    for (int n = 0; n < FLOATS; ++n) root[n] = __builtin_sqrtf(square[n]);
+    return 0.5f * v * (1.0f + v / root);
+}
+
+// to = f(from W + bias) for rows of numbers; W (inputs x outputs) in rows of whole registers.
+class Dense {
+public:
+    Dense() = default;
+    // flat: (inputs x outputs)
+    Dense(int inputs, int outputs, const float* flat, const float* bias)
+        : inputs_(inputs), row_(registers(outputs)), weights_(std::size_t(inputs) * row_), bias_(row_) {
+        for (int i = 0; i < inputs; ++i) spread(flat + std::size_t(i) * outputs, outputs, &weights_[std::size_t(i) * row_]);
+        spread(bias, outputs, bias_.data());
+    }
+
+    int padded() const { return FLOATS * row_; }  // outputs rounded up to whole registers
+    const Floats* bias() const { return bias_.data(); }
+
+    // R rows, `from` apart by `stride` numbers and `to` by `padded()`; begin: what the sums start from, the bias or more.
+    template <int R, bool hidden> void operator()(const float* from, int stride, const Floats* begin, float* to) const {
+        int b = 0;
+        for (; b + 8 / R <= row_; b += 8 / R) tile<R, 8 / R, hidden>(from, stride, begin, b, to);
+        if constexpr (R < 4)
+            for (; b + 4 / R <= row_; b += 4 / R) tile<R, 4 / R, hidden>(from, stride, begin, b, to);
+        for (; b < row_; ++b) tile<R, 1, hidden>(from, stride, begin, b, to);
+    }
+
+private:
+    int inputs_ = 0, row_ = 0;
+    std::vector<Floats> weights_, bias_;
+
+    static int registers(int outputs) { return (outputs + FLOATS - 1) / FLOATS; }
+    static void spread(const float* from, int count, Floats* to) {
+        for (int j = 0; j < registers(count) * FLOATS; ++j) to[j / FLOATS][j % FLOATS] = j < count ? from[j] : 0.0f;
+    }
+
+    // R rows by K registers of outputs, which stay in registers throughout; few of them take turns, as a sum waits for the one before.
+    template <int R, int K, bool hidden>
+    void tile(const float* from, int stride, const Floats* begin, int first, float* to) const {
+        constexpr int TURNS = 8 / (R * K);
+        Floats sums[TURNS][R][K] = {};
+        for (int r = 0; r < R; ++r)
+            for (int k = 0; k < K; ++k) sums[0][r][k] = begin[first + k];
+        const Floats* w = weights_.data() + first;
+        int i = 0;
+        for (; i + TURNS <= inputs_; i += TURNS)
+#pragma GCC unroll 8
+            for (int turn = 0; turn < TURNS; ++turn, w += row_)
+#pragma GCC unroll 8
+                for (int r = 0; r < R; ++r)
+#pragma GCC unroll 8
+                    for (int k = 0; k < K; ++k) sums[turn][r][k] += from[stride * r + i + turn] * w[k];
+        for (; i < inputs_; ++i, w += row_)
+            for (int r = 0; r < R; ++r)
+                for (int k = 0; k < K; ++k) sums[0][r][k] += from[stride * r + i] * w[k];
+        for (int r = 0; r < R; ++r)
+            for (int k = 0; k < K; ++k) {
+                Floats v = sums[0][r][k];
+                for (int turn = 1; turn < TURNS; ++turn) v += sums[turn][r][k];
+                if (hidden) v = activation(v);
+                __builtin_memcpy(to + padded() * r + FLOATS * (first + k), &v, sizeof v);
+            }
+    }
+};
+
+class Network {
+public:
+    Network() = default;  // none
+    // sizes: inputs, hidden ..., outputs, for which `numbers` is not 0; flat: of each stage (inputs x outputs), then its bias
+    Network(std::span<const int> sizes, const float* flat) {
+        for (std::size_t stage = 0; stage + 1 < sizes.size(); ++stage) {
+            const int inputs = sizes[stage], outputs = sizes[stage + 1];
+            const float* bias = flat + std::size_t(inputs) * outputs;
+            stages_.emplace_back(inputs, outputs, flat, bias);
+            flat = bias + outputs;
+        }
+        if (!sizes.empty()) inputs_ = sizes.front(), outputs_ = sizes.back();
+        std::size_t widest = 0;
+        for (const Dense& stage : stages_) widest = std::max(widest, std::size_t(stage.padded()));
+        one_.resize(widest), other_.resize(widest);
+    }
+
+    // Weights and biases of a network of these sizes; 0: more or wider stages than the bounds, or none.
+    static std::size_t numbers(std::span<const int> sizes) {
+        if (sizes.size() < 2 || sizes.size() > MOST_STAGES + 1) return 0;
+        std::size_t total = 0;
+        for (const int size : sizes)
+            if (size < 1 || size > WIDEST) return 0;
+        for (std::size_t stage = 0; stage + 1 < sizes.size(); ++stage) total += std::size_t(sizes[stage] + 1) * sizes[stage + 1];
+        return total;
+    }
+
+    bool empty() const { return stages_.empty(); }
+    int inputs() const { return inputs_; }
+    int outputs() const { return outputs_; }
+
+    // features: (inputs,); the outputs stay until the next call.
+    const float* operator()(const float* features) {
+        const float* from = features;
+        for (std::size_t stage = 0; stage < stages_.size(); ++stage) {
+            const Dense& dense = stages_[stage];
+            float* to = (stage % 2 ? other_ : one_).data();
+            if (stage + 1 < stages_.size()) dense.template operator()<1, true>(from, 0, dense.bias(), to);
+            else dense.template operator()<1, false>(from, 0, dense.bias(), to);
+            from = to;
+        }
+        return from;
+    }
+
+private:
+    int inputs_ = 0, outputs_ = 0;
+    std::vector<Dense> stages_;
+    std::vector<float> one_, other_;
+};
+
+}  // namespace grasp
