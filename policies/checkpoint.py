@@ -1,10 +1,15 @@
-"""Saved models: `<name>.safetensors` (weights) beside `<name>.json` (what they mean). Nothing is unpickled."""
+"""Saved models: `<name>.safetensors` (weights) beside `<name>.json` (what they mean). Nothing is unpickled.
+
+A file may come from anywhere: what is read, and what its numbers ask for, is bounded before anything is made of it.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
+import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,8 +20,15 @@ from safetensors.numpy import load, save
 
 from grasp_env.errors import ModelFileError
 
-SCHEMA = "grasp-force/initial-force/2"
+SCHEMA = "grasp-force/initial-force/3"
 KINDS = ("fixed_grasp", "any_grasp")
+MOST_TEXT, MOST_WEIGHTS = 1 << 20, 1 << 26
+"""Bytes of either file: the shipped ones have 10 and 50 thousand."""
+MOST_CONTACTS = 64
+"""Of a model of one grasp."""
+FAULTS = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
+"""What a description that lacks something, or holds something else, runs into."""
+_AGAIN = "copy both files again or train anew with `grasp fit`"
 
 
 @dataclass(frozen=True)
@@ -42,15 +54,15 @@ class Checkpoint:
         stem = _stem(path)
         stem.parent.mkdir(parents=True, exist_ok=True)
         blob = save({name: np.ascontiguousarray(value) for name, value in self.tensors.items()})
-        meta = {
+        body = {
             "schema": SCHEMA,
             "kind": self.kind,
-            "sha256": hashlib.sha256(blob).hexdigest(),
+            "weights": hashlib.sha256(blob).hexdigest(),
             "numbers": self.numbers,
             "ranges": {name: list(pair) for name, pair in self.ranges.items()},
             "card": self.card,
         }
-        text = (json.dumps(meta, indent=2, allow_nan=False) + "\n").encode()
+        text = (json.dumps({**body, "sha256": _digest(body)}, indent=2, allow_nan=False) + "\n").encode()
         _replace(_file(stem, ".safetensors"), blob)
         _replace(_file(stem, ".json"), text)
         return _file(stem, ".safetensors")
@@ -63,36 +75,37 @@ class Checkpoint:
             path: either of the two files, or their common stem.
 
         Raises:
-            ModelFileError: missing, not JSON, another schema or kind, changed weights, numbers that are not finite.
+            ModelFileError: missing, no regular file, too large, not JSON, another schema or kind, changed, numbers that are not finite
+                in float32.
         """
         stem = _stem(path)
         meta = _read_meta(_file(stem, ".json"))
         file = _file(stem, ".safetensors")
-        try:
-            blob = file.read_bytes()
-        except OSError as error:
+        blob = _read(file, MOST_WEIGHTS)
+        if hashlib.sha256(blob).hexdigest() != meta.get("weights"):
             raise ModelFileError(
-                f"model weights {file}: {error.strerror}; a model is two files, .safetensors and .json"
-            ) from None
-        if hashlib.sha256(blob).hexdigest() != meta.get("sha256"):
-            raise ModelFileError(
-                f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; copy both files again or train anew"
+                f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; {_AGAIN}"
             )
         try:
+            kind = meta["kind"]
+            if kind not in KINDS:
+                raise ModelFileError(f"model {stem} is of kind {str(kind)[:40]!r}, this version knows {KINDS}")
             checkpoint = cls(
-                kind=str(meta["kind"]),
+                kind=kind,
                 tensors=load(blob),
                 numbers=dict(meta["numbers"]),
-                ranges={str(name): (float(low), float(high)) for name, (low, high) in meta["ranges"].items()},
+                ranges={str(name): _pair(pair) for name, pair in meta["ranges"].items()},
                 card=dict(meta["card"]),
             )
-        except (SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
+        except (SafetensorError, *FAULTS) as error:
+            if isinstance(error, ModelFileError):
+                raise
             raise malformed(stem, error) from None
-        if checkpoint.kind not in KINDS:
-            raise ModelFileError(f"model {stem} is of kind {checkpoint.kind!r}, this version knows {KINDS}")
         for name, value in checkpoint.tensors.items():
-            if value.dtype not in (np.float32, np.float64) or not np.isfinite(value).all():
-                raise ModelFileError(f"model {stem}: tensor {name!r} is not finite; train anew with `grasp fit`")
+            if value.dtype not in (np.float32, np.float64) or not (np.abs(value) <= np.finfo(np.float32).max).all():
+                raise ModelFileError(
+                    f"model {stem}: tensor {name[:40]!r} is not finite in float32; train anew with `grasp fit`"
+                )
         return checkpoint
 
     def expect(self, shapes: dict[str, tuple[int, ...]]) -> None:
@@ -101,14 +114,52 @@ class Checkpoint:
         if got != shapes:
             wrong = sorted(name for name in {*got, *shapes} if got.get(name) != shapes.get(name))
             raise ModelFileError(
-                f"{self.kind} model: tensors {', '.join(wrong[:4])} do not fit its numbers {self.numbers}; copy both files "
-                "again or train anew with `grasp fit`"
+                f"{self.kind} model: tensors {', '.join(name[:40] for name in wrong[:4])} do not fit its numbers; {_AGAIN}"
             )
 
 
 def malformed(name: object, error: Exception) -> ModelFileError:
     """The error for a file that lacks what it should hold."""
-    return ModelFileError(f"model {name}: incomplete or malformed ({error!r}); train anew with `grasp fit`")
+    said = f"{type(error).__name__}: {error}"[:200]
+    return ModelFileError(f"model {name}: incomplete or malformed ({said}); train anew with `grasp fit`")
+
+
+def whole(value: Any, name: str, least: int, most: int) -> int:
+    """An integer of a description within its bounds, or `ValueError`; 2.0 is none."""
+    if type(value) is not int or not least <= value <= most:
+        raise ValueError(f"{name} must be an integer from {least} to {most}, got {_shown(value)}")
+    return value
+
+
+def number(value: Any, name: str, least: float = -math.inf) -> float:
+    """A finite number of a description above `least`, or `ValueError`."""
+    # integers of any size are compared as they are, without a float
+    if type(value) not in (int, float) or not (-MOST_NUMBER <= value <= MOST_NUMBER and value > least):
+        raise ValueError(
+            f"{name} must be a finite number{f' > {least:g}' if least > -math.inf else ''}, got {_shown(value)}"
+        )
+    return float(value)
+
+
+MOST_NUMBER = 1e15
+"""Size of any number of a description; more is a mistake."""
+
+
+def _pair(value: Any) -> tuple[float, float]:
+    low, high = (number(v, "a range's end") for v in value)
+    if not low <= high:
+        raise ValueError(f"a range from {low:g} to {high:g}")
+    return low, high
+
+
+def _shown(value: Any) -> str:
+    big = type(value) is int and value.bit_length() > 200  # Python refuses to print it
+    return "a huge integer" if big else repr(value)[:40]
+
+
+def _digest(body: dict[str, Any]) -> str:
+    """Of all that a description says."""
+    return hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
 def _stem(path: str | Path) -> Path:
@@ -120,21 +171,45 @@ def _file(stem: Path, suffix: str) -> Path:
     return stem.with_name(stem.name + suffix)  # with_suffix would take "model.v2" for a suffix
 
 
-def _read_meta(file: Path) -> dict[str, Any]:
+def _read(file: Path, most: int) -> bytes:
+    """A regular file's bytes, no more than `most`."""
     try:
-        meta = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ModelFileError(
-            f"model description {file}: {error.strerror}; a model is two files, .safetensors and .json"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise ModelFileError(f"model description {file} is not JSON ({error})") from None
-    schema = meta.get("schema") if isinstance(meta, dict) else None
-    if schema != SCHEMA:
-        raise ModelFileError(
-            f"model description {file} has schema {schema!r}, this version reads {SCHEMA!r}: train anew with `grasp fit`"
-        )
+        about = file.stat()
+        if not stat.S_ISREG(about.st_mode):
+            raise OSError(0, "it is a folder, a pipe or a device")
+        if about.st_size > most:
+            raise OSError(0, f"it is larger than {most >> 20} MiB")
+        with file.open("rb") as opened:
+            blob = opened.read(about.st_size)
+    except (OSError, ValueError) as error:  # ValueError: no path, a zero in it
+        said = getattr(error, "strerror", None) or error
+        raise ModelFileError(f"model file {file}: {said}; a model is two files, .safetensors and .json") from None
+    return blob
+
+
+def _read_meta(file: Path) -> dict[str, Any]:
+    """A description that is whole: of this schema, and as it was written."""
+    blob = _read(file, MOST_TEXT)
+    try:
+        meta = json.loads(blob.decode(), parse_constant=_refuse)
+        schema = meta.get("schema") if isinstance(meta, dict) else None
+        if schema != SCHEMA:
+            raise ModelFileError(
+                f"model description {file} has schema {_shown(schema)}, this version reads {SCHEMA!r}: train anew with `grasp fit`"
+            )
+        right = meta.pop("sha256", None) == _digest(meta)
+    except ModelFileError:
+        raise
+    except FAULTS as error:
+        said = "nested too deep" if isinstance(error, RecursionError) else str(error)[:200]
+        raise ModelFileError(f"model description {file} is not JSON ({said})") from None
+    if not right:
+        raise ModelFileError(f"model description {file} does not match its own sha256: it was changed; {_AGAIN}")
     return meta
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is no number")
 
 
 def _replace(file: Path, data: bytes) -> None:
