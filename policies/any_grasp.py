@@ -2,60 +2,59 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from grasp_env import core
 from grasp_env._check import ContactForces, Wrench
 from grasp_env.force import Objective
-from grasp_env.force.layer_kernels import FEATURES
 from grasp_env.grasp import Grasp
-from policies import kernels
-from policies.checkpoint import Checkpoint, malformed
+from policies.checkpoint import FAULTS, Checkpoint, malformed, whole
 from policies.learned import LearnedInitialForce
 
 
 class AnyGraspForce(LearnedInitialForce):
     """Starts from the 12-basis' combination, or the previous solution, and takes learned Newton layers.
 
-    Invariant to frame, units, order of contacts, omega and lambda by construction (`grasp_env.force.layer_kernels`).
+    Invariant to frame, units, order of contacts, omega and lambda by construction (`core/include/grasp/layers.hpp`).
 
     Attributes:
         layers: (K, numbers) float32. width: of their hidden layers.
     """
 
-    _kernel = kernels.start_layers
-
     def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:
         try:
-            count, self.width = int(checkpoint.numbers["layers"]), int(checkpoint.numbers["width"])
+            count, self.width = layer_numbers(checkpoint.numbers, "layers", "width", 1)
             self._ranges = {name: checkpoint.ranges[name] for name in ("magnitude", "friction", "contacts")}
-        except (KeyError, TypeError, ValueError) as error:
+        except FAULTS as error:
             raise malformed("of kind any_grasp", error) from None
         checkpoint.expect(layer_shapes("layers", count, self.width))
         super().__init__(checkpoint, objective, remembers)
         self.layers = flat(checkpoint.tensors, count)
+        self._layers = core.Layers.make(self.width, self.layers.astype(np.float64))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """The same as the start: every layer stays balanced and inside the cones."""
         return self(grasp, wrench)
 
-    def _limit(self, grasp: Grasp) -> tuple[float, ...]:
+    def _model(self, grasp: Grasp) -> core.Model:
         low, high = self._ranges["friction"]
         least, most = self._ranges["contacts"]
         known = least <= grasp.n_contacts <= most and (low <= grasp.friction).all() and (grasp.friction <= high).all()
         weights = self.objective.weights(grasp.n_contacts)
         unit = float(np.sqrt((weights[:, 1] / weights[:, 0]).mean()))
-        x, y, z = (float(value) for value in grasp.centre)
-        return float(grasp.length), x, y, z, self._ranges["magnitude"][1] * unit if known else -1.0
+        model = core.Model.make(None, self._layers)
+        model.trained_on(grasp.length, grasp.centre.copy(), self._ranges["magnitude"][1] * unit if known else -1.0)
+        return model
 
-    def _network(self, grasp: Grasp) -> tuple[Any, ...]:
-        return self.layers, self.width
+
+def layer_numbers(numbers: dict[str, object], count: str, width: str, least: int) -> tuple[int, int]:
+    """How many layers a description says, `least` of them, and how wide; raises `ValueError` beyond what the core takes."""
+    return whole(numbers[count], count, least, core.MOST_LAYERS), whole(numbers[width], width, 1, core.WIDEST)
 
 
 def layer_shapes(prefix: str, count: int, width: int) -> dict[str, tuple[int, ...]]:
     """Shapes of the tensors of learned Newton layers, by name."""
-    sizes = {"first": (width, FEATURES), "second": (width, 2 * width), "third": (3, width)}
+    sizes = {"first": (width, core.LAYER_FEATURES), "second": (width, 2 * width), "third": (3, width)}
     shapes: dict[str, tuple[int, ...]] = {}
     for layer in range(count):
         for name, (outputs, inputs) in sizes.items():
@@ -65,7 +64,7 @@ def layer_shapes(prefix: str, count: int, width: int) -> dict[str, tuple[int, ..
 
 
 def flat(weights: dict[str, np.ndarray], count: int, prefix: str = "layers") -> np.ndarray:
-    """(count, numbers) float32 for `layer_kernels.refine`: matrices as (inputs x outputs), then their bias."""
+    """(count, numbers) float32 as the core reads them: matrices as (inputs x outputs), then their bias."""
     rows = []
     for layer in range(count):
         parts = []

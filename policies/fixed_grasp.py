@@ -1,100 +1,100 @@
-"""A network for one grasp: wrench and friction to null-space coordinates, polished by learned Newton layers."""
+"""A network for one grasp: wrench and friction to null-space coordinates."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import asdict
+from itertools import pairwise
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces, Wrench
+from grasp_env import core
+from grasp_env._check import ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import Objective
 from grasp_env.grasp import Grasp, null_space_basis
-from policies import kernels
-from policies.any_grasp import flat, layer_shapes
-from policies.checkpoint import Checkpoint, malformed
-from policies.features import N_FEATURES, Features
+from policies.any_grasp import flat, layer_numbers, layer_shapes
+from policies.checkpoint import FAULTS, MOST_CONTACTS, Checkpoint, malformed, number, whole
+from policies.features import Features
 from policies.learned import LearnedInitialForce
-
-POLISH = 2
-"""Newton steps after a network that was saved without layers of its own."""
 
 
 class FixedGraspForce(LearnedInitialForce):
     """Trained on one grasp; where contacts have moved a little, the null space moves along continuously.
 
-    The network's force, or the best on the segment from the 12-basis' combination where that has less Phi, goes through one
-    learned Newton layer, and through further ones where the certificate asks. Balance holds whatever the network says, and no
-    part raises Phi.
+    The start is the network's force, or the best on the segment from the 12-basis' combination where that has less Phi; balance holds
+    whatever the network says. `newton` goes on from it in the same compiled call. A model that was saved with learned layers
+    (`polish` above 0) takes those first, as many as its certificate asks.
 
     Attributes:
-        polish: layers at most; 0: the network alone.
+        polish: learned layers at most; 0: the network alone.
     """
-
-    _kernel = kernels.start_fixed
 
     def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:
         try:
             numbers = checkpoint.numbers
-            self.sizes = tuple(int(size) for size in numbers["sizes"])
-            self.features = Features(**{name: float(value) for name, value in numbers["features"].items()})
-            self.n_contacts = int(numbers["n_contacts"])
-            trained = Objective(float(numbers["force_weight"]), float(numbers["barrier_weight"]))
-            learned, width = int(numbers["polish"]), int(numbers["polish_width"])
-            if learned < 0:
-                raise ValueError(f"polish {learned}")
+            sizes = list(numbers["sizes"])
+            stages = whole(len(sizes), "the number of sizes", 2, core.MOST_STAGES + 1)
+            self.sizes = tuple(whole(sizes[k], f"sizes[{k}]", 1, core.WIDEST) for k in range(stages))
+            self.features = _features(numbers["features"])
+            self.n_contacts = whole(numbers["n_contacts"], "n_contacts", 3, MOST_CONTACTS)
+            weights = (number(numbers[name], name, 0.0) for name in ("force_weight", "barrier_weight"))
+            self._trained = Objective(*weights)
+            self.polish, width = whole(numbers["polish"], "polish", 0, core.MOST_LAYERS), 1
+            if self.polish:
+                self.polish, width = layer_numbers(numbers, "polish", "polish_width", 1)
             self._ranges = checkpoint.ranges["magnitude"], checkpoint.ranges["friction"]
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            outputs = 3 * self.n_contacts - 6
+            if (self.sizes[0], self.sizes[-1]) != (core.NETWORK_FEATURES, outputs):
+                raise ValueError(f"sizes {self.sizes} for {self.n_contacts} contacts")
+        except FAULTS as error:
             raise malformed("of kind fixed_grasp", error) from None
-        outputs = 3 * self.n_contacts - 6
         shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs)}
-        for layer, (a, b) in enumerate(zip(self.sizes[:-1], self.sizes[1:], strict=True)):
+        for layer, (a, b) in enumerate(pairwise(self.sizes)):
             shapes |= {f"layers.{layer}.weight": (b, a), f"layers.{layer}.bias": (b,)}
-        checkpoint.expect(shapes | layer_shapes("polish", learned, width))
-        if (self.sizes[0], self.sizes[-1]) != (N_FEATURES, outputs):
-            raise malformed("of kind fixed_grasp", ValueError(f"sizes {self.sizes} for {self.n_contacts} contacts"))
-        super().__init__(checkpoint, objective or trained, remembers)
-        self._trained, self.polish, self._width = trained, learned or POLISH, width
-        self._layers = flat(checkpoint.tensors, learned, "polish") if learned else np.empty((0, 0), np.float32)
+        tensors = checkpoint.tensors
+        checkpoint.expect(shapes | layer_shapes("polish", self.polish, width))
+        super().__init__(checkpoint, objective or self._trained, remembers)
         parts = []
         for layer in range(len(self.sizes) - 1):
-            parts += [
-                checkpoint.tensors[f"layers.{layer}.weight"].T.ravel(),
-                checkpoint.tensors[f"layers.{layer}.bias"],
-            ]
-        self._flat = np.concatenate(parts).astype(np.float32)
-        self._sizes = np.array(self.sizes)
+            parts += [tensors[f"layers.{layer}.weight"].T.ravel(), tensors[f"layers.{layer}.bias"]]
+        self._network = core.Network.make(self.sizes, np.concatenate(parts).astype(np.float64))
+        self._layers = None
+        if self.polish:
+            self._layers = core.Layers.make(width, flat(tensors, self.polish, "polish").astype(np.float64))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """See `LearnedInitialForce.raw`: neither repaired nor polished."""
-        out = np.empty(3 * grasp.n_contacts)
-        kernels.raw_fixed(np.asarray(wrench, dtype=np.float64), self._numbers(grasp, 0.0), self._sizes, self._flat, out)
-        return out.reshape(-1, 3)
-
-    def _limit(self, grasp: Grasp) -> tuple[float, ...]:
-        (_, most), (low, high) = self._ranges
-        known = low <= float(grasp.friction.mean()) <= high  # of a grasp only the friction is looked at
-        return self.features.length, 0.0, 0.0, 0.0, most * self._scale(grasp.n_contacts) if known else -1.0
+        force = np.empty((grasp.n_contacts, 3))
+        if not self._learned(grasp).predict(np.array(wrench, dtype=np.float64), force):
+            raise InfeasibleStartError(f"a wrench needs finite numbers, got {np.asarray(wrench).tolist()}")
+        return force
 
     def _scale(self, count: int) -> float:
         """sqrt(lambda / omega), mean over the contacts, over that of training."""
         weights, trained = self.objective.weights(count), self._trained.weights(count)
         return float(np.sqrt((weights[:, 1] / weights[:, 0]).mean() * trained[0, 0] / trained[0, 1]))
 
-    def _numbers(self, grasp: Grasp, tolerance: float) -> Array:
+    def _model(self, grasp: Grasp) -> core.Model:
         if grasp.n_contacts != self.n_contacts:
             raise InfeasibleStartError(
                 f"this model knows {self.n_contacts} contacts, the grasp has {grasp.n_contacts}; use "
                 "LearnedInitialForce.pretrained(\"any_grasp\") or initial='linear_combination'"
             )
-        parts = (
-            super()._numbers(grasp, tolerance),
-            grasp.pseudoinverse,
-            null_space_basis(grasp, self.checkpoint.tensors["reference"].astype(np.float64)),
-            self.features.as_array(),
-            np.array([grasp.friction.mean(), self._scale(grasp.n_contacts)]),
+        model, friction, scale = (
+            core.Model.make(self._network, self._layers),
+            float(grasp.friction.mean()),
+            self._scale(grasp.n_contacts),
         )
-        return np.concatenate([part.ravel() for part in parts])
+        reference = self.checkpoint.tensors["reference"].astype(np.float64)
+        model.normalise(**asdict(self.features))
+        model.place(np.ascontiguousarray(null_space_basis(grasp, reference)), friction, scale)
+        (_, most), (low, high) = self._ranges
+        known = low <= friction <= high  # of a grasp only the friction is looked at
+        model.trained_on(self.features.length, np.zeros(3), most * scale if known else -1.0)
+        return model
 
-    def _network(self, grasp: Grasp) -> tuple[Any, ...]:
-        return self._sizes, self._flat, self._layers, self._width, self.polish
+
+def _features(numbers: dict[str, object]) -> Features:
+    """The saved normalisation; what divides is above 0."""
+    mean = ("log_mean", "friction_mean")
+    return Features(**{name: number(v, name, -np.inf if name in mean else 0.0) for name, v in numbers.items()})

@@ -4,33 +4,33 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from copy import copy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError, UnknownNameError
 from grasp_env.force import ForceSolution, Objective, OfflineBasis
-from grasp_env.force.lanes import options
-from grasp_env.force.record import CODE, FORCE, REFUSED, STALLED, record_size
+from grasp_env.force.basis import core_contacts
+from grasp_env.force.method import Loop
+from grasp_env.force.record import CODE, FORCE, LIMIT, REFUSED, WRENCH, record_size
 from grasp_env.grasp import Grasp
-from policies import kernels
 from policies.checkpoint import Checkpoint
 
 PRETRAINED = Path(__file__).parent / "pretrained"
 MODELS = ("any_grasp", "four_finger")
 OUTSIDE = " (outside its training range)"
-_NOTHING = np.empty(0)
 
 
 class LearnedInitialForce(ABC):
     """An initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
-    Two kinds: `FixedGraspForce` knows one grasp, a network from the wrench to null-space coordinates, polished by learned Newton layers;
-    `AnyGraspForce` reads the grasp, a few learned Newton layers from the 12-basis' combination. Both only ever lower Phi:
-    never worse than the 12-basis of the grasp AS IT IS NOW, per call, by construction, at any wrench.
+    Two kinds: `FixedGraspForce` knows one grasp, a network from the wrench to null-space coordinates; `AnyGraspForce` reads the grasp,
+    a few learned Newton layers from the 12-basis' combination. Either's start is never worse in Phi than the 12-basis of the grasp
+    AS IT IS NOW, per call, by construction, at any wrench and whatever the weights say: the two are compared in every call, also
+    where `newton` goes on and certifies the solution anyhow.
 
     Attributes:
         checkpoint: weights, normalisation, training range and model card.
@@ -50,13 +50,11 @@ class LearnedInitialForce(ABC):
         True
     """
 
-    _kernel: Any
-
     def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:
         self.checkpoint = checkpoint
         self.objective = objective or Objective()
         self.remembers = remembers
-        self._prepared: tuple[Grasp, Array, tuple[Any, ...]] | None = None
+        self._prepared: tuple[Grasp, core.Learned] | None = None
 
     @staticmethod
     def load(path: str | Path, *, remembers: bool = False) -> LearnedInitialForce:
@@ -82,7 +80,7 @@ class LearnedInitialForce(ABC):
 
         Args:
             name: "any_grasp": three to five hard contacts anywhere; "four_finger": the contacts of `presets.paper_cuboid()`,
-                three quarters of the time per call.
+                a network of 64 x 64.
             remembers: see `load`.
 
         Raises:
@@ -108,42 +106,19 @@ class LearnedInitialForce(ABC):
 
     def with_objective(self, objective: Objective) -> LearnedInitialForce:
         """The same model for another Phi, exact up to scale: Phi knows forces in units of sqrt(lambda / omega) only."""
-        other = copy(self)
-        other.objective, other._prepared = objective, None
-        return other
+        return type(self)(self.checkpoint, objective, self.remembers)
 
     def bind(
-        self, grasp: Grasp, objective: Objective, tolerance: float, descend: Callable[[Array, Array, Array], None]
-    ) -> Callable[[Array, Array, Array], str]:
-        """The compiled solve of `ForceOptimizer`: one call where the start is certified already, `descend` goes on elsewhere.
-
-        Args:
-            grasp: the contacts.
-            objective: Phi of the optimizer.
-            tolerance: relative gap at which a start is a solution.
-            descend: (start (3N,) [N], wrench, record) -> None, the optimizer's method.
-
-        Returns:
-            solve(wrench, previous, record) -> the start's name, "" where only the general path can say what is wrong;
-            previous: (>= 3N,) force [N] or (0,).
-        """
+        self,
+        grasp: Grasp,
+        objective: Objective,
+        tolerance: float,
+        limit: int,
+        descend: Callable[[Array, Array, Array], None] | None = None,
+    ) -> Loop:
+        """See `CompiledRule.bind`: start and Newton in one compiled call, or the start, and `descend` where it is no solution yet."""
         rule = self if objective == self.objective else self.with_objective(objective)
-        start, network = type(rule)._kernel, rule._network(grasp)
-        numbers = rule._numbers(grasp, tolerance)
-        name, outside, count = self.name, self.name + OUTSIDE, 3 * grasp.n_contacts
-        names = (name, outside, name, outside, "")
-
-        def solve(wrench: Array, previous: Array, record: Array) -> str:
-            answer = start(wrench, previous, numbers, *network, record)
-            if answer >= kernels.OPEN:
-                if answer == REFUSED:
-                    return ""
-                descend(record[FORCE + count : FORCE + 2 * count].copy(), wrench, record)
-                if not record[CODE] <= STALLED:
-                    return ""
-            return names[answer]
-
-        return solve
+        return LearnedLoop(rule._make(grasp, tolerance, limit), rule.name, rule.remembers, descend)
 
     def start(
         self, grasp: Grasp, wrench: Wrench, objective: Objective, previous: ForceSolution | None = None
@@ -161,19 +136,15 @@ class LearnedInitialForce(ABC):
             InfeasibleStartError: see `__call__`.
         """
         rule = self if objective == self.objective else self.with_objective(objective)
-        prepared = rule._prepared  # one tuple, read once: threads may share a rule
-        if prepared is None or prepared[0] is not grasp:
-            prepared = rule._prepared = grasp, rule._numbers(grasp, 0.0), rule._network(grasp)
-        _, numbers, network = prepared
-        known = self.remembers and previous is not None and previous.n_contacts == grasp.n_contacts
-        before = np.array(previous.force).reshape(-1) if known and previous is not None else _NOTHING
+        learned = rule._learned(grasp)
         record = np.empty(record_size(grasp.n_contacts))
-        answer = type(rule)._kernel(np.array(wrench, dtype=np.float64), before, numbers, *network, record)
-        if answer == REFUSED:
+        before = None
+        if self.remembers and previous is not None and previous.n_contacts == grasp.n_contacts:
+            before = np.array(previous._record)
+        if learned.start(np.array(wrench, dtype=np.float64), before, record) == REFUSED:
             raise InfeasibleStartError(f"a wrench needs finite numbers, got {np.asarray(wrench).tolist()}")
-        return self.name + OUTSIDE * (answer & kernels.OUTSIDE), record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(
-            -1, 3
-        )
+        force = record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(-1, 3)
+        return self.name + OUTSIDE * (not learned.covers(record[WRENCH : WRENCH + 6])), force
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
         """Whether grasp and wrench lie in the training range; elsewhere the start is still safe, and solutions say so."""
@@ -184,31 +155,53 @@ class LearnedInitialForce(ABC):
         """The network's own force (N, 3) [N], balanced, perhaps outside the cones."""
 
     @abstractmethod
-    def _limit(self, grasp: Grasp) -> tuple[float, ...]:
-        """Length and centre [m] of the frame in which training measured wrenches, their largest size [N]; see `kernels`."""
+    def _model(self, grasp: Grasp) -> core.Model:
+        """What the core's start reads besides the contacts."""
 
-    @abstractmethod
-    def _network(self, grasp: Grasp) -> tuple[Any, ...]:
-        """What the compiled start reads besides the numbers."""
+    def _learned(self, grasp: Grasp) -> core.Learned:
+        """The start alone on a grasp, kept for the last one."""
+        prepared = self._prepared  # one tuple, read once: threads may share a rule
+        if prepared is None or prepared[0] is not grasp:
+            prepared = self._prepared = grasp, self._make(grasp, 0.0, 0)
+        return prepared[1]
 
-    def _numbers(self, grasp: Grasp, tolerance: float) -> Array:
-        """What the compiled start reads of a grasp, see `kernels.split_contacts`."""
+    def _make(self, grasp: Grasp, tolerance: float, limit: int) -> core.Learned:
         if set(grasp.models.names) != {"hard"}:
             raise InfeasibleStartError(
                 f"this model knows hard contacts, the grasp has {grasp.models.names}: use initial='linear_combination'"
             )
-        parts = (
-            np.array([tolerance, *self._limit(grasp)]),
-            options(grasp, tolerance, 0),
-            grasp.cone_matrix,
-            grasp.unit_frame @ grasp.cone_matrix,
-            grasp.pseudoinverse * grasp.models.cone_scale.reshape(-1)[:, None],
-            grasp.models.cone_divisor,
-            self.objective.weights(grasp.n_contacts),
-            OfflineBasis.of(grasp, self.objective).cone_forces,
-        )
-        return np.concatenate([part.ravel() for part in parts])
+        basis = OfflineBasis.of(grasp, self.objective).cone_forces
+        return core.Learned.make(core_contacts(grasp, self.objective), tolerance, limit, basis, self._model(grasp))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # the prepared grasp is a cache; sub-process environments get the checkpoint
         return type(self), (self.checkpoint, self.objective, self.remembers)
+
+
+class LearnedLoop(Loop):
+    """The control loop's call; what it says of its start hangs on the last wrench."""
+
+    def __init__(
+        self,
+        learned: core.Learned,
+        name: str,
+        remembers: bool,
+        descend: Callable[[Array, Array, Array], None] | None,
+    ) -> None:
+        self.call, self.remembers = learned.solve if descend is None else self._descended, remembers
+        self._learned, self._descend, self._names = learned, descend, (name, name + OUTSIDE)
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Of the last start."""
+        return self._names[self._learned.outside]
+
+    carried = name  # type: ignore[assignment]
+
+    def _descended(self, wrench: Any, previous: Array | None, record: Array) -> int:
+        code = self._learned.start(wrench, previous, record)
+        if code == LIMIT and self._descend is not None:
+            count = 3 * ((len(record) - FORCE) // 7)
+            self._descend(record[FORCE + count : FORCE + 2 * count].copy(), wrench, record)
+            code = int(record[CODE])
+        return code

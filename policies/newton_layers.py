@@ -1,9 +1,9 @@
-"""Learned Newton layers in torch: what `grasp_env.force.layer_kernels.refine` does, for training and as its oracle.
+"""Learned Newton layers in torch: what the core's `layers.hpp` does, for training and as its oracle.
 
 One layer takes a balanced force inside the cones and returns a better one: the Newton step of Phi, shortened where it is
 long, plus what a small perceptron on every contact adds, projected back on balance in the Hessian of Phi. Weights are
 shared by the contacts, each of which also hears the mean of all: any number and order of contacts, and since the
-numbers are ratios (`grasp_env.force.layer_kernels`), any frame, scale, omega and lambda. With zero output it is a Newton step.
+numbers are ratios, any frame, scale, omega and lambda. With zero output it is a Newton step.
 
 Everything here is in units of sqrt(lambda / omega) for forces, so that Phi = sum 3 u + 1/u + 2 u / (u^2 - s^2).
 """
@@ -15,8 +15,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from grasp_env.force.layer_kernels import FEATURES, REACH, SMALLEST
+from grasp_env.core import LAYER_FEATURES as FEATURES
+from grasp_env.core import LAYER_REACH as REACH
 from policies.network import activation
+
+SMALLEST = 1e-24
+"""Added to s^2, so that a force along the normal has a direction too."""
 
 
 class Problems(NamedTuple):
@@ -44,7 +48,7 @@ def phi(problems: Problems, x: Tensor) -> Tensor:
 
 
 class _System:
-    """The coordinates of `grasp_env.force.layer_kernels` at x, the Newton step in them, and the projection on balance."""
+    """The coordinates of a layer at x (p, q and the direction of the tangential force), the Newton step in them, and the projection on balance."""
 
     def __init__(self, problems: Problems, x: Tensor) -> None:
         self.mask = problems.mask

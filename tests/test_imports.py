@@ -163,6 +163,36 @@ assert not loaded(), ("pipeline", loaded())
 """
 
 
+LEARNED = """
+import sys
+import numpy as np
+import grasp_env.force as force
+import policies
+from grasp_env.grasp import presets
+
+def loaded():
+    return sorted({name.split(".")[0] for name in sys.modules} & {"numba", "llvmlite", "scipy", "torch"})
+
+grasp, wrench = presets.paper_cuboid(), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
+assert not loaded(), ("import", loaded())
+for name in ("any_grasp", "four_finger"):
+    rule = policies.LearnedInitialForce.pretrained(name, remembers=True)
+    rule(grasp, wrench), rule.raw(grasp, wrench), rule.covers(grasp, wrench)
+    optimizer = force.ForceOptimizer(grasp, method="newton", initial=rule)
+    for k in range(2):
+        assert optimizer.solve(wrench).status is force.Status.OPTIMAL
+    assert not loaded(), (name, loaded())
+pipeline = force.ForcePipeline(grasp, method="newton", initial=policies.LearnedInitialForce.pretrained())
+assert pipeline.solve(grasp.positions, grasp.normals, wrench).status is force.Status.OPTIMAL
+assert not loaded(), ("pipeline", loaded())
+"""
+
+
+def test_learned_starts_need_neither_numba_nor_scipy_nor_torch() -> None:
+    done = subprocess.run([sys.executable, "-c", LEARNED], cwd=ROOT, timeout=120, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_hard_contacts_need_neither_numba_nor_scipy_nor_torch() -> None:
     """In a fresh process: what a control loop waits for before its first force."""
     done = subprocess.run([sys.executable, "-c", HARD], cwd=ROOT, timeout=120, capture_output=True, text=True)

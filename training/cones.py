@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from grasp_env.force.layer_kernels import REACH
+from grasp_env.core import LAYER_REACH as REACH
 from policies.newton_layers import Problems
 
 

@@ -9,10 +9,11 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnknownNameError
 from grasp_env.force.basis import OfflineBasis, starter
-from grasp_env.force.method import Settings, Start, given_start, infeasible_error
+from grasp_env.force.method import Loop, Settings, Start, given_start, infeasible_error
 from grasp_env.force.objective import Objective
 from grasp_env.force.repair import Repair, carry_over
 from grasp_env.force.solution import ForceSolution
@@ -49,24 +50,29 @@ class CompiledRule(InitialForceRule, Protocol):
         ...
 
     def bind(
-        self, grasp: Grasp, objective: Objective, tolerance: float, descend: Callable[[Array, Array, Array], None]
-    ) -> Callable[[Array, Array, Array], str]:
-        """solve(wrench, previous, record) -> the start's name, "" where the general path has to say what is wrong.
-
-        It writes `record` (`record.py`).
+        self,
+        grasp: Grasp,
+        objective: Objective,
+        tolerance: float,
+        limit: int,
+        descend: Callable[[Array, Array, Array], None] | None = None,
+    ) -> Loop:
+        """The control loop's call: start and descent.
 
         Args:
             grasp: the contacts; raises `InfeasibleStartError` where the rule does not know them.
             objective: Phi.
             tolerance: relative gap at which a start is a solution.
-            descend: (start (3N,) [N], wrench, record) -> None: the method, where the start is none.
+            limit: most accepted steps.
+            descend: (start (3N,) [N], wrench, record) -> None: the method, where the start is no solution; None: Newton, which the
+                rule itself goes on with.
         """
         ...
 
 
 @runtime_checkable
 class LayeredRule(CompiledRule, Protocol):
-    """A rule made of learned Newton layers (`layer_kernels.refine`), which a `ForcePipeline` compiles in.
+    """A rule made of learned Newton layers (`core/include/grasp/layers.hpp`), which a `ForcePipeline` takes within its call.
 
     Attributes:
         name: of the start. layers: (K, numbers) float32. width: of their hidden layers.
@@ -78,15 +84,20 @@ class LayeredRule(CompiledRule, Protocol):
 
 
 def check_layers(layers: NDArray[np.float32], width: int) -> None:
-    """Raises `InvalidInputError` unless kernels can read these learned layers."""
-    from grasp_env.force.layer_kernels import FEATURES
-
-    numbers = 2 * width * width + (FEATURES + 5) * width + 3
-    fits = isinstance(layers, np.ndarray) and layers.dtype == np.float32 and layers.ndim == 2 and layers.flags.carray
-    if not (fits and width > 0 and layers.shape[1] == numbers):
+    """Raises `InvalidInputError` unless the core can read these learned layers."""
+    whole = isinstance(width, int) and 0 < width <= core.WIDEST
+    numbers = core.layer_size(width) if whole else 0
+    fits = isinstance(layers, np.ndarray) and layers.dtype == np.float32 and layers.ndim == 2
+    if not (
+        numbers
+        and fits
+        and layers.shape[1] == numbers
+        and len(layers) <= core.MOST_LAYERS
+        and np.isfinite(layers).all()
+    ):
         raise InvalidInputError(
-            f"learned layers must be a C-contiguous float32 array (K, {numbers}) for width {width}, got "
-            f"{getattr(layers, 'dtype', type(layers).__name__)} {getattr(layers, 'shape', '')}"
+            f"learned layers must be a finite float32 array (K, {numbers}), K up to {core.MOST_LAYERS}, for a width of 1 to {core.WIDEST}, "
+            f"got {getattr(layers, 'dtype', type(layers).__name__)} {getattr(layers, 'shape', '')} for width {width!r}"
         )
 
 

@@ -12,6 +12,7 @@ Here is what the core solves: hard contacts by `newton` and `conic`. The others 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,9 @@ from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError, UnsupportedProblemError
 from grasp_env.force.basis import OfflineBasis, core_contacts
 from grasp_env.force.initial import CompiledRule, RuleStarts
-from grasp_env.force.method import Loop, Method, OwnStart, Settings, Start, readable, refuse, refused_start
+from grasp_env.force.method import Loop, Method, OwnStart, Settings, Start, refuse, refused_start
 from grasp_env.force.objective import Objective
-from grasp_env.force.record import CODE, FORCE, ITERATIONS, REFUSED, record_size
+from grasp_env.force.record import ITERATIONS, REFUSED, record_size
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
@@ -35,6 +36,7 @@ CONIC_ITERATIONS = 100
 LOOPED = ("linear_combination", "previous")
 """The named starts that are made within the compiled call."""
 NO_TRACE = np.empty(0)
+Descend = Callable[[Array, Array, Array], None]
 
 
 def make_method(grasp: Grasp, settings: Settings) -> Method:
@@ -88,10 +90,6 @@ class Newton(RuleStarts):
             return None
         return Loop(self.solver.solve, "linear_combination", "previous", remembers=initial == "previous")
 
-    def descend(self, force: Array, wrench: Array, record: Array) -> None:
-        """From a force (3N,) [N], balanced and strictly inside, into a record."""
-        self.solver.descend(wrench, force.reshape(-1, 3), float("nan"), NO_TRACE, record)
-
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""
         assert start is not None
@@ -122,29 +120,16 @@ class Conic(OwnStart):
         return ForceSolution(record, "conic", "central")
 
 
-def rule_loop(method: Any, rule: CompiledRule) -> Loop | None:
+def rule_loop(method: Any, rule: CompiledRule, descend: Descend | None = None) -> Loop | None:
     """The control loop's call of a rule that starts and certifies by itself; None where it does not know the contacts.
 
     Args:
-        method: with `grasp`, `settings` and `descend`.
+        method: with `grasp` and `settings`.
         rule: binds to them.
+        descend: (start (3N,) [N], wrench, record) -> None, the method's own; None: Newton.
     """
-    grasp, settings = method.grasp, method.settings
+    settings = method.settings
     try:
-        solve = rule.bind(grasp, settings.objective, settings.tolerance, method.descend)
+        return rule.bind(method.grasp, settings.objective, settings.tolerance, settings.max_iterations, descend)
     except InfeasibleStartError:
         return None  # the general path says so in words
-    size, nothing = record_size(grasp.n_contacts), np.empty(0)
-
-    def call(wrench: Any, previous: Array | None, record: Array) -> int:
-        if not readable(wrench):
-            return REFUSED
-        before = nothing if previous is None or len(previous) != size else previous[FORCE:]
-        loop.name = loop.carried = solve(wrench, before, record)
-        return int(record[CODE]) if loop.name else REFUSED
-
-    loop = Loop(call, "", remembers=rule.remembers)
-    record, rest = np.empty(size), np.zeros(6)  # compiles, or loads, the kernels before the first call that counts
-    solve(rest, nothing, record)
-    method.descend(record[FORCE + 3 * grasp.n_contacts : FORCE + 6 * grasp.n_contacts].copy(), rest, record)
-    return loop

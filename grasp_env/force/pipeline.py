@@ -91,7 +91,7 @@ class ForcePipeline:
         step_rule: StepRule | None = None,
         reference: Array | None = None,
     ) -> None:
-        """Computes the offline basis; for the flow and learned layers compiles, or loads, their kernels.
+        """Computes the offline basis; for the flow compiles, or loads, its kernels.
 
         Args:
             grasp: the nominal grasp, hard contacts (round or elliptic cones) with force closure.
@@ -156,10 +156,13 @@ class ForcePipeline:
         x, frames, cone_matrix, rows, basis_frames = (arrays[name] for name in Held._fields[:5])
         self.held = Held(x, frames, cone_matrix, rows, basis_frames, grasp.models.cone_divisor, weights, tangents)
         self._solve = self._core.solve
-        if self.method == "reduced_flow" or self._layers is not None:
+        if self._layers is not None:
+            layers, width = self._layers
+            self._core.set_layers(core.Layers.make(width, np.array(layers, dtype=np.float64, order="C")))
+        if self.method == "reduced_flow":
             from grasp_env.force.pipeline_descent import KernelDescent
 
-            self._solve = KernelDescent(self._core, checked, self.held, self._layers, self._remembers).solve
+            self._solve = KernelDescent(self._core, checked, self.held).solve
             # compiles, or loads, before the first call that counts
             for adjust in (None, np.full(grasp.null_dimension, 1e-3)):
                 self.solve(grasp.positions, grasp.normals, np.zeros(6), adjust=adjust)

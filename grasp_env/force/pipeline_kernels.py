@@ -1,4 +1,4 @@
-"""What a pipeline still does between the core's start and its end: learned layers and the flow, until they move there."""
+"""What a pipeline still does between the core's start and its end: the flow, until it moves there."""
 
 from __future__ import annotations
 
@@ -7,10 +7,8 @@ import numpy as np
 from grasp_env._compile import compiled
 from grasp_env.force.factor_kernels import flow_lanes
 from grasp_env.force.flow_products import PROJECTOR, ROW_SPACE
-from grasp_env.force.flow_record import least_change, run_flow
-from grasp_env.force.kernels import lower_bound, phi, relative_gap
-from grasp_env.force.lanes import CONSTANTS, LANES, load, pack_into
-from grasp_env.force.layer_kernels import EASE, refine
+from grasp_env.force.flow_record import run_flow
+from grasp_env.force.lanes import CONSTANTS, LANES, pack_into
 from grasp_env.force.record import CODE, REFUSED
 
 
@@ -41,26 +39,3 @@ def flow_from(start, rest, rows, inverse, cone_matrix, divisor, weights, wrench,
         constants, PROJECTOR if blocks == 1 else ROW_SPACE, first, none, places, force, cone_matrix, divisor, weights, wrench,
         rule, options, record, np.empty(0),
     )  # fmt: skip
-
-
-@compiled
-def refine_start(start, safe, remembers, rest, rows, inverse, weights, wrench, tolerance, layers, width, options):
-    """Cone coordinates `start` (3N,) through learned Newton layers (`layer_kernels.refine`); overwritten.
-
-    Args:
-        safe: (3N,) the combination. remembers: whether `start` comes from the last optimum: close to a cone the layers may get less
-            far from there, though that has less Phi; then they also begin from `safe`.
-        tolerance: relative gap. layers, width: the network.
-        The others as in `flow_from`.
-    """
-    unit, dual, settled = np.empty(6), np.empty(6), EASE * tolerance
-    load(wrench, options, unit)
-    refine(start, rows, rest, weights, layers, width, layers.shape[0], settled, dual)
-    least_change(start, rows, inverse, unit)
-    value = phi(start, weights)
-    if remembers and not relative_gap(value, lower_bound(dual, rows, unit, weights)) <= tolerance:
-        other = safe.copy()
-        refine(other, rows, rest, weights, layers, width, layers.shape[0], settled, dual)
-        least_change(other, rows, inverse, unit)
-        if phi(other, weights) < value:
-            start[:] = other

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,6 @@ from grasp_env.force.record import OBJECTIVE, record_size
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from policies.learned import MODELS, PRETRAINED
-
-NO_PREVIOUS = np.empty(0)
 
 
 @pytest.fixture(scope="module", params=MODELS)
@@ -236,7 +235,7 @@ def test_model_cards_and_sizes_of_the_shipped_models():
 
 def worse(rule: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray) -> int:
     """How many starts have more Phi than the 12-basis' combination."""
-    solve = rule.bind(grasp, rule.objective, np.inf, lambda start, wrench, record: None)
+    solve = rule.bind(grasp, rule.objective, np.inf, 0, lambda start, wrench, record: None).call
     basis, record = OfflineBasis.of(grasp, rule.objective).cone_forces, np.empty(record_size(grasp.n_contacts))
     shares = np.concatenate([np.maximum(wrenches, 0), np.maximum(-wrenches, 0)], axis=1)
     rest = np.maximum(0, 1 - shares.sum(axis=1, keepdims=True))
@@ -245,9 +244,26 @@ def worse(rule: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray) -> int:
     limit = (3 * u + 0.01 * (1 / u + 2 * u / (u * u - o * o - t * t))).sum(axis=1)
     count = 0
     for w, most in zip(wrenches, limit, strict=True):
-        solve(w, NO_PREVIOUS, record)
+        solve(w, None, record)
         count += not record[OBJECTIVE] <= most * (1 + 1e-12)
     return count
+
+
+@pytest.mark.parametrize("size", [1.0, 30.0, 1e5, 1e20, 3e38])
+def test_never_worse_whatever_the_weights_say(rule, size):
+    """Wild networks: nothing that they were trained on, up to the largest numbers of float32."""
+    rng = np.random.default_rng(10)
+    wrenches = wrench.sample_magnitudes(rng, 500, 1e-3, 1000.0)
+    for _ in range(6):
+        tensors = {
+            name: value if name == "reference" else (size * rng.uniform(-1.0, 1.0, value.shape)).astype(np.float32)
+            for name, value in rule.checkpoint.tensors.items()
+        }
+        wild = type(rule)(replace(rule.checkpoint, tensors=tensors))
+        assert worse(wild, presets.paper_cuboid(), wrenches) == 0
+        optimizer = ForceOptimizer(presets.paper_cuboid(), method="newton", initial=wild)
+        for w in wrenches[:50]:
+            assert optimizer.solve(w).status.name == "OPTIMAL"
 
 
 @pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
