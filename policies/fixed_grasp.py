@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import ContactForces, Wrench
+from grasp_env._check import Array, ContactForces, Wrench
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import Objective
 from grasp_env.grasp import Grasp, null_space_basis
@@ -17,13 +17,17 @@ from policies.checkpoint import FAULTS, MOST_CONTACTS, Checkpoint, malformed, nu
 from policies.features import Features
 from policies.learned import LearnedInitialForce
 
+MOST_DEGREE = 8
+"""Of the polynomials of the friction that weights may be."""
+
 
 class FixedGraspForce(LearnedInitialForce):
     """Trained on one grasp; where contacts have moved a little, the null space moves along continuously.
 
     The start is the network's force, or the best on the segment from the 12-basis' combination where that has less Phi; balance holds
     whatever the network says. `newton` goes on from it in the same compiled call. A model that was saved with learned layers
-    (`polish` above 0) takes those first, as many as its certificate asks.
+    (`polish` above 0) takes those first, as many as its certificate asks. A grasp keeps its friction from call to call, so weights may be
+    polynomials of the friction (`friction_degree` above 0), made numbers when the grasp is known: one perceptron per friction.
 
     Attributes:
         polish: learned layers at most; 0: the network alone.
@@ -42,6 +46,7 @@ class FixedGraspForce(LearnedInitialForce):
             self.polish, width = whole(numbers["polish"], "polish", 0, core.MOST_LAYERS), 1
             if self.polish:
                 self.polish, width = layer_numbers(numbers, "polish", "polish_width", 1)
+            self._degree = whole(numbers.get("friction_degree", 0), "friction_degree", 0, MOST_DEGREE)
             self._ranges = checkpoint.ranges["magnitude"], checkpoint.ranges["friction"]
             outputs = 3 * self.n_contacts - 6
             if (self.sizes[0], self.sizes[-1]) != (core.NETWORK_FEATURES, outputs):
@@ -49,18 +54,14 @@ class FixedGraspForce(LearnedInitialForce):
         except FAULTS as error:
             raise malformed("of kind fixed_grasp", error) from None
         shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs)}
+        powers = (self._degree + 1,) if "friction_degree" in numbers else ()
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
-            shapes |= {f"layers.{layer}.weight": (b, a), f"layers.{layer}.bias": (b,)}
-        tensors = checkpoint.tensors
+            shapes |= {f"layers.{layer}.weight": (*powers, b, a), f"layers.{layer}.bias": (*powers, b)}
         checkpoint.expect(shapes | layer_shapes("polish", self.polish, width))
         super().__init__(checkpoint, objective or self._trained, remembers)
-        parts = []
-        for layer in range(len(self.sizes) - 1):
-            parts += [tensors[f"layers.{layer}.weight"].T.ravel(), tensors[f"layers.{layer}.bias"]]
-        self._network = core.Network.make(self.sizes, np.concatenate(parts).astype(np.float64))
         self._layers = None
         if self.polish:
-            self._layers = core.Layers.make(width, flat(tensors, self.polish, "polish").astype(np.float64))
+            self._layers = core.Layers.make(width, flat(checkpoint.tensors, self.polish, "polish").astype(np.float64))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """See `LearnedInitialForce.raw`: neither repaired nor polished."""
@@ -80,18 +81,27 @@ class FixedGraspForce(LearnedInitialForce):
                 f"this model knows {self.n_contacts} contacts, the grasp has {grasp.n_contacts}; use "
                 "LearnedInitialForce.pretrained(\"any_grasp\") or initial='linear_combination'"
             )
-        model, friction, scale = (
-            core.Model.make(self._network, self._layers),
-            float(grasp.friction.mean()),
-            self._scale(grasp.n_contacts),
-        )
+        (_, most), (low, high) = self._ranges
+        friction, scale = float(grasp.friction.mean()), self._scale(grasp.n_contacts)
+        nearest = min(max(friction, low), high)  # a network knows nothing beyond, and polynomials less
+        model = core.Model.make(core.Network.make(self.sizes, self._weights(nearest)), self._layers)
         reference = self.checkpoint.tensors["reference"].astype(np.float64)
         model.normalise(**asdict(self.features))
-        model.place(np.ascontiguousarray(null_space_basis(grasp, reference)), friction, scale)
-        (_, most), (low, high) = self._ranges
-        known = low <= friction <= high  # of a grasp only the friction is looked at
-        model.trained_on(self.features.length, np.zeros(3), most * scale if known else -1.0)
+        model.place(np.ascontiguousarray(null_space_basis(grasp, reference)), nearest, scale)
+        # of a grasp only the friction is looked at
+        model.trained_on(self.features.length, np.zeros(3), most * scale if friction == nearest else -1.0)
         return model
+
+    def _weights(self, friction: float) -> Array:
+        """Of that friction, as the core reads them: stage by stage (inputs x outputs), then the bias."""
+        feature = (friction - self.features.friction_mean) / self.features.friction_scale
+        powers, parts = feature ** np.arange(self._degree + 1), list[Array]()
+        for layer, (a, b) in enumerate(pairwise(self.sizes)):
+            for name, shape in (("weight", (-1, b, a)), ("bias", (-1, b))):
+                coefficients = self.checkpoint.tensors[f"layers.{layer}.{name}"].astype(np.float64)
+                parts.append(np.tensordot(powers, coefficients.reshape(shape), 1).T.ravel())
+        most = float(np.finfo(np.float32).max)
+        return np.concatenate(parts).clip(-most, most)
 
 
 def _features(numbers: dict[str, object]) -> Features:

@@ -40,7 +40,7 @@ class Flow(RuleStarts):
         if self.settings.correction != "tangent":
             return None
         if isinstance(initial, CompiledRule):
-            return rule_loop(self, initial, self.descend)
+            return rule_loop(self, initial)
         if initial is not None and not (isinstance(initial, str) and initial in LOOPED):
             return None
         try:

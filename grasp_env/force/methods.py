@@ -12,7 +12,6 @@ Here is what the core solves: hard contacts by `newton` and `conic`. The others 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,6 @@ CONIC_ITERATIONS = 100
 LOOPED = ("linear_combination", "previous")
 """The named starts that are made within the compiled call."""
 NO_TRACE = np.empty(0)
-Descend = Callable[[Array, Array, Array], None]
 
 
 def make_method(grasp: Grasp, settings: Settings) -> Method:
@@ -90,6 +88,10 @@ class Newton(RuleStarts):
             return None
         return Loop(self.solver.solve, "linear_combination", "previous", remembers=initial == "previous")
 
+    def descend(self, force: Array, wrench: Array, record: Array) -> None:
+        """From a force (3N,) [N], balanced and strictly inside, into a record."""
+        self.solver.descend(wrench, force.reshape(-1, 3), float("nan"), NO_TRACE, record)
+
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""
         assert start is not None
@@ -120,15 +122,15 @@ class Conic(OwnStart):
         return ForceSolution(record, "conic", "central")
 
 
-def rule_loop(method: Any, rule: CompiledRule, descend: Descend | None = None) -> Loop | None:
+def rule_loop(method: Any, rule: CompiledRule) -> Loop | None:
     """The control loop's call of a rule that starts and certifies by itself; None where it does not know the contacts.
 
     Args:
-        method: with `grasp` and `settings`.
+        method: with `grasp`, `settings` and, where it is not Newton, `descend`.
         rule: binds to them.
-        descend: (start (3N,) [N], wrench, record) -> None, the method's own; None: Newton.
     """
     settings = method.settings
+    descend = None if settings.method == "newton" else method.descend
     try:
         return rule.bind(method.grasp, settings.objective, settings.tolerance, settings.max_iterations, descend)
     except InfeasibleStartError:

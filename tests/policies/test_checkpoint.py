@@ -109,7 +109,7 @@ WRONG = {
     "any_grasp": [(name, value) for name in ("layers", "width") for value in HUGE],
     "fixed_grasp": [
         *(("n_contacts", value) for value in (*HUGE, 2, 65)),
-        *(("polish", value) for value in HUGE if value != 0 or value is True),
+        *((name, value) for name in ("polish", "friction_degree") for value in HUGE if value != 0 or value is True),
         *(
             ("sizes", value)
             for value in (*HUGE, [8], [8, *[6] * 9], [8, 10**9, 6], [8, -6, 6], [8, 6.5, 6], [7, 6], [8, 5])

@@ -1,4 +1,4 @@
-"""Compiled inference against torch: the fixed grasp's network and the learned Newton layers."""
+"""Compiled inference: the fixed grasp's network against numpy, the learned Newton layers against torch, which trains them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+from oracles import layers as oracle
 
 from grasp_env.force import Objective, OfflineBasis
 from grasp_env.grasp import null_space_basis, presets, wrench
 from policies import LearnedInitialForce
 from policies.any_grasp import AnyGraspForce
-from policies.network import Network
+from policies.fixed_grasp import FixedGraspForce
 from policies.newton_layers import NewtonLayers, Problems, newton_step, phi
 
 SCALE = 0.1
@@ -48,20 +49,28 @@ def some_layers(rule: AnyGraspForce, count: int, part: float = 1.0) -> tuple[Any
     return AnyGraspForce(replace(rule.checkpoint, tensors=tensors, numbers=numbers)), twin
 
 
-def test_the_fixed_network_equals_torch():
+def network(rule: FixedGraspForce, features: np.ndarray) -> np.ndarray:
+    """What the model's network says, plain; the last feature is the friction, of which its weights may be polynomials."""
+    tensors, parts = rule.checkpoint.tensors, []
+    powers = features[-1] ** np.arange(rule.checkpoint.numbers.get("friction_degree", 0) + 1)
+    for k in range(len(rule.sizes) - 1):
+        weight, bias = (tensors[f"layers.{k}.{name}"].astype(np.float64) for name in ("weight", "bias"))
+        if weight.ndim == 3:
+            weight, bias = np.einsum("k,kba->ba", powers, weight), powers @ bias
+        parts += [weight.T.ravel(), bias]
+    return oracle.network(list(rule.sizes), np.concatenate(parts), features)
+
+
+def test_the_fixed_network_is_that_of_numpy():
     rule, grasp = LearnedInitialForce.pretrained("four_finger"), presets.paper_cuboid()
-    sizes = rule.sizes
-    network = Network(sizes[0], sizes[1:-1], sizes[-1])
-    names = network.state_dict()
-    network.load_state_dict({name: torch.from_numpy(rule.checkpoint.tensors[name]) for name in names})
+    assert isinstance(rule, FixedGraspForce)
     rng = np.random.default_rng(3)
     for friction in rng.uniform(0.25, 0.6, 10):
         there = grasp.with_friction(float(friction))
         internal = null_space_basis(there, rule.checkpoint.tensors["reference"].astype(np.float64))
         for w in wrench.sample_magnitudes(rng, 20):
             inputs, size = rule.features(w[None], np.array([friction]))
-            with torch.no_grad():
-                said = network(torch.from_numpy(inputs).float()).numpy()[0]
+            said = network(rule, inputs[0])
             expected = -grasp.pseudoinverse @ w + internal @ (size[0] * said)
             found = rule.raw(there, w).ravel()
             np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
@@ -99,3 +108,26 @@ def test_layers_that_say_nothing_are_shortened_newton_steps(anywhere):
         found = grasp.to_cone(rule(grasp, w)).reshape(1, -1, 3) / SCALE
         np.testing.assert_allclose(found, expected.numpy(), atol=1e-9 * float(expected.abs().max()))
         assert float((expected - x).abs().max()) < float((plain - x).abs().max()) * 1.001
+
+
+def test_weights_may_be_polynomials_of_the_friction():
+    """The network of a friction is that of the polynomials' values there; beyond the training range, of the nearest friction."""
+    rule, rng = LearnedInitialForce.pretrained("four_finger"), np.random.default_rng(5)
+    assert isinstance(rule, FixedGraspForce)
+    numbers = {**rule.checkpoint.numbers, "sizes": [8, 5, 6], "polish": 0, "friction_degree": 2}
+    shapes = {
+        "layers.0.weight": (3, 5, 8),
+        "layers.0.bias": (3, 5),
+        "layers.1.weight": (3, 6, 5),
+        "layers.1.bias": (3, 6),
+    }
+    tensors = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    tensors["reference"] = rule.checkpoint.tensors["reference"]
+    made = FixedGraspForce(replace(rule.checkpoint, tensors=tensors, numbers=numbers))
+    grasp, w = presets.paper_cuboid(), np.array(wrench.PAPER_CONSTANT)
+    for friction, nearest in ((0.3, 0.3), (0.55, 0.55), (1.5, 0.6), (0.1, 0.25)):
+        there = grasp.with_friction(friction)
+        internal = null_space_basis(there, tensors["reference"].astype(np.float64))
+        inputs, size = made.features(w[None], np.array([nearest]))
+        expected = -grasp.pseudoinverse @ w + internal @ (size[0] * network(made, inputs[0]))
+        np.testing.assert_allclose(made.raw(there, w).ravel(), expected, atol=3e-6 * np.abs(expected).max())
