@@ -83,13 +83,13 @@ class FixedGraspForce(LearnedInitialForce):
             )
         (_, most), (low, high) = self._ranges
         friction, scale = float(grasp.friction.mean()), self._scale(grasp.n_contacts)
-        nearest = min(max(friction, low), high)  # a network knows nothing beyond, and polynomials less
+        known = low <= friction <= high  # of a grasp only the friction is looked at
+        nearest = min(max(friction, low), high) if self._degree else friction  # beyond, polynomials know nothing
         model = core.Model.make(core.Network.make(self.sizes, self._weights(nearest)), self._layers)
         reference = self.checkpoint.tensors["reference"].astype(np.float64)
         model.normalise(**asdict(self.features))
         model.place(np.ascontiguousarray(null_space_basis(grasp, reference)), nearest, scale)
-        # of a grasp only the friction is looked at
-        model.trained_on(self.features.length, np.zeros(3), most * scale if friction == nearest else -1.0)
+        model.trained_on(self.features.length, np.zeros(3), most * scale if known else -1.0)
         return model
 
     def _weights(self, friction: float) -> Array:
