@@ -3,6 +3,7 @@
 try:
     from grasp_env.core._core import (
         ACCEPTED_GAP,
+        FULL_CONTACTS,
         LARGEST,
         LAYER_FEATURES,
         LAYER_REACH,
@@ -16,6 +17,7 @@ try:
         WIDEST,
         Conic,
         Contacts,
+        Flow,
         Layers,
         Learned,
         Model,
@@ -41,6 +43,7 @@ except ImportError as error:
 
 __all__ = [
     "ACCEPTED_GAP",
+    "FULL_CONTACTS",
     "LARGEST",
     "LAYER_FEATURES",
     "LAYER_REACH",
@@ -54,6 +57,7 @@ __all__ = [
     "WIDEST",
     "Conic",
     "Contacts",
+    "Flow",
     "Layers",
     "Learned",
     "Model",

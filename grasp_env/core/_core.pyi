@@ -135,6 +135,21 @@ class Newton:
         x (3N,) = the least Phi on the segment from `safe` to it; returns how far.
         """
 
+FULL_CONTACTS: int = 8
+
+class Flow(Newton):
+    """The paper's flows: all of Newton's calls, with their steps."""
+
+    @staticmethod
+    def make(contacts: Contacts, tolerance: float, limit: int, form: str, rule: object) -> Flow:
+        """
+        form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the fewest products.
+        rule: (5,) kind, first, grow, shrink, decrease, see `step_size.py`.
+        """
+
+    def repeat(self, x: object, times: int) -> float:
+        """Makes the step at x (3N,) so many times; for measurements."""
+
 class Conic:
     """The least sum of normal forces on the hard contacts of one grasp."""
 
@@ -246,7 +261,8 @@ class Pipeline:
     """
 
     @staticmethod
-    def make(nominal: Contacts, tolerance: float, limit: int, basis: object, frames: object, remembers: bool, reference: object) -> Pipeline: ...
+    def make(nominal: Contacts, tolerance: float, limit: int, basis: object, frames: object, remembers: bool, reference: object, flows: object | None = None) -> Pipeline:
+        """flows: the step rule (5,) of the reduced flow; None: Newton."""
 
     def reset(self) -> None:
         """Forgets all calls."""
@@ -279,7 +295,7 @@ class Pipeline:
         """
 
     def descend(self, wrench: object, record: object) -> int:
-        """Newton from the start, into a record; returns the code."""
+        """Newton, or the flow, from the start, into a record; returns the code."""
 
     def keep(self, record: object) -> None:
         """A record of the contacts of now becomes the last optimum."""

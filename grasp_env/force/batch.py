@@ -152,8 +152,8 @@ def optimize_forces(
 ) -> ForceSolutions:
     """Grasp forces for many wrenches and one grasp, or as many grasps.
 
-    One grasp with hard contacts and force closure runs `newton` (from the 12-basis) and `conic` without Python between the
-    problems; every other combination loops over `ForceOptimizer`. Either way the numbers are those of single calls.
+    One grasp with hard contacts and force closure runs `newton` and the flows (from the 12-basis) and `conic` without Python between
+    the problems; every other combination loops over `ForceOptimizer`. Either way the numbers are those of single calls.
 
     Args:
         grasps: one grasp for all wrenches, or M grasps of one number of contacts.

@@ -7,7 +7,7 @@
 | conic | least sum, or least maximum, of normal forces | all, further limits |
 | linear | the same sum over friction pyramids, by HiGHS | all, further limits |
 
-Here is what the core solves: hard contacts by `newton` and `conic`. The others are imported where they are asked for.
+Here is what the core solves: hard contacts by the flows, `newton` and `conic`. The others are imported where they are asked for.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, Wrench
-from grasp_env.errors import InfeasibleStartError, UnsupportedProblemError
+from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnsupportedProblemError
 from grasp_env.force.basis import OfflineBasis, core_contacts
 from grasp_env.force.initial import CompiledRule, RuleStarts
 from grasp_env.force.method import Loop, Method, OwnStart, Settings, Start, refuse, refused_start
@@ -50,8 +50,6 @@ def make_method(grasp: Grasp, settings: Settings) -> Method:
                 f"method {settings.method!r} knows hard contacts (round, elliptic or frictionless) without further limits; "
                 "use method='newton' or 'conic'"
             )
-        from grasp_env.force.flow_method import Flow
-
         return Flow(grasp, settings)
     if settings.method == "newton" and not general:
         return Newton(grasp, settings)
@@ -70,13 +68,15 @@ class Newton(RuleStarts):
 
     def __init__(self, grasp: Grasp, settings: Settings) -> None:
         self.grasp, self.settings = grasp, settings
-        contacts = core_contacts(grasp, settings.objective)
-        self.solver = core.Newton.make(contacts, settings.tolerance, settings.max_iterations)
+        self.solver = self._make(core_contacts(grasp, settings.objective))
         try:
             self.solver.set_basis(OfflineBasis.of(grasp, settings.objective).cone_forces)
             self.has_basis = True
         except InfeasibleStartError:
             self.has_basis = False  # rules that need one say so
+
+    def _make(self, contacts: core.Contacts) -> core.Newton:
+        return core.Newton.make(contacts, self.settings.tolerance, self.settings.max_iterations)
 
     def loop(self, initial: Any) -> Loop | None:
         """See `Method.loop`."""
@@ -99,7 +99,23 @@ class Newton(RuleStarts):
         record = np.empty(record_size(self.grasp.n_contacts))
         if self.solver.descend(wrench, start.force, optimum, values, record) == REFUSED:
             raise refused_start(self.grasp, wrench, start)
-        return ForceSolution(record, "newton", start.name, values[: int(record[ITERATIONS]) + 1] if trace else NO_TRACE)
+        return ForceSolution(
+            record, self.settings.method, start.name, values[: int(record[ITERATIONS]) + 1] if trace else NO_TRACE
+        )
+
+
+class Flow(Newton):
+    """The paper's flows, from the same starts: `reduced_flow` in its fastest form, `full_flow` dense."""
+
+    def _make(self, contacts: core.Contacts) -> core.Newton:
+        settings, count = self.settings, self.grasp.n_contacts
+        full = settings.method == "full_flow"
+        if full and count > core.FULL_CONTACTS:
+            raise InvalidInputError(
+                f"the full flow is dense: {count} contacts given, at most {core.FULL_CONTACTS}; use another method"
+            )
+        form, rule = "full" if full else "reduced", settings.step_rule.parameters()
+        return core.Flow.make(contacts, settings.tolerance, settings.max_iterations, form, rule)
 
 
 class Conic(OwnStart):

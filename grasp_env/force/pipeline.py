@@ -91,7 +91,7 @@ class ForcePipeline:
         step_rule: StepRule | None = None,
         reference: Array | None = None,
     ) -> None:
-        """Computes the offline basis; for the flow compiles, or loads, its kernels.
+        """Computes the offline basis.
 
         Args:
             grasp: the nominal grasp, hard contacts (round or elliptic cones) with force closure.
@@ -150,6 +150,7 @@ class ForcePipeline:
         self._core = core.Pipeline.make(
             core_contacts(grasp, self.objective, tangents), checked.tolerance, checked.max_iterations, basis,
             np.ascontiguousarray(grasp.frames), self._remembers, np.ascontiguousarray(self.reference),
+            checked.step_rule.parameters() if self.method == "reduced_flow" else None,
         )  # fmt: skip
         arrays = self._core.arrays()
         weights = self.objective.weights(grasp.n_contacts)
@@ -159,14 +160,6 @@ class ForcePipeline:
         if self._layers is not None:
             layers, width = self._layers
             self._core.set_layers(core.Layers.make(width, np.array(layers, dtype=np.float64, order="C")))
-        if self.method == "reduced_flow":
-            from grasp_env.force.pipeline_descent import KernelDescent
-
-            self._solve = KernelDescent(self._core, checked, self.held).solve
-            # compiles, or loads, before the first call that counts
-            for adjust in (None, np.full(grasp.null_dimension, 1e-3)):
-                self.solve(grasp.positions, grasp.normals, np.zeros(6), adjust=adjust)
-            self.reset()
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name not in ("_core", "_solve", "held")}

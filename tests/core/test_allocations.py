@@ -9,6 +9,8 @@ from samples import Sample, sample, wrenches
 from test_learned import KINDS, learned
 from test_pipeline import path, pipeline
 
+from grasp_env.force.step_size import AdaptiveStep
+
 COUNTED = pytest.mark.skipif(not insides.counts_allocations, reason="the sanitizers have an operator new of their own")
 CALLS = [100_000, pytest.param(1_000_000, marks=pytest.mark.slow)]
 LAYOUTS = {4: (4, 1), 16: (8, 0)}
@@ -25,10 +27,17 @@ def test_allocations_are_seen() -> None:
 @COUNTED
 @many
 @counts
-def test_newton(count: int, calls: int) -> None:
+@pytest.mark.parametrize("form", ["newton", "full", "paper", "reduced"])
+def test_descents(count: int, calls: int, form: str) -> None:
     """From the basis, carried over, and from a given force."""
     s = sample(count)
     made = insides.AnyNewton.make(*LAYOUTS[count], s.placement, 1e-4, 50)
+    if form != "newton":
+        if form == "full" and count > 8:
+            pytest.skip("the full flow is dense")
+        calls //= 1000 if form == "full" else 50
+        number = ("full", "paper", "reduced").index(form)
+        made = insides.AnyNewton.flow(*LAYOUTS[count], s.placement, 1e-3, 100, number, AdaptiveStep().parameters())
     made.set_basis(s.basis)
     loads = wrenches(np.random.default_rng(count), 12, 3.0)
     forces = np.array([made.solve(load)[20 : 20 + 3 * count] for load in loads])
@@ -81,6 +90,19 @@ def test_moving_contacts(count: int, calls: int) -> None:
     assert np.abs(made.basis - s.basis).max() > 0.0
     # and what was left is a solver
     assert made.solve(points[0], normals[0], walk[0][1])[0] == 0.0
+
+
+@COUNTED
+@many
+@counts
+def test_moving_contacts_by_the_flow(count: int, calls: int) -> None:
+    s = sample(count)
+    made, walk = pipeline(s, LAYOUTS[count], tolerance=1e-3, limit=100, flows=True), path(s, 20, 3e-3)
+    points, normals = (np.array([getattr(there, name) for there, _ in walk]) for name in ("positions", "normals"))
+    loads, adjust = np.array([w for _, w in walk]), np.zeros((len(walk), 3 * count - 6))
+    made.allocations(points, normals, loads, adjust, len(walk))  # the room that adjusted starts work in
+    assert made.allocations(points, normals, loads, adjust, calls // 20) == 0
+    assert np.isfinite(made.last).all()
 
 
 @COUNTED

@@ -63,6 +63,18 @@ def test_axes_of_the_inverse_hessian(lanes: int) -> None:
 
 
 @pytest.mark.parametrize("lanes", LANES)
+def test_value_with_the_gradient_and_curvature(lanes: int) -> None:
+    moves = np.random.default_rng(1).standard_normal(X.shape) * X[:, :1]
+    found = insides.along(lanes, X, moves, WEIGHTS)
+    for x, move, w, depth, (value, bend) in zip(X.astype(LONG), moves, WEIGHTS, DEPTH, found, strict=True):
+        assert abs(value / oracle.phi(x, w[None]) - 1.0) <= EPS * (8.0 + 4.0 / depth)
+        # three powers of the difference, and terms that cancel where the move is along the surface: rounding of the largest
+        hessian = oracle.hessian(x, w[None])
+        size = np.abs(hessian).max() * np.abs(move).max() ** 2
+        assert abs(bend - move @ hessian @ move) <= EPS * (32.0 + 16.0 / depth) * size
+
+
+@pytest.mark.parametrize("lanes", LANES)
 def test_inverse_hessian(lanes: int) -> None:
     found = insides.inverse_hessian(lanes, X, WEIGHTS).reshape(-1, 3, 3)
     wanted = np.array([oracle.inverse_hessian(x, *w) for x, w in zip(X.astype(LONG), WEIGHTS, strict=True)]).astype(

@@ -21,9 +21,16 @@ def reference_of(s: Sample) -> np.ndarray:
     return np.einsum("nab,nbk->nak", s.frames, blocks).reshape(internal.shape)
 
 
-def pipeline(s: Sample, layout: tuple[int, int], remembers: bool = True, tolerance: float = 1e-8, limit: int = 500):
+def pipeline(
+    s: Sample,
+    layout: tuple[int, int],
+    remembers: bool = True,
+    tolerance: float = 1e-8,
+    limit: int = 500,
+    flows: bool = False,
+):
     return insides.AnyPipeline.make(
-        *layout, s.placement, tolerance, limit, s.basis, s.frames, remembers, reference_of(s)
+        *layout, s.placement, tolerance, limit, s.basis, s.frames, remembers, reference_of(s), flows
     )
 
 

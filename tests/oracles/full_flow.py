@@ -1,46 +1,99 @@
-"""The full flow (Eq. 12) without compiled code: the plain driver on vec(P), certified like the compiled flow."""
+"""The full linearly constrained gradient flow on vec(P) (paper, Eqs. 6-12): dense.
+
+matrix is G (6, 3N) in cone coordinates, weights (N, 2) omega and lambda.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-
-from grasp_env._check import Array, Wrench
-from grasp_env.force import full_flow as full
-from grasp_env.force.descent import descend
-from grasp_env.force.kernels import certified_bound, relative_gap
-from grasp_env.force.objective import Objective
-from grasp_env.force.step_size import StepRule
-from grasp_env.grasp.grasp import Grasp
+from oracles.descent import Landscape
 
 
-def full_flow(
-    grasp: Grasp,
-    objective: Objective,
-    x: Array,
-    wrench: Wrench,
-    rule: StepRule,
-    tolerance: float,
-    optimum: float,
-    max_iterations: int,
-    trace: Array,
-) -> tuple[int, int, int, float, float]:
-    """Runs Eq. 12 from cone coordinates x (3N,), overwritten; arguments and result as `flow.run_flow`."""
-    matrix = grasp.cone_matrix.copy()
-    step, multipliers = np.empty_like(x), np.empty(6)
-    weights = objective.weights(grasp.n_contacts)
-    bound = -np.inf if np.isnan(optimum) else optimum
-    next_check = 0
+def constraints(matrix: np.ndarray) -> np.ndarray:
+    """A of Eq. 9: 6N structure rows (A_1, Eq. 6) over 6 balance rows (A_2, Eq. 8), (6N + 6, 9 N^2).
 
-    def converged(state: Array, value: float, iterations: int) -> bool:
-        nonlocal bound, next_check
-        if np.isnan(optimum) and iterations >= next_check:
-            next_check = iterations + max(1, iterations // 8)
-            here = full.cone_coordinates(state)
-            bound = max(bound, certified_bound(here, matrix, wrench, weights, step, multipliers))
-        return relative_gap(value, bound) <= tolerance
+    vec stacks columns. The structure rows of block i say: the two zeros, the two equalities of the diagonal, the two
+    symmetries. The balance rows read u, o, t at the entries (1, 1), (3, 1) and (3, 2) of each block, so that
+    A vec(P) = [0; -w] with w the external wrench (Eq. 2).
+    """
+    size = matrix.shape[1]
+    count = size // 3
+    structure = np.zeros((6 * count, size * size))
+    balance = np.zeros((6, size * size))
+    for block in range(count):
 
-    result = descend(full.start(x), full.landscape(grasp, objective), converged, rule, max_iterations)
-    x[:] = full.cone_coordinates(result.state)
-    count = min(len(trace), len(result.values))
-    trace[:count] = result.values[:count]
-    return result.code, result.iterations, result.trials, result.values[-1], bound
+        def entry(row: int, column: int, block: int = block) -> int:
+            return (3 * block + column) * size + 3 * block + row
+
+        rows = structure[6 * block : 6 * block + 6]
+        rows[0, entry(0, 1)] = 1.0
+        rows[1, entry(1, 0)] = 1.0
+        for line, (plus, minus) in enumerate(
+            (((0, 0), (1, 1)), ((0, 0), (2, 2)), ((2, 0), (0, 2)), ((2, 1), (1, 2))), 2
+        ):
+            rows[line, entry(*plus)] = 1.0
+            rows[line, entry(*minus)] = -1.0
+        for column, place in enumerate(((0, 0), (2, 0), (2, 1))):
+            balance[:, entry(*place)] = matrix[:, 3 * block + column]
+    return np.concatenate([structure, balance])
+
+
+def projector(matrix: np.ndarray) -> np.ndarray:
+    """Q = I - A^T (A A^T)^-1 A, (9 N^2, 9 N^2): 144 x 144 for four fingers (Eq. 11)."""
+    a = constraints(matrix)
+    return np.eye(a.shape[1]) - a.T @ np.linalg.solve(a @ a.T, a)
+
+
+def start(x: np.ndarray) -> np.ndarray:
+    """vec(P_0) of cone coordinates (3N,)."""
+    whole = np.zeros((len(x), len(x)))
+    for k, (u, o, t) in enumerate(x.reshape(-1, 3)):
+        whole[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = [[u, 0.0, o], [0.0, u, t], [o, t, u]]
+    return whole.reshape(-1, order="F")
+
+
+def drive(state: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """vec(P^-1 W_i P^-1 - W_p) at vec(P)."""
+    inverse = np.linalg.inv(_matrix(state))
+    omega, lam = np.repeat(weights, 3, axis=0).T
+    return (inverse * lam @ inverse - np.diag(omega)).reshape(-1, order="F")
+
+
+def value(state: np.ndarray, weights: np.ndarray) -> float:
+    """tr(W_p P) + tr(W_i P^-1) at vec(P) (Eq. 10), +inf unless P > 0."""
+    matrix = _matrix(state)
+    if np.linalg.eigvalsh(matrix)[0] <= 0.0:
+        return float("inf")
+    omega, lam = np.repeat(weights, 3, axis=0).T
+    return float(omega @ np.diag(matrix) + lam @ np.diag(np.linalg.inv(matrix)))
+
+
+def curvature(state: np.ndarray, move: np.ndarray, weights: np.ndarray) -> float:
+    """Second derivative 2 tr(W_i P^-1 M P^-1 M P^-1) of Phi at vec(P) along vec(M)."""
+    inverse, m = np.linalg.inv(_matrix(state)), _matrix(move)
+    lam = np.repeat(weights[:, 1], 3)
+    return float(2.0 * lam @ np.diag(inverse @ m @ inverse @ m @ inverse))
+
+
+def landscape(matrix: np.ndarray, weights: np.ndarray) -> Landscape:
+    """What the plain descent walks on: vec(P) and the dense projector."""
+    q = projector(matrix)
+    return Landscape(
+        value=lambda state: value(state, weights),
+        gradient=lambda state: -drive(state, weights),
+        curvature=lambda state, move: curvature(state, move, weights),
+        direction=lambda state: q @ drive(state, weights),
+        metric=np.ones(len(q)),
+    )
+
+
+def cone_coordinates(state: np.ndarray) -> np.ndarray:
+    """VP (3N,) of vec(P): the entries (1, 1), (3, 1), (3, 2) of each block (Eq. 18)."""
+    matrix = _matrix(state)
+    i = np.arange(0, len(matrix), 3)
+    return np.stack([matrix[i, i], matrix[i + 2, i], matrix[i + 2, i + 1]], axis=1).reshape(-1)
+
+
+def _matrix(state: np.ndarray) -> np.ndarray:
+    size = round(len(state) ** 0.5)
+    return state.reshape(size, size, order="F")

@@ -4,6 +4,7 @@
 #include <grasp/solvers.hpp>
 
 #include "buffers.hpp"
+#include "rule.hpp"
 #include "views.hpp"
 
 using namespace grasp;
@@ -11,10 +12,11 @@ using namespace grasp;
 namespace {
 
 std::unique_ptr<Pipeline> make(const Contacts& nominal, double tolerance, int limit, nb::handle basis, nb::handle frames,
-                               bool remembers, nb::handle reference) {
+                               bool remembers, nb::handle reference, nb::handle flows) {
     const int count = nominal.count, size = 3 * count;
+    const StepRule rule = flows.is_none() ? StepRule{} : rule_of(flows);
     return Pipeline::make(nominal, {tolerance, limit}, in(basis, 13, size).data(), in(frames, count, 3, 3).data(), remembers,
-                          in(reference, size, size - 6).data());
+                          in(reference, size, size - 6).data(), flows.is_none() ? nullptr : &rule);
 }
 
 // The arguments of a call, each where it lies as the core reads it.
@@ -92,7 +94,8 @@ nb::typed<nb::tuple, double, double, double, double> unit_frame(const Pipeline& 
 
 void bind_pipeline(nb::module_& m) {
     nb::class_<Pipeline>(m, "Pipeline", "Contacts in, certified force out, for contacts that move from call to call.")
-        .def_static("make", &make, "nominal"_a, "tolerance"_a, "limit"_a, "basis"_a, "frames"_a, "remembers"_a, "reference"_a)
+        .def_static("make", &make, "nominal"_a, "tolerance"_a, "limit"_a, "basis"_a, "frames"_a, "remembers"_a, "reference"_a,
+                    "flows"_a = nb::none(), "flows: the step rule (5,) of the reduced flow; None: Newton.")
         .def("reset", &Pipeline::reset, "Forgets all calls.")
         .def("forget", &Pipeline::forget, "Forgets the last optimum.")
         .def("set_basis", [](Pipeline& p, nb::handle basis, nb::handle frames) {
@@ -106,7 +109,7 @@ void bind_pipeline(nb::module_& m) {
         .def("resume", &Pipeline::resume, "Takes `start` back, which may have been replaced since `begin`.")
         .def("adjust", &adjust, "wrench"_a.none(), "coordinates"_a.none(),
              "Adds an internal force in (3N - 6,) coordinates to the start and repairs it, `start` included; False: not finite.")
-        .def("descend", &descend, "wrench"_a, "record"_a, "Newton from the start, into a record; returns the code.")
+        .def("descend", &descend, "wrench"_a, "record"_a, "Newton, or the flow, from the start, into a record; returns the code.")
         .def("keep", [](Pipeline& p, nb::handle record) {
             p.keep(out(record, record_size(p.contacts().count)).data());
         }, "record"_a, "A record of the contacts of now becomes the last optimum.")

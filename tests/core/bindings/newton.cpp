@@ -1,4 +1,4 @@
-// Newton in every layout.
+// Newton and the flows in every layout.
 #include <nanobind/stl/unique_ptr.h>
 
 #include "allocations.hpp"
@@ -14,6 +14,13 @@ public:
     static std::unique_ptr<AnyNewton> make(int lanes, int blocks, const Placement& p, double tolerance, int limit) {
         return std::make_unique<AnyNewton>(
             instance_of<detail::NewtonAny, Newton>(lanes, blocks, p.contacts, Options{tolerance, limit}));
+    }
+    // rule: (5,) kind, first, grow, shrink, decrease
+    static std::unique_ptr<AnyNewton> flow(int lanes, int blocks, const Placement& p, double tolerance, int limit, int form,
+                                           const In& rule) {
+        const double* r = numbers(rule, 5);
+        return std::make_unique<AnyNewton>(instance_of<detail::FlowAny, Newton>(
+            lanes, blocks, p.contacts, Options{tolerance, limit}, Form(form), StepRule{int(r[0]), r[1], r[2], r[3], r[4]}));
     }
     std::unique_ptr<AnyNewton> clone() const { return std::make_unique<AnyNewton>(on_->clone()); }
 
@@ -81,6 +88,7 @@ void bind_newton(nb::module_& m) {
     using N = AnyNewton;
     nb::class_<N>(m, "AnyNewton")
         .def_static("make", &N::make, "lanes"_a, "blocks"_a, "placement"_a, "tolerance"_a, "limit"_a)
+        .def_static("flow", &N::flow, "lanes"_a, "blocks"_a, "placement"_a, "tolerance"_a, "limit"_a, "form"_a, "rule"_a)
         .def("clone", &N::clone).def("make_basis", &N::make_basis).def("set_basis", &N::set_basis).def("solve", &N::solve)
         .def("follow", &N::follow, "wrench"_a, "force"_a, "tangent"_a)
         .def("descend", &N::descend, "wrench"_a, "force"_a, "optimum"_a, "traced"_a)

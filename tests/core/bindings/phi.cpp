@@ -55,6 +55,18 @@ nb::object gradient_of(int lanes, In x, In weights) {
     });
 }
 
+// (Phi as it comes with its gradient, its curvature along a move)
+nb::object along_of(int lanes, In x, In move, In weights) {
+    return with_lanes(lanes, [&](auto zero) {
+        using V = decltype(zero);
+        const Rows<V> at(x, 3), to(move, 3), w(weights, 2);
+        return over<V, 2>(x.shape(0), [&](size_t k, auto& out) {
+            Vec3<V> unused;
+            out = {phi(at.triple(k), w.weights(k), unused), curvature(at.triple(k), to.triple(k), w.weights(k))};
+        });
+    });
+}
+
 nb::object inverse_hessian_of(int lanes, In x, In weights) {
     return with_lanes(lanes, [&](auto zero) {
         using V = decltype(zero);
@@ -139,6 +151,7 @@ void bind_phi(nb::module_& m) {
     for (const auto& [lanes, blocks] : LAYOUTS) layouts.append(nb::make_tuple(lanes, blocks));
     m.attr("LAYOUTS") = layouts;
     m.def("phi", &phi_of, "lanes"_a, "x"_a, "weights"_a, "(n, 2): phi of one contact, wherever x is, and its slack.");
+    m.def("along", &along_of, "lanes"_a, "x"_a, "move"_a, "weights"_a);
     m.def("gradient", &gradient_of, "lanes"_a, "x"_a, "weights"_a, "(n, 3).");
     m.def("inverse_hessian", &inverse_hessian_of, "lanes"_a, "x"_a, "weights"_a, "(n, 9).");
     m.def("axes", &axes_of, "lanes"_a, "x"_a, "weights"_a,

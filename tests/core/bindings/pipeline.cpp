@@ -13,11 +13,12 @@ class AnyPipeline {
 public:
     explicit AnyPipeline(std::unique_ptr<Pipeline> on) : on_(std::move(on)) {}
     static std::unique_ptr<AnyPipeline> make(int lanes, int blocks, const Placement& p, double tolerance, int limit,
-                                             const In& basis, const In& frames, bool remembers, const In& reference) {
+                                             const In& basis, const In& frames, bool remembers, const In& reference, bool flows) {
         const size_t size = 3 * p.contacts.count;
+        const StepRule rule;
         return std::make_unique<AnyPipeline>(instance_of<detail::PipelineAny, Pipeline>(
             lanes, blocks, p.contacts, Options{tolerance, limit}, numbers(basis, 13 * size), numbers(frames, 3 * size), remembers,
-            numbers(reference, size * (size - 6))));
+            numbers(reference, size * (size - 6)), flows ? &rule : nullptr));
     }
 
     nb::object solve(const In& points, const In& normals, const In& wrench, const std::optional<In>& adjust) {
@@ -83,7 +84,7 @@ void bind_pipeline(nb::module_& m) {
     using P = AnyPipeline;
     nb::class_<P>(m, "AnyPipeline")
         .def_static("make", &P::make, "lanes"_a, "blocks"_a, "placement"_a, "tolerance"_a, "limit"_a, "basis"_a, "frames"_a,
-                    "remembers"_a, "reference"_a)
+                    "remembers"_a, "reference"_a, "flows"_a = false)
         .def("solve", &P::solve, "points"_a, "normals"_a, "wrench"_a, "adjust"_a = nb::none()).def("carry", &P::carry)
         .def("begin", &P::begin, "points"_a, "normals"_a, "wrench"_a, "adjust"_a = nb::none())
         .def_prop_ro("start", &P::start).def_prop_ro("safe", &P::safe).def_prop_ro("last", &P::last)

@@ -12,10 +12,27 @@ template <class T> inline T phi(const Vec3<T>& x, const Weights<T>& w) {
     return 3.0 * w.omega * x.u + w.lambda * (1.0 / x.u + 2.0 * x.u / lorentz(x, x));
 }
 
-template <class T> inline Vec3<T> gradient(const Vec3<T>& x, const Weights<T>& w) {
+// Phi from the same two divisions as its gradient, which is written.
+template <class T> inline T phi(const Vec3<T>& x, const Weights<T>& w, Vec3<T>& gradient) {
     const T u2 = x.u * x.u, s2 = x.o * x.o + x.t * x.t, d = u2 - s2;
     const T i = 1.0 / d, i2 = i * i, iu = 1.0 / x.u, k = 4.0 * w.lambda * i2 * x.u;
-    return {3.0 * w.omega - w.lambda * (iu * iu + 2.0 * i2 * (u2 + s2)), k * x.o, k * x.t};
+    gradient = {3.0 * w.omega - w.lambda * (iu * iu + 2.0 * i2 * (u2 + s2)), k * x.o, k * x.t};
+    return 3.0 * w.omega * x.u + w.lambda * (iu + 2.0 * x.u * i);
+}
+
+template <class T> inline Vec3<T> gradient(const Vec3<T>& x, const Weights<T>& w) {
+    Vec3<T> out;
+    phi(x, w, out);
+    return out;
+}
+
+// Second derivative of Phi along a move.
+template <class T> inline T curvature(const Vec3<T>& x, const Vec3<T>& move, const Weights<T>& w) {
+    const T u2 = x.u * x.u, s2 = x.o * x.o + x.t * x.t, along = x.o * move.o + x.t * move.t;
+    const T i = 1.0 / x.u, j = 1.0 / (u2 - s2), j2 = j * j;
+    return w.lambda * ((2.0 * i * i * i + 4.0 * x.u * (u2 + 3.0 * s2) * j2 * j) * move.u * move.u -
+                       8.0 * (3.0 * u2 + s2) * j2 * j * move.u * along +
+                       4.0 * x.u * j2 * (move.o * move.o + move.t * move.t + 4.0 * j * along * along));
 }
 
 // Inverse of the Hessian, in closed form, without differences that cancel close to a cone: with p = u + s, q = u - s the part of Phi in

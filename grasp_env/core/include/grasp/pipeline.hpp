@@ -1,7 +1,9 @@
-// Contacts that move from call to call: frames and G, the start, Newton and the certificates in one call.
+// Contacts that move from call to call: frames and G, the start, Newton or the flow, and the certificates in one call.
 #pragma once
+#include <optional>
 #include "adjust.hpp"
 #include "basis.hpp"
+#include "flow.hpp"
 #include "learned.hpp"
 
 namespace grasp {
@@ -36,13 +38,14 @@ public:
     bool remembers;                  // whether to start from the last optimum
     std::vector<double> start, safe, rest;  // (3N,) of the last call: where the descent begins, the combination, the optimum at rest
 
-    // basis: (13, 3N) of the nominal contacts, whose frames (N, 3, 3) it is written in
+    // basis: (13, 3N) of the nominal contacts, whose frames (N, 3, 3) it is written in. flows: the rule of the reduced flow, or null: Newton.
     PipelineOn(const Contacts& nominal, const Options& options, const double* basis, const double* frames, bool remembers,
-               const double* reference)
+               const double* reference, const StepRule* flows)
         : contacts(nominal), newton(nominal.count, options), held(nominal.count), remembers(remembers), start(3 * nominal.count),
           safe(3 * nominal.count), rest(3 * nominal.count), nominal_(basis, basis + 39 * nominal.count),
           nominal_frames_(frames, frames + 9 * nominal.count), space_(nominal.count, reference), spare_(newton.starter.basis),
           last_(newton.cones), turned_(newton.cones.field()), safe_(newton.cones.field()), refiner_(newton.cones, {}) {
+        if (flows) flow_.emplace(newton.cones, *flows, Form::reduced);
         reset();
     }
 
@@ -119,11 +122,14 @@ public:
         return true;
     }
 
-    // Newton from the start in newton.x.
+    // Newton, or the flow, from the start in newton.x.
     Code descend(const double* wrench, const Record& record) {
         if (!placed_ || !sane_wrench(wrench)) return REFUSED;
+        const Vec6 w = newton.cones.unit.of(wrench);
+        const Call call{.wrench = wrench, .start = Start::given};
+        if (flow_) return flow_->place(newton.cones) ? flow_->descend(newton, call, w, record) : REFUSED;
         turned_ = newton.x;
-        return newton.descend_from(turned_, {.wrench = wrench, .start = Start::given}, newton.cones.unit.of(wrench), record);
+        return newton.descend_from(turned_, call, w, record);
     }
 
     // A record of the contacts of now becomes the last optimum; also one cut short: balanced and inside the cones.
@@ -169,6 +175,7 @@ public:
 private:
     std::vector<double> nominal_, nominal_frames_;
     NullSpace space_;
+    std::optional<FlowOn<V, B>> flow_;
     std::array<Field, 13> spare_;
     Tangents<V, B> last_;  // those of the last optimum
     Field turned_, safe_;

@@ -39,6 +39,18 @@ protected:
     Newton(const Contacts& contacts, const Options& options) : contacts(contacts), options(options) {}
 };
 
+// The paper's gradient flows: all of Newton, but `solve` takes their steps.
+class alignas(64) Flow : public Newton {
+public:
+    // Form::full takes up to FULL_CONTACTS.
+    static std::unique_ptr<Flow> make(const Contacts& contacts, const Options& options, Form form, const StepRule& rule);
+    // Makes the step at x (3N,) so many times and returns its last number: for measurements of the product.
+    virtual double repeat(const double* x, int times) = 0;
+
+protected:
+    using Newton::Newton;
+};
+
 // The least sum of normal forces on the contacts of one grasp.
 class alignas(64) Conic {
 public:
@@ -78,7 +90,8 @@ protected:
 class alignas(64) Pipeline {
 public:
     static std::unique_ptr<Pipeline> make(const Contacts& nominal, const Options& options, const double* basis,
-                                          const double* frames, bool remembers, const double* reference);
+                                          const double* frames, bool remembers, const double* reference,
+                                          const StepRule* flows);
     virtual ~Pipeline() = default;
     virtual Held& held() = 0;
     virtual const Contacts& contacts() const = 0;
@@ -101,12 +114,14 @@ public:
 
 namespace detail {
 
-template <class V, int B> class NewtonAny final : public Newton {
+// The descents and their starts; Base: Newton, or what derives from it.
+template <class Base, class V, int B> class DescentAny : public Base {
 public:
-    NewtonAny(const Contacts& contacts, const Options& options) : Newton(contacts, options), on_(contacts.count, options) {
+    using Base::contacts, Base::options;
+
+    DescentAny(const Contacts& contacts, const Options& options) : Base(contacts, options), on_(contacts.count, options) {
         on_.cones.pack(contacts);
     }
-    std::unique_ptr<Newton> clone() const override { return std::make_unique<NewtonAny>(*this); }
 
     Code solve(const Call& call, double* row) override {
         on_.options = options;
@@ -166,12 +181,44 @@ public:
         return along;
     }
 
-private:
+protected:
     NewtonOn<V, B> on_;
 
+private:
     void load_basis(const double* basis) {
         for (int k = 0; k < 13; ++k) on_.cones.load(basis + 3 * contacts.count * k, on_.starter.basis[k]);
     }
+};
+
+template <class V, int B> class NewtonAny final : public DescentAny<Newton, V, B> {
+public:
+    using DescentAny<Newton, V, B>::DescentAny;
+    std::unique_ptr<Newton> clone() const override { return std::make_unique<NewtonAny>(*this); }
+};
+
+template <class V, int B> class FlowAny final : public DescentAny<Flow, V, B> {
+public:
+    FlowAny(const Contacts& contacts, const Options& options, Form form, const StepRule& rule)
+        : DescentAny<Flow, V, B>(contacts, options), flow_(on_.cones, rule, form), placed_(flow_.place(on_.cones)) {}
+    std::unique_ptr<Newton> clone() const override { return std::make_unique<FlowAny>(*this); }
+
+    Code solve(const Call& call, double* row) override {
+        const Record record(row, this->contacts.count);
+        on_.options = this->options;
+        record.summary().code = REFUSED;
+        if (!placed_ || !sane_wrench(call.wrench)) return REFUSED;
+        const Vec6 w = on_.cones.unit.of(call.wrench);
+        return on_.begin(call, w) ? flow_.descend(on_, call, w, record) : REFUSED;
+    }
+    double repeat(const double* x, int times) override {
+        on_.cones.load(x, on_.x);
+        return flow_.repeat(on_.cones, on_.x, times);
+    }
+
+private:
+    using DescentAny<Flow, V, B>::on_;
+    FlowOn<V, B> flow_;
+    bool placed_;
 };
 
 template <class V, int B> class ConicAny final : public Conic {
@@ -243,6 +290,9 @@ private:
 inline std::unique_ptr<Newton> Newton::make(const Contacts& contacts, const Options& options) {
     return instance<Newton, detail::NewtonAny>(contacts.count, contacts, options);
 }
+inline std::unique_ptr<Flow> Flow::make(const Contacts& contacts, const Options& options, Form form, const StepRule& rule) {
+    return instance<Flow, detail::FlowAny>(contacts.count, contacts, options, form, rule);
+}
 inline std::unique_ptr<Conic> Conic::make(const Contacts& contacts, const Options& options, const double* interior) {
     return instance<Conic, detail::ConicAny>(contacts.count, contacts, options, interior);
 }
@@ -251,8 +301,9 @@ inline std::unique_ptr<Learned> Learned::make(const Contacts& contacts, const Op
     return instance<Learned, detail::LearnedAny>(contacts.count, contacts, options, basis, model);
 }
 inline std::unique_ptr<Pipeline> Pipeline::make(const Contacts& nominal, const Options& options, const double* basis,
-                                                const double* frames, bool remembers, const double* reference) {
-    return instance<Pipeline, detail::PipelineAny>(nominal.count, nominal, options, basis, frames, remembers, reference);
+                                                const double* frames, bool remembers, const double* reference,
+                                                const StepRule* flows) {
+    return instance<Pipeline, detail::PipelineAny>(nominal.count, nominal, options, basis, frames, remembers, reference, flows);
 }
 
 }  // namespace grasp

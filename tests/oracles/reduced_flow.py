@@ -1,18 +1,15 @@
 """The paper's contribution: the flow on the 3N force components, VP_{k+1} = VP_k + alpha_k Q_bar VWP_k (Eqs. 18-26).
 
-The compiled loop is `flow_kernels.flow`; the functions here are its plain twin and make Q_bar.
+matrix is G (6, 3N) in cone coordinates, weights (N, 2) omega and lambda.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-
-from grasp_env._check import Array
-from grasp_env.force.descent import Landscape
-from grasp_env.force.full_flow import projector
-from grasp_env.force.objective import Objective
-from grasp_env.grasp.grasp import Grasp
+from oracles.descent import Landscape
+from oracles.full_flow import projector
+from oracles.phi import gradient, hessian, phi
 
 METRIC = np.array([3.0, 2.0, 2.0])
 """|P|_F^2 = 3 u^2 + 2 o^2 + 2 t^2 per contact."""
@@ -43,24 +40,22 @@ def picked_columns(count: int) -> NDArray[np.int_]:
     return (first[:, None] + np.arange(3)).reshape(-1)
 
 
-def picked_projector(grasp: Grasp) -> Array:
+def picked_projector(matrix: np.ndarray) -> np.ndarray:
     """Q_bar (3N, 9N), picked from the dense Q by Eqs. 19-21: 12 x 36 for four fingers."""
-    q = projector(grasp)
-    return q[np.ix_(picked_rows(grasp.n_contacts), picked_columns(grasp.n_contacts))]
+    count = matrix.shape[1] // 3
+    return projector(matrix)[np.ix_(picked_rows(count), picked_columns(count))]
 
 
-def reduced_projector(grasp: Grasp) -> Array:
-    """The same Q_bar (3N, 9N) in closed form, without the dense Q: microseconds instead of a millisecond.
+def reduced_projector(matrix: np.ndarray) -> np.ndarray:
+    """The same Q_bar (3N, 9N) in closed form, without the dense Q.
 
     With S: (u, o, t) -> vec of its P block and D = S^T S = diag(3, 2, 2), the projector on the affine space is
     S Pi S^T, Pi = D^-1 - D^-1 G^T (G D^-1 G^T)^-1 G D^-1; its picked rows are Pi S^T.
     """
-    g = grasp.cone_matrix.copy()
-    g[3:] /= grasp.length  # the projector does not depend on the unit of moments, its rounding does
-    count = grasp.n_contacts
-    weight = 1.0 / np.tile(METRIC, count)
-    scaled = g * weight
-    pi = np.diag(weight) - scaled.T @ np.linalg.solve(scaled @ g.T, scaled)
+    count = matrix.shape[1] // 3
+    weight = np.tile(1.0 / METRIC, count)
+    scaled = matrix * weight
+    pi = np.diag(weight) - scaled.T @ np.linalg.solve(scaled @ matrix.T, scaled)
     blocks = pi.reshape(3 * count, count, 3)
     q_bar = np.zeros((3 * count, count, 9))
     q_bar[:, :, 0] = q_bar[:, :, 4] = q_bar[:, :, 8] = blocks[:, :, 0]
@@ -69,28 +64,23 @@ def reduced_projector(grasp: Grasp) -> Array:
     return q_bar.reshape(3 * count, 9 * count)
 
 
-def flow_vector(x: Array, objective: Objective) -> Array:
+def flow_vector(x: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """VWP (9N,): the blocks P_i^-1 W_i P_i^-1 - W_p at VP = x, column by column (Eqs. 22-25)."""
     parts = []
-    for (u, o, t), (omega, lam) in zip(x.reshape(-1, 3), objective.weights(len(x) // 3), strict=True):
+    for (u, o, t), (omega, lam) in zip(x.reshape(-1, 3), weights, strict=True):
         inverse = np.linalg.inv(np.array([[u, 0.0, o], [0.0, u, t], [o, t, u]]))
         block = lam * inverse @ inverse - omega * np.eye(3)
         parts.append(block.reshape(-1, order="F"))
     return np.concatenate(parts)
 
 
-def landscape(grasp: Grasp, objective: Objective) -> Landscape:
+def landscape(matrix: np.ndarray, weights: np.ndarray) -> Landscape:
     """What the plain descent walks on: VP and Q_bar."""
-    q_bar = reduced_projector(grasp)
-
-    def curvature(x: Array, move: Array) -> float:
-        steps = move.reshape(-1, 3)
-        return float(np.einsum("ni,nij,nj->", steps, objective.hessian(x), steps))
-
+    q_bar = reduced_projector(matrix)
     return Landscape(
-        value=objective.value,
-        gradient=objective.gradient,
-        curvature=curvature,
-        direction=lambda x: q_bar @ flow_vector(x, objective),
-        metric=np.tile(METRIC, grasp.n_contacts),
+        value=lambda x: float(phi(x, weights)),
+        gradient=lambda x: gradient(x, weights),
+        curvature=lambda x, move: float(move @ hessian(x, weights) @ move),
+        direction=lambda x: q_bar @ flow_vector(x, weights),
+        metric=np.tile(METRIC, len(weights)),
     )
