@@ -138,11 +138,11 @@ def costs_figure(rows: list[dict[str, Any]]) -> Figure:
     figure, panels = _panels(2, 10.5, 4.2)
     marks = {3: "v", 4: "o", 5: "s"}
     for panel, column in zip(panels, ("product_ns", "iteration_ns"), strict=True):
-        for form, colour in zip(study.FORMS, (COLOURS[0], COLOURS[1], COLOURS[7], COLOURS[6], COLOURS[2]), strict=True):
+        for form, colour in zip(study.FORMS, (COLOURS[0], COLOURS[1], COLOURS[2]), strict=True):
             for row in (row for row in rows if row["form"] == form):
                 label = form if row["contacts"] == 4 and column == "product_ns" else None
                 panel.plot(row["operations"], row[column], marks[row["contacts"]], color=colour, label=label)
-        panel.set(xscale="log", yscale="log", xlabel="multiplications of the product step, counted", ylim=(20, None))
+        panel.set(xscale="log", yscale="log", xlabel="multiplications of the product step, counted", ylim=(5, None))
     panels[0].set_ylabel("product step, measured [ns]")
     panels[1].set_ylabel("whole iteration, measured [ns]")
     panels[0].legend(fontsize=8, frameon=False)

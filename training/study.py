@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg import null_space
 
+from grasp_env import core
 from grasp_env._check import Array
+from grasp_env.errors import UnknownNameError
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis
-from grasp_env.force.flow import FORMS, Flow, operations
-from grasp_env.force.flow_products import BETWEEN, GRADIENT, ROW, X, repeat_product
-from grasp_env.force.lanes import LANES
-from grasp_env.force.reduced_flow import METRIC
+from grasp_env.force.basis import core_contacts
+from grasp_env.force.description import METRIC
+from grasp_env.force.record import CODE, ITERATIONS, TRIALS, record_size
 from grasp_env.force.step_size import (
     AdaptiveStep,
     ArmijoStep,
@@ -64,20 +65,38 @@ def rules(fixed: float) -> dict[str, StepRule]:
     }
 
 
+FORMS = ("full", "paper", "reduced")
+"""Ways to make the same step: Q times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12), Q_bar times VWP (Eqs. 18-26), and the fewest products."""
+
+
+def operations(form: str, count: int) -> int:
+    """Multiplications of one product step for N = `count` contacts; see the core's `projection.hpp`.
+
+    Example:
+        >>> [operations(form, 4) for form in FORMS]
+        [20736, 432, 144]
+    """
+    n = 3 * count
+    counts = {"full": n**4, "paper": 3 * n**2, "reduced": n**2 if count <= 4 else 13 * n}
+    if form not in counts:
+        raise UnknownNameError("form of the flow", form, FORMS)
+    return counts[form]
+
+
 class Cases:
-    """One Phi on one grasp: the 12-basis starts of some wrenches, their optima, and the flow.
+    """One Phi on one grasp: the 12-basis starts of some wrenches, their optima, and the flow in one form.
 
     Attributes:
-        starts: (n, 3N) cone coordinates.
+        starts: (n, N, 3) forces [N].
         optima: (n,) min Phi, by Newton to 1e-11.
         forces: (n, N, 3) the optimal forces [N].
     """
 
-    def __init__(self, grasp: Grasp, objective: Objective, wrenches: Array, form: str | None = None) -> None:
-        self.wrenches, self.weights = wrenches, objective.weights(grasp.n_contacts)
-        self.flow = Flow(grasp, form)
-        basis = OfflineBasis.of(grasp, objective)
-        self.starts = np.array([grasp.to_cone(basis.combine(w)) for w in wrenches])
+    def __init__(self, grasp: Grasp, objective: Objective, wrenches: Array, form: str = "reduced") -> None:
+        self.wrenches, self.omega, self.form = wrenches, float(objective.weights(1)[0, 0]), form
+        self.grasp, self._contacts = grasp, core_contacts(grasp, objective)
+        self._basis = OfflineBasis.of(grasp, objective)
+        self.starts = np.array([self._basis.combine(w) for w in wrenches])
         newton = ForceOptimizer(
             grasp,
             method="newton",
@@ -89,37 +108,35 @@ class Cases:
         self.optima = np.array([solution.objective for solution in solutions])
         self.forces = np.array([solution.force for solution in solutions])
 
+    def flow(self, rule: StepRule, tolerance: float = TOLERANCE, limit: int = ITERATION_LIMIT) -> core.Flow:
+        """The flow with that rule."""
+        return core.Flow.on(self._contacts, tolerance, limit, self.form, rule.parameters())
+
+    def run(self, flow: core.Flow, k: int, optimum: float, trace: Array) -> Array:
+        """The record of wrench k from its start."""
+        record = np.empty(record_size(self.grasp.n_contacts))
+        flow.descend(self.wrenches[k], self.starts[k], optimum, trace, record)
+        return record
+
     def iterations(self, rule: StepRule, count: int | None = None) -> tuple[Array, Array]:
         """(accepted steps, trials) of the first `count` wrenches to a gap of 1e-4; inf where it did not get there."""
-        out = np.full((2, len(self.wrenches[:count])), np.inf)
+        out, flow = np.full((2, len(self.wrenches[:count])), np.inf), self.flow(rule)
         for k in range(out.shape[1]):
-            code, steps, trials, *_ = self.flow.run(
-                self.weights,
-                self.starts[k].copy(),
-                self.wrenches[k],
-                rule,
-                tolerance=TOLERANCE,
-                optimum=float(self.optima[k]),
-                max_iterations=ITERATION_LIMIT,
-            )
-            if code == 0:
-                out[:, k] = steps, trials
+            record = self.run(flow, k, float(self.optima[k]), np.empty(0))
+            if record[CODE] == 0:
+                out[:, k] = record[ITERATIONS], record[TRIALS]
         return out[0], out[1]
 
     def microseconds(self, rule: StepRule, repeats: int = 5) -> Array:
         """(n,) shortest of `repeats` certified compiled calls per wrench."""
-        out = np.full(len(self.wrenches), np.inf)
-        for _ in range(repeats):
-            for k, w in enumerate(self.wrenches):
-                x = self.starts[k].copy()
-                begin = time.perf_counter_ns()
-                self.flow.run(self.weights, x, w, rule, tolerance=TOLERANCE)
-                out[k] = min(out[k], (time.perf_counter_ns() - begin) / 1e3)
-        return out
+        flow, best = self.flow(rule), np.empty(len(self.wrenches))
+        flow.set_basis(self._basis.cone_forces)
+        flow.times(self.wrenches, repeats, np.empty((len(best), record_size(self.grasp.n_contacts))), best)
+        return 1e6 * best
 
     def tuned_step(self, count: int = 20) -> float:
         """The longest constant step that never has to be halved on the first wrenches: their fastest, up to rounding."""
-        omega = float(self.weights[0, 0])
+        omega = self.omega
         for size in FIXED_SIZES:
             steps, trials = self.iterations(FixedStep(size / omega), count)
             if (steps == trials).all() and np.isfinite(steps).all():
@@ -213,11 +230,8 @@ def rate_study(grasp: Grasp, load: Array) -> dict[str, Any]:
 def _gaps(cases: Cases, rule: StepRule, limit: int = 5000) -> Array:
     trace = np.full(limit + 1, np.nan)
     best = float(cases.optima[0])
-    _, steps, *_ = cases.flow.run(
-        cases.weights, cases.starts[0].copy(), cases.wrenches[0], rule,
-        tolerance=1e-12, optimum=best, max_iterations=limit, trace=trace,
-    )  # fmt: skip
-    return trace[: steps + 1] / best - 1.0
+    record = cases.run(cases.flow(rule, 1e-12, limit), 0, best, trace)
+    return trace[: int(record[ITERATIONS]) + 1] / best - 1.0
 
 
 def _fit(gaps: Array) -> float | None:
@@ -260,19 +274,12 @@ def cost_study(grasps: dict[str, Grasp], repeats: int) -> list[dict[str, Any]]:
 
 
 def _product_time(cases: Cases) -> float:
-    flow = cases.flow
-    first, second, places = flow.matrices
-    work = np.zeros((len(flow.constants), ROW))
-    work[:, : flow.constants.shape[1]] = flow.constants
-    work[:, 4 * GRADIENT : 4 * GRADIENT + 12] = 0.1
-    for k, value in enumerate(cases.starts[0]):
-        work[k // 12, 4 * (X + k % 3) + k // 3 % 4] = value
-    between = np.zeros((2, max(BETWEEN, first.shape[2], second.shape[1])))
-    times = 100 if flow.form == "full" else 5000  # a fifth of a millisecond: seldom interrupted
+    flow, x = cases.flow(AdaptiveStep()), cases.grasp.to_cone(cases.starts[0])
+    times = 100 if cases.form == "full" else 5000  # a fifth of a millisecond: seldom interrupted
 
     def call(count: int) -> float:
         begin = time.perf_counter_ns()
-        repeat_product(work, FORMS.index(flow.form), first, second, places, between, LANES, count)
+        flow.repeat(x, count)
         return float(time.perf_counter_ns() - begin)
 
     call(1)
@@ -282,17 +289,15 @@ def _product_time(cases: Cases) -> float:
 def _iteration_time(cases: Cases) -> float:
     """Nanoseconds per accepted step with a step short enough that neither trials fail nor an optimum comes near."""
 
-    def call(count: int) -> float:
-        x = cases.starts[0].copy()
+    def call(limit: int) -> float:
+        flow = cases.flow(FixedStep(1e-6), limit=limit)
         begin = time.perf_counter_ns()
-        code, steps, trials, *_ = cases.flow.run(
-            cases.weights, x, cases.wrenches[0], FixedStep(1e-6), optimum=1e-9, max_iterations=count
-        )
+        record = cases.run(flow, 0, 1e-9, np.empty(0))
         elapsed = float(time.perf_counter_ns() - begin)
-        assert (code, steps, trials) == (1, count, count)
+        assert (record[CODE], record[ITERATIONS], record[TRIALS]) == (1, limit, limit)
         return elapsed
 
-    times = 100 if cases.flow.form == "full" else 1000
+    times = 100 if cases.form == "full" else 1000
     call(1)
     return (call(times + 1) - call(1)) / times
 

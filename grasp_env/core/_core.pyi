@@ -141,7 +141,7 @@ class Flow(Newton):
     """The paper's flows: all of Newton's calls, with their steps."""
 
     @staticmethod
-    def make(contacts: Contacts, tolerance: float, limit: int, form: str, rule: object) -> Flow:
+    def on(contacts: Contacts, tolerance: float, limit: int, form: str, rule: object) -> Flow:
         """
         form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the fewest products.
         rule: (5,) kind, first, grow, shrink, decrease, see `step_size.py`.

@@ -7,8 +7,7 @@ friction cone sqrt(o^2 + t^2) < mu * normal. Eigenvalues: u, u + s, u - s with s
 |---|---|
 | VP | cone coordinates x = (u, o, t) per contact, `Grasp.to_cone` |
 | P | `description_matrix` |
-| Q, Q_bar | `full_flow.projector`, `reduced_flow.picked_projector` |
-| VWP | `reduced_flow.flow_vector` |
+| Q, Q_bar, VWP | the core's `projection.hpp`; plain in `tests/oracles/full_flow.py`, `reduced_flow.py` |
 | alpha_k | step size, the rules of `step_size` |
 | W_p = omega I, W_i = lambda I | `Objective.force_weight`, `Objective.barrier_weight` |
 """
@@ -18,6 +17,9 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_env._check import Array, ContactForces
+
+METRIC = np.array([3.0, 2.0, 2.0])
+"""|P|_F^2 = 3 u^2 + 2 o^2 + 2 t^2 per contact: the metric of the flows."""
 
 
 def description_matrix(force: ContactForces, friction: Array) -> Array:

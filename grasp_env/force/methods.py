@@ -115,7 +115,7 @@ class Flow(Newton):
                 f"the full flow is dense: {count} contacts given, at most {core.FULL_CONTACTS}; use another method"
             )
         form, rule = "full" if full else "reduced", settings.step_rule.parameters()
-        return core.Flow.make(contacts, settings.tolerance, settings.max_iterations, form, rule)
+        return core.Flow.on(contacts, settings.tolerance, settings.max_iterations, form, rule)
 
 
 class Conic(OwnStart):

@@ -178,7 +178,8 @@ def checked_rule(rule: Any) -> StepRule:
 
 
 def _share(name: str, value: Any) -> None:
-    if not (isinstance(value, Real) and 0.0 < value < 1.0):
+    given: Any = value  # not as a float: an integer may be too large for one
+    if not (isinstance(value, Real) and 0.0 < given < 1.0):
         raise InvalidInputError(f"{name} must lie in (0, 1), got {value!r}")
 
 

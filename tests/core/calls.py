@@ -20,6 +20,7 @@ LOADS = wrenches(np.random.default_rng(0), 3)
 SIZE = _core.record_size(COUNT)
 INTERNAL = reference_of(SAMPLE)
 LAYER_WEIGHTS = 0.1 * np.random.default_rng(1).standard_normal((2, _core.layer_size(1)))
+RULE = np.array([2.0, 0.3, 1.5, 0.5, 0.0])
 
 
 def contacts() -> _core.Contacts:
@@ -29,6 +30,12 @@ def contacts() -> _core.Contacts:
 
 def newton() -> _core.Newton:
     made = _core.Newton.make(contacts(), TOLERANCE, LIMIT)
+    made.set_basis(SAMPLE.basis)
+    return made
+
+
+def flow() -> _core.Flow:
+    made = _core.Flow.on(contacts(), TOLERANCE, LIMIT, "reduced", RULE)
     made.set_basis(SAMPLE.basis)
     return made
 
@@ -133,6 +140,9 @@ def calls() -> dict[str, Call]:
         "Newton.inside": Call(n.inside, {"point": x, "ray": s.rest}, {}),
         "Newton.newton_step": Call(n.newton_step, {"wrench": LOADS[0], "x": x}, {"step": (12,), "multipliers": (6,)}),
         "Newton.segment": Call(lambda safe, x: n.segment(safe, x), {"safe": s.rest}, {"x": (12,)}),
+        "Flow.on": Call(partial(_core.Flow.on, contacts(), form="paper", **made), {"rule": RULE}, {}),
+        "Flow.repeat": Call(partial(flow().repeat, times=2), {"x": x}, {}),
+        "Flow.solve": Call(flow().solve, {"wrench": LOADS[0], "previous": rows[0]}, {"record": (SIZE,)}),
         "Conic.make": Call(partial(_core.Conic.make, contacts(), **made), {"interior": s.rest}, {}),
         "Conic.solve": Call(partial(c.solve, previous=None), {"wrench": LOADS[0]}, {"record": (SIZE,)}),
         "Conic.solve_many": Call(c.solve_many, {"wrenches": LOADS}, {"records": many}),
@@ -148,7 +158,7 @@ def calls() -> dict[str, Call]:
         "Learned.times": Call(partial(start.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
         "Pipeline.make": Call(
             partial(_core.Pipeline.make, contacts(), remembers=True, **made),
-            basis | {"frames": s.frames, "reference": INTERNAL},
+            basis | {"frames": s.frames, "reference": INTERNAL, "flows": RULE},
             {},
         ),
         "Pipeline.set_basis": Call(pipeline().set_basis, basis | {"frames": s.frames}, {}),

@@ -91,11 +91,13 @@ SPOILED = {
 
 ROWS_OF_ANY = {"a row more", "a row less", "one more", "one less", "empty"}
 OPTIONAL = {
+    ("Flow.solve", "previous"),
     ("Newton.make_basis", "interior"),
     ("Learned.solve", "previous"),
     ("Learned.start", "previous"),
     ("Newton.solve", "previous"),
     ("Newton.solve_many", "previous"),
+    ("Pipeline.make", "flows"),
     ("Pipeline.solve", "adjust"),
 }
 EMPTY_IS_NONE = {("Contacts.make", "tangents"), ("grasp_arrays", "tangents")}

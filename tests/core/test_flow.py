@@ -90,9 +90,7 @@ def test_every_layout_and_form_gives_the_iterates_of_the_plain_flow(count: int, 
         for k in (0, 1, 2, many):
             row, trace = flow(s, layout, rule, form, 1e-300, k).descend(wrench, force, NONE, many + 1)
             assert (row[CODE], row[ITERATIONS]) == (LIMIT, k)
-            np.testing.assert_allclose(
-                coordinates(s, row), iterates[k], rtol=0, atol=1e-9 * np.abs(iterates[k]).max()
-            )
+            np.testing.assert_allclose(coordinates(s, row), iterates[k], rtol=0, atol=1e-9 * np.abs(iterates[k]).max())
             np.testing.assert_allclose(trace[: k + 1], descent.values[: k + 1], rtol=1e-9)
             assert (trace[k + 1 :] == -1.0).all()
             assert row[OBJECTIVE] == trace[k]
@@ -111,9 +109,7 @@ def test_steps_are_the_plain_ones(count: int, rule: StepRule) -> None:
             row, _ = flow(s, layout, rule, REDUCED, 1e-300, k).descend(wrench, force, NONE, 0)
             assert (row[CODE], row[ITERATIONS]) == (LIMIT, k)
             # a line search amplifies what rounding leaves of the direction
-            np.testing.assert_allclose(
-                coordinates(s, row), iterates[k], rtol=0, atol=1e-7 * np.abs(iterates[k]).max()
-            )
+            np.testing.assert_allclose(coordinates(s, row), iterates[k], rtol=0, atol=1e-7 * np.abs(iterates[k]).max())
         assert row[TRIALS] == descent.trials >= many
 
 
@@ -210,7 +206,9 @@ def test_no_rule_hangs(kind: int, shrink: float) -> None:
 def test_no_line_search_hangs(precision: float) -> None:
     s = sample(4)
     wrench, force, _ = starts(s)
-    row, _ = flow(s, (4, 1), np.array([4.0, 1.0, 1.0, 0.5, precision]), REDUCED, 1e-9, 30).descend(wrench, force, NONE, 0)
+    row, _ = flow(s, (4, 1), np.array([4.0, 1.0, 1.0, 0.5, precision]), REDUCED, 1e-9, 30).descend(
+        wrench, force, NONE, 0
+    )
     assert row[CODE] in (CONVERGED, LIMIT, STALLED)
     assert row[TRIALS] <= 31 * 2500
     assert np.isfinite(row).all()
@@ -273,7 +271,7 @@ def test_what_is_refused() -> None:
 def test_contacts_that_hardly_span_the_wrenches(count: int) -> None:
     """Beyond the digits of one Cholesky factor: the second pass makes the rows orthonormal, so that iterates stay balanced."""
     s = sample(count, "thin")
-    wrench, force, x = starts(s)
+    wrench, force, _ = starts(s)
     for layout in layouts(count):
         trace = flow(s, layout, None, REDUCED, 1e-12, 300).descend(wrench, force, NONE, 301)[1]
         # without balance Phi would fall below its least

@@ -1,4 +1,4 @@
-"""Four contacts at a time: the layout, the 6 x 6 system, and Newton's step against dense numpy."""
+"""The 6 x 6 system, the unit frame, and Newton's step against dense numpy."""
 
 from __future__ import annotations
 
@@ -13,13 +13,11 @@ from scipy.linalg import null_space
 from scipy.optimize import minimize
 
 from grasp_env import core
-from grasp_env.force import ForceLimits, lanes, phi_lanes, record
+from grasp_env.force import ForceLimits, lanes, record
 from grasp_env.force.basis import core_contacts
 from grasp_env.force.cholesky6 import PACKED, factor6, solve6
 from grasp_env.force.feasibility import phase_one
-from grasp_env.force.kernels import inverse_hessian
 from grasp_env.force.objective import Objective
-from grasp_env.force.phi_lanes import GRADIENT, WIDTH, B, X
 from grasp_env.force.program import ForceProgram
 from grasp_env.force.program_newton import general_bound, general_newton, general_phi, slacks
 from grasp_env.force.record import LIMIT
@@ -76,7 +74,7 @@ def test_factor6_says_where_a_matrix_is_not_positive() -> None:
     assert not factor6(np.full(PACKED, np.nan), factor) > 0.0
 
 
-# the layout
+# grasps and the unit frame
 
 
 @cache
@@ -96,50 +94,11 @@ def objective_of(count: int, barrier: float = 0.01) -> Objective:
     return Objective(np.linspace(0.7, 1.6, count).tolist(), np.linspace(barrier, 5.0 * barrier, count).tolist())
 
 
-def packed(grasp: Grasp) -> np.ndarray:
-    count = grasp.n_contacts
-    return lanes.pack(grasp, np.arange(1.0, 3 * count + 1), objective_of(count).weights(count))
-
-
-@pytest.mark.parametrize("count", [*COUNTS, 8])
-def test_pack_puts_every_contact_in_its_lane(count: int) -> None:
-    grasp = some_grasp(count)
-    constants = packed(grasp)
-    assert constants.shape == (-(-count // 4), 4 * lanes.CONSTANTS)
-    each = constants.reshape(-1, lanes.CONSTANTS, 4).transpose(0, 2, 1).reshape(-1, lanes.CONSTANTS)
-    g = (grasp.unit_frame @ grasp.cone_matrix).reshape(6, count, 3).transpose(1, 2, 0)
-    divisor = grasp.models.cone_divisor
-    real, empty = each[:count], each[count:]
-    np.testing.assert_array_equal(real[:, lanes.G : lanes.G + 18].reshape(count, 3, 6), g)
-    j = np.array([1.0, -1.0, -1.0])
-    rows, columns = np.tril_indices(6)
-    k = np.einsum("nar,a,nas->nrs", g, j, g)[:, rows, columns]
-    np.testing.assert_allclose(real[:, lanes.K : lanes.K + 21], k, rtol=0, atol=1e-15)
-    # the least change of the force for each unit of balance
-    of_force = (g * divisor[:, :, None]).reshape(-1, 6).T
-    inverse = divisor.reshape(-1)[:, None] * np.linalg.pinv(of_force)
-    pinv = real[:, lanes.PINV : lanes.PINV + 18].reshape(3 * count, 6)
-    np.testing.assert_allclose(pinv, inverse, rtol=0, atol=1e-12 * np.abs(inverse).max())
-    np.testing.assert_array_equal(real[:, lanes.REST : lanes.REST + 3].reshape(-1), np.arange(1.0, 3 * count + 1))
-    np.testing.assert_array_equal(real[:, lanes.DIVISOR : lanes.DIVISOR + 3], divisor)
-    np.testing.assert_array_equal(real[:, lanes.COST], 1.0 / divisor[:, 0])
-    np.testing.assert_array_equal(real[:, lanes.MASK], 1.0)
-    np.testing.assert_array_equal(real[:, [lanes.OMEGA, lanes.LAM]], objective_of(count).weights(count))
-    # a contact without effect, strictly inside its cone
-    assert not empty[:, lanes.G : lanes.REST].any()
-    assert not empty[:, lanes.MASK].any()
-    np.testing.assert_array_equal(
-        empty[:, lanes.REST : lanes.DIVISOR + 3], np.tile([1.0, 0, 0, 1, 1, 1], (len(empty), 1))
-    )
-    np.testing.assert_array_equal(empty[:, [lanes.COST, lanes.OMEGA, lanes.LAM]], 1.0)
-
-
 def test_load_is_the_unit_frame_and_pull_back_its_transpose() -> None:
     rng = np.random.default_rng(3)
     for count in COUNTS:
         grasp = some_grasp(count)
         options, out = lanes.options(grasp, 1e-6, 7, 2.5), np.empty(6)
-        assert [options[k] for k in (lanes.GAP, lanes.STEPS, lanes.LANE_COUNT, lanes.KNOWN)] == [1e-6, 7.0, 4.0, 2.5]
         for w, n in rng.standard_normal((20, 2, 6)):
             lanes.load(w, options, out)
             np.testing.assert_allclose(out, grasp.unit_frame @ w, rtol=1e-12, atol=1e-12 / grasp.length)
@@ -148,76 +107,7 @@ def test_load_is_the_unit_frame_and_pull_back_its_transpose() -> None:
             assert n @ out == pytest.approx(back @ w, rel=1e-10, abs=1e-10)
 
 
-# the sums over four contacts, and the core's Newton
-
-
-def depths(rng: np.random.Generator, count: int, depth: float = 0.5) -> np.ndarray:
-    """(3N,) cone coordinates: tangential parts up to 1 - `depth` of u."""
-    u, angle = rng.uniform(0.5, 2.0, count), rng.uniform(0.0, 2.0 * np.pi, count)
-    s = u * (1.0 - depth) * rng.uniform(0.9, 1.0, count)
-    return np.stack([u, s * np.cos(angle), s * np.sin(angle)], axis=1).reshape(-1)
-
-
-def spread(grasp: Grasp, x: np.ndarray) -> np.ndarray:
-    """A kernel's rows with x in place."""
-    constants = packed(grasp)
-    work = np.zeros((len(constants), WIDTH))
-    work[:, : constants.shape[1]] = constants
-    work[:, 4 * X : 4 * X + 4] = 1.0
-    phi_lanes.spread(x, work)
-    return work
-
-
-def lanes_of(work: np.ndarray, field: int, width: int) -> np.ndarray:
-    """(contacts, width) of a field, empty lanes last."""
-    block = work[:, 4 * field : 4 * (field + width)].reshape(-1, width, 4)
-    return block.transpose(0, 2, 1).reshape(-1, width)
-
-
-@pytest.mark.parametrize("depth", [0.5, 1e-2, 1e-4])
-@pytest.mark.parametrize("count", COUNTS)
-def test_inverse_hessians_are_inverses_of_the_hessian(count: int, depth: float) -> None:
-    grasp, objective = some_grasp(count), objective_of(count)
-    x = depths(np.random.default_rng(count), count, depth)
-    wanted = np.linalg.inv(objective.hessian(x))
-    plain = np.empty((count, 3, 3))
-    inverse_hessian(x, objective.weights(count), plain)
-    work, sums = spread(grasp, x), np.empty(132)
-    phi_lanes.newton_system(work, sums, lanes.LANES)
-    entries = lanes_of(work, B, 6)[:count]
-    symmetric = entries[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(count, 3, 3)
-    # numpy's inverse of the dense block loses what its condition, about 1 / depth^3, asks for
-    for block, mine, other in zip(wanted, symmetric, plain, strict=True):
-        size = np.abs(block).max()
-        np.testing.assert_allclose(mine, block, rtol=0, atol=1e-13 * size / depth**2)
-        np.testing.assert_allclose(other, mine, rtol=0, atol=1e-14 * size)
-    gradient = objective.gradient(x)
-    np.testing.assert_allclose(
-        lanes_of(work, GRADIENT, 3)[:count].reshape(-1), gradient, rtol=1e-13 / depth, atol=1e-12
-    )
-    # the sums: G H^-1 G^T packed, G H^-1 grad, G x
-    sums = sums.reshape(33, 4).sum(axis=1)
-    g = (grasp.unit_frame @ grasp.cone_matrix).reshape(6, count, 3)
-    schur = np.einsum("rna,nab,snb->rs", g, symmetric, g)
-    np.testing.assert_allclose(sums[:21], schur[np.tril_indices(6)], rtol=0, atol=1e-13 * np.abs(schur).max())
-    bent = np.einsum("rna,nab,nb->r", g, symmetric, lanes_of(work, GRADIENT, 3)[:count])
-    np.testing.assert_allclose(sums[21:27], bent, rtol=0, atol=1e-11 * np.abs(bent).max() / depth)
-    np.testing.assert_allclose(sums[27:], g.reshape(6, -1) @ x, rtol=0, atol=1e-13 * np.abs(x).max() * count)
-
-
-@pytest.mark.parametrize("count", COUNTS)
-def test_the_lanes_dual_bound_is_the_objectives(count: int) -> None:
-    rng = np.random.default_rng(4)
-    grasp, objective = some_grasp(count), objective_of(count)
-    g, work = grasp.unit_frame @ grasp.cone_matrix, spread(grasp, depths(rng, count))
-    finite, nothing = 0, 0
-    for _ in range(60):
-        nu, unit = rng.standard_normal(6) * rng.choice([0.3, 1.5, 4.0]), rng.standard_normal(6)
-        mine = phi_lanes.phi_bound(work, unit, *nu, lanes.LANES)
-        twin = objective.lower_bound(nu, g, unit)
-        finite, nothing = finite + np.isfinite(twin), nothing + (twin == -np.inf)
-        assert mine == pytest.approx(twin, rel=1e-9, abs=1e-9)
-    assert min(finite, nothing) > 5
+# the core's Newton
 
 
 def start_near_the_optimum(grasp: Grasp, objective: Objective, load: np.ndarray, away: float) -> np.ndarray:

@@ -1,20 +1,19 @@
-"""Step rules: the compiled loop takes the plain one's steps, and every rule keeps what a flow promises."""
+"""Step rules: every rule keeps what a flow promises, and takes the steps that its docstring says."""
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
 import pytest
-from problems import GRASPS, PAPER_WRENCH, closure_grasps, weights
+from oracles import reduced_flow
+from oracles.descent import Landscape, descend
+from problems import GRASPS, PAPER_WRENCH, closure_grasps
 from scipy.optimize import minimize_scalar
 
 from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.force import LinearCombination, Objective, OfflineBasis, full_flow, reduced_flow
-from grasp_env.force.descent import descend
-from grasp_env.force.flow import FORMS, Flow
-from grasp_env.force.flow_kernels import flow as compiled_flow
-from grasp_env.force.record import CONVERGED, LIMIT, STALLED
+from grasp_env.force import ForceOptimizer, LinearCombination, Objective, OfflineBasis, Status, optimize_force
 from grasp_env.force.step_size import (
     AdaptiveStep,
     ArmijoStep,
@@ -56,110 +55,72 @@ def _start(grasp: Grasp, wrench: np.ndarray = LIGHT, squeeze: float = 2.0) -> np
     return grasp.to_cone(LinearCombination(OBJECTIVE)(grasp, wrench) + squeeze * OfflineBasis.of(grasp, OBJECTIVE).rest)
 
 
-@pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
-@pytest.mark.parametrize("name", GRASPS)
-def test_compiled_steps_are_the_plain_ones(name: str, rule: StepRule) -> None:
-    grasp = GRASPS[name]
-    iterates: list[np.ndarray] = []
-    count = 12  # few enough that no decision hangs on rounding
-
-    def keep(state: np.ndarray, _value: float, _iterations: int) -> bool:
-        iterates.append(state)
-        return False
-
-    start = _start(grasp)
-    plain = descend(start, reduced_flow.landscape(grasp, OBJECTIVE), keep, rule, count)
-    flow = Flow(grasp)
-    for k, expected in enumerate(iterates):
-        x = start.copy()
-        code, iterations, trials, value, _ = flow.run(
-            weights(x, 1.0, 0.1), x, LIGHT, rule, tolerance=1e-300, max_iterations=k
-        )
-        assert (code, iterations) == (LIMIT, k)
-        np.testing.assert_allclose(x, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
-        assert value == pytest.approx(plain.values[k], rel=1e-10)
-    assert trials == plain.trials >= count
-
-
-@pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
-def test_the_plain_full_flow_takes_every_rule(rule: StepRule) -> None:
-    grasp, start = GRASPS["tripod, uneven"], _start(GRASPS["tripod, uneven"])
-    never = lambda state, value, iterations: False  # noqa: E731
-    whole = descend(full_flow.start(start), full_flow.landscape(grasp, OBJECTIVE), never, rule, 8)
-    reduced = descend(start, reduced_flow.landscape(grasp, OBJECTIVE), never, rule, 8)
-    np.testing.assert_allclose(whole.steps, reduced.steps, rtol=1e-6)
-    np.testing.assert_allclose(full_flow.cone_coordinates(whole.state), reduced.state, rtol=0, atol=1e-8)
+def _land(grasp: Grasp) -> Landscape:
+    return reduced_flow.landscape(grasp.cone_matrix, OBJECTIVE.weights(grasp.n_contacts))
 
 
 @pytest.mark.parametrize("rule", [*RULES.values(), *WILD.values()], ids=[*RULES, *WILD])
 def test_every_iterate_is_inside_balanced_and_better(rule: StepRule) -> None:
     rng = np.random.default_rng(3)
     for grasp in closure_grasps(10):
-        flow = Flow(grasp)
+        optimizer = ForceOptimizer(grasp, step_rule=rule, barrier_weight=0.1, tolerance=1e-12, max_iterations=80)
         for wrench in (*wrenches.sample_ball(rng, 2), *wrenches.sample_magnitudes(rng, 2, 1e-3, 1e3)):
-            start = _start(grasp, wrench, 0.0)
-            trace = np.full(81, np.nan)
-            x = start.copy()
-            w = OBJECTIVE.weights(grasp.n_contacts)
-            code, iterations, trials, value, bound = flow.run(
-                w, x, wrench, rule, tolerance=1e-12, max_iterations=80, trace=trace
-            )
-            assert code in (CONVERGED, LIMIT, STALLED)
-            assert np.isfinite(x).all()
-            assert np.isfinite(trace[: iterations + 1]).all()
-            assert (np.diff(trace[: iterations + 1]) < 0.0).all()
-            assert trace[iterations] == value
-            assert OBJECTIVE.value(x) == pytest.approx(value, rel=1e-12)
-            assert trials >= iterations
-            assert bound <= value * (1.0 + 1e-10)
-            assert grasp.cone_margin(grasp.to_force(x)) > 0.0
-            size = np.abs(start).max() + np.abs(wrench[:3]).max() + np.abs(wrench[3:]).max() / grasp.length
-            assert grasp.residual(grasp.to_force(x), wrench) <= 1e-10 * size / min(1.0, grasp.length)
+            solution = optimizer.solve(wrench, trace=True)
+            assert solution.status in (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED)
+            assert np.isfinite(solution.force).all()
+            assert np.isfinite(solution.objective_trace).all()
+            assert len(solution.objective_trace) == solution.iterations + 1
+            assert (np.diff(solution.objective_trace) < 0.0).all()
+            assert solution.objective_trace[-1] == solution.objective
+            x = grasp.to_cone(solution.force).reshape(-1)
+            assert OBJECTIVE.value(x) == pytest.approx(solution.objective, rel=1e-9)
+            assert solution.trials >= solution.iterations
+            assert solution.lower_bound <= solution.objective * (1.0 + 1e-10)
+            assert grasp.cone_margin(solution.force) > 0.0
+            size = np.abs(solution.initial_force).max() + np.abs(grasp.unit_frame @ wrench).max()
+            assert grasp.residual(solution.force, wrench) <= 1e-12 * size
 
 
 @pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
 def test_every_rule_converges_with_a_certificate(rule: StepRule) -> None:
     for grasp in GRASPS.values():
-        x = _start(grasp)
-        code, iterations, _, value, bound = Flow(grasp).run(
-            weights(x, 1.0, 0.1), x, LIGHT, rule, tolerance=1e-8, max_iterations=50_000
+        start = grasp.to_force(_start(grasp))
+        solution = optimize_force(
+            grasp, LIGHT, initial=start, step_rule=rule, barrier_weight=0.1, tolerance=1e-8, max_iterations=50_000
         )
-        assert code == CONVERGED
-        assert iterations > 0
-        assert bound <= value <= bound * (1.0 + 1e-8)
+        assert solution.status is Status.OPTIMAL
+        assert solution.iterations > 0
+        assert solution.lower_bound <= solution.objective <= solution.lower_bound * (1.0 + 1e-8)
 
 
 @pytest.mark.parametrize("rule", [*RULES.values(), WILD["exact, fine"]], ids=[*RULES, "fine"])
 def test_it_stalls_where_floating_point_ends(rule: StepRule) -> None:
-    grasp = GRASPS["cuboid, 4"]
-    x = _start(grasp, PAPER_WRENCH)
-    code, _, _, value, bound = Flow(grasp).run(
-        OBJECTIVE.weights(4), x, PAPER_WRENCH, rule, tolerance=1e-300, max_iterations=200_000
+    solution = optimize_force(
+        GRASPS["cuboid, 4"], PAPER_WRENCH, step_rule=rule, barrier_weight=0.1, tolerance=1e-300, max_iterations=200_000
     )
-    assert code == STALLED or (code == CONVERGED and value <= bound)
-    assert value == pytest.approx(16.888750549924, rel=1e-9)
+    assert solution.status is Status.STALLED or solution.objective <= solution.lower_bound
+    assert solution.objective == pytest.approx(16.888750549924, rel=1e-9)
 
 
-@pytest.mark.parametrize("name", [name for name in RULES if name != "fixed"])  # that one does not grow
-def test_a_start_at_the_apex_gets_away(name: str) -> None:
-    grasp = GRASPS["cuboid, 4"]
-    tiny = 1e-7 * _start(grasp, np.zeros(6))
-    x = tiny.copy()
-    code, iterations, _, value, _ = Flow(grasp).run(
-        OBJECTIVE.weights(4), x, np.zeros(6), RULES[name], tolerance=1e-3, max_iterations=20_000
-    )
-    assert code == CONVERGED
-    assert iterations > 0
-    assert value < 1e-3 * OBJECTIVE.value(tiny)
-
-
-def test_one_compiled_loop_for_all_rules_and_forms() -> None:
-    grasp = GRASPS["tripod"]
-    for form in FORMS:
-        for rule in RULES.values():
-            x = _start(grasp)
-            Flow(grasp, form).run(weights(x, 1.0, 0.1), x, LIGHT, rule, max_iterations=3)
-    assert len(compiled_flow.signatures) <= 1
+@pytest.mark.parametrize(
+    "rule",
+    [
+        AdaptiveStep(first=5e-324, grow=1.0),
+        AdaptiveStep(first=1.7e308, grow=999_999.0, shrink=0.999),
+        AdaptiveStep(grow=float(np.nextafter(1.0, 2.0))),
+        ArmijoStep(first=1e308, shrink=0.999, slope=1.0 - 1e-16),
+        BarzilaiBorweinStep(first=1e308, shrink=0.999, variant="long"),
+        ExactStep(5e-324),
+        FixedStep(1.7e308),
+    ],
+    ids=str,
+)
+def test_the_ends_of_the_ranges_end(rule: StepRule) -> None:
+    begin = time.perf_counter()
+    solution = optimize_force(GRASPS["cuboid, 4"], PAPER_WRENCH, step_rule=rule, max_iterations=200)
+    assert solution.status in (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED)
+    assert solution.trials <= 201 * 2500
+    assert time.perf_counter() - begin < 5.0  # milliseconds in truth
 
 
 def _first_steps(rule: StepRule, count: int) -> tuple[list[np.ndarray], list[float]]:
@@ -170,12 +131,12 @@ def _first_steps(rule: StepRule, count: int) -> tuple[list[np.ndarray], list[flo
         iterates.append(state)
         return False
 
-    result = descend(_start(grasp), reduced_flow.landscape(grasp, OBJECTIVE), keep, rule, count)
+    result = descend(_start(grasp), _land(grasp), keep, rule, count)
     return iterates, result.steps
 
 
 def test_exact_step_is_the_minimum_along_the_ray() -> None:
-    land = reduced_flow.landscape(GRASPS["cuboid, 4"], OBJECTIVE)
+    land = _land(GRASPS["cuboid, 4"])
     iterates, steps = _first_steps(ExactStep(1e-9), 6)
     for x, alpha in zip(iterates, steps, strict=False):
         move = land.direction(x)
@@ -187,7 +148,7 @@ def test_exact_step_is_the_minimum_along_the_ray() -> None:
 
 
 def test_armijo_steps_decrease_sufficiently_and_are_the_first_to() -> None:
-    land = reduced_flow.landscape(GRASPS["cuboid, 4"], OBJECTIVE)
+    land = _land(GRASPS["cuboid, 4"])
     rule = ArmijoStep(first=0.5, shrink=0.5, slope=0.3)
     iterates, steps = _first_steps(rule, 10)
     for x, alpha in zip(iterates, steps, strict=False):
@@ -199,7 +160,7 @@ def test_armijo_steps_decrease_sufficiently_and_are_the_first_to() -> None:
 
 
 def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:
-    land = reduced_flow.landscape(GRASPS["cuboid, 4"], OBJECTIVE)
+    land = _land(GRASPS["cuboid, 4"])
     for variant in ("long", "short", "alternate"):
         iterates, steps = _first_steps(BarzilaiBorweinStep(1e-3, variant=variant), 10)
         for k in range(1, 9):
@@ -216,12 +177,10 @@ def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:
 
 def test_fixed_step_is_fixed_where_it_can_be() -> None:
     assert set(_first_steps(FixedStep(0.01), 50)[1]) == {0.01}
-    grasp = GRASPS["cuboid, 4"]
-    x = _start(grasp)
-    _, iterations, trials, _, _ = Flow(grasp).run(
-        OBJECTIVE.weights(4), x, LIGHT, FixedStep(0.01), tolerance=1e-12, max_iterations=50
+    solution = optimize_force(
+        GRASPS["cuboid, 4"], LIGHT, step_rule=FixedStep(0.01), barrier_weight=0.1, tolerance=1e-12, max_iterations=50
     )
-    assert iterations == trials == 50
+    assert solution.iterations == solution.trials == 50
 
 
 @pytest.mark.parametrize(
@@ -231,6 +190,9 @@ def test_fixed_step_is_fixed_where_it_can_be() -> None:
         (FixedStep, {"size": "big"}, "size must be a number > 0, got 'big'"),
         (ArmijoStep, {"first": float("nan")}, "first must be finite and > 0, got nan"),
         (ArmijoStep, {"shrink": 1.0}, r"shrink must lie in \(0, 1\), got 1.0"),
+        (ArmijoStep, {"shrink": 1.0 - 1e-12}, "shrink must lie between 0.001 and 0.999, got 0.999999999999"),
+        (AdaptiveStep, {"shrink": 1e-9}, "shrink must lie between 0.001 and 0.999, got 1e-09"),
+        (AdaptiveStep, {"grow": float("nan")}, "grow must be a finite factor >= 1, got nan"),
         (ArmijoStep, {"slope": 0.0}, r"slope must lie in \(0, 1\), got 0.0"),
         (AdaptiveStep, {"grow": 0.5}, "grow must be a finite factor >= 1, got 0.5"),
         (AdaptiveStep, {"shrink": "half"}, r"shrink must lie in \(0, 1\), got 'half'"),

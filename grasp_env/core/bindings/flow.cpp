@@ -30,7 +30,7 @@ double repeat(Flow& flow, nb::handle x, int times) { return flow.repeat(in(x, 3 
 void bind_flow(nb::module_& m) {
     m.attr("FULL_CONTACTS") = FULL_CONTACTS;
     nb::class_<Flow, Newton>(m, "Flow", "The paper's flows: all of Newton's calls, with their steps.")
-        .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "form"_a, "rule"_a,
+        .def_static("on", &make, "contacts"_a, "tolerance"_a, "limit"_a, "form"_a, "rule"_a,
                     "form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the fewest products.\n"
                     "rule: (5,) kind, first, grow, shrink, decrease, see `step_size.py`.")
         .def("repeat", &repeat, "x"_a, "times"_a, "Makes the step at x (3N,) so many times; for measurements.");

@@ -8,7 +8,7 @@ namespace grasp {
 // alpha_k, as data; see `step_size.py`.
 struct StepRule {
     enum Kind { FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT };
-    enum Variant { ALTERNATE, LONG_STEP, SHORT_STEP };  // of BARZILAI_BORWEIN, in `grow`
+    static constexpr double ALTERNATE = 0.0, LONG_ONLY = 1.0;  // BARZILAI_BORWEIN has its variant in `grow`; else the short one
     int kind = ADAPTIVE;
     double first = 0.3;     // first trial step [N / omega]
     double grow = 1.5;      // factor after an accepted step
@@ -190,8 +190,8 @@ private:
     double inverse_curvature(double before, double now, double mixed, int iterations) const {
         const double s_y = before - mixed, y_y = (before - mixed) + (now - mixed);
         if (!(s_y > FLAT * before && y_y > 0.0)) return LEAP;
-        const int variant = int(rule.grow);
-        return variant == StepRule::LONG_STEP || (variant == StepRule::ALTERNATE && iterations % 2 == 0) ? before / s_y : s_y / y_y;
+        const bool alternate = rule.grow == StepRule::ALTERNATE, only = rule.grow == StepRule::LONG_ONLY;
+        return only || (alternate && iterations % 2 == 0) ? before / s_y : s_y / y_y;
     }
 
     // Phi where its slope is at most `enough`, along alpha: Newton on the slope, kept in a bracket; inf: not found.
