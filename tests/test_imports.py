@@ -89,9 +89,9 @@ def test_numba_is_imported_where_kernels_are_compiled() -> None:
     assert users == set()  # all of them ask `_compile` and `_views`
     asking = {path.name for path in _files("grasp_env", "force")
               if _imports(path) & {"grasp_env._compile", "grasp_env._views"}}  # fmt: skip
-    # what hard contacts need by `newton` and `conic` is not among them
+    # what hard contacts need by the flows, `newton` and `conic` is not among them
     core_side = {"__init__.py", "basis.py", "batch.py", "initial.py", "method.py", "methods.py", "optimizer.py", "pipeline.py",
-                 "record.py", "repair.py", "solution.py"}  # fmt: skip
+                 "record.py", "repair.py", "solution.py", "step_size.py"}  # fmt: skip
     assert not asking & core_side
     assert "kernels.py" in asking
 
@@ -143,7 +143,7 @@ def loaded():
 
 grasp, wrench = presets.paper_cuboid(), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 assert not loaded(), ("import", loaded())
-for method in ("newton", "conic"):
+for method in ("reduced_flow", "full_flow", "newton", "conic"):
     optimizer = force.ForceOptimizer(grasp, method=method)
     for k in range(2):
         assert optimizer.solve(wrench).status is force.Status.OPTIMAL
@@ -152,13 +152,15 @@ for method in ("newton", "conic"):
     assert force.optimize_forces(grasp, np.tile(wrench, (3, 1)), method=method).optimal.all()
     assert not loaded(), (method, loaded())
 for initial in ("previous", "linear_combination", "single_value", "lagrange", None):
-    force.optimize_force(grasp, wrench, method="newton", initial=initial)
-    assert not loaded(), (initial, loaded())
+    for method in ("reduced_flow", "full_flow", "newton"):
+        force.optimize_force(grasp, wrench, method=method, initial=initial)
+        assert not loaded(), (initial, loaded())
 force.Repair()(grasp, wrench, np.ones((4, 3)))
-pipeline = force.ForcePipeline(grasp, method="newton", initial="previous")
-for adjust in (None, np.ones(6)):
-    assert pipeline.solve(grasp.positions, grasp.normals, wrench, adjust=adjust).status is force.Status.OPTIMAL
-pipeline.carry(grasp.positions, grasp.normals, wrench, np.empty((4, 3)))
+for method in ("reduced_flow", "newton"):
+    pipeline = force.ForcePipeline(grasp, method=method, initial="previous")
+    for adjust in (None, np.ones(6)):
+        assert pipeline.solve(grasp.positions, grasp.normals, wrench, adjust=adjust).status is force.Status.OPTIMAL
+    pipeline.carry(grasp.positions, grasp.normals, wrench, np.empty((4, 3)))
 assert not loaded(), ("pipeline", loaded())
 """
 
@@ -205,7 +207,7 @@ def test_hard_contacts_are_solved_where_they_cannot_be_imported() -> None:
 import numpy as np
 from grasp_env.force import optimize_force
 from grasp_env.grasp import presets
-for method in ("newton", "conic"):
+for method in ("reduced_flow", "full_flow", "newton", "conic"):
     optimize_force(presets.paper_cuboid(), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0]), method=method)
 """
     done = subprocess.run([sys.executable, "-c", script + asked], cwd=ROOT, timeout=120, capture_output=True, text=True)

@@ -30,7 +30,6 @@ ACCEPTED: dict[str, str] = {
     "solver: reduced_flow, 50 random, tight": ROOT,
     "solver: reduced_flow, rough and frictionless, tight": ROOT,
     "solver: newton, rough and frictionless, heavy, tight": ROOT,
-    "solver: reduced_flow, far": "30 m from the origin a start misses balance by the last digits of 3 kN: 1.4e-10 N, recorded 1e-11",
     "solver: newton, far, tight": SHORTER,
     "solver: newton, far, heavy, tight": SHORTER,
     "solver: newton from phase_one, 3 uneven": SHORTER,
