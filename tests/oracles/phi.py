@@ -60,25 +60,36 @@ def inverse_hessian(x: np.ndarray, omega: float, lam: float) -> np.ndarray:
     lambda (diag(2/p^3, 2/q^3) + 4/(p+q)^3 (1, 1)(1, 1)^T), inverted after Sherman and Morrison. Across it the curvature
     is the slope along s divided by s, 4 lambda u / d^2.
     """
-    columns = np.array(axes(x, omega, lam)).T
-    return columns @ columns.T
+    plane, along, across = curvature(x, lam)
+    back = np.array([[1, 1], [1, -1]]) / x.dtype.type(2)  # (p, q) -> (u, s)
+    plane = back @ plane @ back.T
+    side = np.array([-along[1], along[0]])
+    full = np.zeros((3, 3), dtype=x.dtype)
+    full[0, 0], full[0, 1:] = plane[0, 0], plane[0, 1] * along
+    full[1:, 0] = full[0, 1:]
+    full[1:, 1:] = plane[1, 1] * np.outer(along, along) + across * np.outer(side, side)
+    return full
 
 
-def axes(x: np.ndarray, omega: float, lam: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Three a with inverse Hessian = sum of a a^T: close to x, towards the surface, across; see `inverse_hessian`."""
+def curvature(x: np.ndarray, lam: float) -> tuple[np.ndarray, np.ndarray, np.floating]:
+    """Inverse Hessian in p and q (2, 2), the direction of s in (o, t), the inverse curvature across; see `inverse_hessian`."""
     u, o, t = x
     s = np.hypot(o, t)
     along = np.array([o, t]) / s if s > 0.0 else np.array([1.0, 0.0])
     p, q = u + s, u - s
     d = np.array([p**3 / 2, q**3 / 2]) / lam
     c = 4 * lam / (p + q) ** 3
-    plane = np.diag(d) - np.outer(d, d) * (c / (1 + c * d.sum()))
-    # the first two as columns of a Cholesky factor of `plane`, p first; from (p, q) to (u, s) to (u, o, t)
+    return np.diag(d) - np.outer(d, d) * (c / (1 + c * d.sum())), along, (p * q) ** 2 / (4 * lam * u)
+
+
+def axes(x: np.ndarray, lam: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Three a with inverse Hessian = sum of a a^T: close to x, towards the surface, across: a Cholesky factor, p before q."""
+    plane, along, across = curvature(x, lam)
     first = plane[:, 0] / np.sqrt(plane[0, 0])
     second = np.array([0.0, np.sqrt(plane[1, 1] - first[1] ** 2)], dtype=x.dtype)
     made = [np.array([a + b, (a - b) * along[0], (a - b) * along[1]]) / 2 for a, b in (first, second)]
-    across = p * q / (2 * np.sqrt(lam * u))
-    return made[0], made[1], np.array([0.0, -across * along[1], across * along[0]], dtype=x.dtype)
+    root = np.sqrt(across)
+    return made[0], made[1], np.array([0.0, -root * along[1], root * along[0]], dtype=x.dtype)
 
 
 def least_of_lagrangian(y: np.ndarray, omega: float, lam: float) -> tuple[float, float]:
