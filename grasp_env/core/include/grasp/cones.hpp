@@ -180,6 +180,10 @@ public:
         if (outside > INSIDE) nu = (INSIDE / outside) * nu;
     }
 
+    // Whether x, which misses balance by that, counts as balanced.
+    bool balanced(const Field& x, const Vec6& w, double residual) const {
+        return residual <= BALANCED * std::max(size(w), std::min(largest_normal(x), 1.0));
+    }
     // Writes forces, residual and margin of x: what a solution is checked by.
     void certify(const Field& x, const Vec6& w, const Record& record) const {
         record.summary().residual = size(wrench(x) + w);
@@ -188,6 +192,7 @@ public:
     }
 
 private:
+    static constexpr double BALANCED = 1e-9;  // part of the wrench, or of forces up to 1 N
     static constexpr double INSIDE = 1.0 - 1e-13;  // of the way to the surface of the dual cones: beyond it rounding decides
     int needed() const { return (count + W - 1) / W; }
 

@@ -5,9 +5,12 @@
 //     min sum_i c_i u_i  s.t.  G x = -w,  x_i in the cone u >= |(o, t)|      max -w . y  s.t.  s_i = c_i e_u - G_i^T y in it
 //
 // In these coordinates the scaling of a contact is eta (2 v v^T - J), v . J v = 1, so the 6 x 6 matrix of an iteration is the sum of
-// eta (2 (G v)(G v)^T - G J G^T) with G J G^T constant.
+// eta (2 (G v)(G v)^T - G J G^T) with G J G^T constant. Close to losing force closure, or with contacts close together, that sum loses
+// its digits: where it stalls the problem is solved again by least squares in the axes of the scalings, and no step is the difference
+// of two large ones.
 #pragma once
 #include "newton.hpp"
+#include "qr6.hpp"
 
 namespace grasp {
 
@@ -43,7 +46,8 @@ public:
     Field rest;  // an internal force strictly inside the cones: what a start squeezes with
 
     ConicOn(int count, const Options& options)
-        : options(options), cones(count), rest(cones.field()), force_(cones.field()), first_(cones.field()) {
+        : options(options), cones(count), rest(cones.field()), force_(cones.field()), first_(cones.field()),
+          qr_(3 * width<V> * int(cones.blocks.size())), fitted_(3 * width<V> * int(cones.blocks.size())) {
         resize(at_, cones.blocks.size());
     }
 
@@ -60,6 +64,36 @@ public:
             return CONVERGED;
         }
         const Vec6 minus = (-1.0 / scale) * unit;
+        Code code = descend<false>(unit, minus, scale, record);
+        if (code == STALLED) {  // S has lost its digits
+            const double tried = out.iterations;
+            code = descend<true>(unit, minus, scale, record);
+            out.trials += tried;
+        }
+        return code;
+    }
+
+private:
+    static constexpr double STEP = 0.995;  // the largest part of the way to the boundary
+
+    struct At {
+        Vec3<V> x, s;     // primal and dual slack
+        Scaling<V> m;
+        Vec3<V> l, d, q;  // scaled point, (scaled) dual direction, dx
+        V share, l0;      // of the boundary at l; 1 / l_0
+        Vec3<V> first;    // first x, for the record
+
+        Boundary<V> boundary() const { return {l, m.root, share}; }  // l . J l = s . J s
+    };
+    Blocks<At, B> at_;
+    Field force_, first_;  // what is written
+    Ldl6 ldl_;
+    Qr6 qr_;
+    std::vector<double> fitted_;  // scaled, by axes
+    int blocks() const { return int(at_.size()); }
+
+    // From the start to the record. EXACT: dy by least squares instead of S, which has the square of their condition number.
+    template <bool EXACT> Code descend(const Vec6& unit, const Vec6& minus, double scale, const Record& record) {
         double price = start(minus), gap = price, goal = options.tolerance, certified = infinity;
         Vec6 y{};
         int iterations = 0;
@@ -79,18 +113,19 @@ public:
                 code = LIMIT;
                 break;
             }
-            Ldl6 schur;
-            if (!(system(schur) > 0.0)) {
+            if (!(EXACT ? axes() : system(ldl_) > 0.0)) {
                 code = STALLED;
                 break;
             }
             // predictor: dx + M ds = -x, so that S dy = G x = -w
-            const auto [primal, dual, cross, square] = predict(schur.solve(minus));
+            const Vec6 down = EXACT ? fit([](const At& at) { return at.m.scaled(at.s); }) : ldl_.solve(minus);
+            const auto [primal, dual, cross, square] = predict(down);
             const double after = gap + dual * cross - primal * (gap + cross) - primal * dual * (cross + square);
             const double part = std::max(after, 0.0) / gap, centring = std::min(1.0, part * part * part);
             const double reach = 0.9 + (STEP - 0.9) * std::min(primal, dual);
-            const Vec6 dy = schur.solve(centre(centring * gap / (2.0 * cones.count)));
-            const auto [longest_x, longest_s] = direct(dy, reach);
+            const Vec6 pull = centre(centring * gap / (2.0 * cones.count));
+            const Vec6 dy = EXACT ? step(missed(minus)) : ldl_.solve(pull);
+            const auto [longest_x, longest_s] = direct<EXACT>(dy, reach);
             if (!(longest_x + longest_s > 1e-6)) {
                 code = STALLED;
                 break;
@@ -100,25 +135,76 @@ public:
             gap = reached.gap, price = reached.price;
         }
         if (!(certified <= options.tolerance) && certify(unit, minus, scale, y, record) <= options.tolerance) code = CONVERGED;
+        Summary& out = record.summary();
         out.code = code, out.iterations = out.trials = iterations;
         return code;
     }
 
-private:
-    static constexpr double STEP = 0.995;  // the largest part of the way to the boundary
+    Vec6 missed(const Vec6& minus) const {  // G x + w
+        V total[6] = {};
+        for (int b = 0; b < blocks(); ++b) cones.blocks[b].add_wrench(at_[b].x, total);
+        return sums(total) - minus;
+    }
 
-    struct At {
-        Vec3<V> x, s;     // primal and dual slack
-        Scaling<V> m;
-        Vec3<V> l, d, q;  // scaled point, (scaled) dual direction, dx
-        V share, l0;      // of the boundary at l; 1 / l_0
-        Vec3<V> first;    // first x, for the record
+    // M by its axes: along v, against it, across both. None of its numbers is a difference, and none loses digits to a larger one.
+    struct RootAxes {
+        Vec3<V> axis[3];
+        V size[3];  // of M's root: sqrt(eta) times v_0 + |v|, 1 / (v_0 + |v|), 1
 
-        Boundary<V> boundary() const { return {l, m.root, share}; }  // l . J l = s . J s
+        explicit RootAxes(const Scaling<V>& m) {
+            const V half = all<V>(0.70710678118654752440), s = sqrt(m.v.o * m.v.o + m.v.t * m.v.t), root = sqrt(m.eta);
+            const V o = s > 1e-140 ? m.v.o / s : all<V>(1.0), t = s > 1e-140 ? m.v.t / s : V{};
+            axis[0] = half * Vec3<V>{all<V>(1.0), o, t}, axis[1] = half * Vec3<V>{all<V>(1.0), -o, -t}, axis[2] = {V{}, -t, o};
+            size[0] = root * (m.v.u + s), size[1] = root / (m.v.u + s), size[2] = root;
+        }
     };
-    Blocks<At, B> at_;
-    Field force_, first_;  // what is written
-    int blocks() const { return int(at_.size()); }
+    // A with S = A^T A, factored.
+    bool axes() {
+        for (int b = 0; b < blocks(); ++b) {
+            const RootAxes m(at_[b].m = Scaling<V>(at_[b].x, at_[b].s));
+            for (int k = 0; k < 3; ++k)
+                for (int r = 0; r < 6; ++r) {
+                    const V row = m.size[k] * dot(cones.blocks[b].g[r], m.axis[k]);
+                    for (int n = 0; n < width<V>; ++n) qr_((3 * b + k) * width<V> + n, r) = get(row, n);
+                }
+        }
+        return qr_.factor();
+    }
+    // The dy of which A dy is nearest to a scaled field
+    template <class F> Vec6 fit(F&& field) {
+        for (int b = 0; b < blocks(); ++b) {
+            const RootAxes m(at_[b].m);
+            const Vec3<V> d = sqrt(at_[b].m.eta) * field(at_[b]);
+            for (int k = 0; k < 3; ++k) {
+                const V part = dot(d, m.axis[k]);
+                for (int n = 0; n < width<V>; ++n) fitted_[(3 * b + k) * width<V> + n] = get(part, n);
+            }
+        }
+        return qr_.reject(fitted_);
+    }
+    // dy and q = dx, the root of M times what A dy leaves of d: never the difference of two large steps. Takes off what x misses.
+    Vec6 step(const Vec6& left) {
+        Vec6 dy = -1.0 * fit([](const At& at) { return at.d; });
+        for (auto& at : at_) at.q = {V{}, V{}, V{}};
+        add(fitted_);
+        for (int round = 0; round < 3; ++round) {
+            V total[6] = {};
+            for (int b = 0; b < blocks(); ++b) cones.blocks[b].add_wrench(at_[b].q, total);
+            dy = dy + qr_.least(-1.0 * (sums(total) + left), fitted_);
+            add(fitted_);
+        }
+        return dy;
+    }
+    void add(const std::vector<double>& z) {
+        for (int b = 0; b < blocks(); ++b) {
+            const RootAxes m(at_[b].m);
+            for (int k = 0; k < 3; ++k) {
+                V part{};
+                for (int n = 0; n < width<V>; ++n) set(part, n, z[(3 * b + k) * width<V> + n]);
+                at_[b].q += (m.size[k] * part) * m.axis[k];
+            }
+        }
+    }
 
     // x = -G^+ w + k rest with k beyond what the triangle inequality asks, s = c; returns the price
     double start(const Vec6& minus) {
@@ -196,14 +282,19 @@ private:
 
     // d = ds, q = dx; returns the steps, `reach` of the way to the boundary of x and s
     struct Steps { double primal, dual; };
-    Steps direct(const Vec6& dy, double reach) {
+    template <bool EXACT> Steps direct(const Vec6& dy, double reach) {
         V primal = all<V>(reach), dual = all<V>(reach);
         for (int b = 0; b < blocks(); ++b) {
             auto& at = at_[b];
-            const Vec3<V> d = -cones.blocks[b].transposed(dy), e = at.m.scaled(d);
-            const Boundary<V> edge = at.boundary();
-            dual = max(dual, edge.per(e)), primal = max(primal, edge.per(at.d - e));
-            at.q -= at.m.twice(d);
+            const Vec3<V> d = -cones.blocks[b].transposed(dy);
+            if constexpr (EXACT) {  // q is dx already
+                dual = max(dual, Boundary<V>(at.s).per(d)), primal = max(primal, Boundary<V>(at.x).per(at.q));
+            } else {
+                const Vec3<V> e = at.m.scaled(d);
+                const Boundary<V> edge = at.boundary();
+                dual = max(dual, edge.per(e)), primal = max(primal, edge.per(at.d - e));
+                at.q -= at.m.twice(d);
+            }
             at.d = d;
         }
         return {reach / largest(primal), reach / largest(dual)};
@@ -249,10 +340,24 @@ private:
         cones.store_force(first_, record.initial_force());
         cones.certify(force_, unit, record);
         Summary& out = record.summary();
+        if (!(out.margin >= 0.0)) price = go_inside(unit, record);
         out.multipliers = cones.unit.pull_back(theta * y);
         out.lower_bound = scale * std::max(theta * dot(minus, y), 0.0);
         out.objective = sum(price);
-        return out.lower_bound > 0.0 ? (out.objective - out.lower_bound) / out.lower_bound : infinity;
+        if (!(out.lower_bound > 0.0) || !cones.balanced(force_, unit, out.residual)) return infinity;
+        return (out.objective - out.lower_bound) / out.lower_bound;
+    }
+    // Where rounding left a force outside a cone: on the way to the start, all of whose digits are inside.
+    [[gnu::cold, gnu::noinline]] V go_inside(const Vec6& unit, const Record& record) {
+        for (double part = 1e-15; !(record.summary().margin >= 0.0); part = std::min(1.0, 4.0 * part)) {
+            for (int b = 0; b < blocks(); ++b)
+                force_[b] = part < 1.0 ? force_[b] + all<V>(part) * (first_[b] - force_[b]) : first_[b];
+            cones.certify(force_, unit, record);
+            if (part == 1.0) break;
+        }
+        V price{};
+        for (int b = 0; b < blocks(); ++b) price += cones.blocks[b].mask * cones.blocks[b].cost * force_[b].u;
+        return price;
     }
 };
 

@@ -108,27 +108,25 @@ public:
 
     // An internal force strictly inside the cones, in x: infeasible-start Newton from the axes; false without force closure.
     bool internal_force() {
-        for (int b = 0; b < int(x.size()); ++b)
-            x[b] = {sqrt(cones.blocks[b].weights.lambda / cones.blocks[b].weights.omega), V{}, V{}};
-        for (int iteration = 0; iteration < 200; ++iteration) {
-            if (!system.assemble(cones, x) || !(cones.largest_normal(x) < LARGEST)) return false;
-            const double force = cones.largest_normal(x);
+        const auto plain = [&] {
+            if (!system.assemble(cones, x)) return false;
             system.direction(cones, system.multipliers(system.made), step_);
-            if (size(system.made) < 1e-9 * force && cones.largest_normal(step_) < 1e-2 * force) {
-                cones.balance(x, Vec6{});
-                return cones.phi(x) < infinity;
-            }
-            const double reach = cones.reach(x, step_), alpha = reach > 0.0 ? std::min(1.0, 0.9 / reach) : 1.0;
-            for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
-        }
-        return false;
+            return true;
+        };
+        const auto careful = [&] {  // the barrier and any part of the price
+            if (!steep.assemble(cones, x, cones.wrench(x), step_, centring_)) return false;
+            const double part = reachable(0.0);
+            for (int b = 0; b < int(x.size()); ++b) step_[b] = all<V>(part) * step_[b] + centring_[b];
+            return true;
+        };
+        return balance_inside(plain) || balance_inside(careful);
     }
 
 private:
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
     static constexpr int PATIENCE = 40;        // whole descents take half as many steps, unless they crawl along a surface
+    static constexpr int LONGEST = 400;        // the same along the central path: 40 at the most, but where hardly any force is inside
     static constexpr double MISSES = 1e-13;    // a step that misses balance by less than this part of Phi needs no refinement
-    static constexpr double BALANCED = 1e-9;   // part of the wrench, or of forces up to 1 N, that a balanced force may miss
     static constexpr double ROUNDED = 1e-13;   // part of Phi
     static constexpr double SHORTEST = 1e-10;  // a step moves x by at least this part of its length
     static constexpr double BELOW = -1e-9;     // rounding by which Phi may fall short of its bound
@@ -214,6 +212,7 @@ private:
             if (const double bound = at.known ? at.bound : cones.lower_bound(nu, w); bound >= at.bound) at.bound = bound, at.nu = nu;
             if (certified(at.value, at)) return CONVERGED;
             if (at.iterations >= options.limit) return LIMIT;
+            if (at.iterations >= LONGEST) return STALLED;
             for (int b = 0; b < int(x.size()); ++b) step_[b] = all<V>(part) * step_[b] + centring_[b];
             for (int round = 0; round < REFINEMENTS; ++round) steep.restore(left + cones.wrench(step_), step_);
             cones.subtract(step_, left + cones.wrench(step_));
@@ -224,6 +223,22 @@ private:
             for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
             at.value = cones.phi(x);
         }
+    }
+
+    template <class F> bool balance_inside(F&& find) {
+        for (int b = 0; b < int(x.size()); ++b)
+            x[b] = {sqrt(cones.blocks[b].weights.lambda / cones.blocks[b].weights.omega), V{}, V{}};
+        for (int iteration = 0; iteration < 200; ++iteration) {
+            const double force = cones.largest_normal(x), missed = size(cones.wrench(x));
+            if (!(force < LARGEST) || !find()) return false;
+            if (missed < 1e-9 * force && cones.largest_normal(step_) < 1e-2 * force) {
+                cones.balance(x, Vec6{});
+                return cones.phi(x) < infinity;
+            }
+            const double reach = cones.reach(x, step_), alpha = reach > 0.0 ? std::min(1.0, 0.9 / reach) : 1.0;
+            for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
+        }
+        return false;
     }
 
     // The largest part of the price that a whole step of `follow` may go to, no less than that to which x is nearest.
@@ -237,9 +252,10 @@ private:
         if (reach(1.0) <= LONG) return 1.0;
         double low = std::min(std::max(steep.nearest(), std::max(1e-3 * before, 1e-30)), 1.0), high = 1.0;
         if (reach(low) > LONG) return low;
-        while (high > 1.1 * low) {
-            const double middle = std::sqrt(low * high);
-            (reach(middle) <= LONG ? low : high) = middle;
+        for (int round = 0; round < HALVINGS; ++round) {
+            const double middle = std::sqrt(low * high), found = reach(middle);
+            (found <= LONG ? low : high) = middle;
+            if (found <= LONG && found > 0.8 * LONG) break;
         }
         return low;
     }
@@ -249,17 +265,14 @@ private:
         Summary& s = record.summary();
         if (at.iterations > 0) cones.balance(x, w);  // what rounding left of G x + w
         cones.certify(x, w, record);
-        if (!(s.margin > 0.0 && balanced(s.residual, w))) mend(safe, w, record);
+        if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual))) mend(safe, w, record);
         s.objective = cones.phi(x), s.lower_bound = at.bound, s.multipliers = cones.unit.pull_back(at.nu);
         if (std::abs(s.objective - at.value) <= ROUNDED * at.value) s.objective = at.value;
-        if (!balanced(s.residual, w) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
+        if (!cones.balanced(x, w, s.residual) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
         s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.reserved = 0.0;
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
         std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
         return code;
-    }
-    bool balanced(double residual, const Vec6& w) const {
-        return residual <= BALANCED * std::max(size(w), std::min(cones.largest_normal(x), 1.0));
     }
     // What misses balance is balanced; what rounding took out of a cone goes back, on the way to `safe`.
     [[gnu::cold, gnu::noinline]] void mend(const Field& safe, const Vec6& w, const Record& record) {

@@ -51,14 +51,11 @@ public:
         give(g);
         return back(n);
     }
+    // (A^T A)^-1 b
+    Vec6 solve(const Vec6& b) const { return back(forward(b)); }
     // z = the least z with A^T z = b; returns the n of z = A n
     Vec6 least(const Vec6& b, std::vector<double>& z) {
-        Vec6 n;
-        for (int k = 0; k < 6; ++k) {
-            n[k] = b[order_[k]];
-            for (int j = 0; j < k; ++j) n[k] -= column(k)[j] * n[j];
-            n[k] /= diagonal_[k];
-        }
+        const Vec6 n = forward(b);
         std::fill(work_.begin(), work_.end(), 0.0);
         std::copy(n.begin(), n.end(), work_.begin());
         give(z);
@@ -74,6 +71,7 @@ private:
     double diagonal_[6], scale_[6];
 
     double* column(int j) { return a_.data() + rows_ * j; }
+    const double* column(int j) const { return a_.data() + rows_ * j; }
     double dot(const double* a, const double* b, int from) const {
         double total = 0.0;
         for (int i = from; i < rows_; ++i) total += a[i] * b[i];
@@ -91,7 +89,16 @@ private:
         for (int k = 5; k >= 0; --k) reflect(k, work_.data());
         for (int i = 0; i < rows_; ++i) g[place_[i]] = work_[i];
     }
-    Vec6 back(Vec6 n) {  // R^-1 n, in the order that was given
+    Vec6 forward(const Vec6& b) const {  // R^-T b, b in the order that was given
+        Vec6 n;
+        for (int k = 0; k < 6; ++k) {
+            n[k] = b[order_[k]];
+            for (int j = 0; j < k; ++j) n[k] -= column(k)[j] * n[j];
+            n[k] /= diagonal_[k];
+        }
+        return n;
+    }
+    Vec6 back(Vec6 n) const {  // R^-1 n, in the order that was given
         Vec6 out;
         for (int k = 5; k >= 0; --k) {
             for (int j = k + 1; j < 6; ++j) n[k] -= column(j)[k] * n[j];
