@@ -40,11 +40,13 @@ class Status(Enum):
 
 
 _HELP = {
-    Status.OPTIMAL: "The relative gap of the objective to its certified lower bound is within the tolerance.",
+    Status.OPTIMAL: "The relative gap of the objective to its certified lower bound is within the tolerance; the force is balanced and "
+    "inside the cones.",
     Status.ITERATION_LIMIT: "Stopped at max_iterations: the force is balanced and inside the cones, not optimal "
     "to the tolerance; raise max_iterations or the tolerance, or start closer.",
-    Status.STALLED: "No step decreases the objective in floating point: the force is balanced and inside the "
-    "cones; the tolerance asks for more digits than the problem has.",
+    Status.STALLED: "No further progress in floating point: the force is inside the cones; optimality_gap and equilibrium_residual say "
+    "how good it is. Either the tolerance asks for more digits than the problem has, or it has few: contacts close together or close "
+    "to losing force closure, weights or friction decades apart.",
     Status.INFEASIBLE: "No force strictly inside the limits balances the wrench; `certificate` is a twist that proves it.",
 }
 STATUSES = (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED, Status.INFEASIBLE)
