@@ -1,14 +1,23 @@
-"""The one shape-and-finiteness check of the public boundaries, and the array aliases."""
+"""The checks of the public boundaries, where numbers, names and objects enter, and the array aliases.
+
+What passes them is float64, finite, of the right shape and within `ranges`; what does not is told in one `InvalidInputError`.
+Text, booleans, complex numbers, dates and masked entries are no numbers, though numpy would make some of them.
+"""
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+import math
+from collections.abc import Callable, Iterable
+from numbers import Real
+from typing import Any, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from grasp_env import ranges
 from grasp_env.core import LARGEST, all_finite
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError, shown
+from grasp_env.ranges import Range
 
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
@@ -17,13 +26,28 @@ Wrench: TypeAlias = Array
 """(6,): force [N] then moment about the object origin [N m], object frame, acting ON the object."""
 ContactForces: TypeAlias = Array
 """(N, 3): force of each finger on the object [N] as (normal, o, t) in that contact's frame."""
+Shape: TypeAlias = tuple[int | None, ...]
+"""None: any length."""
+T = TypeVar("T")
+
+_FLOAT = np.dtype(np.float64)
+_KINDS = {"U": "text", "S": "bytes", "b": "true or false", "c": "complex", "M": "dates", "m": "times", "V": "records"}
 
 
-def as_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Array:
-    """Returns `value` as a finite float64 array of `shape` (None: any length).
+def as_array(
+    value: ArrayLike, shape: Shape | None, name: str, within: Range | None = None, *, finite: bool = True
+) -> Array:
+    """Returns `value` as a new finite float64 array of `shape`.
+
+    Args:
+        value: numbers.
+        shape: of the array, None in it: any length; None: any shape.
+        name: for messages.
+        within: where every number must lie.
+        finite: whether infinite ones and nan are refused.
 
     Raises:
-        InvalidInputError: not numeric, another shape, or not finite.
+        InvalidInputError: not numbers, another shape, not finite, or out of range.
 
     Example:
         >>> as_array([1, 2], (None,), "masses")
@@ -31,42 +55,203 @@ def as_array(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
         >>> as_array([1, float("nan")], (2,), "masses")
         Traceback (most recent call last):
         grasp_env.errors.InvalidInputError: masses must be finite, got [1.0, nan]
+        >>> as_array("0.4", (), "friction")
+        Traceback (most recent call last):
+        grasp_env.errors.InvalidInputError: friction must be numbers of shape (): text is no number, got '0.4'
     """
-    try:
-        if not (type(value) is np.ndarray and value.dtype.kind == "f") and np.iscomplexobj(value):
-            raise TypeError("complex")
-        array = np.array(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {error}") from None
-    if array.shape != shape and (
-        array.ndim != len(shape)
-        or any(want is not None and want != got for want, got in zip(shape, array.shape, strict=False))
-    ):
-        raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {array.shape}")
-    if not all_finite(array):
-        raise InvalidInputError(f"{name} must be finite, got {array.tolist()}")
+    if type(value) is np.ndarray and value.dtype is _FLOAT:
+        _check_shape(value.shape, shape, name)
+        array = np.array(value, order="C")
+    else:
+        array = _converted(value, shape, name)
+    if finite and not all_finite(array):
+        raise InvalidInputError(f"{name} must be finite, got {shown(array)}")
+    if within is not None and array.size and not (array.min() >= within.low and array.max() <= within.high):
+        worst = array[~((array >= within.low) & (array <= within.high))].flat[0]
+        raise InvalidInputError(f"{name} must lie within {within}, got {worst:g}{'' if array.ndim == 0 else ' in it'}")
     return array
 
 
 def as_wrench(value: ArrayLike, name: str = "wrench") -> Wrench:
     """(6,) finite wrench [N, N m] with components up to 1e12; see `as_array`."""
-    wrench = as_array(value, (6,), name)
-    if np.abs(wrench).max() > LARGEST:
-        raise InvalidInputError(f"{name} must have components up to {LARGEST:g} N and N m, got {wrench.tolist()}")
+    return checked_size(as_array(value, (6,), name), name)
+
+
+def checked_size(wrench: Array, name: str = "wrench") -> Array:
+    """Finite wrenches (..., 6) with components up to 1e12 N and N m.
+
+    Raises:
+        InvalidInputError: a larger one.
+    """
+    if wrench.size and np.abs(wrench).max() > LARGEST:
+        raise InvalidInputError(f"{name} must have components up to {LARGEST:g} N and N m, got {shown(wrench)}")
     return wrench
 
 
-def positive(value: Any, name: str) -> float:
-    """A finite float > 0, or `InvalidInputError`."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InvalidInputError(f"{name} must be a number > 0, got {value!r}") from None
-    if not np.isfinite(number) or number <= 0.0:
+def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
+    """A float > 0 within a range, or `InvalidInputError`.
+
+    Example:
+        >>> positive(1e300, "friction", ranges.FRICTION)
+        Traceback (most recent call last):
+        grasp_env.errors.InvalidInputError: friction must lie within 1e-06 to 10000, got 1e+300
+    """
+    if type(value) is float and within.low <= value <= within.high:
+        return value
+    number = _scalar(value)
+    if number is None:
+        raise InvalidInputError(f"{name} must be a number > 0, got {shown(value)}")
+    if not math.isfinite(number) or number <= 0.0:
         raise InvalidInputError(f"{name} must be finite and > 0, got {number}")
+    if not within.low <= number <= within.high:
+        raise InvalidInputError(f"{name} must lie within {within}, got {number:g}")
     return number
 
 
-def _text(shape: tuple[int | None, ...]) -> str:
+def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
+    """A finite float within a range, or `InvalidInputError`."""
+    found = _scalar(value)
+    if found is None or not within.low <= found <= within.high:
+        raise InvalidInputError(f"{name} must be a number within {within}, got {shown(value)}")
+    return found
+
+
+def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
+    """An integer from `least` to `most`, or `InvalidInputError`; 2.0 is none.
+
+    Example:
+        >>> whole(-1, "seed", 0)
+        Traceback (most recent call last):
+        grasp_env.errors.InvalidInputError: seed must be an integer >= 0, got -1
+    """
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+        raise InvalidInputError(f"{name} must be an integer >= {least}, got {shown(value)}")
+    if value > most:
+        raise InvalidInputError(f"{name} must be an integer from {least} to {most}, got {shown(value)}")
+    return int(value)
+
+
+def generator(seed: Any, name: str = "seed") -> np.random.Generator:
+    """Random numbers of an integer seed >= 0, or `InvalidInputError`."""
+    return np.random.default_rng(whole(seed, name, 0))
+
+
+def choice(value: Any, kind: str, allowed: Iterable[str], hint: str = "") -> str:
+    """One of some names, or `UnknownNameError`: of any object, also of one that has no hash or is equal to everything."""
+    names = tuple(allowed)
+    if not isinstance(value, str) or value not in names:
+        raise UnknownNameError(kind, value, names, hint)
+    return value
+
+
+def flag(value: Any, name: str) -> bool:
+    """True or False, or `InvalidInputError`."""
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidInputError(f"{name} must be True or False, got {shown(value)}")
+    return bool(value)
+
+
+def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> T:
+    """`value` where it is a `kind` (or None, where that is allowed), or `InvalidInputError`."""
+    if not isinstance(value, kind) and not (or_none and value is None):
+        what = f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}{' or None' if or_none else ''}"
+        raise InvalidInputError(f"{name} must be {what}, got {shown(value)}")
+    return value
+
+
+def together(*checks: Callable[[], Any]) -> list[Any]:
+    """What the checks return; where several fail, one error tells of all.
+
+    Raises:
+        GraspError: the one failure as it is, or an `InvalidInputError` of them all.
+
+    Example:
+        >>> together(lambda: positive(0.0, "mass"), lambda: positive(-1.0, "size"))
+        Traceback (most recent call last):
+        grasp_env.errors.InvalidInputError: mass must be finite and > 0, got 0.0; size must be finite and > 0, got -1.0
+    """
+    found: list[Any] = []
+    faults: list[GraspError] = []
+    for check in checks:
+        try:
+            found.append(check())
+        except GraspError as error:
+            faults.append(error)
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        raise InvalidInputError("; ".join(dict.fromkeys(map(str, faults))))
+    return found
+
+
+def _scalar(value: Any) -> float | None:
+    """A real number of any type, or an array of one without axes, as a float, infinite where it is too large; None: no number."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value.item()
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return None
+    try:
+        with np.errstate(all="ignore"):
+            return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+    except Exception:  # a number of somebody else's
+        return None
+
+
+def _converted(value: Any, shape: Shape | None, name: str) -> Array:
+    """A new float64 array of anything that holds numbers."""
+
+    def refuse(why: object) -> NoReturn:
+        raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}")
+
+    try:
+        rows, depth = value, 0  # nothing that would fill the memory is turned into an array
+        while isinstance(rows, list | tuple | range) and len(rows):
+            depth += 1
+            if len(rows) > ranges.NUMBERS or depth > 8:
+                break
+            rows = rows[0]
+        else:
+            depth = 0
+        given = None if depth else np.asarray(value)
+    except Exception as error:  # numpy's, or of somebody else's __array__
+        refuse(str(error).partition("\n")[0].rstrip(".")[:200])
+    if given is None:
+        refuse("nested too deep or too long")
+    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+        refuse("masked entries are no numbers")
+    kind = given.dtype.kind
+    if kind in _KINDS:
+        refuse(f"{_KINDS[kind]} {'is' if kind == 'U' else 'are'} no {'number' if kind == 'U' else 'numbers'}")
+    _check_shape(given.shape, shape, name)
+    if isinstance(value, list | tuple) and bool in set(map(type, np.asarray(value, dtype=object).flat)):
+        refuse("true and false are no numbers")  # numpy would take them for 1 and 0
+    if kind == "O":  # integers of any size, fractions
+        each = [_scalar(number) for number in given.flat]
+        if None in each:
+            refuse("not all of it is numbers")
+        return np.array(each, dtype=np.float64).reshape(given.shape)
+    with np.errstate(all="ignore"):
+        return np.array(given, dtype=np.float64, order="C")
+
+
+def _check_shape(got: tuple[int, ...], shape: Shape | None, name: str) -> None:
+    if (
+        shape is not None
+        and got != shape
+        and (
+            len(got) != len(shape)
+            or any(want is not None and want != have for want, have in zip(shape, got, strict=False))
+        )
+    ):
+        raise InvalidInputError(f"{name} must have shape {_text(shape)}, got {got}")
+    if (shape is None or None in shape) and math.prod(got) > ranges.NUMBERS:
+        raise InvalidInputError(f"{name} must hold at most {ranges.NUMBERS} numbers, got shape {got}")
+
+
+def _text(shape: Shape | None) -> str:
+    if shape is None:
+        return "(...)"
     parts = ["N" if want is None else str(want) for want in shape]
     return f"({', '.join(parts)}{',' if len(parts) == 1 else ''})"

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, positive
-from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env import ranges
+from grasp_env._check import as_array, choice, instance, positive, together, whole
+from grasp_env._files import as_path
+from grasp_env.errors import InvalidInputError, UnknownNameError, shown
 from grasp_env.force import METHODS, RULES
 from grasp_env.sim.hand import HANDS, HandDescription
 from grasp_env.sim.objects import SHAPES
@@ -18,12 +21,24 @@ RANDOM = ("shape", "size", "mass", "friction")
 CONTROLLERS = ("optimised", "constant_squeeze", "pd")
 ACTION_MODES = ("initial_force", "contact_force", "none")
 WRENCHES = ("measured", "estimated", "none")
-_POSITIVE = (
-    "object_mass", "friction", "friction_margin", "force_weight", "barrier_weight", "tolerance", "agent_rate", "random_time",
-    "action_scale", "max_contact_gap", "impulse_time", "impulse_interval", "tilt_period", "motion_period",
-    "payload_factor", "push_time", "estimator_time", "position_bandwidth", "rotation_bandwidth", "force_rate", "squeeze",
-    "pd_stiffness",
-)  # fmt: skip
+_REAL = ranges.Range(-1e9, 1e9)
+"""Of any number here; in the units of the settings nothing is larger."""
+_REAL_POSITIVE = ranges.Range(1e-9, 1e9)
+_MOST_TICKS = 10_000_000
+_MOST_PIXELS = 8192
+_POSITIVE = {
+    "force_weight": ranges.FORCE_WEIGHT, "barrier_weight": ranges.BARRIER_WEIGHT, "tolerance": ranges.TOLERANCE,
+    **dict.fromkeys((
+        "object_mass", "friction", "friction_margin", "agent_rate", "random_time", "action_scale", "max_contact_gap", "impulse_time",
+        "impulse_interval", "tilt_period", "motion_period", "payload_factor", "push_time", "estimator_time", "position_bandwidth",
+        "rotation_bandwidth", "force_rate", "squeeze", "pd_stiffness", "duration", "motion_size", "max_drift", "max_tilt",
+    ), _REAL_POSITIVE),
+}  # fmt: skip
+_NAMES: dict[str, tuple[str, ...]] = {
+    "shape": SHAPES, "task": tuple(TASKS), "motion": tuple(MOTIONS), "wrench": WRENCHES, "controller": CONTROLLERS,
+    "initial_force": (*RULES, "previous"), "action_mode": ACTION_MODES, "method": METHODS, "disturbance": tuple(DISTURBANCES),
+}  # fmt: skip
+_LENGTHS = {"disturbance_value": 6, "gravity": 3}
 _SIGNED = ("friction_error", "disturbance_scale")
 _RANGES = ("size_range", "mass_range", "friction_range")
 
@@ -162,39 +177,21 @@ class EnvConfig:
     render_size: tuple[int, int] = (480, 480)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.hand, HandDescription) and self.hand not in HANDS:
-            raise UnknownNameError("hand", self.hand, HANDS, ", or give a HandDescription")
-        names = {
-            "shape": SHAPES, "task": tuple(TASKS), "motion": tuple(MOTIONS), "wrench": WRENCHES,
-            "controller": CONTROLLERS, "initial_force": (*RULES, "previous"), "action_mode": ACTION_MODES, "method": METHODS,
-        }  # fmt: skip
-        for name, allowed in names.items():
-            if getattr(self, name) not in allowed:
-                raise UnknownNameError(name, getattr(self, name), allowed)
-        if self.disturbance is not None and self.disturbance not in DISTURBANCES:
-            raise UnknownNameError("disturbance", self.disturbance, DISTURBANCES)
-        self._check_tuples()
-        for name in _POSITIVE:
-            positive(getattr(self, name), name)
-        for item in fields(self):
-            value: Any = getattr(self, item.name)
-            if value is None and "None" in str(item.type):
-                continue
-            kind = str(item.type).removesuffix(" | None")
-            if kind == "int" and (not isinstance(value, int | np.integer) or isinstance(value, bool) or value < 0):
-                raise InvalidInputError(f"{item.name} must be an integer >= 0, got {value!r}")
-            least = -np.inf if item.name in _SIGNED else 0.0
-            if kind == "float" and as_array(getattr(self, item.name), (), item.name) < least:
-                raise InvalidInputError(f"{item.name} must be >= 0, got {value!r}")
+        # tuples survive JSON and hashing; lists from a JSON file become tuples
+        checked = together(*(lambda item=item: self._checked(item.name, str(item.type)) for item in fields(self)))
+        for item, value in zip(fields(self), checked, strict=True):
+            object.__setattr__(self, item.name, value)
         if not self.friction_error > -1.0:
             raise InvalidInputError(f"friction_error must be above -1, got {self.friction_error}")
         for slow, fast in (("agent_rate", "control_rate"), ("control_rate", "physics_rate")):
             low, high = getattr(self, slow), getattr(self, fast)
             if high < low or high % low:
                 raise InvalidInputError(f"{fast} must be a multiple of {slow}, got {high} and {low}")
-        for name in ("duration", "motion_size", "max_drift", "max_tilt"):
-            if getattr(self, name) is not None:
-                positive(getattr(self, name), name)
+        for seconds in ("duration", "sensor_delay"):
+            if (getattr(self, seconds) or 0.0) * self.physics_rate > _MOST_TICKS:
+                raise InvalidInputError(
+                    f"{seconds} must be at most {_MOST_TICKS} physics steps, got {getattr(self, seconds)} s"
+                )
         if self.shape == "mesh" and not self.mesh:
             raise InvalidInputError("shape 'mesh' needs mesh='path of an .obj, .stl, .ply or .off file'")
         if self.shape == "mesh" and {"shape", "size"} & set(self.randomise):
@@ -210,35 +207,54 @@ class EnvConfig:
                 f"task 'six_directions' pushes by itself, got disturbance={self.disturbance!r}: leave it out, or use task 'hold'"
             )
 
-    def _check_tuples(self) -> None:
-        # tuples survive JSON and hashing; lists from a JSON file become tuples
-        def keep(name: str, value: Any) -> None:
-            object.__setattr__(self, name, value)
-
-        keep("disturbance_value", tuple(as_array(self.disturbance_value, (6,), "disturbance_value").tolist()))
-        keep("gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))
-        keep("size", tuple(as_array(np.atleast_1d(self.size), (None,), "size").tolist()))
-        points = (
-            as_array(self.contact_points, (None, 3), "contact_points") if len(self.contact_points) else np.empty((0, 3))
-        )
-        keep("contact_points", tuple(tuple(row) for row in points.tolist()))
-        for name in _RANGES:
-            low, high = as_array(getattr(self, name), (2,), name).tolist()
+    def _checked(self, name: str, kind: str) -> Any:
+        """A setting as it is kept: what it must be follows from its name, or from its annotated type."""
+        value: Any = getattr(self, name)
+        if value is None and "None" in kind:
+            return None
+        if name == "hand":
+            return (
+                value
+                if isinstance(value, HandDescription)
+                else choice(value, name, HANDS, ", or give a HandDescription")
+            )
+        if name in _NAMES:
+            return choice(value, name, _NAMES[name])
+        if name == "mesh":
+            return str(as_path(value, InvalidInputError, name)) if not (isinstance(value, str) and not value) else ""
+        if name == "randomise":
+            named = (value,) if isinstance(value, str) else value
+            return tuple(choice(each, name, RANDOM) for each in instance(named, Sequence, name))
+        if name in _RANGES:
+            low, high = as_array(value, (2,), name, _REAL).tolist()
             if not 0.0 < low <= high:
                 raise InvalidInputError(f"{name} must be (low, high) with 0 < low <= high, got {(low, high)}")
-            keep(name, (low, high))
-        width, height = (int(number) for number in as_array(self.render_size, (2,), "render_size").tolist())
-        if min(width, height) < 16:
+            return low, high
+        if name == "contact_points":
+            points = as_array(value, None, name, _REAL)
+            return tuple(map(tuple, as_array(points, (None, 3), name).tolist())) if points.size else ()
+        if name == "render_size":
+            width, height = as_array(value, (2,), name).tolist()
+            if not (min(width, height) >= 16 and max(width, height) <= _MOST_PIXELS):
+                raise InvalidInputError(
+                    f"render_size must be (width, height) of at least 16 pixels, at most {_MOST_PIXELS}, got {shown(value)}"
+                )
+            return int(width), int(height)
+        if kind.startswith("tuple"):
+            row = np.atleast_1d(as_array(value, None, name, _REAL))
+            return tuple(as_array(row, (_LENGTHS.get(name),), name).tolist())
+        kind = kind.removesuffix(" | None")
+        if kind == "int":
+            return whole(value, name, 1 if name in _POSITIVE else 0, ranges.ITERATIONS)
+        if name in _POSITIVE:
+            return positive(value, name, _POSITIVE[name])
+        least = -_REAL.high if name in _SIGNED else 0.0
+        found = as_array(value, (), name).item()
+        if not least <= found <= _REAL.high:
             raise InvalidInputError(
-                f"render_size must be (width, height) of at least 16 pixels, got {self.render_size}"
+                f"{name} must be {'' if name in _SIGNED else '>= 0 and '}up to {_REAL.high:g}, got {shown(value)}"
             )
-        keep("render_size", (width, height))
-        if isinstance(self.randomise, str):
-            keep("randomise", (self.randomise,))
-        keep("randomise", tuple(self.randomise))
-        for name in self.randomise:
-            if name not in RANDOM:
-                raise UnknownNameError("randomise", name, RANDOM)
+        return found
 
     @property
     def scale(self) -> float:

@@ -12,11 +12,11 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from grasp_env import observation
-from grasp_env._check import Array, as_wrench
+from grasp_env._check import Array, as_array, as_wrench, choice, instance, whole
 from grasp_env.annotate import annotate
 from grasp_env.config import EnvConfig
 from grasp_env.control import ForceLoop
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownNameError
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
 from grasp_env.estimation import NoiseRows
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.reward import reward_terms
@@ -131,11 +131,15 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         **settings: Any,
     ) -> None:
         EzPickle.__init__(self, render_mode, initial_force, config, **settings)
-        if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            raise UnknownNameError("render_mode", render_mode, self.metadata["render_modes"])
+        if render_mode is not None:
+            choice(render_mode, "render_mode", self.metadata["render_modes"])
         if not isinstance(config, EnvConfig | None):
             raise InvalidInputError(
-                f"config must be an EnvConfig or None, got {config!r}; single settings are keywords"
+                f"config must be an EnvConfig or None, got {shown(config)}; single settings are keywords"
+            )
+        if not (initial_force is None or isinstance(initial_force, str) or callable(initial_force)):
+            raise InvalidInputError(
+                f"initial_force must be a rule's name or a rule(grasp, wrench), got {shown(initial_force)}"
             )
         if isinstance(initial_force, str):  # a name is a setting as any other: checked, and told in the config
             settings, initial_force = {**settings, "initial_force": initial_force}, None
@@ -172,12 +176,11 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Back to the settled grasp, with a new disturbance, and a new object where asked for; see the class."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else whole(seed, "seed", 0))
         stage = self._open_stage()
         scene, constant = stage.scene, None
-        for name, value in (options or {}).items():
-            if name != "wrench":
-                raise UnknownNameError("reset option", name, ("wrench",))
+        for name, value in instance(options or {}, dict, "options").items():
+            choice(name, "reset option", ("wrench",))
             constant = as_wrench(value, "options['wrench']")
         self._started = False
         stage.set(self.np_random)
@@ -333,11 +336,12 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         return "closure_lost" if self._open > self.config.max_contact_gap else ""
 
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
-        values = np.asarray(action, dtype=np.float64)
+        plain = type(action) is np.ndarray and action.dtype.kind == "f"
+        values = np.asarray(action, dtype=np.float64) if plain else as_array(action, None, "action", finite=False)
         numbers = values.tolist()  # plain numbers: six are too few for numpy
         if values.shape != self._action_shape or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(
-                f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {np.asarray(action).tolist()}"
+                f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {shown(action)}"
             )
         return [min(max(number, -1.0), 1.0) for number in numbers]
 

@@ -7,10 +7,38 @@ says what was given, what is allowed and how to mend it.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from reprlib import Repr
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from grasp_env.force.solution import ForceSolution
+
+
+_SHORT = Repr()
+_SHORT.maxlevel = 4
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = _SHORT.maxarray = 12
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 200
+
+
+def shown(value: object) -> str:
+    """What was given, for a message: its repr, shortened, and never an error itself.
+
+    Example:
+        >>> shown([1.0, "a"]), shown(10**10_000), shown([0.0] * 1000)[-10:]
+        ("[1.0, 'a']", 'an int too long to show', ' 0.0, ...]')
+    """
+    try:
+        shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+        if isinstance(shape, tuple) and dtype is not None:  # an array: its numbers where they are few
+            size = 1
+            for length in shape:
+                size *= length
+            if not size <= 36:
+                return f"{type(value).__name__} of shape {tuple(shape)} and type {dtype}"
+            return _SHORT.repr(value.tolist())  # type: ignore[attr-defined]
+        return _SHORT.repr(value)
+    except Exception:  # a repr of somebody else's
+        return f"an {'int too long to show' if isinstance(value, int) else f'object of type {type(value).__name__}'}"
 
 
 class GraspError(ValueError):
@@ -28,7 +56,7 @@ class UnknownNameError(GraspError, KeyError):
         self.given = given
         self.allowed = tuple(allowed)
         self._parts = (kind, given, self.allowed, hint)
-        super().__init__(f"unknown {kind} {given!r}: choose one of {', '.join(map(repr, self.allowed))}{hint}")
+        super().__init__(f"unknown {kind} {shown(given)}: choose one of {', '.join(map(repr, self.allowed))}{hint}")
 
     def __reduce__(self) -> tuple[type[UnknownNameError], tuple[str, object, tuple[str, ...], str]]:
         return type(self), self._parts  # process pools send errors as pickles

@@ -14,6 +14,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from grasp_env._files import WEIGHTS, parsed, read_bytes
 from grasp_env.errors import ModelFileError
 from grasp_env.observation import bounds
 
@@ -106,12 +107,7 @@ def read_meta(folder: Path) -> dict[str, Any]:
         ModelFileError: missing, not JSON, of another schema, environment or observation, or changed.
     """
     file = folder / META
-    try:
-        meta = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ModelFileError(f"agent {file}: {error.strerror}; {_AGAIN}") from None
-    except ValueError as error:
-        raise ModelFileError(f"agent {file} is not JSON ({error}): {_AGAIN}") from None
+    meta = parsed(file, json.loads, ModelFileError, f"agent {file}", "JSON", f": {_AGAIN}")
     schema = meta.get("schema") if isinstance(meta, dict) else None
     if schema != SCHEMA:
         raise ModelFileError(
@@ -125,7 +121,7 @@ def read_meta(folder: Path) -> dict[str, Any]:
         raise ModelFileError(
             f"agent {file} sees {meta.get('observation_size')!r} numbers, {ENV_ID} shows {OBSERVATION_SIZE}: train anew"
         )
-    if meta.get("action_size") != ACTION_SIZES.get(meta.get("action", "")):
+    if not isinstance(meta.get("action"), str) or meta.get("action_size") != ACTION_SIZES.get(meta["action"]):
         raise ModelFileError(
             f"agent {file} gives {meta.get('action_size')!r} numbers as {meta.get('action')!r}; known: {ACTION_SIZES}"
         )
@@ -148,15 +144,15 @@ def read_arrays(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.n
     try:
         with np.load(io.BytesIO(_checked(folder, meta, f"{stem}.npz")), allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
-    except (ValueError, EOFError, AttributeError) as error:
-        if isinstance(error, ModelFileError):
-            raise
+    except ModelFileError:
+        raise
+    except Exception as error:  # zipfile, zlib and numpy each have their own
         raise ModelFileError(f"agent file {folder / stem}.npz is malformed ({error}): {_AGAIN}") from None
 
 
 def _checked(folder: Path, meta: dict[str, Any], name: str) -> bytes:
     try:
-        blob = (folder / name).read_bytes()
+        blob = read_bytes(folder / name, WEIGHTS)
     except OSError as error:
         raise ModelFileError(f"agent file {folder / name}: {error.strerror}; {_AGAIN}") from None
     files = meta.get("files")

@@ -8,10 +8,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench
+from grasp_env._check import Array, ContactForces, Wrench, as_wrench, flag, instance
 from grasp_env.errors import InfeasibleStartError, RankDeficientGraspError
-from grasp_env.force.objective import Objective
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.force.objective import Objective, as_objective
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,9 @@ class OfflineBasis:
         Raises:
             InfeasibleStartError: the grasp has no force closure, so some unit wrench has no force.
         """
-        objective = objective or Objective()
+        objective = as_objective(objective)
+        if warm is not None:
+            instance(warm, OfflineBasis, "warm")
         solver = core.Newton.make(core_contacts(grasp, objective), 1.0, 0)
         forces = np.empty((13, 3 * grasp.n_contacts))
         if warm is not None and len(warm.cone_divisor) == grasp.n_contacts:
@@ -75,8 +77,8 @@ class OfflineBasis:
     @classmethod
     def of(cls, grasp: Grasp, objective: Objective | None = None) -> OfflineBasis:
         """`compute`, remembered as long as `grasp` lives."""
-        objective = objective or Objective()
-        known = _REMEMBERED.setdefault(grasp, {})
+        objective = as_objective(objective)
+        known = _REMEMBERED.setdefault(as_grasp(grasp), {})
         if objective not in known:
             known[objective] = cls.compute(grasp, objective)
         return known[objective]
@@ -86,7 +88,7 @@ class OfflineBasis:
 
         A basis that `grasp` already has is returned as it is, so that going back to a grasp gives the same bits.
         """
-        known = _REMEMBERED.setdefault(grasp, {})
+        known = _REMEMBERED.setdefault(as_grasp(grasp), {})
         if self.objective not in known:
             known[self.objective] = self.compute(grasp, self.objective, warm=self)
         return known[self.objective]
@@ -108,7 +110,7 @@ class OfflineBasis:
         rest force is added. Balanced by linearity, strictly inside the cones by convexity.
         """
         x = np.empty(self.cone_forces.shape[1])
-        core.combine(self.cone_forces, np.array(wrench, dtype=np.float64), printed, x)
+        core.combine(self.cone_forces, as_wrench(wrench), flag(printed, "printed"), x)
         return x.reshape(-1, 3) / self.cone_divisor
 
 
@@ -123,7 +125,7 @@ def core_contacts(grasp: Grasp, objective: Objective, tangents: Array | None = N
     Raises:
         RankDeficientGraspError: rank(G) < 6.
     """
-    weights = objective.weights(grasp.n_contacts)
+    weights = objective.weights(as_grasp(grasp).n_contacts)
     along = np.ascontiguousarray(grasp.frames[:, :, 1]) if tangents is None else tangents
     try:
         return core.Contacts.make(grasp.positions, grasp.normals, grasp.models.cone_scale, weights, along)

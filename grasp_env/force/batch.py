@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grasp_env._check import LARGEST, Array, as_array
-from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
+from grasp_env import ranges
+from grasp_env._check import Array, as_array, checked_size, together, whole
+from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError, shown
 from grasp_env.force.methods import Conic, Newton
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.force.record import (
@@ -159,7 +160,7 @@ def optimize_forces(
         grasps: one grasp for all wrenches, or M grasps of one number of contacts.
         wrenches: (M, 6) external wrenches on the object [N, N m], object frame.
         method: as in `optimize_force`.
-        workers: threads; None: one per core. The core releases the GIL.
+        workers: threads, 1 to 1024; None: one per core. The core releases the GIL.
         options: further keywords of `ForceOptimizer` (initial by name or rule, limits, weights, tolerance, ...).
 
     Returns:
@@ -175,13 +176,13 @@ def optimize_forces(
         >>> batch.force.shape, bool(batch.optimal.all())
         ((100, 4, 3), True)
     """
-    loads = as_array(wrenches, (None, 6), "wrenches")
-    if loads.size and np.abs(loads).max() > LARGEST:
-        raise InvalidInputError(f"wrenches must have components up to {LARGEST:g} N and N m")
-    if workers is not None and (not isinstance(workers, int | np.integer) or isinstance(workers, bool) or workers < 1):
-        raise InvalidInputError(f"workers must be an integer >= 1 or None, got {workers!r}")
-    threads = min(int(workers or os.cpu_count() or 1), max(1, len(loads)))
-    if options.get("initial") == "previous" or isinstance(options.get("initial"), ForceSolution):
+    loads, given = together(
+        lambda: checked_size(as_array(wrenches, (None, 6), "wrenches"), "wrenches"),
+        lambda: None if workers is None else whole(workers, "workers", 1, ranges.WORKERS),
+    )
+    threads = min(given or os.cpu_count() or 1, max(1, len(loads)))
+    initial = options.get("initial")
+    if (isinstance(initial, str) and initial == "previous") or isinstance(initial, ForceSolution):
         raise InvalidInputError("a batch has no previous solution: leave initial out, or give a rule")
     if isinstance(grasps, Grasp):
         optimizer = ForceOptimizer(grasps, method=method, **options)
@@ -199,6 +200,8 @@ def optimize_forces(
             optimizer.previous = None
             name = _one(optimizer, loads[k], records[k], int(k), proofs) or name
         return ForceSolutions(records, method, name, proofs)
+    if not isinstance(grasps, Sequence):
+        raise InvalidInputError(f"grasps must be one Grasp or a list of them, got {shown(grasps)}")
     return _many_grasps(list(grasps), loads, method, threads, options)
 
 

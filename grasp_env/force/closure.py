@@ -12,11 +12,11 @@ import numpy as np
 
 from grasp_env._check import Array, ContactForces
 from grasp_env.errors import NotConvergedError
-from grasp_env.force.limits import ForceLimits
+from grasp_env.force.limits import ForceLimits, as_limits
 from grasp_env.force.program import CLEAR, ForceProgram
 from grasp_env.force.record import CONVERGED
 from grasp_env.grasp.advice import advise
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 PROVEN = 1e-6
 """A twist proves that there is no closure when it leaves the dual cones by at most this part of its largest image."""
@@ -85,6 +85,8 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
         >>> print(force_closure(Grasp.from_contacts(palm.positions, [[0, 0, 1]] * 4, 0.4)))
         no force closure: no contact force inside its cone resists a motion of the object along the twist ...
     """
+    as_grasp(grasp)
+    limits = as_limits(limits)
     if limits is not None and not (cones := force_closure(grasp)):
         return cones
     program = ForceProgram(grasp, limits)

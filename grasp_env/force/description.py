@@ -16,7 +16,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces
+from grasp_env import ranges
+from grasp_env._check import Array, ContactForces, as_array
+from grasp_env.errors import InvalidInputError
 
 METRIC = np.array([3.0, 2.0, 2.0])
 """|P|_F^2 = 3 u^2 + 2 o^2 + 2 t^2 per contact: the metric of the flows."""
@@ -31,8 +33,7 @@ def description_matrix(force: ContactForces, friction: Array) -> Array:
                [0., 4., 2.],
                [1., 2., 4.]])
     """
-    x = np.array(force, dtype=np.float64)
-    x[:, 0] *= friction
+    x = _forces(force, friction)
     matrix = np.zeros((3 * len(x), 3 * len(x)))
     for k, (u, o, t) in enumerate(x):
         matrix[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = [[u, 0.0, o], [0.0, u, t], [o, t, u]]
@@ -46,5 +47,17 @@ def cone_margin(force: ContactForces, friction: Array) -> float:
         >>> cone_margin(np.array([[10.0, 3.0, 0.0]]), np.array([0.4]))
         1.0
     """
-    force = np.asarray(force)
-    return float((friction * force[:, 0] - np.sqrt(force[:, 1] ** 2 + force[:, 2] ** 2)).min())
+    u, o, t = _forces(force, friction).T
+    return float((u - np.hypot(o, t)).min())
+
+
+def _forces(force: ContactForces, friction: Array) -> Array:
+    """(N, 3) cone coordinates (u, o, t) of forces in round cones."""
+    x = as_array(force, (None, 3), "force", ranges.SIZE)
+    if not 1 <= len(x) <= ranges.CONTACTS:
+        raise InvalidInputError(f"force must be that of 1 to {ranges.CONTACTS} contacts, got shape {x.shape}")
+    mu = as_array(friction, None, "friction", ranges.Range(0.0, ranges.FRICTION.high))
+    if mu.shape not in ((), (len(x),)):
+        raise InvalidInputError(f"friction must be a number or one per contact, ({len(x)},), got shape {mu.shape}")
+    x[:, 0] *= mu
+    return x

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench
 from grasp_env.errors import NotConvergedError
-from grasp_env.force.limits import ForceLimits
+from grasp_env.force.limits import ForceLimits, as_limits
 from grasp_env.force.program import CLEAR, ForceProgram
 from grasp_env.force.record import CONVERGED
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,8 @@ def phase_one(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -
         >>> phase_one(presets.tripod(), [0.0] * 6).feasible
         True
     """
-    return answer(ForceProgram(grasp, limits), as_wrench(wrench))
+    load = as_wrench(wrench)
+    return answer(ForceProgram(as_grasp(grasp), as_limits(limits)), load)
 
 
 def answer(program: ForceProgram, wrench: Wrench) -> Feasibility:

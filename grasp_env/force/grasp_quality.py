@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from grasp_env import ranges
 from grasp_env._check import Array, Wrench, positive
 from grasp_env.force.closure import force_closure
 from grasp_env.force.method import CRITERIA
 from grasp_env.force.worst_wrench import WrenchBall, worst_case
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
 class Epsilon(NamedTuple):
@@ -56,7 +57,7 @@ def epsilon(
         >>> low, high, float(abs(wrench[5]))
         (0.2500, 0.2500, 0.02)
     """
-    scale = grasp.length if length is None else positive(length, "length")
+    scale = as_grasp(grasp).length if length is None else positive(length, "length", ranges.LENGTH)
     worst = worst_case(
         grasp, WrenchBall(1.0, scale), criterion, tolerance=tolerance, starts=starts, points=points, seed=seed
     )
@@ -87,8 +88,8 @@ class GraspQuality:
 
 def singular_values(grasp: Grasp, length: float | None = None) -> Array:
     """(6,) of G [N per N], decreasing: what contacts do not transmit left out, moments and torsions divided by length."""
-    scale = grasp.length if length is None else positive(length, "length")
-    transmitted = grasp.matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
+    scale = as_grasp(grasp).length if length is None else positive(length, "length", ranges.LENGTH)
+    transmitted = as_grasp(grasp).matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
     whole = np.concatenate([transmitted, grasp.torsion_matrix * scale], axis=1)
     whole[3:] /= scale
     return np.asarray(np.linalg.svd(whole, compute_uv=False), dtype=np.float64)

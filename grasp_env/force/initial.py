@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench
-from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnknownNameError
+from grasp_env._check import Array, ContactForces, Wrench, as_wrench, choice
+from grasp_env.errors import InfeasibleStartError, InvalidInputError
 from grasp_env.force.basis import OfflineBasis, starter
 from grasp_env.force.method import Loop, Settings, Start, given_start, infeasible_error
-from grasp_env.force.objective import Objective
+from grasp_env.force.objective import Objective, as_objective
 from grasp_env.force.repair import Repair, carry_over
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
@@ -114,6 +114,7 @@ class LinearCombination:
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """The start (N, 3) [N]; see the class."""
+        wrench = as_wrench(wrench)
         if self.printed and not wrench.any():
             raise InfeasibleStartError(
                 "the printed linear combination is zero at w = 0, which is not inside the cones; "
@@ -135,7 +136,7 @@ class SingleValue:
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """The start (N, 3) [N]; see the class."""
         rest = OfflineBasis.of(grasp, self.objective).cone_forces[12]
-        particular = grasp.to_cone(-(grasp.pseudoinverse @ wrench).reshape(-1, 3))
+        particular = grasp.to_cone(-(grasp.pseudoinverse @ as_wrench(wrench)).reshape(-1, 3))
         low, _ = starter(grasp, self.objective).inside(particular, rest)
         return grasp.to_force(particular + max(SQUEEZE * low, 1.0) * rest)
 
@@ -158,7 +159,9 @@ class Lagrange:
         rest = OfflineBasis.of(grasp, self.objective).cone_forces[12]
         scaled = grasp.matrix / np.tile(LAGRANGE_WEIGHTS, grasp.n_contacts)
         normals = np.tile([1.0, 0.0, 0.0], grasp.n_contacts)
-        solve = scaled.T @ np.linalg.solve(scaled @ grasp.matrix.T, np.stack([wrench, grasp.matrix @ normals], axis=1))
+        solve = scaled.T @ np.linalg.solve(
+            scaled @ grasp.matrix.T, np.stack([as_wrench(wrench), grasp.matrix @ normals], axis=1)
+        )
         point = grasp.to_cone((-solve[:, 0]).reshape(-1, 3))
         ray = grasp.to_cone((normals - solve[:, 1]).reshape(-1, 3))
         low, high = starter(grasp, self.objective).inside(point, ray)
@@ -230,9 +233,7 @@ def initial_rule(name: str, objective: Objective | None = None) -> InitialForceR
         grasp_env.errors.UnknownNameError: unknown initial-force rule 'newest': choose one of 'linear_combination', \
 'linear_combination_printed', 'single_value', 'lagrange', 'phase_one'
     """
-    if name not in RULES:
-        raise UnknownNameError("initial-force rule", name, RULES)
-    return RULES[name](objective or Objective())
+    return RULES[choice(name, "initial-force rule", RULES)](as_objective(objective))
 
 
 class RuleStarts:

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env._check import Array, as_array
-from grasp_env.errors import InvalidInputError
+from grasp_env import ranges
+from grasp_env._check import Array, as_array, instance, number, together, whole
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.torques import checked_jacobian
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
 class LimitArrays(NamedTuple):
@@ -69,11 +70,11 @@ class ForceLimits:
     """Limits on normal forces and joint torques.
 
     Attributes:
-        min_normal: >= 0 [N], one for all contacts or (N,).
-        max_normal: > min_normal [N], one or (N,); inf: no limit.
+        min_normal: >= 0 [N], at most 1e6, one for all contacts or (N,).
+        max_normal: > min_normal [N], one or (N,), 1e-12 to 1e12; inf: no limit.
         jacobian: (N, 3, J) or (3N, J), joint speeds -> contact point velocities in contact frames; (N, 4, J) with the
             angular velocity about the normal for soft contacts. See `contact_jacobian`.
-        torque_limit: > 0 [N m], one for all joints or (J,); inf: no limit. Given exactly when `jacobian` is.
+        torque_limit: > 0 [N m], one for all joints or (J,), 1e-12 to 1e12; inf: no limit. Given exactly when `jacobian` is.
         torque_bias: (J,) tau_0 [N m], torques that act besides the grasp's (the hand's weight); None: zero.
 
     Raises:
@@ -95,8 +96,10 @@ class ForceLimits:
     torque_bias: ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        least = _bound(self.min_normal, "min_normal", "contact", zero=True, infinite=False)
-        most = _bound(self.max_normal, "max_normal", "contact", zero=False, infinite=True)
+        least, most = together(
+            lambda: _bound(self.min_normal, "min_normal", "contact", ranges.LEAST_NORMAL_FORCE),
+            lambda: _bound(self.max_normal, "max_normal", "contact", ranges.NORMAL_FORCE),
+        )
         _check_order(least, most)
         arrays: dict[str, Array] = {"min_normal": least, "max_normal": most}
         if (self.jacobian is None) != (self.torque_limit is None):
@@ -107,13 +110,15 @@ class ForceLimits:
         if self.jacobian is not None and self.torque_limit is not None:
             jac = checked_jacobian(self.jacobian)
             joints = jac.shape[2]
-            limit = _bound(self.torque_limit, "torque_limit", "joint", zero=False, infinite=True)
+            limit = _bound(self.torque_limit, "torque_limit", "joint", ranges.TORQUE)
             if limit.ndim and len(limit) != joints:
                 raise InvalidInputError(
                     f"torque_limit has {len(limit)} entries, the jacobian {joints} joints: give one or {joints}"
                 )
             bias = (
-                np.zeros(joints) if self.torque_bias is None else as_array(self.torque_bias, (joints,), "torque_bias")
+                np.zeros(joints)
+                if self.torque_bias is None
+                else as_array(self.torque_bias, (joints,), "torque_bias", ranges.BIAS)
             )
             arrays |= {"jacobian": jac, "torque_limit": np.broadcast_to(limit, (joints,)).copy(), "torque_bias": bias}
         elif self.torque_bias is not None:
@@ -131,6 +136,7 @@ class ForceLimits:
             InvalidInputError: limits or a Jacobian of another number of contacts.
         """
         each = {}
+        whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
         for name in ("min_normal", "max_normal"):
             value = np.asarray(getattr(self, name))
             if value.ndim and len(value) != n_contacts:
@@ -150,7 +156,7 @@ class ForceLimits:
 
     def slack(self, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
         """How far forces (N, 3) [N] and torsions (N,) [N m] are from the limits; see `LimitSlack`."""
-        least, most, jac, limit, bias = self.checked(len(as_array(force, (None, 3), "force")))
+        least, most, jac, limit, bias = self.checked(len(as_array(force, (None, 3), "force", ranges.SIZE)))
         forces = _with_torsion(force, torsion)
         torque = np.einsum("nij,ni->j", jac, forces) + bias
         return LimitSlack(
@@ -168,7 +174,7 @@ class ForceLimits:
         Raises:
             InvalidInputError: limits of another number of contacts.
         """
-        count = grasp.n_contacts
+        count = as_grasp(grasp).n_contacts
         least, most, jac, limit, bias = self.checked(count)
         matrix: list[Array] = []
         bound: list[float] = []
@@ -195,30 +201,40 @@ class ForceLimits:
     ) -> list[str]:
         """One text per limit that forces (N, 3) [N], torsions (N,) [N m] exceed by more than `tolerance` [N, N m]."""
         matrix, bound, labels = self.rows(grasp)
+        tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
         forces = _with_torsion(as_array(force, (grasp.n_contacts, 3), "force"), torsion)
         excess = matrix @ forces.reshape(-1) - bound
         return [f"{labels[k]} is exceeded by {excess[k]:.3g}" for k in np.flatnonzero(excess > tolerance)]
 
 
+def as_limits(value: object) -> ForceLimits | None:
+    """`value` where it is limits or None, or `InvalidInputError`."""
+    return instance(value, ForceLimits, "limits", or_none=True)
+
+
 def _with_torsion(force: ArrayLike, torsion: ArrayLike | None) -> Array:
     """(N, 4): normal, o, t, torsion."""
-    forces = as_array(force, (None, 3), "force")
-    twist = np.zeros(len(forces)) if torsion is None else as_array(torsion, (len(forces),), "torsion")
+    forces = as_array(force, (None, 3), "force", ranges.SIZE)
+    twist = np.zeros(len(forces)) if torsion is None else as_array(torsion, (len(forces),), "torsion", ranges.SIZE)
     return np.column_stack([forces, twist])
 
 
-def _bound(value: ArrayLike, name: str, of: str, *, zero: bool, infinite: bool) -> Array:
-    """A number or a vector of limits within range, read as float64."""
+def _bound(value: ArrayLike, name: str, of: str, within: ranges.Range) -> Array:
+    """A number or a vector of limits; inf is no limit, but where the range begins with 0: there it has to be one."""
+    zero = within.low == 0.0
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        array = as_array(value, None, name, finite=False)
+    except InvalidInputError as error:
         raise InvalidInputError(f"{name} must be a number or one per {of}: {error}") from None
     low = array >= 0.0 if zero else array > 0.0
-    if array.ndim > 1 or array.size == 0 or not (low & (infinite | np.isfinite(array))).all():
+    if array.ndim > 1 or array.size == 0 or not (low & (np.isfinite(array) | (not zero))).all():
         raise InvalidInputError(
-            f"{name} must be {'>= 0' if zero else '> 0'}{', inf for no limit,' if infinite else ' and finite,'} one for all "
-            f"or one per {of}, got {np.asarray(value).tolist()}"
+            f"{name} must be {'>= 0 and finite,' if zero else '> 0, inf for no limit,'} one for all or one per {of}, got "
+            f"{shown(array)}"
         )
+    limited = array[np.isfinite(array)]
+    if not ((limited >= within.low) & (limited <= within.high)).all():
+        raise InvalidInputError(f"{name} must lie within {within}{'' if zero else ', or be inf'}, got {shown(array)}")
     return array
 
 

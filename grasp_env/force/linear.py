@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import linprog
 
-from grasp_env._check import Array, ContactForces, as_wrench
+from grasp_env import ranges
+from grasp_env._check import Array, ContactForces, as_wrench, whole
 from grasp_env.errors import InvalidInputError, NotConvergedError
-from grasp_env.force.limits import ForceLimits
+from grasp_env.force.limits import ForceLimits, as_limits
 from grasp_env.force.solution import Status
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 _SOLVER_TOLERANCE = 1e-10
 """HiGHS's least; relative to the wrench and the limits, which it is given scaled to 1."""
@@ -57,7 +58,7 @@ def linear_forces(grasp: Grasp, wrench: ArrayLike, facets: int = 8, limits: Forc
     Args:
         grasp: the contacts, of any model.
         wrench: (6,) external wrench on the object [N, N m], object frame.
-        facets: edges of each pyramid, >= 3.
+        facets: edges of each pyramid, 3 to 1000.
         limits: on normal forces and joint torques.
 
     Raises:
@@ -72,15 +73,18 @@ def linear_forces(grasp: Grasp, wrench: ArrayLike, facets: int = 8, limits: Forc
         ('OPTIMAL', 8.868, True)
     """
     wrench = as_wrench(wrench)
-    if not isinstance(facets, int | np.integer) or isinstance(facets, bool) or facets < 3:
-        raise InvalidInputError(f"facets must be an integer >= 3, got {facets!r}")
-    count = grasp.n_contacts
-    edges = pyramid_edges(grasp, int(facets))
+    count = as_grasp(grasp).n_contacts
+    facets = whole(facets, "facets", 3, ranges.FACETS)
+    if count * count * facets > ranges.EDGES:
+        raise InvalidInputError(
+            f"facets must be at most {ranges.EDGES // count**2} with {count} contacts, got {facets}"
+        )
+    edges = pyramid_edges(grasp, facets)
     scale = np.concatenate([np.ones(3), np.full(3, grasp.length)])
-    whole = np.zeros((6, count, 4))
-    whole[:, :, :3] = grasp.matrix.reshape(6, count, 3)
-    whole[:, :, 3] = grasp.torsion_matrix
-    matrix, bound, _ = (limits or ForceLimits()).rows(grasp)
+    balance = np.zeros((6, count, 4))
+    balance[:, :, :3] = grasp.matrix.reshape(6, count, 3)
+    balance[:, :, 3] = grasp.torsion_matrix
+    matrix, bound, _ = (as_limits(limits) or ForceLimits()).rows(grasp)
     load = wrench / scale
     # rows in units of force, then everything in units of what forces there must be
     size = np.abs(matrix).max(axis=1)
@@ -90,7 +94,7 @@ def linear_forces(grasp: Grasp, wrench: ArrayLike, facets: int = 8, limits: Forc
         edges[0::4].sum(axis=0),
         A_ub=(matrix / size[:, None]) @ edges,
         b_ub=bound / size / unit,
-        A_eq=whole.reshape(6, -1) @ edges / scale[:, None],
+        A_eq=balance.reshape(6, -1) @ edges / scale[:, None],
         b_eq=-load / unit,
         method="highs-ds",
         options={

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env._check import Array, ContactForces, Wrench, as_array
-from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, InvalidInputError
+from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, InvalidInputError, shown
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.objective import Objective
 from grasp_env.force.repair import Correction
@@ -96,7 +96,7 @@ class OwnStart:
         """None."""
         if initial is not None:
             raise InvalidInputError(
-                f"method {self.settings.method!r} starts from its own centre, got initial={initial!r}"
+                f"method {self.settings.method!r} starts from its own centre, got initial={shown(initial)}"
             )
         return None
 

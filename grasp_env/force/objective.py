@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env._check import Array, as_array, positive
+from grasp_env import ranges
+from grasp_env._check import Array, as_array, instance, positive, together
 from grasp_env.errors import InvalidInputError
 
 Weight = float | Sequence[float]
@@ -22,21 +23,23 @@ class Objective:
     3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29 print W_p.)
 
     Attributes:
-        force_weight: omega > 0, the price of squeezing; a number, or a sequence with one per contact.
-        barrier_weight: lambda > 0 [N^2 at omega = 1], the price of coming close to a cone; the same.
+        force_weight: omega, 1e-6 to 1e6, the price of squeezing; a number, or a sequence with one per contact.
+        barrier_weight: lambda [N^2 at omega = 1], 1e-12 to 1e6, the price of coming close to a cone; the same.
+
+    Raises:
+        InvalidInputError: weights that are no numbers, or out of range.
     """
 
     force_weight: Weight = 1.0
     barrier_weight: Weight = 0.01
 
     def __post_init__(self) -> None:
-        for name in ("force_weight", "barrier_weight"):
-            value = getattr(self, name)
-            if not isinstance(value, Sequence | np.ndarray) or isinstance(value, str):
-                object.__setattr__(self, name, positive(value, name))
-            else:
-                each = as_array(value, (None,), name)
-                object.__setattr__(self, name, tuple(positive(v, f"{name}[{k}]") for k, v in enumerate(each)))
+        omega, lam = together(
+            lambda: _weight(self.force_weight, "force_weight", ranges.FORCE_WEIGHT),
+            lambda: _weight(self.barrier_weight, "barrier_weight", ranges.BARRIER_WEIGHT),
+        )
+        object.__setattr__(self, "force_weight", omega)
+        object.__setattr__(self, "barrier_weight", lam)
 
     def weights(self, count: int) -> Array:
         """(N, 2) omega and lambda of each of `count` contacts.
@@ -118,3 +121,20 @@ class Objective:
             c1 = (a - b + (a + b) * r) / 2
             total += 2 * float(np.sqrt(lam * c1 * (1 + 1 / r + 2 / (1 + r))))
         return total
+
+
+def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
+    """A weight, or one per contact as a tuple, within its range."""
+    if (
+        not isinstance(value, Sequence | np.ndarray)
+        or isinstance(value, str)
+        or (isinstance(value, np.ndarray) and value.ndim == 0)
+    ):
+        return positive(value, name, within)
+    each = as_array(value, (None,), name).tolist()
+    return tuple(together(*(lambda k=k, v=v: positive(v, f"{name}[{k}]", within) for k, v in enumerate(each))))
+
+
+def as_objective(value: object) -> Objective:
+    """`value` where it is an objective, the defaults for None, or `InvalidInputError`."""
+    return Objective() if value is None else instance(value, Objective, "objective")

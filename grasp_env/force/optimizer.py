@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env._check import ContactForces, as_wrench, positive
-from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnknownNameError, UnsupportedProblemError
+from grasp_env import ranges
+from grasp_env._check import ContactForces, as_wrench, choice, flag, positive, together, whole
+from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnsupportedProblemError, shown
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.initial import RULES, InitialForceRule
-from grasp_env.force.limits import ForceLimits
+from grasp_env.force.limits import ForceLimits, as_limits
 from grasp_env.force.method import CRITERIA, Settings, readable
 from grasp_env.force.methods import METHODS, make_method
 from grasp_env.force.objective import Objective, Weight
@@ -74,36 +75,25 @@ class ForceOptimizer:
         Args:
             correction: how `initial="previous"` restores balance, "tangent" or "pseudoinverse".
         """
-        as_grasp(grasp)
-        if method not in METHODS:
-            raise UnknownNameError("method", method, METHODS)
-        if criterion not in CRITERIA:
-            raise UnknownNameError("criterion", criterion, CRITERIA)
-        if not isinstance(max_iterations, int | np.integer) or isinstance(max_iterations, bool) or max_iterations < 0:
-            raise InvalidInputError(f"max_iterations must be an integer >= 0, got {max_iterations!r}")
-        if correction not in CORRECTIONS:
-            raise UnknownNameError("correction", correction, CORRECTIONS)
-        if not isinstance(limits, ForceLimits | None):
-            raise InvalidInputError(f"limits must be a ForceLimits or None, got {limits!r}")
+        self.settings = Settings(
+            *together(
+                lambda: choice(method, "method", METHODS),
+                lambda: choice(criterion, "criterion", CRITERIA),
+                lambda: as_limits(limits),
+                lambda: Objective(force_weight, barrier_weight),
+                lambda: _tolerance(tolerance, method),
+                lambda: whole(max_iterations, "max_iterations", 0, ranges.ITERATIONS),
+                lambda: checked_rule(step_rule),
+                lambda: choice(correction, "correction", CORRECTIONS),
+                lambda: as_grasp(grasp),
+                lambda: _check_initial(initial),
+            )[:8]
+        )
+        self.objective = self.settings.objective
         if criterion != "sum" and method != "conic":
             raise UnsupportedProblemError(f"criterion {criterion!r} belongs to method 'conic', got method {method!r}")
-        if tolerance is None:
-            tolerance = CONIC_TOLERANCE if method == "conic" else TOLERANCE
-        self.objective = Objective(force_weight, barrier_weight)
-        self.settings = Settings(
-            method,
-            criterion,
-            limits,
-            self.objective,
-            positive(tolerance, "tolerance"),
-            int(max_iterations),
-            checked_rule(step_rule),
-            correction,
-        )
-        if initial is not None:
-            _check_initial(initial)
-            if method in ("conic", "linear"):
-                raise InvalidInputError(f"method {method!r} starts from its own centre, got initial={initial!r}")
+        if initial is not None and method in ("conic", "linear"):
+            raise InvalidInputError(f"method {method!r} starts from its own centre, got initial={shown(initial)}")
         # a solution is where the first call starts; the next ones start from their own previous one
         self.previous: ForceSolution | None = initial if isinstance(initial, ForceSolution) else None
         self.initial: Initial | None = "previous" if isinstance(initial, ForceSolution) else initial
@@ -175,8 +165,11 @@ class ForceOptimizer:
                 return solution
             if not readable(wrench):
                 return self.solve(as_wrench(wrench))
-        load = as_wrench(wrench)
-        known = float("nan") if optimum is None else positive(optimum, "optimum")
+        load, known, _ = together(
+            lambda: as_wrench(wrench),
+            lambda: float("nan") if optimum is None else positive(optimum, "optimum"),
+            lambda: flag(trace, "trace"),
+        )
         start = self._method.start(load, self._checked_initial(initial), self._before(initial))
         self.previous = solution = self._method.run(load, start, known, trace)
         return solution
@@ -220,14 +213,21 @@ class ForceOptimizer:
 
 
 def _check_initial(initial: object) -> None:
-    allowed = (*RULES, "previous")
-    if isinstance(initial, str) and initial not in allowed:
+    if isinstance(initial, str):
         hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in initial else ""
-        raise UnknownNameError("initial-force rule", initial, allowed, hint)
-    if not (isinstance(initial, str | ForceSolution | np.ndarray | list | tuple) or callable(initial)):
+        choice(initial, "initial-force rule", (*RULES, "previous"), hint)
+    elif isinstance(initial, type) or not (
+        initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple) or callable(initial)
+    ):
         raise InvalidInputError(
-            f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {initial!r}"
+            f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {shown(initial)}"
         )
+
+
+def _tolerance(given: float | None, method: str) -> float:
+    if given is None:
+        return CONIC_TOLERANCE if method == "conic" else TOLERANCE
+    return positive(given, "tolerance", ranges.TOLERANCE)
 
 
 def optimize_force(
@@ -260,16 +260,16 @@ def optimize_force(
             steps), "conic" (exact: no Phi, least normal forces), "linear" (friction pyramids, for comparison).
         criterion: of `conic`: "sum" or "max" of the normal forces.
         limits: on normal forces and joint torques, for `newton`, `conic` and `linear`.
-        force_weight: omega, the price of squeezing; one for all contacts or one each.
-        barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1]; one or one each.
-        tolerance: relative certified gap at which to stop; None: 1e-4, for `conic` 1e-6.
-        max_iterations: most accepted steps.
+        force_weight: omega, the price of squeezing, 1e-6 to 1e6; one for all contacts or one each.
+        barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1], 1e-12 to 1e6; one or one each.
+        tolerance: relative certified gap at which to stop, at most 1; None: 1e-4, for `conic` 1e-6.
+        max_iterations: most accepted steps, 0 to 10,000,000.
         step_rule: the flows' `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`; None: `AdaptiveStep()`.
         optimum: see `ForceOptimizer.solve`.
         trace: see `ForceOptimizer.solve`.
 
     Raises:
-        InvalidInputError: non-finite or wrongly shaped input.
+        InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/ranges.py`).
         UnknownNameError: unknown method, criterion or rule.
         UnsupportedProblemError: a method that does not know these contacts, limits or options.
         InfeasibleWrenchError: no force strictly inside the cones and limits balances the wrench; carries the proof.

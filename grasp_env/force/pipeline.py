@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench
-from grasp_env.errors import InfeasibleStartError, UnknownNameError, UnsupportedProblemError
+from grasp_env import core, ranges
+from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench, choice
+from grasp_env.errors import InfeasibleStartError, UnsupportedProblemError, shown
 from grasp_env.force.basis import OfflineBasis, core_contacts
 from grasp_env.force.initial import LayeredRule, check_layers
 from grasp_env.force.objective import Objective, Weight
@@ -107,13 +107,13 @@ class ForcePipeline:
             UnknownNameError, InvalidInputError: as `ForceOptimizer`.
         """
         as_grasp(grasp)
-        if method not in PIPELINE_METHODS:
-            raise UnknownNameError("method of a pipeline", method, PIPELINE_METHODS)
-        layered = isinstance(initial, LayeredRule)
+        choice(method, "method of a pipeline", PIPELINE_METHODS)
+        layered = not isinstance(initial, str) and isinstance(initial, LayeredRule)
         if layered:
             check_layers(initial.layers, initial.width)
-        if not layered and initial not in STARTS:
-            raise UnknownNameError("start of a pipeline", str(initial), STARTS, ", or give a rule of learned layers")
+        if not layered:
+            named = initial if isinstance(initial, str) else shown(initial)
+            choice(named, "start of a pipeline", STARTS, ", or give a rule of learned layers")
         if set(grasp.models.names) != {"hard"}:
             raise UnsupportedProblemError(
                 f"a ForcePipeline knows hard contacts, got {grasp.models.names}: use a ForceOptimizer and its move_to"
@@ -216,7 +216,7 @@ class ForcePipeline:
         points, normals = as_array(points, self._shape, "points"), as_array(normals, self._shape, "normals")
         wrench = as_wrench(wrench)
         if adjust is not None:
-            adjust = as_array(adjust, (self.grasp.null_dimension,), "adjust")
+            adjust = as_array(adjust, (self.grasp.null_dimension,), "adjust", ranges.SIZE)
         return self.solve_ready(points, normals, wrench, adjust)
 
     def solve_ready(self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None = None) -> ForceSolution:

@@ -7,11 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from grasp_env._check import ContactForces, Wrench, as_wrench
-from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env import ranges
+from grasp_env._check import ContactForces, Wrench, as_array, as_wrench, choice
 from grasp_env.force.basis import starter
-from grasp_env.force.objective import Objective
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.force.objective import Objective, as_objective
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 Correction = Literal["tangent", "pseudoinverse"]
 CORRECTIONS: tuple[Correction, ...] = ("tangent", "pseudoinverse")
@@ -28,6 +28,9 @@ class Repair:
 
     objective: Objective = field(default_factory=Objective)
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "objective", as_objective(self.objective))
+
     def __call__(self, grasp: Grasp, wrench: Wrench, candidate: ContactForces) -> ContactForces:
         """(N, 3) repaired force [N]; see the class.
 
@@ -36,12 +39,9 @@ class Repair:
         Raises:
             InvalidInputError: the candidate has another shape, or the wrench is not finite.
         """
-        wrench = as_wrench(wrench)
-        flat = np.asarray(candidate, dtype=np.float64)
-        if flat.shape != (grasp.n_contacts, 3):
-            raise InvalidInputError(f"candidate must have shape ({grasp.n_contacts}, 3), got {flat.shape}")
+        flat = as_array(candidate, (as_grasp(grasp).n_contacts, 3), "candidate", finite=False)
         out = np.empty(flat.shape)
-        starter(grasp, self.objective).repair(wrench, np.ascontiguousarray(flat), out)
+        starter(grasp, self.objective).repair(as_wrench(wrench), flat, out)
         return out
 
 
@@ -61,12 +61,9 @@ def carry_over(
     Raises:
         UnknownNameError: another correction.
     """
-    if correction not in CORRECTIONS:
-        raise UnknownNameError("correction", correction, CORRECTIONS)
+    choice(correction, "correction", CORRECTIONS)
     wrench = as_wrench(wrench)
-    before = np.ascontiguousarray(previous, dtype=np.float64)
-    if before.shape != (grasp.n_contacts, 3):
-        raise InvalidInputError(f"previous must have shape ({grasp.n_contacts}, 3), got {before.shape}")
+    before = as_array(previous, (as_grasp(grasp).n_contacts, 3), "previous", ranges.SIZE)
     out = np.empty(before.shape)
-    starter(grasp, objective).carry(wrench, before, correction == "tangent", out)
+    starter(grasp, as_objective(objective)).carry(wrench, before, correction == "tangent", out)
     return out

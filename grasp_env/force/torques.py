@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from grasp_env import ranges
 from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
 def joint_torques(
@@ -36,7 +37,7 @@ def joint_torques(
         >>> joint_torques([[[0.0, 0.1], [0.0, 0.0], [0.0, 0.0]]], [[2.0, 0.0, 0.0]], bias=[0.5, 0.0])
         array([0.5, 0.2])
     """
-    pushed = as_array(force, (None, 3), "force")
+    pushed = as_array(force, (None, 3), "force", ranges.SIZE)
     jac = checked_jacobian(jacobian, len(pushed))
     torques = np.einsum("nij,ni->j", jac[:, :3], pushed)
     if torsion is not None:
@@ -45,8 +46,8 @@ def joint_torques(
                 f"torsion needs a jacobian of shape (N, 4, J), got {jac.shape}: add the fingertips' angular velocities about "
                 "the normals as fourth rows, or leave torsion out"
             )
-        torques += as_array(torsion, (len(pushed),), "torsion") @ jac[:, 3]
-    return torques if bias is None else torques + as_array(bias, torques.shape, "bias")
+        torques += as_array(torsion, (len(pushed),), "torsion", ranges.SIZE) @ jac[:, 3]
+    return torques if bias is None else torques + as_array(bias, torques.shape, "bias", ranges.BIAS)
 
 
 def contact_jacobian(grasp: Grasp, object_frame_jacobian: ArrayLike) -> Array:
@@ -71,7 +72,7 @@ def contact_jacobian(grasp: Grasp, object_frame_jacobian: ArrayLike) -> Array:
         >>> contact_jacobian(presets.paper_cuboid(), thumb_up)[0, :, 0]
         array([0.08, 0.  , 0.  ])
     """
-    jac = checked_jacobian(object_frame_jacobian, grasp.n_contacts, rows=(3, 6), name="object_frame_jacobian")
+    jac = checked_jacobian(object_frame_jacobian, as_grasp(grasp).n_contacts, rows=(3, 6), name="object_frame_jacobian")
     turned = np.einsum("nik,nij->nkj", grasp.frames, jac[:, :3])
     if jac.shape[1] == 3:
         return turned
@@ -86,11 +87,8 @@ def checked_jacobian(
     Raises:
         InvalidInputError: another shape, or values that are not finite.
     """
-    try:
-        shape = np.shape(jacobian)
-    except ValueError:  # ragged lists
-        shape = (None, None, None)
-    jac = as_array(jacobian, shape, name)
+    jac = as_array(jacobian, None, name, ranges.LEVER)
+    shape = jac.shape
     if jac.ndim == 2 and len(jac) % 3 == 0:
         jac = jac.reshape(-1, 3, jac.shape[1])
     if jac.ndim != 3 or jac.shape[1] not in rows or 0 in jac.shape or count not in (None, len(jac)):
@@ -99,5 +97,9 @@ def checked_jacobian(
         raise InvalidInputError(
             f"{name} must have shape ({n}, {rows[0]}, J), ({flat}, J) or ({n}, {rows[1]}, J) for {n} contacts and J >= 1 "
             f"joints, got {shape}"
+        )
+    if len(jac) > ranges.CONTACTS or jac.shape[2] > ranges.JOINTS:
+        raise InvalidInputError(
+            f"{name} must be that of at most {ranges.CONTACTS} contacts and {ranges.JOINTS} joints, got shape {shape}"
         )
     return jac

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
-from grasp_env._check import Array, Wrench, as_array, positive
-from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError, UnknownNameError
+from grasp_env import ranges
+from grasp_env._check import Array, Wrench, as_array, checked_size, choice, generator, positive, together, whole
+from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
 from grasp_env.force.closure import force_closure
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.method import CRITERIA
@@ -45,8 +46,8 @@ class WrenchBall:
     """Wrenches around zero, moments about the object origin, object frame.
 
     Attributes:
-        force: radius of the forces [N].
-        moment: radius of the moments [N m].
+        force: radius of the forces [N], 1e-9 to 1e9.
+        moment: radius of the moments [N m], 1e-9 to 1e9.
         shape: "ellipsoid", |F|^2 / force^2 + |M|^2 / moment^2 <= 1, or "product", |F| <= force and |M| <= moment (the set of
             `grasp_env.grasp.wrench.sample_ball`).
     """
@@ -56,10 +57,11 @@ class WrenchBall:
     shape: str = "ellipsoid"
 
     def __post_init__(self) -> None:
-        positive(self.force, "force")
-        positive(self.moment, "moment")
-        if self.shape not in SHAPES:
-            raise UnknownNameError("shape", self.shape, SHAPES)
+        together(
+            lambda: positive(self.force, "force", ranges.BALL),
+            lambda: positive(self.moment, "moment", ranges.BALL),
+            lambda: choice(self.shape, "shape", SHAPES),
+        )
 
     @property
     def radii(self) -> Array:
@@ -141,8 +143,8 @@ def worst_case(
         limits: further limits. A ball is then bounded above by a polytope around it, which reaches at most 10 % (product) or
             12 % (ellipsoid) beyond it; `upper` is inf where that crosses the limits.
         tolerance: the relative gap at which to stop refining the upper bound (not below 1e-4); without limits.
-        starts: random directions that ascend, besides the twelve axes.
-        points: most points of the polytope; without limits.
+        starts: random directions that ascend, besides the twelve axes; at most 10,000.
+        points: most points of the polytope, 64 to 5000; without limits.
         seed: of the random directions.
 
     Raises:
@@ -157,13 +159,16 @@ def worst_case(
         >>> worst_case(presets.paper_cuboid(), [[0, 0, -1, 0, 0, 0], [1, 0, 0, 0, 0, 0]]).wrench
         array([1., 0., 0., 0., 0., 0.])
     """
-    if criterion not in CRITERIA:
-        raise UnknownNameError("criterion", criterion, CRITERIA)
-    if starts < 0 or points < 64:
-        raise InvalidInputError(f"starts must be >= 0 and points >= 64, got {starts} and {points}")
+    starts, points, rng, tolerance, _ = together(
+        lambda: whole(starts, "starts", 0, ranges.STARTS),
+        lambda: whole(points, "points", 64, ranges.POINTS),
+        lambda: generator(seed),
+        lambda: positive(tolerance, "tolerance", ranges.TOLERANCE),
+        lambda: choice(criterion, "criterion", CRITERIA),
+    )
     optimizer = ForceOptimizer(grasp, method="conic", criterion=criterion, limits=limits)
     if not isinstance(wrenches, WrenchBall):
-        listed = as_array(wrenches, (None, 6), "wrenches")
+        listed = checked_size(as_array(wrenches, (None, 6), "wrenches"), "wrenches")
         if not len(listed):
             raise InvalidInputError("wrenches must hold at least one wrench")
         solved = [_solved(optimizer, wrench) for wrench in listed]
@@ -172,7 +177,7 @@ def worst_case(
                 raise NotConvergedError(f"the conic solver found no least force for wrench {wrench.tolist()}")
         worst = max(solved, key=lambda found: found.upper)
         return worst._replace(lower=max(found.lower for found in solved))
-    ball, rng = wrenches, np.random.default_rng(seed)
+    ball = wrenches
     if limits is None and not (closure := force_closure(grasp)):
         assert closure.twist is not None
         # infeasible by the twist; a solver that sees it too adds its own proof

@@ -19,8 +19,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env._check import Array, as_array
-from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env import ranges
+from grasp_env._check import Array, as_array, choice
+from grasp_env.errors import InvalidInputError, shown
 
 CONTACT_MODELS = ("hard", "soft", "frictionless")
 
@@ -48,26 +49,24 @@ class ContactModels:
         cls, models: str | Sequence[str], friction: ArrayLike, torsional_friction: ArrayLike | None, count: int
     ) -> ContactModels:
         """See `Grasp.from_contacts` for the arguments and errors."""
-        plain = type(friction) is float and 0.0 < friction < np.inf
+        plain = type(friction) is float and ranges.FRICTION.low <= friction <= ranges.FRICTION.high
         if (
             isinstance(models, str)
             and models == "hard"
             and torsional_friction is None
-            and (plain or np.ndim(friction) < 2)
+            and (plain or _dimensions(friction) < 2)
         ):
             # what control loops make at every step: round cones at every contact
             coefficient = friction
             if not plain:
-                coefficient = as_array(friction, (count,) if np.ndim(friction) else (), "friction")
-                if not (coefficient > 0.0).all():
-                    raise _not_positive(friction)
+                coefficient = _friction_array(friction, (count,) if _dimensions(friction) else ())
             mu, scale = np.empty((count, 2)), np.ones((count, 3))
             mu[:, 0] = mu[:, 1] = scale[:, 0] = coefficient
             return cls(("hard",) * count, mu, np.zeros(count), scale, scale.copy())._frozen()
+        if not isinstance(models, str | list | tuple | np.ndarray):
+            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {shown(models)}")
         names = (models,) * count if isinstance(models, str) else tuple(models)
-        for name in names:
-            if name not in CONTACT_MODELS:
-                raise UnknownNameError("contact model", name, CONTACT_MODELS)
+        names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in names)
         if len(names) != count:
             raise InvalidInputError(f"contact_model must be one name or {count} of them, got {len(names)}")
         rough = np.array([name != "frictionless" for name in names], dtype=bool)
@@ -105,23 +104,34 @@ class ContactModels:
 
 
 def _friction(value: ArrayLike, count: int, rough: np.ndarray) -> Array:
-    shape = np.shape(value)
-    if len(shape) == 0:
-        mu = np.full((count, 2), as_array(value, (), "friction"))
-    elif len(shape) == 2:
-        mu = as_array(value, (count, 2), "friction")
-    else:
-        mu = np.repeat(as_array(value, (count,), "friction")[:, None], 2, axis=1)
-    if (mu[rough] <= 0.0).any():
-        raise _not_positive(value)
+    shape = {0: (), 2: (count, 2)}.get(_dimensions(value), (count,))
+    mu = _friction_array(value, shape, rough)
+    mu = np.array(np.broadcast_to(mu[:, None] if len(shape) == 1 else mu, (count, 2)))
     mu[~rough] = 0.0
     return mu
 
 
-def _not_positive(value: ArrayLike) -> InvalidInputError:
-    return InvalidInputError(
-        f"friction must be > 0 at every contact that is not frictionless, got {np.asarray(value).tolist()}"
-    )
+def _friction_array(value: ArrayLike, shape: tuple[int, ...], rough: np.ndarray | None = None) -> Array:
+    """Coefficients within their range wherever a contact is `rough`; None: everywhere."""
+    mu = as_array(value, shape, "friction")
+    felt = mu if rough is None or not shape else mu[rough]
+    if rough is not None and not rough.any():
+        return mu
+    if not (felt > 0.0).all():
+        raise InvalidInputError(f"friction must be > 0 at every contact that is not frictionless, got {shown(mu)}")
+    if not ((felt >= ranges.FRICTION.low) & (felt <= ranges.FRICTION.high)).all():
+        raise InvalidInputError(f"friction must lie within {ranges.FRICTION}, got {shown(mu)}")
+    return mu
+
+
+def _dimensions(value: ArrayLike) -> int:
+    """Of what is given, 1 where it has none that can be told: `as_array` says why."""
+    if isinstance(value, np.ndarray | float | int | str):
+        return np.ndim(value)
+    depth = 0
+    while isinstance(value, list | tuple) and len(value) and depth < 3:
+        value, depth = value[0], depth + 1
+    return depth + (np.ndim(value) if isinstance(value, np.ndarray) else 0)
 
 
 def _torsional(value: ArrayLike | None, count: int, soft: np.ndarray) -> Array:
@@ -132,13 +142,14 @@ def _torsional(value: ArrayLike | None, count: int, soft: np.ndarray) -> Array:
                 "about 0.005 for a fingertip with a contact patch of 1 cm radius"
             )
         return np.zeros(count)
-    scalar = np.ndim(value) == 0
-    gamma = (
-        np.full(count, as_array(value, (), "torsional_friction"))
-        if scalar
-        else as_array(value, (count,), "torsional_friction")
-    )
-    if (gamma[soft] <= 0.0).any():
-        raise InvalidInputError(f"torsional_friction must be > 0 m at every soft contact, got {gamma.tolist()}")
+    given = as_array(value, (count,) if _dimensions(value) else (), "torsional_friction")
+    gamma = np.array(np.broadcast_to(given, (count,)))
+    felt, within = gamma[soft], ranges.TORSIONAL_FRICTION
+    if (felt <= 0.0).any():
+        raise InvalidInputError(f"torsional_friction must be > 0 m at every soft contact, got {shown(gamma)}")
+    if not ((felt >= within.low) & (felt <= within.high)).all():
+        raise InvalidInputError(
+            f"torsional_friction must lie within {within} at every soft contact, got {shown(gamma)}"
+        )
     gamma[~soft] = 0.0
     return gamma

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env.errors import GraspError, GraspFileError
-from grasp_env.grasp.grasp import Grasp
+from grasp_env._files import as_path, read_json
+from grasp_env.errors import GraspError, GraspFileError, shown
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 SCHEMA = "grasp-force/grasp/1"
 """Name and version of the format."""
@@ -52,8 +53,8 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
         array([0.5, 0.5, 0.5])
         >>> folder.cleanup()
     """
-    file = Path(path)
-    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in _described(grasp).items()]
+    file = as_path(path, GraspFileError, "a grasp's file")
+    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in _described(as_grasp(grasp)).items()]
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -80,18 +81,17 @@ def load_grasp(path: str | Path) -> Grasp:
             another schema, or values that make no grasp; the message names file and field, `__cause__` is the grasp's
             own error.
     """
-    file = Path(path)
+    file = as_path(path, GraspFileError, "a grasp's file")
     given = _read(file)
-    for key, value in given.items():
-        if key in (*_REQUIRED, "torsional_friction", "tangents") and not _is_numeric(value):
+    for key in ("torsional_friction", "tangents"):
+        if key in given and given[key] is None:
             raise GraspFileError(
-                f"grasp file {file}: {key} must be numbers or lists of numbers, got {_short(value)}: "
-                "mend it or, if it is optional, leave the key out"
+                f"grasp file {file}: {key} must be numbers or lists of numbers, got None: leave the key out"
             )
     models = given.get("contact_model", "hard")
     if not isinstance(models, str | list):
         raise GraspFileError(
-            f"grasp file {file}: contact_model must be a name or a list of N names, got {_short(models)}"
+            f"grasp file {file}: contact_model must be a name or a list of N names, got {shown(models)}"
         )
     try:
         return Grasp.from_contacts(
@@ -124,30 +124,25 @@ def _described(grasp: Grasp) -> dict[str, Any]:
 
 def _read(file: Path) -> dict[str, Any]:
     """The file's keys and values, the header checked; integers become floats, so that huge ones are infinite."""
-    try:
-        given = json.loads(file.read_text(encoding="utf-8-sig"), parse_int=float, object_pairs_hook=_unique)
-    except OSError as error:
-        raise GraspFileError(f"cannot read grasp file {file}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise GraspFileError(f"grasp file {file} is not a JSON object of this format: {error}") from error
+    given = read_json(file, GraspFileError, "grasp file", parse_int=float, object_pairs_hook=_unique)
     if not isinstance(given, dict):
-        raise GraspFileError(f"grasp file {file} must be one JSON object {{...}}, got {_short(given)}")
+        raise GraspFileError(f"grasp file {file} must be one JSON object {{...}}, got {shown(given)}")
     if given.get("schema", SCHEMA) != SCHEMA:
         raise GraspFileError(
-            f"grasp file {file} has schema {given['schema']!r}, this version reads {SCHEMA!r}: convert it, or leave the "
+            f"grasp file {file} has schema {shown(given['schema'])}, this version reads {SCHEMA!r}: convert it, or leave the "
             "key out of a file written by hand"
         )
     unknown = [key for key in given if key not in (*_HEADER, *_REQUIRED, *_OPTIONAL)]
     missing = [key for key in _REQUIRED if key not in given]
     if unknown or missing:
         raise GraspFileError(
-            f"grasp file {file}: unknown keys {unknown}, missing keys {missing}; required are {list(_REQUIRED)}, "
+            f"grasp file {file}: unknown keys {shown(unknown)}, missing keys {missing}; required are {list(_REQUIRED)}, "
             f"allowed besides {[*_OPTIONAL, *_HEADER]}"
         )
     units = given.get("units", {})
     if not isinstance(units, dict) or any(UNITS.get(key) != unit for key, unit in units.items()):
         raise GraspFileError(
-            f"grasp file {file}: units must be {UNITS} or part of it, got {_short(units)}: convert the numbers"
+            f"grasp file {file}: units must be {UNITS} or part of it, got {shown(units)}: convert the numbers"
         )
     return given
 
@@ -158,13 +153,3 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         raise ValueError(f"key {next(key for key in keys if keys.count(key) > 1)!r} is given twice: keep one")
     return found
-
-
-def _is_numeric(value: Any) -> bool:
-    """Whether a JSON value is numbers in lists: numpy would also take "0.4" and true."""
-    return all(_is_numeric(each) for each in value) if isinstance(value, list) else isinstance(value, float)
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."

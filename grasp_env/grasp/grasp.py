@@ -10,9 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env._check import Array, ContactForces, Wrench, as_array
+from grasp_env import ranges
+from grasp_env._check import Array, ContactForces, Wrench, as_array, together
 from grasp_env.core import grasp_arrays, normalise
-from grasp_env.errors import InvalidInputError, RankDeficientGraspError
+from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, shown
 from grasp_env.grasp.contact_model import ContactModels
 
 RANK_TOLERANCE = 1e-8
@@ -69,15 +70,17 @@ class Grasp:
         Args:
             positions: (N, 3) contact points [m], object frame.
             normals: (N, 3) unit normals pointing INTO the object, object frame.
-            friction: coefficient(s) > 0: a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t). Ignored where
-                frictionless.
+            friction: coefficient(s), 1e-6 to 1e4: a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t). Ignored
+                where frictionless.
             contact_model: "hard", "soft" or "frictionless", one for all or N of them; see `contact_model.py`.
-            torsional_friction: gamma > 0 [m], abs(torsion) <= gamma * normal, a scalar or (N,); soft contacts only.
+            torsional_friction: gamma [m], 1e-9 to 1e3, abs(torsion) <= gamma * normal, a scalar or (N,); soft contacts
+                only.
             tangents: (N, 3) directions whose projection on the tangent plane is o; None: see `contact_frames`.
 
         Raises:
-            InvalidInputError: wrong shapes, non-finite values, normals not of unit length, friction <= 0, a tangent
-                along its normal, soft contacts without torsional friction.
+            InvalidInputError: wrong shapes, values that are not finite or out of range (`grasp_env/ranges.py`), normals not
+                of unit length, a tangent along its normal, soft contacts without torsional friction, more than 1000 contacts,
+                a grasp smaller than 1e-9 m or larger than 1e6 m, or farther from the origin than 1e5 times its length.
             UnknownNameError: an unknown contact model.
             RankDeficientGraspError: rank(G) < 6 (fewer than three hard or two soft contacts, or all on one line).
 
@@ -92,9 +95,17 @@ class Grasp:
             >>> pinch.torsion_matrix[5]
             array([ 1., -1.])
         """
-        points: Array = as_array(positions, (None, 3), "positions")
-        inward: Array = as_array(normals, (len(points), 3), "normals")
-        models = ContactModels.checked(contact_model, friction, torsional_friction, len(points))
+        try:
+            points = _points(positions)
+            inward = as_array(normals, (len(points), 3), "normals")
+            models = ContactModels.checked(contact_model, friction, torsional_friction, len(points))
+        except GraspError:
+            points = together(lambda: _points(positions), lambda: as_array(normals, (None, 3), "normals"))[0]
+            together(  # all that is wrong, once the number of contacts is known
+                lambda: as_array(normals, (len(points), 3), "normals"),
+                lambda: ContactModels.checked(contact_model, friction, torsional_friction, len(points)),
+            )
+            raise
         worst = normalise(inward)
         if worst >= 0:
             given = np.asarray(normals, dtype=np.float64)[worst]
@@ -141,6 +152,10 @@ class Grasp:
             length=abs(length), centre=centre, cone_matrix=cone_matrix, models=models, torsion_matrix=torsion_matrix,
             unit_frame=frame,
         )  # fmt: skip
+        size = abs(length)
+        far = math.hypot(*centre.tolist()) > ranges.DISTANCE * size
+        if far or not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
+            _check_place(grasp)
         if not length > 0.0:
             grasp.pseudoinverse  # noqa: B018  raises where the rank is not 6
         return grasp
@@ -237,8 +252,34 @@ def as_grasp(value: object) -> Grasp:
         InvalidInputError: it is something else.
     """
     if not isinstance(value, Grasp):
-        raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {value!r}")
+        raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}")
     return value
+
+
+def _points(positions: ArrayLike) -> Array:
+    """(N, 3) contact points, not too many."""
+    points = as_array(positions, (None, 3), "positions")
+    if len(points) > ranges.CONTACTS:
+        raise InvalidInputError(f"positions must be those of at most {ranges.CONTACTS} contacts, got {len(points)}")
+    return points
+
+
+def _check_place(grasp: Grasp) -> None:
+    """Raises where the contacts are too close together, too far apart, or too far from the origin.
+
+    Contacts that all coincide, or none, are left to the rank.
+    """
+    size, away = grasp.length, math.hypot(*grasp.centre.tolist())
+    if grasp.n_contacts < 2 or size == 0.0:
+        return
+    if not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
+        raise InvalidInputError(
+            f"positions must lie within {ranges.LENGTH} of their centre (root mean square), got {size:g} m: give them in metres"
+        )
+    raise InvalidInputError(
+        f"positions must have their centre within {ranges.DISTANCE:g} times their length, {size:g} m, of the origin, got {away:g} m: "
+        "put the object frame's origin near the contacts"
+    )
 
 
 def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:

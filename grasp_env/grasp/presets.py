@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from grasp_env._check import Array
-from grasp_env.errors import UnknownNameError
+from grasp_env._check import Array, choice
 from grasp_env.grasp.grasp import Grasp
 
 _CONTACTS: dict[str, tuple[list[list[float]], list[list[float]], float]] = {
@@ -39,9 +38,7 @@ def preset(name: str, friction: float | Array | None = None) -> Grasp:
         >>> preset("tripod").n_contacts
         3
     """
-    if not isinstance(name, str) or name not in _CONTACTS:
-        raise UnknownNameError("preset", name, PRESETS)
-    positions, normals, own = _CONTACTS[name]
+    positions, normals, own = _CONTACTS[choice(name, "preset", PRESETS)]
     return Grasp.from_contacts(positions, normals, own if friction is None else friction)
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from grasp_env import ranges
 from grasp_env._check import Array, Wrench, as_array, positive
 from grasp_env.errors import InvalidInputError
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 ROTATION_TOLERANCE = 1e-6
 """R^T R may miss the identity by this much, as single precision does; R is then made orthonormal."""
@@ -43,7 +44,7 @@ def transform_wrench(wrench: ArrayLike, rotation: ArrayLike, translation: ArrayL
     turn = checked_rotation(rotation)
     force_a = force @ turn.T
     return np.concatenate(
-        [force_a, moment @ turn.T + np.cross(as_array(translation, (3,), "translation"), force_a)], -1
+        [force_a, moment @ turn.T + np.cross(as_array(translation, (3,), "translation", ranges.SIZE), force_a)], -1
     )
 
 
@@ -71,9 +72,9 @@ def transformed(grasp: Grasp, rotation: ArrayLike, translation: ArrayLike) -> Gr
         array([0.04, 0.  , 0.1 ])
     """
     turn = checked_rotation(rotation)
-    models = grasp.models
+    models = as_grasp(grasp).models
     return Grasp.from_contacts(
-        grasp.positions @ turn.T + as_array(translation, (3,), "translation"),
+        grasp.positions @ turn.T + as_array(translation, (3,), "translation", ranges.SIZE),
         grasp.normals @ turn.T,
         models.friction,
         contact_model=models.names,
@@ -97,7 +98,7 @@ def wrench_about(wrench: ArrayLike, point: ArrayLike) -> Array:
         array([ 0.,  0., -2.,  0.,  0.,  0.])
     """
     force, moment = _split(wrench)
-    return np.concatenate([force, moment - np.cross(as_array(point, (3,), "point"), force)], -1)
+    return np.concatenate([force, moment - np.cross(as_array(point, (3,), "point", ranges.SIZE), force)], -1)
 
 
 def gravity_wrench(
@@ -121,10 +122,10 @@ def gravity_wrench(
         >>> gravity_wrench(0.2, com=[0.01, 0, 0])
         array([ 0.    ,  0.    , -1.962 ,  0.    ,  0.01962,  0.    ])
     """
-    force = positive(mass, "mass") * as_array(gravity, (3,), "gravity")
+    force = positive(mass, "mass", ranges.MASS) * as_array(gravity, (3,), "gravity", ranges.SIZE)
     if rotation is not None:
         force = checked_rotation(rotation).T @ force
-    return np.concatenate([force, np.cross(as_array(com, (3,), "com"), force)])
+    return np.concatenate([force, np.cross(as_array(com, (3,), "com", ranges.SIZE), force)])
 
 
 def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
@@ -138,7 +139,7 @@ def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
         Traceback (most recent call last):
         grasp_env.errors.InvalidInputError: rotation is a reflection ...
     """
-    matrix = as_array(rotation, (3, 3), name)
+    matrix = as_array(rotation, (3, 3), name, ranges.SIZE)
     gram = matrix.T @ matrix
     off = float(np.abs(gram - np.eye(3)).max())
     if not off <= ROTATION_TOLERANCE:
@@ -156,11 +157,9 @@ def checked_rotation(rotation: ArrayLike, name: str = "rotation") -> Array:
 
 
 def _split(wrench: ArrayLike) -> tuple[Array, Array]:
-    try:
-        shape = np.shape(wrench)
-    except ValueError:  # ragged lists
-        shape = ()
-    if not shape or shape[-1] != 6:
-        raise InvalidInputError(f"wrench must have shape (6,) or (..., 6), force [N] then moment [N m], got {shape}")
-    checked = as_array(wrench, shape, "wrench")
+    checked = as_array(wrench, None, "wrench", ranges.SIZE)
+    if checked.shape[-1:] != (6,):
+        raise InvalidInputError(
+            f"wrench must have shape (6,) or (..., 6), force [N] then moment [N m], got {checked.shape}"
+        )
     return checked[..., :3], checked[..., 3:]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env._check import Array, Wrench
+from grasp_env import ranges
+from grasp_env._check import Array, Wrench, as_array, as_wrench, instance, number, positive, whole
 from grasp_env.errors import InvalidInputError
 
 PAPER_CONSTANT: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
@@ -23,7 +24,7 @@ def paper_path(time: ArrayLike) -> Array:
         >>> paper_path(0.0)
         array([1. , 1. , 3. , 0. , 0.2, 0. ])
     """
-    t = np.asarray(time, dtype=np.float64)
+    t = as_array(time, None, "time", ranges.SIZE)
     c, s = np.cos(np.pi * t), np.sin(np.pi * t)
     c2, s2 = np.cos(0.5 * np.pi * t) ** 2, np.sin(0.5 * np.pi * t) ** 2
     return np.stack([c, c**2, 8.0 * c2 - 5.0, 0.2 * s, 0.2 * c, s2], axis=-1)
@@ -31,19 +32,26 @@ def paper_path(time: ArrayLike) -> Array:
 
 def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
     """|(force, moment / length)| [N] of wrenches (..., 6)."""
-    scaled = np.concatenate([wrench[..., :3], wrench[..., 3:] / length], axis=-1)
+    given = as_array(wrench, None, "wrench", ranges.SIZE)
+    if given.shape[-1:] != (6,):
+        raise InvalidInputError(f"wrench must have shape (6,) or (..., 6), got {given.shape}")
+    scaled = np.concatenate([given[..., :3], given[..., 3:] / positive(length, "length", ranges.LENGTH)], axis=-1)
     return np.sqrt((scaled**2).sum(axis=-1))
 
 
 def sample_ball(rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS):
     """(count, 6) wrenches, force uniform in a ball of radius `force` [N], moment in one of `moment` [N m]."""
-    if count < 1:
-        raise InvalidInputError(f"count must be >= 1, got {count}")
+    _check_draw(rng, count)
+    force, moment = number(force, "force", ranges.SIZE), number(moment, "moment", ranges.SIZE)
     return np.concatenate([_ball(rng, count) * force, _ball(rng, count) * moment], axis=1)
 
 
 def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0) -> Array:
     """(count, 6) wrenches, directions uniform on the 6-sphere of (force, moment / 0.05 m), log-uniform magnitude."""
+    _check_draw(rng, count)
+    low, high = positive(low, "low", ranges.BALL), positive(high, "high", ranges.BALL)
+    if low > high:
+        raise InvalidInputError(f"low must be <= high, got {low:g} and {high:g}")
     direction = rng.standard_normal((count, 6))
     direction /= np.sqrt((direction**2).sum(axis=1))[:, None]
     wrench = direction * np.exp(rng.uniform(np.log(low), np.log(high), (count, 1)))
@@ -53,6 +61,8 @@ def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, hi
 
 def sample_path(rng: np.random.Generator, count: int, step: float = 0.03) -> Array:
     """(count, 6) wrenches of a smooth random walk in the standard ball: each moves by about `step` of a radius."""
+    _check_draw(rng, count)
+    step = number(step, "step", ranges.Range(0.0, 1.0))
     path = np.empty((count, 6))
     point = sample_ball(rng, 1)[0]
     for k in range(count):
@@ -74,4 +84,9 @@ def _ball(rng: np.random.Generator, count: int) -> Array:
 
 def constant(wrench: Wrench, count: int) -> Array:
     """(count, 6): the same wrench `count` times."""
-    return np.tile(np.asarray(wrench, dtype=np.float64), (count, 1))
+    return np.tile(as_wrench(wrench), (whole(count, "count", 0, ranges.NUMBERS // 6), 1))
+
+
+def _check_draw(rng: np.random.Generator, count: int) -> None:
+    instance(rng, np.random.Generator, "rng")
+    whole(count, "count", 1, ranges.NUMBERS // 6)

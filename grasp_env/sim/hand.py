@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from grasp_env._check import instance
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand_check import Vector3, numbers, positive, word
+from grasp_env.sim.hand_check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand_fingers import FingerDescription
 from grasp_env.sim.hand_frames import Frame
 from grasp_env.sim.hand_tree import Fingertip, Geometry, Link, Palm
@@ -55,12 +56,17 @@ class HandDescription:
 
     def __post_init__(self) -> None:
         name = f"hand {word(self.name, 'name of a hand')!r}"
-        object.__setattr__(self, "links", tuple(self.links))
-        object.__setattr__(self, "fingertips", tuple(self.fingertips))
+        object.__setattr__(self, "links", parts(self.links, Link, f"{name}: links"))
+        object.__setattr__(self, "fingertips", parts(self.fingertips, Fingertip, f"{name}: fingertips"))
+        instance(self.palm, Palm, f"{name}: palm")
         positive(self.tip_friction, f"{name}: tip_friction")
         _check_tree(name, self.palm, self.links)
         _check_fingertips(name, self.links, self.fingertips)
-        home = tuple(_middle(link) for link in self.links) if len(self.home) == 0 else self.home
+        home = (
+            tuple(_middle(link) for link in self.links)
+            if isinstance(self.home, tuple | list) and not self.home
+            else self.home
+        )
         object.__setattr__(self, "home", numbers(home, len(self.links), f"{name}: home [rad]"))
         for link, angle in zip(self.links, self.home, strict=True):
             if not link.lower <= angle <= link.upper:
@@ -142,7 +148,8 @@ class HandDescription:
             >>> HandDescription.of_fingers([thumb]).joint_count
             3
         """
-        palm = palm or _box_palm()
+        palm = _box_palm() if palm is None else instance(palm, Palm, "palm")
+        fingers = parts(fingers, FingerDescription, "fingers")
         return HandDescription(
             name=name,
             palm=palm,
@@ -185,7 +192,7 @@ class HandDescription:
         from grasp_env.sim.urdf_import import read_urdf  # it needs the parts above
 
         name, palm, links, tips = read_urdf(path, fingertips, tip_radius, torque_limit)
-        return HandDescription(name, palm, links, tips, tuple(home), tip_friction).moved(position, rotation)
+        return HandDescription(name, palm, links, tips, home, tip_friction).moved(position, rotation)
 
     @staticmethod
     def four_finger() -> HandDescription:

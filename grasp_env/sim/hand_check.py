@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from grasp_env.errors import InvalidInputError
+from grasp_env import ranges
+from grasp_env._check import as_array
+from grasp_env.errors import InvalidInputError, shown
 
+T = TypeVar("T")
 Vector3: TypeAlias = tuple[float, float, float]
 Inertia: TypeAlias = tuple[float, float, float, float, float, float]
 
@@ -21,13 +24,15 @@ def numbers(values: Any, count: int | None, name: str) -> tuple[float, ...]:
         InvalidInputError: Another count, no numbers, or not finite.
     """
     try:
-        result = tuple(float(value) for value in values)
-    except (TypeError, ValueError):
-        raise InvalidInputError(f"{name}={values!r} must be {count or 'a row of'} numbers") from None
-    if count is not None and len(result) != count:
-        raise InvalidInputError(f"{name}={result} must be {count} numbers, not {len(result)}")
+        result = tuple(as_array(values, None, name, finite=False).tolist())
+    except (InvalidInputError, TypeError):
+        raise InvalidInputError(f"{name}={shown(values)} must be {count or 'a row of'} numbers") from None
+    if np.ndim(result) != 1 or (count is not None and len(result) != count):
+        raise InvalidInputError(f"{name}={shown(result)} must be {count or 'a row of'} numbers, not {len(result)}")
     if not all(map(math.isfinite, result)):
-        raise InvalidInputError(f"{name}={result} must be finite numbers")
+        raise InvalidInputError(f"{name}={shown(result)} must be finite numbers")
+    if max(map(abs, result), default=0.0) > ranges.SIZE.high:
+        raise InvalidInputError(f"{name}={shown(result)} must be numbers up to {ranges.SIZE.high:g}")
     return result
 
 
@@ -42,8 +47,18 @@ def positive(value: Any, name: str) -> float:
 def word(value: Any, name: str) -> str:
     """A name that is not empty, or `InvalidInputError`."""
     if not isinstance(value, str) or not value.strip():
-        raise InvalidInputError(f"{name}={value!r} must be a name of at least one letter")
+        raise InvalidInputError(f"{name}={shown(value)} must be a name of at least one letter")
     return value
+
+
+def parts(values: Any, kind: type[T], name: str) -> tuple[T, ...]:
+    """A row of `kind`s as a tuple, or `InvalidInputError`."""
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise InvalidInputError(f"{name}={shown(values)} must be a list of {kind.__name__}s")
+    for value in values:
+        if not isinstance(value, kind):
+            raise InvalidInputError(f"{name} must be a list of {kind.__name__}s, got {shown(value)} in it")
+    return tuple(values)
 
 
 def unit(values: Any, name: str) -> Vector3:
@@ -57,7 +72,7 @@ def unit(values: Any, name: str) -> Vector3:
 
 def limits(lower: Any, upper: Any, name: str) -> tuple[float, float]:
     """A lower limit below an upper one, or -inf and inf together: a joint that turns without end."""
-    if (lower, upper) == (-math.inf, math.inf):
+    if isinstance(lower, float) and isinstance(upper, float) and (lower, upper) == (-math.inf, math.inf):
         return -math.inf, math.inf
     low, high = numbers((lower, upper), 2, f"{name}: (lower, upper)")
     if low >= high:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.sim.hand_check import Inertia, Vector3, inertia_of, limits, numbers, positive, unit, word
+from grasp_env._check import choice
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim.hand_check import Inertia, Vector3, inertia_of, limits, numbers, parts, positive, unit, word
 
 SIZES = {
     "sphere": ("radius",),
@@ -44,8 +45,7 @@ class Geometry:
     color: Vector3 | None = None
 
     def __post_init__(self) -> None:
-        if self.kind not in SIZES:
-            raise UnknownNameError("kind of geometry", self.kind, SIZES)
+        choice(self.kind, "kind of geometry", SIZES)
         name = f"geometry {self.kind!r}"
         size = numbers(self.size, len(SIZES[self.kind]), f"{name}: size ({', '.join(SIZES[self.kind])})")
         if min(size) <= 0.0:
@@ -115,8 +115,8 @@ class Link:
             mass=positive(self.mass, f"{name}: mass [kg]"),
             center=numbers(self.center, 3, f"{name}: center"),
             inertia=inertia_of(self.inertia, name),
-            collision=tuple(self.collision),
-            visual=tuple(self.visual),
+            collision=parts(self.collision, Geometry, f"{name}: collision"),
+            visual=parts(self.visual, Geometry, f"{name}: visual"),
             color=numbers(self.color, 3, f"{name}: color"),
             joint=word(self.joint or f"{self.name}_joint", f"{name}: joint"),
         )
@@ -165,7 +165,7 @@ class Palm:
         word(self.name, "palm: name")
         _fix(
             self,
-            collision=tuple(self.collision),
-            visual=tuple(self.visual),
+            collision=parts(self.collision, Geometry, f"palm {self.name!r}: collision"),
+            visual=parts(self.visual, Geometry, f"palm {self.name!r}: visual"),
             color=numbers(self.color, 3, f"palm {self.name!r}: color"),
         )

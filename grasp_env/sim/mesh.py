@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from grasp_env._check import Array
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, shown
 
 FILE_TYPES = (".obj", ".stl", ".ply", ".off")
 MOST_FACES = 400
@@ -54,8 +54,8 @@ def load_mesh(path: str, scale: float) -> Mesh:
     Raises:
         InvalidInputError: No such file, not a mesh, not closed, not convex, or too many faces.
     """
-    if os.path.splitext(path)[1].lower() not in FILE_TYPES:
-        raise InvalidInputError(f"mesh={path!r} must be a file of type {', '.join(FILE_TYPES)}; convert it")
+    if not isinstance(path, str | os.PathLike) or os.path.splitext(path)[1].lower() not in FILE_TYPES:
+        raise InvalidInputError(f"mesh={shown(path)} must be a file of type {', '.join(FILE_TYPES)}; convert it")
     try:
         status = os.stat(path)
     except (OSError, ValueError) as error:

@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._check import Array, as_array
+from grasp_env._check import Array, as_array, choice
+from grasp_env._files import as_path
 from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.sim.hand_check import numbers, positive
 from grasp_env.sim.mesh import Mesh, load_mesh
@@ -73,19 +74,19 @@ class ObjectDescription:
     mesh: str | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.shape, str) or self.shape not in KINDS:
-            raise UnknownNameError("shape", self.shape, SHAPES)
+        choice(self.shape, "shape", KINDS)
         if (self.shape == "mesh") != (self.mesh is not None):
             raise InvalidInputError(
                 f"shape={self.shape!r} with mesh={self.mesh!r}: shape 'mesh' needs the path of a mesh file, "
                 "and other shapes take mesh=None"
             )
-        size = numbers(np.ravel(self.size), None, "size [m]") if np.size(self.size) else _DEFAULTS[self.shape]
+        given = np.atleast_1d(as_array(self.size, None, "size [m]"))
+        size = numbers(given, None, "size [m]") if given.size else _DEFAULTS[self.shape]
         self._set(
             size=numbers(size, len(_SIZES[self.shape]), f"size of a {self.shape} ({', '.join(_SIZES[self.shape])})"),
             mass=_at_most(positive(self.mass, "mass [kg]"), _MOST_MASS, "mass [kg]"),
             friction=_at_most(positive(self.friction, "friction"), _MOST_FRICTION, "friction"),
-            mesh=None if self.mesh is None else str(self.mesh),
+            mesh=None if self.mesh is None else str(as_path(self.mesh, InvalidInputError, "mesh")),
         )
         if min(self.size) <= 0.0:
             raise InvalidInputError(f"size={self.size} of a {self.shape} must be above 0")
@@ -101,7 +102,8 @@ class ObjectDescription:
                 f"{SMALLEST:g} to {LARGEST:g} m each way; sizes are in metres{hint}"
             )
         if self.inertia is not None:
-            self._set(inertia=_moments(self.inertia) if np.size(self.inertia) else None)
+            given = as_array(self.inertia, None, "inertia [kg m^2]")
+            self._set(inertia=_moments(given.tolist()) if given.size else None)
 
     @property
     def extent(self) -> tuple[float, float, float]:

@@ -10,7 +10,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from grasp_env.errors import InvalidInputError
+from grasp_env._files import parsed, shown_path
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand_check import Inertia, Vector3, inertia_of, limits, numbers
 from grasp_env.sim.hand_frames import Frame
 from grasp_env.sim.hand_tree import Geometry
@@ -53,14 +54,8 @@ def read_elements(path: str | os.PathLike[str]) -> tuple[str, dict[str, UrdfLink
     Raises:
         InvalidInputError: No such file, no XML, or an element that a hand cannot have.
     """
-    try:
-        robot = ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise InvalidInputError(f"cannot read the URDF {path}: {error.strerror}; check the path") from None
-    except (ElementTree.ParseError, UnicodeDecodeError, ValueError) as error:
-        raise InvalidInputError(
-            f"{path} is not XML: {error}; a URDF is plain XML, so run xacro files through xacro first"
-        ) from None
+    hint = "; a URDF is plain XML, so run xacro files through xacro first"
+    robot = parsed(path, ElementTree.fromstring, InvalidInputError, f"the URDF {shown_path(path)}", "XML", hint)
     if robot.tag != "robot":
         raise InvalidInputError(f"{path}: the first element is <{robot.tag}>, a URDF starts with <robot name=...>")
     palette = {
@@ -96,7 +91,11 @@ def _row(element: Element | None, key: str, count: int, default: str | None, whe
     text = default if element is None else element.get(key, default)
     if text is None:
         raise InvalidInputError(f"{where} lacks {key}=")
-    return numbers(text.split(), count, f"{where}: {key}")
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        raise InvalidInputError(f"{where}: {key}={shown(text.split())} must be {count} numbers") from None
+    return numbers(values, count, f"{where}: {key}")
 
 
 def _number(element: Element | None, key: str, default: str | None, where: str) -> float:

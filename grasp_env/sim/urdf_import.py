@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand_check import Inertia, inertia_matrix, inertia_numbers, positive
 from grasp_env.sim.hand_frames import Frame
 from grasp_env.sim.hand_tree import Fingertip, Geometry, Link, Palm
@@ -38,8 +38,9 @@ def read_urdf(
     Raises:
         InvalidInputError: The file is no hand that can be simulated.
     """
-    if isinstance(fingertips, str) or not len(fingertips):
-        raise InvalidInputError(f"fingertips={fingertips!r} must be a list of one link name or more")
+    named = isinstance(fingertips, list | tuple) and all(isinstance(tip, str) for tip in fingertips)
+    if not named or not fingertips:
+        raise InvalidInputError(f"fingertips={shown(fingertips)} must be a list of one link name or more")
     name, links, joints = read_elements(path)
     missing = [tip for tip in fingertips if tip not in links]
     if missing:

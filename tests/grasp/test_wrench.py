@@ -78,5 +78,5 @@ def test_samplers_repeat_with_the_seed_and_only_with_it(
 
 
 def test_empty_sample_is_an_error() -> None:
-    with pytest.raises(InvalidInputError, match="count must be >= 1, got 0"):
+    with pytest.raises(InvalidInputError, match="count must be an integer >= 1, got 0"):
         wrench.sample_ball(np.random.default_rng(0), 0)

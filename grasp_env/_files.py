@@ -1,0 +1,146 @@
+"""How a file that a user names is read: regular files and pipes only, up to a size, never waiting for ever."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import stat
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from grasp_env.errors import GraspError, shown
+
+MEGABYTE = 1_000_000
+TEXT = 20 * MEGABYTE
+"""Most bytes of a file of numbers and names: JSON, URDF."""
+WEIGHTS = 1000 * MEGABYTE
+"""Most bytes of a file of arrays."""
+PATIENCE = 10.0
+"""[s] without a byte from a pipe, after which it counts as silent."""
+LONGEST = 60.0
+"""[s] that a pipe may take in all."""
+_BLOCK = 1 << 16
+
+
+def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
+    """The bytes of a regular file, or of a pipe such as /dev/stdin.
+
+    Args:
+        path: of the file.
+        most: bytes it may have.
+
+    Raises:
+        OSError: missing, not readable, a folder, a device, a silent pipe, larger than `most`, or no path; `strerror` says which.
+
+    Example:
+        >>> read_bytes("/dev/zero")
+        Traceback (most recent call last):
+        OSError: [Errno 22] it is a device, not a file: '/dev/zero'
+    """
+    try:
+        name = os.fspath(path)
+        handle = os.open(
+            name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
+        )  # opening a pipe must not wait for its writer
+    except (TypeError, ValueError) as error:  # no path, or one with a zero in it
+        raise OSError(22, f"no path of a file ({error})", shown(path)) from None
+    try:
+        kind = os.fstat(handle)
+        if stat.S_ISREG(kind.st_mode):
+            blob = _read(handle, most, None)
+        elif stat.S_ISFIFO(kind.st_mode):
+            blob = _read(handle, most, select.poll())
+        else:
+            what = "a folder" if stat.S_ISDIR(kind.st_mode) else "a device"
+            raise OSError(22, f"it is {what}, not a file", str(name))
+    except TimeoutError as error:
+        raise OSError(error.errno, error.strerror, str(name)) from None
+    finally:
+        os.close(handle)
+    if len(blob) > most:
+        raise OSError(27, f"it is larger than {most // MEGABYTE} MB", str(name))
+    return blob
+
+
+def read_json(path: str | os.PathLike[str], error: type[GraspError], what: str, **options: Any) -> Any:
+    """What a JSON file holds, in UTF-8 with or without a mark.
+
+    Args:
+        path: of the file.
+        error: raised for whatever is wrong with it.
+        what: the file is, for the message.
+        options: of `json.loads`.
+    """
+
+    def read(blob: bytes) -> Any:
+        return json.loads(blob.decode("utf-8-sig"), **options)
+
+    return parsed(path, read, error, f"{what} {shown_path(path)}", "a JSON object of this format")
+
+
+def parsed(
+    path: str | os.PathLike[str],
+    read: Callable[[bytes], Any],
+    error: type[GraspError],
+    name: str,
+    form: str,
+    hint: str = "",
+    most: int = TEXT,
+) -> Any:
+    """`read` of a file's bytes; whatever is wrong with file or content becomes an `error`.
+
+    Args:
+        path: of the file.
+        read: what its bytes mean; what it raises becomes the `error`, its own errors of the project stay.
+        error: raised.
+        name: of the file, for the message.
+        form: what the file has to be, for the message.
+        hint: what to do where it is not.
+        most: bytes it may have.
+    """
+    try:
+        blob = read_bytes(path, most)
+    except OSError as problem:
+        raise error(f"cannot read {name}: {problem.strerror}; check the path") from problem
+    try:
+        return read(blob)
+    except GraspError:
+        raise
+    except Exception as problem:  # every format's reader has its own, and nesting its own too
+        said = "nested too deep" if isinstance(problem, RecursionError) else str(problem)[:300]
+        raise error(f"{name} is not {form}: {said}{hint}") from problem
+
+
+def as_path(path: Any, error: type[GraspError], what: str) -> Path:
+    """A path of text or of `pathlib`, or `error`."""
+    if not isinstance(path, str | os.PathLike) or "\0" in str(path) or not str(path):
+        raise error(f"{what} must be a path, got {shown(path)}")
+    return Path(path)
+
+
+def shown_path(path: object) -> str:
+    """A path for a message."""
+    return str(path) if isinstance(path, str | os.PathLike) else shown(path)
+
+
+def _read(handle: int, most: int, poll: select.poll | None) -> bytes:
+    """Up to `most` + 1 bytes; from a pipe with patience."""
+    parts, size, end = list[bytes](), 0, time.monotonic() + LONGEST
+    if poll is not None:
+        poll.register(handle, select.POLLIN)
+    while size <= most:
+        try:
+            part = os.read(handle, min(_BLOCK, most + 1 - size))
+        except BlockingIOError:
+            left = min(PATIENCE, end - time.monotonic())
+            if poll is None or left <= 0.0 or not poll.poll(1e3 * left):
+                raise TimeoutError(110, "nothing comes out of this pipe") from None
+            continue
+        if not part:
+            break
+        parts.append(part)
+        size += len(part)
+    return b"".join(parts)

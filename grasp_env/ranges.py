@@ -1,0 +1,73 @@
+"""How large and how small the numbers of a problem may be: the one table. Beyond it calls raise `InvalidInputError`.
+
+Measured on hard, soft and elliptic grasps with all methods: a decade or more inside of where answers lose their digits, and far
+outside of what hands, objects and their units need. Wrenches go up to `core.LARGEST`, which the compiled calls check themselves.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Range(NamedTuple):
+    """From `low` to `high`, both allowed, in `unit`."""
+
+    low: float
+    high: float
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g}{self.unit and ' '}{self.unit}"
+
+
+POSITIVE = Range(1e-300, 1e300)
+"""Where only the sign matters."""
+FINITE = Range(-1e300, 1e300)
+NOT_NEGATIVE = Range(0.0, 1e300)
+
+FRICTION = Range(1e-6, 1e4)
+"""Coulomb coefficients. Below 1e-8 and above 1e5 the forces of one contact differ by more digits than a double has."""
+TORSIONAL_FRICTION = Range(1e-9, 1e3, "m")
+"""gamma; from 1e7 m on a millionth of the normal force twists any load."""
+LENGTH = Range(1e-9, 1e6, "m")
+"""Root mean square distance of the contacts from their centre, and lengths that turn moments into forces."""
+DISTANCE = 1e5
+"""Of the contacts' centre from the origin, in lengths of the grasp: moments about the origin lose as many digits."""
+SIZE = Range(-1e12, 1e12)
+"""Of lengths, wrenches and matrices that are transformed."""
+MASS = Range(1e-9, 1e9, "kg")
+CONTACTS = 1000
+"""Most contacts of a grasp; `linear` takes N^2 memory."""
+
+FORCE_WEIGHT = Range(1e-6, 1e6)
+"""omega. Phi knows forces in units of sqrt(lambda / omega) only: 1e6 N at the most, 1e-9 N at the least."""
+BARRIER_WEIGHT = Range(1e-12, 1e6, "N^2")
+"""lambda."""
+TOLERANCE = Range(1e-300, 1.0)
+"""A relative gap; what no double reaches ends as STALLED."""
+ITERATIONS = 10_000_000
+"""Most steps of a solve; a trace keeps a number for each."""
+
+NORMAL_FORCE = Range(1e-12, 1e12, "N")
+"""Limits on normal forces, where they are neither 0 nor infinite."""
+LEAST_NORMAL_FORCE = Range(0.0, 1e6, "N")
+TORQUE = Range(1e-12, 1e12, "N m")
+"""Limits on torques, where they are not infinite."""
+BIAS = Range(-1e12, 1e12, "N m")
+LEVER = Range(-1e6, 1e6, "m")
+"""Entries of a Jacobian."""
+JOINTS = 1000
+
+BALL = Range(1e-9, 1e9, "N or N m")
+"""Radii of a `WrenchBall`."""
+STARTS = 10_000
+POINTS = 5000
+"""Of the polytope of `worst_case`: in six dimensions its facets grow far faster than its points."""
+FACETS = 1000
+EDGES = 30_000_000
+"""Most numbers of the pyramids' edges, contacts^2 * facets."""
+
+NUMBERS = 100_000_000
+"""Most numbers of any array that is given: 0.8 GB."""
+SEED = 2**63 - 1
+WORKERS = 1024
