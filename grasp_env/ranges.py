@@ -33,8 +33,8 @@ LENGTH = Range(1e-9, 1e6, "m")
 """Root mean square distance of the contacts from their centre, and lengths that turn moments into forces."""
 DISTANCE = 1e5
 """Of the contacts' centre from the origin, in lengths of the grasp: moments about the origin lose as many digits."""
-SIZE = Range(-1e12, 1e12)
-"""Of lengths, wrenches and matrices that are transformed."""
+SIZE = Range(-1e50, 1e50)
+"""Of numbers that are only multiplied: products of six of them are no overflow."""
 MASS = Range(1e-9, 1e9, "kg")
 CONTACTS = 1000
 """Most contacts of a grasp; `linear` takes N^2 memory."""
@@ -47,6 +47,11 @@ TOLERANCE = Range(1e-300, 1.0)
 """A relative gap; what no double reaches ends as STALLED."""
 ITERATIONS = 10_000_000
 """Most steps of a solve; a trace keeps a number for each."""
+
+STEP = Range(1e-15, 1e12, "N")
+"""First trial steps of the flows."""
+SHRINK = Range(1e-3, 0.99)
+"""A search for a smaller Phi ends after log(1e16) / -log(shrink) trials: 3700 at 0.99."""
 
 NORMAL_FORCE = Range(1e-12, 1e12, "N")
 """Limits on normal forces, where they are neither 0 nor infinite."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from grasp_env._check import as_array, generator
 from grasp_env.errors import InvalidInputError, ModelFileError
 from policies.agent_files import find_checkpoint, read_arrays, read_meta, read_tensors
 
@@ -38,7 +39,7 @@ class TrainedAgent:
         self, meta: dict[str, Any], weights: dict[str, np.ndarray], normaliser: dict[str, np.ndarray], seed: int = 0
     ) -> None:
         self.meta = meta
-        self._rng = np.random.default_rng(seed)
+        self._rng = generator(seed)
         self._mean = normaliser["mean"]
         self._scale = 1.0 / np.sqrt(normaliser["var"] + float(normaliser["epsilon"]))
         self._clip = float(normaliser["clip"])
@@ -88,7 +89,7 @@ class TrainedAgent:
         Raises:
             InvalidInputError: an observation of another size.
         """
-        seen = np.asarray(observation)
+        seen = as_array(observation, None, "observation")
         if seen.shape[-1:] != self._mean.shape or seen.ndim not in (1, 2):
             raise InvalidInputError(
                 f"observation must be ({len(self._mean)},) or (n, {len(self._mean)}), got shape {seen.shape}"

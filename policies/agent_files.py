@@ -14,7 +14,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from grasp_env._files import WEIGHTS, parsed, read_bytes
+from grasp_env._files import WEIGHTS, as_path, parsed, read_bytes
 from grasp_env.errors import ModelFileError
 from grasp_env.observation import bounds
 
@@ -89,7 +89,7 @@ def find_checkpoint(folder: str | Path) -> Path:
     Raises:
         ModelFileError: there is none.
     """
-    folder = Path(folder)
+    folder = as_path(folder, ModelFileError, "an agent's folder")
     if (folder / META).is_file():
         return folder
     for parent in (folder / "checkpoints", folder):

@@ -7,6 +7,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from grasp_env._check import as_array, whole
+
 
 class Policy(Protocol):
     """What `stable_baselines3.common.evaluation.evaluate_policy` needs."""
@@ -22,11 +24,11 @@ class ZeroPolicy:
     """No adjustment of the initial force: the environment's own start rule, the paper's by default."""
 
     def __init__(self, action_size: int = 6) -> None:
-        self.action_size = action_size
+        self.action_size = whole(action_size, "action_size", 1, 10_000)
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
         """Zeros of the action's shape, one row per environment where observations are batched."""
-        shape = np.shape(observation)[:-1]
+        shape = as_array(observation, None, "observation", finite=False).shape[:-1]
         return np.zeros((*shape, self.action_size), dtype=np.float32), state

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import Array, as_array, instance, positive, together
-from grasp_env.errors import InvalidInputError
+from grasp_env._check import Array, as_array, instance, positive, together, whole
+from grasp_env.errors import InvalidInputError, shown
 
 Weight = float | Sequence[float]
 """One weight for all contacts, or one per contact (the diagonal blocks of W_p, W_i)."""
@@ -52,7 +52,7 @@ class Objective:
             array([[1.  , 0.01],
                    [2.  , 0.01]])
         """
-        out = np.empty((count, 2))
+        out = np.empty((whole(count, "count", 0, ranges.CONTACTS), 2))
         for column, name in enumerate(("force_weight", "barrier_weight")):
             value = getattr(self, name)
             if np.ndim(value) == 1 and len(value) != count:
@@ -69,7 +69,7 @@ class Objective:
             >>> round(Objective(1.0, 0.01).value(np.array([0.5, 0.0, 0.0])), 12)
             1.56
         """
-        u, o, t = x.reshape(-1, 3).T
+        u, o, t = _contacts(x).T
         d = u**2 - o**2 - t**2
         if not ((u > 0).all() and (d > 0).all()):
             return float("inf")
@@ -77,16 +77,16 @@ class Objective:
         return float((3 * omega * u + lam * (1 / u + 2 * u / d)).sum())
 
     def gradient(self, x: Array) -> Array:
-        """Gradient of Phi, (3N,)."""
-        u, o, t = x.reshape(-1, 3).T
+        """Gradient of Phi, (3N,), strictly inside the cones."""
+        u, o, t = _contacts(x, inside=True).T
         d = u**2 - o**2 - t**2
         omega, lam = self.weights(len(u)).T
         du = 3 * omega - lam * (1 / u**2 + 2 * (u**2 + o**2 + t**2) / d**2)
         return np.stack([du, 4 * lam * u * o / d**2, 4 * lam * u * t / d**2], 1).ravel()
 
     def hessian(self, x: Array) -> Array:
-        """The 3 x 3 diagonal blocks of the Hessian of Phi, (N, 3, 3)."""
-        u, o, t = x.reshape(-1, 3).T
+        """The 3 x 3 diagonal blocks of the Hessian of Phi, (N, 3, 3), strictly inside the cones."""
+        u, o, t = _contacts(x, inside=True).T
         s2 = o**2 + t**2
         d = u**2 - s2
         blocks = np.empty((len(u), 3, 3))
@@ -108,8 +108,12 @@ class Objective:
             cone_matrix: (6, 3N), G in cone coordinates.
             wrench: (6,) external wrench.
         """
-        y = (cone_matrix.T @ multipliers).reshape(-1, 3)
-        total = -float(multipliers @ wrench)
+        nu, load = (
+            as_array(multipliers, (6,), "multipliers", ranges.SIZE),
+            as_array(wrench, (6,), "wrench", ranges.SIZE),
+        )
+        y = _contacts(as_array(cone_matrix, (6, None), "cone_matrix", ranges.SIZE).T @ nu)
+        total = -float(nu @ load)
         for (yu, yo, yt), (omega, lam) in zip(y, self.weights(len(y)), strict=True):
             a, b = 3 * omega - yu, float(np.hypot(yo, yt))
             if not a > b:
@@ -117,10 +121,27 @@ class Objective:
             k = (a - b) / (a + b)
             # r^2 ((1 + r)^2 + 2) = k ((1 + r)^2 + 2 r^2)
             roots = np.roots([1.0, 2.0, 3.0 - 3.0 * k, -2.0 * k, -k])
-            r = float(max(root.real for root in roots if abs(root.imag) < 1e-9))
+            r = float(max((root.real for root in roots if abs(root.imag) < 1e-9), default=0.0))
+            if not r > 0.0:  # y is so large that nothing of omega is left
+                return float("-inf")
             c1 = (a - b + (a + b) * r) / 2
             total += 2 * float(np.sqrt(lam * c1 * (1 + 1 / r + 2 / (1 + r))))
         return total
+
+
+def _contacts(x: Array, inside: bool = False) -> Array:
+    """Flat cone coordinates as (N, 3); `inside`: or an error where they are outside the open cones."""
+    given = as_array(x, None, "x", ranges.SIZE)
+    if given.size % 3 or not 1 <= given.size // 3 <= ranges.CONTACTS:
+        raise InvalidInputError(f"x must have shape (3N,) for 1 to {ranges.CONTACTS} contacts, got {given.shape}")
+    rows = given.reshape(-1, 3)
+    if inside and not (rows[:, 0] * (1.0 - 1e-15) > np.hypot(rows[:, 1], rows[:, 2])).all():
+        raise InvalidInputError(
+            f"x must lie strictly inside the cones, u > |(o, t)| at every contact, got {shown(given)}"
+        )
+    if inside and not (rows[:, 0] > 1e-30).all():
+        raise InvalidInputError(f"x must have u > 1e-30 N at every contact, got {shown(given)}")
+    return rows
 
 
 def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:

@@ -153,7 +153,7 @@ class ForceOptimizer:
             trace: keep Phi of every iterate in `objective_trace`.
         """
         loop = self._loop
-        if loop is not None and initial is None and optimum is None and not trace:
+        if loop is not None and initial is None and optimum is None and trace is False:
             # the control loop's path: one compiled call, which reads the array as it is or refuses it
             record = _empty(self._size)
             if not loop.remembers or self.previous is None:
@@ -226,7 +226,7 @@ def _check_initial(initial: object) -> None:
 
 def _tolerance(given: float | None, method: str) -> float:
     if given is None:
-        return CONIC_TOLERANCE if method == "conic" else TOLERANCE
+        return CONIC_TOLERANCE if isinstance(method, str) and method == "conic" else TOLERANCE
     return positive(given, "tolerance", ranges.TOLERANCE)
 
 

@@ -206,7 +206,12 @@ class ForcePipeline:
             RankDeficientGraspError, InfeasibleWrenchError, InfeasibleStartError: the contacts cannot balance the wrench.
                 Nothing stale is left: `self.x` is nan then.
         """
-        if type(adjust) is np.ndarray and adjust.shape == self._coordinates and not adjust.any():
+        if (
+            type(adjust) is np.ndarray
+            and adjust.shape == self._coordinates
+            and adjust.dtype.kind == "f"
+            and not adjust.any()
+        ):
             adjust = None
         record = np.empty(self._size)
         if self._solve(points, normals, wrench, adjust, record) <= STALLED:

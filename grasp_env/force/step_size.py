@@ -14,15 +14,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from grasp_env._check import Array, positive
-from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env import ranges
+from grasp_env._check import Array, choice, positive
+from grasp_env.errors import InvalidInputError, shown
 
 FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT = range(5)
 """Kinds, the first parameter of a rule."""
 SHORTEST = 1e-10
 """A step moves x by at least this fraction of its length."""
-EDGE = 1e-3
-"""Factors after a rejected step keep this distance from 0 and 1: nearer to 1 a search would not end in reasonable time."""
 
 
 class StepRule(Protocol):
@@ -38,7 +37,7 @@ class FixedStep:
     """Always the same step; halved, for one iteration, where it leaves a cone or does not decrease Phi.
 
     Attributes:
-        size: alpha [N / force_weight].
+        size: alpha [N / force_weight], 1e-15 to 1e12.
 
     Example:
         >>> FixedStep(0.0)
@@ -49,7 +48,7 @@ class FixedStep:
     size: float
 
     def __post_init__(self) -> None:
-        positive(self.size, "size")
+        _keep(self, size=positive(self.size, "size", ranges.STEP))
 
     def parameters(self) -> Array:
         """See `StepRule`."""
@@ -62,7 +61,7 @@ class ArmijoStep:
 
     Attributes:
         first: the first trial step of every iteration [N / force_weight].
-        shrink: factor in [0.001, 0.999] after a rejected one.
+        shrink: factor, 0.001 to 0.99, after a rejected one.
         slope: share of alpha |d|^2 in (0, 1) by which Phi has to fall.
     """
 
@@ -71,9 +70,8 @@ class ArmijoStep:
     slope: float = 1e-4
 
     def __post_init__(self) -> None:
-        positive(self.first, "first")
-        _shrinks(self.shrink)
-        _share("slope", self.slope)
+        first = positive(self.first, "first", ranges.STEP)
+        _keep(self, first=first, shrink=_shrink(self.shrink), slope=_share("slope", self.slope))
 
     def parameters(self) -> Array:
         """See `StepRule`."""
@@ -87,7 +85,7 @@ class AdaptiveStep:
     Attributes:
         first: the first trial step of every solve [N / force_weight].
         grow: factor in [1, 1e6) after an accepted step.
-        shrink: factor in [0.001, 0.999] after a rejected one.
+        shrink: factor, 0.001 to 0.99, after a rejected one.
     """
 
     first: float = 0.3
@@ -95,10 +93,10 @@ class AdaptiveStep:
     shrink: float = 0.5
 
     def __post_init__(self) -> None:
-        positive(self.first, "first")
-        if not (isinstance(self.grow, Real) and 1.0 <= self.grow < 1e6):
-            raise InvalidInputError(f"grow must be a finite factor >= 1, got {self.grow!r}")
-        _shrinks(self.shrink)
+        first, grow = positive(self.first, "first", ranges.STEP), self.grow
+        if isinstance(grow, bool) or not (isinstance(grow, Real) and 1.0 <= grow < 1e6):
+            raise InvalidInputError(f"grow must be a finite factor >= 1, got {shown(grow)}")
+        _keep(self, first=first, grow=float(grow), shrink=_shrink(self.shrink))
 
     def parameters(self) -> Array:
         """See `StepRule`."""
@@ -117,7 +115,7 @@ class BarzilaiBorweinStep:
 
     Attributes:
         first: the first trial step of every solve [N / force_weight].
-        shrink: factor in [0.001, 0.999] after a step that left a cone or did not decrease Phi.
+        shrink: factor, 0.001 to 0.99, after a step that left a cone or did not decrease Phi.
         variant: "alternate", "long" or "short".
     """
 
@@ -126,10 +124,8 @@ class BarzilaiBorweinStep:
     variant: str = "short"
 
     def __post_init__(self) -> None:
-        positive(self.first, "first")
-        _shrinks(self.shrink)
-        if self.variant not in VARIANTS:
-            raise UnknownNameError("variant", self.variant, VARIANTS)
+        _keep(self, first=positive(self.first, "first", ranges.STEP), shrink=_shrink(self.shrink))
+        choice(self.variant, "variant", VARIANTS)
 
     def parameters(self) -> Array:
         """See `StepRule`; the variant's number takes the place of `grow`."""
@@ -148,7 +144,7 @@ class ExactStep:
     precision: float = 1e-3
 
     def __post_init__(self) -> None:
-        _share("precision", self.precision)
+        _keep(self, precision=_share("precision", self.precision))
 
     def parameters(self) -> Array:
         """See `StepRule`."""
@@ -173,17 +169,24 @@ def checked_rule(rule: Any) -> StepRule:
         return AdaptiveStep()
     if not isinstance(rule, STEP_RULES):
         names = [each.__name__ for each in STEP_RULES]
-        raise InvalidInputError(f"step_rule must be None or a {', '.join(names[:-1])} or {names[-1]}, got {rule!r}")
+        raise InvalidInputError(
+            f"step_rule must be None or a {', '.join(names[:-1])} or {names[-1]}, got {shown(rule)}"
+        )
     return rule
 
 
-def _share(name: str, value: Any) -> None:
-    given: Any = value  # not as a float: an integer may be too large for one
-    if not (isinstance(value, Real) and 0.0 < given < 1.0):
-        raise InvalidInputError(f"{name} must lie in (0, 1), got {value!r}")
+def _share(name: str, value: Any) -> float:
+    if isinstance(value, bool) or not (isinstance(value, Real) and 0.0 < value < 1.0):
+        raise InvalidInputError(f"{name} must lie in (0, 1), got {shown(value)}")
+    return positive(value, name)
 
 
-def _shrinks(value: Any) -> None:
-    _share("shrink", value)
-    if not EDGE <= value <= 1.0 - EDGE:
-        raise InvalidInputError(f"shrink must lie between {EDGE:g} and {1.0 - EDGE:g}, got {value!r}")
+def _shrink(value: Any) -> float:
+    """A share that ends a search soon: a factor of 1 - 1e-12 would take 1e13 trials."""
+    return positive(_share("shrink", value), "shrink", ranges.SHRINK)
+
+
+def _keep(rule: Any, **values: float) -> None:
+    """Sets checked numbers of a frozen rule."""
+    for name, value in values.items():
+        object.__setattr__(rule, name, value)

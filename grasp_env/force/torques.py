@@ -89,7 +89,7 @@ def checked_jacobian(
     """
     jac = as_array(jacobian, None, name, ranges.LEVER)
     shape = jac.shape
-    if jac.ndim == 2 and len(jac) % 3 == 0:
+    if jac.ndim == 2 and jac.size and len(jac) % 3 == 0:
         jac = jac.reshape(-1, 3, jac.shape[1])
     if jac.ndim != 3 or jac.shape[1] not in rows or 0 in jac.shape or count not in (None, len(jac)):
         n = "N" if count is None else str(count)

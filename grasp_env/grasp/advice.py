@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from grasp_env._check import Array
-from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 LARGEST_LENGTH = 5.0
 """[m] a grasp's length beyond which its positions are probably millimetres."""
@@ -38,6 +38,7 @@ def advise(grasp: Grasp) -> list[str]:
         >>> print(*advise(Grasp.from_contacts(good.positions, -good.normals, 0.5)))
         all 3 normals point away from the centre of the contacts: normals must point INTO the object; ...
     """
+    as_grasp(grasp)
     return [*_normals(grasp), *_sizes(grasp), *_coincident(grasp), *_condition(grasp)]
 
 
@@ -50,7 +51,7 @@ def has_force_closure(grasp: Grasp, flipped: Array | None = None) -> bool:
         grasp: the contacts; rank(G) = 6, as of every `Grasp`.
         flipped: (N,) bool, contacts whose normals are taken the other way round.
     """
-    models = grasp.models
+    models = as_grasp(grasp).models
     angles = 2.0 * np.pi * np.arange(_EDGES) / _EDGES
     sign = np.ones(grasp.n_contacts) if flipped is None else np.where(flipped, -1.0, 1.0)
     wrenches: list[Array] = []

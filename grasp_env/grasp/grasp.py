@@ -185,11 +185,11 @@ class Grasp:
             >>> presets.tripod().to_cone([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])[:3]   # mu = 0.5
             array([1. , 0.1, 0. ])
         """
-        return (np.asarray(force, dtype=np.float64).reshape(-1, 3) * self.models.cone_scale).reshape(-1)
+        return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
 
     def to_force(self, x: Array) -> ContactForces:
         """Flat cone coordinates (3N,) -> forces (N, 3) (normal, o, t) [N]."""
-        return x.reshape(-1, 3) / self.models.cone_divisor
+        return self._rows(x, "x") / self.models.cone_divisor
 
     def cone_margin(self, force: ContactForces) -> float:
         """Min over contacts of u - sqrt(o^2 + t^2) in cone coordinates [N], mu * normal - |tangential| for round cones."""
@@ -220,25 +220,34 @@ class Grasp:
 
     def wrench(self, force: ContactForces, torsion: Array | None = None) -> Wrench:
         """The wrench (6,) [N, N m] that contact forces (N, 3) and torsions (N,) exert on the object: G f (+ T torsion)."""
-        made = self.matrix @ as_array(force, (self.n_contacts, 3), "force").reshape(-1)
+        made = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(-1)
         return (
-            made if torsion is None else made + self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion")
+            made
+            if torsion is None
+            else made + self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
         )
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
         """Largest |component| of G f + w, moments about the contacts' centre and divided by `length` [N]."""
-        error = self.matrix @ np.asarray(force).reshape(-1) + wrench
+        error = self.matrix @ self._rows(force, "force").reshape(-1) + as_array(wrench, (6,), "wrench", ranges.SIZE)
         if torsion is not None:
-            error += self.torsion_matrix @ torsion
+            error += self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
         """Contact-frame forces (N, 3) -> object-frame vectors (N, 3) [N]."""
-        return np.einsum("nij,nj->ni", self.frames, force)
+        return np.einsum("nij,nj->ni", self.frames, self._rows(force, "force"))
 
     def to_contact_frame(self, vectors: Array) -> ContactForces:
         """Object-frame vectors (N, 3) [N] -> contact-frame forces (normal, o, t)."""
-        return np.einsum("nji,nj->ni", self.frames, vectors)
+        return np.einsum("nji,nj->ni", self.frames, self._rows(vectors, "vectors"))
+
+    def _rows(self, value: ArrayLike, name: str) -> Array:
+        """(N, 3) of what is given so, or flat (3N,)."""
+        rows = as_array(value, None, name, ranges.SIZE)
+        if rows.shape not in ((self.n_contacts, 3), (3 * self.n_contacts,)):
+            raise InvalidInputError(f"{name} must have shape ({self.n_contacts}, 3), got {rows.shape}")
+        return rows.reshape(-1, 3)
 
 
 _DEFAULT = np.zeros((0, 3))

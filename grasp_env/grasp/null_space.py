@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import Array
-from grasp_env.grasp.grasp import Grasp
+from grasp_env import ranges
+from grasp_env._check import Array, as_array
+from grasp_env.errors import InvalidInputError
+from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
 def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
@@ -25,6 +27,9 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
     """
     if reference is None:
         reference = reference_basis(grasp)
+    else:
+        shape = (3 * as_grasp(grasp).n_contacts, grasp.null_dimension)
+        reference = as_array(reference, shape, "reference", ranges.SIZE)
     candidate = _rotate(grasp, reference)
     candidate = candidate - grasp.pseudoinverse @ (grasp.matrix @ candidate)
     basis = _polar(candidate)
@@ -39,7 +44,7 @@ def reference_basis(grasp: Grasp) -> Array:
     column a meaning; where they do not span the null space (coplanar contacts, N > 4) an orthonormal basis of the
     whole null space, aligned with as many of them as there are, takes their place.
     """
-    count, dimension = grasp.n_contacts, grasp.null_dimension
+    count, dimension = as_grasp(grasp).n_contacts, grasp.null_dimension
     pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]
     squeezes = np.zeros((3 * count, len(pairs)))
     for column, (i, j) in enumerate(pairs):
@@ -63,4 +68,8 @@ def _rotate(grasp: Grasp, stacked: Array, back: bool = False) -> Array:
 
 def _polar(columns: Array) -> Array:
     values, vectors = np.linalg.eigh(columns.T @ columns)
+    if not values.min(initial=1.0) > 1e-14 * values.max(initial=1.0):
+        raise InvalidInputError(
+            "reference must have 3N - 6 independent directions that the contacts leave internal: give others"
+        )
     return columns @ ((vectors / np.sqrt(values)) @ vectors.T)

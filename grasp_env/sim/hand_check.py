@@ -8,10 +8,11 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from grasp_env import ranges
 from grasp_env._check import as_array
 from grasp_env.errors import InvalidInputError, shown
 
+_MOST = 1e9
+"""Of any number of a hand, in metres, kilograms, newton metres, radians."""
 T = TypeVar("T")
 Vector3: TypeAlias = tuple[float, float, float]
 Inertia: TypeAlias = tuple[float, float, float, float, float, float]
@@ -31,8 +32,8 @@ def numbers(values: Any, count: int | None, name: str) -> tuple[float, ...]:
         raise InvalidInputError(f"{name}={shown(result)} must be {count or 'a row of'} numbers, not {len(result)}")
     if not all(map(math.isfinite, result)):
         raise InvalidInputError(f"{name}={shown(result)} must be finite numbers")
-    if max(map(abs, result), default=0.0) > ranges.SIZE.high:
-        raise InvalidInputError(f"{name}={shown(result)} must be numbers up to {ranges.SIZE.high:g}")
+    if max(map(abs, result), default=0.0) > _MOST:
+        raise InvalidInputError(f"{name}={shown(result)} must be numbers up to {_MOST:g}")
     return result
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from grasp_env._check import Array, as_array, choice
 from grasp_env._files import as_path
-from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.errors import InvalidInputError, UnknownNameError, shown
 from grasp_env.sim.hand_check import numbers, positive
 from grasp_env.sim.mesh import Mesh, load_mesh
 from grasp_env.sim.shapes import KINDS, Surface
@@ -77,7 +77,7 @@ class ObjectDescription:
         choice(self.shape, "shape", KINDS)
         if (self.shape == "mesh") != (self.mesh is not None):
             raise InvalidInputError(
-                f"shape={self.shape!r} with mesh={self.mesh!r}: shape 'mesh' needs the path of a mesh file, "
+                f"shape={self.shape!r} with mesh={shown(self.mesh)}: shape 'mesh' needs the path of a mesh file, "
                 "and other shapes take mesh=None"
             )
         given = np.atleast_1d(as_array(self.size, None, "size [m]"))

@@ -41,11 +41,11 @@ RULES: dict[str, StepRule] = {
 WILD: dict[str, StepRule] = {
     "fixed, huge": FixedStep(1e9),
     "fixed, tiny": FixedStep(1e-15),
-    "armijo, huge": ArmijoStep(1e200, shrink=0.9, slope=0.9),
+    "armijo, huge": ArmijoStep(1e12, shrink=0.9, slope=0.9),
     "armijo, strict": ArmijoStep(1.0, slope=0.999),
     "adaptive, wild": AdaptiveStep(1e6, grow=1e5, shrink=0.99),
-    "short, huge": BarzilaiBorweinStep(1e300),
-    "long, tiny": BarzilaiBorweinStep(1e-200, shrink=0.01, variant="long"),
+    "short, huge": BarzilaiBorweinStep(1e12),
+    "long, tiny": BarzilaiBorweinStep(1e-12, shrink=0.01, variant="long"),
     "exact, fine": ExactStep(1e-14),
     "exact, coarse": ExactStep(0.999),
 }

@@ -1,0 +1,377 @@
+"""Public calls with good arguments, each of which is to be replaced by something else."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_env import force as f
+from grasp_env.config import EnvConfig
+from grasp_env.env import FourFingerGrasp
+from grasp_env.grasp import (
+    Grasp,
+    gravity_wrench,
+    load_grasp,
+    null_space_basis,
+    presets,
+    reference_basis,
+    save_grasp,
+    transform_wrench,
+    transformed,
+    wrench,
+    wrench_about,
+)
+from grasp_env.grasp.advice import advise, has_force_closure
+from grasp_env.grasp.transforms import checked_rotation
+from grasp_env.sim import FingerDescription, HandDescription
+from grasp_env.sim.hand_tree import Fingertip, Geometry, Link, Palm
+from grasp_env.sim.objects import ObjectDescription
+from grasp_env.task import make_plan
+from policies import LearnedInitialForce, ZeroPolicy
+from policies.agent import TrainedAgent
+from training.cli import main
+
+CUBOID = presets.paper_cuboid()
+SOFT = Grasp.from_contacts(CUBOID.positions, CUBOID.normals, 0.4, contact_model="soft", torsional_friction=0.005)
+PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
+FORCE = np.array([[9.0, 0.0, 0.0], [3.6, 0.0, 0.0], [2.7, 0.0, 0.0], [2.7, 0.0, 0.0]])
+JACOBIAN = 0.1 * np.random.default_rng(0).standard_normal((4, 3, 5))
+
+
+@dataclass(frozen=True)
+class Call:
+    """A public callable with arguments that it takes.
+
+    Attributes:
+        run: the callable, of keywords.
+        good: keywords that it answers.
+        weight: how often it is tried.
+    """
+
+    run: Callable[..., Any]
+    good: dict[str, Any] = field(default_factory=dict)
+    weight: float = 1.0
+
+
+def _solve(method: str, grasp: Grasp = CUBOID, **more: Any) -> Call:
+    good = {
+        "grasp": grasp, "wrench": PAPER, "initial": None, "method": method, "criterion": "sum", "limits": None, "force_weight": 1.0,
+        "barrier_weight": 0.01, "tolerance": 1e-4, "max_iterations": 500, "step_rule": None, "optimum": None, "trace": False,
+    }  # fmt: skip
+    return Call(f.optimize_force, good | more, 2.0)
+
+
+@cache
+def _optimizer(method: str) -> f.ForceOptimizer:
+    return f.ForceOptimizer(CUBOID, method=method)
+
+
+@cache
+def _pipeline() -> f.ForcePipeline:
+    return f.ForcePipeline(CUBOID, method="newton")
+
+
+@cache
+def _learned(name: str) -> LearnedInitialForce:
+    return LearnedInitialForce.pretrained(name)
+
+
+def _chain(first: Callable[..., Any], *rest: str) -> Callable[..., Any]:
+    """`first(**keywords)`, then methods of what it returns, without arguments."""
+
+    def run(**keywords: Any) -> Any:
+        made = first(**keywords)
+        return [getattr(made, name)() for name in rest] or made
+
+    return run
+
+
+def _with(make: Callable[[], Any], name: str) -> Callable[..., Any]:
+    """A method of an object that is made when it is called."""
+    return lambda **keywords: getattr(make(), name)(**keywords)
+
+
+def _plan(**settings: Any) -> Any:
+    return make_plan(EnvConfig(**settings).resolved(), np.random.default_rng(0), 0.2)
+
+
+def _quality(**keywords: Any) -> Any:
+    found = f.quality(**keywords)
+    return [found.closure_margin, found.min_singular_value, found.isotropy]
+
+
+def _rows(**keywords: Any) -> Any:
+    limits = f.ForceLimits(**keywords)
+    return limits.rows(CUBOID).bound, limits.slack(FORCE)[0]
+
+
+def _started(rule: Any) -> Callable[..., Any]:
+    return lambda grasp, wrench: rule()(grasp, wrench)
+
+
+def _load(folder: Path) -> Callable[..., Any]:
+    """A grasp's file with these keys, as far as JSON has them."""
+
+    def run(**keys: Any) -> Any:
+        try:
+            text = json.dumps(keys, default=_plain)
+        except (ValueError, RecursionError, TypeError):
+            text = "[" * 100_000
+        file = folder / "given.json"
+        file.write_text(text, encoding="utf-8", errors="replace")
+        return load_grasp(file)
+
+    return run
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) and value.size < 1000 else str(type(value))
+
+
+def _command(**options: Any) -> Any:
+    """`grasp solve` with these words; what the command line itself refuses ends as SystemExit."""
+    words = ["solve", "--wrench", *options.pop("wrench", [])]
+    words += [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), suppress(SystemExit):
+        assert main(words) in (0, 2)
+
+
+@cache
+def _env() -> FourFingerGrasp:
+    env = FourFingerGrasp()
+    env.reset(seed=0)
+    return env
+
+
+def _step(action: Any) -> Any:
+    seen, reward, over, ended, _ = _env().step(action)
+    if over or ended:
+        _env().reset(seed=0)
+    return seen, reward
+
+
+def _words(value: Any) -> list[str]:
+    try:
+        return [str(each)[:1000] for each in value][:8]
+    except Exception:
+        return ["nothing"]
+
+
+def calls(folder: Path) -> dict[str, Call]:
+    """All calls by name; `folder` is for files."""
+    contacts = {
+        "positions": CUBOID.positions, "normals": CUBOID.normals, "friction": 0.4, "contact_model": "soft",
+        "torsional_friction": 0.005, "tangents": np.tile([1.0, 0.2, 0.0], (4, 1)),
+    }  # fmt: skip
+    worst = {"criterion": "sum", "tolerance": 0.3, "starts": 2, "points": 64, "seed": 0}
+    link = {
+        "name": "a", "parent": "palm", "origin": (0, 0, 0.1), "rotation": (0, 0, 0), "axis": (0, 0, 1.0), "lower": -1.0, "upper": 1.0,
+        "torque_limit": 1.0, "mass": 0.1, "center": (0, 0, 0), "inertia": (1e-4, 0, 0, 1e-4, 0, 1e-4), "collision": (), "visual": (),
+        "color": (1, 0, 0), "joint": "",
+    }  # fmt: skip
+    settings = {name: getattr(EnvConfig(), name) for name in EnvConfig.__dataclass_fields__}
+    state = {"grasp": CUBOID, "wrench": PAPER}
+    return {
+        "Grasp.from_contacts": Call(Grasp.from_contacts, contacts, 4.0),
+        "Grasp.from_contacts, hard": Call(
+            lambda **k: Grasp.from_contacts(**k).pseudoinverse, {k: contacts[k] for k in ("positions", "normals", "friction")}, 4.0
+        ),
+        "Grasp.with_friction": Call(CUBOID.with_friction, {"friction": 0.5}),
+        "Grasp.wrench": Call(CUBOID.wrench, {"force": FORCE, "torsion": np.zeros(4)}),
+        "Grasp.residual": Call(CUBOID.residual, {"force": FORCE, "wrench": PAPER, "torsion": np.zeros(4)}),
+        "Grasp.to_cone": Call(CUBOID.to_cone, {"force": FORCE}),
+        "Grasp.to_force": Call(CUBOID.to_force, {"x": FORCE.reshape(-1)}),
+        "Grasp.cone_margin": Call(CUBOID.cone_margin, {"force": FORCE}),
+        "Grasp.to_object_frame": Call(CUBOID.to_object_frame, {"force": FORCE}),
+        "Grasp.to_contact_frame": Call(CUBOID.to_contact_frame, {"vectors": FORCE}),
+        "preset": Call(presets.preset, {"name": "tripod", "friction": 0.5}),
+        "transformed": Call(transformed, {"grasp": SOFT, "rotation": np.eye(3), "translation": np.zeros(3)}),
+        "transform_wrench": Call(transform_wrench, {"wrench": PAPER, "rotation": np.eye(3), "translation": np.zeros(3)}),
+        "wrench_about": Call(wrench_about, {"wrench": PAPER, "point": np.zeros(3)}),
+        "gravity_wrench": Call(
+            gravity_wrench, {"mass": 0.2, "com": np.zeros(3), "rotation": np.eye(3), "gravity": (0.0, 0.0, -9.81)}
+        ),
+        "checked_rotation": Call(checked_rotation, {"rotation": np.eye(3)}),
+        "paper_path": Call(wrench.paper_path, {"time": 0.1}),
+        "magnitude": Call(wrench.magnitude, {"wrench": PAPER, "length": 0.05}),
+        "sample_ball": Call(wrench.sample_ball, {"rng": np.random.default_rng(0), "count": 3, "force": 2.0, "moment": 0.1}),
+        "sample_magnitudes": Call(
+            wrench.sample_magnitudes, {"rng": np.random.default_rng(0), "count": 3, "low": 0.1, "high": 20.0}
+        ),
+        "sample_path": Call(wrench.sample_path, {"rng": np.random.default_rng(0), "count": 3, "step": 0.03}),
+        "advise": Call(advise, {"grasp": CUBOID}),
+        "save_grasp": Call(save_grasp, {"grasp": CUBOID, "path": str(folder / "saved" / "grasp.json")}),
+        "load_grasp": Call(load_grasp, {"path": str(folder / "none.json")}),
+        **{f"optimize_force, {method}": _solve(method) for method in ("reduced_flow", "newton", "conic", "linear")},
+        "optimize_force, full_flow": _solve("full_flow", max_iterations=20),
+        "optimize_force, max": _solve("conic", criterion="max"),
+        "optimize_force, soft newton": _solve("newton", SOFT),
+        "optimize_force, soft conic": _solve("conic", SOFT),
+        "optimize_force, limits": _solve("newton", limits=f.ForceLimits(max_normal=50.0)),
+        "optimize_force, from a force": _solve("newton", initial=FORCE, wrench=np.zeros(6)),
+        **{
+            f"ForceOptimizer.solve, {m}": Call(
+                _with(lambda m=m: _optimizer(m), "solve"), {"wrench": PAPER, "initial": None, "optimum": None, "trace": False}
+            )
+            for m in ("reduced_flow", "newton", "conic", "linear")
+        },
+        "ForceOptimizer.start": Call(_with(lambda: _optimizer("newton"), "start"), {"wrench": PAPER, "initial": "lagrange"}),
+        "ForceOptimizer.move_to": Call(_with(lambda: _optimizer("newton"), "move_to"), {"grasp": CUBOID}),
+        "optimize_forces": Call(
+            f.optimize_forces,
+            {"grasps": CUBOID, "wrenches": np.tile(PAPER, (3, 1)), "method": "newton", "workers": 1, "tolerance": 1e-4, "initial": None},
+            2.0,
+        ),
+        "optimize_forces, many grasps": Call(
+            f.optimize_forces, {"grasps": [CUBOID, SOFT], "wrenches": np.tile(PAPER, (2, 1)), "method": "conic", "limits": None}
+        ),
+        "ForcePipeline": Call(
+            f.ForcePipeline,
+            {"grasp": CUBOID, "method": "newton", "initial": "previous", "force_weight": 1.0, "barrier_weight": 0.01,
+             "tolerance": 1e-4, "max_iterations": 500, "step_rule": None, "reference": None},
+        ),
+        "ForcePipeline.solve": Call(
+            _with(_pipeline, "solve"),
+            {"points": CUBOID.positions, "normals": CUBOID.normals, "wrench": PAPER, "adjust": np.full(6, 0.1)}, 3.0,
+        ),
+        "ForceLimits": Call(
+            _rows, {"min_normal": 0.1, "max_normal": 9.0, "jacobian": JACOBIAN, "torque_limit": 2.0, "torque_bias": np.zeros(5)}, 3.0
+        ),
+        "limited newton": Call(
+            lambda wrench, **k: f.optimize_force(CUBOID, wrench, method="newton", limits=f.ForceLimits(**k)),
+            {"wrench": PAPER, "min_normal": 0.1, "max_normal": 90.0, "jacobian": JACOBIAN, "torque_limit": 9.0}, 2.0,
+        ),
+        "limited conic": Call(
+            lambda wrench, **k: f.optimize_force(CUBOID, wrench, method="conic", limits=f.ForceLimits(**k)),
+            {"wrench": PAPER, "min_normal": 0.1, "max_normal": 90.0, "jacobian": JACOBIAN, "torque_limit": 9.0}, 2.0,
+        ),
+        "ForceLimits.slack": Call(f.ForceLimits(max_normal=5.0).slack, {"force": FORCE, "torsion": np.zeros(4)}),
+        "ForceLimits.violations": Call(
+            f.ForceLimits(max_normal=5.0).violations, {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4), "tolerance": 1e-9}
+        ),
+        "ForceLimits.rows": Call(f.ForceLimits(max_normal=5.0).rows, {"grasp": CUBOID}),
+        "ForceLimits.checked": Call(f.ForceLimits(max_normal=5.0).checked, {"n_contacts": 4}),
+        "Objective": Call(f.Objective, {"force_weight": 1.0, "barrier_weight": [0.01] * 4}, 2.0),
+        "Objective.weights": Call(f.Objective([1.0] * 4).weights, {"count": 4}),
+        **{f"Objective.{name}": Call(getattr(f.Objective(), name), {"x": FORCE.reshape(-1)}) for name in ("value", "gradient", "hessian")},
+        "Objective.lower_bound": Call(
+            f.Objective().lower_bound, {"multipliers": -PAPER, "cone_matrix": CUBOID.cone_matrix, "wrench": PAPER}
+        ),
+        "Repair": Call(lambda objective, **k: f.Repair(objective)(**k), {**state, "candidate": FORCE, "objective": f.Objective()}),
+        "carry_over": Call(f.carry_over, {**state, "previous": FORCE, "objective": f.Objective(), "correction": "tangent"}),
+        "OfflineBasis.of": Call(f.OfflineBasis.of, {"grasp": CUBOID, "objective": None}),
+        "OfflineBasis.compute": Call(f.OfflineBasis.compute, {"grasp": CUBOID, "objective": None, "warm": None}),
+        "OfflineBasis.combine": Call(f.OfflineBasis.of(CUBOID).combine, {"wrench": PAPER, "printed": False}),
+        "OfflineBasis.moved_to": Call(f.OfflineBasis.of(CUBOID).moved_to, {"grasp": CUBOID}),
+        **{r.__name__: Call(_started(r), state) for r in (f.LinearCombination, f.SingleValue, f.Lagrange, f.PhaseOne)},
+        "rules with an objective": Call(
+            lambda objective, **k: f.SingleValue(objective)(**k), {**state, "objective": f.Objective(1.0, 0.1)}
+        ),
+        "initial_rule": Call(f.initial_rule, {"name": "lagrange", "objective": None}),
+        "FixedStep": Call(f.FixedStep, {"size": 0.3}),
+        "ArmijoStep": Call(f.ArmijoStep, {"first": 0.3, "shrink": 0.5, "slope": 1e-4}),
+        "AdaptiveStep": Call(f.AdaptiveStep, {"first": 0.3, "grow": 1.5, "shrink": 0.5}),
+        "BarzilaiBorweinStep": Call(f.BarzilaiBorweinStep, {"first": 0.3, "shrink": 0.5, "variant": "short"}),
+        "ExactStep": Call(f.ExactStep, {"precision": 1e-3}),
+        "a flow with a step": Call(
+            lambda **k: f.optimize_force(CUBOID, PAPER, step_rule=f.AdaptiveStep(**k), max_iterations=100),
+            {"first": 0.3, "grow": 1.5, "shrink": 0.5},
+        ),
+        "a flow with Armijo": Call(
+            lambda **k: f.optimize_force(CUBOID, PAPER, step_rule=f.ArmijoStep(**k), max_iterations=100),
+            {"first": 0.3, "shrink": 0.5, "slope": 1e-4},
+        ),
+        "description_matrix": Call(f.description_matrix, {"force": FORCE, "friction": CUBOID.friction}),
+        "cone_margin": Call(f.cone_margin, {"force": FORCE, "friction": CUBOID.friction}),
+        "joint_torques": Call(f.joint_torques, {"jacobian": JACOBIAN, "force": FORCE, "bias": np.zeros(5), "torsion": None}),
+        "contact_jacobian": Call(f.contact_jacobian, {"grasp": CUBOID, "object_frame_jacobian": JACOBIAN}),
+        "force_closure": Call(f.force_closure, {"grasp": CUBOID, "limits": None}),
+        "phase_one": Call(f.phase_one, {**state, "limits": None}),
+        "linear_forces": Call(f.linear_forces, {**state, "facets": 8, "limits": None}),
+        "singular_values": Call(f.singular_values, {"grasp": CUBOID, "length": 0.05}),
+        "epsilon": Call(f.epsilon, {"grasp": CUBOID, "length": 0.05, **worst}, 0.3),
+        "quality": Call(_quality, {"grasp": CUBOID, **{k: v for k, v in worst.items() if k != "criterion"}}, 0.2),
+        "worst_case": Call(f.worst_case, {"grasp": CUBOID, "wrenches": np.tile(PAPER, (2, 1)), "limits": None, **worst}),
+        "worst_case, ball": Call(f.worst_case, {"grasp": CUBOID, "wrenches": f.WrenchBall(1.0, 0.05), "limits": None, **worst}, 0.3),
+        "WrenchBall": Call(f.WrenchBall, {"force": 1.0, "moment": 0.05, "shape": "product"}),
+        "pretrained": Call(LearnedInitialForce.pretrained, {"name": "four_finger", "remembers": False}, 0.3),
+        **{
+            f"{name}, {method}": Call(_with(lambda n=name: _learned(n), method), state)
+            for name in ("any_grasp", "four_finger")
+            for method in ("__call__", "covers", "raw")
+        },
+        "learned solve": Call(
+            lambda wrench: f.optimize_force(CUBOID, wrench, method="newton", initial=_learned("any_grasp")), {"wrench": PAPER}
+        ),
+        "with_objective": Call(_with(lambda: _learned("any_grasp"), "with_objective"), {"objective": f.Objective(2.0, 0.02)}),
+        "EnvConfig": Call(EnvConfig, settings, 10.0),
+        "EnvConfig.override": Call(EnvConfig().override, {"friction": 0.4, "size": (0.1, 0.1, 0.1)}),
+        **{
+            f"plan of {task}": Call(_plan, {**{n: settings[n] for n in names}, "task": task}, 1.0)
+            for task, names in {
+                "hold": ("duration", "disturbance", "disturbance_value", "disturbance_scale", "random_force", "random_time",
+                         "impulse_force", "impulse_time", "impulse_interval", "tilt_angle", "tilt_period", "gravity"),
+                "move": ("duration", "motion", "motion_size", "motion_period", "control_rate"),
+                "payload": ("payload_factor", "payload_time", "duration"),
+                "six_directions": ("push_per_mass", "push_time", "duration", "gravity"),
+            }.items()
+        },
+        "ObjectDescription": Call(
+            ObjectDescription,
+            {"shape": "cuboid", "size": (0.1, 0.1, 0.1), "mass": 0.2, "friction": 0.4, "inertia": (1e-4, 1e-4, 1e-4), "mesh": None}, 2.0,
+        ),
+        "FingerDescription": Call(
+            _chain(FingerDescription, "fingertip"),
+            {"name": "a", "base": (0, 0.1, 0), "press": (0, 0, 1.0), "hang": (0, -1.0, 0), "link_lengths": (0.03, 0.08, 0.07),
+             "link_masses": (0.02, 0.03, 0.02), "tip_mass": 0.01, "link_radius": 0.0075, "tip_radius": 0.01, "torque_limit": 12.0,
+             "joint_lower": (-1.0, -1.8, 0.05), "joint_upper": (1.0, 1.2, 2.6), "home": (0.0, -0.6, 1.2), "color": (1, 0, 0)}, 2.0,
+        ),
+        "HandDescription.of_fingers": Call(
+            HandDescription.of_fingers,
+            {"fingers": [FingerDescription("thumb", (0, 0.135, -0.09), (0, 0, 1.0))], "name": "hand", "palm": None, "tip_friction": 1.0},
+        ),
+        "HandDescription.moved": Call(
+            HandDescription.four_finger().moved, {"position": (0.0, 0.1, 0.0), "rotation": (0.0, 0.0, 0.0)}
+        ),
+        "HandDescription": Call(
+            HandDescription,
+            {"name": "hand", "palm": Palm(), "links": (Link(**link),), "fingertips": (Fingertip("tip", "a", (0, 0, 0), 0.01),),
+             "home": (0.0,), "tip_friction": 1.0},
+        ),
+        "HandDescription.from_urdf": Call(
+            HandDescription.from_urdf,
+            {"path": str(Path(__file__).parents[1] / "sim" / "assets" / "crooked_hand.urdf"), "fingertips": ["pad_a", "finger_b_end", "finger_c_end"],
+             "tip_radius": None, "torque_limit": None, "home": (), "position": (0, 0, 0.0), "rotation": (0, 0, 0.0), "tip_friction": 1.0},
+        ),
+        "null_space_basis": Call(null_space_basis, {"grasp": CUBOID, "reference": reference_basis(CUBOID)}),
+        "reference_basis": Call(reference_basis, {"grasp": CUBOID}),
+        "has_force_closure": Call(has_force_closure, {"grasp": CUBOID}, 0.3),
+        "a grasp's file": Call(
+            _load(folder),
+            {**contacts, "schema": "grasp-force/grasp/1", "units": {"positions": "m"}}, 4.0,
+        ),
+        "TrainedAgent.load": Call(TrainedAgent.load, {"folder": str(folder), "seed": 0}),
+        "LearnedInitialForce.load": Call(LearnedInitialForce.load, {"path": str(folder / "none"), "remembers": False}),
+        "ZeroPolicy": Call(lambda action_size, observation: ZeroPolicy(action_size).predict(observation)[0],
+                           {"action_size": 6, "observation": np.zeros(10)}),
+        "make": Call(FourFingerGrasp, {"render_mode": "ascii", "initial_force": None, "config": None, "friction": 0.4}, 0.3),
+        "reset": Call(lambda **k: _env().reset(**k)[0], {"seed": 0, "options": {"wrench": PAPER}}, 0.5),
+        "step": Call(_step, {"action": np.zeros(6, dtype=np.float32)}),
+        "grasp solve": Call(
+            lambda wrench, **k: _command(wrench=_words(wrench), **{n: (_words([v]) or ["a"])[0] for n, v in k.items()}),
+            {"wrench": PAPER, "preset": "tripod", "friction": 0.5, "method": "newton", "tolerance": 1e-4, "barrier-weight": 0.01,
+             "min-normal": 0.0, "max-normal": 50.0, "criterion": "sum", "initial": "single_value"}, 0.5,
+        ),
+        "Link": Call(Link, link, 2.0),
+        "Palm": Call(Palm, {"name": "palm", "collision": (), "visual": (), "color": (1, 0, 0)}),
+        "Geometry": Call(Geometry, {"kind": "capsule", "size": (0.01, 0.1), "origin": (0, 0, 0), "rotation": (0, 0, 0), "color": None}),
+        "Fingertip": Call(Fingertip, {"name": "tip", "link": "a", "center": (0, 0, 0), "radius": 0.01}),
+    }  # fmt: skip
