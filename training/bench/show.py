@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from grasp_env.errors import InvalidInputError
+from grasp_env._check import number
+from grasp_env._files import read_json
+from grasp_env.errors import InvalidInputError, shown
 from training.bench.core_show import show_core
 from training.bench.scaling import scaling_figure
 from training.figures import close
@@ -48,14 +49,16 @@ def compare(result: dict[str, Any], earlier: Path, console: Console) -> None:
     Raises:
         InvalidInputError: there is no such file, or it is of another kind.
     """
-    if not earlier.is_file():
-        raise InvalidInputError(f"there is no {earlier} to compare with")
-    before = json.loads(earlier.read_text())
-    if before["kind"] != result["kind"]:
-        raise InvalidInputError(f"{earlier} is a benchmark of {before['kind']}, not of {result['kind']}")
+    before = read_json(earlier, InvalidInputError, "the benchmark")
+    kind = before.get("kind") if isinstance(before, dict) else None
+    if kind != result["kind"]:
+        raise InvalidInputError(f"{earlier} is a benchmark of {shown(kind)}, not of {result['kind']}")
     keys = ("solver", "method", "contacts", "workers")
     value = "per_second" if result["kind"] in ("batch", "env") else "p50_us"
-    known = {tuple(row.get(key) for key in keys): row[value] for row in before["rows"]}
+    try:
+        known = {tuple(row.get(key) for key in keys): number(row[value], value) for row in before["rows"]}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InvalidInputError(f"{earlier} lacks rows to compare with: {error!r}; run the benchmark again") from None
     table = Table("row", "before", "now", "now / before", title=f"against {earlier}")
     for row in result["rows"]:
         key = tuple(row.get(name) for name in keys)
@@ -76,6 +79,15 @@ def _solver(result: dict[str, Any], console: Console) -> None:
         console.print(table)
     for key, label in {row["solver"]: row["label"] for row in result["rows"]}.items():
         console.print(f"{key}: {label}", style="dim", highlight=False)
+    if result["batches"]:
+        table = Table(
+            "contacts", "solver", "solves per second", "batch", "failed", title="batches, one call, all cores"
+        )
+        for row in result["batches"]:
+            table.add_row(
+                str(row["contacts"]), row["solver"], f"{row['per_second']:,.0f}", str(row["batch"]), str(row["failed"])
+            )
+        console.print(table)
     if result["ratios"]:
         table = Table("comparison", "contacts", "times faster", "our p99 / their p50", title="ratios of medians")
         for row in result["ratios"]:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env.force import ForceOptimizer
+from grasp_env.force import ForceOptimizer, optimize_forces
 from grasp_env.force.record import CODE, FORCE, record_size
 from grasp_env.grasp import Grasp
 from training import peers
@@ -86,19 +88,21 @@ def solver(
         tick: told what runs.
 
     Returns:
-        {"rows": [...], "ratios": {...}, "missing": {...}, provenance...}.
+        {"rows": [...], "batches": [...], "ratios": {...}, "missing": {...}, provenance...}.
     """
     here = peers.available(folder)
     missing = {peer.name: peer.reason for peer in here if isinstance(peer, peers.MissingPeer)}
     rivals = [peer for peer in here if isinstance(peer, peers.Peer)]
-    rows = []
+    rows, batches = [], []
     for count in sizes:
         parts = problems(seed, count, wrenches)
         contestants: dict[str, list[tuple[Callable[[int], Array], Callable[[], Array]]]] = {}
+        together: dict[str, list[Callable[[], Array]]] = {}
         labels = dict(OURS)
         for grasp, loads in parts:
             for key, pair in _ours(grasp, loads).items():
                 contestants.setdefault(key, []).append(pair)
+            together.setdefault("conic", []).append(_our_batch(grasp, loads))
             cost = 1.0 / grasp.friction
             for peer in rivals:
                 if peer.most_contacts is not None and count > peer.most_contacts:
@@ -107,14 +111,19 @@ def solver(
                 made = peer.build(grasp.cone_matrix, cost)
                 labels[peer.name] = f"{peer.package} {peer.version}: {peer.setting}"
                 contestants.setdefault(peer.name, []).append(_rival(made, loads))
+                if isinstance(made, peers.BatchSolver) and peer.name == peer.package:
+                    made.prepare(len(loads))
+                    together.setdefault(peer.name, []).append(partial(made.solve_many, loads))
         best: dict[str, list[Array]] = {key: [np.full(len(loads), np.inf) for _, loads in parts] for key in contestants}
         for turn in range(rounds):
             for key, pairs in contestants.items():
                 if key == "slsqp" and turn > 0:
                     continue
                 tick(f"{count} contacts, round {turn + 1} of {rounds}: {key}")
-                for k, (time, _) in enumerate(pairs):
-                    best[key][k] = np.minimum(best[key][k], time(2 if key == "slsqp" else passes))
+                for k, (timed, _) in enumerate(pairs):
+                    best[key][k] = np.minimum(best[key][k], timed(2 if key == "slsqp" else passes))
+        tick(f"{count} contacts: batches")
+        batches += _batches(count, together, rounds * passes)
         for key, pairs in contestants.items():
             tick(f"{count} contacts: checking {key}")
             checks = [
@@ -126,6 +135,7 @@ def solver(
         "kind": "solver",
         "settings": {"wrenches": wrenches, "rounds": rounds, "passes": passes, "seed": seed, "threads": 1},
         "rows": rows,
+        "batches": batches,
         "ratios": ratios(rows),
         "missing": missing,
         "load": os.getloadavg(),
@@ -141,6 +151,7 @@ def ratios(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         ("compiled conic against QOCOGEN's C", "conic", "qocogen"),
         ("conic from Python against Clarabel", "conic_python", "clarabel"),
         ("conic from Python against QOCO", "conic_python", "qoco"),
+        ("conic from Python against Moreau", "conic_python", "moreau"),
         ("compiled newton against QOCOGEN's C", "newton", "qocogen"),
     ):
         for (key, count), row in median.items():
@@ -168,6 +179,32 @@ def _ours(grasp: Grasp, loads: Array) -> dict[str, tuple[Callable[[int], Array],
 
         out[method], out[f"{method}_python"] = (compiled, answers), (python, answers)
     return out
+
+
+def _our_batch(grasp: Grasp, loads: Array) -> Callable[[], Array]:
+    """`optimize_forces` on all cores, which sets up the grasp in every call."""
+    return lambda: optimize_forces(grasp, loads, method="conic", tolerance=1e-6).force
+
+
+def _batches(count: int, together: dict[str, list[Callable[[], Array]]], passes: int) -> list[dict[str, Any]]:
+    """Solves per second of one call for all wrenches of a grasp, the best of `passes`, the solvers taking turns."""
+    best = {key: np.full(len(calls), np.inf) for key, calls in together.items()}
+    solved: dict[str, list[Array]] = {}
+    for _ in range(passes):
+        for key, calls in together.items():
+            solved[key] = []
+            for k, call in enumerate(calls):
+                begin = time.perf_counter()
+                solved[key].append(call())
+                best[key][k] = min(best[key][k], time.perf_counter() - begin)
+    sizes = {key: [len(answers) for answers in each] for key, each in solved.items()}
+    return [
+        {
+            "solver": key, "contacts": count, "batch": max(sizes[key]), "per_second": sum(sizes[key]) / float(best[key].sum()),
+            "failed": int(sum(np.isnan(answers.reshape(len(answers), -1)).any(axis=1).sum() for answers in solved[key])),
+        }
+        for key in together
+    ]  # fmt: skip
 
 
 def _cone(grasp: Grasp, record: Array) -> Array:

@@ -11,7 +11,8 @@ from typing import Any, Literal
 import tyro
 from rich.console import Console
 
-from grasp_env.errors import InvalidInputError
+from grasp_env import ranges
+from grasp_env.errors import InvalidInputError, shown
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Bench:
     """Time the solvers or the environment, side by side in one run.
 
     Attributes:
-        what: solver (ours beside Clarabel, QOCO, QOCOGEN, ... from the extra [bench]), scaling (cost against contacts),
+        what: solver (ours beside Clarabel, QOCO, QOCOGEN, Moreau, ... from the extra [bench]), scaling (cost against contacts),
             batch (solves per second on one core and all), env (steps per second beside bare PyBullet, resets, memory)
             or core (this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps).
         contacts: numbers of contacts; empty: the benchmark's own.
@@ -51,18 +52,18 @@ class Bench:
         from training.bench import batch, core, env, scaling, show, solver
         from training.runs import Run
 
-        options: dict[str, Any] = {"seed": self.seed}
+        options: dict[str, Any] = {"seed": _at_least(self.seed, "seed", 0, ranges.SEED)}
         if self.what == "env":
             options["quick"] = self.quick
         elif self.wrenches:
             options["wrenches"] = _at_least(self.wrenches, "wrenches", 8)
         if self.what == "core":
-            options |= {"baseline": self.baseline, "start": _at_least(self.start, "start", 0)}
+            options |= {"baseline": self.baseline, "start": _at_least(self.start, "start", 0, 1000)}
             options |= {"rounds": 2, "passes": 2, "wrenches": self.wrenches or 80} if self.quick else {}
         elif self.baseline is not None or self.start:
             raise InvalidInputError(f"baseline and start belong to grasp bench core, not to {self.what}")
         if self.contacts and self.what in ("solver", "scaling", "core"):
-            options["sizes"] = tuple(_at_least(count, "contacts", 3) for count in self.contacts)
+            options["sizes"] = tuple(_at_least(count, "contacts", 3, ranges.CONTACTS) for count in self.contacts)
         if self.what == "solver":
             options["folder"] = self.out
         Run.create(self.out, "")
@@ -85,8 +86,8 @@ class Bench:
         Console().print(str(path), highlight=False)
 
 
-def _at_least(value: int, name: str, least: int) -> int:
-    """`value`, or an error where it is below `least`."""
-    if value < least:
-        raise InvalidInputError(f"{name} must be at least {least}, got {value}")
+def _at_least(value: int, name: str, least: int, most: int = 10_000_000) -> int:
+    """`value`, or an error where it is below `least` or absurdly large."""
+    if not least <= value <= most:
+        raise InvalidInputError(f"{name} must be at least {least}, at most {most}, got {shown(value)}")
     return value

@@ -15,7 +15,7 @@ from grasp_env.errors import UnknownNameError
 from training.peers.generated import FAST, PLAIN, Generated, refusal
 from training.peers.problem import MissingPeer, Solver, best_times
 from training.peers.slsqp import Slsqp
-from training.peers.wheels import Clarabel, Ecos, Qoco
+from training.peers.wheels import Clarabel, Ecos, Moreau, Qoco
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,8 @@ _ROWS: dict[str, tuple[str, str, str, int | None]] = {
     "qocogen_fast": ("qocogen", "BSD-3-Clause", "C: the same, -Ofast -flto, no refinement", None),
     "qoco": ("qoco", "BSD-3-Clause", "Python: dual, update, 1e-7", None),
     "clarabel": ("clarabel", "Apache-2.0", "Python: dual, update, 1e-8", None),
+    "moreau": ("moreau", "Apache-2.0", "Python: dual, compiled, 1e-8; batches on all cores", None),
+    "moreau_warm": ("moreau", "Apache-2.0", "Python: the same, from the solution before", None),
     "ecos": ("ecos", "GPL-3.0 (benchmark only)", "Python: dual, 1e-8", None),
     "slsqp": ("scipy", "BSD-3-Clause", "Python: primal, SLSQP, ftol 1e-8", 5),
 }
@@ -71,6 +73,8 @@ def available(folder: Path, names: Iterable[str] = NAMES) -> list[Peer | Missing
         "qocogen_fast": partial(Generated, folder=folder, flags=FAST, refinements=0),
         "qoco": Qoco,
         "clarabel": Clarabel,
+        "moreau": Moreau,
+        "moreau_warm": partial(Moreau, warm=True),
         "ecos": Ecos,
         "slsqp": Slsqp,
     }

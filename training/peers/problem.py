@@ -15,7 +15,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy import sparse
@@ -35,6 +35,19 @@ class Solver(Protocol):
 
     def times(self, wrenches: Array, repeats: int) -> Array:
         """Seconds (M,) of one call per wrench (M, 6), the best of `repeats`; see `best_times`."""
+        ...
+
+
+@runtime_checkable
+class BatchSolver(Solver, Protocol):
+    """A peer that also takes many wrenches in one call."""
+
+    def prepare(self, count: int) -> None:
+        """What can be set up before the wrenches are known."""
+        ...
+
+    def solve_many(self, wrenches: Array) -> Array:
+        """The forces (M, 3N) for wrenches (M, 6); NaN where there are none."""
         ...
 
 
