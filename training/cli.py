@@ -38,8 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         0; 2 after an error of the project, told in one line on stderr; 130 after an interrupt.
     """
-    command: Any = tyro.cli(Command, prog="grasp", description=__doc__, args=spelled_out(arguments))  # type: ignore[arg-type]
     try:
+        command: Any = tyro.cli(Command, prog="grasp", description=__doc__, args=spelled_out(arguments))  # type: ignore[arg-type]
         command.execute()
     except GraspError as error:
         sys.stderr.write(f"grasp: {error}\n")

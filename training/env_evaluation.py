@@ -11,10 +11,10 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from grasp_env.errors import InvalidInputError
 from training.env_report import build_env_report
 from training.env_trials import Cell, cell_json, columns, plan, run_chunk
 from training.runs import Run, default_name, provenance
+from training.settings import check_counts
 from training.workers import begin, one_thread, pool
 
 CHUNK = 4
@@ -42,9 +42,7 @@ class EnvEvaluateConfig:
     workers: int = 0
 
     def __post_init__(self) -> None:
-        for name, least in (("episodes", 1), ("seed", 0), ("workers", 0)):
-            if getattr(self, name) < least:
-                raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
+        check_counts(self, {"episodes": 1, "seed": 0, "workers": 0})
 
 
 def evaluate_env(

@@ -148,7 +148,7 @@ class StateFile:
             if meta["sha256"] != _digest(tensors):
                 raise ValueError("its sha256 does not fit")
             settings = dict(meta["settings"])
-        except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
             if isinstance(error, ModelFileError):
                 raise
             raise self._damaged(error) from None

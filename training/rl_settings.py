@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from grasp_env._check import choice, instance, number, whole
 from grasp_env.errors import InvalidInputError
+from training.settings import check_counts
 
 PRICES: dict[str, float] = {"held_reward": 1.0, "iteration_cost": 0.01, "force_cost": 0.01, "failure_cost": 10.0}
 """The environment's own, but for `failure_cost`, 100 there. With the paper's start a step pays 1 for holding, costs about 0.55
@@ -62,7 +64,7 @@ class RLConfig:
     quick: bool = False
 
     def __post_init__(self) -> None:
-        for name in (
+        counts = (
             "steps",
             "envs",
             "episodes",
@@ -71,11 +73,14 @@ class RLConfig:
             "checkpoint_every",
             "rollout",
             "buffer",
-        ):
-            if getattr(self, name) < 1:
-                raise InvalidInputError(f"{name} must be >= 1, got {getattr(self, name)}")
-        if self.warmup < 0:
-            raise InvalidInputError(f"warmup must be >= 0, got {self.warmup}")
+        )
+        check_counts(self, {**dict.fromkeys(counts, 1), "warmup": 0, "seed": 0})
+        choice(self.algorithm, "algorithm", ("ppo", "sac"))
+        choice(self.action, "action", ("initial_force", "contact_force"))
+        for seed in instance(self.seeds, tuple, "seeds"):
+            whole(seed, "seeds", 0)
+        for name in ("learning_rate", "gamma", "deviation"):
+            number(getattr(self, name), name)
         if min(self.seed, *self.seeds, 0) < 0 or len(set(self.seeds)) != len(self.seeds):
             raise InvalidInputError(f"seeds must be different integers >= 0, got {self.seeds or self.seed}")
         if not 0.0 <= self.learning_rate < 1.0 or not self.gamma < 1.0 or not 0.0 <= self.deviation <= 1.0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import platform
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from grasp_env._files import WEIGHTS, parsed, read_json
 from grasp_env.errors import InvalidInputError
 
 _PACKAGES = ("numpy", "scipy", "numba", "torch", "gymnasium", "stable-baselines3", "pybullet")
@@ -83,8 +85,8 @@ class Run:
         return self.write_text(name, json.dumps(value, indent=2, allow_nan=False, default=_plain) + "\n")
 
     def read_json(self, name: str) -> Any:
-        """Reads JSON."""
-        return json.loads(self.path(name).read_text(encoding="utf-8"))
+        """Reads JSON; raises `InvalidInputError` where the file is none."""
+        return read_json(self.path(name), InvalidInputError, "the run's file")
 
     def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> Path:
         """Writes a compressed .npz without pickles."""
@@ -97,8 +99,13 @@ class Run:
 
     def read_arrays(self, name: str) -> dict[str, np.ndarray]:
         """Reads an .npz; object arrays are refused."""
-        with np.load(self.path(name), allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
+
+        def read(blob: bytes) -> dict[str, np.ndarray]:
+            with np.load(io.BytesIO(blob), allow_pickle=False) as file:
+                return {key: file[key] for key in file.files}
+
+        path = self.path(name)
+        return parsed(path, read, InvalidInputError, f"the run's file {path}", "an .npz without objects", most=WEIGHTS)
 
 
 def default_name(kind: str) -> str:

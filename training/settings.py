@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from grasp_env._check import positive
+from grasp_env import ranges
+from grasp_env._check import number, positive, together, whole
 from grasp_env.errors import InvalidInputError
 from training.runs import default_name
+
+MOST = 1_000_000_000
+"""Of anything that is counted here."""
 
 
 @dataclass(frozen=True)
@@ -116,9 +120,7 @@ class AnyFitConfig:
 
     def __post_init__(self) -> None:
         _check_fit(self)
-        for name, least in (("grasps", 2), ("held_out", 40), ("layers", 1), ("width", 1)):
-            if getattr(self, name) < least:
-                raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
+        check_counts(self, {"grasps": 2, "held_out": 40, "layers": 1, "width": 1})
         for name in ("gap_floor", "tail"):
             positive(getattr(self, name), name)
 
@@ -136,12 +138,17 @@ class AnyFitConfig:
 
 
 def _check_fit(config: FitConfig | AnyFitConfig) -> None:
-    if not 0 < config.seconds < float("inf") and config.steps <= 0:
+    check_counts(config, {"batch_size": 1, "seed": 0, "steps": 0})
+    check_counts(config, {"samples": 2 * config.batch_size})
+    seconds = number(config.seconds, "seconds", ranges.Range(-1e9, 1e9, "s"))
+    if not seconds > 0.0 and config.steps <= 0:
         raise InvalidInputError(f"give seconds > 0 or steps > 0, got seconds={config.seconds}, steps={config.steps}")
-    for name, least in (("batch_size", 1), ("seed", 0), ("steps", 0), ("samples", 2 * config.batch_size)):
-        if getattr(config, name) < least:
-            raise InvalidInputError(f"{name} must be >= {least}, got {getattr(config, name)}")
     positive(config.learning_rate, "learning_rate")
+
+
+def check_counts(config: Any, least: dict[str, int]) -> None:
+    """Raises `InvalidInputError` unless these settings are integers from `least` on, and not absurdly many."""
+    together(*(lambda n=n, low=low: whole(getattr(config, n), n, low, MOST) for n, low in least.items()))
 
 
 @dataclass(frozen=True)
@@ -182,9 +189,8 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         counts = ("wrenches", "timed", "repeats", "guarded", "paths", "episodes", "steps")
-        for name, least in (*((name, 1) for name in counts), ("seed", 0), ("workers", 0), ("fit_seconds", 0)):
-            if not getattr(self, name) >= least:
-                raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
+        check_counts(self, {**dict.fromkeys(counts, 1), "seed": 0, "workers": 0})
+        number(self.fit_seconds, "fit_seconds", ranges.Range(0.0, 1e9, "s"))
         if self.fit.preset != "paper_cuboid":
             raise InvalidInputError(
                 f"the fixed grasp of the comparison is the preset 'paper_cuboid', got fit.preset={self.fit.preset!r}: use "

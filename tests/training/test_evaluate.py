@@ -195,9 +195,9 @@ def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
 
 
 def test_settings_are_checked():
-    with pytest.raises(InvalidInputError, match="repeats must be >= 1"):
+    with pytest.raises(InvalidInputError, match="repeats must be an integer >= 1"):
         EvaluateConfig(repeats=0)
-    with pytest.raises(InvalidInputError, match="fit_seconds must be >= 0"):
+    with pytest.raises(InvalidInputError, match="fit_seconds must be a number within 0 to"):
         EvaluateConfig(fit_seconds=float("nan"))
     quick = EvaluateConfig(quick=True, episodes=1, fit_seconds=3.0).resolved()
     assert (quick.wrenches, quick.fit.seconds) == (50, 3.0)

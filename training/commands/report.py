@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
+from grasp_env.errors import InvalidInputError
 from training.commands.claims import print_claims
 
 
@@ -28,6 +29,12 @@ class Report:
         from training.runs import Run
 
         run = Run.open(self.run, "run.json")
-        build = build_env_report if run.read_json("run.json").get("kind") == "env" else build_report
-        print_claims(build(run))
+        try:
+            build = build_env_report if run.read_json("run.json").get("kind") == "env" else build_report
+            print_claims(build(run))
+        except (KeyError, TypeError, AttributeError, IndexError) as error:
+            raise InvalidInputError(
+                f"{run.folder} lacks what a report is made of ({error!r}): its files were changed, or another version made them; "
+                "run `grasp evaluate` again"
+            ) from error
         Console().print(str(report_path(run)), highlight=False)
