@@ -50,7 +50,8 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
     try:
         kind = os.fstat(handle)
         if stat.S_ISREG(kind.st_mode):
-            blob = _read(handle, most, None)
+            # its size may be a lie, as under /proc: no more than `most` is read either way
+            blob = b"" if kind.st_size > most else _read(handle, most, None)
         elif stat.S_ISFIFO(kind.st_mode):
             blob = _read(handle, most, select.poll())
         else:
@@ -60,7 +61,7 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
         raise OSError(error.errno, error.strerror, str(name)) from None
     finally:
         os.close(handle)
-    if len(blob) > most:
+    if max(len(blob), kind.st_size) > most:
         raise OSError(27, f"it is larger than {most // MEGABYTE} MB", str(name))
     return blob
 
