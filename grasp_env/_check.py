@@ -94,7 +94,7 @@ def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
     Example:
         >>> positive(1e300, "friction", ranges.FRICTION)
         Traceback (most recent call last):
-        grasp_env.errors.InvalidInputError: friction must lie within 1e-06 to 10000, got 1e+300
+        grasp_env.errors.InvalidInputError: friction must lie within 0.0001 to 10000, got 1e+300
     """
     if type(value) is float and within.low <= value <= within.high:
         return value

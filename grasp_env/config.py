@@ -210,7 +210,7 @@ class EnvConfig:
     def _checked(self, name: str, kind: str) -> Any:
         """A setting as it is kept: what it must be follows from its name, or from its annotated type."""
         value: Any = getattr(self, name)
-        if value is None and "None" in kind:
+        if getattr(self, name) is None and "None" in kind:
             return None
         if name == "hand":
             return (

@@ -25,10 +25,12 @@ POSITIVE = Range(1e-300, 1e300)
 FINITE = Range(-1e300, 1e300)
 NOT_NEGATIVE = Range(0.0, 1e300)
 
-FRICTION = Range(1e-6, 1e4)
-"""Coulomb coefficients. Below 1e-8 and above 1e5 the forces of one contact differ by more digits than a double has."""
-TORSIONAL_FRICTION = Range(1e-9, 1e3, "m")
-"""gamma; from 1e7 m on a millionth of the normal force twists any load."""
+FRICTION = Range(1e-4, 1e4)
+"""Coulomb coefficients. Below 1e-6, where normal forces are a million times the load, and above 1e5 balance loses its digits."""
+TORSIONAL_FRICTION = Range(1e-15, 1e6, "m")
+"""gamma."""
+TORSIONAL_LEVER = 1e4
+"""gamma in lengths of the grasp: beyond 1e6 the torsion of a millionth of a normal force outweighs every other moment."""
 LENGTH = Range(1e-9, 1e6, "m")
 """Root mean square distance of the contacts from their centre, and lengths that turn moments into forces."""
 DISTANCE = 1e5
@@ -39,8 +41,8 @@ MASS = Range(1e-9, 1e9, "kg")
 CONTACTS = 1000
 """Most contacts of a grasp; `linear` takes N^2 memory."""
 
-FORCE_WEIGHT = Range(1e-6, 1e6)
-"""omega. Phi knows forces in units of sqrt(lambda / omega) only: 1e6 N at the most, 1e-9 N at the least."""
+FORCE_WEIGHT = Range(1e-4, 1e4)
+"""omega. Phi knows forces in units of sqrt(lambda / omega) only: 100 kN at the most."""
 BARRIER_WEIGHT = Range(1e-12, 1e6, "N^2")
 """lambda."""
 TOLERANCE = Range(1e-300, 1.0)

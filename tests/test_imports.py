@@ -61,6 +61,8 @@ def test_the_solver_imports_numpy_scipy_numba_only(package: str) -> None:
         "grasp_env.errors",
         "grasp_env._check",
         "grasp_env._compile",
+        "grasp_env._files",
+        "grasp_env.ranges",
         "grasp_env._views",
         "grasp_env.grasp",
         "grasp_env.force",

@@ -23,7 +23,7 @@ class Objective:
     3 omega u + lambda (1/u + 2u/(u^2 - s^2)). (The second trace is of W_i P^-1; Eqs. 10, 27 and 29 print W_p.)
 
     Attributes:
-        force_weight: omega, 1e-6 to 1e6, the price of squeezing; a number, or a sequence with one per contact.
+        force_weight: omega, 1e-4 to 1e4, the price of squeezing; a number, or a sequence with one per contact.
         barrier_weight: lambda [N^2 at omega = 1], 1e-12 to 1e6, the price of coming close to a cone; the same.
 
     Raises:
@@ -63,18 +63,20 @@ class Objective:
         return out
 
     def value(self, x: Array) -> float:
-        """Phi at flat cone coordinates (3N,); +inf outside the open cones.
+        """Phi at flat cone coordinates (3N,); +inf outside the open cones, and where numbers are none.
 
         Example:
             >>> round(Objective(1.0, 0.01).value(np.array([0.5, 0.0, 0.0])), 12)
             1.56
         """
-        u, o, t = _contacts(x).T
-        d = u**2 - o**2 - t**2
-        if not ((u > 0).all() and (d > 0).all()):
-            return float("inf")
+        u, o, t = _contacts(x, finite=False).T
         omega, lam = self.weights(len(u)).T
-        return float((3 * omega * u + lam * (1 / u + 2 * u / d)).sum())
+        with np.errstate(all="ignore"):
+            d = u**2 - o**2 - t**2
+            if not ((u > 0).all() and (d > 0).all()):
+                return float("inf")
+            value = float((3 * omega * u + lam * (1 / u + 2 * u / d)).sum())
+        return value if value == value else float("inf")
 
     def gradient(self, x: Array) -> Array:
         """Gradient of Phi, (3N,), strictly inside the cones."""
@@ -129,9 +131,9 @@ class Objective:
         return total
 
 
-def _contacts(x: Array, inside: bool = False) -> Array:
+def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
     """Flat cone coordinates as (N, 3); `inside`: or an error where they are outside the open cones."""
-    given = as_array(x, None, "x", ranges.SIZE)
+    given = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
     if given.size % 3 or not 1 <= given.size // 3 <= ranges.CONTACTS:
         raise InvalidInputError(f"x must have shape (3N,) for 1 to {ranges.CONTACTS} contacts, got {given.shape}")
     rows = given.reshape(-1, 3)

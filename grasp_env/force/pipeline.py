@@ -108,7 +108,7 @@ class ForcePipeline:
         """
         as_grasp(grasp)
         choice(method, "method of a pipeline", PIPELINE_METHODS)
-        layered = not isinstance(initial, str) and isinstance(initial, LayeredRule)
+        layered = isinstance(initial, LayeredRule)
         if layered:
             check_layers(initial.layers, initial.width)
         if not layered:

@@ -176,7 +176,7 @@ def checked_rule(rule: Any) -> StepRule:
 
 
 def _share(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not (isinstance(value, Real) and 0.0 < value < 1.0):
+    if isinstance(value, bool) or not (issubclass(type(value), Real) and 0.0 < value < 1.0):
         raise InvalidInputError(f"{name} must lie in (0, 1), got {shown(value)}")
     return positive(value, name)
 

@@ -70,11 +70,11 @@ class Grasp:
         Args:
             positions: (N, 3) contact points [m], object frame.
             normals: (N, 3) unit normals pointing INTO the object, object frame.
-            friction: coefficient(s), 1e-6 to 1e4: a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t). Ignored
+            friction: coefficient(s), 1e-4 to 1e4: a scalar, (N,), or (N, 2) for elliptic cones (mu_o, mu_t). Ignored
                 where frictionless.
             contact_model: "hard", "soft" or "frictionless", one for all or N of them; see `contact_model.py`.
-            torsional_friction: gamma [m], 1e-9 to 1e3, abs(torsion) <= gamma * normal, a scalar or (N,); soft contacts
-                only.
+            torsional_friction: gamma [m], 1e-15 to 1e6 and at most 1e4 times the grasp's length, abs(torsion) <= gamma *
+                normal, a scalar or (N,); soft contacts only.
             tangents: (N, 3) directions whose projection on the tangent plane is o; None: see `contact_frames`.
 
         Raises:
@@ -113,7 +113,10 @@ class Grasp:
                 f"normals must be unit vectors into the object; normal {worst} is {given.tolist()} with "
                 f"length {math.hypot(*given):.6g}: divide it by its length"
             )
-        return cls._made(points, inward, models, _tangents(tangents, inward))
+        grasp = cls._made(points, inward, models, _tangents(tangents, inward))
+        if torsional_friction is not None:
+            _check_torsion(grasp)
+        return grasp
 
     @classmethod
     def unchecked(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array | None = None) -> Grasp:
@@ -289,6 +292,17 @@ def _check_place(grasp: Grasp) -> None:
         f"positions must have their centre within {ranges.DISTANCE:g} times their length, {size:g} m, of the origin, got {away:g} m: "
         "put the object frame's origin near the contacts"
     )
+
+
+def _check_torsion(grasp: Grasp) -> None:
+    """Raises where torsional friction is out of all proportion to the grasp."""
+    most = ranges.TORSIONAL_LEVER * grasp.length
+    gamma = grasp.models.torsional_friction
+    if (gamma > most).any():
+        raise InvalidInputError(
+            f"torsional_friction must be at most {ranges.TORSIONAL_LEVER:g} times the grasp's length, {most:g} m, got {shown(gamma)}: "
+            "a fingertip has about 0.005 m"
+        )
 
 
 def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:

@@ -192,7 +192,9 @@ class HandDescription:
         from grasp_env.sim.urdf_import import read_urdf  # it needs the parts above
 
         name, palm, links, tips = read_urdf(path, fingertips, tip_radius, torque_limit)
-        return HandDescription(name, palm, links, tips, home, tip_friction).moved(position, rotation)
+        return HandDescription(name, palm, links, tips, numbers(home, None, "home [rad]"), tip_friction).moved(
+            position, rotation
+        )
 
     @staticmethod
     def four_finger() -> HandDescription:

@@ -363,14 +363,10 @@ def test_wrong_numbers(which: str, bad: float) -> None:
         "adjust": np.ones(6),
     }
     given[which].reshape(-1)[2] = bad
-    if which == "points" and bad == 1e300:
-        error: type[Exception] = RankDeficientGraspError
-    elif which == "adjust" and bad == 1e300:
-        pytest.skip("a huge adjustment is repaired")
-    else:
-        error = InvalidInputError
     pipeline.solve(grasp.positions, grasp.normals, PAPER_WRENCH)
-    with pytest.raises(error):
+    if which == "adjust" and bad == 1e300:
+        pytest.skip("a huge adjustment is repaired")
+    with pytest.raises(InvalidInputError):
         pipeline.solve(given["points"], given["normals"], given["wrench"], adjust=given["adjust"])
     assert np.isnan(pipeline.x).all() or which == "adjust"
     # and the next call is as good as ever

@@ -14,6 +14,7 @@ ROOT = "both are certified to 1e-12 of Phi, whose root, 1e-6, is what forces are
 SHORTER = "steps go 0.7 of the way to a cone instead of 0.95: a fifth fewer on average, three to five more from starts close to a cone"
 TICK = "Newton's last step lands elsewhere within its tolerance: forces and torques of the first tick agree to 3e-9 instead of 1e-9"
 SOLVED = "the offline basis, which stalled where forces exceed sqrt(lambda/omega) by 1e5, is found: an answer instead of an error"
+WORDS = "the same class of error; its words now show what was given, or the range"
 ACCEPTED: dict[str, str] = {
     **{
         f"environment: first tick, {name}": TICK
@@ -26,6 +27,14 @@ ACCEPTED: dict[str, str] = {
             "unequal friction",
         )
     },
+    **{
+        f"refused: start {start}, {kind}, {method}": WORDS
+        for start in ("texts", "complex")
+        for kind in ("array", "callable")
+        for method in ("reduced_flow", "newton")
+    },
+    "refused: batch too large": WORDS,
+    "refused: batch of no workers": WORDS,
     "solver: reduced_flow, 16 random, tight": ROOT,
     "solver: reduced_flow, 50 random, tight": ROOT,
     "solver: reduced_flow, rough and frictionless, tight": ROOT,

@@ -1,0 +1,219 @@
+"""The checks themselves, and the ranges: what lies within is answered and balanced, what lies outside is refused and told."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from malformed.values import Huge, Odd, itself, nested
+from scipy import sparse
+
+from grasp_env import ranges
+from grasp_env._check import as_array, choice, flag, instance, number, positive, together, whole
+from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError, shown
+from grasp_env.force import (
+    AdaptiveStep,
+    ForceLimits,
+    Objective,
+    Status,
+    WrenchBall,
+    force_closure,
+    optimize_force,
+    worst_case,
+)
+from grasp_env.grasp import Grasp, presets
+from grasp_env.ranges import Range
+
+CUBOID = presets.paper_cuboid()
+PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("0.4", "text is no number, got '0.4'"),
+        (["1", "2"], "text is no number"),
+        (b"12", "bytes are no numbers"),
+        ([True, 1.0], "true and false are no numbers"),
+        (np.array([True, False]), "true or false are no numbers"),
+        ([1j, 2.0], "complex are no numbers"),
+        (np.array(["2020", "2021"], dtype="M8[Y]"), "dates are no numbers"),
+        (np.ma.masked_array([1.0, 2.0], [True, False]), "masked entries are no numbers"),
+        ([None, 1.0], "not all of it is numbers"),
+        ([Odd(), 1.0], "no, got"),
+        ([[1.0], [1.0, 2.0]], "inhomogeneous"),
+        (itself(), "inhomogeneous|nested"),
+        (nested(100_000), "nested too deep or too long"),
+        (range(10**12), "nested too deep or too long"),
+        ([range(10**10)], "nested too deep or too long"),
+        (10**400, r"must have shape \(2,\), got \(\)"),
+        ([10**400, 1], "must be finite, got"),
+        (sparse.eye(2), "must have shape"),
+        (Huge(), "must"),
+        (np.broadcast_to(0.0, (2**40,)), "must have shape"),
+    ],
+)
+def test_what_is_no_array(value: Any, told: str) -> None:
+    with pytest.raises(InvalidInputError, match=told) as caught:
+        as_array(value, (2,), "masses")
+    assert str(caught.value).startswith("masses must")
+    assert len(str(caught.value)) < 1000
+
+
+def test_what_is_an_array() -> None:
+    for good in ([1, 2], (1.0, 2), [Fraction(1), 2], np.array([1, 2], np.int8), np.float32([1, 2]), np.array([1, 2], object), range(1, 3)):  # fmt: skip
+        found = as_array(good, (2,), "masses")
+        assert found.dtype == np.float64
+        np.testing.assert_array_equal(found, [1.0, 2.0])
+    given = np.array([1.0, 2.0])
+    assert not np.shares_memory(as_array(given, (2,), "masses"), given)
+
+
+@pytest.mark.parametrize(
+    "odd", ["0.4", True, np.True_, None, 1j, [0.4], 10**400, math.nan, math.inf, -1.0, 0, Odd(), nested(10_000)]
+)
+def test_what_is_no_positive_number(odd: Any) -> None:
+    for call in (
+        lambda: positive(odd, "tolerance"),
+        lambda: optimize_force(CUBOID, PAPER, tolerance=odd),
+        lambda: WrenchBall(odd, 1.0),
+    ):
+        if odd is None and call.__code__.co_names == ("optimize_force", "CUBOID", "PAPER"):
+            continue  # None is the method's own tolerance
+        with pytest.raises(InvalidInputError, match=r"must be a number > 0|must be finite and > 0"):
+            call()
+
+
+def test_the_other_checks() -> None:
+    for odd in (1.0, "1", True, None, -1, 11, 10**400, Odd()):
+        with pytest.raises(InvalidInputError, match="count must be an integer"):
+            whole(odd, "count", 0, 10)
+    for odd in ("a", [], None, {}, Odd(), np.array(["x", "y"])):
+        with pytest.raises(UnknownNameError, match="choose one of 'x', 'y'"):
+            choice(odd, "letter", ("x", "y"))
+    for odd in (0, 1, "yes", None, np.array([True]), Odd()):
+        with pytest.raises(InvalidInputError, match="trace must be True or False"):
+            flag(odd, "trace")
+    with pytest.raises(InvalidInputError, match="grasp must be a Grasp, got"):
+        instance(Odd(), Grasp, "grasp")
+    with pytest.raises(InvalidInputError, match="share must be a number within 0 to 1, got 2"):
+        number(2, "share", Range(0.0, 1.0))
+    assert (whole(np.int8(3), "count", 0), flag(np.False_, "trace"), number(Fraction(1, 2), "share")) == (3, False, 0.5)
+
+
+def test_all_faults_are_told_at_once() -> None:
+    with pytest.raises(InvalidInputError) as caught:
+        optimize_force(CUBOID, PAPER, method="simplex", tolerance="0.4", max_iterations=-1, force_weight=0.0, limits=3)
+    for part in ("'simplex'", "tolerance must", "max_iterations must", "force_weight must", "limits must"):
+        assert part in str(caught.value)
+    with pytest.raises(InvalidInputError, match=r"positions must .*; normals must"):
+        Grasp.from_contacts("here", "there", 0.4)
+    with pytest.raises(InvalidInputError, match=r"normals must .*; friction must"):
+        Grasp.from_contacts(CUBOID.positions, CUBOID.normals[:3], -1.0)
+    with pytest.raises(UnknownNameError):  # one fault keeps its class
+        together(lambda: choice("a", "letter", "b"), lambda: 1)
+
+
+def test_what_is_shown_is_short_and_never_an_error() -> None:
+    for odd in (
+        Odd(),
+        nested(100_000),
+        itself(),
+        10**10_000,
+        "a" * 10**6,
+        np.zeros((1000, 1000)),
+        {1: [2] * 1000},
+        sys,
+    ):
+        assert len(shown(odd)) < 400
+
+
+RANGED: dict[str, tuple[Range, Callable[[float], Any]]] = {
+    "friction": (ranges.FRICTION, CUBOID.with_friction),
+    "force_weight": (ranges.FORCE_WEIGHT, lambda x: Objective(force_weight=x)),
+    "force_weight of each": (ranges.FORCE_WEIGHT, lambda x: Objective([1.0, x])),
+    "barrier_weight": (ranges.BARRIER_WEIGHT, lambda x: Objective(barrier_weight=x)),
+    "tolerance": (ranges.TOLERANCE, lambda x: optimize_force(CUBOID, PAPER, method="newton", tolerance=x)),
+    "max_normal": (ranges.NORMAL_FORCE, lambda x: ForceLimits(max_normal=x)),
+    "min_normal": (ranges.LEAST_NORMAL_FORCE, lambda x: ForceLimits(min_normal=x)),
+    "torque_limit": (ranges.TORQUE, lambda x: ForceLimits(jacobian=np.ones((4, 3, 2)), torque_limit=x)),
+    "torque_bias": (ranges.BIAS, lambda x: ForceLimits(jacobian=np.ones((4, 3, 1)), torque_limit=1.0, torque_bias=[x])),
+    "first": (ranges.STEP, lambda x: AdaptiveStep(first=x)),
+    "shrink": (ranges.SHRINK, lambda x: AdaptiveStep(shrink=x)),
+    "force": (ranges.BALL, lambda x: WrenchBall(x, 1.0)),
+    "positions": (
+        ranges.LENGTH,
+        lambda x: Grasp.from_contacts(CUBOID.positions * (x / CUBOID.length), CUBOID.normals, 0.4),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RANGED)
+def test_a_range_holds_its_ends_and_is_told_beyond(name: str) -> None:
+    within, call = RANGED[name]
+    # a length is a root of a sum: its last digit is rounded
+    inner = 1e-12 if name == "positions" else 0.0
+    low, high = within.low * (1.0 + inner), within.high * (1.0 - inner)
+    call(low)
+    call(high)
+    for beyond in (high * 1.1, low / 1.1 if low > 0.0 else low * 1.1 - 0.1):
+        with pytest.raises(InvalidInputError) as caught:
+            call(beyond)
+        # a sign, an end of (0, 1) or infinity has words of its own
+        assert str(within) in str(caught.value) or "> 0" in str(caught.value) or ">= 0" in str(caught.value) or "(0, 1)" in str(caught.value)  # fmt: skip
+
+
+def test_contacts_that_are_too_many_or_too_far() -> None:
+    many = np.tile([0.0, 0.0, 1.0], (ranges.CONTACTS + 1, 1))
+    with pytest.raises(InvalidInputError, match="at most 1000 contacts, got 1001"):
+        Grasp.from_contacts(many, many, 0.4)
+    with pytest.raises(InvalidInputError, match="within 100000 times their length"):
+        Grasp.from_contacts(CUBOID.positions + 1e4, CUBOID.normals, 0.4)
+    with pytest.raises(InvalidInputError, match="at most 10000 times the grasp's length"):
+        Grasp.from_contacts(CUBOID.positions, CUBOID.normals, 0.4, contact_model="soft", torsional_friction=1e4)
+
+
+@pytest.mark.parametrize("method", ["newton", "conic", "linear"])
+def test_optimal_is_balanced_everywhere_within_the_ranges(method: str) -> None:
+    """Of random corners: no answer is called optimal that misses the wrench by a millionth of it, or leaves a cone."""
+    rng = np.random.default_rng(3)
+
+    def drawn(within: Range) -> float:
+        end = rng.random()
+        if end < 0.3:
+            return within.low if end < 0.15 else within.high
+        return float(np.exp(rng.uniform(np.log(within.low), np.log(within.high))))
+
+    optimal = 0
+    for _ in range(150):
+        soft = {"contact_model": "soft", "torsional_friction": drawn(Range(1e-9, 1e2))} if rng.random() < 0.4 else {}
+        size = drawn(Range(1e-3, 1e3)) if rng.random() < 0.3 else 1.0
+        options = {
+            "force_weight": drawn(ranges.FORCE_WEIGHT),
+            "barrier_weight": drawn(Range(1e-6, 1e3)),
+        }
+        load = PAPER * [1, 1, 1, size, size, size] * drawn(Range(1e-3, 1e3))
+        try:
+            grasp = Grasp.from_contacts(CUBOID.positions * size, CUBOID.normals, drawn(ranges.FRICTION), **soft)
+            solution = optimize_force(grasp, load, method=method, **options)
+        except GraspError:
+            continue
+        if solution.status is Status.OPTIMAL:
+            optimal += 1
+            assert (
+                grasp.residual(solution.force, load, solution.torsion) <= 1e-6 * np.abs(grasp.unit_frame @ load).max()
+            )
+            assert solution.cone_margin >= -1e-9 * np.abs(solution.force).max()
+    assert optimal > 75
+
+
+def test_an_undecided_or_huge_question_is_one_of_ours() -> None:
+    twice = Grasp.from_contacts(CUBOID.positions[[0, 1, 2, 3, 3]], CUBOID.normals[[0, 1, 2, 3, 3]], 0.4)
+    assert force_closure(twice)
+    with pytest.raises(InvalidInputError, match="points must be an integer"):
+        worst_case(CUBOID, WrenchBall(1.0, 0.05), points=10**400)
