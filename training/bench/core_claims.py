@@ -9,6 +9,7 @@ LARGE = 50
 RATIOS: tuple[tuple[str, str, str, float, float | None], ...] = (
     ("newton, compiled", "newton", "asked", 0.5, None),
     ("newton from Python", "newton_python", "asked", 0.42, 0.4),
+    ("newton from the learned layers of any grasp, from Python", "learned_any", "asked", 0.45, None),
     ("conic, compiled", "conic", "asked", 1.05, None),
     ("conic, compiled", "conic", "goal", 0.95, None),
     ("conic from Python", "conic_python", "asked", 0.65, 0.7),
