@@ -163,11 +163,16 @@ def _digest(body: dict[str, Any]) -> str:
 
 
 def _stem(path: str | Path) -> Path:
-    path = Path(path)
+    try:
+        path = Path(path)
+    except TypeError as error:
+        raise ModelFileError(f"a model's path is needed, got {_shown(path)} ({error})") from None
     return path.with_suffix("") if path.suffix in (".safetensors", ".json") else path
 
 
 def _file(stem: Path, suffix: str) -> Path:
+    if not stem.name:
+        raise ModelFileError(f"a model's path is needed, got {str(stem)!r}, a folder")
     return stem.with_name(stem.name + suffix)  # with_suffix would take "model.v2" for a suffix
 
 

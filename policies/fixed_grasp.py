@@ -15,7 +15,7 @@ from grasp_env.grasp import Grasp, null_space_basis
 from policies.any_grasp import flat, layer_numbers, layer_shapes
 from policies.checkpoint import FAULTS, MOST_CONTACTS, Checkpoint, malformed, number, whole
 from policies.features import Features
-from policies.learned import LearnedInitialForce
+from policies.learned import LearnedInitialForce, read_load
 
 MOST_DEGREE = 8
 """Of the polynomials of the friction that weights may be."""
@@ -59,6 +59,8 @@ class FixedGraspForce(LearnedInitialForce):
             shapes |= {f"layers.{layer}.weight": (*powers, b, a), f"layers.{layer}.bias": (*powers, b)}
         checkpoint.expect(shapes | layer_shapes("polish", self.polish, width))
         super().__init__(checkpoint, objective or self._trained, remembers)
+        self._reference = checkpoint.tensors["reference"].astype(np.float64)
+        self._made: tuple[float, core.Network] | None = None
         self._layers = None
         if self.polish:
             self._layers = core.Layers.make(width, flat(checkpoint.tensors, self.polish, "polish").astype(np.float64))
@@ -66,8 +68,10 @@ class FixedGraspForce(LearnedInitialForce):
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """See `LearnedInitialForce.raw`: neither repaired nor polished."""
         force = np.empty((grasp.n_contacts, 3))
-        if not self._learned(grasp).predict(np.array(wrench, dtype=np.float64), force):
-            raise InfeasibleStartError(f"a wrench needs finite numbers, got {np.asarray(wrench).tolist()}")
+        if not self._learned(grasp).predict(read_load(wrench), force):
+            raise InfeasibleStartError(
+                f"a wrench needs finite numbers up to {core.LARGEST:g}, got {np.asarray(wrench).tolist()}"
+            )
         return force
 
     def _scale(self, count: int) -> float:
@@ -85,12 +89,18 @@ class FixedGraspForce(LearnedInitialForce):
         friction, scale = float(grasp.friction.mean()), self._scale(grasp.n_contacts)
         known = low <= friction <= high  # of a grasp only the friction is looked at
         nearest = min(max(friction, low), high) if self._degree else friction  # beyond, polynomials know nothing
-        model = core.Model.make(core.Network.make(self.sizes, self._weights(nearest)), self._layers)
-        reference = self.checkpoint.tensors["reference"].astype(np.float64)
+        model = core.Model.make(self._network(nearest), self._layers)
         model.normalise(**asdict(self.features))
-        model.place(np.ascontiguousarray(null_space_basis(grasp, reference)), nearest, scale)
+        model.place(np.ascontiguousarray(null_space_basis(grasp, self._reference)), nearest, scale)
         model.trained_on(self.features.length, np.zeros(3), most * scale if known else -1.0)
         return model
+
+    def _network(self, friction: float) -> core.Network:
+        """That of a friction, kept for the last one: contacts move more often than they change it."""
+        made = self._made  # one tuple, read once: threads may share a rule
+        if made is None or (made[0] != friction and self._degree):
+            made = self._made = friction, core.Network.make(self.sizes, self._weights(friction))
+        return made[1]
 
     def _weights(self, friction: float) -> Array:
         """Of that friction, as the core reads them: stage by stage (inputs x outputs), then the bias."""

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench
+from grasp_env._check import Array, ContactForces, Wrench, as_array
 from grasp_env.errors import InfeasibleStartError, UnknownNameError
 from grasp_env.force import ForceSolution, Objective, OfflineBasis
 from grasp_env.force.basis import core_contacts
-from grasp_env.force.method import Loop
+from grasp_env.force.method import Loop, readable
 from grasp_env.force.record import CODE, FORCE, LIMIT, REFUSED, WRENCH, record_size
 from grasp_env.grasp import Grasp
 from policies.checkpoint import Checkpoint
@@ -141,8 +141,10 @@ class LearnedInitialForce(ABC):
         before = None
         if self.remembers and previous is not None and previous.n_contacts == grasp.n_contacts:
             before = np.array(previous._record)
-        if learned.start(np.array(wrench, dtype=np.float64), before, record) == REFUSED:
-            raise InfeasibleStartError(f"a wrench needs finite numbers, got {np.asarray(wrench).tolist()}")
+        if learned.start(read_load(wrench), before, record) == REFUSED:
+            raise InfeasibleStartError(
+                f"a wrench needs finite numbers up to {core.LARGEST:g}, got {np.asarray(wrench).tolist()}"
+            )
         force = record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(-1, 3)
         return self.name + OUTSIDE * (not learned.covers(record[WRENCH : WRENCH + 6])), force
 
@@ -176,6 +178,15 @@ class LearnedInitialForce(ABC):
     def __reduce__(self) -> tuple[Any, ...]:
         # the prepared grasp is a cache; sub-process environments get the checkpoint
         return type(self), (self.checkpoint, self.objective, self.remembers)
+
+
+def read_load(wrench: Any) -> Array:
+    """A wrench as the core reads it, which looks for itself whether it is finite.
+
+    Raises:
+        InvalidInputError: not (6,) numbers.
+    """
+    return wrench.copy() if readable(wrench) else as_array(wrench, (6,), "wrench")
 
 
 class LearnedLoop(Loop):

@@ -202,6 +202,12 @@ def test_what_is_no_file_is_not_waited_for(stem, suffix):
         (file.rmdir if file.is_dir() else file.unlink)()
 
 
+@pytest.mark.parametrize("path", ["", ".", "/", "a\0b", "x" * 5000, 5, None, b"bytes"])
+def test_what_is_no_path(path):
+    with pytest.raises(ModelFileError, match=r"path|No such file|too long|null"):
+        LearnedInitialForce.load(path)
+
+
 @pytest.mark.parametrize(("suffix", "most"), [(".json", MOST_TEXT), (".safetensors", MOST_WEIGHTS)])
 def test_what_is_too_large_is_not_read(stem, suffix, most):
     with stem.with_suffix(suffix).open("r+b") as file:

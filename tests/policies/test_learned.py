@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grasp_env.errors import InfeasibleStartError, UnknownNameError
+from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnknownNameError
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, cone_margin, optimize_force
 from grasp_env.force.record import OBJECTIVE, record_size
 from grasp_env.grasp import Grasp, presets, wrench
@@ -209,6 +209,12 @@ def test_contacts_that_a_model_does_not_know(fixed, anywhere):
         anywhere(soft, np.zeros(6))
     with pytest.raises(InfeasibleStartError, match="finite"):
         anywhere(grasp, np.full(6, np.nan))
+    for wrong in ([1.0, 2.0], [[1.0], [2.0, 3.0]], "wrench", None, np.zeros(7)):
+        for rule in (fixed, anywhere):
+            with pytest.raises(InvalidInputError, match="wrench"):
+                rule(grasp, wrong)
+            with pytest.raises(InvalidInputError, match="wrench"):
+                rule.raw(grasp, wrong)
     with pytest.raises(UnknownNameError, match="any_grasp"):
         LearnedInitialForce.pretrained("five_finger")
 

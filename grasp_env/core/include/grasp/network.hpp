@@ -53,7 +53,8 @@ private:
 
     static int registers(int outputs) { return (outputs + FLOATS - 1) / FLOATS; }
     static void spread(const float* from, int count, Floats* to) {
-        for (int j = 0; j < registers(count) * FLOATS; ++j) to[j / FLOATS][j % FLOATS] = j < count ? from[j] : 0.0f;
+        std::fill(to, to + registers(count), Floats{});
+        __builtin_memcpy(to, from, sizeof(float) * count);
     }
 
     // R rows by K registers of outputs, which stay in registers throughout; few of them take turns, as a sum waits for the one before.
