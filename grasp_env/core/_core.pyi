@@ -1,7 +1,9 @@
 """The compiled core; `grasp_env.core` is its door."""
 
 from collections.abc import Sequence
+from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 
@@ -20,6 +22,35 @@ def codes() -> dict[str, int]:
 
 def record_size(contacts: int) -> int:
     """Numbers in a row of N contacts."""
+
+class Solution:
+    """One record and what was said of it; see `grasp_env.force.ForceSolution`."""
+
+    _record: np.ndarray
+    method: str
+    initial: str
+    objective_trace: np.ndarray
+    certificate: np.ndarray | None
+    limit_multipliers: np.ndarray
+    def __init__(
+        self,
+        record: np.ndarray,
+        method: str,
+        initial: str,
+        objective_trace: np.ndarray = ...,
+        certificate: np.ndarray | None = None,
+        limit_multipliers: np.ndarray = ...,
+    ) -> None: ...
+    @property
+    def n_contacts(self) -> int: ...
+    @property
+    def code(self) -> int: ...
+    @property
+    def force(self) -> np.ndarray: ...
+    @property
+    def initial_force(self) -> np.ndarray: ...
+    @property
+    def torsion(self) -> np.ndarray: ...
 
 TANGENT_SWITCH: float = 0.9
 
