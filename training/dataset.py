@@ -15,11 +15,38 @@ from grasp_env.force import Objective, OfflineBasis
 from grasp_env.force.basis import core_contacts
 from grasp_env.force.record import BOUND, FORCE, OBJECTIVE, record_size
 from grasp_env.grasp import Grasp, null_space_basis
-from grasp_env.grasp.wrench import sample_magnitudes
+from grasp_env.grasp.wrench import sample_ball, sample_magnitudes
 
 LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
+BALL = 0.5
+"""Share of the wrenches from the standard ball, where starts are compared; the others are from the whole range."""
 CHUNK = 4096
 """Samples whose metric is made at once."""
+
+
+def sample(
+    rng: np.random.Generator,
+    count: int,
+    magnitudes: tuple[float, float],
+    frictions: tuple[float, float],
+    groups: int,
+    ball: float = BALL,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(groups * per, 6) wrenches and their friction (groups * per,), one number per group; about `count` of them.
+
+    Args:
+        rng: source of every sample.
+        count: how many, at least one per group.
+        magnitudes: [N] range of |(force, moment / 0.05 m)|, log-uniform.
+        frictions: range, of which every group has its own part.
+        groups: different frictions.
+        ball: share of the wrenches that are drawn from the standard ball.
+    """
+    per, (low, high) = max(1, count // groups), frictions
+    friction = low + (high - low) * (np.arange(groups) + rng.random(groups)) / groups
+    wrenches = sample_magnitudes(rng, groups * per, *magnitudes)
+    inside = sample_ball(rng, groups * per)
+    return np.where(rng.random(groups * per)[:, None] < ball, inside, wrenches), friction.repeat(per)
 
 
 @dataclass(frozen=True)
@@ -44,35 +71,30 @@ class Dataset:
         return len(self.wrenches)
 
 
-def generate(
+def label(
     grasp: Grasp,
     reference: np.ndarray,
     objective: Objective,
-    rng: np.random.Generator,
-    count: int,
-    magnitudes: tuple[float, float],
-    frictions: tuple[float, float],
+    wrenches: np.ndarray,
+    friction: np.ndarray,
     workers: int = 2,
 ) -> Dataset:
-    """Samples and labels `count` wrenches with Newton (relative gap 1e-10).
+    """Labels wrenches (B, 6) on a grasp with frictions (B,) by Newton (relative gap 1e-10).
 
     Args:
         grasp: the contacts; its friction is replaced.
         reference: see `null_space_basis`.
         objective: Phi.
-        rng: source of every sample.
-        count: how many.
-        magnitudes: [N] range of |(force, moment / 0.05 m)|, log-uniform.
-        frictions: range, uniform.
+        wrenches: (B, 6) [N, N m].
+        friction: (B,).
         workers: threads (the core releases the GIL).
 
     Raises:
         NotConvergedError: a label missed 1e-6, which would train on a wrong answer.
     """
-    wrenches = sample_magnitudes(rng, count, *magnitudes)
-    friction = rng.uniform(*frictions, count)
+    count = len(wrenches)
     # a force inside the narrowest cones is inside all: one basis serves every friction
-    narrow = grasp.with_friction(frictions[0])
+    narrow = grasp.with_friction(float(friction.min()))
     basis = OfflineBasis.of(narrow, objective)
     contacts = core_contacts(narrow, objective)
     null_space = null_space_basis(grasp, reference)

@@ -8,97 +8,96 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from grasp_env.force import Objective
 from grasp_env.grasp import Grasp, presets, reference_basis
+from grasp_env.grasp.wrench import sample_ball
 from policies.checkpoint import Checkpoint
 from policies.features import N_FEATURES, Features
+from policies.fixed_grasp import FixedGraspForce
 from policies.network import Network
-from policies.newton_layers import NewtonLayers, phi
-from training.dataset import Dataset, generate
+from training.dataset import Dataset, label, sample
 from training.fit_loop import Plan, optimise
-from training.fit_polish import FixedGrasp, FixedPool
+from training.fit_scores import scores
 from training.fit_state import Progress, StateFile
 from training.runs import provenance
 from training.settings import FitConfig
 from training.soap import Soap
 
-HELD_OUT, HELD_OUT_SEED = 4000, 77_777
+FRICTIONS, AT_ONCE = 256, 16
+"""Different frictions in the data, and in a batch: each has weights of its own."""
+HELD_OUT, HELD_OUT_SEED = 4096, 77_777
 """The same held-out wrenches for every training, so that seeds can be compared."""
-POLISHED, POLISH_BATCH = 100_000, 256
-POLISH_RATE = 0.25
-"""Learning rate of the layers, in parts of the network's."""
-FLOOR, POWER = 1e-5, 0.15
-"""Of the layers' loss, as in `AnyFitConfig`."""
+FLOOR = 1e-6
+"""Gaps below count as none."""
+PERCENTILES = (50, 95, 99)
 
 
 @dataclass(frozen=True)
 class FitResult:
-    """The checkpoint and the learning curve: rows (step, seconds, median, p95, p99 of the network's gap, of the start's)."""
+    """The checkpoint and the learning curve: rows (step, seconds, median, p95, p99 of the gap on the ball and on the range)."""
 
     checkpoint: Checkpoint
     curve: np.ndarray
 
 
-class FixedModel(nn.Module):
-    """The network, and the layers that go on from its force."""
-
-    def __init__(self, config: FitConfig, outputs: int) -> None:
-        super().__init__()
-        self.network = Network(N_FEATURES, config.hidden, outputs)
-        self.polish = NewtonLayers(config.polish, config.polish_width) if config.polish else None
-
-
 class NetworkTask:
-    """First the network: mean power of its second-order gap of Phi. Then the layers: the true gap from where it starts them."""
+    """Mean of a small power of the gap of Phi, to second order.
 
-    def __init__(
-        self,
-        config: FitConfig,
-        module: FixedModel,
-        tensors: tuple[tuple[Tensor, ...], ...],
-        pools: tuple[FixedPool, ...],
-    ) -> None:
+    Args:
+        config: of the batches and the loss.
+        module: the network.
+        train, held_out: samples by friction, see `tensor_of`.
+    """
+
+    phases = (1.0,)
+
+    def __init__(self, config: FitConfig, module: Network, train: Tensor, held_out: tuple[Tensor, ...]) -> None:
         self.module = module
-        self.phases = (1.0, POLISH_RATE) if config.polish else (1.0,)
-        self._config, self._train, self._held_out = config, *tensors
-        self._pool, self._held_out_pool = pools
-        self._starts: Tensor | None = None
+        self._config, self._train, self._held_out = config, train, held_out
 
     def loss(self, rng: np.random.Generator, phase: int) -> Tensor:
         """See `fit_loop.Task`."""
-        if phase == 1 and self.module.polish is not None:
-            return self._polish_loss(self.module.polish, rng)
-        index = torch.from_numpy(rng.integers(0, len(self._train[0]), self._config.batch_size))
-        gap = gaps(self.module.network, tuple(column[index] for column in self._train))
+        frictions, each = self._train.shape[:2]
+        size = self._config.batch_size // AT_ONCE
+        # a friction of every part of the range: what a batch says of the polynomials varies less
+        chosen = ((np.arange(AT_ONCE) + rng.random(AT_ONCE)) * (frictions / AT_ONCE)).astype(int)
+        begin = rng.integers(0, each - size + 1, AT_ONCE)
+        batch = torch.stack([self._train[k, b : b + size] for k, b in zip(chosen, begin, strict=True)])
         # a root keeps the few hard wrenches from drowning the rest, and the constant its derivative bounded
-        return (gap + 1e-6).pow(self._config.tail).mean()
-
-    def _polish_loss(self, polish: NewtonLayers, rng: np.random.Generator) -> Tensor:
-        if self._starts is None:  # the network does not change any more
-            self._starts = self._pool.starts(self.module.network)[1]
-        pool = self._pool.pool
-        index = torch.from_numpy(rng.integers(0, len(pool), POLISH_BATCH))
-        problems, total = pool.problems(index), torch.zeros((), dtype=torch.float64)
-        for force in polish(problems, self._starts[index]):
-            gap = (phi(problems, force) / pool.least[index] - 1.0).clamp(min=0.0)
-            total = total + (gap + FLOOR).pow(POWER).mean() / POWER
-        return total
+        return (gaps(self.module, batch) + FLOOR).pow(self._config.tail).mean()
 
     @torch.no_grad()
     def score(self) -> list[float]:
-        """Median, p95 and p99 of the network's second-order gap and of the start's true gap."""
-        pool, (_, start) = self._held_out_pool, self._held_out_pool.starts(self.module.network)
-        if self.module.polish is not None:
-            start = self.module.polish(pool.pool.problems(torch.arange(len(pool.pool))), start)[-1]
-        both = gaps(self.module.network, self._held_out).numpy(), pool.gap(start).numpy().clip(0.0)
-        return [float(value) for gap in both for value in np.percentile(gap, [50, 95, 99])]
+        """Percentiles of the gap to second order on each held-out set."""
+        found = (gaps(self.module, each).numpy().reshape(-1) for each in self._held_out)
+        return [float(value) for gap in found for value in np.percentile(gap, PERCENTILES)]
 
     def note(self, row: list[float]) -> str:
         """See `fit_loop.Task`."""
-        told = [" ".join(f"{value:.1e}" for value in part) for part in (row[:3], row[3:])]
-        return f"held-out gap (median, p95, p99) of the network {told[0]}, of the start {told[1]}"
+        ball, whole = (" ".join(f"{value:.1e}" for value in part) for part in (row[:3], row[3:]))
+        return f"held-out gap (median, p95, p99) on the ball {ball}, on the whole range {whole}"
+
+
+def gaps(network: Network, samples: Tensor) -> Tensor:
+    """(F, B) relative gap of Phi to second order: |R (m y - z*)|^2 with y the network's output."""
+    inputs, scale, target, metric = samples.split_with_sizes(_columns(samples.shape[-1]), dim=-1)
+    error = network(inputs) * scale - target
+    return (metric.unflatten(-1, (target.shape[-1], -1)) * error[..., None, :]).sum(-1).square().sum(-1)
+
+
+def tensor_of(data: Dataset, features: Features, frictions: int) -> Tensor:
+    """(F, B, 8 + 1 + K + K K): features, magnitude, coordinates and metric of samples that lie friction by friction."""
+    inputs, scale = features(data.wrenches, data.friction)
+    columns = inputs, scale[:, None], data.coordinates, data.metric.reshape(len(data), -1)
+    joined = np.concatenate([column.astype(np.float32) for column in columns], axis=1)
+    return torch.from_numpy(joined.reshape(frictions, -1, joined.shape[1]))
+
+
+def _columns(total: int) -> list[int]:
+    outputs = next(k for k in range(1, total) if N_FEATURES + 1 + k + k * k == total)
+    return [N_FEATURES, 1, outputs, outputs * outputs]
 
 
 def fit(
@@ -125,74 +124,58 @@ def fit(
     grasp = presets.preset(config.preset)
     state = StateFile.begin(out, {"kind": "fixed_grasp", **asdict(config)}, resume)
     torch.set_num_threads(config.threads)
-    reference = reference_basis(grasp)
+    reference, features = reference_basis(grasp), Features()
     objective = Objective(config.force_weight, config.barrier_weight)
-    ranges = (config.low, config.high), (config.friction_low, config.friction_high)
-    features = Features()
+    magnitudes, friction = (config.low, config.high), (config.friction_low, config.friction_high)
     rng, held_out_rng = np.random.default_rng([config.seed, 0]), np.random.default_rng([HELD_OUT_SEED, 1])
-    data = generate(grasp, reference, objective, rng, config.samples, *ranges)
-    held_out = generate(grasp, reference, objective, held_out_rng, HELD_OUT, *ranges)
-    model = FixedGrasp(grasp, reference, features, objective)
-    pools = tuple(
-        FixedPool.ranges(model, each, count, *ranges)
-        for each, count in ((rng, min(POLISHED, config.samples)), (held_out_rng, HELD_OUT))
-    )
+
+    def labelled(source: np.random.Generator, count: int, groups: int, **keywords: float) -> Tensor:
+        samples = sample(source, count, magnitudes, friction, groups, **keywords)
+        return tensor_of(label(grasp, reference, objective, *samples), features, groups)
+
+    # at least a batch's share of samples for every friction
+    train = labelled(rng, config.samples, min(FRICTIONS, AT_ONCE * config.samples // config.batch_size))
+    held_out = tuple(labelled(held_out_rng, HELD_OUT, min(FRICTIONS, HELD_OUT), ball=ball) for ball in (1.0, 0.0))
     torch.manual_seed(config.seed)
-    module = FixedModel(config, reference.shape[1])
-    task = NetworkTask(config, module, (_tensors(data, features), _tensors(held_out, features)), pools)
+    network = Network(N_FEATURES, config.hidden, reference.shape[1], config.degree)
     words = f"fit {config.preset}{' (quick)' if config.quick else ''}" if progress else ""
-    now = optimise(
-        task, Plan(config.seconds, config.steps, config.learning_rate, Soap, config.seed, state, resume, words)
-    )
-    tensors = {name: value.detach().numpy() for name, value in module.network.state_dict().items()}
-    if module.polish is not None:
-        weights = {name: value.detach().numpy() for name, value in module.polish.state_dict().items()}
-        tensors |= {name.replace("layers.", "polish.", 1): value for name, value in weights.items()}
-    ball = FixedPool.ball(model, held_out_rng, HELD_OUT)
-    scores = {
-        "on": f"{HELD_OUT} wrenches of the standard ball (force 2 N, moment 0.05 N m), friction {grasp.friction[0]:g}",
-        **ball.scores(module.network, module.polish),
-        "training range": pools[1].scores(module.network, module.polish),
-    }
+    plan = Plan(config.seconds, config.steps, config.learning_rate, Soap, config.seed, state, resume, words, cpu=True)
+    now = optimise(NetworkTask(config, network, train, held_out), plan)
     checkpoint = Checkpoint(
         kind="fixed_grasp",
-        tensors={**tensors, "reference": reference},
+        tensors={
+            **{name: np.ascontiguousarray(value) for name, value in network.tensors().items()},
+            "reference": reference,
+        },
         numbers={
             "sizes": [N_FEATURES, *config.hidden, reference.shape[1]],
+            "friction_degree": config.degree,
             "features": asdict(features),
             "n_contacts": grasp.n_contacts,
             "force_weight": config.force_weight,
             "barrier_weight": config.barrier_weight,
-            "polish": config.polish,
-            "polish_width": config.polish_width,
+            "polish": 0,
         },
-        ranges={"magnitude": ranges[0], "friction": ranges[1]},
-        card=_card(config, grasp, command, now, scores),
+        ranges={"magnitude": magnitudes, "friction": friction},
+        card=_card(config, grasp, command, now),
     )
+    model, ball = FixedGraspForce(checkpoint), sample_ball(held_out_rng, HELD_OUT)
+    checkpoint.card["held_out_gap"] = {
+        "ball": scores(model, grasp, ball, held_out_rng.uniform(*friction, HELD_OUT)),
+        "range": scores(model, grasp, *sample(held_out_rng, HELD_OUT, magnitudes, friction, HELD_OUT, 0.0)),
+        "ball, friction of the grasp": scores(model, grasp, ball, np.full(HELD_OUT, grasp.friction[0]), flow=True),
+    }
     return FitResult(checkpoint, np.array(now.curve))
 
 
-def gaps(network: Network, tensors: tuple[Tensor, ...]) -> Tensor:
-    """(B,) relative gap of Phi to second order: |R m (y - y*)|^2 with y the network's output."""
-    inputs, scale, target, metric = tensors
-    error = network(inputs) * scale - target
-    return torch.einsum("bij,bj->bi", metric, error).square().sum(dim=1)
-
-
-def _tensors(data: Dataset, features: Features) -> tuple[Tensor, ...]:
-    inputs, scale = features(data.wrenches, data.friction)
-    columns = (inputs, scale[:, None], data.coordinates, data.metric)
-    return tuple(torch.from_numpy(np.asarray(column, dtype=np.float32)) for column in columns)
-
-
-def _card(config: FitConfig, grasp: Grasp, command: str, now: Progress, scores: dict[str, Any]) -> dict[str, Any]:
-    median, p95, p99 = now.curve[-1][2:5]
+def _card(config: FitConfig, grasp: Grasp, command: str, now: Progress) -> dict[str, Any]:
     made = provenance()
     return {
         "what": "initial grasp force of one grasp, from wrench and friction",
         "quick": config.quick,
         "grasp": {"preset": config.preset, "positions": grasp.positions.tolist(), "normals": grasp.normals.tolist()},
-        "data": f"{config.samples} generated wrenches, labelled by Newton to a relative gap of 1e-10; others held out",
+        "data": f"{config.samples} generated wrenches, half of them from the standard ball (force 2 N, moment 0.05 N m), labelled by "
+        "Newton to a relative gap of 1e-10; others held out",
         "command": command,
         "config": asdict(config),
         "optimisation_steps": now.step,
@@ -200,11 +183,9 @@ def _card(config: FitConfig, grasp: Grasp, command: str, now: Progress, scores: 
         "cpu_seconds": round(now.cpu_seconds, 1),
         "time": made["time"],
         "machine": made["machine"] | {"torch threads": config.threads, "gpu": False},
-        "versions": {name: made["versions"][name] for name in ("torch", "numpy", "numba")},
-        "held_out_gap_second_order": {"median": median, "p95": p95, "p99": p99},
-        "held_out_gap": scores,
+        "versions": {name: made["versions"][name] for name in ("torch", "numpy")},
         "curve": {
-            "columns": ["step", "seconds", "median", "p95", "p99", "start median", "start p95", "start p99"],
+            "columns": ["step", "seconds", *(f"{which} p{p}" for which in ("ball", "range") for p in PERCENTILES)],
             "rows": [" ".join(f"{value:.3g}" for value in row) for row in now.curve],
         },
         "limits": "one grasp (small displacements of its contacts only), the ranges above; everything else through the repair",

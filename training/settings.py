@@ -20,15 +20,15 @@ class FitConfig:
 
     Attributes:
         preset: the named grasp to learn.
-        seconds: time for the optimisation steps; data generation and set-up come on top (about 15 s).
+        seconds: processor time for the optimisation steps, on one core: what others do on the machine does not count. Data and
+            scores come on top (about 15 s).
         steps: a fixed number of optimisation steps instead (then the result does not depend on the machine's speed).
         samples: labelled wrenches.
         hidden: widths of the hidden layers.
-        polish: learned Newton layers after the network, trained in the second half; 0: none, Newton steps take their place.
-        polish_width: of their hidden layers.
+        degree: of the polynomials of the friction that the weights are; 0: friction is one more number that the network reads.
         batch_size: wrenches per optimisation step.
         learning_rate: peak of the one-cycle schedule.
-        tail: exponent of the network's gap in the loss: larger cares more about the worst wrenches.
+        tail: exponent of the gap in the loss: larger cares more about the worst wrenches.
         seed: of data, weights and batches.
         low: [N] least |(force, moment / 0.05 m)| of the training wrenches.
         high: [N] largest.
@@ -42,15 +42,14 @@ class FitConfig:
     """
 
     preset: str = "paper_cuboid"
-    seconds: float = 240.0
+    seconds: float = 480.0
     steps: int = 0
-    samples: int = 400_000
-    hidden: tuple[int, ...] = (96, 96)
-    polish: int = 3
-    polish_width: int = 16
+    samples: int = 800_000
+    hidden: tuple[int, ...] = (64, 64)
+    degree: int = 2
     batch_size: int = 2048
     learning_rate: float = 2e-2
-    tail: float = 0.5
+    tail: float = 0.35
     seed: int = 0
     low: float = 0.1
     high: float = 20.0
@@ -63,7 +62,7 @@ class FitConfig:
 
     def __post_init__(self) -> None:
         _check_fit(self)
-        for name, least in (("threads", 1), ("polish", 0), ("polish_width", 1)):
+        for name, least in (("threads", 1), ("degree", 0)):
             if getattr(self, name) < least:
                 raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
         if not self.hidden or min(self.hidden) < 1:

@@ -37,11 +37,15 @@ LABELS = {
     "linear_combination_printed": "12-basis, as printed",
     "linear_combination": "12-basis (the paper, fixed at w = 0)",
     "basis_tangent": "12-basis, one Newton correction",
+    "basis_newton_2": "12-basis, two Newton corrections",
     "basis_newton": "12-basis, four Newton corrections",
     "previous_pseudoinverse": "previous solution, G^+",
     "previous_tangent": "previous solution, tangent",
     "nearest_pseudoinverse": "nearest of 10,000 stored, G^+",
     "nearest_tangent": "nearest of 10,000 stored, tangent",
+    "network": "network alone, fixed grasp",
+    "network_newton_1": "network, one Newton step",
+    "network_newton_2": "network, two Newton steps",
     "learned_fixed": "learned, fixed grasp",
     "learned_any": "learned, any grasp",
     "learned_previous": "learned, with the previous solution",
@@ -54,11 +58,15 @@ SHORT = {
     "linear_combination_printed": "12-basis, printed",
     "linear_combination": "12-basis",
     "basis_tangent": "12-basis + Newton",
+    "basis_newton_2": "12-basis + 2 Newton",
     "basis_newton": "12-basis + 4 Newton",
     "previous_pseudoinverse": "previous, G^+",
     "previous_tangent": "previous, tangent",
     "nearest_pseudoinverse": "nearest, G^+",
     "nearest_tangent": "nearest, tangent",
+    "network": "network alone",
+    "network_newton_1": "network + Newton",
+    "network_newton_2": "network + 2 Newton",
     "learned_fixed": "learned, fixed",
     "learned_any": "learned, any",
     "learned_previous": "learned + previous",
@@ -70,11 +78,22 @@ MODELS = ("learned_fixed", "learned_any", "learned_fitted")
 """The learned starts that are a saved model."""
 SHIPPED = {"learned_fixed": "four_finger", "learned_any": "any_grasp"}
 """Their names in the package."""
+COLD = tuple(key for key in LABELS if not key.startswith("previous") and key != "learned_previous")
+"""The starts that no previous solution helps."""
 STORED = 10_000
 STORED_RANGE = (0.1, 20.0)
 """[N] magnitudes of the stored solutions: those that the fixed-grasp model is trained on."""
-NEWTON_STEPS = 4
-"""Plain Newton corrections to set beside the learned layers of the any-grasp model, which are of that kind."""
+NEWTON_STEPS = {
+    "basis_tangent": ("linear_combination", 1),
+    "basis_newton_2": ("linear_combination", 2),
+    "basis_newton": ("linear_combination", 4),
+    "network_newton_1": ("network", 1),
+    "network_newton_2": ("network", 2),
+}
+"""Starts that are another start after plain Newton steps: four are the control of the any-grasp model's layers, one and two of the
+network alone and the 12-basis stand beside each other."""
+KEPT = 0.95
+"""Part of the way from the 12-basis to the cones at which a network's force outside them is put."""
 NEAR_PLACE, NEAR_NORMAL = 0.02, 0.95
 """[m] and cosine by which contacts may differ from the fixed grasp's where what knows that grasp alone applies."""
 
@@ -105,8 +124,6 @@ def make_starts(objective: Objective, models: dict[str, LearnedInitialForce]) ->
     starts: dict[str, Start] = {}
     for name in ("single_value", "lagrange", "linear_combination_printed", "linear_combination"):
         starts[name] = memoryless(initial_rule(name, objective))
-    starts["basis_tangent"] = memoryless(BasisNewton(objective, 1))
-    starts["basis_newton"] = memoryless(BasisNewton(objective, NEWTON_STEPS))
     for correction in CORRECTIONS:
         starts[f"previous_{correction}"] = previous(objective, correction)
     stored = Stored(objective)
@@ -114,6 +131,7 @@ def make_starts(objective: Objective, models: dict[str, LearnedInitialForce]) ->
         starts[f"nearest_{correction}"] = memoryless(Nearest(stored, correction))
     for key, model in models.items():
         starts[key] = memoryless(model if key == "learned_any" else OnFixedGrasp(model))
+    starts |= {key: memoryless(rule) for key, rule in stepped(objective, models).items()}
     if "learned_fixed" in models:
         starts["learned_previous"] = with_memory(models, objective)
     return {key: starts[key] for key in LABELS if key in starts}
@@ -165,18 +183,45 @@ def as_solution(force: ContactForces) -> ForceSolution:
     return ForceSolution(record, "carried", "previous")
 
 
-class BasisNewton:
-    """The 12-basis's start after a few Newton steps on Phi within balance, each as long as lowers Phi most.
+def stepped(objective: Objective, models: dict[str, LearnedInitialForce]) -> dict[str, InitialForceRule]:
+    """The network of the fixed grasp alone, if there is one, and the starts of `NEWTON_STEPS`, by key."""
+    alone: dict[str, InitialForceRule] = {}
+    if "learned_fixed" in models:
+        alone["network"] = OnFixedGrasp(NetworkAlone(models["learned_fixed"]))
+    rules = {"linear_combination": initial_rule("linear_combination", objective), **alone}
+    taken = {key: NewtonSteps(rules[rule], objective, n) for key, (rule, n) in NEWTON_STEPS.items() if rule in rules}
+    return {**alone, **taken}
 
-    For a previous optimum one such step is its tangent correction: the baseline gets what the others get.
-    """
 
-    def __init__(self, objective: Objective, steps: int) -> None:
-        self.objective, self.steps = objective, steps
+class NetworkAlone:
+    """What a network says, without a step of any order: put back towards the 12-basis only where it lies outside the cones."""
+
+    def __init__(self, model: LearnedInitialForce) -> None:
+        self.model = model
 
     def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
         """See `InitialForceRule`."""
-        x = grasp.to_cone(OfflineBasis.of(grasp, self.objective).combine(load))
+        raw = self.model.raw(grasp, load)
+        if grasp.cone_margin(raw) > 0.0:
+            return raw
+        safe = OfflineBasis.of(grasp, self.model.objective).combine(load)
+        way = raw - safe
+        _, reach = starter(grasp, self.model.objective).inside(grasp.to_cone(safe), grasp.to_cone(way))
+        return safe + min(1.0, KEPT * reach) * way
+
+
+class NewtonSteps:
+    """Another start after a few Newton steps on Phi within balance, each as long as lowers Phi most.
+
+    For a previous optimum one such step is its tangent correction: the others get what it gets.
+    """
+
+    def __init__(self, rule: InitialForceRule, objective: Objective, steps: int) -> None:
+        self.rule, self.objective, self.steps = rule, objective, steps
+
+    def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
+        """See `InitialForceRule`."""
+        x = grasp.to_cone(self.rule(grasp, load))
         step, multipliers, solver = np.empty_like(x), np.empty(6), starter(grasp, self.objective)
         for _ in range(self.steps):
             if solver.newton_step(load, x, step, multipliers) < 0.0:
@@ -219,16 +264,16 @@ class Nearest:
 
 
 class OnFixedGrasp:
-    """A model of the fixed grasp, where the grasp is that one or near it."""
+    """A rule that knows the fixed grasp, where the grasp is that one or near it."""
 
-    def __init__(self, model: LearnedInitialForce) -> None:
-        self.model, self.objective = model, model.objective
+    def __init__(self, rule: InitialForceRule) -> None:
+        self.rule = rule
 
     def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
         """See `InitialForceRule`."""
         if not near_fixed(grasp):
             raise DoesNotApply
-        return self.model(grasp, load)
+        return self.rule(grasp, load)
 
 
 def near_fixed(grasp: Grasp) -> bool:
