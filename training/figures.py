@@ -25,6 +25,7 @@ THEME: dict[str, tuple[str, str]] = {
     "previous_tangent": ("#1e7a3e", "#4fc47a"),
     "nearest_pseudoinverse": ("#9273c4", "#c9b5f2"),
     "nearest_tangent": ("#6a3fa0", "#a985e8"),
+    "network": ("#7d3c98", "#d7a6ee"),
     "learned_fixed": ("#b3261e", "#ff7468"),
     "learned_any": ("#d1500a", "#ffa05c"),
     "learned_previous": ("#c2187a", "#ff80c4"),
@@ -107,8 +108,8 @@ def line_style(name: str) -> dict[str, Any]:
     return {
         "color": colour(name),
         "linestyle": (0, (3, 1.6)) if name in DASHED else "-",
-        "linewidth": 2.0 if name.startswith("learned") else 1.3,
-        "zorder": 3 if name.startswith("learned") else 2,
+        "linewidth": 2.0 if name.startswith(("learned", "network")) else 1.3,
+        "zorder": 3 if name.startswith(("learned", "network")) else 2,
     }
 
 

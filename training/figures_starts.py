@@ -12,7 +12,7 @@ from training.starts import LABELS, TOLERANCE
 FLOOR = 1e-7
 """Gaps below are drawn there."""
 _NO_START, _SKIPPED = 3, 4
-_FAN = ("linear_combination", "previous_tangent", "learned_fixed", "learned_any", "learned_previous", "learned_fitted")
+_FAN = ("linear_combination", "previous_tangent", "network", "learned_any", "learned_previous", "learned_fitted")
 _FAN_MORE = ("basis_tangent", "nearest_tangent")
 """Where the others are few."""
 

@@ -16,7 +16,7 @@ from training.report_hand import hand_section, paper_section
 from training.report_model import Fold, Picture, Section, Table, number, percent
 from training.report_pictures import draw_all, loops
 from training.report_rl import rl_section
-from training.report_starts import claims_section, wins_section
+from training.report_starts import claims_section, network_section, wins_section
 from training.runs import Run
 
 __all__ = ["build_report", "number", "render", "report_path", "write_pages"]
@@ -67,6 +67,7 @@ def _sections(run: Run, metrics: dict[str, Any]) -> list[Section]:
     sections = [
         claims_section(metrics),
         wins_section(metrics),
+        network_section(metrics),
         Section("convergence", "How fast each start gets there", notes, of("fan", "ecdf", "budget", "profile")),
         hand_section(metrics, of("rollout"), loops(run)),
         timing_section(metrics, of("violins")),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from training.claims import training_seconds
 from training.report_model import Fold, Picture, Section, Table, at, flat, number, present
 from training.report_starts import label
 
@@ -13,7 +14,7 @@ def models_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
     models = {key: card for key, card in (at(metrics, "run", "models") or {}).items() if isinstance(card, dict)}
     rows = [
         [label(key), str(card.get("limits") or "–"), number(card.get("bytes")), number(at(card, "optimisation_steps")),
-         number(_seconds(card)), *(number(at(card, "held_out_gap_second_order", part), 2) for part in ("median", "p99")),
+         number(training_seconds(card)), *(number(at(card, "held_out_gap", "ball", "gap", part), 2) for part in ("median", "p99")),
          _range(card)]
         for key, card in models.items()
     ]  # fmt: skip
@@ -22,13 +23,13 @@ def models_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
         "limits",
         "bytes",
         "steps",
-        "data and training [s]",
+        "training [s of a core]",
         "held-out gap, median",
         "p99",
         "wrench [N]",
     )
     total = sum(card.get("bytes") or 0 for card in models.values())
-    caption = f"Models of this run ({number(total / 1e6)} MB together; gaps of second order, before the repair)"
+    caption = f"Models of this run ({number(total / 1e6)} MB together; gaps of the network alone, standard ball, friction varied)"
     cards = [
         Fold(
             f"Model card: {label(key)}",
@@ -45,12 +46,6 @@ def _range(card: dict[str, Any]) -> str:
     return "–" if low is None else f"{number(low)} to {number(high)}"
 
 
-def _seconds(card: dict[str, Any]) -> float | None:
-    """Time of data and training [s], which older cards hold in parts."""
-    value = card.get("seconds")
-    return value.get("total") if isinstance(value, dict) else value
-
-
 def caveats_section(metrics: dict[str, Any]) -> Section:
     """What the numbers do not say."""
     quick = at(metrics, "run", "quick")
@@ -61,9 +56,9 @@ def caveats_section(metrics: dict[str, Any]) -> Section:
         "other contacts (its forces belong to contacts that are gone). On smooth paths with the tangent correction it needs 0 "
         "iterations: there nothing is left to learn, and a learned start can only tie.",
         "On independent draws the “previous” starts come from an unrelated wrench: a jump, not what a control loop meets at every tick.",
-        "Learned starts, the corrected 12-basis, the tangent-corrected previous and nearest solutions get a second-order (Newton) "
-        "correction towards the balance; single value, Lagrange, the plain 12-basis and the G⁺ variants do not. “12-basis, one Newton correction” "
-        "is there so that the correction is not counted as the network's gain.",
+        "The any-grasp model, the tangent-corrected previous and nearest solutions and whatever is called “Newton” take second-order "
+        "steps before the flow begins; the network of the fixed grasp, single value, Lagrange, the plain 12-basis and the G⁺ variants do not. "
+        "The 12-basis and the network after as many Newton steps are there so that those are not counted as what was learned.",
         "The any-grasp model is a few learned layers, each about as much work as a Newton step: its 0 iterations of the flow are not "
         "free. Compare microseconds, and the columns of Newton.",
         "A start of lower Phi does not always need fewer steps: the flow follows the projected gradient, and a little gap along a "

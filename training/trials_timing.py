@@ -18,8 +18,6 @@ from policies import LearnedInitialForce
 from training.cases import HELD_OUT
 from training.cases_grasps import closed_grasp
 from training.starts import (
-    NEWTON_STEPS,
-    BasisNewton,
     Nearest,
     Start,
     Stored,
@@ -27,6 +25,7 @@ from training.starts import (
     memory_model,
     phi_options,
     remembering,
+    stepped,
 )
 from training.trials import METHODS, Trials
 
@@ -40,7 +39,7 @@ def optimizers(
     grasp: Grasp, method: str, starts: dict[str, Start], models: dict[str, LearnedInitialForce], objective: Objective
 ) -> dict[str, ForceOptimizer]:
     """One optimizer per start, as a control loop would make it once."""
-    stored = Stored(objective)
+    stored, rules = Stored(objective), stepped(objective, models)
     made: dict[str, ForceOptimizer] = {}
     for key in starts:
         initial: str | InitialForceRule = key
@@ -49,8 +48,8 @@ def optimizers(
             initial = "previous"
         elif key.startswith("nearest"):
             initial = Nearest(stored, correction)
-        elif key in ("basis_tangent", "basis_newton"):
-            initial = BasisNewton(objective, 1 if key == "basis_tangent" else NEWTON_STEPS)
+        elif key in rules:
+            initial = rules[key]
         elif key == "learned_previous":
             initial = remembering(memory_model(models))
         elif key in models:

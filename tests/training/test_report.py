@@ -17,7 +17,8 @@ from synthetic_run import synthetic_run
 from grasp_env.errors import InvalidInputError
 from training.figures import THEME
 from training.report import build_report, write_pages
-from training.report_starts import claims_section, matrix
+from training.report_model import Table
+from training.report_starts import STEPPED, claims_section, label, matrix, network_section, pair
 from training.runs import Run
 
 EXECUTABLE = find_browser()
@@ -127,6 +128,15 @@ def test_the_best_start_of_a_row_is_marked_and_one_that_is_missing_is_not(made):
         assert kinds == (["", "", "best"] if name in ("ball", "random_3") else ["", "best", ""])
     assert table.cells[names.index("ball")][2].text.endswith("†")
     assert table.cells[names.index("random_3")][2].text == "–"
+
+
+def test_the_network_alone_stands_beside_the_basis_with_as_many_newton_steps(made):
+    (table,) = network_section(made[1]).blocks
+    assert isinstance(table, Table)
+    assert [row[0].text for row in table.cells] == [label(key) for key in STEPPED]
+    row = made[1]["starts"]["reduced_flow"]["ball"]["network"]
+    assert table.cells[3][1].text == pair(row["iterations"])
+    assert "97" in network_section(made[1]).notes[0]  # % inside the cones before the repair
 
 
 def test_what_a_run_lacks_is_left_out_or_a_dash(made, tmp_path):
