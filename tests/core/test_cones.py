@@ -155,7 +155,9 @@ def test_the_system_is_the_dense_one(lanes: int, kind: str, count: int) -> None:
         lost = np.abs(np.linalg.inv(schur)) @ (part * (terms + np.abs(schur) @ np.abs(wanted)))
         assert (np.abs(nu - wanted) <= lost).all()
         slack = np.abs(inverse) @ (np.abs(s.rows.T) @ lost + part * (np.abs(s.rows.T) @ np.abs(nu) + np.abs(gradient)))
-        slack += EPS * np.abs(wanted).max()  # entries of G that are rounding themselves, where frames lie along the axes
+        slack += (
+            EPS * np.abs(wanted).max()
+        )  # entries of G that are rounding themselves, where frames lie along the axes
         assert (np.abs(step - inverse @ (s.rows.T @ wanted - gradient)) <= slack).all()
         np.testing.assert_allclose(moved, s.rows @ step, rtol=0, atol=1e-13 * count * np.abs(step).max())
         if shallow == 0.5:  # where the dense KKT system has digits left

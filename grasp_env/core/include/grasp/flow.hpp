@@ -92,24 +92,18 @@ public:
             projection_.apply(cones, x, gradient, step);
             const double length = total_of([&](int b) { return squared(step[b]); });  // |d|^2
             const double reach = total_of([&](int b) { return cones.blocks[b].mask * squared(x[b]); });
-            switch (rule.kind) {
-                case StepRule::ADAPTIVE:
-                    if (iterations > 0) alpha *= rule.grow;
-                    break;
-                case StepRule::BARZILAI_BORWEIN:
-                    if (iterations > 0) {
-                        const double mixed = total_of([&](int b) { return inner(step[b], past[b]); });
-                        alpha *= inverse_curvature(before, length, mixed, iterations);
-                    }
-                    for (int b = 0; b < blocks; ++b) past[b] = step[b];
-                    before = length;
-                    break;
-                case StepRule::EXACT: {
-                    const double here = bend();
-                    alpha = here > 0.0 ? length / here : rule.first;
-                    break;
-                }
-                default: alpha = rule.first;
+            if (rule.kind == StepRule::BARZILAI_BORWEIN) {
+                const double mixed = total_of([&](int b) { return inner(step[b], past[b]); });
+                if (iterations > 0) alpha *= inverse_curvature(before, length, mixed, iterations);
+                for (int b = 0; b < blocks; ++b) past[b] = step[b];
+                before = length;
+            } else if (rule.kind == StepRule::EXACT) {
+                const double here = bend();
+                alpha = here > 0.0 ? length / here : rule.first;
+            } else if (rule.kind == StepRule::ADAPTIVE) {
+                if (iterations > 0) alpha *= rule.grow;
+            } else {
+                alpha = rule.first;
             }
             alpha = std::min(alpha, LONGEST);
             // a step far shorter than x, left from a start near the apex, grows from here instead of stalling
@@ -228,14 +222,11 @@ private:
         if (!honest) s.objective = reached;
         const bool below = !known && s.objective - s.lower_bound < -HONEST * s.lower_bound;  // its bound: it misses balance
         const bool near = s.objective - s.lower_bound <= on.options.tolerance * s.lower_bound;
-        const bool balanced = s.residual <= MISSED * size(w) + ROUNDING_LEFT;
-        if (code == CONVERGED && !(near && !below && balanced && s.margin > 0.0)) code = STALLED;
+        if (code == CONVERGED && !(near && !below && cones.balanced(on.x, w, s.residual) && s.margin > 0.0)) code = STALLED;
         s.code = code;
         return code;
     }
-    static constexpr double HONEST = 1e-9;          // part by which Phi may be off through rounding
-    static constexpr double MISSED = 1e-8;          // of the wrench, by which balance may be missed
-    static constexpr double ROUNDING_LEFT = 1e-9;   // [N] the same, where the wrench is small beside the forces
+    static constexpr double HONEST = 1e-9;  // part by which Phi may be off through rounding
 };
 
 }  // namespace grasp
