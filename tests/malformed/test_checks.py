@@ -205,10 +205,10 @@ def test_optimal_is_balanced_everywhere_within_the_ranges(method: str) -> None:
             continue
         if solution.status is Status.OPTIMAL:
             optimal += 1
-            assert (
-                grasp.residual(solution.force, load, solution.torsion) <= 1e-6 * np.abs(grasp.unit_frame @ load).max()
-            )
-            assert solution.cone_margin >= -1e-9 * np.abs(solution.force).max()
+            missed, largest = grasp.residual(solution.force, load, solution.torsion), np.abs(solution.force).max()
+            # where a squeeze is a million times the load its rounding is a part of the balance
+            assert missed <= 1e-6 * np.abs(grasp.unit_frame @ load).max() + 1e-12 * largest
+            assert solution.cone_margin >= -1e-9 * largest
     assert optimal > 75
 
 
