@@ -52,8 +52,8 @@ ITERATIONS = 10_000_000
 
 STEP = Range(1e-15, 1e12, "N")
 """First trial steps of the flows."""
-SHRINK = Range(1e-3, 0.99)
-"""A search for a smaller Phi ends after log(1e16) / -log(shrink) trials: 3700 at 0.99."""
+SHRINK = Range(1e-3, 0.999)
+"""A search for a smaller Phi ends after log(1e16) / -log(shrink) trials: 37,000 at 0.999."""
 
 NORMAL_FORCE = Range(1e-12, 1e12, "N")
 """Limits on normal forces, where they are neither 0 nor infinite."""

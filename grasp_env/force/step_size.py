@@ -61,7 +61,7 @@ class ArmijoStep:
 
     Attributes:
         first: the first trial step of every iteration [N / force_weight].
-        shrink: factor, 0.001 to 0.99, after a rejected one.
+        shrink: factor, 0.001 to 0.999, after a rejected one.
         slope: share of alpha |d|^2 in (0, 1) by which Phi has to fall.
     """
 
@@ -85,7 +85,7 @@ class AdaptiveStep:
     Attributes:
         first: the first trial step of every solve [N / force_weight].
         grow: factor in [1, 1e6) after an accepted step.
-        shrink: factor, 0.001 to 0.99, after a rejected one.
+        shrink: factor, 0.001 to 0.999, after a rejected one.
     """
 
     first: float = 0.3
@@ -115,7 +115,7 @@ class BarzilaiBorweinStep:
 
     Attributes:
         first: the first trial step of every solve [N / force_weight].
-        shrink: factor, 0.001 to 0.99, after a step that left a cone or did not decrease Phi.
+        shrink: factor, 0.001 to 0.999, after a step that left a cone or did not decrease Phi.
         variant: "alternate", "long" or "short".
     """
 
