@@ -36,6 +36,9 @@ template <class V> inline Vec6 sums(const V (&a)[6]) {
     return out;
 }
 
+// What Phi has besides the cones' terms: nothing. What further limits add is `Rows` of limits.hpp.
+struct NoRows { static constexpr bool any = false; };
+
 template <class V, int B> class Cones {
 public:
     static constexpr int W = width<V>;
@@ -103,16 +106,16 @@ public:
     }
 
     // +inf unless strictly inside every cone
-    double phi(const Field& x) const {
-        return phi_of([&](int b) { return x[b]; });
+    template <class R = NoRows> double phi(const Field& x, const R& rows = {}) const {
+        return phi_of(rows, [&](int b) { return x[b]; });
     }
     // of x + alpha step
-    double phi_along(const Field& x, const Field& step, double alpha) const {
-        return phi_of([&](int b) { return x[b] + all<V>(alpha) * step[b]; });
+    template <class R = NoRows> double phi_along(const Field& x, const Field& step, double alpha, const R& rows = {}) const {
+        return phi_of(rows, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
     }
     // the same with `part` of the price of squeezing
     double phi_along(const Field& x, const Field& step, double alpha, double part) const {
-        return phi_of([&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
+        return phi_of(NoRows{}, [&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
     }
     // d Phi(x + alpha step) / d alpha
     double slope_along(const Field& x, const Field& step, double alpha) const {
@@ -159,12 +162,13 @@ public:
     }
 
     // Dual value at nu (unit frame): a lower bound of min Phi that needs no trust in the iterations; -inf: none.
-    double lower_bound(const Vec6& nu, const Vec6& w) const {
-        return bound(nu, w, [&](const Vec3<V>& y, int b, V& room) { return dual(y, blocks[b].weights, room); });
+    template <class R = NoRows> double lower_bound(const Vec6& nu, const Vec6& w, const R& rows = {}) const {
+        return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) { return dual(y, blocks[b].weights, room); });
     }
     // The same in half the time where x is close to the optimum.
-    double lower_bound(const Vec6& nu, const Vec6& w, const Field& x, double tight) const {
-        return bound(nu, w, [&](const Vec3<V>& y, int b, V& room) {
+    template <class R = NoRows>
+    double lower_bound(const Vec6& nu, const Vec6& w, const Field& x, double tight, const R& rows = {}) const {
+        return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) {
             return dual_near(y, blocks[b].weights, x[b], tight, room);
         });
     }
@@ -200,21 +204,28 @@ private:
         for (int b = 0; b < int(blocks.size()); ++b)
             for (int n = 0; n < W && W * b + n < count; ++n) f(b, n, 3 * (W * b + n));
     }
-    template <class F, class... Part> double phi_of(F&& at, Part... part) const {
+    template <class R, class F, class... Part> double phi_of(const R& rows, F&& at, Part... part) const {
         V total{}, room = all<V>(infinity);
         for (int b = 0; b < int(blocks.size()); ++b) {
             const Vec3<V> x = at(b);
-            total += blocks[b].mask * grasp::phi(x, Weights<V>{(blocks[b].weights.omega * ... * part), blocks[b].weights.lambda});
+            V term = grasp::phi(x, Weights<V>{(blocks[b].weights.omega * ... * part), blocks[b].weights.lambda});
+            if constexpr (R::any) term += rows.value(b, x);
+            total += blocks[b].mask * term;
             room = min(room, min(x.u, lorentz(x, x)));
         }
         const double value = sum(total);
         return least(room) > 0.0 && value == value ? value : infinity;
     }
-    template <class F> double bound(const Vec6& nu, const Vec6& w, F&& part) const {
+    template <class R, class F> double bound(const Vec6& nu, const Vec6& w, [[maybe_unused]] const R& rows, F&& least_of) const {
         V total{}, smallest = all<V>(infinity);
         for (int b = 0; b < int(blocks.size()); ++b) {
             V room;
-            total += blocks[b].mask * part(blocks[b].transposed(nu), b, room);
+            Vec3<V> y = blocks[b].transposed(nu);
+            [[maybe_unused]] V more;
+            if constexpr (R::any) more = rows.dual(b, y);
+            V part = least_of(y, b, room);
+            if constexpr (R::any) part += more;
+            total += blocks[b].mask * part;
             smallest = min(smallest, room);
         }
         const double value = sum(total) - dot(nu, w);

@@ -32,6 +32,10 @@ template <class T> struct Scaling {
         const T z = v.o * d.o + v.t * d.t, k = d.u + z * shrink;
         return {v.u * d.u + z, d.o + k * v.o, d.t + k * v.t};
     }
+    Vec3<T> unscaled(const Vec3<T>& d) const {  // of `scaled`
+        const T z = v.o * d.o + v.t * d.t, k = z * shrink - d.u;
+        return {v.u * d.u - z, d.o + k * v.o, d.t + k * v.t};
+    }
     Vec3<T> twice(const Vec3<T>& d) const {  // M d
         const T z = 2.0 * dot(v, d);
         return {eta * (z * v.u - d.u), eta * (z * v.o + d.o), eta * (z * v.t + d.t)};

@@ -129,7 +129,7 @@ public:
         if (known) bound_at(on, w, nu);
         Summary& s = record.summary();
         s.iterations = iterations, s.trials = trials, s.objective = value, s.lower_bound = bound;
-        s.reserved = 0.0, s.multipliers = cones.unit.pull_back(nu);
+        s.limit_excess = 0.0, s.multipliers = cones.unit.pull_back(nu);
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
         std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
         return finish(on, w, code, known, record);

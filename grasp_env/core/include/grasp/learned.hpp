@@ -220,7 +220,7 @@ private:
     Code write(const double* wrench, const Vec6& w, const Outcome& found, const Record& record) {
         const Code code = found.within(newton.options.tolerance) ? CONVERGED : LIMIT;
         Summary& s = record.summary();
-        s.code = code, s.iterations = s.trials = 0.0, s.objective = found.value, s.lower_bound = found.bound, s.reserved = 0.0;
+        s.code = code, s.iterations = s.trials = 0.0, s.objective = found.value, s.lower_bound = found.bound, s.limit_excess = 0.0;
         s.multipliers = newton.cones.unit.pull_back(found.nu);
         std::copy(wrench, wrench + 6, s.wrench.begin());
         std::fill(record.torsion(), record.torsion() + newton.cones.count, 0.0);

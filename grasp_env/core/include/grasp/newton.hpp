@@ -1,5 +1,6 @@
 // Damped Newton on Phi under balance; linear in the number of contacts.
 #pragma once
+#include "limits.hpp"
 #include "start.hpp"
 #include "steep.hpp"
 
@@ -29,7 +30,8 @@ inline bool sane_wrench(const double* wrench) {
     return true;
 }
 
-template <class V, int B> class NewtonOn {
+// Rows: what Phi has besides the cones' terms.
+template <class V, int B, class Rows = NoRows> class NewtonOn {
 public:
     using Field = typename Cones<V, B>::Field;
     Options options;
@@ -37,6 +39,7 @@ public:
     System<V, B> system;
     Steep<V, B> steep;
     Starter<V, B> starter;
+    Rows rows;
     Field x;  // the start, then the iterate
     std::vector<double> row;  // a record to work with
 
@@ -55,19 +58,24 @@ public:
     }
 
     // From the start in x, of which `begun` is a copy, to the record: with steps that reach `fraction` of the way to the boundary, and
-    // where those stall along the central path.
-    Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record, double fraction = SHORT) {
+    // where those stall along the central path. leaping: the start is an optimum of another wrench, from where the first step goes all of
+    // Newton's way, to balance and down at once; REFUSED where that leaves the cones.
+    Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record, double fraction = SHORT,
+                      bool leaping = false) {
         cones.store_force(x, record.initial_force());
         const bool known = call.optimum == call.optimum;
-        Progress at{.value = cones.phi(x), .bound = known ? call.optimum : -infinity, .known = known};
+        Progress at{.value = cones.phi(x, rows), .bound = known ? call.optimum : -infinity, .known = known};
         if (!(at.value < infinity)) return REFUSED;
-        Code code = descend(call, w, at, fraction);
-        if (code == STALLED) {
-            const double value = at.value;
-            best_ = x;
-            x = begun;
-            code = follow(call, w, at);
-            if (code == STALLED && value < at.value) x = best_;
+        Code code = descend(call, w, at, fraction, leaping);
+        if (code == REFUSED) return REFUSED;
+        if constexpr (!Rows::any) {  // the path knows no rows: what stalls with them is the general program's
+            if (code == STALLED) {
+                const double value = at.value;
+                best_ = x;
+                x = begun;
+                code = follow(call, w, at);
+                if (code == STALLED && value < at.value) x = best_;
+            }
         }
         return finish(code, begun, call, w, at, record);
     }
@@ -124,7 +132,7 @@ public:
 
 private:
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
-    static constexpr int PATIENCE = 40;        // whole descents take half as many steps, unless they crawl along a surface
+    static constexpr int PATIENCE = Rows::any ? 80 : 40;  // whole descents take half as many steps, unless they crawl along a surface
     static constexpr int LONGEST = 400;        // the same along the central path: 40 at the most, but where hardly any force is inside
     static constexpr double MISSES = 1e-13;    // a step that misses balance by less than this part of Phi needs no refinement
     static constexpr double ROUNDED = 1e-13;   // part of Phi
@@ -145,6 +153,7 @@ private:
         for (int b = 0; b < int(x.size()); ++b) {
             const auto& c = cones.blocks[b];
             step_[b] -= c.least(missed);
+            if constexpr (Rows::any) rows.follow(b, step_[b]);
             decrement -= dot(step_[b], system.gradient[b]);
             reach = max(reach, Boundary<V>(x[b]).per(step_[b]));
         }
@@ -162,33 +171,60 @@ private:
     // far below its bound is a force that misses balance: steps restore it
     bool certified(double value, const Progress& at) const {
         const double above = value - at.bound;
-        return at.bound > 0.0 && above <= options.tolerance * at.bound && (at.known || above >= BELOW * at.bound);
+        const bool closed = at.bound > 0.0 && above <= options.tolerance * at.bound && (at.known || above >= BELOW * at.bound);
+        if constexpr (Rows::any) return closed && rows.within(x);
+        else return closed;
+    }
+
+    bool assemble() {
+        if constexpr (Rows::any) {
+            return system.assemble(cones, x, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) { rows.bend(b, x[b], gradient, inverse); });
+        } else {
+            return system.assemble(cones, x);
+        }
     }
 
     // Damped Newton from x, its system factored as it is: where forces exceed their distance to the cones by 1e4 it loses its digits.
-    [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, Progress& at, double fraction) {
+    [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, Progress& at, double fraction, bool leaping) {
         const double tolerance = options.tolerance, tight = std::min(1e-2, 0.1 * std::sqrt(std::sqrt(tolerance)));
         for (;; ++at.iterations) {
             if (at.iterations < call.traced) call.trace[at.iterations] = at.value;
-            if (!system.assemble(cones, x)) return STALLED;
+            if (!assemble()) return STALLED;
             const Vec6 left = system.made + w;
             at.nu = system.multipliers(left);
             const auto [decrement, reach] = find_step(at.nu, left, at.value);
+            if (leaping) {
+                leaping = false, ++at.trials;
+                at.value = reach < 0.99 ? cones.phi_along(x, step_, 1.0, rows) : infinity;
+                if (!(at.value < infinity)) return REFUSED;
+                for (int b = 0; b < int(x.size()); ++b) x[b] += step_[b];
+                at.bound = cones.lower_bound(at.nu, w, x, tight, rows);
+                if (!certified(at.value, at)) continue;
+                ++at.iterations;
+                return CONVERGED;
+            }
+            if constexpr (Rows::any) {
+                const Verdict now = rows.judge(cones, at.nu, w, decrement / at.value, at.iterations);
+                if (now == Verdict::harder) at.value = cones.phi(x, rows), at.bound = -infinity;
+                if (now == Verdict::harder && at.iterations < options.limit) continue;
+                if (now == Verdict::hopeless) return INFEASIBLE;
+                if (now != Verdict::on) return STALLED;
+            }
             // Phi - min Phi is half the squared decrement to third order: the bound costs a quarter of an iteration, so it waits
             if (!at.known && (decrement < 4.0 * tolerance * at.value || at.iterations >= options.limit))
-                at.bound = std::max(at.bound, cones.lower_bound(at.nu, w));
+                at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
             if (certified(at.value, at)) return CONVERGED;
             if (at.iterations >= options.limit) return LIMIT;
             if (at.iterations >= PATIENCE) return STALLED;
             double alpha = reach > 0.0 ? std::min(1.0, fraction / reach) : 1.0;
-            if (!search(at.value, decrement, alpha, at.trials, [&] { return cones.phi_along(x, step_, alpha); })) {
-                if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w));
+            if (!search(at.value, decrement, alpha, at.trials, [&] { return cones.phi_along(x, step_, alpha, rows); })) {
+                if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
                 return certified(at.value, at) ? CONVERGED : STALLED;
             }
             for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
             // the multipliers belong to where the step went: where it was a small whole one, they certify that without a system
             if (alpha == 1.0 && decrement < std::sqrt(tolerance) * at.value) {
-                if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, x, tight));
+                if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, x, tight, rows));
                 if (certified(at.value, at)) {
                     if (++at.iterations < call.traced) call.trace[at.iterations] = at.value;
                     return CONVERGED;
@@ -266,10 +302,10 @@ private:
         if (at.iterations > 0) cones.balance(x, w);  // what rounding left of G x + w
         cones.certify(x, w, record);
         if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual))) mend(safe, w, record);
-        s.objective = cones.phi(x), s.lower_bound = at.bound, s.multipliers = cones.unit.pull_back(at.nu);
+        s.objective = cones.phi(x, rows), s.lower_bound = at.bound, s.multipliers = cones.unit.pull_back(at.nu);
         if (std::abs(s.objective - at.value) <= ROUNDED * at.value) s.objective = at.value;
         if (!cones.balanced(x, w, s.residual) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
-        s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.reserved = 0.0;
+        s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.limit_excess = 0.0;
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
         std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
         return code;

@@ -6,17 +6,18 @@
 namespace grasp {
 
 // How a solve ended.
-enum Code { CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED };  // REFUSED: numbers that are not finite, or no start
+// REFUSED: numbers that are not finite, or no start. LIMITS_EXCEEDED: no force keeps all limits; this one exceeds them least.
+enum Code { CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED };
 
 struct Summary {
     double code = REFUSED;   // a `Code`
     double iterations = 0;   // accepted steps
     double trials = 0;       // all steps tried
-    double objective = 0;    // Phi, or the sum of the normal forces [N]
+    double objective = 0;    // Phi, or the sum of the normal forces [N]; where limits are exceeded, the excess
     double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none
     double residual = 0;     // largest |component| of G f + w in the unit frame [N]
     double margin = 0;       // least distance to a cone's surface [N]
-    double reserved = 0;
+    double limit_excess = 0;  // largest excess of a limit, as a part of it; 0 within
     Vec6 wrench{};       // what is balanced [N, N m]
     Vec6 multipliers{};  // nu of balance: grad objective = G^T nu (+ the cones' multipliers)
 };

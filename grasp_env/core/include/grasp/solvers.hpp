@@ -3,6 +3,7 @@
 #include "conic.hpp"
 #include "dispatch.hpp"
 #include "learned.hpp"
+#include "limited.hpp"
 #include "pipeline.hpp"
 
 namespace grasp {
@@ -49,6 +50,21 @@ public:
 
 protected:
     using Newton::Newton;
+};
+
+// Newton on Phi within limits on each contact's force; see `LimitedOn`.
+class alignas(64) LimitedNewton {
+public:
+    const Contacts contacts;
+
+    // basis: (13, 3N) as of `Newton`
+    static std::unique_ptr<LimitedNewton> make(const Contacts& contacts, const Options& options, const LimitRows& rows, const double* basis,
+                                               bool elastic);
+    virtual ~LimitedNewton() = default;
+    virtual Code solve(const Call& call, double* row) = 0;
+
+protected:
+    explicit LimitedNewton(const Contacts& contacts) : contacts(contacts) {}
 };
 
 // The least sum of normal forces on the contacts of one grasp.
@@ -221,6 +237,23 @@ private:
     bool placed_;
 };
 
+template <class V, int B> class LimitedAny final : public LimitedNewton {
+public:
+    LimitedAny(const Contacts& contacts, const Options& options, const LimitRows& rows, const double* basis, bool elastic)
+        : LimitedNewton(contacts), on_(contacts.count, options) {
+        auto& newton = on_.newton;
+        newton.cones.pack(contacts);
+        newton.rows.pack(newton.cones, rows);
+        for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, newton.starter.basis[k]);
+        newton.starter.has_basis = true;
+        on_.elastic = elastic;
+    }
+    Code solve(const Call& call, double* row) override { return on_.solve(call, Record(row, contacts.count)); }
+
+private:
+    LimitedOn<V, B> on_;
+};
+
 template <class V, int B> class ConicAny final : public Conic {
 public:
     ConicAny(const Contacts& contacts, const Options& options, const double* interior)
@@ -292,6 +325,10 @@ inline std::unique_ptr<Newton> Newton::make(const Contacts& contacts, const Opti
 }
 inline std::unique_ptr<Flow> Flow::make(const Contacts& contacts, const Options& options, Form form, const StepRule& rule) {
     return instance<Flow, detail::FlowAny>(contacts.count, contacts, options, form, rule);
+}
+inline std::unique_ptr<LimitedNewton> LimitedNewton::make(const Contacts& contacts, const Options& options, const LimitRows& rows,
+                                                          const double* basis, bool elastic) {
+    return instance<LimitedNewton, detail::LimitedAny>(contacts.count, contacts, options, rows, basis, elastic);
 }
 inline std::unique_ptr<Conic> Conic::make(const Contacts& contacts, const Options& options, const double* interior) {
     return instance<Conic, detail::ConicAny>(contacts.count, contacts, options, interior);

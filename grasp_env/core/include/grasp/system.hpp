@@ -16,11 +16,17 @@ public:
 
     // All of it at x; false where S is not positive definite in floating point.
     bool assemble(const Cones<V, B>& cones, const Field& x) {
+        return assemble(cones, x, [](int, Vec3<V>&, Sym3<V>&) {});
+    }
+    // With other terms of the objective: more(b, gradient, inverse) adds those of block b.
+    template <class F> bool assemble(const Cones<V, B>& cones, const Field& x, F&& more) {
         V s[21] = {}, q[6] = {}, l[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             const auto& c = cones.blocks[b];
-            const Sym3<V> h = inverse[b] = inverse_hessian(x[b], c.weights);
+            inverse[b] = inverse_hessian(x[b], c.weights);
             gradient[b] = c.mask * grasp::gradient(x[b], c.weights);  // so that unused lanes stay where they are
+            more(b, gradient[b], inverse[b]);
+            const Sym3<V> h = inverse[b];
             c.add_wrench(h * gradient[b], q), c.add_wrench(x[b], l);
 #pragma GCC unroll 8
             for (int r = 0; r < 6; ++r) {

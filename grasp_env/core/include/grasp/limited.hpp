@@ -1,0 +1,85 @@
+// Newton on Phi within limits, in one call: the optimum, a proof that no force keeps the limits, or the force that exceeds them least.
+#pragma once
+#include "excess.hpp"
+
+namespace grasp {
+
+template <class V, int B> class LimitedOn {
+public:
+    NewtonOn<V, B, Rows<V, B>> newton;
+    bool elastic = false;  // where no force keeps the limits: the one that exceeds them least
+
+    LimitedOn(int count, const Options& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
+
+    // From the 12-basis of the contacts without limits, a previous optimum, or any balanced force inside the cones.
+    // REFUSED: numbers that are not finite, no start, or a problem for the general program, nearly infeasible or out of digits.
+    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`Rows::farkas`): v . w > max -v . G f within the limits.
+    // LIMITS_EXCEEDED: objective and bound are those of the excess.
+    Code solve(const Call& call, const Record& record) {
+        Summary& s = record.summary();
+        s.code = REFUSED;
+        if (!sane_wrench(call.wrench)) return REFUSED;
+        const Vec6 w = newton.cones.unit.of(call.wrench);
+        Code code = call.start == Start::tangent ? follow(call, w, record) : REFUSED;
+        if (unusable(code)) code = descend(call, w, record);
+        if (code == INFEASIBLE) code = elastic ? exceed(w, record) : refute(w, record);
+        if (unusable(code)) code = REFUSED;
+        s.code = code;
+        return code;
+    }
+
+private:
+    static constexpr double FIRM = 0.5;  // of the least slack of a previous force: there the parabola begins
+    typename Cones<V, B>::Field begun_;
+    LeastExcess<V, B> least_;
+
+    bool unusable(Code code) const {
+        return code == REFUSED || code == STALLED || (code == LIMIT && !newton.rows.within(newton.x));
+    }
+
+    // From a previous optimum.
+    Code follow(const Call& call, const Vec6& w, const Record& record) {
+        newton.cones.load_force(call.force, newton.x);
+        const double room = newton.rows.tightest(newton.x);
+        newton.rows.soften(room > 0.0 ? std::min(newton.rows.SOFTEST, FIRM * room) : newton.rows.SOFTEST);
+        begun_ = newton.x;
+        return newton.descend_from(begun_, call, w, record, SHORT, true);
+    }
+
+    Code descend(Call call, const Vec6& w, const Record& record) {
+        if (call.start != Start::given) call.start = Start::combination;
+        if (!newton.begin(call, w)) return REFUSED;
+        begun_ = newton.x;
+        Code code = STALLED;
+        for (double fraction : {SHORT, LONG}) {
+            newton.x = begun_;
+            newton.rows.soften(newton.rows.SOFTEST);
+            code = newton.descend_from(begun_, call, w, record, fraction);
+            if (code != STALLED) break;
+        }
+        return code;
+    }
+
+    // No force.
+    Code refute(const Vec6& w, const Record& record) {
+        Summary& s = record.summary();
+        s.objective = s.lower_bound = infinity, s.margin = 0.0, s.residual = size(w);
+        s.multipliers = (-1.0 / size(s.multipliers)) * s.multipliers;
+        std::fill(record.force(), record.force() + 6 * newton.cones.count, 0.0);
+        return INFEASIBLE;
+    }
+
+    Code exceed(const Vec6& w, const Record& record) {
+        const auto& cones = newton.cones;
+        const auto found = least_.solve(cones, newton.rows, newton.system, w, newton.x);
+        cones.balance(newton.x, w);
+        cones.certify(newton.x, w, record);
+        Summary& s = record.summary();
+        s.iterations += found.iterations, s.trials += found.iterations;
+        s.objective = s.limit_excess = newton.rows.excess(newton.x);
+        s.lower_bound = found.bound, s.multipliers = cones.unit.pull_back(found.multipliers);
+        return found.certified && s.margin > 0.0 ? LIMITS_EXCEEDED : STALLED;
+    }
+};
+
+}  // namespace grasp
