@@ -3,6 +3,8 @@
 try:
     from grasp_env.core._core import (
         ACCEPTED_GAP,
+        EXCESS_FLOOR,
+        EXCESS_WITHIN,
         FULL_CONTACTS,
         LARGEST,
         LAYER_FEATURES,
@@ -20,6 +22,7 @@ try:
         Flow,
         Layers,
         Learned,
+        LimitedNewton,
         Model,
         Network,
         Newton,
@@ -43,6 +46,8 @@ except ImportError as error:
 
 __all__ = [
     "ACCEPTED_GAP",
+    "EXCESS_FLOOR",
+    "EXCESS_WITHIN",
     "FULL_CONTACTS",
     "LARGEST",
     "LAYER_FEATURES",
@@ -60,6 +65,7 @@ __all__ = [
     "Flow",
     "Layers",
     "Learned",
+    "LimitedNewton",
     "Model",
     "Network",
     "Newton",

@@ -31,7 +31,7 @@ class Solution:
     initial: str
     objective_trace: np.ndarray
     certificate: np.ndarray | None
-    limit_multipliers: np.ndarray
+    limit_multipliers: Any
     def __init__(
         self,
         record: np.ndarray,
@@ -39,7 +39,7 @@ class Solution:
         initial: str,
         objective_trace: np.ndarray = ...,
         certificate: np.ndarray | None = None,
-        limit_multipliers: np.ndarray = ...,
+        limit_multipliers: Any = ...,
     ) -> None: ...
     @property
     def n_contacts(self) -> int: ...
@@ -180,6 +180,32 @@ class Flow(Newton):
 
     def repeat(self, x: object, times: int) -> float:
         """Makes the step at x (3N,) so many times; for measurements."""
+EXCESS_WITHIN: float = 0.01
+
+EXCESS_FLOOR: float = 1e-06
+
+class LimitedNewton:
+    """
+    Newton on Phi within limits a . x <= b on the force of one contact each.
+    """
+
+    @staticmethod
+    def make(contacts: Contacts, tolerance: float, limit: int, normals: object, bounds: object, shares: object, weights: object, owners: object, basis: object, elastic: bool) -> LimitedNewton:
+        """
+        Rows a (M, 3) of length one or zero, b (M,), by how much b grows with all of its limit (M,), lambda (M,), which contact
+        (M,); the 12-basis without limits (13, 3N). elastic: where no force keeps them, the one that exceeds them least.
+        """
+
+    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
+        """
+        From the 12-basis, or from the force of a previous record, into a record; returns the code.
+        """
+
+    def descend(self, wrench: object, force: object, record: object) -> int:
+        """From a balanced force (N, 3) inside the cones."""
+
+    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
+        """Best seconds of `passes` calls each, into (M,)."""
 
 class Conic:
     """The least sum of normal forces on the hard contacts of one grasp."""

@@ -9,6 +9,7 @@ NB_MODULE(_core, m) {
     bind_contacts(m);
     bind_newton(m);
     bind_flow(m);
+    bind_limits(m);
     bind_conic(m);
     bind_learned(m);
     bind_pipeline(m);

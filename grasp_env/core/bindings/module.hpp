@@ -11,6 +11,7 @@ void bind_record(nb::module_& m);
 void bind_contacts(nb::module_& m);
 void bind_newton(nb::module_& m);
 void bind_flow(nb::module_& m);
+void bind_limits(nb::module_& m);
 void bind_conic(nb::module_& m);
 void bind_learned(nb::module_& m);
 void bind_pipeline(nb::module_& m);

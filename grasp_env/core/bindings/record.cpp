@@ -13,7 +13,8 @@ nb::typed<nb::dict, nb::str, int> record_fields() {
     place("code", offsetof(Summary, code)), place("iterations", offsetof(Summary, iterations));
     place("trials", offsetof(Summary, trials)), place("objective", offsetof(Summary, objective));
     place("lower_bound", offsetof(Summary, lower_bound)), place("residual", offsetof(Summary, residual));
-    place("margin", offsetof(Summary, margin)), place("wrench", offsetof(Summary, wrench));
+    place("margin", offsetof(Summary, margin)), place("limit_excess", offsetof(Summary, limit_excess));
+    place("wrench", offsetof(Summary, wrench));
     place("multipliers", offsetof(Summary, multipliers)), place("force", sizeof(Summary));
     return places;
 }
@@ -22,6 +23,7 @@ nb::typed<nb::dict, nb::str, int> codes() {
     nb::dict named;
     named["converged"] = int(grasp::CONVERGED), named["limit"] = int(grasp::LIMIT), named["stalled"] = int(grasp::STALLED);
     named["infeasible"] = int(grasp::INFEASIBLE), named["refused"] = int(grasp::REFUSED);
+    named["limits_exceeded"] = int(grasp::LIMITS_EXCEEDED);
     return named;
 }
 

@@ -9,7 +9,7 @@ grasp_env.core._core.Solution$:
         initial: str
         objective_trace: np.ndarray
         certificate: np.ndarray | None
-        limit_multipliers: np.ndarray
+        limit_multipliers: Any
         def __init__(
             self,
             record: np.ndarray,
@@ -17,7 +17,7 @@ grasp_env.core._core.Solution$:
             initial: str,
             objective_trace: np.ndarray = ...,
             certificate: np.ndarray | None = None,
-            limit_multipliers: np.ndarray = ...,
+            limit_multipliers: Any = ...,
         ) -> None: ...
         @property
         def n_contacts(self) -> int: ...
