@@ -77,8 +77,19 @@ class InfeasibleWrenchError(GraspError):
     """
 
     def __init__(self, message: str, solution: ForceSolution | None = None) -> None:
+        """`message`: "" for one that tells what the solution proves."""
         super().__init__(message)
         self.solution = solution
+
+    def __str__(self) -> str:  # made where it is read: a control loop that goes on without it does not pay for it
+        solution, message = self.solution, str(self.args[0])
+        if message or solution is None or solution.certificate is None:
+            return message
+        return (
+            f"no force strictly inside the limits balances wrench {solution.wrench.tolist()}; the twist "
+            f"{[round(v, 6) for v in solution.certificate.tolist()]} separates it (error.solution.certificate): add contacts, raise "
+            "the friction, widen the limits, or change the wrench"
+        )
 
 
 class UnsupportedProblemError(GraspError):

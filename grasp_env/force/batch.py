@@ -92,7 +92,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def codes(self) -> NDArray[np.int_]:
-        """(M,) 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible: positions in `STATUSES`."""
+        """(M,) 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 5 limits exceeded: keys of `STATUSES`."""
         return self.records[:, CODE].astype(int)
 
     @property
@@ -136,7 +136,7 @@ class ForceSolutions(Sequence[ForceSolution]):
             {'optimal': 3}
         """
         codes, numbers = np.unique(self.codes, return_counts=True)
-        return {STATUSES[c]: int(n) for c, n in zip(codes, numbers, strict=True)}
+        return {STATUSES[c]: int(n) for c, n in zip(codes.tolist(), numbers, strict=True)}
 
     def __repr__(self) -> str:
         ends = ", ".join(f"{count} {status.value}" for status, count in self.counts().items())
@@ -247,7 +247,7 @@ def _one(
             return None
         solution = found
     record[:] = solution._record
-    if solution.status is Status.INFEASIBLE or len(solution.limit_multipliers):
+    if optimizer.settings.limits is not None or solution.status is Status.INFEASIBLE:
         proofs[position] = solution
     return None if solution.status is Status.INFEASIBLE else solution.initial
 

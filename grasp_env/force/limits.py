@@ -174,17 +174,23 @@ class ForceLimits:
         Raises:
             InvalidInputError: limits of another number of contacts.
         """
+        return self._rows(grasp)[0]
+
+    def _rows(self, grasp: Grasp) -> tuple[LimitRows, Array]:
+        """`rows`, and what each row's limit is (M,) [N, N m]."""
         count = as_grasp(grasp).n_contacts
         least, most, jac, limit, bias = self.checked(count)
         matrix: list[Array] = []
         bound: list[float] = []
         labels: list[str] = []
+        limited: list[float] = []
         for sign, normals, word in ((-1.0, least, ">="), (1.0, most, "<=")):
             for k in np.flatnonzero((normals > 0.0) & np.isfinite(normals)):
                 row = np.zeros((count, 4))
                 row[k, 0] = sign
                 matrix.append(row)
                 bound.append(sign * normals[k])
+                limited.append(normals[k])
                 labels.append(f"contact {k}: normal {word} {normals[k]:g} N")
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.cone_scale > 0.0
@@ -193,8 +199,10 @@ class ForceLimits:
             for sign, word in ((1.0, "<= "), (-1.0, ">= -")):
                 matrix.append(sign * transmitted * jac[:, :, j])
                 bound.append(limit[j] - sign * bias[j])
+                limited.append(limit[j])
                 labels.append(f"joint {j}: torque {word}{limit[j]:g} N m")
-        return LimitRows(np.array(matrix).reshape(len(bound), 4 * count), np.array(bound), tuple(labels))
+        rows = LimitRows(np.array(matrix).reshape(len(bound), 4 * count), np.array(bound), tuple(labels))
+        return rows, np.array(limited)
 
     def violations(
         self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9

@@ -36,6 +36,7 @@ class Settings:
     max_iterations: int
     step_rule: StepRule
     correction: Correction
+    elastic: bool = False
 
 
 @dataclass(frozen=True)
@@ -56,12 +57,14 @@ class Loop:
             the general path then converts or explains.
         name: of the start without a previous solution. carried: with one.
         remembers: whether the previous solution is handed to it.
+        solution: (record, method, the start's name) -> what the call wrote; may raise where that is a proof.
     """
 
     call: Callable[[Any, Array | None, Array], int]
     name: str
     carried: str = ""
     remembers: bool = False
+    solution: Callable[[Array, str, str], ForceSolution] = ForceSolution
 
 
 class Method(Protocol):
@@ -141,12 +144,7 @@ def infeasible_error(
 ) -> InfeasibleWrenchError:
     """The error that carries the infeasible solution and its separating twist."""
     residual = grasp.residual(np.zeros((grasp.n_contacts, 3)), wrench)
-    return InfeasibleWrenchError(
-        f"no force strictly inside the limits balances wrench {wrench.tolist()}; the twist "
-        f"{np.round(certificate, 6).tolist()} separates it (error.solution.certificate): add contacts, raise the "
-        "friction, widen the limits, or change the wrench",
-        infeasible(wrench, grasp.n_contacts, method, initial, residual, certificate),
-    )
+    return InfeasibleWrenchError("", infeasible(wrench, grasp.n_contacts, method, initial, residual, certificate))
 
 
 def refuse(method: str, start: Start | None, optimum: float, trace: bool) -> None:

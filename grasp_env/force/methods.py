@@ -7,7 +7,8 @@
 | conic | least sum, or least maximum, of normal forces | all, further limits |
 | linear | the same sum over friction pyramids, by HiGHS | all, further limits |
 
-Here is what the core solves: hard contacts by the flows, `newton` and `conic`. The others are imported where they are asked for.
+Here is what the core solves: hard contacts by the flows, `newton` and `conic`; `newton` within limits is in `limits_method.py`. The others
+are imported where they are asked for.
 """
 
 from __future__ import annotations
@@ -58,6 +59,12 @@ def make_method(grasp: Grasp, settings: Settings) -> Method:
         contacts = core_contacts(grasp, Objective())
         if core.Newton.make(contacts, 1.0, 0).internal_force(interior):
             return Conic(grasp, settings, contacts, interior)
+    if settings.method == "newton" and settings.limits is not None:
+        from grasp_env.force.limits_method import limited_newton
+
+        method = limited_newton(grasp, settings)
+        if method is not None:
+            return method
     from grasp_env.force.program_methods import Linear, ProgramConic, ProgramNewton
 
     return {"newton": ProgramNewton, "conic": ProgramConic, "linear": Linear}[settings.method](grasp, settings)

@@ -10,14 +10,20 @@ from numpy.typing import ArrayLike
 
 from grasp_env import ranges
 from grasp_env._check import ContactForces, as_wrench, choice, flag, positive, together, whole
-from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnsupportedProblemError, shown
+from grasp_env.errors import (
+    InfeasibleStartError,
+    InfeasibleWrenchError,
+    InvalidInputError,
+    UnsupportedProblemError,
+    shown,
+)
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.initial import RULES, InitialForceRule
 from grasp_env.force.limits import ForceLimits, as_limits
 from grasp_env.force.method import CRITERIA, Settings, readable
 from grasp_env.force.methods import METHODS, make_method
 from grasp_env.force.objective import Objective, Weight
-from grasp_env.force.record import STALLED, record_size
+from grasp_env.force.record import REFUSED, record_size
 from grasp_env.force.repair import CORRECTIONS, Correction
 from grasp_env.force.solution import ForceSolution
 from grasp_env.force.step_size import StepRule, checked_rule
@@ -69,6 +75,7 @@ class ForceOptimizer:
         max_iterations: int = MAX_ITERATIONS,
         step_rule: StepRule | None = None,
         correction: Correction = "tangent",
+        elastic: bool = False,
     ) -> None:
         """See `optimize_force` for the arguments.
 
@@ -85,11 +92,14 @@ class ForceOptimizer:
                 lambda: whole(max_iterations, "max_iterations", 0, ranges.ITERATIONS),
                 lambda: checked_rule(step_rule),
                 lambda: choice(correction, "correction", CORRECTIONS),
+                lambda: flag(elastic, "elastic"),
                 lambda: as_grasp(grasp),
                 lambda: _check_initial(initial),
-            )[:8]
+            )[:9]
         )
         self.objective = self.settings.objective
+        if elastic and limits is None:
+            raise InvalidInputError("elastic=True says what to do with limits that no force keeps: give limits")
         if criterion != "sum" and method != "conic":
             raise UnsupportedProblemError(f"criterion {criterion!r} belongs to method 'conic', got method {method!r}")
         if initial is not None and method in ("conic", "linear"):
@@ -157,11 +167,11 @@ class ForceOptimizer:
             # the control loop's path: one compiled call, which reads the array as it is or refuses it
             record = _empty(self._size)
             if not loop.remembers or self.previous is None:
-                if loop.call(wrench, None, record) <= STALLED:
-                    self.previous = solution = ForceSolution(record, self._name, loop.name)
+                if loop.call(wrench, None, record) != REFUSED:
+                    self.previous = solution = loop.solution(record, self._name, loop.name)
                     return solution
-            elif loop.call(wrench, self.previous._record, record) <= STALLED:
-                self.previous = solution = ForceSolution(record, self._name, loop.carried)
+            elif loop.call(wrench, self.previous._record, record) != REFUSED:
+                self.previous = solution = loop.solution(record, self._name, loop.carried)
                 return solution
             if not readable(wrench):
                 return self.solve(as_wrench(wrench))
@@ -170,8 +180,19 @@ class ForceOptimizer:
             lambda: float("nan") if optimum is None else positive(optimum, "optimum"),
             lambda: flag(trace, "trace"),
         )
-        start = self._method.start(load, self._checked_initial(initial), self._before(initial))
-        self.previous = solution = self._method.run(load, start, known, trace)
+        try:
+            start = self._method.start(load, self._checked_initial(initial), self._before(initial))
+            self.previous = solution = self._method.run(load, start, known, trace)
+        except InfeasibleWrenchError:
+            limits = self.settings.limits
+            if limits is None or not self.settings.elastic:
+                raise
+            from grasp_env.force.elastic import least_excess
+
+            solution = least_excess(self.grasp, limits, load, self.method)
+            if solution is None:
+                raise
+            self.previous = solution
         return solution
 
     def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
@@ -245,6 +266,7 @@ def optimize_force(
     step_rule: StepRule | None = None,
     optimum: float | None = None,
     trace: bool = False,
+    elastic: bool = False,
 ) -> ForceSolution:
     """The grasp force of least Phi that balances a wrench: by default the paper's method.
 
@@ -253,7 +275,7 @@ def optimize_force(
         wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N m], object
             frame; balanced as G f + wrench = 0.
         initial: "linear_combination" (the paper; the default), "linear_combination_printed", "single_value",
-            "lagrange", "phase_one" (the default with soft contacts or further limits), any callable
+            "lagrange", "phase_one" (the default with soft contacts), any callable
             rule(grasp, wrench) -> (N, 3), an (N, 3) force, or a previous `ForceSolution` to carry over. Not for
             `conic` and `linear`, which start from their own centre.
         method: "reduced_flow" (the paper's flow on 3N numbers), "full_flow" (dense, N <= 8), "newton" (Phi, a dozen
@@ -267,6 +289,9 @@ def optimize_force(
         step_rule: the flows' `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`; None: `AdaptiveStep()`.
         optimum: see `ForceOptimizer.solve`.
         trace: see `ForceOptimizer.solve`.
+        elastic: where no force keeps the limits, return the balanced one inside the cones whose largest excess, as a part of the
+            limit, is least (within 1 % of the least possible, or 1e-6), with status LIMITS_EXCEEDED, instead of an error. Its
+            `limit_excess` is the objective, `lower_bound` what no force stays below.
 
     Raises:
         InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/ranges.py`).
@@ -280,6 +305,10 @@ def optimize_force(
         >>> solution = optimize_force(presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0])
         >>> solution.status.name, round(solution.total_normal_force, 1)
         ('OPTIMAL', 9.4)
+        >>> weak = ForceLimits(max_normal=2.0)
+        >>> solution = optimize_force(presets.paper_cuboid(), solution.wrench, method="newton", limits=weak, elastic=True)
+        >>> solution.status.name, round(solution.limit_excess, 1)
+        ('LIMITS_EXCEEDED', 1.3)
     """
     optimizer = ForceOptimizer(
         grasp,
@@ -292,5 +321,6 @@ def optimize_force(
         tolerance=tolerance,
         max_iterations=max_iterations,
         step_rule=step_rule,
+        elastic=elastic,
     )
     return optimizer.solve(wrench, optimum=optimum, trace=trace)

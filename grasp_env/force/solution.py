@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -13,13 +13,18 @@ from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force.record import (
     BOUND,
     CODE,
+    CONVERGED,
+    EXCESS,
     FORCE,
     INFEASIBLE,
     ITERATIONS,
+    LIMIT,
+    LIMITS_EXCEEDED,
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
     RESIDUAL,
+    STALLED,
     TRIALS,
     WRENCH,
 )
@@ -32,6 +37,7 @@ class Status(Enum):
     ITERATION_LIMIT = "iteration_limit"
     STALLED = "stalled"
     INFEASIBLE = "infeasible"
+    LIMITS_EXCEEDED = "limits_exceeded"
 
     @property
     def help(self) -> str:
@@ -48,9 +54,25 @@ _HELP = {
     "how good it is. Either the tolerance asks for more digits than the problem has, or it has few: contacts close together or close "
     "to losing force closure, weights or friction decades apart.",
     Status.INFEASIBLE: "No force strictly inside the limits balances the wrench; `certificate` is a twist that proves it.",
+    Status.LIMITS_EXCEEDED: "No force strictly inside the limits balances the wrench; this one does, inside the cones, and exceeds "
+    "the limits least: no other one's largest excess (`limit_excess`) is clearly smaller.",
 }
-STATUSES = (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED, Status.INFEASIBLE)
+STATUSES = {
+    CONVERGED: Status.OPTIMAL,
+    LIMIT: Status.ITERATION_LIMIT,
+    STALLED: Status.STALLED,
+    INFEASIBLE: Status.INFEASIBLE,
+    LIMITS_EXCEEDED: Status.LIMITS_EXCEEDED,
+}
 """By code."""
+
+
+class Priced(Protocol):
+    """What knows the prices of a solution's limits where they are asked for; `ContactRows` does."""
+
+    def prices(self, solution: ForceSolution) -> Array:
+        """(M,) >= 0."""
+        ...
 
 
 class ForceSolution(Solution):
@@ -66,8 +88,6 @@ class ForceSolution(Solution):
         objective_trace: Phi of every iterate, when asked for; else empty.
         certificate: (6,) for INFEASIBLE: a twist v with G_i^T v in the dual cone of every contact and v . w > 0
             (= 0: only forces on the boundary of the cones balance it); see `Feasibility`.
-        limit_multipliers: (M,) >= 0 prices of the further limits, in the order of `ForceOptimizer.limit_labels`; empty
-            where there are none.
     """
 
     __slots__ = ()
@@ -81,6 +101,12 @@ class ForceSolution(Solution):
             self.certificate,
             self.limit_multipliers,
         )
+
+    @property
+    def limit_multipliers(self) -> Array:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """(M,) >= 0 prices of the further limits, in the order of `ForceOptimizer.limit_labels`; empty where there are none."""
+        given: Array | Priced = super().limit_multipliers
+        return given if isinstance(given, np.ndarray) else given.prices(self)
 
     @property
     def wrench(self) -> Wrench:
@@ -109,7 +135,7 @@ class ForceSolution(Solution):
 
     @property
     def objective(self) -> float:
-        """Phi of `force`; for `conic` and `linear` the sum [N] (or maximum [N]) of the normal forces."""
+        """Phi of `force`; of `conic` and `linear` sum [N] or maximum [N] of the normal forces; else `limit_excess`, where it is > 0."""
         return float(self._record[OBJECTIVE])
 
     @property
@@ -128,6 +154,11 @@ class ForceSolution(Solution):
         return float(self._record[MARGIN])
 
     @property
+    def limit_excess(self) -> float:
+        """Largest excess of a limit, as a part of that limit; 0 within all. See `elastic` of `optimize_force`."""
+        return float(self._record[EXCESS])
+
+    @property
     def optimality_gap(self) -> float:
         """(objective - lower_bound) / lower_bound, certified; +inf without a positive bound."""
         if self.lower_bound > 0.0:
@@ -143,10 +174,10 @@ class ForceSolution(Solution):
         """Returns self when OPTIMAL.
 
         Raises:
-            InfeasibleWrenchError: status INFEASIBLE.
+            InfeasibleWrenchError: status INFEASIBLE or LIMITS_EXCEEDED.
             NotConvergedError: any other status but OPTIMAL.
         """
-        if self.status is Status.INFEASIBLE:
+        if self.status in (Status.INFEASIBLE, Status.LIMITS_EXCEEDED):
             raise InfeasibleWrenchError(f"wrench {self.wrench.tolist()}: {self.status.help}", self)
         if self.status is not Status.OPTIMAL:
             raise NotConvergedError(
