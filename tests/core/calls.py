@@ -44,6 +44,23 @@ def conic() -> _core.Conic:
     return _core.Conic.make(contacts(), TOLERANCE, LIMIT, SAMPLE.rest)
 
 
+def rows() -> dict[str, np.ndarray]:
+    """Two joints on the first finger, each with both sides."""
+    a = np.array([[0.6, 0.8, 0.0], [0.8, 0.0, 0.6]])
+    one = np.ones(4)
+    return {
+        "normals": np.vstack([a, -a]),
+        "bounds": 9.0 * one,
+        "shares": one,
+        "weights": 0.01 * one,
+        "owners": 0.0 * one,
+    }
+
+
+def limited() -> _core.LimitedNewton:
+    return _core.LimitedNewton.make(contacts(), TOLERANCE, LIMIT, **rows(), basis=SAMPLE.basis, elastic=True)
+
+
 def pipeline() -> _core.Pipeline:
     return _core.Pipeline.make(contacts(), TOLERANCE, LIMIT, SAMPLE.basis, SAMPLE.frames, True, INTERNAL)
 
@@ -103,8 +120,8 @@ def calls() -> dict[str, Call]:
     s, x = SAMPLE, SAMPLE.basis[0]
     force = (x / s.divisor.reshape(-1)).reshape(COUNT, 3)
     models = np.concatenate([np.zeros((1, COUNT)), s.scale.T, s.divisor.T])
-    rows, many = np.array([_record()] * 3), (3, SIZE)
-    basis, n, c, p, b, start = {"basis": s.basis}, newton(), conic(), pipeline(), begun(), learned()
+    records, many = np.array([_record()] * 3), (3, SIZE)
+    basis, n, c, p, b, start, bounded = {"basis": s.basis}, newton(), conic(), pipeline(), begun(), learned(), limited()
     moved = {"points": s.positions, "normals": s.normals, "wrench": LOADS[0]}
     geometry = {"frames": (COUNT, 3, 3), "matrix": (6, 12), "cone_matrix": (6, 12), "torsion_matrix": (6, COUNT)}
     place = {"positions": s.positions, "normals": s.normals}
@@ -124,14 +141,14 @@ def calls() -> dict[str, Call]:
         "Newton.set_basis": Call(newton().set_basis, basis, {}),
         "Newton.make_basis": Call(partial(newton().make_basis, warm=True), {"interior": s.rest}, {"basis": (13, 12)}),
         "Newton.internal_force": Call(n.internal_force, {}, {"x": (12,)}),
-        "Newton.solve": Call(n.solve, {"wrench": LOADS[0], "previous": rows[0]}, {"record": (SIZE,)}),
+        "Newton.solve": Call(n.solve, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),
         "Newton.descend": Call(
             partial(n.descend, optimum=np.nan),
             {"wrench": np.eye(6)[0], "force": force},
             {"trace": (5,), "record": (SIZE,)},
             frozenset({"trace"}),
         ),
-        "Newton.solve_many": Call(n.solve_many, {"wrenches": LOADS, "previous": rows}, {"records": many}),
+        "Newton.solve_many": Call(n.solve_many, {"wrenches": LOADS, "previous": records}, {"records": many}),
         "Newton.times": Call(partial(n.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
         "Newton.carry": Call(
             partial(n.carry, tangent=True), {"wrench": LOADS[0], "previous": force}, {"force": (COUNT, 3)}
@@ -142,7 +159,15 @@ def calls() -> dict[str, Call]:
         "Newton.segment": Call(lambda safe, x: n.segment(safe, x), {"safe": s.rest}, {"x": (12,)}),
         "Flow.on": Call(partial(_core.Flow.on, contacts(), form="paper", **made), {"rule": RULE}, {}),
         "Flow.repeat": Call(partial(flow().repeat, times=2), {"x": x}, {}),
-        "Flow.solve": Call(flow().solve, {"wrench": LOADS[0], "previous": rows[0]}, {"record": (SIZE,)}),
+        "Flow.solve": Call(flow().solve, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),
+        "LimitedNewton.make": Call(
+            partial(_core.LimitedNewton.make, contacts(), elastic=True, **made), rows() | basis, {}
+        ),
+        "LimitedNewton.solve": Call(bounded.solve, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),
+        "LimitedNewton.descend": Call(bounded.descend, {"wrench": np.eye(6)[0], "force": force}, {"record": (SIZE,)}),
+        "LimitedNewton.times": Call(
+            partial(bounded.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}
+        ),
         "Conic.make": Call(partial(_core.Conic.make, contacts(), **made), {"interior": s.rest}, {}),
         "Conic.solve": Call(partial(c.solve, previous=None), {"wrench": LOADS[0]}, {"record": (SIZE,)}),
         "Conic.solve_many": Call(c.solve_many, {"wrenches": LOADS}, {"records": many}),
@@ -151,8 +176,8 @@ def calls() -> dict[str, Call]:
         "Layers.make": Call(partial(_core.Layers.make, 1), {"weights": LAYER_WEIGHTS}, {}, frozenset({"weights"})),
         "Model.trained_on": Call(partial(model().trained_on, length=1.0, largest=1.0), {"centre": np.zeros(3)}, {}),
         "Learned.make": Call(partial(_core.Learned.make, contacts(), TOLERANCE, LIMIT, model=model()), basis, {}),
-        "Learned.start": Call(start.start, {"wrench": LOADS[0], "previous": rows[0]}, {"record": (SIZE,)}),
-        "Learned.solve": Call(start.solve, {"wrench": LOADS[0], "previous": rows[0]}, {"record": (SIZE,)}),
+        "Learned.start": Call(start.start, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),
+        "Learned.solve": Call(start.solve, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),
         "Learned.predict": Call(start.predict, {"wrench": LOADS[0]}, {"force": (COUNT, 3)}),
         "Learned.covers": Call(start.covers, {"wrench": LOADS[0]}, {}),
         "Learned.times": Call(partial(start.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),

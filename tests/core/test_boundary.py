@@ -96,6 +96,7 @@ OPTIONAL = {
     ("Learned.solve", "previous"),
     ("Learned.start", "previous"),
     ("Newton.solve", "previous"),
+    ("LimitedNewton.solve", "previous"),
     ("Newton.solve_many", "previous"),
     ("Pipeline.make", "flows"),
     ("Pipeline.solve", "adjust"),
@@ -217,7 +218,8 @@ SAME = {
 
 @pytest.mark.parametrize("way", SAME)
 @pytest.mark.parametrize(
-    "name", ["Newton.solve", "Newton.descend", "Newton.solve_many", "Conic.solve", "Pipeline.solve"]
+    "name",
+    ["Newton.solve", "Newton.descend", "Newton.solve_many", "LimitedNewton.solve", "Conic.solve", "Pipeline.solve"],
 )
 def test_the_same_numbers_elsewhere_give_the_same_bits(name: str, way: str) -> None:
     call = CALLS[name]

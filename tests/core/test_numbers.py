@@ -9,7 +9,14 @@ from calls import CALLS, COUNT, LOADS, REFUSED, SAMPLE, SIZE, TOLERANCE, begun, 
 from grasp_env.core import _core
 
 BAD = (np.nan, np.inf, -np.inf, 1e300, -1e300)
-SOLVES = ("Newton.solve", "Newton.descend", "Conic.solve", "Pipeline.solve")
+SOLVES = (
+    "Newton.solve",
+    "Newton.descend",
+    "LimitedNewton.solve",
+    "LimitedNewton.descend",
+    "Conic.solve",
+    "Pipeline.solve",
+)
 
 
 def valid(row: np.ndarray, wrench: np.ndarray) -> bool:

@@ -15,6 +15,8 @@ CONIC_DIGITS = 5e-9
 """Of the exact problems, which are certified to 1e-9 at best."""
 FORCES = {"newton": 1e-6, "reduced_flow": 1e-6, "full_flow": 1e-6}
 """Of the largest component: Phi is flat at its least, so 1e-12 of it are 1e-6 of the force."""
+ROOT = 1.5
+"""Largest component's part, in roots of the gap, to which forces within limits agree: 1.35 at most."""
 STEPS = 2
 """Iterations by which a second-order method may exceed the recorded ones: a gap near the tolerance falls to either side."""
 FLOW_STEPS = 1.25, 3.0
@@ -51,7 +53,7 @@ def _compare(case: Case, now: Outcome, then: Outcome) -> list[str]:
     if now.end != then.end and not _as_good(case, now, then):
         return [f"ended {now.end} {now.text!r}, recorded {then.end} {then.text!r}"]
     out: list[str] = []
-    if now.text != then.text:
+    if now.text != then.text and not _restarted(now, then):
         out.append(f"says {now.text!r}, recorded {then.text!r}")
     if now.end not in SOLVED:
         if now.end in ("InfeasibleWrenchError", "infeasible"):
@@ -81,6 +83,12 @@ def _compare(case: Case, now: Outcome, then: Outcome) -> list[str]:
     if then.extra.size:
         out += _trace(now, then, case)
     return out
+
+
+def _restarted(now: Outcome, then: Outcome) -> bool:
+    """Newton within limits began from the force deepest inside them, whose search was not counted; now from the 12-basis without them."""
+    newton = now.problem is not None and now.problem.method == "newton" and now.problem.limits is not None
+    return newton and (now.text, then.text) == ("linear_combination", "phase_one")
 
 
 def _as_good(case: Case, now: Outcome, then: Outcome) -> bool:
@@ -163,7 +171,10 @@ def _bounds(now: Outcome, then: Outcome) -> list[str]:
 
 
 def _steps(now: Outcome, then: Outcome, problem: Problem) -> list[str]:
-    if "stalled" in (now.end, then.end):  # where rounding ends a solve, and after how many steps, is rounding too
+    if _restarted(now, then) or "stalled" in (
+        now.end,
+        then.end,
+    ):  # where rounding ends a solve, and after how many steps, is rounding too
         return []
     factor, more = FLOW_STEPS if problem.method in FLOWS else (1.0, STEPS)
     most = factor * then.iterations + more
@@ -179,6 +190,8 @@ def _tight(now: Outcome, then: Outcome, problem: Problem) -> list[str]:
         out.append(f"objective {now.objective:.15g}, recorded {then.objective:.15g}")
     if problem.method in FORCES:
         digits = FORCES[problem.method]
+        if problem.limits is not None:  # asked for 1e-10 of Phi only, whose root is what forces are known to
+            digits = max(digits, ROOT * np.sqrt(problem.tolerance))
         out += _close("force", now.force[:, :3], then.force[:, :3], digits)
         largest = float(np.abs(then.force).max()) + NOTHING
         gamma = float(problem.grasp.models.torsional_friction.max())

@@ -39,6 +39,7 @@ ACCEPTED: dict[str, str] = {
     "solver: reduced_flow, 50 random, tight": ROOT,
     "solver: reduced_flow, rough and frictionless, tight": ROOT,
     "solver: newton, rough and frictionless, heavy, tight": ROOT,
+    "refused: option basis with limits": "the 12-basis without limits is a start within them now",
     "solver: newton, far, tight": SHORTER,
     "solver: newton, far, heavy, tight": SHORTER,
     "solver: newton from phase_one, 3 uneven": SHORTER,

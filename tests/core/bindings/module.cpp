@@ -19,6 +19,7 @@ NB_MODULE(_core_test, m) {
     bind_insides(m);
     bind_newton(m);
     bind_conic(m);
+    bind_limits(m);
     bind_pipeline(m);
     bind_learned(m);
     bind_allocations(m);

@@ -12,6 +12,7 @@ void bind_geometry(nb::module_& m);
 void bind_insides(nb::module_& m);
 void bind_newton(nb::module_& m);
 void bind_conic(nb::module_& m);
+void bind_limits(nb::module_& m);
 void bind_pipeline(nb::module_& m);
 void bind_learned(nb::module_& m);
 void bind_allocations(nb::module_& m);
