@@ -151,7 +151,7 @@ def flag(value: Any, name: str) -> bool:
     return bool(value)
 
 
-def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> T:
+def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any:
     """`value` where it is a `kind` (or None, where that is allowed), or `InvalidInputError`."""
     if not isinstance(value, kind) and not (or_none and value is None):
         what = f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}{' or None' if or_none else ''}"
@@ -188,7 +188,7 @@ def _scalar(value: Any) -> float | None:
     """A real number of any type, or an array of one without axes, as a float, infinite where it is too large; None: no number."""
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
-    if not isinstance(value, Real) or isinstance(value, bool):
+    if not issubclass(type(value), Real) or isinstance(value, bool):
         return None
     try:
         with np.errstate(all="ignore"):

@@ -148,12 +148,12 @@ class HandDescription:
             >>> HandDescription.of_fingers([thumb]).joint_count
             3
         """
-        palm = _box_palm() if palm is None else instance(palm, Palm, "palm")
+        carrier: Palm = instance(_box_palm() if palm is None else palm, Palm, "palm")
         fingers = parts(fingers, FingerDescription, "fingers")
         return HandDescription(
             name=name,
-            palm=palm,
-            links=tuple(link for finger in fingers for link in finger.links(palm.name)),
+            palm=carrier,
+            links=tuple(link for finger in fingers for link in finger.links(carrier.name)),
             fingertips=tuple(finger.fingertip() for finger in fingers),
             home=tuple(angle for finger in fingers for angle in finger.home),
             tip_friction=tip_friction,
