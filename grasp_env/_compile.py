@@ -1,7 +1,7 @@
 """`compiled`: numba with an on-disk cache that notices when a kernel of another file changed.
 
 numba's cache compares the source file of the function it holds, not those of the functions compiled into it: after an
-edit of `kernels.py` the cached loops in `flow_kernels.py` would keep the old code, without a word. So the stamp of
+edit of `kernels.py` the cached loops in `control_kernels.py` would keep the old code, without a word. So the stamp of
 every cached kernel here includes a hash of its own file and of all files of this package that it imports from, directly or not.
 """
 
@@ -39,7 +39,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
 
 def compiled_lanes(function: Callable[..., Any]) -> Any:
-    """`compiled`, with sums that may be reordered: for kernels that work on four contacts at a time (`lanes.py`)."""
+    """`compiled`, with sums that may be reordered."""
     return _stamped(njit(cache=True, nogil=True, error_model="numpy", fastmath=VECTOR_MATH)(function))
 
 
