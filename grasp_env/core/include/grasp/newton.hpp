@@ -134,6 +134,7 @@ private:
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
     static constexpr int PATIENCE = Rows::any ? 80 : 40;  // whole descents take half as many steps, unless they crawl along a surface
     static constexpr int LONGEST = 400;        // the same along the central path: 40 at the most, but where hardly any force is inside
+    static constexpr double AHEAD = 3.0;       // times the part of the price to which x is nearest
     static constexpr double MISSES = 1e-13;    // a step that misses balance by less than this part of Phi needs no refinement
     static constexpr double ROUNDED = 1e-13;   // part of Phi
     static constexpr double SHORTEST = 1e-10;  // a step moves x by at least this part of its length
@@ -277,7 +278,8 @@ private:
         return false;
     }
 
-    // The largest part of the price that a whole step of `follow` may go to, no less than that to which x is nearest.
+    // The largest part of the price that a whole step of `follow` may go to: no less than that to which x is nearest, nor far ahead of
+    // it, where x would crawl along a surface again.
     double reachable(double before) const {
         const auto reach = [&](double part) {
             V most{};
@@ -285,8 +287,9 @@ private:
                 most = max(most, Boundary<V>(x[b]).per(all<V>(part) * step_[b] + centring_[b]));
             return largest(most);
         };
-        if (reach(1.0) <= LONG) return 1.0;
-        double low = std::min(std::max(steep.nearest(), std::max(1e-3 * before, 1e-30)), 1.0), high = 1.0;
+        const double nearest = std::max(steep.nearest(), std::max(1e-3 * before, 1e-30));
+        double low = std::min(nearest, 1.0), high = std::min(AHEAD * nearest, 1.0);
+        if (reach(high) <= LONG) return high;
         if (reach(low) > LONG) return low;
         for (int round = 0; round < HALVINGS; ++round) {
             const double middle = std::sqrt(low * high), found = reach(middle);
