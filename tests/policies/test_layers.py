@@ -73,7 +73,8 @@ def test_the_fixed_network_is_that_of_numpy():
             said = network(rule, inputs[0])
             expected = -grasp.pseudoinverse @ w + internal @ (size[0] * said)
             found = rule.raw(there, w).ravel()
-            np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
+            # float32 sums of 64 terms that cancel
+            np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("grasp", [presets.tripod(), presets.paper_cuboid(), presets.five_finger_cuboid()])
