@@ -3,6 +3,7 @@
 try:
     from grasp_env.core._core import (
         ACCEPTED_GAP,
+        CLEAR,
         EXCESS_FLOOR,
         EXCESS_WITHIN,
         FULL_CONTACTS,
@@ -27,6 +28,7 @@ try:
         Network,
         Newton,
         Pipeline,
+        Program,
         Solution,
         all_finite,
         build_info,
@@ -46,6 +48,7 @@ except ImportError as error:
 
 __all__ = [
     "ACCEPTED_GAP",
+    "CLEAR",
     "EXCESS_FLOOR",
     "EXCESS_WITHIN",
     "FULL_CONTACTS",
@@ -70,6 +73,7 @@ __all__ = [
     "Network",
     "Newton",
     "Pipeline",
+    "Program",
     "Solution",
     "all_finite",
     "build_info",

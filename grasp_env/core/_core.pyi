@@ -312,6 +312,32 @@ class Learned:
     def outside(self) -> bool:
         """Whether the last wrench was not covered."""
 
+CLEAR: float = 1e-09
+
+class Program:
+    """
+    Any contacts, further limits: the least sum or maximum of normal forces, the deepest force, Phi.
+    """
+
+    @staticmethod
+    def make(frame: object, balance: object, rows: object, bound: object, divisor: object) -> Program:
+        """See `Given` in program.hpp."""
+
+    def least_force(self, wrench: object | None, largest: bool, tolerance: float, limit: int, record: object, prices: object) -> int:
+        """
+        Into a record and the limits' prices (M,); returns the code. INFEASIBLE: the record's multipliers are the proof.
+        """
+
+    def least_phi(self, wrench: object, weights: object, row_weights: object, z: object, optimum: float, trace: object, tolerance: float, limit: int, record: object, prices: object) -> int:
+        """
+        The least Phi from z (N, 4), balanced and strictly inside; optimum: nan or a known minimum.
+        """
+
+    def deepest(self, wrench: object, tolerance: float, z: object, twist: object) -> tuple:
+        """
+        The deepest force into z (N, 4), the separating twist into (6,); returns (code, iterations, margin).
+        """
+
 class Pipeline:
     """
     Contacts in, certified force out, for contacts that move from call to call.

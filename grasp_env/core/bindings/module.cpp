@@ -12,5 +12,6 @@ NB_MODULE(_core, m) {
     bind_limits(m);
     bind_conic(m);
     bind_learned(m);
+    bind_program(m);
     bind_pipeline(m);
 }

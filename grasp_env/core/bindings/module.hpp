@@ -14,5 +14,6 @@ void bind_flow(nb::module_& m);
 void bind_limits(nb::module_& m);
 void bind_conic(nb::module_& m);
 void bind_learned(nb::module_& m);
+void bind_program(nb::module_& m);
 void bind_pipeline(nb::module_& m);
 void bind_solution(nb::module_& m);
