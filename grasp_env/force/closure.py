@@ -14,7 +14,7 @@ from grasp_env._check import Array, ContactForces
 from grasp_env.errors import NotConvergedError
 from grasp_env.force.limits import ForceLimits, as_limits
 from grasp_env.force.program import CLEAR, ForceProgram
-from grasp_env.force.record import CONVERGED
+from grasp_env.force.record import INFEASIBLE
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -90,8 +90,8 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
     if limits is not None and not (cones := force_closure(grasp)):
         return cones
     program = ForceProgram(grasp, limits)
-    deepest, twist = program.deepest(np.zeros(6))
-    margin = deepest.value
+    deepest = program.deepest(np.zeros(6))
+    margin, twist = deepest.margin, deepest.twist
     if margin > CLEAR:
         # without limits of their own size the forces are of any size: make them sum to one
         z = deepest.z if program.bound.any() else deepest.z / deepest.z[:, 0].sum()
@@ -107,7 +107,7 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
         error = _outside(grasp, twist)
         if limits is None and error <= PROVEN:
             return ForceClosure(False, 0.0, None, None, twist, error, _no(grasp, twist))
-        if limits is not None and deepest.code == CONVERGED and margin < -CLEAR:
+        if limits is not None and deepest.code == INFEASIBLE and margin < -CLEAR:
             said = (
                 "no internal force within the further limits, although the contacts alone have force closure: widen the "
                 "limits (least normal forces against largest torques, or a torque bias)"

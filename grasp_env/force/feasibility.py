@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench
 from grasp_env.errors import NotConvergedError
 from grasp_env.force.limits import ForceLimits, as_limits
-from grasp_env.force.program import CLEAR, ForceProgram
-from grasp_env.force.record import CONVERGED
+from grasp_env.force.program import ForceProgram
+from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
@@ -58,12 +58,12 @@ def phase_one(grasp: Grasp, wrench: Wrench, limits: ForceLimits | None = None) -
 
 def answer(program: ForceProgram, wrench: Wrench) -> Feasibility:
     """`phase_one` of a program that exists already."""
-    deepest, twist = program.deepest(wrench)
-    if twist is None and program.slack(deepest.z) > 0.0:
-        return Feasibility(program.force(deepest.z), program.torsion(deepest.z), None, deepest.value)
-    if twist is None or (deepest.code != CONVERGED and not deepest.value < -CLEAR):
-        raise NotConvergedError(
-            f"phase one found neither a force nor a proof for wrench {wrench.tolist()} "
-            f"(margin {deepest.value:.3g} after {deepest.iterations} iterations)"
-        )
-    return Feasibility(None, None, twist, deepest.value)
+    deepest = program.deepest(wrench)
+    if deepest.code == CONVERGED:
+        return Feasibility(program.force(deepest.z), program.torsion(deepest.z), None, deepest.margin)
+    if deepest.code == INFEASIBLE:
+        return Feasibility(None, None, deepest.twist, deepest.margin)
+    raise NotConvergedError(
+        f"phase one found neither a force nor a proof for wrench {wrench.tolist()} "
+        f"(margin {deepest.margin:.3g} after {deepest.iterations} iterations)"
+    )

@@ -20,6 +20,8 @@ from grasp_env.grasp.grasp import Grasp
 
 CRITERIA = ("sum", "max")
 """Of `conic`: of the normal forces."""
+CONIC_ITERATIONS = 100
+"""Most iterations of an interior point: a dozen is usual."""
 BALANCE_TOLERANCE = 1e-8
 """A start may miss balance by this much of the wrench and force it carries; the rest is an error of the rule."""
 

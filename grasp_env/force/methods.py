@@ -7,8 +7,8 @@
 | conic | least sum, or least maximum, of normal forces | all, further limits |
 | linear | the same sum over friction pyramids, by HiGHS | all, further limits |
 
-Here is what the core solves: hard contacts by the flows, `newton` and `conic`; `newton` within limits is in `limits_method.py`. The others
-are imported where they are asked for.
+Here is what the core solves contact by contact: hard ones by the flows, `newton` and `conic`; `newton` within limits is in
+`limits_method.py`. The others are imported where they are asked for.
 """
 
 from __future__ import annotations
@@ -22,7 +22,16 @@ from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnsupportedProblemError
 from grasp_env.force.basis import OfflineBasis, core_contacts
 from grasp_env.force.initial import CompiledRule, RuleStarts
-from grasp_env.force.method import Loop, Method, OwnStart, Settings, Start, refuse, refused_start
+from grasp_env.force.method import (
+    CONIC_ITERATIONS,
+    Loop,
+    Method,
+    OwnStart,
+    Settings,
+    Start,
+    refuse,
+    refused_start,
+)
 from grasp_env.force.objective import Objective
 from grasp_env.force.record import ITERATIONS, REFUSED, record_size
 from grasp_env.force.solution import ForceSolution
@@ -31,8 +40,6 @@ from grasp_env.grasp.grasp import Grasp
 DESCENTS = ("reduced_flow", "full_flow", "newton")
 """Methods on Phi: they take a start, a known optimum and a trace."""
 METHODS = (*DESCENTS, "conic", "linear")
-CONIC_ITERATIONS = 100
-"""Most iterations of an interior point: a dozen is usual."""
 LOOPED = ("linear_combination", "previous")
 """The named starts that are made within the compiled call."""
 NO_TRACE = np.empty(0)

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from grasp_env._check import Array, Wrench
-from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, UnsupportedProblemError
+from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, NotConvergedError, UnsupportedProblemError
 from grasp_env.force.feasibility import Feasibility, answer
 from grasp_env.force.initial import InitialForceRule, rule_name
-from grasp_env.force.linear import linear_forces
 from grasp_env.force.method import (
     BALANCE_TOLERANCE,
+    CONIC_ITERATIONS,
     Loop,
     OwnStart,
     Settings,
@@ -21,26 +21,24 @@ from grasp_env.force.method import (
     infeasible_error,
     refuse,
 )
-from grasp_env.force.program import Answer, ForceProgram
+from grasp_env.force.program import ForceProgram
 from grasp_env.force.record import (
     BOUND,
     CODE,
     CONVERGED,
     FORCE,
+    INFEASIBLE,
     ITERATIONS,
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
+    REFUSED,
     RESIDUAL,
-    STALLED,
-    TRIALS,
     WRENCH,
     record_size,
 )
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.grasp.grasp import Grasp
-
-_NO_TRACE = np.empty(0)
 
 
 class _Program:
@@ -61,29 +59,6 @@ class _Program:
         """None: the general program takes the general path."""
         return None
 
-    def solution(
-        self, found: Answer, wrench: Wrench, start: Array, name: str, trace: Array, known: bool = False
-    ) -> ForceSolution:
-        """The record of an answer; status OPTIMAL where its certified gap is within the tolerance."""
-        program, count = self.program, self.grasp.n_contacts
-        record = np.zeros(record_size(count))
-        value = found.value
-        gap = (value - found.bound) / found.bound if found.bound > 0.0 else (0.0 if value == 0.0 else np.inf)
-        # a value clearly below its bound means a force that misses something
-        below = -np.inf if known else -1e-9
-        proven = below <= gap <= self.settings.tolerance and program.slack(found.z) >= 0.0
-        record[CODE] = CONVERGED if proven else found.code or STALLED
-        record[ITERATIONS], record[TRIALS], record[OBJECTIVE], record[BOUND] = (
-            found.iterations, found.trials, value, found.bound,
-        )  # fmt: skip
-        record[MARGIN] = self.grasp.cone_margin(program.force(found.z))
-        record[RESIDUAL] = program.residual(found.z, wrench)
-        record[WRENCH : WRENCH + 6], record[MULTIPLIERS : MULTIPLIERS + 6] = wrench, found.multipliers
-        record[FORCE : FORCE + 3 * count] = program.force(found.z).reshape(-1)
-        record[FORCE + 3 * count : FORCE + 6 * count] = program.force(start).reshape(-1)
-        record[FORCE + 6 * count :] = program.torsion(found.z)
-        return ForceSolution(record, self.settings.method, name, trace, limit_multipliers=found.limit_multipliers)
-
     def feasible(self, wrench: Wrench, name: str) -> Feasibility:
         """The deepest force.
 
@@ -99,6 +74,19 @@ class _Program:
 class ProgramConic(OwnStart, _Program):
     """Least sum or least maximum of normal forces within all limits."""
 
+    def loop(self, initial: Any) -> Loop | None:
+        """See `Method.loop`; None where a solution holds multipliers of limits."""
+        program, settings = self.program, self.settings
+        if len(program.bound):
+            return None
+        solve, largest, nothing = program.solver.least_force, settings.criterion == "max", np.empty(0)
+        tolerance, limit = settings.tolerance, min(settings.max_iterations, CONIC_ITERATIONS)
+
+        def call(wrench: Any, previous: Array | None, record: Array) -> int:
+            return solve(wrench, largest, tolerance, limit, record, nothing)
+
+        return Loop(call, "central")
+
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`.
 
@@ -106,22 +94,15 @@ class ProgramConic(OwnStart, _Program):
             InfeasibleWrenchError: no force within the limits balances the wrench.
         """
         refuse("conic", start, optimum, trace)
-        settings = self.settings
-        # a tenth: the certificate gives a little away when it makes its multipliers feasible
-        found = self.program.least_force(
-            wrench, settings.criterion, 0.1 * settings.tolerance, min(settings.max_iterations, 100)
-        )
-        if found.code != CONVERGED:
-            deepest = self.feasible(wrench, "central")
-            size = float(np.abs(self.program.frame @ wrench).max())
-            usable = self.program.slack(found.z) >= 0.0 and self.program.residual(found.z, wrench) <= 1e-9 * size
-            if not usable:  # nan is not
-                assert deepest.force is not None
-                z = self.program.variables(deepest.force, deepest.torsion)
-                normals = deepest.force[:, 0]
-                value = float(normals.sum() if settings.criterion == "sum" else normals.max())
-                found = Answer(STALLED, z, found.iterations, value, 0.0, np.zeros(6), found.limit_multipliers * 0.0)
-        return self.solution(found, wrench, found.z, "central", _NO_TRACE)
+        settings, limit = self.settings, min(self.settings.max_iterations, CONIC_ITERATIONS)
+        record, prices = self.program.least_force(wrench, settings.criterion, settings.tolerance, limit)
+        if record[CODE] == INFEASIBLE:
+            twist = record[MULTIPLIERS : MULTIPLIERS + 6].copy()
+            raise infeasible_error(self.grasp, wrench, "conic", "central", twist)
+        if record[CODE] == REFUSED:
+            self.feasible(wrench, "central")  # says why
+            raise NotConvergedError(f"the conic solver found no least force for wrench {wrench.tolist()}")
+        return ForceSolution(record, "conic", "central", limit_multipliers=prices)
 
 
 class ProgramNewton(_Program):
@@ -167,8 +148,13 @@ class ProgramNewton(_Program):
             )
         values = np.full(settings.max_iterations + 1 if trace else 0, np.nan)
         weights = settings.objective.weights(self.grasp.n_contacts)
-        found = program.least_phi(wrench, weights, z, settings.tolerance, optimum, settings.max_iterations, values)
-        return self.solution(found, wrench, z, start.name, values[: found.iterations + 1], optimum == optimum)
+        record, prices = program.least_phi(
+            wrench, weights, z, settings.tolerance, optimum, settings.max_iterations, values
+        )
+        count = self.grasp.n_contacts
+        record[FORCE + 3 * count : FORCE + 6 * count] = start.force.reshape(-1)
+        traced = values[: int(record[ITERATIONS]) + 1]
+        return ForceSolution(record, "newton", start.name, traced, limit_multipliers=prices)
 
     def deepest(self, wrench: Wrench) -> Start:
         """The force deepest inside all limits."""
@@ -207,6 +193,8 @@ class Linear(OwnStart):
         Raises:
             InfeasibleWrenchError: no force balances the wrench.
         """
+        from grasp_env.force.linear import linear_forces  # scipy: only for who asks
+
         refuse("linear", start, optimum, trace)
         found = linear_forces(self.grasp, wrench, limits=self.settings.limits)
         if found.status is Status.INFEASIBLE:

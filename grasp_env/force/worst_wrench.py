@@ -243,7 +243,10 @@ def _enclosed(
         scaled = np.unique(wrenches, axis=0) / ball.radii / size
         return scaled * (1.0 - SHRINK * rng.random((len(scaled), 1)))
 
-    hull = ConvexHull(inside(made), incremental=True, qhull_options=f"QJ{JOGGLE} Q12 Pp")
+    try:
+        hull = ConvexHull(inside(made), incremental=True, qhull_options=f"QJ{JOGGLE} Q12 Pp")
+    except QhullError:  # a set too thin for a polytope: what was found, and no bound above
+        return best._replace(upper=np.inf)
     while True:
         normals, distance = hull.equations[:, :6], -hull.equations[:, 6] - 100.0 * JOGGLE
         reach = unit.reach(normals)
