@@ -11,6 +11,9 @@ from samples import sample, wrenches
 from test_pipeline import reference_of
 
 from grasp_env.core import _core
+from grasp_env.force import ForceLimits
+from grasp_env.force.program import ForceProgram
+from grasp_env.grasp import Grasp
 
 REFUSED = _core.codes()["refused"]
 TOLERANCE, LIMIT = 1e-6, 100
@@ -80,6 +83,23 @@ def model(placed: bool = True) -> _core.Model:
 
 def learned() -> _core.Learned:
     return _core.Learned.make(contacts(), TOLERANCE, LIMIT, SAMPLE.basis, model())
+
+
+def program() -> tuple[_core.Program, dict[str, np.ndarray]]:
+    """A program with one limit, u_0 <= 100 N, and the arrays that it is made of."""
+    s = SAMPLE
+    grasp = Grasp.from_contacts(s.positions, s.normals, 0.5)
+    made = ForceProgram(grasp, ForceLimits(max_normal=[100.0, np.inf, np.inf, np.inf]))
+    divisor = np.concatenate([grasp.models.cone_divisor, made.torsion_divisor[:, None]], axis=1)
+    given = {"frame": made.frame, "balance": made.balance, "rows": made.rows, "bound": made.bound, "divisor": divisor}
+    return made.solver, {name: np.ascontiguousarray(array) for name, array in given.items()}
+
+
+def deepest() -> np.ndarray:
+    """A start for `least_phi`."""
+    z = np.zeros((COUNT, 4))
+    assert program()[0].deepest(LOADS[0], 1e-7, z, np.zeros(6))[0] == 0
+    return z
 
 
 def begun() -> _core.Pipeline:
@@ -181,6 +201,21 @@ def calls() -> dict[str, Call]:
         "Learned.predict": Call(start.predict, {"wrench": LOADS[0]}, {"force": (COUNT, 3)}),
         "Learned.covers": Call(start.covers, {"wrench": LOADS[0]}, {}),
         "Learned.times": Call(partial(start.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
+        "Program.make": Call(_core.Program.make, program()[1], {}),
+        "Program.least_force": Call(
+            partial(program()[0].least_force, largest=True, **made),
+            {"wrench": LOADS[0]},
+            {"record": (SIZE,), "prices": (1,)},
+        ),
+        "Program.deepest": Call(
+            partial(program()[0].deepest, tolerance=1e-7), {"wrench": LOADS[0]}, {"z": (COUNT, 4), "twist": (6,)}
+        ),
+        "Program.least_phi": Call(
+            partial(program()[0].least_phi, optimum=np.nan, **made),
+            {"wrench": LOADS[0], "weights": s.weights, "row_weights": np.ones(1), "z": deepest()},
+            {"trace": (5,), "record": (SIZE,), "prices": (1,)},
+            frozenset({"trace"}),
+        ),
         "Pipeline.make": Call(
             partial(_core.Pipeline.make, contacts(), remembers=True, **made),
             basis | {"frames": s.frames, "reference": INTERNAL, "flows": RULE},

@@ -1,4 +1,4 @@
-"""One dense interior-point iteration with limits and shared variables: the plain twin of `program_kernels.interior_point`.
+"""One dense interior-point iteration with limits and shared variables: the plain twin of the core's `interior_point.hpp`.
 
 What `oracles.conic` leaves out, as hard contacts do not need it.
 
