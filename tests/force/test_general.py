@@ -358,8 +358,9 @@ def test_newton_under_heavy_wrenches_is_inside_with_a_true_bound(kind: str) -> N
         reference = Reference(grasp, limits)
         best = min(found.objective for found in answers)
         for found in answers:
-            assert found.status in (Status.OPTIMAL, Status.STALLED), (found, lam)
-            assert found.iterations < 200
+            assert found.status is Status.OPTIMAL, (found, lam)
+            # most take twenty; where forces lie at depths from lambda to thousands of newtons, some hundreds of short steps
+            assert found.iterations < 500
             assert found.lower_bound <= best * (1.0 + 1e-10)
             assert reference.violation(found.force, found.torsion) < 0.0
             assert found.cone_margin > 0.0

@@ -15,6 +15,10 @@ SHORTER = "steps go 0.7 of the way to a cone instead of 0.95: a fifth fewer on a
 TICK = "Newton's last step lands elsewhere within its tolerance: forces and torques of the first tick agree to 3e-9 instead of 1e-9"
 SOLVED = "the offline basis, which stalled where forces exceed sqrt(lambda/omega) by 1e5, is found: an answer instead of an error"
 WORDS = "the same class of error; its words now show what was given, or the range"
+PROGRAM = (
+    "the general program starts inside the cones, not from units: some iterations more where a limit lies far from that start; "
+    "stopped early it says iteration_limit, as its force is inside, where it was stalled"
+)
 ACCEPTED: dict[str, str] = {
     **{
         f"environment: first tick, {name}": TICK
@@ -35,6 +39,21 @@ ACCEPTED: dict[str, str] = {
     },
     "refused: batch too large": WORDS,
     "refused: batch of no workers": WORDS,
+    **{
+        f"edges: conic {name}": PROGRAM
+        for name in (
+            "max, 0 iterations",
+            "max, 2 iterations",
+            "max, max_normal 1, 8 random",
+            "max, normal, each, 8 random",
+            "max, torque 0.05, soft",
+            "sum, min_normal, cuboid",
+            "sum, min_normal, 4 uneven",
+            "sum, min_normal, 5 uneven",
+            "sum, min_normal, soft",
+            "sum, min_normal, elliptic",
+        )
+    },
     "solver: reduced_flow, 16 random, tight": ROOT,
     "solver: reduced_flow, 50 random, tight": ROOT,
     "solver: reduced_flow, rough and frictionless, tight": ROOT,
