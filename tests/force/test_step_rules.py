@@ -170,7 +170,7 @@ def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:
             expected = {"long": long, "short": short, "alternate": short if k % 2 else long}[variant]
             assert short <= long
             # halved until Phi decreases
-            halvings = np.log2(expected / steps[k])
+            halvings = float(np.log2(expected / steps[k]))
             assert halvings == pytest.approx(round(halvings), abs=1e-6)
             assert halvings > -1e-6
 
