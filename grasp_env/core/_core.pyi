@@ -180,6 +180,7 @@ class Flow(Newton):
 
     def repeat(self, x: object, times: int) -> float:
         """Makes the step at x (3N,) so many times; for measurements."""
+
 EXCESS_WITHIN: float = 0.01
 
 EXCESS_FLOOR: float = 1e-06

@@ -162,7 +162,6 @@ def test_memory_is_never_worse_than_either(rule):
 
 def test_a_remembering_start_is_never_worse_than_the_previous_start_and_keeps_its_certificate(rule):
     """Also after jumps, where the carried force leaves the cones and is repaired."""
-    from grasp_env.force.kernels import lower_bound
     from grasp_env.force.repair import carry_over
 
     grasp, objective = presets.paper_cuboid(), Objective()
@@ -176,7 +175,7 @@ def test_a_remembering_start_is_never_worse_than_the_previous_start_and_keeps_it
             _, force = remembering.start(grasp, w, objective, before)
             assert objective.value(grasp.to_cone(force)) <= classical * (1 + 1e-12)
         solution = optimizer.solve(w)
-        bound = lower_bound(solution.multipliers.copy(), grasp.cone_matrix.copy(), w, objective.weights(4))
+        bound = objective.lower_bound(solution.multipliers, grasp.cone_matrix, w)
         if solution.iterations == 0:
             assert solution.objective <= bound * (1 + 1.001e-4)
 

@@ -36,7 +36,7 @@ template <class V> inline Vec6 sums(const V (&a)[6]) {
     return out;
 }
 
-// What Phi has besides the cones' terms: nothing. What further limits add is `Rows` of limits.hpp.
+// What Phi has besides the cones' terms: nothing. What further limits add is `LimitTerms` of limits.hpp.
 struct NoRows { static constexpr bool any = false; };
 
 template <class V, int B> class Cones {

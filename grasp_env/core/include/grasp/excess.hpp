@@ -4,7 +4,7 @@
 //                                                                              s_i = sum y a - G_i^T nu in the cone,  y >= 0
 //
 // A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's scaling, t is one border of the 6 x 6
-// system; x is balanced throughout, and the multipliers of every iterate bound t (`Rows::farkas`), dual feasible or not.
+// system; x is balanced throughout, and the multipliers of every iterate bound t (`LimitTerms::farkas`), dual feasible or not.
 #pragma once
 #include "conic.hpp"
 #include "limits.hpp"
@@ -23,7 +23,7 @@ public:
     explicit LeastExcess(const Cones<V, B>& cones) { resize(at_, cones.blocks.size()); }
 
     // From x in the cones, balanced, outside the limits; it is overwritten.
-    Found solve(const Cones<V, B>& cones, Rows<V, B>& rows, System<V, B>& system, const Vec6& w, Field& x) {
+    Found solve(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, const Vec6& w, Field& x) {
         const int blocks = int(x.size());
         double t = BEGIN * rows.excess(x) + EXCESS_FLOOR;
         Vec6 nu{};
@@ -81,7 +81,7 @@ private:
     Blocks<At, B> at_;
 
     // Everything central: s = mu J x / (x . J x), y = mu / slack, mu so that sum y share = 1.
-    void begin(const Cones<V, B>& cones, Rows<V, B>& rows, const Field& x, double t) {
+    void begin(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
         V total{};
         for (int b = 0; b < int(x.size()); ++b)
             rows.for_each(b, [&](Pair<V>& p) {
@@ -101,7 +101,7 @@ private:
 
     // Slacks, scalings and blocks at x and t; the gap and the second derivative by t.
     struct Scaled { double gap, curvature; };
-    Scaled scale(const Cones<V, B>& cones, Rows<V, B>& rows, const Field& x, double t) {
+    Scaled scale(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
         V gap{}, curvature{};
         for (int b = 0; b < int(x.size()); ++b) {
             auto& at = at_[b];
@@ -143,7 +143,7 @@ private:
 
     // The whole step for the gradients in `system` and `slope`, that of t: new multipliers nu, dt, and how far x and s may go.
     struct Step { Vec6 nu; double dt, primal, dual; };
-    Step direct(const Cones<V, B>& cones, Rows<V, B>& rows, const System<V, B>& system, const Border& border, const Vec6& left, double slope,
+    Step direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system, const Border& border, const Vec6& left, double slope,
                 const Field& x) {
         V cross{};
         for (int b = 0; b < int(at_.size()); ++b) cross -= dot(at_[b].inverse * at_[b].mixed, system.gradient[b]);
@@ -177,7 +177,7 @@ private:
     }
 
     // The gap after the predictor.
-    double reached(const Cones<V, B>& cones, const Rows<V, B>& rows, const Field& x, const Step& step) const {
+    double reached(const Cones<V, B>& cones, const LimitTerms<V, B>& rows, const Field& x, const Step& step) const {
         const V primal = all<V>(std::min(1.0, step.primal)), dual = all<V>(std::min(1.0, step.dual));
         V gap{};
         for (int b = 0; b < int(x.size()); ++b) {
@@ -191,7 +191,7 @@ private:
 
     // The corrector's right sides, from the predictor's steps: gradients into `system`, prices without a change of slack into dprice;
     // returns the slope of t.
-    double correct(const Cones<V, B>& cones, Rows<V, B>& rows, System<V, B>& system, double target) {
+    double correct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, double target) {
         V slope{}, pull[6] = {};
         for (int b = 0; b < int(at_.size()); ++b) {
             auto& at = at_[b];

@@ -6,14 +6,14 @@ namespace grasp {
 
 template <class V, int B> class LimitedOn {
 public:
-    NewtonOn<V, B, Rows<V, B>> newton;
+    NewtonOn<V, B, LimitTerms<V, B>> newton;
     bool elastic = false;  // where no force keeps the limits: the one that exceeds them least
 
     LimitedOn(int count, const Options& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
 
     // From the 12-basis of the contacts without limits, a previous optimum, or any balanced force inside the cones.
     // REFUSED: numbers that are not finite, no start, or a problem for the general program, nearly infeasible or out of digits.
-    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`Rows::farkas`): v . w > max -v . G f within the limits.
+    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within the limits.
     // LIMITS_EXCEEDED: objective and bound are those of the excess.
     Code solve(const Call& call, const Record& record) {
         Summary& s = record.summary();

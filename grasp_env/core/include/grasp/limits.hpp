@@ -52,7 +52,7 @@ template <class V> struct Pair {
 enum class Verdict { on, harder, hopeless, lost };
 
 // All rows; to each contact as many pairs as one needs.
-template <class V, int B> class Rows {
+template <class V, int B> class LimitTerms {
 public:
     static constexpr bool any = true;
     static constexpr int W = width<V>;
