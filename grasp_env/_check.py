@@ -104,7 +104,7 @@ def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
     if not math.isfinite(number) or number <= 0.0:
         raise InvalidInputError(f"{name} must be finite and > 0, got {number}")
     if not within.low <= number <= within.high:
-        raise InvalidInputError(f"{name} must lie within {within}, got {number:g}")
+        raise InvalidInputError(f"{name} must lie within {within}, got {shown(value)}")
     return number
 
 

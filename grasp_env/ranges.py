@@ -43,8 +43,8 @@ CONTACTS = 1000
 
 FORCE_WEIGHT = Range(1e-4, 1e4)
 """omega. Phi knows forces in units of sqrt(lambda / omega) only: 100 kN at the most."""
-BARRIER_WEIGHT = Range(1e-12, 1e6, "N^2")
-"""lambda."""
+BARRIER_WEIGHT = Range(1e-16, 1e6, "N^2")
+"""lambda: 0.01 for newtons is 1e-14 for micronewtons."""
 TOLERANCE = Range(1e-300, 1.0)
 """A relative gap; what no double reaches ends as STALLED."""
 ITERATIONS = 10_000_000

@@ -14,14 +14,14 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, Wrench
-from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError
+from grasp_env.errors import InfeasibleStartError
 from grasp_env.force.basis import OfflineBasis, core_contacts
 from grasp_env.force.initial import CompiledRule, RuleStarts
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.method import BALANCE_TOLERANCE, Loop, Settings, Start, refused_start
+from grasp_env.force.method import BALANCE_TOLERANCE, Loop, Settings, Start, proven, refused_start
 from grasp_env.force.methods import LOOPED
 from grasp_env.force.objective import Objective
-from grasp_env.force.record import CODE, INFEASIBLE, MULTIPLIERS, REFUSED, record_size
+from grasp_env.force.record import CODE, INFEASIBLE, REFUSED, record_size
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
@@ -138,8 +138,7 @@ class LimitedNewton(RuleStarts):
         """
         if record[CODE] != INFEASIBLE:
             return ForceSolution(record, method, initial, _NO_TRACE, None, self.rows)
-        proof = record[MULTIPLIERS : MULTIPLIERS + 6]
-        raise InfeasibleWrenchError("", ForceSolution(record, method, initial, certificate=proof))
+        raise proven(record, method, initial)
 
     def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
         """See `Method.start`. Names start inside the cones, forces and callables within the limits."""

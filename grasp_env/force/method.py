@@ -13,6 +13,7 @@ from grasp_env._check import Array, ContactForces, Wrench, as_array
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, InvalidInputError, shown
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.objective import Objective
+from grasp_env.force.record import MULTIPLIERS
 from grasp_env.force.repair import Correction
 from grasp_env.force.solution import ForceSolution, infeasible
 from grasp_env.force.step_size import StepRule
@@ -147,6 +148,12 @@ def infeasible_error(
     """The error that carries the infeasible solution and its separating twist."""
     residual = grasp.residual(np.zeros((grasp.n_contacts, 3)), wrench)
     return InfeasibleWrenchError("", infeasible(wrench, grasp.n_contacts, method, initial, residual, certificate))
+
+
+def proven(record: Array, method: str, initial: str) -> InfeasibleWrenchError:
+    """The error of a record that is a proof: no force, its multipliers the separating twist."""
+    proof = record[MULTIPLIERS : MULTIPLIERS + 6]
+    return InfeasibleWrenchError("", ForceSolution(record, method, initial, certificate=proof))
 
 
 def refuse(method: str, start: Start | None, optimum: float, trace: bool) -> None:

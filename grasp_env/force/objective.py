@@ -24,7 +24,7 @@ class Objective:
 
     Attributes:
         force_weight: omega, 1e-4 to 1e4, the price of squeezing; a number, or a sequence with one per contact.
-        barrier_weight: lambda [N^2 at omega = 1], 1e-12 to 1e6, the price of coming close to a cone; the same.
+        barrier_weight: lambda [N^2 at omega = 1], 1e-16 to 1e6, the price of coming close to a cone; the same.
 
     Raises:
         InvalidInputError: weights that are no numbers, or out of range.

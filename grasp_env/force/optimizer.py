@@ -283,7 +283,7 @@ def optimize_force(
         criterion: of `conic`: "sum" or "max" of the normal forces.
         limits: on normal forces and joint torques, for `newton`, `conic` and `linear`.
         force_weight: omega, the price of squeezing, 1e-4 to 1e4; one for all contacts or one each.
-        barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1], 1e-12 to 1e6; one or one each.
+        barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1], 1e-16 to 1e6; one or one each.
         tolerance: relative certified gap at which to stop, at most 1; None: 1e-4, for `conic` 1e-6.
         max_iterations: most accepted steps, 0 to 10,000,000.
         step_rule: the flows' `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`; None: `AdaptiveStep()`.

@@ -19,6 +19,7 @@ from grasp_env.force.method import (
     Start,
     given_start,
     infeasible_error,
+    proven,
     refuse,
 )
 from grasp_env.force.program import ForceProgram
@@ -85,7 +86,12 @@ class ProgramConic(OwnStart, _Program):
         def call(wrench: Any, previous: Array | None, record: Array) -> int:
             return solve(wrench, largest, tolerance, limit, record, nothing)
 
-        return Loop(call, "central")
+        def solution(record: Array, method: str, initial: str) -> ForceSolution:
+            if record[CODE] == INFEASIBLE:
+                raise proven(record, method, initial)
+            return ForceSolution(record, method, initial)
+
+        return Loop(call, "central", solution=solution)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`.
@@ -97,8 +103,7 @@ class ProgramConic(OwnStart, _Program):
         settings, limit = self.settings, min(self.settings.max_iterations, CONIC_ITERATIONS)
         record, prices = self.program.least_force(wrench, settings.criterion, settings.tolerance, limit)
         if record[CODE] == INFEASIBLE:
-            twist = record[MULTIPLIERS : MULTIPLIERS + 6].copy()
-            raise infeasible_error(self.grasp, wrench, "conic", "central", twist)
+            raise proven(record, "conic", "central")
         if record[CODE] == REFUSED:
             self.feasible(wrench, "central")  # says why
             raise NotConvergedError(f"the conic solver found no least force for wrench {wrench.tolist()}")

@@ -72,7 +72,7 @@ def test_the_notes_number() -> None:
     assert conic(CUBOID, PAPER_WRENCH).objective == pytest.approx(CONIC_LEAST, abs=1e-5)
 
 
-@pytest.mark.parametrize("tolerance", [10.0, 1e-2, 1e-6, 1e-9, 1e-12, 1e-16])
+@pytest.mark.parametrize("tolerance", [1.0, 1e-2, 1e-6, 1e-9, 1e-12, 1e-16])
 @pytest.mark.parametrize("criterion", ["sum", "max"])
 def test_optimal_means_certified_at_any_tolerance(tolerance: float, criterion: str) -> None:
     for grasp in closure_grasps()[:8]:
@@ -354,7 +354,7 @@ def test_nearly_collinear_contacts_right_or_honest(spread: float) -> None:
 
 
 def test_extreme_friction_right_or_honest() -> None:
-    for friction in (1e-6, 1e-4, 1e-2, 10.0, 1e4):
+    for friction in (1e-4, 1e-2, 10.0, 1e4):
         base = frictionless_box()
         grasp = Grasp.from_contacts(base.positions, base.normals, friction)
         found = conic(grasp, LOAD)

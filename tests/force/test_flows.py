@@ -104,7 +104,7 @@ def test_full_and_reduced_iterates_are_equal(name: str) -> None:
 @pytest.mark.parametrize("name", ALL)
 def test_methods_take_the_steps_of_the_plain_flow(name: str, method: str) -> None:
     grasp = ALL[name]
-    rule, count = AdaptiveStep(), 20  # growing and rejected steps; few enough that no decision hangs on rounding
+    rule, count = AdaptiveStep(), 12  # growing and rejected steps; few enough that no decision hangs on rounding
     descent, iterates = _descend(grasp, rule, count)
     optimizer = ForceOptimizer(
         grasp, method=method, barrier_weight=0.1, step_rule=rule, max_iterations=count, tolerance=1e-300

@@ -177,7 +177,7 @@ def test_repair_of_twenty_thousand_candidates_is_never_worse_than_the_basis(segm
         safe = np.empty(3 * grasp.n_contacts)
         combine(OfflineBasis.of(grasp).cone_forces, load, False, safe)
         candidate = wild(rng, safe)
-        flat = grasp.to_force(candidate).reshape(-1)
+        flat = candidate / grasp.models.cone_divisor.reshape(-1)
         if np.isfinite(flat).all():  # the steps of `Repair`, without its set-up
             flat = flat - grasp.pseudoinverse @ (grasp.matrix @ flat + load)
             x = grasp.to_cone(flat.reshape(-1, 3))
@@ -201,7 +201,7 @@ def test_repair_through_the_class() -> None:
         grasp = GRASPS[k % len(GRASPS)]
         load = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
         safe = grasp.to_cone(OfflineBasis.of(grasp).combine(load))
-        candidate = grasp.to_force(wild(rng, safe))
+        candidate = wild(rng, safe).reshape(-1, 3) / grasp.models.cone_divisor
         if np.isinf(candidate).any():
             candidate[:] = np.nan  # an infinite one overflows inside numpy before the class sees it
         force = repair(grasp, load, candidate)

@@ -22,7 +22,8 @@ public:
         const Vec6 w = newton.cones.unit.of(call.wrench);
         Code code = call.start == Start::tangent ? follow(call, w, record) : REFUSED;
         if (unusable(code)) code = descend(call, w, record);
-        if (code == INFEASIBLE) code = elastic ? exceed(w, record) : refute(w, record);
+        if (code == INFEASIBLE)
+            code = elastic ? exceed(w, record) : record.refute((-1.0 / size(s.multipliers)) * s.multipliers, size(w));
         if (unusable(code)) code = REFUSED;
         s.code = code;
         return code;
@@ -58,15 +59,6 @@ private:
             if (code != STALLED) break;
         }
         return code;
-    }
-
-    // No force.
-    Code refute(const Vec6& w, const Record& record) {
-        Summary& s = record.summary();
-        s.objective = s.lower_bound = infinity, s.margin = 0.0, s.residual = size(w);
-        s.multipliers = (-1.0 / size(s.multipliers)) * s.multipliers;
-        std::fill(record.force(), record.force() + 6 * newton.cones.count, 0.0);
-        return INFEASIBLE;
     }
 
     Code exceed(const Vec6& w, const Record& record) {

@@ -122,7 +122,8 @@ public:
         std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
         has_inside_ = false;
         const Code code = criterion == Criterion::sum ? solve(*sum_, wrench, options, out) : solve(*largest_, wrench, options, out);
-        if (code == INFEASIBLE || code == REFUSED) return code;
+        if (code == INFEASIBLE) return record.refute(out.multipliers, size(load));
+        if (code == REFUSED) return code;
         write(code, record, prices);
         return code;
     }
@@ -413,7 +414,6 @@ private:
             const Deepest found = dive(*depth_, wrench, 1e-7, limits, z_);
             if (found.code != CONVERGED) {
                 out.multipliers = found.twist, out.iterations = spent;
-                out.code = found.code == INFEASIBLE ? INFEASIBLE : REFUSED;
                 return found.code == INFEASIBLE ? INFEASIBLE : REFUSED;
             }
             for (int i = 0; i < count; ++i)

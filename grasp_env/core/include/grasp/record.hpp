@@ -33,6 +33,14 @@ public:
     double* initial_force() const { return force() + 3 * count_; }
     double* torsion() const { return force() + 6 * count_; }
     void clear() const { std::fill(row_, row_ + record_size(count_), 0.0); }
+    // INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed: the wrench, unit frame [N]
+    Code refute(const Vec6& twist, double missed) const {
+        Summary& s = summary();
+        s.code = INFEASIBLE, s.objective = s.lower_bound = infinity, s.margin = s.limit_excess = 0.0, s.residual = missed;
+        s.multipliers = twist;
+        std::fill(force(), row_ + record_size(count_), 0.0);
+        return INFEASIBLE;
+    }
 
 private:
     double* row_;
