@@ -7,6 +7,7 @@ from functools import cache
 import _core_test as insides
 import numpy as np
 import pytest
+from oracles import phi as oracle
 from problems import GRASPS
 from scipy.linalg import null_space
 from scipy.optimize import minimize
@@ -90,13 +91,14 @@ class Dense:
 
     def gradient(self, v: np.ndarray) -> np.ndarray:
         z, out = self.full(v), np.zeros((self.count, 4))
-        out[:, :3] = self.objective.gradient(np.ascontiguousarray(z[:, :3]).reshape(-1)).reshape(-1, 3)
+        out[:, :3] = oracle.gradient(z[:, :3].reshape(-1), self.weights).reshape(-1, 3)
         out[:, 3] = -self.weights[:, 1] / z[:, 3] ** 2
         return out[self.live] + self.rows.T @ (self.row_weights / self.slack(v) ** 2)
 
     def hessian(self, v: np.ndarray) -> np.ndarray:
         z, out = self.full(v), np.zeros((self.count, 4, self.count, 4))
-        blocks = self.objective.hessian(np.ascontiguousarray(z[:, :3]).reshape(-1))
+        dense = oracle.hessian(z[:, :3].reshape(-1), self.weights)
+        blocks = [dense[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(self.count)]
         for k in range(self.count):
             out[k, :3, k, :3] = blocks[k]
             out[k, 3, k, 3] = 2.0 * self.weights[k, 1] / z[k, 3] ** 3
@@ -237,12 +239,12 @@ def test_the_bound_is_the_least_of_the_lagrangian(name: str) -> None:
         total = -float(other @ right) + float(2.0 * np.sqrt(problem.row_weights * other[6:]).sum())
         for k in range(problem.count):
             omega, lam = problem.weights[k]
-            single, slope = Objective(omega, lam), q[k, :3]
+            weights, slope = np.array([[omega, lam]]), q[k, :3]
             best = minimize(
-                lambda x, s=single, p=slope: s.value(x) + p @ x,
+                lambda x, s=weights, p=slope: oracle.phi(x, s) + p @ x,
                 np.array([1.0, 0.0, 0.0]),
-                jac=lambda x, s=single, p=slope: s.gradient(x) + p,
-                hess=lambda x, s=single: s.hessian(x)[0],
+                jac=lambda x, s=weights, p=slope: oracle.gradient(x, s) + p,
+                hess=lambda x, s=weights: oracle.hessian(x, s),
                 method="trust-exact",
                 options={"gtol": 1e-10, "maxiter": 500},
             )
