@@ -23,7 +23,7 @@ if __name__ == "__main__":
 
 from force.clarabel_reference import SOLVED, Reference, _run
 
-from grasp_env.errors import GraspError, InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
+from grasp_env.errors import GraspError, InfeasibleStartError, InfeasibleWrenchError, InvalidInputError, RankDeficientGraspError
 from grasp_env.force import Objective, Status, optimize_force
 from grasp_env.grasp import Grasp
 
@@ -57,7 +57,7 @@ def problem(seed: int, index: int) -> Problem:
     rng = np.random.default_rng([seed, index])
     while True:
         trouble, model = str(rng.choice(TROUBLES)), str(rng.choice(MODELS, p=(0.4, 0.2, 0.05, 0.25, 0.1)))
-        with suppress(RankDeficientGraspError):
+        with suppress(RankDeficientGraspError, InvalidInputError):  # contacts on one line, or out of range: another
             grasp = hard_grasp(rng, trouble, model)
             size = 10.0 ** rng.uniform(-6.0, 5.0)
             force = rng.standard_normal(3) * (rng.random() < 0.9)
