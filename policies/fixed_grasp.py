@@ -58,7 +58,7 @@ class FixedGraspForce(LearnedInitialForce):
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
             shapes |= {f"layers.{layer}.weight": (*powers, b, a), f"layers.{layer}.bias": (*powers, b)}
         checkpoint.expect(shapes | layer_shapes("polish", self.polish, width))
-        super().__init__(checkpoint, objective or self._trained, remembers)
+        super().__init__(checkpoint, self._trained if objective is None else objective, remembers)
         self._reference = checkpoint.tensors["reference"].astype(np.float64)
         self._made: tuple[float, core.Network] | None = None
         self._layers = None
@@ -67,8 +67,9 @@ class FixedGraspForce(LearnedInitialForce):
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """See `LearnedInitialForce.raw`: neither repaired nor polished."""
+        learned = self._learned(grasp)
         force = np.empty((grasp.n_contacts, 3))
-        if not self._learned(grasp).predict(read_load(wrench), force):
+        if not learned.predict(read_load(wrench), force):
             raise InfeasibleStartError(
                 f"a wrench needs finite numbers up to {core.LARGEST:g}, got {np.asarray(wrench).tolist()}"
             )

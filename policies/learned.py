@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_array
-from grasp_env.errors import InfeasibleStartError, UnknownNameError
+from grasp_env._check import Array, ContactForces, Wrench, as_array, choice, flag
+from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import ForceSolution, Objective, OfflineBasis
 from grasp_env.force.basis import core_contacts
 from grasp_env.force.method import Loop, readable
+from grasp_env.force.objective import as_objective
 from grasp_env.force.record import CODE, FORCE, LIMIT, REFUSED, WRENCH, record_size
 from grasp_env.grasp import Grasp
+from grasp_env.grasp.grasp import as_grasp
 from policies.checkpoint import Checkpoint
 
 PRETRAINED = Path(__file__).parent / "pretrained"
@@ -52,8 +54,8 @@ class LearnedInitialForce(ABC):
 
     def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:
         self.checkpoint = checkpoint
-        self.objective = objective or Objective()
-        self.remembers = remembers
+        self.objective = as_objective(objective)
+        self.remembers = flag(remembers, "remembers")
         self._prepared: tuple[Grasp, core.Learned] | None = None
 
     @staticmethod
@@ -86,9 +88,7 @@ class LearnedInitialForce(ABC):
         Raises:
             UnknownNameError: another name.
         """
-        if name not in MODELS:
-            raise UnknownNameError("pretrained model", name, MODELS)
-        return LearnedInitialForce.load(PRETRAINED / name, remembers=remembers)
+        return LearnedInitialForce.load(PRETRAINED / choice(name, "pretrained model", MODELS), remembers=remembers)
 
     @property
     def name(self) -> str:
@@ -164,7 +164,7 @@ class LearnedInitialForce(ABC):
         """The start alone on a grasp, kept for the last one."""
         prepared = self._prepared  # one tuple, read once: threads may share a rule
         if prepared is None or prepared[0] is not grasp:
-            prepared = self._prepared = grasp, self._make(grasp, 0.0, 0)
+            prepared = self._prepared = grasp, self._make(as_grasp(grasp), 0.0, 0)
         return prepared[1]
 
     def _make(self, grasp: Grasp, tolerance: float, limit: int) -> core.Learned:
