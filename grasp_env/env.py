@@ -179,7 +179,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         super().reset(seed=None if seed is None else whole(seed, "seed", 0))
         stage = self._open_stage()
         scene, constant = stage.scene, None
-        for name, value in instance(options or {}, dict, "options").items():
+        for name, value in instance({} if options is None else options, dict, "options").items():
             choice(name, "reset option", ("wrench",))
             constant = as_wrench(value, "options['wrench']")
         self._started = False

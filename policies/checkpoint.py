@@ -9,7 +9,6 @@ import hashlib
 import json
 import math
 import os
-import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,8 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from grasp_env.errors import ModelFileError
+from grasp_env._files import as_path, read_bytes
+from grasp_env.errors import ModelFileError, shown
 
 SCHEMA = "grasp-force/initial-force/3"
 KINDS = ("fixed_grasp", "any_grasp")
@@ -127,7 +127,7 @@ def malformed(name: object, error: Exception) -> ModelFileError:
 def whole(value: Any, name: str, least: int, most: int) -> int:
     """An integer of a description within its bounds, or `ValueError`; 2.0 is none."""
     if type(value) is not int or not least <= value <= most:
-        raise ValueError(f"{name} must be an integer from {least} to {most}, got {_shown(value)}")
+        raise ValueError(f"{name} must be an integer from {least} to {most}, got {shown(value)}")
     return value
 
 
@@ -136,7 +136,7 @@ def number(value: Any, name: str, least: float = -math.inf) -> float:
     # integers of any size are compared as they are, without a float
     if type(value) not in (int, float) or not (-MOST_NUMBER <= value <= MOST_NUMBER and value > least):
         raise ValueError(
-            f"{name} must be a finite number{f' > {least:g}' if least > -math.inf else ''}, got {_shown(value)}"
+            f"{name} must be a finite number{f' > {least:g}' if least > -math.inf else ''}, got {shown(value)}"
         )
     return float(value)
 
@@ -152,21 +152,13 @@ def _pair(value: Any) -> tuple[float, float]:
     return low, high
 
 
-def _shown(value: Any) -> str:
-    big = type(value) is int and value.bit_length() > 200  # Python refuses to print it
-    return "a huge integer" if big else repr(value)[:40]
-
-
 def _digest(body: dict[str, Any]) -> str:
     """Of all that a description says."""
     return hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
 def _stem(path: str | Path) -> Path:
-    try:
-        path = Path(path)
-    except TypeError as error:
-        raise ModelFileError(f"a model's path is needed, got {_shown(path)} ({error})") from None
+    path = as_path(path, ModelFileError, "a model's file")
     return path.with_suffix("") if path.suffix in (".safetensors", ".json") else path
 
 
@@ -179,17 +171,11 @@ def _file(stem: Path, suffix: str) -> Path:
 def _read(file: Path, most: int) -> bytes:
     """A regular file's bytes, no more than `most`."""
     try:
-        about = file.stat()
-        if not stat.S_ISREG(about.st_mode):
-            raise OSError(0, "it is a folder, a pipe or a device")
-        if about.st_size > most:
-            raise OSError(0, f"it is larger than {most >> 20} MiB")
-        with file.open("rb") as opened:
-            blob = opened.read(about.st_size)
-    except (OSError, ValueError) as error:  # ValueError: no path, a zero in it
-        said = getattr(error, "strerror", None) or error
-        raise ModelFileError(f"model file {file}: {said}; a model is two files, .safetensors and .json") from None
-    return blob
+        return read_bytes(file, most)
+    except OSError as error:
+        raise ModelFileError(
+            f"model file {file}: {error.strerror}; a model is two files, .safetensors and .json"
+        ) from None
 
 
 def _read_meta(file: Path) -> dict[str, Any]:
@@ -200,7 +186,7 @@ def _read_meta(file: Path) -> dict[str, Any]:
         schema = meta.get("schema") if isinstance(meta, dict) else None
         if schema != SCHEMA:
             raise ModelFileError(
-                f"model description {file} has schema {_shown(schema)}, this version reads {SCHEMA!r}: train anew with `grasp fit`"
+                f"model description {file} has schema {shown(schema)}, this version reads {SCHEMA!r}: train anew with `grasp fit`"
             )
         right = meta.pop("sha256", None) == _digest(meta)
     except ModelFileError:
