@@ -41,6 +41,8 @@ from grasp_env.force.record import (
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.grasp.grasp import Grasp
 
+NO_PRICES = np.empty(0)
+
 
 class _Program:
     """Soft contacts, further limits, no force closure: what the methods on `ForceProgram` share."""
@@ -86,28 +88,27 @@ class ProgramConic(OwnStart, _Program):
         def call(wrench: Any, previous: Array | None, record: Array) -> int:
             return solve(wrench, largest, tolerance, limit, record, nothing)
 
-        def solution(record: Array, method: str, initial: str) -> ForceSolution:
-            if record[CODE] == INFEASIBLE:
-                raise proven(record, method, initial)
-            return ForceSolution(record, method, initial)
+        return Loop(call, "central", solution=self.solution)
 
-        return Loop(call, "central", solution=solution)
-
-    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
-        """See `Method`.
+    def solution(self, record: Array, method: str, initial: str, prices: Array = NO_PRICES) -> ForceSolution:
+        """What the core wrote.
 
         Raises:
             InfeasibleWrenchError: no force within the limits balances the wrench.
         """
+        if record[CODE] == INFEASIBLE:
+            raise proven(record, method, initial)
+        return ForceSolution(record, method, initial, limit_multipliers=prices)
+
+    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
+        """See `Method` and `solution`."""
         refuse("conic", start, optimum, trace)
         settings, limit = self.settings, min(self.settings.max_iterations, CONIC_ITERATIONS)
         record, prices = self.program.least_force(wrench, settings.criterion, settings.tolerance, limit)
-        if record[CODE] == INFEASIBLE:
-            raise proven(record, "conic", "central")
         if record[CODE] == REFUSED:
             self.feasible(wrench, "central")  # says why
             raise NotConvergedError(f"the conic solver found no least force for wrench {wrench.tolist()}")
-        return ForceSolution(record, "conic", "central", limit_multipliers=prices)
+        return self.solution(record, "conic", "central", prices)
 
 
 class ProgramNewton(_Program):

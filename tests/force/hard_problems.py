@@ -188,6 +188,8 @@ def outcome(p: Problem, method: str) -> str:
         return "error" if not reference.margin(p.wrench) > EDGE else f"no answer: {type(error).__name__}"
     except RuntimeWarning:
         return "wrong: warning"
+    if found.status is Status.INFEASIBLE:
+        return "wrong: an answer that is none"
     size = float(np.abs(reference.load(p.wrench)).max())
     most = float(np.abs(found.force).max())
     if not np.isfinite(found.force).all():
