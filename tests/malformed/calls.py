@@ -65,6 +65,7 @@ def _solve(method: str, grasp: Grasp = CUBOID, **more: Any) -> Call:
     good = {
         "grasp": grasp, "wrench": PAPER, "initial": None, "method": method, "criterion": "sum", "limits": None, "force_weight": 1.0,
         "barrier_weight": 0.01, "tolerance": 1e-4, "max_iterations": 500, "step_rule": None, "optimum": None, "trace": False,
+        "elastic": False,
     }  # fmt: skip
     return Call(f.optimize_force, good | more, 2.0)
 
@@ -215,7 +216,12 @@ def calls(folder: Path) -> dict[str, Call]:
         "optimize_force, max": _solve("conic", criterion="max"),
         "optimize_force, soft newton": _solve("newton", SOFT),
         "optimize_force, soft conic": _solve("conic", SOFT),
+        "optimize_force, soft max": _solve("conic", SOFT, criterion="max"),
         "optimize_force, limits": _solve("newton", limits=f.ForceLimits(max_normal=50.0)),
+        "optimize_force, conic limits": _solve("conic", limits=f.ForceLimits(max_normal=50.0)),
+        "optimize_force, elastic": _solve("newton", limits=f.ForceLimits(max_normal=2.0), elastic=True),
+        "optimize_force, learned": _solve("newton", initial=_learned("four_finger")),
+        "optimize_force, learned flow": _solve("reduced_flow", initial=_learned("any_grasp")),
         "optimize_force, from a force": _solve("newton", initial=FORCE, wrench=np.zeros(6)),
         **{
             f"ForceOptimizer.solve, {m}": Call(
@@ -230,6 +236,10 @@ def calls(folder: Path) -> dict[str, Call]:
             {"grasps": CUBOID, "wrenches": np.tile(PAPER, (3, 1)), "method": "newton", "workers": 1, "tolerance": 1e-4, "initial": None},
             2.0,
         ),
+        "optimize_forces, elastic": Call(
+            f.optimize_forces,
+            {"grasps": CUBOID, "wrenches": np.tile(PAPER, (3, 1)), "method": "newton", "limits": f.ForceLimits(max_normal=2.0), "elastic": True},
+        ),
         "optimize_forces, many grasps": Call(
             f.optimize_forces, {"grasps": [CUBOID, SOFT], "wrenches": np.tile(PAPER, (2, 1)), "method": "conic", "limits": None}
         ),
@@ -237,6 +247,10 @@ def calls(folder: Path) -> dict[str, Call]:
             f.ForcePipeline,
             {"grasp": CUBOID, "method": "newton", "initial": "previous", "force_weight": 1.0, "barrier_weight": 0.01,
              "tolerance": 1e-4, "max_iterations": 500, "step_rule": None, "reference": None},
+        ),
+        "ForcePipeline, learned": Call(
+            f.ForcePipeline,
+            {"grasp": CUBOID, "method": "reduced_flow", "initial": _learned("any_grasp"), "reference": None},
         ),
         "ForcePipeline.solve": Call(
             _with(_pipeline, "solve"),
@@ -248,6 +262,10 @@ def calls(folder: Path) -> dict[str, Call]:
         "limited newton": Call(
             lambda wrench, **k: f.optimize_force(CUBOID, wrench, method="newton", limits=f.ForceLimits(**k)),
             {"wrench": PAPER, "min_normal": 0.1, "max_normal": 90.0, "jacobian": JACOBIAN, "torque_limit": 9.0}, 2.0,
+        ),
+        "elastic newton": Call(
+            lambda wrench, **k: f.optimize_force(CUBOID, wrench, method="newton", limits=f.ForceLimits(**k), elastic=True),
+            {"wrench": PAPER, "min_normal": 0.1, "max_normal": 2.0}, 2.0,
         ),
         "limited conic": Call(
             lambda wrench, **k: f.optimize_force(CUBOID, wrench, method="conic", limits=f.ForceLimits(**k)),
