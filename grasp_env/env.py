@@ -338,8 +338,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
         plain = type(action) is np.ndarray and action.dtype.kind == "f"
         values = np.asarray(action, dtype=np.float64) if plain else as_array(action, None, "action", finite=False)
-        numbers = values.tolist()  # plain numbers: six are too few for numpy
-        if values.shape != self._action_shape or not all(map(math.isfinite, numbers)):
+        numbers = values.tolist() if values.shape == self._action_shape else ()  # plain: six are too few for numpy
+        if not numbers or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(
                 f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {shown(action)}"
             )

@@ -9,6 +9,7 @@ import hashlib
 import json
 import math
 import os
+import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from grasp_env._files import as_path, read_bytes
+from grasp_env._files import as_path
 from grasp_env.errors import ModelFileError, shown
 
 SCHEMA = "grasp-force/initial-force/3"
@@ -171,11 +172,17 @@ def _file(stem: Path, suffix: str) -> Path:
 def _read(file: Path, most: int) -> bytes:
     """A regular file's bytes, no more than `most`."""
     try:
-        return read_bytes(file, most)
-    except OSError as error:
-        raise ModelFileError(
-            f"model file {file}: {error.strerror}; a model is two files, .safetensors and .json"
-        ) from None
+        about = file.stat()
+        if not stat.S_ISREG(about.st_mode):
+            raise OSError(0, "it is a folder, a pipe or a device")
+        if about.st_size > most:
+            raise OSError(0, f"it is larger than {most >> 20} MiB")
+        with file.open("rb") as opened:
+            blob = opened.read(about.st_size)
+    except (OSError, ValueError) as error:  # ValueError: no path, a zero in it
+        said = getattr(error, "strerror", None) or error
+        raise ModelFileError(f"model file {file}: {said}; a model is two files, .safetensors and .json") from None
+    return blob
 
 
 def _read_meta(file: Path) -> dict[str, Any]:

@@ -65,10 +65,11 @@ class ContactModels:
             return cls(("hard",) * count, mu, np.zeros(count), scale, scale.copy())._frozen()
         if not isinstance(models, str | list | tuple | np.ndarray):
             raise InvalidInputError(f"contact_model must be one name or {count} of them, got {shown(models)}")
-        names = (models,) * count if isinstance(models, str) else tuple(models)
-        names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in names)
-        if len(names) != count:
-            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {len(names)}")
+        each = (models,) * count if isinstance(models, str) else models
+        length = 0 if isinstance(each, np.ndarray) and not each.ndim else len(each)
+        if length != count:
+            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {length}")
+        names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in each)
         rough = np.array([name != "frictionless" for name in names], dtype=bool)
         soft = np.array([name == "soft" for name in names], dtype=bool)
         mu = _friction(friction, count, rough)
