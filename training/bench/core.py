@@ -30,9 +30,11 @@ ROWS = {
     "unchecked": "Grasp.unchecked",
     "flow": "the paper's flow, ForceOptimizer(method='reduced_flow').solve",
     "pipeline_flow": "moving contacts, ForcePipeline(method='reduced_flow').solve on a smooth path",
+    "soft": "soft contacts, ForceOptimizer(method='newton').solve to 1e-4",
+    "max": "least largest normal force, ForceOptimizer(method='conic', criterion='max').solve to 1e-6",
 }
 """What is timed, see `core_worker.ROWS`; after each solve from Python `.force` and `.status` are read."""
-STARTED = ("newton", "conic")
+STARTED = ("newton", "conic", "reduced_flow", "full_flow")
 
 
 def core(

@@ -145,6 +145,14 @@ def python(on_path: bool = False, **options: Any) -> Callable[[Case], Timed]:
     return timed
 
 
+def soft(case: Case) -> Case:
+    """The same contacts with torsion up to a tenth of friction times the grasp's length."""
+    g = case.grasp
+    gamma = 0.1 * g.friction * g.length
+    made = Grasp.from_contacts(g.positions, g.normals, g.friction, contact_model="soft", torsional_friction=gamma)
+    return Case(made, case.wrenches, case.path)
+
+
 def pipeline(method: str) -> Callable[[Case], Timed]:
     """`ForcePipeline(grasp, method=method).solve(points, normals, wrench)` along the path."""
 
@@ -168,6 +176,8 @@ ROWS: dict[str, Callable[[Case], Timed]] = {
     "unchecked": lambda case: making(Grasp.unchecked, [(p, n, case.grasp.models) for p, n, _ in case.path]),
     "flow": python(method="reduced_flow"),
     "pipeline_flow": pipeline("reduced_flow"),
+    "soft": lambda case: python(method="newton", tolerance=1e-4)(soft(case)),
+    "max": python(method="conic", criterion="max"),
 }
 
 
