@@ -37,6 +37,8 @@ DISTANCE = 1e5
 """Of the contacts' centre from the origin, in lengths of the grasp: moments about the origin lose as many digits."""
 SIZE = Range(-1e50, 1e50)
 """Of numbers that are only multiplied: products of six of them are no overflow."""
+SIDE_BY_SIDE = 100_000_000
+"""Most contacts that `Objective` takes at once: those of many grasps."""
 MASS = Range(1e-9, 1e9, "kg")
 CONTACTS = 1000
 """Most contacts of a grasp; `linear` takes N^2 memory."""

@@ -52,7 +52,7 @@ class Objective:
             array([[1.  , 0.01],
                    [2.  , 0.01]])
         """
-        out = np.empty((whole(count, "count", 0, ranges.CONTACTS), 2))
+        out = np.empty((whole(count, "count", 0, ranges.SIDE_BY_SIDE), 2))
         for column, name in enumerate(("force_weight", "barrier_weight")):
             value = getattr(self, name)
             if np.ndim(value) == 1 and len(value) != count:
@@ -134,8 +134,8 @@ class Objective:
 def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
     """Flat cone coordinates as (N, 3); `inside`: or an error where they are outside the open cones."""
     given = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
-    if given.size % 3 or not 1 <= given.size // 3 <= ranges.CONTACTS:
-        raise InvalidInputError(f"x must have shape (3N,) for 1 to {ranges.CONTACTS} contacts, got {given.shape}")
+    if given.size % 3 or not 1 <= given.size // 3 <= ranges.SIDE_BY_SIDE:
+        raise InvalidInputError(f"x must have shape (3N,) for at least one contact, got {given.shape}")
     rows = given.reshape(-1, 3)
     if inside and not (rows[:, 0] * (1.0 - 1e-15) > np.hypot(rows[:, 1], rows[:, 2])).all():
         raise InvalidInputError(

@@ -134,12 +134,12 @@ def test_claims():
     assert asked_of("newton_default", 4) is None
     rows = [{"method": "newton_python", "contacts": n, "ratio_p50": r} for n, r in ((3, 0.3), (4, 0.41), (50, 0.41))]
     rows.append({"method": "conic", "contacts": 4, "ratio_p50": 1.0})
-    starts = [{"method": "newton", "side": side, "median_s": s} for side, s in (("now", 0.7), ("baseline", 60.0))]
+    starts = [{"method": "newton", "side": side, "median_s": s} for side, s in (("now", 0.3), ("baseline", 60.0))]
     got = [(claim["kind"], claim["asked"], claim["measured"], claim["met"]) for claim in claims(rows, starts)]
     assert got == [
         ("asked", "at most 0.42", "0.410 (N = 4, the worst)", True),
         ("asked", "at most 0.4", "0.410 (N = 50, the worst)", False),
         ("asked", "at most 1.05", "1.000 (N = 4, the worst)", True),
         ("goal", "at most 0.95", "1.000 (N = 4, the worst)", False),
-        ("asked", "at most 0.8 s", "0.7 s", True),
+        ("asked", "at most 0.5 s", "0.3 s", True),
     ]
