@@ -86,7 +86,8 @@ class ProgramConic(OwnStart, _Program):
         tolerance, limit = settings.tolerance, min(settings.max_iterations, CONIC_ITERATIONS)
 
         def call(wrench: Any, previous: Array | None, record: Array) -> int:
-            return solve(wrench, largest, tolerance, limit, record, nothing)
+            code = solve(wrench, largest, tolerance, limit, record, nothing)
+            return REFUSED if code == INFEASIBLE else code  # `run` says so
 
         return Loop(call, "central", solution=self.solution)
 
