@@ -321,12 +321,17 @@ class Program:
     """
 
     @staticmethod
-    def make(frame: object, balance: object, rows: object, bound: object, divisor: object) -> Program:
+    def make(frame: object, balance: object, rows: object, bound: object, divisor: object, shares: object, elastic: bool) -> Program:
         """See `Given` in program.hpp."""
 
     def least_force(self, wrench: object | None, largest: bool, tolerance: float, limit: int, record: object, prices: object) -> int:
         """
         Into a record and the limits' prices (M,); returns the code. INFEASIBLE: the record's multipliers are the proof.
+        """
+
+    def least_excess(self, wrench: object, limit: int, record: object, prices: object) -> int:
+        """
+        The balanced force in the cones that exceeds limits least, of an elastic program; returns LIMITS_EXCEEDED where it is found.
         """
 
     def least_phi(self, wrench: object, weights: object, row_weights: object, z: object, optimum: float, trace: object, tolerance: float, limit: int, record: object, prices: object) -> int:

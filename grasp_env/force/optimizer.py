@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,11 +23,14 @@ from grasp_env.force.limits import ForceLimits, as_limits
 from grasp_env.force.method import CRITERIA, Settings, readable
 from grasp_env.force.methods import METHODS, make_method
 from grasp_env.force.objective import Objective, Weight
-from grasp_env.force.record import REFUSED, record_size
+from grasp_env.force.record import CODE, LIMITS_EXCEEDED, REFUSED, record_size
 from grasp_env.force.repair import CORRECTIONS, Correction
 from grasp_env.force.solution import ForceSolution
 from grasp_env.force.step_size import StepRule, checked_rule
 from grasp_env.grasp.grasp import Grasp, as_grasp
+
+if TYPE_CHECKING:
+    from grasp_env.force.program import ForceProgram
 
 MAX_ITERATIONS = 20_000
 TOLERANCE = 1e-4
@@ -187,12 +190,14 @@ class ForceOptimizer:
             limits = self.settings.limits
             if limits is None or not self.settings.elastic:
                 raise
-            from grasp_env.force.elastic import least_excess
+            if self._elastic is None:
+                from grasp_env.force.program import ForceProgram
 
-            solution = least_excess(self.grasp, limits, load, self.method)
-            if solution is None:
+                self._elastic = ForceProgram(self.grasp, limits, elastic=True)
+            record = self._elastic.least_excess(load)
+            if record[CODE] != LIMITS_EXCEEDED:
                 raise
-            self.previous = solution
+            self.previous = solution = ForceSolution(record, self.method, "central")
         return solution
 
     def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
@@ -223,10 +228,11 @@ class ForceOptimizer:
         # everything that may refuse the grasp first: an optimizer is never half moved
         method = make_method(grasp, self.settings)
         self.grasp, self._method, self._size = grasp, method, record_size(grasp.n_contacts)
+        self._elastic: ForceProgram | None = None  # made where it is needed
         self._loop, self._name = method.loop(self.initial), self.settings.method
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("_method", "_loop")}
+        return {name: value for name, value in vars(self).items() if name not in ("_method", "_loop", "_elastic")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)

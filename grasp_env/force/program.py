@@ -49,7 +49,8 @@ class ForceProgram:
         labels: (M,) what each limit is.
     """
 
-    def __init__(self, grasp: Grasp, limits: ForceLimits | None = None) -> None:
+    def __init__(self, grasp: Grasp, limits: ForceLimits | None = None, elastic: bool = False) -> None:
+        """Elastic: `least_excess` will be asked."""
         self.grasp = grasp
         count = grasp.n_contacts
         gamma, mu = grasp.models.torsional_friction, grasp.models.cone_scale[:, 0]
@@ -66,12 +67,13 @@ class ForceProgram:
         soft = np.flatnonzero(self.soft)
         rows, bound = np.zeros((len(soft), count, 4)), np.zeros(len(soft))
         rows[np.arange(len(soft)), soft, 0], rows[np.arange(len(soft)), soft, 3] = -2.0, 1.0
+        shares = np.zeros(len(soft))
         labels = [f"torsion of contact {i} >= -torsional_friction * normal" for i in soft]
         if limits is not None:
-            given = limits.rows(grasp)
+            given, limited = limits._rows(grasp)
             divisor = np.concatenate([grasp.models.cone_divisor, self.torsion_divisor[:, None]], axis=1)
             rows = np.concatenate([rows, _with_slack(given.matrix.reshape(-1, count, 4) / divisor)])
-            bound = np.concatenate([bound, given.bound])
+            bound, shares = np.concatenate([bound, given.bound]), np.concatenate([shares, limited])
             labels.extend(given.labels)
         self.row_size = np.sqrt((rows**2).sum(axis=(1, 2)))
         # torsion's row is u + v as it stands; a torque that no force changes has no length
@@ -83,6 +85,7 @@ class ForceProgram:
         self.solver = core.Program.make(
             np.ascontiguousarray(self.frame), np.ascontiguousarray(self.balance), np.ascontiguousarray(self.rows), self.bound,
             np.concatenate([grasp.models.cone_divisor, self.torsion_divisor[:, None]], axis=1),
+            shares / self.row_size, elastic,
         )  # fmt: skip
 
     def least_force(
@@ -95,6 +98,17 @@ class ForceProgram:
         record, prices = np.empty(record_size(self.grasp.n_contacts)), np.empty(len(self.bound))
         self.solver.least_force(wrench, criterion == "max", tolerance, max_iterations, record, prices)
         return record, prices / self.row_size
+
+    def least_excess(self, wrench: Wrench, max_iterations: int = 100) -> Array:
+        """Where no force keeps the limits: the record of the balanced force inside the cones that exceeds them least.
+
+        min t s.t. G x + w = 0, x in the cones, torsion within its friction, A x <= b + t limit, t >= 0, to EXCESS_WITHIN.
+        What the core's `excess.hpp` does for limits on one contact each, for joints that fingers share and for soft contacts
+        too. Code LIMITS_EXCEEDED where it is found; INFEASIBLE: not even the cones balance the wrench.
+        """
+        record, prices = np.empty(record_size(self.grasp.n_contacts)), np.empty(len(self.bound))
+        self.solver.least_excess(wrench, max_iterations, record, prices)
+        return record
 
     def deepest(self, wrench: Wrench, tolerance: float = 1e-7) -> Deepest:
         """The force deepest inside all limits, or the separating twist when nothing is inside.

@@ -89,9 +89,10 @@ def program() -> tuple[_core.Program, dict[str, np.ndarray]]:
     """A program with one limit, u_0 <= 100 N, and the arrays that it is made of."""
     s = SAMPLE
     grasp = Grasp.from_contacts(s.positions, s.normals, 0.5)
-    made = ForceProgram(grasp, ForceLimits(max_normal=[100.0, np.inf, np.inf, np.inf]))
+    made = ForceProgram(grasp, ForceLimits(max_normal=[100.0, np.inf, np.inf, np.inf]), elastic=True)
     divisor = np.concatenate([grasp.models.cone_divisor, made.torsion_divisor[:, None]], axis=1)
     given = {"frame": made.frame, "balance": made.balance, "rows": made.rows, "bound": made.bound, "divisor": divisor}
+    given["shares"] = 100.0 * np.ones(1)
     return made.solver, {name: np.ascontiguousarray(array) for name, array in given.items()}
 
 
@@ -201,9 +202,14 @@ def calls() -> dict[str, Call]:
         "Learned.predict": Call(start.predict, {"wrench": LOADS[0]}, {"force": (COUNT, 3)}),
         "Learned.covers": Call(start.covers, {"wrench": LOADS[0]}, {}),
         "Learned.times": Call(partial(start.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
-        "Program.make": Call(_core.Program.make, program()[1], {}),
+        "Program.make": Call(partial(_core.Program.make, elastic=True), program()[1], {}),
         "Program.least_force": Call(
             partial(program()[0].least_force, largest=True, **made),
+            {"wrench": LOADS[0]},
+            {"record": (SIZE,), "prices": (1,)},
+        ),
+        "Program.least_excess": Call(
+            partial(program()[0].least_excess, limit=LIMIT),
             {"wrench": LOADS[0]},
             {"record": (SIZE,), "prices": (1,)},
         ),

@@ -283,13 +283,15 @@ def test_twice_has_thirty_digits(what: str) -> None:
 @pytest.mark.skipif(not insides.counts_allocations, reason="the sanitizers have an operator new of their own")
 @pytest.mark.parametrize("name", ["mixed", "hard, own joints", "mixed, all limits"])
 def test_nothing_is_allocated(name: str) -> None:
-    """Least forces, deepest forces and Newton on Phi, feasible or not."""
+    """Least forces, least excesses, deepest forces and Newton on Phi, feasible or not."""
     program = ForceProgram(*CASES[name])
     divisor = np.concatenate([program.grasp.models.cone_divisor, program.torsion_divisor[:, None]], axis=1)
     loads = np.concatenate([[LOAD], np.random.default_rng(1).standard_normal((11, 6)) * [3, 3, 3, 0.1, 0.1, 0.1]])
-    made, converged, infeasible = insides.program_allocations(
-        program.frame, program.balance, program.rows, program.bound, divisor, loads, 2000
+    shares = np.concatenate([np.zeros(program.soft.sum()), np.ones(len(program.bound) - program.soft.sum())])
+    made, converged, infeasible, exceeded = insides.program_allocations(
+        program.frame, program.balance, program.rows, program.bound, divisor, shares, loads, 2000
     )
     assert made == 0
     assert converged > 0
     assert infeasible > 0 or name == "mixed"
+    assert exceeded > 0

@@ -7,10 +7,12 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from force.clarabel_reference import SOLVED, Reference, _run
+from force.clarabel_reference import KINDS, SOLVED, Reference, _run, random_limits, random_wrench
+from force.clarabel_reference import random_grasp as random_contacts
+from force.test_hard_programs import clustered, near_closure
 from problems import random_grasp
 
-from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, InvalidInputError
+from grasp_env.errors import GraspError, InfeasibleStartError, InfeasibleWrenchError, InvalidInputError
 from grasp_env.force import (
     ForceLimits,
     ForceOptimizer,
@@ -20,8 +22,8 @@ from grasp_env.force import (
     optimize_forces,
     phase_one,
 )
-from grasp_env.force.elastic import least_excess
 from grasp_env.force.limits_method import LimitedNewton
+from grasp_env.force.program import ForceProgram
 from grasp_env.force.program_methods import ProgramNewton
 from grasp_env.grasp import Grasp, presets
 
@@ -199,17 +201,67 @@ def test_least_excess_of_joints_that_fingers_share_and_of_soft_contacts() -> Non
     assert exceeded > 8
 
 
+@pytest.mark.parametrize("kind", [*KINDS, "near closure", "clustered", "flat"])
+@pytest.mark.parametrize(
+    "seeds", [range(25), pytest.param(range(25, 600), marks=pytest.mark.slow)], ids=["few", "many"]
+)
+def test_least_excess_of_any_contacts_and_limits(kind: str, seeds: range) -> None:
+    """To a hundredth of Clarabel's, balanced, inside the cones; none where Clarabel finds no force in the cones either."""
+    pytest.importorskip("clarabel")
+    exceeded = 0
+    for seed in seeds:
+        rng = np.random.default_rng([seed, 1212])
+        try:
+            if kind in ("near closure", "clustered"):
+                grasp = (near_closure if kind == "near closure" else clustered)(rng)
+            elif kind == "flat":
+                grasp = random_contacts(rng, "mixed", flat=10.0 ** rng.uniform(-6.0, -2.0), most=8)
+            else:
+                grasp = random_contacts(rng, kind, most=8)
+        except GraspError:
+            continue  # rank lost
+        load = random_wrench(rng, grasp, 1e-3, 1e3)
+        limits = random_limits(rng, grasp, float(np.abs(load[:3]).max()) * 10.0 ** rng.uniform(-1.5, 0.3))
+        reference, limited = Reference(grasp, limits), limits_of_rows(limits, grasp.n_contacts)
+        method = "conic" if seed % 2 else "newton"
+        try:
+            found = ForceOptimizer(grasp, method=method, limits=limits, elastic=True).solve(load)
+        except InfeasibleWrenchError:
+            assert Reference(grasp).margin(load) < 1e-8
+            continue
+        except GraspError:
+            continue  # the limits' own verdict is open
+        if found.status is not Status.LIMITS_EXCEEDED:
+            continue
+        want = least(reference, limited, load)
+        if np.isnan(want):
+            continue
+        exceeded += 1
+        assert found.limit_excess <= max(1.01 * want, want + 1e-6) * (1.0 + 1e-6), (seed, found, want)
+        assert found.lower_bound <= want * (1.0 + 1e-5) + 1e-7, (seed, found, want)
+        size = max(float(np.abs(found.force).max()), float(np.abs(reference.load(load)).max()))
+        assert reference.residual(found.force, found.torsion, load) <= 1e-9 * size
+        assert found.cone_margin > 0.0
+        assert Reference(grasp).violation(found.force, found.torsion) <= 0.0
+    assert exceeded >= len(seeds) // 10
+
+
 def test_both_least_excesses_agree() -> None:
     rng = np.random.default_rng(4)
     limits = ForceLimits(jacobian=own_joints(rng, 4), torque_limit=0.1)
     optimizer = ForceOptimizer(CUBOID, method="newton", limits=limits, elastic=True)
     exceeded = [(load, s) for load in loads(rng, 12) if (s := optimizer.solve(load)).status is Status.LIMITS_EXCEEDED]
     assert len(exceeded) > 3
+    general = ForceProgram(CUBOID, limits, elastic=True)
     for load, found in exceeded:
-        other = least_excess(CUBOID, limits, load, "newton")
-        assert other is not None
+        other = ForceSolution(general.least_excess(load), "newton", "central")
+        assert other.status is Status.LIMITS_EXCEEDED
         assert found.lower_bound <= other.limit_excess * (1.0 + 1e-9)
+        assert other.lower_bound <= found.limit_excess * (1.0 + 1e-9)
         assert found.limit_excess == pytest.approx(other.limit_excess, rel=0.01)
+        for one in (found, other):  # multipliers of balance: a bound for every wrench
+            for wrench, excess in ((wrench, solution.limit_excess) for wrench, solution in exceeded):
+                assert one.lower_bound - one.multipliers @ (wrench - load) <= excess * (1.0 + 1e-9)
         with pytest.raises(InfeasibleWrenchError, match="exceeds"):
             found.raise_for_status()
 

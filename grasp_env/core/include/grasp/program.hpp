@@ -1,5 +1,6 @@
 // The general program of a grasp: soft, elliptic and frictionless contacts, least and largest normal forces, joint torques; the least sum
-// or the least maximum of the normal forces, and the force deepest inside everything, or the twist that proves that there is none.
+// or the least maximum of the normal forces, the least excess over limits that no force keeps (`excess.hpp`, for any rows and contacts),
+// and the force deepest inside everything, or the twist that proves that there is none.
 //
 // Contact i has z_i = (u, o, t, w): cone coordinates and, where it is soft, w = u - |torsion| in units of its limit with a row w <= 2u.
 // Balance is taken with orthonormal rows, G = L Q, so that contacts close to each other cost no digits; forces are of the size of the
@@ -7,6 +8,7 @@
 #pragma once
 #include <memory>
 #include <optional>
+#include "excess.hpp"
 #include "interior_point.hpp"
 #include "phi_rows.hpp"
 
@@ -23,9 +25,12 @@ struct Given {
     const double* rows;     // (M, N, 4) of length one: rows . z <= bound; those of torsion come first
     const double* bound;    // (M,) [N]
     const double* divisor;  // (N, 4) force and torsion from z; inf where nothing is transmitted
+    const double* shares;   // (M,) [N] by how much a bound grows where its limit grows by all of itself; 0: never
+    bool elastic;           // whether the least excess will be asked
 };
 
-enum class Criterion { sum, largest };
+// `excess`: the largest part of itself by which a limit is exceeded, t with rows . z <= bound + t share.
+enum class Criterion { sum, largest, excess };
 
 struct Deepest {
     Code code = REFUSED;  // INFEASIBLE: no force strictly inside, `twist` is the proof
@@ -42,7 +47,7 @@ public:
     virtual std::unique_ptr<Program> clone() const = 0;
 
     // Into a record, with prices (M,) >= 0 of the limits. INFEASIBLE: the record's multipliers are the twist that proves it. REFUSED: numbers
-    // that are not finite, or neither a force nor a proof was found.
+    // that are not finite, or neither a force nor a proof was found. LIMITS_EXCEEDED: what `excess` ends with, to EXCESS_WITHIN.
     virtual Code least(const double* wrench, Criterion criterion, const Options& options, const Record& record, double* prices) = 0;
     // z (N, 4) [N]: the force of largest m with depth m in all cones and rows, where forces and the wrench's share r sum to one, m <= r.
     virtual Deepest deepest(const double* wrench, double tolerance, double* z) = 0;
@@ -66,7 +71,8 @@ public:
     template <int T> struct Pair {
         Engine<double, T> quick;
         Engine<Twice, T> careful;
-        Pair(const ProgramOn& program, int many) : quick(program.rows<double, T>(many), program.soft_), careful(program.rows<Twice, T>(many), program.soft_) {
+        Pair(const ProgramOn& program, int many, Criterion criterion = Criterion::sum)
+            : quick(program.rows<double, T>(many, criterion), program.soft_), careful(program.rows<Twice, T>(many, criterion), program.soft_) {
             set(quick, program), set(careful, program);
         }
         template <class R> static void set(Engine<R, T>& engine, const ProgramOn& program) {
@@ -79,7 +85,7 @@ public:
 
     explicit ProgramOn(const Given& given)
         : Program(given.count, given.limits), soft_(count), price_(count), divisor_(given.divisor, given.divisor + 4 * count),
-          bound_(given.bound, given.bound + limits), rest_(count), inside_(count), z_(count), best_(count),
+          bound_(given.bound, given.bound + limits), shares_(given.shares, given.shares + limits), rest_(count), inside_(count), z_(count), best_(count),
           room_(count + limits + count), room_inside_(room_), prices_(limits), best_prices_(limits) {
         std::copy(given.frame, given.frame + 36, &frame_[0][0]);
         for (int i = 0; i < count; ++i) soft_[i] = divisor_[4 * i + 3] < infinity, price_[i] = 1.0 / divisor_[4 * i];
@@ -94,7 +100,9 @@ public:
             if (soft_[i]) torsion_row_[i] = next++;
         torsions_ = int(std::count(soft_.begin(), soft_.end(), 1));
         orthonormalise();
-        sum_.emplace(*this, limits), largest_.emplace(*this, limits), depth_.emplace(*this, limits);
+        sum_.emplace(*this, limits), largest_.emplace(*this, limits, Criterion::largest), depth_.emplace(*this, limits);
+        cones_.emplace(*this, torsions_);
+        if (given.elastic) excess_.emplace(*this, limits, Criterion::excess);
         phi_.emplace(Descents{{rows<double, 0>(limits), soft_, limits}, {rows<Twice, 0>(limits), soft_, limits}});
         find_rest();
     }
@@ -105,8 +113,9 @@ public:
         std::fill(prices, prices + limits, 0.0);
         Summary& out = record.summary();
         out.code = REFUSED;
-        if (!sane_wrench(wrench)) return REFUSED;
+        if (!sane_wrench(wrench) || (criterion == Criterion::excess && !excess_)) return REFUSED;
         std::copy(wrench, wrench + 6, out.wrench.begin());
+        criterion_ = criterion;
         const Vec6 load = in_frame(wrench);
         const Vec6 turned = solve_lower(load);
         size_ = largest_of(turned);
@@ -121,11 +130,13 @@ public:
         best_value_ = infinity, best_bound_ = 0.0, best_nu_ = Vec6{}, residual_ = 0.0;
         std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
         has_inside_ = false;
-        const Code code = criterion == Criterion::sum ? solve(*sum_, wrench, options, out) : solve(*largest_, wrench, options, out);
+        const Code code = criterion == Criterion::sum       ? solve(*sum_, wrench, options, out)
+                          : criterion == Criterion::largest ? solve(*largest_, wrench, options, out)
+                                                            : solve(*excess_, wrench, options, out);
         if (code == INFEASIBLE) return record.refute(out.multipliers, size(load));
         if (code == REFUSED) return code;
         write(code, record, prices);
-        return code;
+        return Code(int(out.code));
     }
 
     Deepest deepest(const double* wrench, double tolerance, double* z) override {
@@ -144,7 +155,7 @@ public:
         record.summary().code = REFUSED;
         if (!sane_wrench(call.wrench)) return REFUSED;
         std::copy(call.wrench, call.wrench + 6, record.summary().wrench.begin());
-        size_ = 1.0, unit_ = in_frame(call.wrench), turned_ = solve_lower(unit_);
+        criterion_ = Criterion::sum, size_ = 1.0, unit_ = in_frame(call.wrench), turned_ = solve_lower(unit_);
         const auto descend = [&](auto& engine) {
             set_right(engine);
             for (int i = 0; i < count; ++i) {
@@ -163,16 +174,18 @@ private:
     static constexpr double PAD = 6e-16;       // of the numbers that make a slack: what rounding may cost on the way to forces
     static constexpr double BALANCED = 1e-9;   // of the wrench: what an optimal force may miss
     static constexpr double BELOW = -1e-9;     // rounding by which an objective may fall short of its bound
+    static constexpr double MOST = 1e4;        // of the largest normal force of a start: normal forces among which an excess is the least
+    static constexpr double BEGIN = 1.5;       // of a start's excess: how much limits are raised there
     static constexpr int FIRST_TRY = 40;       // iterations, of which a dozen is usual, before another start or more digits are tried
     std::vector<char> soft_;
-    std::vector<double> price_, divisor_, bound_;
+    std::vector<double> price_, divisor_, bound_, shares_;
     std::vector<Field> balance_, limit_, turn_;  // (6,) G, (M,), (6,) Q
     std::vector<int> torsion_row_;
     int torsions_ = 0;
     double frame_[6][6], lower_[6][6] = {};
     std::optional<Pair<0>> sum_;
-    std::optional<Pair<1>> largest_;
-    std::optional<Pair<2>> depth_;
+    std::optional<Pair<1>> largest_, excess_;
+    std::optional<Pair<2>> depth_, cones_;  // inside everything; inside the cones alone
     struct Descents {
         PhiRows<double, D> quick;
         PhiRows<Twice, D> careful;
@@ -182,6 +195,8 @@ private:
     bool has_rest_ = false, has_inside_ = false;
     std::vector<double> room_, room_inside_, prices_, best_prices_;
     Vec6 unit_{}, turned_{}, best_nu_{};  // the wrench of this call, of size one, and L^-1 of it
+    Criterion criterion_ = Criterion::sum;
+    double raised_ = 1.0, most_ = 1.0;  // the excess that is one unit of t; the largest normal force that is looked at
     double size_ = 1.0, best_value_ = infinity, best_bound_ = 0.0, residual_ = 0.0, best_residual_ = 0.0;
 
     // G = L Q by Gram and Schmidt, twice.
@@ -255,7 +270,7 @@ private:
         return grasp::size(wrench_of(z) + unit);
     }
 
-    template <class R, int T> Rows<R, D, T> rows(int many) const {
+    template <class R, int T> Rows<R, D, T> rows(int many, Criterion criterion = Criterion::sum) const {
         Rows<R, D, T> out;
         const auto turned = [](const Field& row) {
             std::vector<Tuple<R, D>> made(row.size());
@@ -287,11 +302,16 @@ private:
             else out.add_own(last, last < count ? wide<R>(limit_[k][last]) : Tuple<R, D>{}, shared, k);
         }
         if constexpr (T == 1)
-            for (int i = 0; i < count; ++i) {  // normal <= t
+            for (int i = 0; i < count; ++i) {  // normal <= t, or where t is an excess <= most_
                 Tuple<R, D> row{};
                 row[0] = price_[i];
-                out.add_own(i, row, {R(-1.0)}, -1);
+                out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
             }
+        if (T == 1 && criterion == Criterion::excess) {
+            Tuple<R, T> above{};
+            above[0] = -1.0;
+            out.add_own(count, {}, above, -1);
+        }
         if constexpr (T == 2) out.add_own(count, {}, {R(1.0), R(-1.0)}, -1);
         out.finish(count, equations);
         return out;
@@ -390,11 +410,13 @@ private:
     }
 
     void find_rest() {
-        Pair<2> engines(*this, torsions_);
         const double nothing[6] = {};
-        const Deepest found = dive(engines, nothing, 1e-2, torsions_, rest_);
+        const Deepest found = dive(*cones_, nothing, 1e-2, torsions_, rest_);
         has_rest_ = found.code == CONVERGED;
     }
+
+    bool elastic() const { return criterion_ == Criterion::excess; }
+    int kept() const { return elastic() ? torsions_ : limits; }  // limits that no force may exceed
 
     template <int T> Code solve(Pair<T>& engines, const double* wrench, const Options& options, Summary& out) {
         int spent = 0;
@@ -404,14 +426,15 @@ private:
             if (known) place_inside(engine);
             else if (begin(engine)) inside_from_start(engine);
             const int limit = std::min(options.limit, watches(engine) ? options.limit : FIRST_TRY);
-            const Code code = engine.run(options.tolerance, 0.0, watches(engine) ? 0.1 : 0.0, limit, [&] { return consider(engine); });
+            const double enough = elastic() ? EXCESS_FLOOR / raised_ : 0.0;
+            const Code code = engine.run(options.tolerance, enough, watches(engine) ? 0.1 : 0.0, limit, [&] { return consider(engine); });
             spent += engine.iterations;
             if (code != CONVERGED && consider(engine) <= options.tolerance) return CONVERGED;
             return code == LIMIT && limit < options.limit ? STALLED : code;
         };
         Code code = attempt(engines.quick, false);
         if (code != CONVERGED && !has_inside_) {
-            const Deepest found = dive(*depth_, wrench, 1e-7, limits, z_);
+            const Deepest found = dive(elastic() ? *cones_ : *depth_, wrench, 1e-7, kept(), z_);
             if (found.code != CONVERGED) {
                 out.multipliers = found.twist, out.iterations = spent;
                 return found.code == INFEASIBLE ? INFEASIBLE : REFUSED;
@@ -432,6 +455,27 @@ private:
         auto& joint = engine.rows.right;
         for (int r = 0; r < engine.rows.joint; ++r) joint[r] = r < 6 ? -turned_[r] : bound_[engine.rows.label[r]] / size_;
         for (auto& row : engine.rows.own) row.right = row.label >= 0 ? bound_[row.label] / size_ : 0.0;
+    }
+    // The largest part of itself by which z exceeds a limit.
+    double excess(const Field& z) const {
+        double most = 0.0;
+        for (int k = torsions_; k < limits; ++k)
+            if (shares_[k] > 0.0) most = std::max(most, (size_ * product(limit_[k], z) - bound_[k]) / shares_[k]);
+        return most;
+    }
+    // t in units of an excess above that of a start z, where it begins at one; normal forces up to a multiple of those of z.
+    template <class R> void raise(Engine<R, 1>& engine, const Field& z) {
+        raised_ = BEGIN * excess(z) + EXCESS_FLOOR, most_ = 1.0, best_bound_ = 0.0;
+        for (int i = 0; i < count; ++i) most_ = std::max(most_, price_[i] * z[i][0]);
+        most_ *= MOST;
+        const auto raise = [&](Tuple<R, 1>& shared, int name) {
+            if (name >= 0) shared[0] = -raised_ * shares_[name] / size_;
+        };
+        for (int r = 0; r < engine.rows.joint; ++r) raise(engine.rows.coupling[r], engine.rows.label[r]);
+        for (auto& row : engine.rows.own) {
+            raise(row.shared, row.label);
+            if (row.label < 0 && row.contact < count) row.right = most_;
+        }
     }
     template <class R, int T> void inside_from_start(const Engine<R, T>& engine) {
         for (int i = 0; i < count; ++i) inside_[i] = narrow(engine.at.z[i]);
@@ -476,7 +520,13 @@ private:
             product += at.z[i][0] * at.s[i][0] / count;
             if (D == 4) at.s[i][D - 1] = soft_[i] ? 0.25 * at.s[i][0] : R(1.0);
         }
-        if constexpr (T == 1) at.t = {2.0 * normal};
+        if constexpr (T == 1) {
+            at.t = {2.0 * normal};
+            if (elastic()) {
+                for (int i = 0; i < count; ++i) z_[i] = narrow(at.z[i]);
+                raise(engine, z_), at.t = {1.0};
+            }
+        }
         bool kept = true;
         const R floor = max(least * largest, 1e-12 * largest);
         const auto lift = [&](const R& slack) {
@@ -504,6 +554,13 @@ private:
             at.joint_slack[r] = lift(slack);
             at.joint[r] = min(product / at.joint_slack[r], share * price);
         }
+        if constexpr (T == 1)
+            if (elastic()) {  // t's price, as its equation says where that is one
+                R left = 1.0;
+                for (int r = rows.equal; r < rows.joint; ++r) left += at.joint[r] * rows.coupling[r][0];
+                for (std::size_t k = 0; k + 1 < rows.own.size(); ++k) left += at.own[k] * rows.own[k].shared[0];
+                at.own.back() = max(left, R(1e-3));
+            }
         for (int i = 0; i < count; ++i) {  // s as its equation says
             Tuple<R, D> s = engine.cost[i];
             for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(s, at.own[k], rows.own[k].row);
@@ -520,11 +577,11 @@ private:
         const auto right = [&](int k) { return bound_[k] / size_; };
         for (int i = 0; i < count; ++i) z_[i] = narrow(engine.at.z[i]);
         residual_ = balance(z_, unit_);
-        rooms(z_, limits, room_, right);
+        rooms(z_, kept(), room_, right);
         double least = least_of(room_);
         if (least > 0.0 && watches(engine)) inside_ = z_, has_inside_ = true;
         if (least < 0.0 && has_inside_) {  // mixed with as little of a force inside as takes the last digits in
-            rooms(inside_, limits, room_inside_, right);
+            rooms(inside_, kept(), room_inside_, right);
             double part = 0.0;
             for (std::size_t k = 0; k < room_.size(); ++k)
                 if (room_[k] < 0.0) part = std::max(part, -room_[k] / (room_inside_[k] - room_[k]));
@@ -532,27 +589,29 @@ private:
             for (int i = 0; i < count; ++i)
                 for (int a = 0; a < D; ++a) z_[i][a] = (1.0 - part) * z_[i][a] + part * inside_[i][a];
             residual_ = grasp::size(wrench_of(z_) + unit_);
-            rooms(z_, limits, room_, right);
+            rooms(z_, kept(), room_, right);
             least = least_of(room_);
         }
         certify(engine);
-        double value = 0.0;
+        double force = 0.0;
         for (int i = 0; i < count; ++i) {
             const double normal = price_[i] * z_[i][0];
-            value = T == 1 ? std::max(value, normal) : value + normal;
+            force = T == 1 ? std::max(force, normal) : force + normal;
         }
-        const bool good = least >= 0.0 && residual_ <= BALANCED * grasp::size(unit_) + 1e-15 * value;
+        const double value = elastic() ? excess(z_) : force;
+        const bool good = least >= 0.0 && residual_ <= BALANCED * grasp::size(unit_) + 1e-15 * force;
         if (good && value < best_value_) best_value_ = value, best_ = z_, best_residual_ = residual_;
         return gap();
     }
     double gap() const {
         if (!(best_value_ < infinity)) return infinity;
-        const double found = best_bound_ > 0.0 ? (best_value_ - best_bound_) / best_bound_ : best_value_ == 0.0 ? 0.0 : infinity;
+        const double found = elastic() ? (best_value_ - best_bound_) / std::max(best_bound_, EXCESS_FLOOR / EXCESS_WITHIN)
+                             : best_bound_ > 0.0 ? (best_value_ - best_bound_) / best_bound_ : best_value_ == 0.0 ? 0.0 : infinity;
         return found >= BELOW ? found : infinity;
     }
 
     // The dual value at the multipliers, on the segment to interior ones where that takes to be feasible: s = c + C^T y in the dual cones,
-    // y >= 0 on the limits.
+    // y >= 0 on the limits. Of an excess: at multipliers that price t at one; what they lack of the dual cones is paid for by forces up to most_.
     template <class R, int T> void certify(const Engine<R, T>& engine) {
         const auto& rows = engine.rows;
         const auto& at = engine.at;
@@ -562,11 +621,16 @@ private:
             else shares += std::max(double(at.own[k]), 0.0);
         }
         for (int r = rows.equal; r < rows.joint; ++r) prices_[rows.label[r]] = std::max(double(at.joint[r]), 0.0);
-        double theta = 1.0;
+        double theta = 1.0, paid = 0.0;
+        if (elastic()) {
+            double price = 0.0;
+            for (int k = torsions_; k < limits; ++k) price += prices_[k] * shares_[k];
+            theta = price > 0.0 ? size_ / price : 0.0;
+        }
         for (int i = 0; i < count; ++i) {
             Tuple<double, D> safe{}, end{};
-            safe[0] = engine_price<T>(i), end[0] = price_[i];
-            if constexpr (T == 1) end[0] *= std::max(double(at.own[rows.first[i + 1] - 1]), 0.0) / shares;
+            safe[0] = engine_price<T>(i), end[0] = elastic() ? 0.0 : price_[i];
+            if (T == 1 && !elastic()) end[0] *= std::max(double(at.own[rows.first[i + 1] - 1]), 0.0) / shares;
             for (int r = 0; r < 6; ++r) add(end, double(at.joint[r]), turn_[r][i]);
             for (int r = rows.equal; r < rows.joint; ++r) add(end, prices_[rows.label[r]], limit_[rows.label[r]][i]);
             for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
@@ -579,6 +643,10 @@ private:
             }
             const Vec3<double> last = cone(end);
             if (slack(last) >= 0.0) continue;
+            if (elastic()) {
+                paid -= slack(last) * most_ / price_[i];
+                continue;
+            }
             const double per = Boundary<double>(cone(safe)).per(last - cone(safe));
             theta = per > 1.0 ? std::min(theta, 1.0 / per) : per == per ? theta : 0.0;
         }
@@ -586,7 +654,7 @@ private:
         Vec6 y;
         for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]), value += y[r] * turned_[r];
         for (int k = 0; k < limits; ++k) value -= prices_[k] * bound_[k] / size_;
-        value *= theta;
+        value = theta * (value - paid);
         if (value > best_bound_ && value < infinity) {
             best_bound_ = value, best_nu_ = -theta * y;
             for (int k = 0; k < limits; ++k) best_prices_[k] = theta * prices_[k];
@@ -615,13 +683,19 @@ private:
     void write(Code code, const Record& record, double* prices) {
         Summary& out = record.summary();
         if (!(best_value_ < infinity)) {  // the last force known to be inside, or nothing
-            if (!has_inside_) {
+            if (!has_inside_ || elastic()) {
                 out.code = REFUSED;
                 return;
             }
             best_ = inside_;
         }
-        out.code = code, out.objective = size_ * best_value_, out.lower_bound = size_ * best_bound_;
+        const double unit = elastic() ? 1.0 : size_;  // of the objective
+        out.code = code, out.objective = unit * best_value_, out.lower_bound = unit * best_bound_;
+        if (elastic()) {
+            out.code = code == CONVERGED ? LIMITS_EXCEEDED : code, out.limit_excess = best_value_;
+            best_nu_ = (1.0 / size_) * best_nu_;
+            for (double& price : best_prices_) price /= size_;
+        }
         out.residual = size_ * best_residual_, out.multipliers = pull_back(best_nu_), out.margin = infinity;
         for (int i = 0; i < count; ++i) {
             Vec3<double> x = cone(best_[i]);
