@@ -174,6 +174,7 @@ private:
     static constexpr double PAD = 6e-16;       // of the numbers that make a slack: what rounding may cost on the way to forces
     static constexpr double BALANCED = 1e-9;   // of the wrench: what an optimal force may miss
     static constexpr double BELOW = -1e-9;     // rounding by which an objective may fall short of its bound
+    static constexpr double ROUNDING = 1e-14;  // of the numbers that make a proof, per term: far above what rounding may cost
     static constexpr double MOST = 1e4;        // of the largest normal force of a start: normal forces among which an excess is the least
     static constexpr double BEGIN = 1.5;       // of a start's excess: how much limits are raised there
     static constexpr int FIRST_TRY = 40;       // iterations, of which a dozen is usual, before another start or more digits are tried
@@ -233,11 +234,15 @@ private:
         return a;
     }
     // Multipliers of the wrench as it is given from those of the turned balance.
-    Vec6 pull_back(Vec6 a) const {
+    Vec6 pull_back(const Vec6& a) const { return out_of_frame(solve_upper(a)); }
+    Vec6 solve_upper(Vec6 a) const {
         for (int r = 5; r >= 0; --r) {
             for (int q = r + 1; q < 6; ++q) a[r] -= lower_[q][r] * a[q];
             a[r] /= lower_[r][r];
         }
+        return a;
+    }
+    Vec6 out_of_frame(const Vec6& a) const {
         Vec6 out{};
         for (int q = 0; q < 6; ++q)
             for (int r = 0; r < 6; ++r) out[q] += frame_[r][q] * a[r];
@@ -292,12 +297,9 @@ private:
         }
         for (int k = 0; k < many; ++k) {
             int touched = 0, last = count;
-            Tuple<R, T> shared{};
-            if constexpr (T == 2) shared[0] = 1.0;
-            for (int i = 0; i < count; ++i) {
+            const Tuple<R, T> shared{};
+            for (int i = 0; i < count; ++i)
                 if (inner(limit_[k][i], limit_[k][i]) > 0.0) ++touched, last = i;
-                if constexpr (T == 2) shared[0] += inward(i, limit_[k][i]);
-            }
             if (touched > 1) out.add_joint(turned(limit_[k]), shared, k);
             else out.add_own(last, last < count ? wide<R>(limit_[k][last]) : Tuple<R, D>{}, shared, k);
         }
@@ -370,12 +372,22 @@ private:
             const int name = engine.rows.label[r];
             if (r < 6) engine.rows.coupling[r][1] = turned[r];
             engine.rows.right[r] = r == 6 ? 1.0 : 0.0;
-            if (name >= 0) engine.rows.coupling[r][1] = -bound_[name] / size;
+            if (name >= 0) {
+                const double part = evened(name, size);
+                engine.rows.coupling[r] = {R(part * inset(name)), R(-part * bound_[name] / size)};
+                for (int i = 0; i < count; ++i)
+                    for (int a = 0; a < D; ++a) engine.rows.columns[engine.rows.joint * i + r][a] = part * limit_[name][i][a];
+            }
             at.joint[r] = r < 7 ? 0.0 : 1.0, at.joint_slack[r] = 1.0;
         }
         for (int k = 0; k < int(engine.rows.own.size()); ++k) {
             auto& row = engine.rows.own[k];
-            if (row.label >= 0) row.shared[1] = -bound_[row.label] / size;
+            if (row.label >= 0) {
+                const double part = evened(row.label, size);
+                row.shared = {R(part * inset(row.label)), R(-part * bound_[row.label] / size)};
+                if (row.contact < count)
+                    for (int a = 0; a < D; ++a) row.row[a] = part * limit_[row.label][row.contact][a];
+            }
             at.own[k] = at.own_slack[k] = 1.0;
         }
         at.t = {};
@@ -395,12 +407,53 @@ private:
             for (double& value : each) value *= size;
         Vec6 y;
         for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]);
-        const Vec6 twist = pull_back(y);
+        y = solve_upper(y);
+        const Vec6 twist = out_of_frame(y);
         found.twist = (1.0 / std::max(grasp::size(twist), 1e-300)) * twist;
         rooms(z, many, room_, [&](int k) { return bound_[k]; });
-        if (found.margin > CLEAR) found.code = least_of(room_) > 0.0 ? CONVERGED : STALLED;
-        else if (found.code == CONVERGED) found.code = INFEASIBLE;  // slow is not infeasible
+        if (found.margin > CLEAR && least_of(room_) > 0.0) found.code = CONVERGED;
+        else if (found.margin <= CLEAR && found.code == CONVERGED) found.code = INFEASIBLE;
+        else if (separates(engine, y, unit, size, many)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
+        else if (found.code == CONVERGED) found.code = STALLED;  // slow is not infeasible
         return found;
+    }
+    // What a row is multiplied by there: a bound far above the wrench makes a row of its size, not a huge one.
+    double evened(int k, double size) const { return 1.0 / std::max(1.0, std::abs(bound_[k]) / size); }
+    // What a unit of depth takes of a limit's slack.
+    double inset(int k) const {
+        double total = 1.0;
+        for (int i = 0; i < count; ++i) total += inward(i, limit_[k][i]);
+        return total;
+    }
+    // Whether y, a twist in the unit frame, proves with the limits' multipliers that no force is within the first `many` limits, wherever they
+    // come from: G^T y + sum price row is in every dual cone and y . w > sum price bound, both by more than rounding can have made.
+    template <class R> bool separates(const Engine<R, 2>& engine, const Vec6& y, const Vec6& unit, double size, int many) {
+        const auto& rows = engine.rows;
+        for (const auto& row : rows.own)
+            if (row.label >= 0) prices_[row.label] = evened(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
+        for (int r = rows.equal; r < rows.joint; ++r) prices_[rows.label[r]] = evened(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
+        const double rounding = ROUNDING * (8 + many);
+        for (int i = 0; i < count; ++i) {
+            Tuple<double, D> dual{};
+            double terms = 0.0;
+            const auto take = [&](double part, const Tuple<double, D>& row) {
+                add(dual, part, row);
+                for (double value : row) terms += std::abs(part * value);
+            };
+            for (int r = 0; r < 6; ++r) take(y[r], balance_[r][i]);
+            for (int k = 0; k < many; ++k) take(prices_[k], limit_[k][i]);
+            if (D == 4 && soft_[i] && !(dual[D - 1] > rounding * terms)) {  // w has no price to move away from: see `certify`
+                const Tuple<double, D>& row = limit_[torsion_row_[i]][i];
+                const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
+                prices_[torsion_row_[i]] += raised, take(raised, row);
+            }
+            if (!(slack(cone(dual)) > rounding * terms)) return false;
+        }
+        double value = 0.0, terms = 0.0;
+        const auto take = [&](double part) { value += part, terms += std::abs(part); };
+        for (int r = 0; r < 6; ++r) take(y[r] * unit[r]);
+        for (int k = 0; k < many; ++k) take(-prices_[k] * bound_[k] / size);
+        return value > rounding * terms && terms < infinity;
     }
     static Tuple<double, D> unit_tuple() {
         Tuple<double, D> out{};
