@@ -14,13 +14,12 @@ public:
     std::vector<R> row_weights;  // (M,) lambda of each limit
     std::vector<char> soft;
     std::vector<Tuple<R, D>> z;  // the start, strictly inside, then the answer
-    Space<R, D, 0> y;            // multipliers
-    std::vector<R> bound_prices;
+    Space<R, D, 0> y, proof;     // multipliers, and those of the bound
     int iterations = 0, trials = 0;
     R value = 0.0, bound = 0.0;
 
     PhiRows(const Rows<R, D, 0>& given, const std::vector<char>& soft, int limits)
-        : rows(given), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), system_(rows), f_(rows), left_(rows),
+        : rows(given), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), proof(rows), system_(rows), f_(rows), left_(rows),
           more_(rows), own_slack_(rows.own.size()), own_trial_(rows.own.size()), joint_slack_(rows.joint), joint_trial_(rows.joint),
           step_(rows.count), trial_(rows.count) {}
 
@@ -29,19 +28,24 @@ public:
         const bool known = call.optimum == call.optimum;
         bound = known ? call.optimum : -infinity;
         iterations = trials = 0;
-        slacks(z, own_slack_, joint_slack_);
-        value = phi(z, own_slack_, joint_slack_);
+        evaluate();
         if (!(value < infinity)) return REFUSED;
         const auto certified = [&] { return bound > 0.0 && value - bound <= tolerance * bound && (known || value - bound >= BELOW * bound); };
         for (;; ++iterations) {
             if (iterations < call.traced) call.trace[iterations] = double(value);
             const auto [decrement, reach] = find_step();
             if (!(decrement < infinity)) return certified() ? CONVERGED : STALLED;
-            if (!known) bound = max(bound, lower_bound());
+            if (const R found = known ? bound : lower_bound(); known || !(found <= bound) || !(bound > -infinity)) bound = found, proof = y;
             if (certified()) return CONVERGED;
             if (iterations >= limit) return LIMIT;
             if (!search(decrement, reach > 0.0 ? min(R(1.0), fraction / reach) : R(1.0))) return certified() ? CONVERGED : STALLED;
         }
+    }
+
+    // Phi at z; infinite unless strictly inside.
+    void evaluate() {
+        slacks(z, own_slack_, joint_slack_);
+        value = phi(z, own_slack_, joint_slack_);
     }
 
 private:

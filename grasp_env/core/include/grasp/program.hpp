@@ -156,18 +156,42 @@ public:
         if (!sane_wrench(call.wrench)) return REFUSED;
         std::copy(call.wrench, call.wrench + 6, record.summary().wrench.begin());
         criterion_ = Criterion::sum, size_ = 1.0, unit_ = in_frame(call.wrench), turned_ = solve_lower(unit_);
-        const auto descend = [&](auto& engine) {
+        for (int i = 0; i < count; ++i)
+            for (int a = 0; a < D; ++a) inside_[i][a] = z[4 * i + a];
+        has_inside_ = true;
+        const auto take_start = [&](auto& engine) {
             set_right(engine);
-            for (int i = 0; i < count; ++i) {
-                engine.weights[i] = {weights[2 * i], weights[2 * i + 1]};
-                for (int a = 0; a < D; ++a) engine.z[i][a] = z[4 * i + a];
-            }
-            for (int k = 0; k < limits; ++k) engine.row_weights[k] = row_weights[k];
-            const Code code = engine.run(call, options.tolerance, options.limit, LONG);
+            for (int i = 0; i < count; ++i) engine.z[i] = wide<std::decay_t<decltype(engine.value)>>(inside_[i]);
+        };
+        int spent = 0, trials = 0;
+        // on Phi with lambda times `raised`
+        const auto descend = [&](auto& engine, const Call& call, double raised, double tolerance, int limit) {
+            for (int i = 0; i < count; ++i) engine.weights[i] = {weights[2 * i], raised * weights[2 * i + 1]};
+            for (int k = 0; k < limits; ++k) engine.row_weights[k] = raised * row_weights[k];
+            const Code code = engine.run(call, tolerance, limit, LONG);
+            spent += engine.iterations, trials += engine.trials;
+            return code;
+        };
+        const auto written = [&](auto& engine, Code code) {
+            engine.iterations = spent, engine.trials = trials;
             return code == REFUSED ? code : write_phi(engine, code, call, options.tolerance, record, prices);
         };
-        const Code code = descend(phi_->quick);
-        return code == STALLED ? descend(phi_->careful) : code;
+        auto& [quick, careful] = *phi_;
+        take_start(quick);
+        const Code first = descend(quick, call, 1.0, options.tolerance, std::min(options.limit, PATIENCE));
+        if (first != STALLED && (first != LIMIT || options.limit <= PATIENCE)) return written(quick, first);
+        // where surfaces are curved against the forces steps along them are short: down the central path, which is far from them
+        double raised = 1.0;
+        for (int i = 0; i < count; ++i)
+            raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
+        take_start(careful);
+        const Call path{.wrench = call.wrench};
+        while ((raised /= FALL) > 1.0 && spent < options.limit)
+            if (descend(careful, path, raised, 0.1, std::min(options.limit - spent, 2 * PATIENCE)) == REFUSED) break;
+        const Code code = descend(careful, call, 1.0, options.tolerance, std::min(options.limit - spent, 2 * PATIENCE));
+        const bool worse = code == REFUSED || (code != CONVERGED && double(careful.value) > double(quick.value));
+        if (worse) return written(quick, STALLED);
+        return written(careful, code == LIMIT && spent < options.limit ? STALLED : code);
     }
 
 private:
@@ -178,6 +202,8 @@ private:
     static constexpr double MOST = 1e4;        // of the largest normal force of a start: normal forces among which an excess is the least
     static constexpr double BEGIN = 1.5;       // of a start's excess: how much limits are raised there
     static constexpr int FIRST_TRY = 40;       // iterations, of which a dozen is usual, before another start or more digits are tried
+    static constexpr int PATIENCE = 150;       // iterations on Phi, of which twenty are usual, before the central path is tried
+    static constexpr double FALL = 30.0;       // of lambda from one stage of the path to the next
     std::vector<char> soft_;
     std::vector<double> price_, divisor_, bound_, shares_;
     std::vector<Field> balance_, limit_, turn_;  // (6,) G, (M,), (6,) Q
@@ -715,14 +741,22 @@ private:
     }
 
     // Optimal where what is returned is: balanced, inside, its gap within the tolerance.
-    template <class R> Code write_phi(const PhiRows<R, D>& engine, Code code, const Call& call, double tolerance, const Record& record, double* prices) {
+    template <class R> Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call, double tolerance, const Record& record, double* prices) {
         for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
         best_residual_ = balance(best_, unit_);
-        rooms(best_, limits, room_, [&](int k) { return bound_[k]; });
+        for (double part = 1e-15;; part = std::min(1.0, 4.0 * part)) {  // what rounding took outside goes back, on the way to the start
+            for (int i = 0; i < count; ++i) engine.z[i] = wide<R>(best_[i]);
+            engine.evaluate();
+            rooms(best_, limits, room_, [&](int k) { return bound_[k]; });
+            if ((least_of(room_) >= 0.0 && engine.value < infinity) || best_ == inside_) break;
+            for (int i = 0; i < count; ++i)
+                for (int a = 0; a < D; ++a) best_[i][a] = part < 1.0 ? best_[i][a] + part * (inside_[i][a] - best_[i][a]) : inside_[i][a];
+            best_residual_ = grasp::size(wrench_of(best_) + unit_);
+        }
         best_value_ = double(engine.value), best_bound_ = double(engine.bound);
-        for (int r = 0; r < 6; ++r) best_nu_[r] = -double(engine.y.joint[r]);
-        for (int k = 0; k < int(engine.rows.own.size()); ++k) best_prices_[engine.rows.own[k].label] = double(engine.y.own[k]);
-        for (int r = engine.rows.equal; r < engine.rows.joint; ++r) best_prices_[engine.rows.label[r]] = double(engine.y.joint[r]);
+        for (int r = 0; r < 6; ++r) best_nu_[r] = -double(engine.proof.joint[r]);
+        for (int k = 0; k < int(engine.rows.own.size()); ++k) best_prices_[engine.rows.own[k].label] = double(engine.proof.own[k]);
+        for (int r = engine.rows.equal; r < engine.rows.joint; ++r) best_prices_[engine.rows.label[r]] = double(engine.proof.joint[r]);
         double force = 0.0;
         for (int i = 0; i < count; ++i) force = std::max(force, best_[i][0]);
         const bool good = least_of(room_) >= 0.0 && best_residual_ <= BALANCED * (force + grasp::size(unit_));
