@@ -125,7 +125,7 @@ def core_contacts(grasp: Grasp, objective: Objective, tangents: Array | None = N
     Raises:
         RankDeficientGraspError: rank(G) < 6.
     """
-    weights = objective.weights(as_grasp(grasp).n_contacts)
+    weights = as_objective(objective).weights(as_grasp(grasp).n_contacts)
     along = np.ascontiguousarray(grasp.frames[:, :, 1]) if tangents is None else tangents
     try:
         return core.Contacts.make(grasp.positions, grasp.normals, grasp.models.cone_scale, weights, along)
