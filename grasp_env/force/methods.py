@@ -8,7 +8,7 @@
 | linear | the same sum over friction pyramids, by HiGHS | all, further limits |
 
 Here is what the core solves contact by contact: hard ones by the flows, `newton` and `conic`; `newton` within limits is in
-`limits_method.py`. The others are imported where they are asked for.
+`limits_method.py`, with soft contacts in `soft_method.py`. The others are imported where they are asked for.
 """
 
 from __future__ import annotations
@@ -85,6 +85,12 @@ def make_method(grasp: Grasp, settings: Settings) -> Method:
         from grasp_env.force.limits_method import limited_newton
 
         method = limited_newton(grasp, settings)
+        if method is not None:
+            return method
+    if settings.method == "newton" and settings.limits is None:
+        from grasp_env.force.soft_method import soft_newton
+
+        method = soft_newton(grasp, settings)
         if method is not None:
             return method
     from grasp_env.force.program_methods import Linear, ProgramConic, ProgramNewton

@@ -86,9 +86,12 @@ def _compare(case: Case, now: Outcome, then: Outcome) -> list[str]:
 
 
 def _restarted(now: Outcome, then: Outcome) -> bool:
-    """Newton within limits began from the force deepest inside them, whose search was not counted; now from the 12-basis without them."""
-    newton = now.problem is not None and now.problem.method == "newton" and now.problem.limits is not None
-    return newton and (now.text, then.text) == ("linear_combination", "phase_one")
+    """Newton within limits, or with soft contacts, began from the deepest force, whose search was not counted; now from the 12-basis of the
+    contacts without them.
+    """
+    newton = now.problem is not None and now.problem.method == "newton"
+    general = now.problem is not None and (now.problem.limits is not None or not now.problem.grasp.hard)
+    return newton and general and (now.text, then.text) == ("linear_combination", "phase_one")
 
 
 def _as_good(case: Case, now: Outcome, then: Outcome) -> bool:

@@ -10,6 +10,7 @@ NB_MODULE(_core, m) {
     bind_newton(m);
     bind_flow(m);
     bind_limits(m);
+    bind_soft(m);
     bind_conic(m);
     bind_learned(m);
     bind_program(m);

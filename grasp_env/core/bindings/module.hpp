@@ -12,6 +12,7 @@ void bind_contacts(nb::module_& m);
 void bind_newton(nb::module_& m);
 void bind_flow(nb::module_& m);
 void bind_limits(nb::module_& m);
+void bind_soft(nb::module_& m);
 void bind_conic(nb::module_& m);
 void bind_learned(nb::module_& m);
 void bind_program(nb::module_& m);

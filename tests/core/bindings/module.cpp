@@ -20,6 +20,7 @@ NB_MODULE(_core_test, m) {
     bind_newton(m);
     bind_conic(m);
     bind_limits(m);
+    bind_soft(m);
     bind_program(m);
     bind_pipeline(m);
     bind_learned(m);

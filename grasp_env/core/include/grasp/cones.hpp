@@ -17,12 +17,13 @@ template <class V> struct Block {
     Vec3<V> transposed(const Vec6& n) const { return combined(g, n); }   // G^T n
     Vec3<V> least(const Vec6& n) const { return combined(inverse, n); }  // G^+ n
     // out += G x, lane by lane
-    void add_wrench(const Vec3<V>& x, V (&out)[6]) const {
-#pragma GCC unroll 8
-        for (int r = 0; r < 6; ++r) out[r] += dot(g[r], x);
-    }
+    void add_wrench(const Vec3<V>& x, V (&out)[6]) const { add(g, x, out); }
 
-private:
+    // the same of other rows
+    [[gnu::always_inline]] static void add(const Vec3<V>* rows, const Vec3<V>& x, V (&out)[6]) {
+#pragma GCC unroll 8
+        for (int r = 0; r < 6; ++r) out[r] += dot(rows[r], x);
+    }
     [[gnu::always_inline]] static Vec3<V> combined(const Vec3<V>* rows, const Vec6& n) {
         const auto pair = [&](int r) { return all<V>(n[r]) * rows[r] + all<V>(n[r + 1]) * rows[r + 1]; };
         return pair(0) + pair(2) + pair(4);
@@ -36,8 +37,9 @@ template <class V> inline Vec6 sums(const V (&a)[6]) {
     return out;
 }
 
-// What Phi has besides the cones' terms: nothing. What further limits add is `LimitTerms` of limits.hpp.
-struct NoRows { static constexpr bool any = false; };
+// What Phi has besides the cones' terms: nothing. What further limits add is `LimitTerms` of limits.hpp; what torsion adds, which turns
+// the object by variables of its own, is `SoftTerms` of soft.hpp.
+struct NoRows { static constexpr bool any = false, turns = false; };
 
 template <class V, int B> class Cones {
 public:
@@ -107,15 +109,15 @@ public:
 
     // +inf unless strictly inside every cone
     template <class R = NoRows> double phi(const Field& x, const R& rows = {}) const {
-        return phi_of(rows, [&](int b) { return x[b]; });
+        return phi_of(rows, 0.0, [&](int b) { return x[b]; });
     }
     // of x + alpha step
     template <class R = NoRows> double phi_along(const Field& x, const Field& step, double alpha, const R& rows = {}) const {
-        return phi_of(rows, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
+        return phi_of(rows, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
     }
     // the same with `part` of the price of squeezing
     double phi_along(const Field& x, const Field& step, double alpha, double part) const {
-        return phi_of(NoRows{}, [&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
+        return phi_of(NoRows{}, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; }, all<V>(part));
     }
     // d Phi(x + alpha step) / d alpha
     double slope_along(const Field& x, const Field& step, double alpha) const {
@@ -204,12 +206,12 @@ private:
         for (int b = 0; b < int(blocks.size()); ++b)
             for (int n = 0; n < W && W * b + n < count; ++n) f(b, n, 3 * (W * b + n));
     }
-    template <class R, class F, class... Part> double phi_of(const R& rows, F&& at, Part... part) const {
+    template <class R, class F, class... Part> double phi_of(const R& rows, [[maybe_unused]] double alpha, F&& at, Part... part) const {
         V total{}, room = all<V>(infinity);
         for (int b = 0; b < int(blocks.size()); ++b) {
             const Vec3<V> x = at(b);
             V term = grasp::phi(x, Weights<V>{(blocks[b].weights.omega * ... * part), blocks[b].weights.lambda});
-            if constexpr (R::any) term += rows.value(b, x);
+            if constexpr (R::any) term += rows.value(b, x, alpha);
             total += blocks[b].mask * term;
             room = min(room, min(x.u, lorentz(x, x)));
         }
@@ -222,7 +224,7 @@ private:
             V room;
             Vec3<V> y = blocks[b].transposed(nu);
             [[maybe_unused]] V more;
-            if constexpr (R::any) more = rows.dual(b, y);
+            if constexpr (R::any) more = rows.dual(b, nu, y);
             V part = least_of(y, b, room);
             if constexpr (R::any) part += more;
             total += blocks[b].mask * part;

@@ -54,7 +54,7 @@ enum class Verdict { on, harder, hopeless, lost };
 // All rows; to each contact as many pairs as one needs.
 template <class V, int B> class LimitTerms {
 public:
-    static constexpr bool any = true;
+    static constexpr bool any = true, turns = false;
     static constexpr int W = width<V>;
     using Field = typename Cones<V, B>::Field;
     int sides = 0;  // how many rows
@@ -100,7 +100,7 @@ public:
 
     // --- as terms of Phi, block by block
 
-    V value(int b, const Vec3<V>& x) const {
+    V value(int b, const Vec3<V>& x, double) const {
         V total{};
         const V edge = all<V>(edge_) * scale_[b];
         for_each(b, [&](const Pair<V>& p) {
@@ -134,7 +134,7 @@ public:
         });
     }
     // Takes the rows off y = G^T nu; returns their part of the dual value, the least of barrier(slack) + price (slack - bound).
-    V dual(int b, Vec3<V>& y) const {
+    V dual(int b, const Vec6&, Vec3<V>& y) const {
         V total{};
         const V edge = all<V>(edge_) * scale_[b];
         for_each(b, [&](const Pair<V>& p) {

@@ -19,6 +19,7 @@ struct Call {
     const double* wrench;                                       // (6,) [N, N m]
     Start start = Start::combination;
     const double* force = nullptr;                              // (3N,) [N] unless `start` is the combination
+    const double* torsion = nullptr;                            // (N,) [N m] with it, or none
     double optimum = std::numeric_limits<double>::quiet_NaN();  // a known min Phi to take the gap to, instead of the bound
     double* trace = nullptr;                                    // receives Phi of iterates 0 .. traced - 1
     int traced = 0;
@@ -147,9 +148,9 @@ private:
     // Forces at very different depths in their cones make S ill-conditioned: what the step misses of balance is taken off, in the metric
     // of Phi while it is large (a few digits a time), then by the least change.
     Direction find_step(const Vec6& nu, const Vec6& left, double value) {
-        Vec6 missed = left + system.direction(cones, nu, step_);
+        Vec6 missed = left + system.direction(cones, nu, step_, rows);
         for (int round = 0; round < REFINEMENTS && size(missed) > MISSES * value; ++round)
-            missed = left + system.restore(cones, missed, step_);
+            missed = left + system.restore(cones, missed, step_, rows);
         V decrement{}, reach{};
         for (int b = 0; b < int(x.size()); ++b) {
             const auto& c = cones.blocks[b];
@@ -157,6 +158,7 @@ private:
             if constexpr (Rows::any) rows.follow(b, step_[b]);
             decrement -= dot(step_[b], system.gradient[b]);
             reach = max(reach, Boundary<V>(x[b]).per(step_[b]));
+            if constexpr (Rows::turns) decrement -= rows.slope(b, step_[b]), reach = max(reach, rows.reach(b, step_[b]));
         }
         return {sum(decrement), largest(reach)};
     }
@@ -179,10 +181,20 @@ private:
 
     bool assemble() {
         if constexpr (Rows::any) {
-            return system.assemble(cones, x, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) { rows.bend(b, x[b], gradient, inverse); });
+            return system.assemble(cones, x, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) { rows.bend(b, x[b], gradient, inverse); }, rows);
         } else {
             return system.assemble(cones, x);
         }
+    }
+
+    void move(double alpha) {
+        for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
+        if constexpr (Rows::turns) rows.move(alpha);
+    }
+    // The wrench with what torsion makes of it.
+    Vec6 turned(const Vec6& w) const {
+        if constexpr (Rows::turns) return w + rows.wrench(cones);
+        else return w;
     }
 
     // Damped Newton from x, its system factored as it is: where forces exceed their distance to the cones by 1e4 it loses its digits.
@@ -198,7 +210,7 @@ private:
                 leaping = false, ++at.trials;
                 at.value = reach < 0.99 ? cones.phi_along(x, step_, 1.0, rows) : infinity;
                 if (!(at.value < infinity)) return REFUSED;
-                for (int b = 0; b < int(x.size()); ++b) x[b] += step_[b];
+                move(1.0);
                 at.bound = cones.lower_bound(at.nu, w, x, tight, rows);
                 if (!certified(at.value, at)) continue;
                 ++at.iterations;
@@ -222,7 +234,7 @@ private:
                 if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
                 return certified(at.value, at) ? CONVERGED : STALLED;
             }
-            for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
+            move(alpha);
             // the multipliers belong to where the step went: where it was a small whole one, they certify that without a system
             if (alpha == 1.0 && decrement < std::sqrt(tolerance) * at.value) {
                 if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, x, tight, rows));
@@ -302,15 +314,17 @@ private:
     // What is claimed of x is checked of the force that is returned: balance, cones, gap.
     Code finish(Code code, const Field& safe, const Call& call, const Vec6& w, const Progress& at, const Record& record) {
         Summary& s = record.summary();
-        if (at.iterations > 0) cones.balance(x, w);  // what rounding left of G x + w
-        cones.certify(x, w, record);
-        if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual))) mend(safe, w, record);
+        const Vec6 left = turned(w);
+        if (at.iterations > 0) cones.balance(x, left);  // what rounding left of G x + w
+        cones.certify(x, left, record);
+        if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual)) && !Rows::turns) mend(safe, w, record);
         s.objective = cones.phi(x, rows), s.lower_bound = at.bound, s.multipliers = cones.unit.pull_back(at.nu);
         if (std::abs(s.objective - at.value) <= ROUNDED * at.value) s.objective = at.value;
         if (!cones.balanced(x, w, s.residual) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
         s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.limit_excess = 0.0;
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-        std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
+        if constexpr (Rows::turns) rows.store(cones, record.torsion());
+        else std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
         return code;
     }
     // What misses balance is balanced; what rounding took out of a cone goes back, on the way to `safe`.
@@ -339,8 +353,8 @@ private:
     }
 
     bool is_start(const Vec6& w) const {
-        if (!cones.sane(x) || !(cones.phi(x) < infinity)) return false;
-        return size(cones.wrench(x) + w) <= MISSED * (cones.largest_normal(x) + size(w));
+        if (!cones.sane(x) || !(cones.phi(x, rows) < infinity)) return false;
+        return size(cones.wrench(x) + turned(w)) <= MISSED * (cones.largest_normal(x) + size(w));
     }
 };
 

@@ -5,6 +5,7 @@
 #include "learned.hpp"
 #include "limited.hpp"
 #include "pipeline.hpp"
+#include "soft.hpp"
 
 namespace grasp {
 
@@ -65,6 +66,20 @@ public:
 
 protected:
     explicit LimitedNewton(const Contacts& contacts) : contacts(contacts) {}
+};
+
+// Newton on Phi with soft contacts; see `SoftOn`.
+class alignas(64) SoftNewton {
+public:
+    const Contacts contacts;
+
+    // divisor: (N,) torsion in units of its limit / torsion [1 / m], inf: not soft; basis: (13, 3N) as of `Newton`
+    static std::unique_ptr<SoftNewton> make(const Contacts& contacts, const Options& options, const double* divisor, const double* basis);
+    virtual ~SoftNewton() = default;
+    virtual Code solve(const Call& call, double* row) = 0;
+
+protected:
+    explicit SoftNewton(const Contacts& contacts) : contacts(contacts) {}
 };
 
 // The least sum of normal forces on the contacts of one grasp.
@@ -254,6 +269,20 @@ private:
     LimitedOn<V, B> on_;
 };
 
+template <class V, int B> class SoftAny final : public SoftNewton {
+public:
+    SoftAny(const Contacts& contacts, const Options& options, const double* divisor, const double* basis)
+        : SoftNewton(contacts), on_(contacts, options, divisor) {
+        auto& newton = on_.newton;
+        for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, newton.starter.basis[k]);
+        newton.starter.has_basis = true;
+    }
+    Code solve(const Call& call, double* row) override { return on_.solve(call, Record(row, contacts.count)); }
+
+private:
+    SoftOn<V, B> on_;
+};
+
 template <class V, int B> class ConicAny final : public Conic {
 public:
     ConicAny(const Contacts& contacts, const Options& options, const double* interior)
@@ -329,6 +358,10 @@ inline std::unique_ptr<Flow> Flow::make(const Contacts& contacts, const Options&
 inline std::unique_ptr<LimitedNewton> LimitedNewton::make(const Contacts& contacts, const Options& options, const LimitRows& rows,
                                                           const double* basis, bool elastic) {
     return instance<LimitedNewton, detail::LimitedAny>(contacts.count, contacts, options, rows, basis, elastic);
+}
+inline std::unique_ptr<SoftNewton> SoftNewton::make(const Contacts& contacts, const Options& options, const double* divisor,
+                                                    const double* basis) {
+    return instance<SoftNewton, detail::SoftAny>(contacts.count, contacts, options, divisor, basis);
 }
 inline std::unique_ptr<Conic> Conic::make(const Contacts& contacts, const Options& options, const double* interior) {
     return instance<Conic, detail::ConicAny>(contacts.count, contacts, options, interior);

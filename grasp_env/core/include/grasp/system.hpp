@@ -18,8 +18,9 @@ public:
     bool assemble(const Cones<V, B>& cones, const Field& x) {
         return assemble(cones, x, [](int, Vec3<V>&, Sym3<V>&) {});
     }
-    // With other terms of the objective: more(b, gradient, inverse) adds those of block b.
-    template <class F> bool assemble(const Cones<V, B>& cones, const Field& x, F&& more) {
+    // With other terms of the objective: more(b, gradient, inverse) adds those of block b. Where rows turn, their own variables are
+    // eliminated: `SoftTerms`.
+    template <class F, class R = NoRows> bool assemble(const Cones<V, B>& cones, const Field& x, F&& more, const R& rows = {}) {
         V s[21] = {}, q[6] = {}, l[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             const auto& c = cones.blocks[b];
@@ -27,12 +28,14 @@ public:
             gradient[b] = c.mask * grasp::gradient(x[b], c.weights);  // so that unused lanes stay where they are
             more(b, gradient[b], inverse[b]);
             const Sym3<V> h = inverse[b];
-            c.add_wrench(h * gradient[b], q), c.add_wrench(x[b], l);
+            const Vec3<V>* g = columns(cones, rows, b);
+            c.add(g, h * gradient[b], q), c.add_wrench(x[b], l);
+            if constexpr (R::turns) rows.add(b, s, q, l);
 #pragma GCC unroll 8
             for (int r = 0; r < 6; ++r) {
-                const Vec3<V> hg = h * c.g[r];
+                const Vec3<V> hg = h * g[r];
 #pragma GCC unroll 8
-                for (int k = 0; k <= r; ++k) s[packed(r, k)] += dot(hg, c.g[k]);
+                for (int k = 0; k <= r; ++k) s[packed(r, k)] += dot(hg, g[k]);
             }
         }
         Packed6 lower;
@@ -47,23 +50,42 @@ public:
 
     // step = H^-1 (G^T nu - grad); returns G step
     Vec6 direction(const Cones<V, B>& cones, const Vec6& nu, Field& step) const {
+        NoRows none;
+        return direction(cones, nu, step, none);
+    }
+    template <class R> Vec6 direction(const Cones<V, B>& cones, const Vec6& nu, Field& step, R& rows) const {
         V moved[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
-            step[b] = inverse[b] * (cones.blocks[b].transposed(nu) - gradient[b]);
+            const Vec3<V>* g = columns(cones, rows, b);
+            step[b] = inverse[b] * (Block<V>::combined(g, nu) - gradient[b]);
             cones.blocks[b].add_wrench(step[b], moved);
+            if constexpr (R::turns) rows.turn(b, nu, step[b].u, moved);
         }
         return sums(moved);
     }
 
     // x -= H^-1 G^T S^-1 missed: balance restored by the change that is least in the Hessian; returns G x
     Vec6 restore(const Cones<V, B>& cones, const Vec6& missed, Field& x) const {
+        NoRows none;
+        return restore(cones, missed, x, none);
+    }
+    // the same of a step, x, and that of rows that turn
+    template <class R> Vec6 restore(const Cones<V, B>& cones, const Vec6& missed, Field& x, R& rows) const {
         const Vec6 n = schur.solve(missed);
         V moved[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
-            x[b] -= inverse[b] * cones.blocks[b].transposed(n);
+            const Vec3<V> change = inverse[b] * Block<V>::combined(columns(cones, rows, b), n);
+            x[b] -= change;
             cones.blocks[b].add_wrench(x[b], moved);
+            if constexpr (R::turns) rows.restore(b, n, change.u, moved);
         }
         return sums(moved);
+    }
+
+private:
+    template <class R> [[gnu::always_inline]] static const Vec3<V>* columns(const Cones<V, B>& cones, [[maybe_unused]] const R& rows, int b) {
+        if constexpr (R::turns) return rows.columns(b);
+        else return cones.blocks[b].g;
     }
 };
 

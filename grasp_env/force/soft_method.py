@@ -1,0 +1,128 @@
+"""`newton` with soft contacts at control rate: without further limits, where the contacts have force closure without torsion.
+
+The rest, closure by torsion alone, further limits, and what the core leaves out of digits, is the general program's
+(`program_methods.ProgramNewton`), in the same call.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grasp_env import core
+from grasp_env._check import Array, Wrench
+from grasp_env.errors import InfeasibleStartError, RankDeficientGraspError
+from grasp_env.force.basis import OfflineBasis, core_contacts
+from grasp_env.force.initial import RuleStarts
+from grasp_env.force.method import Loop, Settings, Start
+from grasp_env.force.methods import LOOPED, NO_TRACE
+from grasp_env.force.record import ITERATIONS, REFUSED, record_size
+from grasp_env.force.solution import ForceSolution
+from grasp_env.grasp.grasp import Grasp
+
+if TYPE_CHECKING:
+    from grasp_env.force.program_methods import ProgramNewton
+
+
+@dataclass(frozen=True, eq=False)
+class TorsionPrices:
+    """What solutions with soft contacts need to price the limit v >= -u of each, v the torsion in units of its limit.
+
+    Attributes:
+        soft: (N,) which contacts.
+        scale: (N,) u = scale * normal force.
+        divisor: (N,) v = divisor * torsion [1 / m]; inf where a contact is not soft.
+        weights: (N,) lambda [N^2].
+    """
+
+    soft: NDArray[np.bool_]
+    scale: Array
+    divisor: Array
+    weights: Array
+
+    @classmethod
+    def of(cls, grasp: Grasp, weights: Array) -> TorsionPrices:
+        """Of a grasp's contacts and the weights (N, 2) of Phi."""
+        gamma, mu = grasp.models.torsional_friction, grasp.models.cone_scale[:, 0]
+        soft = gamma > 0.0
+        return cls(soft, mu, np.where(soft, mu / np.where(soft, gamma, 1.0), np.inf), weights[:, 1])
+
+    def prices(self, solution: ForceSolution) -> Array:
+        """(M,) lambda / (u + v)^2 of the soft contacts, which is what they are at an optimum."""
+        soft = self.soft
+        slack = (self.scale * solution.force[:, 0])[soft] + (self.divisor[soft] * solution.torsion[soft])
+        return self.weights[soft] / slack**2
+
+
+class SoftNewton(RuleStarts):
+    """Newton on Phi with soft contacts, from the starts of hard ones without torsion."""
+
+    def __init__(self, grasp: Grasp, settings: Settings) -> None:
+        """The core's solver; the general one is made where it is needed.
+
+        Raises:
+            InfeasibleStartError: no force closure without torsion, so there is no 12-basis to start from.
+            RankDeficientGraspError: nor wrenches of all directions.
+        """
+        self.grasp, self.settings = grasp, settings
+        self._torsion = TorsionPrices.of(grasp, settings.objective.weights(grasp.n_contacts))
+        self.solver = core.SoftNewton.make(
+            core_contacts(grasp, settings.objective), settings.tolerance, settings.max_iterations, self._torsion.divisor,
+            OfflineBasis.of(grasp, settings.objective).cone_forces,
+        )  # fmt: skip
+
+    @property
+    def limit_labels(self) -> tuple[str, ...]:
+        """What each entry of a solution's `limit_multipliers` belongs to."""
+        return self.general.limit_labels
+
+    @cached_property
+    def general(self) -> ProgramNewton:
+        """The general program of the same contacts."""
+        from grasp_env.force.program_methods import ProgramNewton
+
+        return ProgramNewton(self.grasp, self.settings)
+
+    def loop(self, initial: Any) -> Loop | None:
+        """See `Method.loop`."""
+        named = initial is None or (isinstance(initial, str) and initial in LOOPED)
+        if not named or self.settings.correction != "tangent":
+            return None
+        return Loop(self.solver.solve, "linear_combination", "previous", initial == "previous", self.solution)
+
+    def solution(self, record: Array, method: str, initial: str, trace: Array = NO_TRACE) -> ForceSolution:
+        """What the core wrote."""
+        return ForceSolution(record, method, initial, trace, None, self._torsion)
+
+    def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
+        """See `Method.start`. A previous solution brings its torsion; rules have none, but "phase_one", the deepest force."""
+        if isinstance(initial, str) and (initial == "phase_one" or (initial == "previous" and previous is not None)):
+            return self.general.start(wrench, initial, previous)
+        return super().start(wrench, initial, previous)
+
+    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
+        """See `Method`. What the core leaves is the general program's, from the deepest force unless a start was asked for."""
+        assert start is not None
+        values = np.full(self.settings.max_iterations + 1, np.nan) if trace else NO_TRACE
+        count = self.grasp.n_contacts
+        record, torsion = np.empty(record_size(count)), np.zeros(count) if start.torsion is None else start.torsion
+        force = np.ascontiguousarray(start.force)
+        if self.solver.descend(wrench, force, torsion, optimum, values, record) == REFUSED:
+            begin = self.general.deepest(wrench) if start.name in LOOPED else start
+            return self.general.run(wrench, begin, optimum, trace)
+        return self.solution(record, "newton", start.name, values[: int(record[ITERATIONS]) + 1] if trace else NO_TRACE)
+
+
+def soft_newton(grasp: Grasp, settings: Settings) -> SoftNewton | None:
+    """The core's method, or None where the contacts are the general program's."""
+    try:
+        return SoftNewton(grasp, settings)
+    except (InfeasibleStartError, RankDeficientGraspError):
+        return None
+
+
+__all__ = ["SoftNewton", "TorsionPrices", "soft_newton"]
