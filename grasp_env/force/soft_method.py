@@ -99,10 +99,15 @@ class SoftNewton(RuleStarts):
         return ForceSolution(record, method, initial, trace, None, self._torsion)
 
     def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
-        """See `Method.start`. A previous solution brings its torsion; rules have none, but "phase_one", the deepest force."""
-        if isinstance(initial, str) and (initial == "phase_one" or (initial == "previous" and previous is not None)):
-            return self.general.start(wrench, initial, previous)
-        return super().start(wrench, initial, previous)
+        """See `Method.start`. The 12-basis is without torsion; all else is the general program's, as a previous solution with its torsion.
+
+        Raises:
+            UnsupportedProblemError: the name of a rule that balances by hard contacts' least forces.
+        """
+        first = initial == "previous" and previous is None if isinstance(initial, str) else initial is None
+        if first or (isinstance(initial, str) and initial.startswith("linear_combination")):
+            return super().start(wrench, initial, previous)
+        return self.general.start(wrench, initial, previous)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`. What the core leaves is the general program's, from the deepest force unless a start was asked for."""

@@ -68,8 +68,8 @@ def softened(s: Sample, *, every: bool = False) -> Soft:
 @pytest.mark.parametrize(("count", "kind"), [*((n, "hard") for n in COUNTS), (6, "frictionless"), (9, "frictionless")])
 def test_the_optimum_is_the_oracles(count: int, kind: str) -> None:
     s = sample(count, kind)
-    for k, load in enumerate(wrenches(np.random.default_rng(count), 4 if count < 20 else 1, 3.0)):
-        problem = softened(s, every=k == 0)
+    for k, load in enumerate(wrenches(np.random.default_rng(count), 2 if count < 12 else 1, 3.0)):
+        problem = softened(s, every=k == 1)
         soft = problem.soft
         w = s.unit @ load
         want = oracle.minimum(s.minimum(load)[0], problem.matrix, w, s.weights, soft)
@@ -86,7 +86,9 @@ def test_the_optimum_is_the_oracles(count: int, kind: str) -> None:
                 assert found[FIELDS["code"]] == CONVERGED
                 # both know the least to rounding; the core to 1e-9
                 assert found[FIELDS["objective"]] == pytest.approx(least, rel=1.1e-9)
-                assert float(oracle.soft_phi(z, s.weights, soft)) == pytest.approx(found[FIELDS["objective"]], rel=1e-11)
+                assert float(oracle.soft_phi(z, s.weights, soft)) == pytest.approx(
+                    found[FIELDS["objective"]], rel=1e-11
+                )
                 assert least * (1.0 - 1.1e-9) <= found[FIELDS["lower_bound"]] <= least * (1.0 + 1e-12)
                 assert np.abs(problem.matrix @ z + w).max() < 1e-12 * max(np.abs(z).max(), 1.0)
                 assert (parts(found, s)[1][~soft] == 0.0).all()
@@ -101,7 +103,10 @@ def test_every_step_is_the_oracles(count: int) -> None:
     w = s.unit @ load
     for layout in layouts(count):
         for steps in (1, 2, 3):
-            before, after = problem.solver(layout, 1e-15, steps - 1).solve(load), problem.solver(layout, 1e-15, steps).solve(load)
+            before, after = (
+                problem.solver(layout, 1e-15, steps - 1).solve(load),
+                problem.solver(layout, 1e-15, steps).solve(load),
+            )
             here = problem.z(before)
             step = oracle.newton_step(here, problem.matrix, w, s.weights, problem.soft)[0]
             made = problem.z(after) - here
@@ -112,9 +117,9 @@ def test_every_step_is_the_oracles(count: int) -> None:
 
 def test_a_bound_is_one_far_from_the_optimum() -> None:
     """Stopped after any number of steps."""
-    s = sample(5)
+    s = sample(6)
     problem = softened(s)
-    load = wrenches(np.random.default_rng(2), 1, 5.0)[0]
+    load = wrenches(np.random.default_rng(2), 1, 0.3)[0]
     want = oracle.minimum(s.minimum(load)[0], problem.matrix, s.unit @ load, s.weights, problem.soft)
     least = float(oracle.soft_phi(want, s.weights, problem.soft))
     found = [problem.solver((8, 0), 1e-15, limit).solve(load)[FIELDS["lower_bound"]] for limit in range(12)]

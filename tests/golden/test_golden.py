@@ -59,6 +59,7 @@ ACCEPTED: dict[str, str] = {
     "solver: reduced_flow, 50 random, tight": ROOT,
     "solver: reduced_flow, rough and frictionless, tight": ROOT,
     "solver: newton, rough and frictionless, heavy, tight": ROOT,
+    "refused: basis on soft": "the 12-basis without torsion is a start of soft contacts now",
     "refused: option basis with limits": "the 12-basis without limits is a start within them now",
     "solver: newton, far, tight": SHORTER,
     "solver: newton, far, heavy, tight": SHORTER,

@@ -148,9 +148,9 @@ private:
     // Forces at very different depths in their cones make S ill-conditioned: what the step misses of balance is taken off, in the metric
     // of Phi while it is large (a few digits a time), then by the least change.
     Direction find_step(const Vec6& nu, const Vec6& left, double value) {
-        Vec6 missed = left + system.direction(cones, nu, step_, rows);
+        Vec6 missed = left + direction(nu);
         for (int round = 0; round < REFINEMENTS && size(missed) > MISSES * value; ++round)
-            missed = left + system.restore(cones, missed, step_, rows);
+            missed = left + restored(missed);
         V decrement{}, reach{};
         for (int b = 0; b < int(x.size()); ++b) {
             const auto& c = cones.blocks[b];
@@ -161,6 +161,15 @@ private:
             if constexpr (Rows::turns) decrement -= rows.slope(b, step_[b]), reach = max(reach, rows.reach(b, step_[b]));
         }
         return {sum(decrement), largest(reach)};
+    }
+
+    Vec6 direction(const Vec6& nu) {
+        if constexpr (Rows::turns) return system.direction(cones, nu, step_, rows);
+        else return system.direction(cones, nu, step_);
+    }
+    Vec6 restored(const Vec6& missed) {
+        if constexpr (Rows::turns) return system.restore(cones, missed, step_, rows);
+        else return system.restore(cones, missed, step_);
     }
 
     // How far a descent has come.

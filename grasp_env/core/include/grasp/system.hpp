@@ -53,7 +53,8 @@ public:
         NoRows none;
         return direction(cones, nu, step, none);
     }
-    template <class R> Vec6 direction(const Cones<V, B>& cones, const Vec6& nu, Field& step, R& rows) const {
+    // with the step of rows that turn
+    template <class R> [[gnu::always_inline]] Vec6 direction(const Cones<V, B>& cones, const Vec6& nu, Field& step, R& rows) const {
         V moved[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             const Vec3<V>* g = columns(cones, rows, b);
@@ -70,7 +71,7 @@ public:
         return restore(cones, missed, x, none);
     }
     // the same of a step, x, and that of rows that turn
-    template <class R> Vec6 restore(const Cones<V, B>& cones, const Vec6& missed, Field& x, R& rows) const {
+    template <class R> [[gnu::always_inline]] Vec6 restore(const Cones<V, B>& cones, const Vec6& missed, Field& x, R& rows) const {
         const Vec6 n = schur.solve(missed);
         V moved[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
