@@ -208,6 +208,28 @@ class LimitedNewton:
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
         """Best seconds of `passes` calls each, into (M,)."""
 
+class SoftNewton:
+    """Newton on Phi with soft contacts."""
+
+    @staticmethod
+    def make(contacts: Contacts, tolerance: float, limit: int, divisor: object, basis: object) -> SoftNewton:
+        """
+        Torsion in units of its limit / torsion (N,), inf where a contact is not soft; the 12-basis without torsion (13, 3N).
+        """
+
+    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
+        """
+        From the 12-basis, or from force and torsion of a previous record, into a record; returns the code.
+        """
+
+    def descend(self, wrench: object, force: object, torsion: object, optimum: float, trace: object, record: object) -> int:
+        """
+        From a balanced force (N, 3) inside the cones with torsions (N,) within their limits.
+        """
+
+    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
+        """Best seconds of `passes` calls each, into (M,)."""
+
 class Conic:
     """The least sum of normal forces on the hard contacts of one grasp."""
 
