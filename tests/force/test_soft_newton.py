@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -126,7 +127,9 @@ def test_what_it_leaves_is_the_general_programs() -> None:
     grasp = softened("cuboid, 4")
     optimizer = ForceOptimizer(grasp, method="newton", tolerance=1e-6)
     want = optimizer.solve(LOAD).objective
-    core = optimizer._method.solver
+    method = optimizer._method
+    assert isinstance(method, SoftNewton)
+    core = method.solver
 
     class Refusing:
         """The core where it has no answer."""
@@ -137,8 +140,8 @@ def test_what_it_leaves_is_the_general_programs() -> None:
         def descend(self, *given: object) -> int:
             return core.descend(np.full(6, np.nan), *given[1:])
 
-    optimizer._method.solver = Refusing()
-    optimizer._loop = optimizer._method.loop(None)
+    method.solver = cast("Any", Refusing())
+    optimizer._loop = method.loop(None)
     found = optimizer.solve(LOAD)
     assert (found.status, found.initial) == (Status.OPTIMAL, "phase_one")
     assert found.objective == pytest.approx(want, rel=1e-6)
