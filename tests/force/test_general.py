@@ -449,7 +449,6 @@ def test_arrays_as_starts_of_soft_grasps_have_no_torsion() -> None:
         np.ones((4, 3)),
         -np.ones((4, 3)),
         np.zeros((4, 3)),
-        "linear_combination",
         "single_value",
         "lagrange",
         "nonsense",

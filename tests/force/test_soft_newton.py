@@ -134,10 +134,10 @@ def test_what_it_leaves_is_the_general_programs() -> None:
     class Refusing:
         """The core where it has no answer."""
 
-        def solve(self, *given: object) -> int:
+        def solve(self, *given: Any) -> int:
             return core.solve(np.full(6, np.nan), *given[1:])
 
-        def descend(self, *given: object) -> int:
+        def descend(self, *given: Any) -> int:
             return core.descend(np.full(6, np.nan), *given[1:])
 
     method.solver = cast("Any", Refusing())
