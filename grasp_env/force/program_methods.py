@@ -35,6 +35,7 @@ from grasp_env.force.record import (
     OBJECTIVE,
     REFUSED,
     RESIDUAL,
+    STALLED,
     WRENCH,
     record_size,
 )
@@ -42,6 +43,8 @@ from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.grasp.grasp import Grasp
 
 NO_PRICES = np.empty(0)
+PYRAMIDS_MISS = 1e-6
+"""Of the wrench, that an optimal force of the pyramids may miss."""
 
 
 class _Program:
@@ -82,12 +85,11 @@ class ProgramConic(OwnStart, _Program):
         program, settings = self.program, self.settings
         if len(program.bound):
             return None
-        solve, largest, nothing = program.solver.least_force, settings.criterion == "max", np.empty(0)
+        solve, largest = program.solver.least_force, settings.criterion == "max"
         tolerance, limit = settings.tolerance, min(settings.max_iterations, CONIC_ITERATIONS)
 
         def call(wrench: Any, previous: Array | None, record: Array) -> int:
-            code = solve(wrench, largest, tolerance, limit, record, nothing)
-            return REFUSED if code == INFEASIBLE else code  # `run` says so
+            return solve(wrench, largest, tolerance, limit, record, NO_PRICES)
 
         return Loop(call, "central", solution=self.solution)
 
@@ -216,8 +218,12 @@ class Linear(OwnStart):
         record = np.zeros(record_size(count))
         z = self.program.variables(found.force, found.torsion)
         # the dual of the pyramids says nothing about the cones: no bound
-        record[CODE], record[OBJECTIVE], record[BOUND] = CONVERGED, found.objective, -np.inf
+        record[OBJECTIVE], record[BOUND] = found.objective, -np.inf
         record[MARGIN], record[RESIDUAL] = self.grasp.cone_margin(found.force), self.program.residual(z, wrench)
+        load = float(np.abs(self.program.frame @ wrench).max())
+        record[CODE] = (
+            CONVERGED if record[RESIDUAL] <= PYRAMIDS_MISS * load else STALLED
+        )  # HiGHS knows absolute tolerances only
         record[WRENCH : WRENCH + 6] = wrench
         record[MULTIPLIERS : MULTIPLIERS + 6] = found.multipliers
         record[FORCE : FORCE + 3 * count] = found.force.reshape(-1)
