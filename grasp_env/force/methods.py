@@ -39,6 +39,7 @@ from grasp_env.force.record import (
     CONVERGED,
     FORCE,
     ITERATIONS,
+    LIMIT,
     OBJECTIVE,
     REFUSED,
     STALLED,
@@ -98,6 +99,12 @@ def make_method(grasp: Grasp, settings: Settings) -> Method:
     return {"newton": ProgramNewton, "conic": ProgramConic, "linear": Linear}[settings.method](grasp, settings)
 
 
+def gapes(record: Array, tolerance: float) -> bool:
+    """Whether what stopped short of the tolerance has more left than the last digits."""
+    bound = record[BOUND]
+    return not (bound > 0.0 and record[OBJECTIVE] - bound <= max(tolerance, LAST_DIGITS) * bound)
+
+
 class Newton(RuleStarts):
     """Newton on Phi, hard contacts. Starts from the 12-basis and the previous solution in the compiled call."""
 
@@ -125,10 +132,8 @@ class Newton(RuleStarts):
 
     def solution(self, record: Array, method: str, initial: str, trace: Array = NO_TRACE) -> ForceSolution:
         """What the core wrote; where that stalled with a gap, what the general program makes of it in twice the digits."""
-        if record[CODE] == STALLED and not len(trace):
-            above, bound = record[OBJECTIVE] - record[BOUND], record[BOUND]
-            if not (bound > 0.0 and above <= max(self.settings.tolerance, LAST_DIGITS) * bound):
-                self._go_on(record)
+        if record[CODE] == STALLED and not len(trace) and gapes(record, self.settings.tolerance):
+            self._go_on(record)
         return ForceSolution(record, method, initial, trace)
 
     def _go_on(self, record: Array) -> None:
@@ -185,20 +190,34 @@ class Conic(OwnStart):
     """Least sum of normal forces, hard contacts with force closure: feasible throughout."""
 
     def __init__(self, grasp: Grasp, settings: Settings, contacts: core.Contacts, interior: Array) -> None:
-        self.settings, self._size = settings, record_size(grasp.n_contacts)
+        self.grasp, self.settings, self._size = grasp, settings, record_size(grasp.n_contacts)
         limit = min(settings.max_iterations, CONIC_ITERATIONS)
         self.solver = core.Conic.make(contacts, settings.tolerance, limit, interior)
 
     def loop(self, initial: Any) -> Loop | None:
         """See `Method.loop`."""
-        return Loop(self.solver.solve, "central")
+        return Loop(self.solver.solve, "central", solution=self.solution)
+
+    def solution(self, record: Array, method: str, initial: str) -> ForceSolution:
+        """What the core wrote; where that stopped short of the tolerance, what the general program makes of it in twice the digits."""
+        settings = self.settings
+        stopped = record[CODE] in (STALLED, LIMIT) and settings.max_iterations >= CONIC_ITERATIONS
+        if stopped and gapes(record, settings.tolerance):
+            from grasp_env.force.program import ForceProgram
+
+            wrench = record[WRENCH : WRENCH + 6].copy()
+            found, _ = ForceProgram(self.grasp, None).least_force(wrench, "sum", settings.tolerance, CONIC_ITERATIONS)
+            closer = found[OBJECTIVE] - found[BOUND] < record[OBJECTIVE] - record[BOUND]
+            if found[CODE] == CONVERGED or (found[CODE] in (STALLED, LIMIT) and closer):
+                record = found
+        return ForceSolution(record, method, initial)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""
         refuse("conic", start, optimum, trace)
         record = np.empty(self._size)
         self.solver.solve(wrench, None, record)
-        return ForceSolution(record, "conic", "central")
+        return self.solution(record, "conic", "central")
 
 
 def rule_loop(method: Any, rule: CompiledRule) -> Loop | None:
