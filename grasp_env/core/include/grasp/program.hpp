@@ -202,7 +202,7 @@ private:
     static constexpr double MOST = 1e4;        // of the largest normal force of a start: normal forces among which an excess is the least
     static constexpr double BEGIN = 1.5;       // of a start's excess: how much limits are raised there
     static constexpr int FIRST_TRY = 40;       // iterations, of which a dozen is usual, before another start or more digits are tried
-    static constexpr int PATIENCE = 150;       // iterations on Phi, of which twenty are usual, before the central path is tried
+    static constexpr int PATIENCE = 200;       // iterations on Phi, of which twenty are usual, before the central path is tried
     static constexpr double FALL = 30.0;       // of lambda from one stage of the path to the next
     std::vector<char> soft_;
     std::vector<double> price_, divisor_, bound_, shares_;
