@@ -23,7 +23,13 @@ if __name__ == "__main__":
 
 from force.clarabel_reference import SOLVED, Reference, _run
 
-from grasp_env.errors import GraspError, InfeasibleStartError, InfeasibleWrenchError, InvalidInputError, RankDeficientGraspError
+from grasp_env.errors import (
+    GraspError,
+    InfeasibleStartError,
+    InfeasibleWrenchError,
+    InvalidInputError,
+    RankDeficientGraspError,
+)
 from grasp_env.force import Objective, Status, optimize_force
 from grasp_env.grasp import Grasp
 
