@@ -10,7 +10,7 @@ __version__ = "0.1.0"
 def _register() -> None:
     try:
         from gymnasium.envs.registration import register, registry
-    except ImportError:  # grasp_env.grasp and grasp_env.force need numpy, scipy and numba only
+    except ImportError:  # grasp_env.grasp and grasp_env.force need numpy and scipy only
         return
     if "FourFingerGrasp-v0" not in registry:
         register(id="FourFingerGrasp-v0", entry_point="grasp_env.env:FourFingerGrasp")

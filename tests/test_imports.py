@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SOLVER = {"numpy", "scipy", "numba", "grasp_env"}
+SOLVER = {"numpy", "scipy", "grasp_env"}
 """All that `grasp_env.grasp` and `grasp_env.force` may import besides the standard library."""
 
 
@@ -54,7 +54,7 @@ def test_packages_never_import_upwards(package: str, forbidden: set[str]) -> Non
 
 
 @pytest.mark.parametrize("package", ["grasp", "force"])
-def test_the_solver_imports_numpy_scipy_numba_only(package: str) -> None:
+def test_the_solver_imports_numpy_and_scipy_only(package: str) -> None:
     allowed = SOLVER | set(sys.stdlib_module_names)
     inside = (
         "grasp_env.core",
@@ -86,16 +86,11 @@ def test_the_core_is_below_everything_else() -> None:
         assert "numba" not in _roots(path), path
 
 
-def test_numba_is_imported_where_kernels_are_compiled() -> None:
-    users = {str(path.relative_to(ROOT)) for path in _files("grasp_env", "force") if "numba" in _roots(path)}
-    assert users == set()  # all of them ask `_compile` and `_views`
-    asking = {path.name for path in _files("grasp_env", "force")
-              if _imports(path) & {"grasp_env._compile", "grasp_env._views"}}  # fmt: skip
-    # what hard contacts need by the flows, `newton` and `conic` is not among them
-    core_side = {"__init__.py", "basis.py", "batch.py", "initial.py", "method.py", "methods.py", "optimizer.py", "pipeline.py",
-                 "record.py", "repair.py", "solution.py", "step_size.py"}  # fmt: skip
-    assert not asking & core_side
-    assert "kernels.py" in asking
+@pytest.mark.parametrize("package", [("grasp_env", "force"), ("policies",)])
+def test_no_kernel_of_numba_is_left(package: tuple[str, ...]) -> None:
+    for path in _files(*package):
+        assert "numba" not in _roots(path), path
+        assert not _imports(path) & {"grasp_env._compile", "grasp_env._views"}, path
 
 
 def test_pybullet_is_imported_in_one_file() -> None:

@@ -1,7 +1,6 @@
 """Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem.
 
-Hard contacts by `newton` and `conic`, and all starts, are the compiled core's; what needs scipy or numba is imported when it is
-asked for.
+All methods but `linear`, and all starts, are the compiled core's; what needs scipy is imported when it is asked for.
 """
 
 from importlib import import_module

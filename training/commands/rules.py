@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from os.path import isfile
 
 from grasp_env.errors import UnknownNameError
 from grasp_env.force import RULES, InitialForceRule
@@ -18,7 +18,7 @@ def rule(name: str) -> str | InitialForceRule:
         return LearnedInitialForce.pretrained(name)
     if name in RULES or name == "previous":
         return name
-    if name.endswith((".json", ".safetensors")) or Path(f"{name}.json").is_file():
+    if name.endswith((".json", ".safetensors")) or isfile(f"{name}.json"):
         return LearnedInitialForce.load(name)
     raise UnknownNameError(
         "initial-force rule", name, (*RULES, "previous", "learned", *MODELS), ", or give a saved model's path"
