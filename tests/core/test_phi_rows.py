@@ -231,7 +231,7 @@ def test_the_bound_is_the_least_of_the_lagrangian(name: str) -> None:
     problem = dense(name)
     for limit in (6, 8, 100):  # where the multipliers are on their way: the last bound is theirs where it is the best
         _, y, _, _, _, value, found = problem.core(problem.start[problem.live], limit, 1e-13)
-        assert 0.0 < found <= value
+        assert 0.0 < found <= value * (1.0 + 1e-14)  # the last digits of two sums
         other = y
         stacked = np.concatenate([problem.program.balance, problem.program.rows])
         right = np.concatenate([-problem.unit, problem.program.bound])
