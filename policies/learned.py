@@ -45,8 +45,8 @@ class LearnedInitialForce(ABC):
         >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
         >>> optimize_force(grasp, wrench).iterations > 10
         True
-        >>> optimize_force(grasp, wrench, initial=LearnedInitialForce.pretrained("four_finger")).iterations
-        0
+        >>> optimize_force(grasp, wrench, initial=LearnedInitialForce.pretrained("four_finger")).iterations < 10
+        True
         >>> anywhere = LearnedInitialForce.pretrained()
         >>> optimize_force(presets.five_finger_cuboid(), wrench, initial=anywhere).iterations < 3
         True

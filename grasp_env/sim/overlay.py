@@ -73,6 +73,8 @@ class Annotation:
         count = len(np.atleast_2d(self.points))
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("points", "normals", "forces"), (count, 3))
         shapes |= {"friction": (count,), "active": (count,), "wrench": (6,), "center": (3,)}
+        if np.asarray(self.active).dtype == np.bool_:
+            object.__setattr__(self, "active", np.asarray(self.active, dtype=np.float64))
         shapes |= {name: (count, 3) for name in ("measured", "colors") if getattr(self, name) is not None}
         for name, shape in shapes.items():
             object.__setattr__(self, name, as_array(getattr(self, name), shape, name))
