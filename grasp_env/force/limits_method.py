@@ -7,8 +7,7 @@ general program's (`program_methods.ProgramNewton`), in the same call.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,21 +15,17 @@ from grasp_env import core
 from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force.basis import OfflineBasis, core_contacts
-from grasp_env.force.initial import CompiledRule, RuleStarts
+from grasp_env.force.initial import CompiledRule
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.method import BALANCE_TOLERANCE, Loop, Settings, Start, proven, refused_start
-from grasp_env.force.methods import LOOPED
+from grasp_env.force.method import BALANCE_TOLERANCE, Settings, Start, proven, refused_start
+from grasp_env.force.methods import NO_TRACE, FallingBack
 from grasp_env.force.objective import Objective
 from grasp_env.force.record import CODE, INFEASIBLE, REFUSED, record_size
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
-if TYPE_CHECKING:
-    from grasp_env.force.program_methods import ProgramNewton
-
 MOST_ROWS = 64
 """Rows of one contact up to which the core takes them."""
-_NO_TRACE = np.empty(0)
 MOST_FORCE = 1e20
 """[N] up to which the core takes bounds."""
 
@@ -96,7 +91,7 @@ class ContactRows:
         return self.weights / self.slack(solution.force) ** 2 / self.sizes
 
 
-class LimitedNewton(RuleStarts):
+class LimitedNewton(FallingBack):
     """Newton on Phi within limits, from any force inside the cones."""
 
     def __init__(self, grasp: Grasp, settings: Settings, rows: ContactRows) -> None:
@@ -116,20 +111,6 @@ class LimitedNewton(RuleStarts):
         """What each entry of a solution's `limit_multipliers` belongs to."""
         return self.rows.labels
 
-    @cached_property
-    def general(self) -> ProgramNewton:
-        """The general program within the same limits."""
-        from grasp_env.force.program_methods import ProgramNewton
-
-        return ProgramNewton(self.grasp, self.settings)
-
-    def loop(self, initial: Any) -> Loop | None:
-        """See `Method.loop`."""
-        named = initial is None or (isinstance(initial, str) and initial in LOOPED)
-        if not named or self.settings.correction != "tangent":
-            return None
-        return Loop(self.solver.solve, "linear_combination", "previous", initial == "previous", self.solution)
-
     def solution(self, record: Array, method: str, initial: str) -> ForceSolution:
         """What the core wrote.
 
@@ -137,7 +118,7 @@ class LimitedNewton(RuleStarts):
             InfeasibleWrenchError: no force keeps the limits.
         """
         if record[CODE] != INFEASIBLE:
-            return ForceSolution(record, method, initial, _NO_TRACE, None, self.rows)
+            return ForceSolution(record, method, initial, NO_TRACE, None, self.rows)
         raise proven(record, method, initial)
 
     def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:

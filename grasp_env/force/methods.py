@@ -13,7 +13,9 @@ Here is what the core solves contact by contact: hard ones by the flows, `newton
 
 from __future__ import annotations
 
-from typing import Any
+from abc import abstractmethod
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -48,6 +50,9 @@ from grasp_env.force.record import (
 )
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
+
+if TYPE_CHECKING:
+    from grasp_env.force.program_methods import ProgramNewton
 
 DESCENTS = ("reduced_flow", "full_flow", "newton")
 """Methods on Phi: they take a start, a known optimum and a trace."""
@@ -167,6 +172,30 @@ class Newton(RuleStarts):
         if optimum == optimum:
             return ForceSolution(record, self.settings.method, start.name, traced)
         return self.solution(record, self.settings.method, start.name, traced)
+
+
+class FallingBack(RuleStarts):
+    """Newton beyond hard contacts: named starts in the compiled call, what the core leaves by the general program."""
+
+    solver: Any
+
+    @abstractmethod
+    def solution(self, record: Array, method: str, initial: str) -> ForceSolution:
+        """What the core wrote."""
+
+    @cached_property
+    def general(self) -> ProgramNewton:
+        """The general program of the same contacts and limits."""
+        from grasp_env.force.program_methods import ProgramNewton
+
+        return ProgramNewton(self.grasp, self.settings)
+
+    def loop(self, initial: Any) -> Loop | None:
+        """See `Method.loop`."""
+        named = initial is None or (isinstance(initial, str) and initial in LOOPED)
+        if not named or self.settings.correction != "tangent":
+            return None
+        return Loop(self.solver.solve, "linear_combination", "previous", initial == "previous", self.solution)
 
 
 class Flow(Newton):

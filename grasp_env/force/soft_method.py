@@ -7,8 +7,7 @@ The rest, closure by torsion alone, further limits, and what the core leaves out
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +16,11 @@ from grasp_env import core
 from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError, RankDeficientGraspError
 from grasp_env.force.basis import OfflineBasis, core_contacts
-from grasp_env.force.initial import RuleStarts
-from grasp_env.force.method import Loop, Settings, Start
-from grasp_env.force.methods import LOOPED, NO_TRACE
+from grasp_env.force.method import Settings, Start
+from grasp_env.force.methods import LOOPED, NO_TRACE, FallingBack
 from grasp_env.force.record import ITERATIONS, REFUSED, record_size
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
-
-if TYPE_CHECKING:
-    from grasp_env.force.program_methods import ProgramNewton
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +53,7 @@ class TorsionPrices:
         return self.weights[soft] / slack**2
 
 
-class SoftNewton(RuleStarts):
+class SoftNewton(FallingBack):
     """Newton on Phi with soft contacts, from the starts of hard ones without torsion."""
 
     def __init__(self, grasp: Grasp, settings: Settings) -> None:
@@ -79,20 +74,6 @@ class SoftNewton(RuleStarts):
     def limit_labels(self) -> tuple[str, ...]:
         """What each entry of a solution's `limit_multipliers` belongs to."""
         return self.general.limit_labels
-
-    @cached_property
-    def general(self) -> ProgramNewton:
-        """The general program of the same contacts."""
-        from grasp_env.force.program_methods import ProgramNewton
-
-        return ProgramNewton(self.grasp, self.settings)
-
-    def loop(self, initial: Any) -> Loop | None:
-        """See `Method.loop`."""
-        named = initial is None or (isinstance(initial, str) and initial in LOOPED)
-        if not named or self.settings.correction != "tangent":
-            return None
-        return Loop(self.solver.solve, "linear_combination", "previous", initial == "previous", self.solution)
 
     def solution(self, record: Array, method: str, initial: str, trace: Array = NO_TRACE) -> ForceSolution:
         """What the core wrote."""

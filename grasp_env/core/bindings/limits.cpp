@@ -3,7 +3,7 @@
 
 #include <grasp/solvers.hpp>
 
-#include "buffers.hpp"
+#include "following.hpp"
 #include "timing.hpp"
 
 using namespace grasp;
@@ -23,18 +23,6 @@ std::unique_ptr<LimitedNewton> make(const Contacts& contacts, double tolerance, 
     }
     const LimitRows given{int(many), rows.data(), bound.data(), share.data(), weight.data(), contact.data()};
     return LimitedNewton::make(contacts, {tolerance, limit}, given, in(basis, 13, 3 * contacts.count).data(), elastic);
-}
-
-// As `solve` of newton.cpp.
-int solve(LimitedNewton& newton, nb::handle wrench, nb::handle previous, nb::handle record) {
-    const int count = newton.contacts.count, size = record_size(count);
-    const Buffer load(wrench);
-    const Numbers row = out(record, size);
-    if (!load.has(6)) return REFUSED;
-    if (previous.is_none()) return newton.solve({.wrench = load.data()}, row.data());
-    const Buffer before(previous);
-    if (!before.has(size)) return REFUSED;
-    return newton.solve({.wrench = load.data(), .start = Start::tangent, .force = Record(before.data(), count).force()}, row.data());
 }
 
 int descend(LimitedNewton& newton, nb::handle wrench, nb::handle force, nb::handle record) {
@@ -58,7 +46,7 @@ void bind_limits(nb::module_& m) {
                     "basis"_a, "elastic"_a,
                     "Rows a (M, 3) of length one or zero, b (M,), by how much b grows with all of its limit (M,), lambda (M,), which contact\n"
                     "(M,); the 12-basis without limits (13, 3N). elastic: where no force keeps them, the one that exceeds them least.")
-        .def("solve", &solve, "wrench"_a.none(), "previous"_a.none(), "record"_a,
+        .def("solve", &follow<LimitedNewton>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
              "From the 12-basis, or from the force of a previous record, into a record; returns the code.")
         .def("descend", &descend, "wrench"_a, "force"_a, "record"_a, "From a balanced force (N, 3) inside the cones.")
         .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` calls each, into (M,).");

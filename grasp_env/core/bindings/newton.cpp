@@ -3,7 +3,7 @@
 
 #include <grasp/solvers.hpp>
 
-#include "buffers.hpp"
+#include "following.hpp"
 #include "timing.hpp"
 
 using namespace grasp;
@@ -12,19 +12,6 @@ namespace {
 
 std::unique_ptr<Newton> make(const Contacts& contacts, double tolerance, int limit) {
     return Newton::make(contacts, {tolerance, limit});
-}
-
-// The control loop's call, from the 12-basis or from the force of a previous record. REFUSED where the wrench is no (6,) float64 array of
-// finite numbers, the previous record is of other contacts, or there is no basis.
-int solve(Newton& newton, nb::handle wrench, nb::handle previous, nb::handle record) {
-    const int count = newton.contacts.count, size = record_size(count);
-    const Buffer load(wrench);
-    const Numbers row = out(record, size);
-    if (!load.has(6)) return REFUSED;
-    if (previous.is_none()) return newton.solve({.wrench = load.data()}, row.data());
-    const Buffer before(previous);
-    if (!before.has(size)) return REFUSED;
-    return newton.solve({.wrench = load.data(), .start = Start::tangent, .force = Record(before.data(), count).force()}, row.data());
 }
 
 // From a given force, with what studies ask for.
@@ -142,7 +129,7 @@ void bind_newton(nb::module_& m) {
              "Fills the 12-basis, (13, 3N); returns the worst relative gap, inf: none. `warm`: it holds that of nearby contacts.\n"
              "interior: (3N,) an internal force strictly inside the cones; None: it is searched.")
         .def("internal_force", &internal_force, "x"_a, "Fills x (3N,) with an internal force strictly inside; False: none found.")
-        .def("solve", &solve, "wrench"_a.none(), "previous"_a.none(), "record"_a,
+        .def("solve", &follow<Newton>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
              "From the 12-basis, or from the force of a previous record carried over, into a record; returns the code.")
         .def("descend", &descend, "wrench"_a, "force"_a, "optimum"_a, "trace"_a, "record"_a,
              "From a force (N, 3); optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.")

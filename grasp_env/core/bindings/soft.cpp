@@ -3,7 +3,7 @@
 
 #include <grasp/solvers.hpp>
 
-#include "buffers.hpp"
+#include "following.hpp"
 #include "timing.hpp"
 
 using namespace grasp;
@@ -13,19 +13,6 @@ namespace {
 std::unique_ptr<SoftNewton> make(const Contacts& contacts, double tolerance, int limit, nb::handle divisor, nb::handle basis) {
     return SoftNewton::make(contacts, {tolerance, limit}, in(divisor, contacts.count).data(),
                             in(basis, 13, 3 * contacts.count).data());
-}
-
-// As `solve` of newton.cpp.
-int solve(SoftNewton& newton, nb::handle wrench, nb::handle previous, nb::handle record) {
-    const int count = newton.contacts.count, size = record_size(count);
-    const Buffer load(wrench);
-    const Numbers row = out(record, size);
-    if (!load.has(6)) return REFUSED;
-    if (previous.is_none()) return newton.solve({.wrench = load.data()}, row.data());
-    const Buffer before(previous);
-    if (!before.has(size)) return REFUSED;
-    const Record known(before.data(), count);
-    return newton.solve({.wrench = load.data(), .start = Start::tangent, .force = known.force(), .torsion = known.torsion()}, row.data());
 }
 
 // From a given force, with what studies ask for.
@@ -50,7 +37,7 @@ void bind_soft(nb::module_& m) {
     nb::class_<SoftNewton>(m, "SoftNewton", "Newton on Phi with soft contacts.")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "divisor"_a, "basis"_a,
                     "Torsion in units of its limit / torsion (N,), inf where a contact is not soft; the 12-basis without torsion (13, 3N).")
-        .def("solve", &solve, "wrench"_a.none(), "previous"_a.none(), "record"_a,
+        .def("solve", &follow<SoftNewton>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
              "From the 12-basis, or from force and torsion of a previous record, into a record; returns the code.")
         .def("descend", &descend, "wrench"_a, "force"_a, "torsion"_a, "optimum"_a, "trace"_a, "record"_a,
              "From a balanced force (N, 3) inside the cones with torsions (N,) within their limits.")

@@ -1,0 +1,20 @@
+// The control loop's call of every Newton: from the 12-basis, or from the force and torsion of a previous record. REFUSED where the wrench is
+// no (6,) float64 array of finite numbers, the previous record is of other contacts, or there is no basis.
+#pragma once
+
+#include <grasp/solvers.hpp>
+
+#include "buffers.hpp"
+
+template <class Solver> int follow(Solver& newton, nb::handle wrench, nb::handle previous, nb::handle record) {
+    const int count = newton.contacts.count, size = grasp::record_size(count);
+    const Buffer load(wrench);
+    const Numbers row = out(record, size);
+    if (!load.has(6)) return grasp::REFUSED;
+    if (previous.is_none()) return newton.solve({.wrench = load.data()}, row.data());
+    const Buffer before(previous);
+    if (!before.has(size)) return grasp::REFUSED;
+    const grasp::Record known(before.data(), count);
+    return newton.solve({.wrench = load.data(), .start = grasp::Start::tangent, .force = known.force(), .torsion = known.torsion()},
+                        row.data());
+}
