@@ -200,7 +200,7 @@ class LearnedLoop(Loop):
         descend: Callable[[Array, Array, Array], None] | None,
     ) -> None:
         self.call, self.remembers = learned.solve if descend is None else self._descended, remembers
-        self.solution = ForceSolution
+        self.solution = self.stopped = ForceSolution
         self._learned, self._descend, self._names = learned, descend, (name, name + OUTSIDE)
 
     @property

@@ -60,7 +60,8 @@ class Loop:
             the general path then converts or explains.
         name: of the start without a previous solution. carried: with one.
         remembers: whether the previous solution is handed to it.
-        solution: (record, method, the start's name) -> what the call wrote; may raise where that is a proof.
+        solution: (record, method, the start's name) -> what a call that CONVERGED wrote.
+        stopped: the same for one that ended otherwise; may go on from there, or raise where that is a proof.
     """
 
     call: Callable[[Any, Array | None, Array], int]
@@ -68,6 +69,7 @@ class Loop:
     carried: str = ""
     remembers: bool = False
     solution: Callable[[Array, str, str], ForceSolution] = ForceSolution
+    stopped: Callable[[Array, str, str], ForceSolution] = ForceSolution
 
 
 class Method(Protocol):

@@ -52,7 +52,7 @@ from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
 if TYPE_CHECKING:
-    from grasp_env.force.program_methods import ProgramNewton
+    from grasp_env.force.program_methods import ProgramConic, ProgramNewton
 
 DESCENTS = ("reduced_flow", "full_flow", "newton")
 """Methods on Phi: they take a start, a known optimum and a trace."""
@@ -104,13 +104,43 @@ def make_method(grasp: Grasp, settings: Settings) -> Method:
     return {"newton": ProgramNewton, "conic": ProgramConic, "linear": Linear}[settings.method](grasp, settings)
 
 
+def gap(record: Array) -> float:
+    """Objective above its lower bound."""
+    return float(record[OBJECTIVE] - record[BOUND])
+
+
 def gapes(record: Array, tolerance: float) -> bool:
     """Whether what stopped short of the tolerance has more left than the last digits."""
-    bound = record[BOUND]
-    return not (bound > 0.0 and record[OBJECTIVE] - bound <= max(tolerance, LAST_DIGITS) * bound)
+    return not (record[BOUND] > 0.0 and gap(record) <= max(tolerance, LAST_DIGITS) * record[BOUND])
 
 
-class Newton(RuleStarts):
+class FallingBack(RuleStarts):
+    """Newton in the core: named starts in the compiled call, what it leaves by the general program of the same contacts and limits."""
+
+    solver: Any
+
+    @abstractmethod
+    def solution(self, record: Array, method: str, initial: str) -> ForceSolution:
+        """What the core wrote."""
+
+    @cached_property
+    def general(self) -> ProgramNewton:
+        """The general program of the same contacts and limits."""
+        from grasp_env.force.program_methods import ProgramNewton
+
+        return ProgramNewton(self.grasp, self.settings)
+
+    def loop(self, initial: Any) -> Loop | None:
+        """See `Method.loop`."""
+        named = initial is None or (isinstance(initial, str) and initial in LOOPED)
+        if not named or self.settings.correction != "tangent":
+            return None
+        return Loop(
+            self.solver.solve, "linear_combination", "previous", initial == "previous", self.solution, self.solution
+        )
+
+
+class Newton(FallingBack):
     """Newton on Phi, hard contacts. Starts from the 12-basis and the previous solution in the compiled call."""
 
     def __init__(self, grasp: Grasp, settings: Settings) -> None:
@@ -127,13 +157,14 @@ class Newton(RuleStarts):
 
     def loop(self, initial: Any) -> Loop | None:
         """See `Method.loop`."""
-        if not self.has_basis or self.settings.correction != "tangent":
+        if not self.has_basis:
             return None
         if isinstance(initial, CompiledRule):
-            return rule_loop(self, initial)
-        if initial is not None and not (isinstance(initial, str) and initial in LOOPED):
-            return None
-        return Loop(self.solver.solve, "linear_combination", "previous", initial == "previous", self.solution)
+            return rule_loop(self, initial) if self.settings.correction == "tangent" else None
+        loop = super().loop(initial)
+        if loop is not None:
+            loop.solution = ForceSolution  # a record that converged is what it is
+        return loop
 
     def solution(self, record: Array, method: str, initial: str, trace: Array = NO_TRACE) -> ForceSolution:
         """What the core wrote; where that stalled with a gap, what the general program makes of it in twice the digits."""
@@ -143,9 +174,7 @@ class Newton(RuleStarts):
 
     def _go_on(self, record: Array) -> None:
         """From the force of a record to a better one, into the record."""
-        from grasp_env.force.program import ForceProgram
-
-        program, settings, count = ForceProgram(self.grasp, None), self.settings, self.grasp.n_contacts
+        program, settings, count = self.general.program, self.settings, self.grasp.n_contacts
         z = program.variables(record[FORCE : FORCE + 3 * count].reshape(-1, 3), None)
         found, _ = program.least_phi(
             record[WRENCH : WRENCH + 6].copy(), settings.objective.weights(count), z, settings.tolerance, float("nan"),
@@ -174,30 +203,6 @@ class Newton(RuleStarts):
         return self.solution(record, self.settings.method, start.name, traced)
 
 
-class FallingBack(RuleStarts):
-    """Newton beyond hard contacts: named starts in the compiled call, what the core leaves by the general program."""
-
-    solver: Any
-
-    @abstractmethod
-    def solution(self, record: Array, method: str, initial: str) -> ForceSolution:
-        """What the core wrote."""
-
-    @cached_property
-    def general(self) -> ProgramNewton:
-        """The general program of the same contacts and limits."""
-        from grasp_env.force.program_methods import ProgramNewton
-
-        return ProgramNewton(self.grasp, self.settings)
-
-    def loop(self, initial: Any) -> Loop | None:
-        """See `Method.loop`."""
-        named = initial is None or (isinstance(initial, str) and initial in LOOPED)
-        if not named or self.settings.correction != "tangent":
-            return None
-        return Loop(self.solver.solve, "linear_combination", "previous", initial == "previous", self.solution)
-
-
 class Flow(Newton):
     """The paper's flows, from the same starts: `reduced_flow` in its fastest form, `full_flow` dense."""
 
@@ -223,22 +228,33 @@ class Conic(OwnStart):
         limit = min(settings.max_iterations, CONIC_ITERATIONS)
         self.solver = core.Conic.make(contacts, settings.tolerance, limit, interior)
 
+    @cached_property
+    def general(self) -> ProgramConic:
+        """The general program of the same contacts."""
+        from grasp_env.force.program_methods import ProgramConic
+
+        return ProgramConic(self.grasp, self.settings)
+
     def loop(self, initial: Any) -> Loop | None:
         """See `Method.loop`."""
-        return Loop(self.solver.solve, "central", solution=self.solution)
+        return Loop(self.solver.solve, "central", stopped=self.solution)
 
     def solution(self, record: Array, method: str, initial: str) -> ForceSolution:
-        """What the core wrote; where that stopped short of the tolerance, what the general program makes of it in twice the digits."""
+        """What the core wrote; where that stopped short of the tolerance, what the general program makes of it in twice the digits.
+
+        Raises:
+            InfeasibleWrenchError, NotConvergedError: neither has a force, for contacts within rounding of no force closure.
+        """
         settings = self.settings
         stopped = record[CODE] in (STALLED, LIMIT) and settings.max_iterations >= CONIC_ITERATIONS
         if stopped and gapes(record, settings.tolerance):
-            from grasp_env.force.program import ForceProgram
-
             wrench = record[WRENCH : WRENCH + 6].copy()
-            found, _ = ForceProgram(self.grasp, None).least_force(wrench, "sum", settings.tolerance, CONIC_ITERATIONS)
-            closer = found[OBJECTIVE] - found[BOUND] < record[OBJECTIVE] - record[BOUND]
-            if found[CODE] == CONVERGED or (found[CODE] in (STALLED, LIMIT) and closer):
+            found, _ = self.general.program.least_force(wrench, "sum", settings.tolerance, CONIC_ITERATIONS)
+            ended = found[CODE] in (STALLED, LIMIT)
+            if found[CODE] == CONVERGED or (ended and gap(found) < gap(record)):
                 record = found
+            elif not ended and gap(record) > record[BOUND]:  # neither holds a digit
+                return self.general.run(wrench, None, float("nan"), False)
         return ForceSolution(record, method, initial)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
@@ -253,12 +269,14 @@ def rule_loop(method: Any, rule: CompiledRule) -> Loop | None:
     """The control loop's call of a rule that starts and certifies by itself; None where it does not know the contacts.
 
     Args:
-        method: with `grasp`, `settings` and, where it is not Newton, `descend`.
+        method: with `grasp`, `settings`, `solution` of what did not converge and, where it is not Newton, `descend`.
         rule: binds to them.
     """
     settings = method.settings
     descend = None if settings.method == "newton" else method.descend
     try:
-        return rule.bind(method.grasp, settings.objective, settings.tolerance, settings.max_iterations, descend)
+        loop = rule.bind(method.grasp, settings.objective, settings.tolerance, settings.max_iterations, descend)
     except InfeasibleStartError:
         return None  # the general path says so in words
+    loop.stopped = method.solution
+    return loop

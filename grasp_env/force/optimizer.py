@@ -23,7 +23,7 @@ from grasp_env.force.limits import ForceLimits, as_limits
 from grasp_env.force.method import CRITERIA, Settings, readable
 from grasp_env.force.methods import METHODS, make_method
 from grasp_env.force.objective import Objective, Weight
-from grasp_env.force.record import CODE, LIMITS_EXCEEDED, REFUSED, record_size
+from grasp_env.force.record import CODE, CONVERGED, LIMITS_EXCEEDED, REFUSED, record_size
 from grasp_env.force.repair import CORRECTIONS, Correction
 from grasp_env.force.solution import ForceSolution
 from grasp_env.force.step_size import StepRule, checked_rule
@@ -170,11 +170,14 @@ class ForceOptimizer:
             # the control loop's path: one compiled call, which reads the array as it is or refuses it
             record = _empty(self._size)
             if not loop.remembers or self.previous is None:
-                if loop.call(wrench, None, record) != REFUSED:
-                    self.previous = solution = loop.solution(record, self._name, loop.name)
-                    return solution
-            elif loop.call(wrench, self.previous._record, record) != REFUSED:
-                self.previous = solution = loop.solution(record, self._name, loop.carried)
+                code, name = loop.call(wrench, None, record), loop.name
+            else:
+                code, name = loop.call(wrench, self.previous._record, record), loop.carried
+            if code == CONVERGED:
+                self.previous = solution = loop.solution(record, self._name, name)
+                return solution
+            if code != REFUSED:
+                self.previous = solution = loop.stopped(record, self._name, name)
                 return solution
             if not readable(wrench):
                 return self.solve(as_wrench(wrench))

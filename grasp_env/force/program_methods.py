@@ -88,7 +88,7 @@ class ProgramConic(OwnStart, _Program):
         def call(wrench: Any, previous: Array | None, record: Array) -> int:
             return solve(wrench, largest, tolerance, limit, record, NO_PRICES)
 
-        return Loop(call, "central", solution=self.solution)
+        return Loop(call, "central", stopped=self.solution)
 
     def solution(self, record: Array, method: str, initial: str, prices: Array = NO_PRICES) -> ForceSolution:
         """What the core wrote.

@@ -22,6 +22,18 @@ def test_sample(method: str) -> None:
     assert {index: c for index, c in came.items() if c not in ("optimal", "infeasible")} == {}
 
 
+# (method, seed, problem): what blind trials found wrong, each of a class of its own
+FOUND = [
+    ("sum", 777, 51),  # force closure to 1e-12 only: the general program refuses what the conic solver left
+    ("sum", 1795335477, 16322),  # the same, with forces of 1e104 N
+]
+
+
+@pytest.mark.parametrize(("method", "seed", "index"), FOUND)
+def test_what_trials_found(method: str, seed: int, index: int) -> None:
+    assert outcome(problem(seed, index), method) in ("optimal", "infeasible")
+
+
 def test_problems_are_those_of_their_seed() -> None:
     one, again, other = problem(5, 7), problem(5, 7), problem(6, 7)
     assert (one.grasp.positions == again.grasp.positions).all()

@@ -32,8 +32,10 @@ bool is_record(PyObject* object) {
 
 PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
     PyObject *record, *method, *initial, *trace = nothing, *certificate = Py_None, *multipliers = nothing;
-    if (!named && PyTuple_GET_SIZE(arguments) == 3) {  // the control loop's
-        record = PyTuple_GET_ITEM(arguments, 0), method = PyTuple_GET_ITEM(arguments, 1), initial = PyTuple_GET_ITEM(arguments, 2);
+    PyObject** const slots[] = {&record, &method, &initial, &trace, &certificate, &multipliers};
+    const Py_ssize_t many = PyTuple_GET_SIZE(arguments);
+    if (!named && many >= 3 && many <= 6) {  // the control loop's
+        for (Py_ssize_t k = 0; k < many; ++k) *slots[k] = PyTuple_GET_ITEM(arguments, k);
     } else {
         static const char* names[] = {"record", "method", "initial", "objective_trace", "certificate", "limit_multipliers", nullptr};
         if (!PyArg_ParseTupleAndKeywords(arguments, named, "OOO|OOO", const_cast<char**>(names), &record, &method, &initial, &trace,
