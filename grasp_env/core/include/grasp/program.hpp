@@ -196,6 +196,7 @@ public:
 
 private:
     static constexpr double PAD = 6e-16;       // of the numbers that make a slack: what rounding may cost on the way to forces
+    static constexpr double LAST = 4e-16;      // of the largest normal force: what rounding it may cost balance
     static constexpr double BALANCED = 1e-9;   // of the wrench: what an optimal force may miss
     static constexpr double BELOW = -1e-9;     // rounding by which an objective may fall short of its bound
     static constexpr double ROUNDING = 1e-14;  // of the numbers that make a proof, per term: far above what rounding may cost
@@ -295,10 +296,16 @@ private:
         for (int r = 0; r < 6; ++r) out[r] = product(balance_[r], z);
         return out;
     }
-    // What rounding left of G z + w off z, by the least change; returns what is left.
+    // What G z + w misses off z, by the least change; returns what is left. What is z's own rounding stays: where contacts are close to each
+    // other its least change is far larger than it.
     double balance(Field& z, const Vec6& unit) const {
-        for (int pass = 0; pass < 2; ++pass) subtract(z, solve_lower(wrench_of(z) + unit));
-        return grasp::size(wrench_of(z) + unit);
+        double most = 0.0;
+        for (int i = 0; i < count; ++i) most = std::max(most, z[i][0]);
+        for (int pass = 0;; ++pass) {
+            const Vec6 left = wrench_of(z) + unit;
+            if (pass == 2 || grasp::size(left) <= LAST * most) return grasp::size(left);
+            subtract(z, solve_lower(left));
+        }
     }
 
     template <class R, int T> Rows<R, D, T> rows(int many, Criterion criterion = Criterion::sum) const {
