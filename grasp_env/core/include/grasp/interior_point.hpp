@@ -44,10 +44,12 @@ public:
     }
 
     // Until accept(), asked wherever the iterate is feasible with a gap of tolerance * |objective| + absolute, returns a gap within the
-    // tolerance; asked from a gap of `watch` * |objective| on. Ends at the best feasible iterate.
+    // tolerance; asked from a gap of `watch` * |objective| on. Where accept() has no force at all, as steps that end short of a limit never
+    // kept it, some settle. Ends at the best feasible iterate.
     template <class Accept> Code run(double tolerance, double absolute, double watch, int limit, Accept&& accept) {
         double goal = tolerance;
         R best = infinity;
+        int settled = 0;
         Code code;
         for (iterations = 0;; ++iterations) {
             const Measured m = measure();
@@ -57,10 +59,13 @@ public:
             }
             const bool usable = m.primal < NEARLY && m.dual < NEARLY;
             if (usable && m.gap < best) best = m.gap, best_ = at;
-            bool done = false, spent = false;
+            bool done = false, spent = false, settle = false;
             if (m.primal < FEASIBLE && m.dual < FEASIBLE && m.gap <= max(watch, goal) * m.size + absolute) {
-                done = accept() <= tolerance;
-                while (!done && !spent && m.gap <= goal * m.size + absolute)
+                const double found = accept();
+                const bool close = m.gap <= goal * m.size + absolute;
+                done = found <= tolerance;
+                settle = close && !(found < infinity) && m.primal > KEPT && settled++ < SETTLINGS;
+                while (!done && !settle && !spent && m.gap <= goal * m.size + absolute)
                     goal *= 0.1, spent = goal < 1e-3 * tolerance || !(m.gap > 0.0);
             }
             if (done) return CONVERGED;
@@ -72,7 +77,7 @@ public:
                 code = LIMIT;
                 break;
             }
-            if (!step(m.gap)) {
+            if (!step(settle ? max(m.gap, 0.3 * (tolerance * m.size + absolute)) : m.gap, settle)) {
                 code = STALLED;
                 break;
             }
@@ -83,8 +88,9 @@ public:
 
 private:
     static constexpr double FEASIBLE = 1e-9, NEARLY = 1e-7;  // residuals, relative to the data
+    static constexpr double KEPT = 1e-14;                    // of equations that only rounding misses
     static constexpr double AWAY = 1e10;                     // multipliers at which an infeasible program shows
-    static constexpr int REFINEMENTS = 2;
+    static constexpr int REFINEMENTS = 2, SETTLINGS = 3;
     static constexpr double ENOUGH = 1e-14;  // of the largest force: what a direction may miss of its equations
     R largest_ = 0.0;
     RowSystem<R, D, T> system_;
@@ -153,7 +159,8 @@ private:
     // The scaled dual s, W s.
     Tuple<R, D> scaled(int i, const Tuple<R, D>& a) const { return system_.shapes[i] * a; }
 
-    bool step(const R& gap) {
+    // From a gap to the one that Mehrotra's predictor finds; settle: to this one, where whole steps end inside and keep every equation.
+    bool step(const R& gap, bool settle) {
         for (int i = 0; i < rows.count; ++i) {
             const Scaling<R>& m = scaling_[i] = Scaling<R>(cone(at.z[i]), cone(at.s[i]));
             Shape<R, D>& shape = system_.shapes[i];
@@ -167,12 +174,17 @@ private:
         for (int k = 0; k < int(rows.own.size()); ++k) system_.own_diagonal[k] = at.own_slack[k] / at.own[k];
         for (int r = rows.equal; r < rows.joint; ++r) system_.joint_diagonal[r] = at.joint_slack[r] / at.joint[r];
         if (!system_.factor(rows)) return false;
-        direct(0.0, false, 0);
-        const auto [primal, dual] = reach();
-        const R near = min(R(1.0), 1.0 / primal), far = min(R(1.0), 1.0 / dual);
-        const R part = min(R(1.0), max(gap_after(near, far), R(0.0)) / gap);
+        R part = 1.0, least = 1.0;
+        if (settle) {
+            still();
+        } else {
+            direct(0.0, false, 0);
+            const auto [primal, dual] = reach();
+            const R near = min(R(1.0), 1.0 / primal), far = min(R(1.0), 1.0 / dual);
+            part = min(R(1.0), max(gap_after(near, far), R(0.0)) / gap), least = min(near, far);
+        }
         direct(max(part * part * part, R(1e-10)) * gap / degree(), true, REFINEMENTS);
-        const R fraction = 0.9 + 0.095 * min(near, far);
+        const R fraction = 0.9 + 0.095 * least;
         const auto [first, second] = reach();
         const R along = min(R(1.0), fraction / first), up = min(R(1.0), fraction / second);
         if (!(max(along, up) > 1e-10 && finite(first) && finite(second))) return false;
@@ -182,6 +194,12 @@ private:
         for (int r = 0; r < rows.joint; ++r) at.joint[r] += up * d_.joint[r];
         for (int r = rows.equal; r < rows.joint; ++r) at.joint_slack[r] += along * dslack_joint_[r];
         return true;
+    }
+
+    // A predictor that goes nowhere.
+    void still() {
+        d_.z.assign(rows.count, {}), ds_.assign(rows.count, {});
+        for (auto* each : {&d_.own, &d_.joint, &dslack_own_, &dslack_joint_}) std::fill(each->begin(), each->end(), R(0.0));
     }
 
     // The direction towards complementarity `target`; second: with the predictor's second order, which d_, ds_ and dslack_ still hold.
