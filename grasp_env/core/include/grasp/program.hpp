@@ -1,43 +1,15 @@
 // The general program of a grasp: soft, elliptic and frictionless contacts, least and largest normal forces, joint torques; the least sum
 // or the least maximum of the normal forces, the least excess over limits that no force keeps (`excess.hpp`, for any rows and contacts),
 // and the force deepest inside everything, or the twist that proves that there is none.
-//
-// Contact i has z_i = (u, o, t, w): cone coordinates and, where it is soft, w = u - |torsion| in units of its limit with a row w <= 2u.
-// Balance is taken with orthonormal rows, G = L Q, so that contacts close to each other cost no digits; forces are of the size of the
-// least-norm one, so that tolerances mean the same from 1e-6 to 1e4 N.
+// Forces are of the size of the least-norm one, so that tolerances mean the same from 1e-6 to 1e4 N.
 #pragma once
 #include <memory>
 #include <optional>
+#include "deepest.hpp"
 #include "excess.hpp"
-#include "interior_point.hpp"
 #include "phi_rows.hpp"
 
 namespace grasp {
-
-// A margin up to this, of one for forces that sum to one, counts as the boundary: no force strictly inside.
-inline constexpr double CLEAR = 1e-9;
-
-// What a program is made of; arrays are row-major.
-struct Given {
-    int count, limits;      // N, M
-    const double* frame;    // (6, 6) wrenches into the unit frame
-    const double* balance;  // (6, N, 4) of (u, o, t, w), unit frame
-    const double* rows;     // (M, N, 4) of length one: rows . z <= bound; those of torsion come first
-    const double* bound;    // (M,) [N]
-    const double* divisor;  // (N, 4) force and torsion from z; inf where nothing is transmitted
-    const double* shares;   // (M,) [N] by how much a bound grows where its limit grows by all of itself; 0: never
-    bool elastic;           // whether the least excess will be asked
-};
-
-// `excess`: the largest part of itself by which a limit is exceeded, t with rows . z <= bound + t share.
-enum class Criterion { sum, largest, excess };
-
-struct Deepest {
-    Code code = REFUSED;  // INFEASIBLE: no force strictly inside, `twist` is the proof
-    int iterations = 0;
-    double margin = 0.0;
-    Vec6 twist{};  // [linear; angular], largest component one
-};
 
 class Program {
 public:
@@ -65,46 +37,17 @@ namespace detail {
 
 template <int D> class ProgramOn final : public Program {
 public:
-    using Field = std::vector<Tuple<double, D>>;
+    using Field = typename Constraints<D>::Field;
     template <class R, int T> using Engine = InteriorPoint<R, D, T>;
-    // The same program in two precisions: the second is asked where the first ends short.
-    template <int T> struct Pair {
-        Engine<double, T> quick;
-        Engine<Twice, T> careful;
-        Pair(const ProgramOn& program, int many, Criterion criterion = Criterion::sum)
-            : quick(program.rows<double, T>(many, criterion), program.soft_), careful(program.rows<Twice, T>(many, criterion), program.soft_) {
-            set(quick, program), set(careful, program);
-        }
-        template <class R> static void set(Engine<R, T>& engine, const ProgramOn& program) {
-            if constexpr (T == 1) engine.shared_cost = {R(1.0)};
-            if constexpr (T == 2) engine.shared_cost = {R(-1.0), R(0.0)};
-            if constexpr (T == 0)
-                for (int i = 0; i < program.count; ++i) engine.cost[i][0] = program.price_[i];
-        }
-    };
 
     explicit ProgramOn(const Given& given)
-        : Program(given.count, given.limits), soft_(count), price_(count), divisor_(given.divisor, given.divisor + 4 * count),
-          bound_(given.bound, given.bound + limits), shares_(given.shares, given.shares + limits), rest_(count), inside_(count), z_(count), best_(count),
-          room_(count + limits + count), room_inside_(room_), prices_(limits), best_prices_(limits) {
-        std::copy(given.frame, given.frame + 36, &frame_[0][0]);
-        for (int i = 0; i < count; ++i) soft_[i] = divisor_[4 * i + 3] < infinity, price_[i] = 1.0 / divisor_[4 * i];
-        const auto rows_of = [&](const double* from, int many, std::vector<Field>& to) {
-            to.assign(many, Field(count));
-            for (int k = 0; k < many; ++k)
-                for (int i = 0; i < count; ++i) std::copy(from + 4 * (count * k + i), from + 4 * (count * k + i) + D, to[k][i].begin());
-        };
-        rows_of(given.balance, 6, balance_), rows_of(given.rows, limits, limit_);
-        torsion_row_.assign(count, -1);
-        for (int i = 0, next = 0; i < count; ++i)
-            if (soft_[i]) torsion_row_[i] = next++;
-        torsions_ = int(std::count(soft_.begin(), soft_.end(), 1));
-        orthonormalise();
-        sum_.emplace(*this, limits), largest_.emplace(*this, limits, Criterion::largest), depth_.emplace(*this, limits);
-        cones_.emplace(*this, torsions_);
-        if (given.elastic) excess_.emplace(*this, limits, Criterion::excess);
-        phi_.emplace(Descents{{rows<double, 0>(limits), soft_, limits}, {rows<Twice, 0>(limits), soft_, limits}});
-        find_rest();
+        : Program(given.count, given.limits), in_(std::make_shared<Constraints<D>>(given)), sum_(in_->template within<0>(limits)),
+          largest_(in_->template within<1>(limits, Criterion::largest)), depth_(in_, limits), cones_(in_, in_->torsions),
+          phi_{{sum_.quick.rows, in_->soft, limits}, {sum_.careful.rows, in_->soft, limits}}, rest_(count), inside_(count), z_(count),
+          best_(count), room_(in_->room()), room_inside_(room_), prices_(limits), best_prices_(limits) {
+        if (given.elastic) excess_.emplace(in_->template within<1>(limits, Criterion::excess));
+        const double nothing[6] = {};
+        has_rest_ = cones_.find(nothing, 1e-2, rest_).code == CONVERGED;
     }
     std::unique_ptr<Program> clone() const override { return std::make_unique<ProgramOn>(*this); }
 
@@ -116,11 +59,11 @@ public:
         if (!sane_wrench(wrench) || (criterion == Criterion::excess && !excess_)) return REFUSED;
         std::copy(wrench, wrench + 6, out.wrench.begin());
         criterion_ = criterion;
-        const Vec6 load = in_frame(wrench);
-        const Vec6 turned = solve_lower(load);
-        size_ = largest_of(turned);
+        const Vec6 load = in_->in_frame(wrench);
+        const Vec6 turned = in_->solve_lower(load);
+        size_ = in_->largest_of(turned);
         double most = 0.0;
-        for (int k = 0; k < limits; ++k) most = std::max(most, -bound_[k]);
+        for (int k = 0; k < limits; ++k) most = std::max(most, -in_->bound[k]);
         if (size_ < NOTHING && !(most > 0.0)) {  // no force is needed, and none is less
             out.code = CONVERGED;
             return CONVERGED;
@@ -130,8 +73,8 @@ public:
         best_value_ = infinity, best_bound_ = 0.0, best_nu_ = Vec6{}, residual_ = 0.0;
         std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
         has_inside_ = false;
-        const Code code = criterion == Criterion::sum       ? solve(*sum_, wrench, options, out)
-                          : criterion == Criterion::largest ? solve(*largest_, wrench, options, out)
+        const Code code = criterion == Criterion::sum       ? solve(sum_, wrench, options, out)
+                          : criterion == Criterion::largest ? solve(largest_, wrench, options, out)
                                                             : solve(*excess_, wrench, options, out);
         if (code == INFEASIBLE) return record.refute(out.multipliers, size(load));
         if (code == REFUSED) return code;
@@ -142,7 +85,7 @@ public:
     Deepest deepest(const double* wrench, double tolerance, double* z) override {
         Deepest found;
         if (!sane_wrench(wrench)) return found;
-        found = dive(*depth_, wrench, tolerance, limits, inside_);
+        found = depth_.find(wrench, tolerance, inside_);
         for (int i = 0; i < count; ++i)
             for (int a = 0; a < 4; ++a) z[4 * i + a] = a < D ? inside_[i][a] : 1.0;
         return found;
@@ -155,7 +98,7 @@ public:
         record.summary().code = REFUSED;
         if (!sane_wrench(call.wrench)) return REFUSED;
         std::copy(call.wrench, call.wrench + 6, record.summary().wrench.begin());
-        criterion_ = Criterion::sum, size_ = 1.0, unit_ = in_frame(call.wrench), turned_ = solve_lower(unit_);
+        criterion_ = Criterion::sum, size_ = 1.0, unit_ = in_->in_frame(call.wrench), turned_ = in_->solve_lower(unit_);
         for (int i = 0; i < count; ++i)
             for (int a = 0; a < D; ++a) inside_[i][a] = z[4 * i + a];
         has_inside_ = true;
@@ -176,7 +119,7 @@ public:
             engine.iterations = spent, engine.trials = trials;
             return code == REFUSED ? code : write_phi(engine, code, call, options.tolerance, record, prices);
         };
-        auto& [quick, careful] = *phi_;
+        auto& [quick, careful] = phi_;
         take_start(quick);
         const Code first = descend(quick, call, 1.0, options.tolerance, std::min(options.limit, PATIENCE));
         if (first != STALLED && (first != LIMIT || options.limit <= PATIENCE)) return written(quick, first);
@@ -195,30 +138,22 @@ public:
     }
 
 private:
-    static constexpr double PAD = 6e-16;       // of the numbers that make a slack: what rounding may cost on the way to forces
-    static constexpr double LAST = 4e-16;      // of the largest normal force: what rounding it may cost balance
     static constexpr double BALANCED = 1e-9;   // of the wrench: what an optimal force may miss
     static constexpr double BELOW = -1e-9;     // rounding by which an objective may fall short of its bound
-    static constexpr double ROUNDING = 1e-14;  // of the numbers that make a proof, per term: far above what rounding may cost
     static constexpr double MOST = 1e4;        // of the largest normal force of a start: normal forces among which an excess is the least
     static constexpr double BEGIN = 1.5;       // of a start's excess: how much limits are raised there
     static constexpr int FIRST_TRY = 40;       // iterations, of which a dozen is usual, before another start or more digits are tried
     static constexpr int PATIENCE = 200;       // iterations on Phi, of which twenty are usual, before the central path is tried
     static constexpr double FALL = 30.0;       // of lambda from one stage of the path to the next
-    std::vector<char> soft_;
-    std::vector<double> price_, divisor_, bound_, shares_;
-    std::vector<Field> balance_, limit_, turn_;  // (6,) G, (M,), (6,) Q
-    std::vector<int> torsion_row_;
-    int torsions_ = 0;
-    double frame_[6][6], lower_[6][6] = {};
-    std::optional<Pair<0>> sum_;
-    std::optional<Pair<1>> largest_, excess_;
-    std::optional<Pair<2>> depth_, cones_;  // inside everything; inside the cones alone
-    struct Descents {
+    std::shared_ptr<const Constraints<D>> in_;
+    Precisions<D, 0> sum_;
+    Precisions<D, 1> largest_;
+    std::optional<Precisions<D, 1>> excess_;
+    Depth<D> depth_, cones_;  // inside everything; inside the cones alone
+    struct {
         PhiRows<double, D> quick;
         PhiRows<Twice, D> careful;
-    };
-    std::optional<Descents> phi_;
+    } phi_;
     Field rest_, inside_, z_, best_;  // an internal force strictly inside the cones; a force strictly inside everything
     bool has_rest_ = false, has_inside_ = false;
     std::vector<double> room_, room_inside_, prices_, best_prices_;
@@ -227,284 +162,10 @@ private:
     double raised_ = 1.0, most_ = 1.0;  // the excess that is one unit of t; the largest normal force that is looked at
     double size_ = 1.0, best_value_ = infinity, best_bound_ = 0.0, residual_ = 0.0, best_residual_ = 0.0;
 
-    // G = L Q by Gram and Schmidt, twice.
-    void orthonormalise() {
-        turn_ = balance_;
-        for (int r = 0; r < 6; ++r) {
-            for (int pass = 0; pass < 2; ++pass)
-                for (int q = 0; q < r; ++q) {
-                    const double along = product(turn_[r], turn_[q]);
-                    lower_[r][q] += along;
-                    for (int i = 0; i < count; ++i) add(turn_[r][i], -along, turn_[q][i]);
-                }
-            lower_[r][r] = std::sqrt(product(turn_[r], turn_[r]));
-            for (auto& z : turn_[r])
-                for (double& value : z) value /= lower_[r][r];
-        }
-    }
-    static double product(const Field& a, const Field& b) {
-        double total = 0.0;
-        for (std::size_t i = 0; i < a.size(); ++i) total += inner(a[i], b[i]);
-        return total;
-    }
-    Vec6 in_frame(const double* wrench) const {
-        Vec6 out{};
-        for (int r = 0; r < 6; ++r)
-            for (int q = 0; q < 6; ++q) out[r] += frame_[r][q] * wrench[q];
-        return out;
-    }
-    Vec6 solve_lower(Vec6 a) const {
-        for (int r = 0; r < 6; ++r) {
-            for (int q = 0; q < r; ++q) a[r] -= lower_[r][q] * a[q];
-            a[r] /= lower_[r][r];
-        }
-        return a;
-    }
-    // Multipliers of the wrench as it is given from those of the turned balance.
-    Vec6 pull_back(const Vec6& a) const { return out_of_frame(solve_upper(a)); }
-    Vec6 solve_upper(Vec6 a) const {
-        for (int r = 5; r >= 0; --r) {
-            for (int q = r + 1; q < 6; ++q) a[r] -= lower_[q][r] * a[q];
-            a[r] /= lower_[r][r];
-        }
-        return a;
-    }
-    Vec6 out_of_frame(const Vec6& a) const {
-        Vec6 out{};
-        for (int q = 0; q < 6; ++q)
-            for (int r = 0; r < 6; ++r) out[q] += frame_[r][q] * a[r];
-        return out;
-    }
-    // The largest number of the least-norm force of a turned wrench: a size that does not hang on units.
-    double largest_of(const Vec6& turned) const {
-        double most = 0.0;
-        for (int i = 0; i < count; ++i)
-            for (int a = 0; a < D; ++a) {
-                double value = 0.0;
-                for (int r = 0; r < 6; ++r) value += turn_[r][i][a] * turned[r];
-                most = std::abs(value) <= most ? most : std::abs(value);
-            }
-        return most;
-    }
-    // z -= Q^T a
-    void subtract(Field& z, const Vec6& a) const {
-        for (int r = 0; r < 6; ++r)
-            for (int i = 0; i < count; ++i) add(z[i], -a[r], turn_[r][i]);
-    }
-    Vec6 wrench_of(const Field& z) const {
-        Vec6 out;
-        for (int r = 0; r < 6; ++r) out[r] = product(balance_[r], z);
-        return out;
-    }
-    // What G z + w misses off z, by the least change; returns what is left. What is z's own rounding stays: where contacts are close to each
-    // other its least change is far larger than it.
-    double balance(Field& z, const Vec6& unit) const {
-        double most = 0.0;
-        for (int i = 0; i < count; ++i) most = std::max(most, z[i][0]);
-        for (int pass = 0;; ++pass) {
-            const Vec6 left = wrench_of(z) + unit;
-            if (pass == 2 || grasp::size(left) <= LAST * most) return grasp::size(left);
-            subtract(z, solve_lower(left));
-        }
-    }
-
-    template <class R, int T> Rows<R, D, T> rows(int many, Criterion criterion = Criterion::sum) const {
-        Rows<R, D, T> out;
-        const auto turned = [](const Field& row) {
-            std::vector<Tuple<R, D>> made(row.size());
-            for (std::size_t i = 0; i < row.size(); ++i) made[i] = wide<R>(row[i]);
-            return made;
-        };
-        for (int r = 0; r < 6; ++r) {
-            Tuple<R, T> shared{};
-            if constexpr (T == 2)
-                for (int i = 0; i < count; ++i) shared[0] += inward(i, turn_[r][i]);
-            out.add_joint(turned(turn_[r]), shared, -1);
-        }
-        int equations = 6;
-        if constexpr (T == 2) {
-            Field total(count);
-            for (auto& z : total) z[0] = 1.0;
-            out.add_joint(turned(total), {R(count), R(1.0)}, -1);
-            equations = 7, out.doubtful = 6;
-        }
-        for (int k = 0; k < many; ++k) {
-            int touched = 0, last = count;
-            const Tuple<R, T> shared{};
-            for (int i = 0; i < count; ++i)
-                if (inner(limit_[k][i], limit_[k][i]) > 0.0) ++touched, last = i;
-            if (touched > 1) out.add_joint(turned(limit_[k]), shared, k);
-            else out.add_own(last, last < count ? wide<R>(limit_[k][last]) : Tuple<R, D>{}, shared, k);
-        }
-        if constexpr (T == 1)
-            for (int i = 0; i < count; ++i) {  // normal <= t, or where t is an excess <= most_
-                Tuple<R, D> row{};
-                row[0] = price_[i];
-                out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
-            }
-        if (T == 1 && criterion == Criterion::excess) {
-            Tuple<R, T> above{};
-            above[0] = -1.0;
-            out.add_own(count, {}, above, -1);
-        }
-        if constexpr (T == 2) out.add_own(count, {}, {R(1.0), R(-1.0)}, -1);
-        out.finish(count, equations);
-        return out;
-    }
-    template <class R> static Tuple<R, D> wide(const Tuple<double, D>& a) {
-        Tuple<R, D> out;
-        for (int j = 0; j < D; ++j) out[j] = a[j];
-        return out;
-    }
-    template <class R> static Tuple<double, D> narrow(const Tuple<R, D>& a) {
-        Tuple<double, D> out;
-        for (int j = 0; j < D; ++j) out[j] = double(a[j]);
-        return out;
-    }
-    // What a row makes of (1, 0, 0, 1), the way into a cone.
-    double inward(int i, const Tuple<double, D>& row) const { return row[0] + (D == 4 && soft_[i] ? row[D - 1] : 0.0); }
-
-    // Slack of every cone, w and limit, less what rounding may cost.
-    template <class Bound> void rooms(const Field& z, int many, std::vector<double>& out, Bound&& right) const {
-        int next = 0;
-        for (int i = 0; i < count; ++i) {
-            out[next++] = slack(cone(z[i])) - PAD * z[i][0];
-            if (D == 4 && soft_[i]) out[next++] = z[i][D - 1] - PAD * z[i][0];
-        }
-        for (int k = 0; k < many; ++k) {
-            double value = right(k), sizes = std::abs(value);
-            for (int i = 0; i < count; ++i)
-                for (int a = 0; a < D; ++a) {
-                    const double part = limit_[k][i][a] * z[i][a];
-                    value -= part, sizes += std::abs(part);
-                }
-            out[next++] = value - PAD * sizes;
-        }
-        std::fill(out.begin() + next, out.end(), infinity);
-    }
-    static double least_of(const std::vector<double>& values) {
-        double least = infinity;
-        for (double value : values) least = value >= least ? least : value;
-        return least;
-    }
-
-    // The deepest force for the first `many` limits, into z [N].
-    Deepest dive(Pair<2>& engines, const double* wrench, double tolerance, int many, Field& z) {
-        const Deepest found = dive(engines.quick, wrench, tolerance, many, z);
-        return found.code == CONVERGED || found.code == INFEASIBLE ? found : dive(engines.careful, wrench, tolerance, many, z);
-    }
-    template <class R> Deepest dive(Engine<R, 2>& engine, const double* wrench, double tolerance, int many, Field& z) {
-        const Vec6 load = in_frame(wrench);
-        double size = grasp::size(load);
-        bool free = size == 0.0;
-        for (int k = 0; k < many; ++k) size = std::max(size, -bound_[k]), free = free && bound_[k] == 0.0;
-        if (!(size > NOTHING)) size = 1.0;
-        const Vec6 unit = (1.0 / size) * load, turned = solve_lower(unit);
-        auto& at = engine.at;
-        for (int r = 0; r < engine.rows.joint; ++r) {
-            const int name = engine.rows.label[r];
-            if (r < 6) engine.rows.coupling[r][1] = turned[r];
-            engine.rows.right[r] = r == 6 ? 1.0 : 0.0;
-            if (name >= 0) {
-                const double part = evened(name, size);
-                engine.rows.coupling[r] = {R(part * inset(name)), R(-part * bound_[name] / size)};
-                for (int i = 0; i < count; ++i)
-                    for (int a = 0; a < D; ++a) engine.rows.columns[engine.rows.joint * i + r][a] = part * limit_[name][i][a];
-            }
-            at.joint[r] = r < 7 ? 0.0 : 1.0, at.joint_slack[r] = 1.0;
-        }
-        for (int k = 0; k < int(engine.rows.own.size()); ++k) {
-            auto& row = engine.rows.own[k];
-            if (row.label >= 0) {
-                const double part = evened(row.label, size);
-                row.shared = {R(part * inset(row.label)), R(-part * bound_[row.label] / size)};
-                if (row.contact < count)
-                    for (int a = 0; a < D; ++a) row.row[a] = part * limit_[row.label][row.contact][a];
-            }
-            at.own[k] = at.own_slack[k] = 1.0;
-        }
-        at.t = {};
-        for (int i = 0; i < count; ++i) at.z[i] = at.s[i] = wide<R>(unit_tuple());
-        Deepest found;
-        found.code = engine.run(tolerance, 0.1 * CLEAR, 0.0, 200, [] { return 0.0; });
-        found.iterations = engine.iterations, found.margin = double(at.t[0]);
-        const double part = double(at.t[1]), scale = free ? 1.0 : 1.0 / part;
-        for (int i = 0; i < count; ++i) {
-            z[i] = narrow(at.z[i]);
-            add(z[i], found.margin, unit_tuple());
-            if (D == 4 && !soft_[i]) z[i][D - 1] = 1.0;
-            for (double& value : z[i]) value *= scale;
-        }
-        if (free || part > 0.0) balance(z, unit);
-        for (auto& each : z)
-            for (double& value : each) value *= size;
-        Vec6 y;
-        for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]);
-        y = solve_upper(y);
-        const Vec6 twist = out_of_frame(y);
-        found.twist = (1.0 / std::max(grasp::size(twist), 1e-300)) * twist;
-        rooms(z, many, room_, [&](int k) { return bound_[k]; });
-        if (found.margin > CLEAR && least_of(room_) > 0.0) found.code = CONVERGED;
-        else if (found.margin <= CLEAR && found.code == CONVERGED) found.code = INFEASIBLE;
-        else if (separates(engine, y, unit, size, many)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
-        else if (found.code == CONVERGED) found.code = STALLED;  // slow is not infeasible
-        return found;
-    }
-    // What a row is multiplied by there: a bound far above the wrench makes a row of its size, not a huge one.
-    double evened(int k, double size) const { return 1.0 / std::max(1.0, std::abs(bound_[k]) / size); }
-    // What a unit of depth takes of a limit's slack.
-    double inset(int k) const {
-        double total = 1.0;
-        for (int i = 0; i < count; ++i) total += inward(i, limit_[k][i]);
-        return total;
-    }
-    // Whether y, a twist in the unit frame, proves with the limits' multipliers that no force is within the first `many` limits, wherever they
-    // come from: G^T y + sum price row is in every dual cone and y . w > sum price bound, both by more than rounding can have made.
-    template <class R> bool separates(const Engine<R, 2>& engine, const Vec6& y, const Vec6& unit, double size, int many) {
-        const auto& rows = engine.rows;
-        for (const auto& row : rows.own)
-            if (row.label >= 0) prices_[row.label] = evened(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
-        for (int r = rows.equal; r < rows.joint; ++r) prices_[rows.label[r]] = evened(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
-        const double rounding = ROUNDING * (8 + many);
-        for (int i = 0; i < count; ++i) {
-            Tuple<double, D> dual{};
-            double terms = 0.0;
-            const auto take = [&](double part, const Tuple<double, D>& row) {
-                add(dual, part, row);
-                for (double value : row) terms += std::abs(part * value);
-            };
-            for (int r = 0; r < 6; ++r) take(y[r], balance_[r][i]);
-            for (int k = 0; k < many; ++k) take(prices_[k], limit_[k][i]);
-            if (D == 4 && soft_[i] && !(dual[D - 1] > rounding * terms)) {  // w has no price to move away from: see `certify`
-                const Tuple<double, D>& row = limit_[torsion_row_[i]][i];
-                const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
-                prices_[torsion_row_[i]] += raised, take(raised, row);
-            }
-            if (!(slack(cone(dual)) > rounding * terms)) return false;
-        }
-        double value = 0.0, terms = 0.0;
-        const auto take = [&](double part) { value += part, terms += std::abs(part); };
-        for (int r = 0; r < 6; ++r) take(y[r] * unit[r]);
-        for (int k = 0; k < many; ++k) take(-prices_[k] * bound_[k] / size);
-        return value > rounding * terms && terms < infinity;
-    }
-    static Tuple<double, D> unit_tuple() {
-        Tuple<double, D> out{};
-        out[0] = 1.0;
-        if (D == 4) out[D - 1] = 1.0;
-        return out;
-    }
-
-    void find_rest() {
-        const double nothing[6] = {};
-        const Deepest found = dive(*cones_, nothing, 1e-2, torsions_, rest_);
-        has_rest_ = found.code == CONVERGED;
-    }
-
     bool elastic() const { return criterion_ == Criterion::excess; }
-    int kept() const { return elastic() ? torsions_ : limits; }  // limits that no force may exceed
+    int kept() const { return elastic() ? in_->torsions : limits; }  // limits that no force may exceed
 
-    template <int T> Code solve(Pair<T>& engines, const double* wrench, const Options& options, Summary& out) {
+    template <int T> Code solve(Precisions<D, T>& engines, const double* wrench, const Options& options, Summary& out) {
         int spent = 0;
         // from a strictly feasible z where one is known, in one precision, then in the other
         const auto attempt = [&](auto& engine, bool known) {
@@ -520,7 +181,7 @@ private:
         };
         Code code = attempt(engines.quick, false);
         if (code != CONVERGED && !has_inside_) {
-            const Deepest found = dive(elastic() ? *cones_ : *depth_, wrench, 1e-7, kept(), z_);
+            const Deepest found = (elastic() ? cones_ : depth_).find(wrench, 1e-7, z_);
             if (found.code != CONVERGED) {
                 out.multipliers = found.twist, out.iterations = spent;
                 return found.code == INFEASIBLE ? INFEASIBLE : REFUSED;
@@ -539,23 +200,23 @@ private:
     template <class R, int T> static constexpr bool watches(const Engine<R, T>&) { return std::is_same_v<R, Twice>; }
     template <class Engine> void set_right(Engine& engine) const {
         auto& joint = engine.rows.right;
-        for (int r = 0; r < engine.rows.joint; ++r) joint[r] = r < 6 ? -turned_[r] : bound_[engine.rows.label[r]] / size_;
-        for (auto& row : engine.rows.own) row.right = row.label >= 0 ? bound_[row.label] / size_ : 0.0;
+        for (int r = 0; r < engine.rows.joint; ++r) joint[r] = r < 6 ? -turned_[r] : in_->bound[engine.rows.label[r]] / size_;
+        for (auto& row : engine.rows.own) row.right = row.label >= 0 ? in_->bound[row.label] / size_ : 0.0;
     }
     // The largest part of itself by which z exceeds a limit.
     double excess(const Field& z) const {
         double most = 0.0;
-        for (int k = torsions_; k < limits; ++k)
-            if (shares_[k] > 0.0) most = std::max(most, (size_ * product(limit_[k], z) - bound_[k]) / shares_[k]);
+        for (int k = in_->torsions; k < limits; ++k)
+            if (in_->shares[k] > 0.0) most = std::max(most, (size_ * in_->product(in_->limit[k], z) - in_->bound[k]) / in_->shares[k]);
         return most;
     }
     // t in units of an excess above that of a start z, where it begins at one; normal forces up to a multiple of those of z.
     template <class R> void raise(Engine<R, 1>& engine, const Field& z) {
         raised_ = BEGIN * excess(z) + EXCESS_FLOOR, most_ = 1.0, best_bound_ = 0.0;
-        for (int i = 0; i < count; ++i) most_ = std::max(most_, price_[i] * z[i][0]);
+        for (int i = 0; i < count; ++i) most_ = std::max(most_, in_->price[i] * z[i][0]);
         most_ *= MOST;
         const auto raise = [&](Tuple<R, 1>& shared, int name) {
-            if (name >= 0) shared[0] = -raised_ * shares_[name] / size_;
+            if (name >= 0) shared[0] = -raised_ * in_->shares[name] / size_;
         };
         for (int r = 0; r < engine.rows.joint; ++r) raise(engine.rows.coupling[r], engine.rows.label[r]);
         for (auto& row : engine.rows.own) {
@@ -575,18 +236,18 @@ private:
     template <class R, int T> bool begin(Engine<R, T>& engine) {
         if (has_rest_) {
             for (auto& each : z_) each = {};
-            subtract(z_, turned_);
+            in_->subtract(z_, turned_);
             double squeeze = 1e-6;
-            rooms(z_, torsions_, room_, [](int) { return 0.0; });
-            rooms(rest_, torsions_, room_inside_, [](int) { return 0.0; });
+            in_->rooms(z_, in_->torsions, room_, [](int) { return 0.0; });
+            in_->rooms(rest_, in_->torsions, room_inside_, [](int) { return 0.0; });
             for (std::size_t k = 0; k < room_.size(); ++k)
                 if (room_[k] < infinity) squeeze = std::max(squeeze, -room_[k] / room_inside_[k]);
             for (int i = 0; i < count; ++i) {
                 add(z_[i], 1.3 * squeeze, rest_[i]);
-                if (D == 4 && !soft_[i]) z_[i][D - 1] = 1.0;
+                if (D == 4 && !in_->soft[i]) z_[i][D - 1] = 1.0;
             }
         } else {
-            for (auto& each : z_) each = unit_tuple();
+            for (auto& each : z_) each = in_->inwards();
         }
         for (int i = 0; i < count; ++i) engine.at.z[i] = wide<R>(z_[i]);
         const bool slack = place(engine, has_rest_ ? 1e-3 : 1.0);
@@ -600,11 +261,11 @@ private:
         const auto& rows = engine.rows;
         R largest = 0.0, product = 0.0, normal = 0.0;
         for (int i = 0; i < count; ++i) {
-            largest = max(largest, at.z[i][0]), normal = max(normal, price_[i] * at.z[i][0]);
+            largest = max(largest, at.z[i][0]), normal = max(normal, in_->price[i] * at.z[i][0]);
             at.s[i] = engine.cost[i];
-            if constexpr (T == 1) at.s[i][0] = price_[i] / count;
+            if constexpr (T == 1) at.s[i][0] = in_->price[i] / count;
             product += at.z[i][0] * at.s[i][0] / count;
-            if (D == 4) at.s[i][D - 1] = soft_[i] ? 0.25 * at.s[i][0] : R(1.0);
+            if (D == 4) at.s[i][D - 1] = in_->soft[i] ? 0.25 * at.s[i][0] : R(1.0);
         }
         if constexpr (T == 1) {
             at.t = {2.0 * normal};
@@ -620,7 +281,7 @@ private:
             kept = kept && slack > 0.0;
             return max(slack, floor);
         };
-        const double share = 0.1 / std::max(1, limits - torsions_);
+        const double share = 0.1 / std::max(1, limits - in_->torsions);
         for (int i = 0; i <= count; ++i)
             for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) {
                 const auto& row = rows.own[k];
@@ -628,7 +289,7 @@ private:
                 if (i < count) slack -= inner(row.row, at.z[i]);
                 at.own_slack[k] = lift(slack);
                 if (row.label < 0) at.own[k] = R(1.0) / count;
-                else if (row.label < torsions_) at.own[k] = at.s[i][D - 1] / row.row[D - 1];
+                else if (row.label < in_->torsions) at.own[k] = at.s[i][D - 1] / row.row[D - 1];
                 else at.own[k] = min(product / at.own_slack[k], R(i < count ? share * engine_price<T>(i) : 1.0));
             }
         for (int r = 0; r < rows.joint; ++r) {
@@ -651,37 +312,37 @@ private:
             Tuple<R, D> s = engine.cost[i];
             for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(s, at.own[k], rows.own[k].row);
             for (int r = rows.equal; r < rows.joint; ++r) add(s, at.joint[r], rows.columns[rows.joint * i + r]);
-            if (D == 4 && !soft_[i]) s[D - 1] = 1.0;
+            if (D == 4 && !in_->soft[i]) s[D - 1] = 1.0;
             at.s[i] = s;
         }
         return kept;
     }
-    template <int T> double engine_price(int i) const { return T == 1 ? price_[i] / count : price_[i]; }
+    template <int T> double engine_price(int i) const { return T == 1 ? in_->price[i] / count : in_->price[i]; }
 
     // Balances the iterate, takes it into the limits and bounds its objective; keeps the best force and the best bound. Returns the gap.
     template <class R, int T> double consider(const Engine<R, T>& engine) {
-        const auto right = [&](int k) { return bound_[k] / size_; };
+        const auto right = [&](int k) { return in_->bound[k] / size_; };
         for (int i = 0; i < count; ++i) z_[i] = narrow(engine.at.z[i]);
-        residual_ = balance(z_, unit_);
-        rooms(z_, kept(), room_, right);
+        residual_ = in_->rebalance(z_, unit_);
+        in_->rooms(z_, kept(), room_, right);
         double least = least_of(room_);
         if (least > 0.0 && watches(engine)) inside_ = z_, has_inside_ = true;
         if (least < 0.0 && has_inside_) {  // mixed with as little of a force inside as takes the last digits in
-            rooms(inside_, kept(), room_inside_, right);
+            in_->rooms(inside_, kept(), room_inside_, right);
             double part = 0.0;
             for (std::size_t k = 0; k < room_.size(); ++k)
                 if (room_[k] < 0.0) part = std::max(part, -room_[k] / (room_inside_[k] - room_[k]));
             part = std::min(1.0, 1.01 * part);
             for (int i = 0; i < count; ++i)
                 for (int a = 0; a < D; ++a) z_[i][a] = (1.0 - part) * z_[i][a] + part * inside_[i][a];
-            residual_ = grasp::size(wrench_of(z_) + unit_);
-            rooms(z_, kept(), room_, right);
+            residual_ = grasp::size(in_->wrench_of(z_) + unit_);
+            in_->rooms(z_, kept(), room_, right);
             least = least_of(room_);
         }
         certify(engine);
         double force = 0.0;
         for (int i = 0; i < count; ++i) {
-            const double normal = price_[i] * z_[i][0];
+            const double normal = in_->price[i] * z_[i][0];
             force = T == 1 ? std::max(force, normal) : force + normal;
         }
         const double value = elastic() ? excess(z_) : force;
@@ -710,27 +371,27 @@ private:
         double theta = 1.0, paid = 0.0;
         if (elastic()) {
             double price = 0.0;
-            for (int k = torsions_; k < limits; ++k) price += prices_[k] * shares_[k];
+            for (int k = in_->torsions; k < limits; ++k) price += prices_[k] * in_->shares[k];
             theta = price > 0.0 ? size_ / price : 0.0;
         }
         for (int i = 0; i < count; ++i) {
             Tuple<double, D> safe{}, end{};
-            safe[0] = engine_price<T>(i), end[0] = elastic() ? 0.0 : price_[i];
+            safe[0] = engine_price<T>(i), end[0] = elastic() ? 0.0 : in_->price[i];
             if (T == 1 && !elastic()) end[0] *= std::max(double(at.own[rows.first[i + 1] - 1]), 0.0) / shares;
-            for (int r = 0; r < 6; ++r) add(end, double(at.joint[r]), turn_[r][i]);
-            for (int r = rows.equal; r < rows.joint; ++r) add(end, prices_[rows.label[r]], limit_[rows.label[r]][i]);
+            for (int r = 0; r < 6; ++r) add(end, double(at.joint[r]), in_->turn[r][i]);
+            for (int r = rows.equal; r < rows.joint; ++r) add(end, prices_[rows.label[r]], in_->limit[rows.label[r]][i]);
             for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
-                if (rows.own[k].label >= 0) add(end, prices_[rows.own[k].label], limit_[rows.own[k].label][i]);
-            if (D == 4 && soft_[i] && end[D - 1] < 0.0) {
+                if (rows.own[k].label >= 0) add(end, prices_[rows.own[k].label], in_->limit[rows.own[k].label][i]);
+            if (D == 4 && in_->soft[i] && end[D - 1] < 0.0) {
                 // w has no price to move away from: raise its row's multiplier, at the expense of u
-                const Tuple<double, D>& row = limit_[torsion_row_[i]][i];
+                const Tuple<double, D>& row = in_->limit[in_->torsion_row[i]][i];
                 const double raised = -end[D - 1] / row[D - 1];
-                prices_[torsion_row_[i]] += raised, add(end, raised, row);
+                prices_[in_->torsion_row[i]] += raised, add(end, raised, row);
             }
             const Vec3<double> last = cone(end);
             if (slack(last) >= 0.0) continue;
             if (elastic()) {
-                paid -= slack(last) * most_ / price_[i];
+                paid -= slack(last) * most_ / in_->price[i];
                 continue;
             }
             const double per = Boundary<double>(cone(safe)).per(last - cone(safe));
@@ -739,7 +400,7 @@ private:
         double value = 0.0;
         Vec6 y;
         for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]), value += y[r] * turned_[r];
-        for (int k = 0; k < limits; ++k) value -= prices_[k] * bound_[k] / size_;
+        for (int k = 0; k < limits; ++k) value -= prices_[k] * in_->bound[k] / size_;
         value = theta * (value - paid);
         if (value > best_bound_ && value < infinity) {
             best_bound_ = value, best_nu_ = -theta * y;
@@ -750,15 +411,15 @@ private:
     // Optimal where what is returned is: balanced, inside, its gap within the tolerance.
     template <class R> Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call, double tolerance, const Record& record, double* prices) {
         for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
-        best_residual_ = balance(best_, unit_);
+        best_residual_ = in_->rebalance(best_, unit_);
         for (double part = 1e-15;; part = std::min(1.0, 4.0 * part)) {  // what rounding took outside goes back, on the way to the start
             for (int i = 0; i < count; ++i) engine.z[i] = wide<R>(best_[i]);
             engine.evaluate();
-            rooms(best_, limits, room_, [&](int k) { return bound_[k]; });
+            in_->rooms(best_, limits, room_, [&](int k) { return in_->bound[k]; });
             if ((least_of(room_) >= 0.0 && engine.value < infinity) || best_ == inside_) break;
             for (int i = 0; i < count; ++i)
                 for (int a = 0; a < D; ++a) best_[i][a] = part < 1.0 ? best_[i][a] + part * (inside_[i][a] - best_[i][a]) : inside_[i][a];
-            best_residual_ = grasp::size(wrench_of(best_) + unit_);
+            best_residual_ = grasp::size(in_->wrench_of(best_) + unit_);
         }
         best_value_ = double(engine.value), best_bound_ = double(engine.bound);
         for (int r = 0; r < 6; ++r) best_nu_[r] = -double(engine.proof.joint[r]);
@@ -790,15 +451,15 @@ private:
             best_nu_ = (1.0 / size_) * best_nu_;
             for (double& price : best_prices_) price /= size_;
         }
-        out.residual = size_ * best_residual_, out.multipliers = pull_back(best_nu_), out.margin = infinity;
+        out.residual = size_ * best_residual_, out.multipliers = in_->pull_back(best_nu_), out.margin = infinity;
         for (int i = 0; i < count; ++i) {
             Vec3<double> x = cone(best_[i]);
             double* force = record.force() + 3 * i;
-            for (int a = 0; a < 3; ++a) force[a] = size_ * x[a] / divisor_[4 * i + a];
+            for (int a = 0; a < 3; ++a) force[a] = size_ * x[a] / in_->divisor[4 * i + a];
             std::copy(force, force + 3, record.initial_force() + 3 * i);
-            if (D == 4 && soft_[i]) record.torsion()[i] = size_ * (best_[i][0] - best_[i][D - 1]) / divisor_[4 * i + 3];
+            if (D == 4 && in_->soft[i]) record.torsion()[i] = size_ * (best_[i][0] - best_[i][D - 1]) / in_->divisor[4 * i + 3];
             for (int a = 1; a < 3; ++a)
-                if (!(divisor_[4 * i + a] < infinity)) x[a] = 0.0;
+                if (!(in_->divisor[4 * i + a] < infinity)) x[a] = 0.0;
             out.margin = std::min(out.margin, size_ * slack(x));
         }
         std::copy(best_prices_.begin(), best_prices_.end(), prices);

@@ -16,6 +16,17 @@ template <class R, std::size_t K> inline R inner(const std::array<R, K>& a, cons
 template <class R, std::size_t K> inline void add(std::array<R, K>& to, const R& k, const std::array<R, K>& a) {
     for (std::size_t j = 0; j < K; ++j) to[j] += k * a[j];
 }
+// In another number's digits.
+template <class R, std::size_t K> inline std::array<R, K> wide(const std::array<double, K>& a) {
+    std::array<R, K> out;
+    for (std::size_t j = 0; j < K; ++j) out[j] = a[j];
+    return out;
+}
+template <class R, std::size_t K> inline std::array<double, K> narrow(const std::array<R, K>& a) {
+    std::array<double, K> out;
+    for (std::size_t j = 0; j < K; ++j) out[j] = double(a[j]);
+    return out;
+}
 // Whether it is a number above what was seen, or no number.
 template <class R> inline void keep_largest(R& most, const R& value) {
     if (!(value <= most)) most = value;
