@@ -245,11 +245,12 @@ class RuleStarts:
     settings: Settings
 
     def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
-        """See `Method.start`: a checked name, a rule, an (N, 3) force or None, which is the paper's start."""
+        """See `Method.start`: a checked name, a rule, an (N, 3) force or None: the paper's start, phase one where the grasp has none."""
         grasp, objective = self.grasp, self.settings.objective
         if isinstance(initial, np.ndarray | list | tuple):
             return given_start("given", initial, grasp.n_contacts)
-        if initial is None or (initial == "previous" and previous is None):
+        own_choice = initial is None or (isinstance(initial, str) and initial == "previous" and previous is None)
+        if own_choice:
             initial = "linear_combination"  # also where there is nothing to carry over yet
         try:
             if initial == "previous":
@@ -274,6 +275,10 @@ class RuleStarts:
             found = phase_one(grasp, wrench)
             if found.certificate is not None:
                 raise infeasible_error(grasp, wrench, self.settings.method, str(initial), found.certificate) from error
+            if own_choice and found.force is not None:
+                return Start(
+                    "phase_one", found.force
+                )  # no force closure, or hardly: no 12-basis, but this wrench is safe
             raise
 
 

@@ -284,7 +284,7 @@ def optimize_force(
         wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N m], object
             frame; balanced as G f + wrench = 0.
         initial: "linear_combination" (the paper; the default), "linear_combination_printed", "single_value",
-            "lagrange", "phase_one" (the default where torsion alone gives force closure), any callable
+            "lagrange", "phase_one" (the default without force closure, or by torsion alone), any callable
             rule(grasp, wrench) -> (N, 3), an (N, 3) force, or a previous `ForceSolution` to carry over. Not for
             `conic` and `linear`, which start from their own centre.
         method: "reduced_flow" (the paper's flow on 3N numbers), "full_flow" (dense, N <= 8), "newton" (Phi, a dozen

@@ -25,7 +25,6 @@ from force.clarabel_reference import SOLVED, Reference, _run
 
 from grasp_env.errors import (
     GraspError,
-    InfeasibleStartError,
     InfeasibleWrenchError,
     InvalidInputError,
     RankDeficientGraspError,
@@ -184,10 +183,7 @@ def outcome(p: Problem, method: str) -> str:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            try:
-                found = optimize_force(p.grasp, p.wrench, **options)
-            except InfeasibleStartError:  # without force closure there is no 12-basis: the message says to
-                found = optimize_force(p.grasp, p.wrench, initial="phase_one", **options)
+            found = optimize_force(p.grasp, p.wrench, **options)
     except InfeasibleWrenchError:
         return "wrong: infeasible" if reference.margin(p.wrench) > EDGE else "infeasible"
     except GraspError as error:

@@ -8,7 +8,16 @@ from problems import GRASPS, PAPER_WRENCH, closure_grasps
 from scipy.optimize import minimize_scalar
 
 from grasp_env.errors import InfeasibleStartError
-from grasp_env.force import RULES, Lagrange, LinearCombination, Objective, OfflineBasis, cone_margin, initial_rule
+from grasp_env.force import (
+    RULES,
+    Lagrange,
+    LinearCombination,
+    Objective,
+    OfflineBasis,
+    cone_margin,
+    initial_rule,
+    optimize_force,
+)
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
 
@@ -150,6 +159,12 @@ def test_grasp_without_closure_has_no_basis_but_phase_one_has_a_start() -> None:
     for name in ("linear_combination", "single_value", "lagrange"):
         with pytest.raises(InfeasibleStartError, match=r"no force closure.*initial='phase_one'"):
             initial_rule(name)(grasp, down)
+    for initial in (None, "previous"):  # no start was named, or there is none yet
+        for method in ("newton", "reduced_flow"):
+            solution = optimize_force(grasp, down, method=method, initial=initial)
+            assert (solution.status.name, solution.initial) == ("OPTIMAL", "phase_one")
+    with pytest.raises(InfeasibleStartError, match="no force closure"):
+        optimize_force(grasp, down, initial="linear_combination")
     _assert_start(grasp, down, initial_rule("phase_one")(grasp, down))
     with pytest.raises(InfeasibleStartError, match="no force strictly inside the cones"):
         initial_rule("phase_one")(grasp, -down)

@@ -19,7 +19,10 @@ PROGRAM = (
     "the general program starts inside the cones, not from units: some iterations more where a limit lies far from that start; "
     "stopped early it says iteration_limit, as its force is inside, where it was stalled"
 )
-SETTLED = "steps that settle within the limits are counted; the search for the deepest force, which they replace, was not"
+SETTLED = (
+    "steps that settle within the limits are counted; the search for the deepest force, which they replace, was not"
+)
+FLOOR = "no start named and no force closure: phase one starts, an answer instead of the advice to name it"
 ACCEPTED: dict[str, str] = {
     "solver: reduced_flow from phase_one, cuboid": "the deepest force is found to 1e-7 by other steps: the flow begins a little elsewhere",
     **{
@@ -56,6 +59,8 @@ ACCEPTED: dict[str, str] = {
             "sum, min_normal, elliptic",
         )
     },
+    "edges: reduced_flow sum on a floor, None": FLOOR,
+    "edges: newton sum on a floor, None": FLOOR,
     "edges: conic max, max_normal 5, soft": SETTLED,
     "edges: conic max, torque 0.5, soft": SETTLED,
     "solver: reduced_flow, 16 random, tight": ROOT,
