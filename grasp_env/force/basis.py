@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from weakref import WeakKeyDictionary
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench, flag, instance
-from grasp_env.errors import InfeasibleStartError, RankDeficientGraspError
+from grasp_env.errors import InfeasibleStartError, NotConvergedError, RankDeficientGraspError
 from grasp_env.force.objective import Objective, as_objective
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -56,9 +57,11 @@ class OfflineBasis:
         if not solver.internal_force(np.empty(forces.shape[1])):
             from grasp_env.force.feasibility import (
                 phase_one,
-            )  # the general program, which can also prove that there is none
+            )  # the general program: it can also prove that there is none
 
-            interior = phase_one(grasp, np.zeros(6)).force
+            interior = None
+            with suppress(NotConvergedError):  # closure within rounding of none
+                interior = phase_one(grasp, np.zeros(6)).force
             if interior is None:
                 raise InfeasibleStartError(
                     "the grasp has no force closure, so the offline basis does not exist; "
