@@ -53,7 +53,7 @@ public:
             t += primal * step.dt, nu = nu + dual * (step.nu - nu);
             const auto proof = rows.farkas(cones, nu, w, t);
             if (proof.share > 0.0 && -proof.value > out.bound * proof.share)
-                out.bound = -proof.value / proof.share, out.multipliers = (1.0 / proof.share) * nu;
+                out.bound = -proof.value / proof.share, out.multipliers = (1.0 / proof.share) * proof.nu;
             if (out.bound > 0.0 && rows.excess(x) - out.bound <= AIM * allowed(out.bound)) {
                 out.certified = true, ++out.iterations;
                 return out;

@@ -72,7 +72,7 @@ public:
             each_ = std::max(each_, int(mine.size()));
         }
         pairs_.assign(size_t(each_) * blocks, none());
-        resize(scale_, blocks), resize(room_, blocks), resize(more_, blocks);
+        resize(scale_, blocks), resize(room_, blocks), resize(more_, blocks), resize(leans_, blocks);
         for (int b = 0; b < blocks; ++b) {
             const auto& w = cones.blocks[b].weights;
             scale_[b] = sqrt(w.lambda / w.omega);
@@ -91,6 +91,7 @@ public:
                 set(room_[b], n, room.most), set(more_[b], n, room.more);
             }
         }
+        lean(cones);
     }
 
     // Where the parabola begins, in parts of the contacts' own scales sqrt(lambda / omega), which slacks are of where limits bind. From
@@ -170,8 +171,9 @@ public:
         return largest(most);
     }
 
-    // After the Newton step from the x of the last `bend`: nu its multipliers, decrement its squared decrement as a part of Phi.
-    Verdict judge(const Cones<V, B>& cones, const Vec6& nu, const Vec6& w, double decrement, int iterations) {
+    // After the Newton step from the x of the last `bend`: nu its multipliers, decrement its squared decrement as a part of Phi. Where they
+    // prove that no force keeps the limits nu becomes that proof.
+    Verdict judge(const Cones<V, B>& cones, Vec6& nu, const Vec6& w, double decrement, int iterations) {
         const double slack = least(tightest_);
         if (slack >= edge_) return Verdict::on;
         // the optimum of a parabola need not be exact; but where rows are far below its edge, it is what multipliers are found at
@@ -186,9 +188,12 @@ public:
     // With prices y >= 0 and q = sum y a - G^T nu, every balanced force has sum q . x = sum y a . x + nu . w. In the cones and within limits
     // raised by t this is at least -sum delta u_max, delta what q lacks of the dual cone, and at most sum y (b + t share) + nu . w: so
     // value + t share >= 0, value < 0 is a proof that no force keeps the limits, and -value / share a bound of t.
-    struct Farkas { double value, share, size; };  // size: what the terms of value add up to
-    Farkas farkas(const Cones<V, B>& cones, const Vec6& nu, const Vec6& w, double t = 0.0) const {
+    // Where no row bounds u_max nu is leant over (see `lean`) until delta is nothing there.
+    struct Farkas { double value, share, size; Vec6 nu; };  // size: what the terms of value add up to
+    Farkas farkas(const Cones<V, B>& cones, const Vec6& given, const Vec6& w, double t = 0.0) const {
+        const Vec6 nu = leant(cones, given);
         V total{}, share{}, size{};
+        const V pushed = all<V>(-dot(lean_, w));
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             Vec3<V> q = -cones.blocks[b].transposed(nu);
             for_each(b, [&](const Pair<V>& p) {
@@ -198,16 +203,19 @@ public:
                     total += cost, size += abs(cost), share += side.price * side.share;
                 });
             });
-            const V lacking = cones.blocks[b].mask * max(V{}, -slack(q)) * (room_[b] + all<V>(t) * more_[b]);
+            const V room = max(V{}, room_[b] + all<V>(t) * more_[b] + leans_[b] * pushed);
+            const V lacking = cones.blocks[b].mask * max(V{}, -slack(q)) * room;
             total += lacking, size += lacking;
         }
         double value = sum(total), of = sum(size);
         for (int r = 0; r < 6; ++r) value += nu[r] * w[r], of += std::abs(nu[r] * w[r]);
-        return {value, sum(share), of};
+        return {value, sum(share), of, nu};
     }
-    bool hopeless(const Cones<V, B>& cones, const Vec6& nu, const Vec6& w) const {
+    bool hopeless(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) const {
         const Farkas found = farkas(cones, nu, w);
-        return found.value < -SURE * found.size;
+        if (!(found.value < -SURE * found.size)) return false;
+        nu = found.nu;
+        return true;
     }
 
     template <class F> void for_each(int b, F&& f) {
@@ -224,12 +232,68 @@ private:
     static constexpr double HARDENING = 1.0 / 16.0;
     static constexpr double HARDEST = 1e-6;  // nearly infeasible: another method's
     static constexpr double SURE = 1e-9;       // of what the terms of a proof add up to: far above their rounding
+    static constexpr double DAMPED = 1e-12;  // of the trace: contacts that least squares know too little of
+    static constexpr double INSIDE = 0.1;    // of e_u: how deep in the dual cones its answer must be
     static constexpr double PARALLEL = 1e-12;  // by which opposite rows may differ
     double edge_ = SOFTEST;
     int each_ = 1;
     std::vector<Pair<V>> pairs_;        // (blocks, each)
     Blocks<V, B> scale_, room_, more_;  // u is at most room + t more within limits raised by t
+    Blocks<V, B> leans_;                // 1 of a contact that no row bounds, whose u is at most room + t more - lean . w
+    Vec6 lean_{};
+    bool leaning_ = false;
     V tightest_{};
+
+    // Contacts that no row bounds: a twist nu with G_i^T nu - e_u in the dual cone of each of them, by least squares. It takes multipliers into
+    // their dual cones, and with what the others can bear it bounds what is left there of rounding: their u add up to at most
+    // nu . sum G_i x_i = -nu . w - sum (G_j^T nu) . x_j over the others. Contacts that can squeeze the object by themselves have none.
+    void lean(const Cones<V, B>& cones) {
+        const int blocks = int(cones.blocks.size());
+        Packed6 square{};
+        Vec6 side{};
+        for (int b = 0; b < blocks; ++b) {
+            const auto& c = cones.blocks[b];
+            leans_[b] = room_[b] < UNBOUNDED ? V{} : c.mask;
+            for (int r = 0; r < 6; ++r) {
+                side[r] += sum(leans_[b] * c.g[r].u);
+                for (int s = 0; s <= r; ++s) square[packed(r, s)] += sum(leans_[b] * dot(c.g[r], c.g[s]));
+            }
+        }
+        double trace = 0.0;
+        for (int r = 0; r < 6; ++r) trace += square[packed(r, r)];
+        for (int r = 0; r < 6; ++r) square[packed(r, r)] += DAMPED * trace;
+        Ldl6 factor;
+        const Vec6 nu = factor.factor(square) > 0.0 ? factor.solve(side) : Vec6{};
+        V nearest = all<V>(infinity), most{}, more{};
+        for (int b = 0; b < blocks; ++b) nearest = min(nearest, leans_[b] > 0.0 ? slack(cones.blocks[b].transposed(nu)) : all<V>(infinity));
+        const double inside = least(nearest);
+        leaning_ = inside > INSIDE && inside < infinity;
+        if (!leaning_) {
+            for (auto& each : leans_) each = V{};
+            return;
+        }
+        lean_ = (1.0 / inside) * nu;
+        for (int b = 0; b < blocks; ++b) {
+            const auto& c = cones.blocks[b];
+            const V borne = (c.mask - leans_[b]) * max(V{}, -slack(c.transposed(lean_)));
+            most += borne * room_[b], more += borne * more_[b];
+        }
+        for (int b = 0; b < blocks; ++b) {
+            room_[b] = leans_[b] > 0.0 ? all<V>(sum(most)) : room_[b];
+            more_[b] = leans_[b] > 0.0 ? all<V>(sum(more)) : more_[b];
+        }
+    }
+
+    Vec6 leant(const Cones<V, B>& cones, const Vec6& nu) const {
+        if (!leaning_) return nu;
+        V lacking{};
+        for (int b = 0; b < int(cones.blocks.size()); ++b) {
+            Vec3<V> q = -cones.blocks[b].transposed(nu);
+            for_each(b, [&](const Pair<V>& p) { q += p.price() * p.a; });
+            lacking = max(lacking, leans_[b] * -slack(q));
+        }
+        return nu - (1.0 + SURE) * largest(lacking) * lean_;
+    }
 
     static Pair<V> none() {
         Pair<V> out{};
