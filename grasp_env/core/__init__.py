@@ -4,8 +4,6 @@ try:
     from grasp_env.core._core import (
         ACCEPTED_GAP,
         CLEAR,
-        EXCESS_FLOOR,
-        EXCESS_WITHIN,
         FULL_CONTACTS,
         LARGEST,
         LAYER_FEATURES,
@@ -16,7 +14,6 @@ try:
         NOTHING,
         ROUNDING,
         TANGENT_SWITCH,
-        UNIT_TOLERANCE,
         WIDEST,
         Conic,
         Contacts,
@@ -50,8 +47,6 @@ except ImportError as error:
 __all__ = [
     "ACCEPTED_GAP",
     "CLEAR",
-    "EXCESS_FLOOR",
-    "EXCESS_WITHIN",
     "FULL_CONTACTS",
     "LARGEST",
     "LAYER_FEATURES",
@@ -62,7 +57,6 @@ __all__ = [
     "NOTHING",
     "ROUNDING",
     "TANGENT_SWITCH",
-    "UNIT_TOLERANCE",
     "WIDEST",
     "Conic",
     "Contacts",

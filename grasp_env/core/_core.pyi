@@ -54,8 +54,6 @@ class Solution:
 
 TANGENT_SWITCH: float = 0.9
 
-UNIT_TOLERANCE: float = 1e-06
-
 ROUNDING: float = 1e-15
 
 LARGEST: float = 1000000000000.0
@@ -67,7 +65,7 @@ def all_finite(array: object) -> bool:
 
 def normalise(normals: object) -> int:
     """
-    Gives (N, 3) directions unit length in place; returns the first that misses it by more than UNIT_TOLERANCE, -1: none.
+    Gives (N, 3) directions unit length in place; returns the first that misses it by more than 1e-6, -1: none.
     """
 
 def grasp_arrays(positions: object, normals: object, models: object, tangents: object, frames: object, matrix: object, cone_matrix: object, torsion_matrix: object, centre: object, frame: object) -> float:
@@ -180,10 +178,6 @@ class Flow(Newton):
 
     def repeat(self, x: object, times: int) -> float:
         """Makes the step at x (3N,) so many times; for measurements."""
-
-EXCESS_WITHIN: float = 0.01
-
-EXCESS_FLOOR: float = 1e-06
 
 class LimitedNewton:
     """
@@ -394,32 +388,10 @@ class Pipeline:
         Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or None into a record; returns the code.
         """
 
-    def begin(self, points: object | None, normals: object | None, wrench: object | None) -> bool:
-        """The contacts of now and the start there; False: none."""
-
-    def resume(self) -> None:
-        """Takes `start` back, which may have been replaced since `begin`."""
-
-    def adjust(self, wrench: object | None, coordinates: object | None) -> bool:
-        """
-        Adds an internal force in (3N - 6,) coordinates to the start and repairs it, `start` included; False: not finite.
-        """
-
-    def descend(self, wrench: object, record: object) -> int:
-        """Newton, or the flow, from the start, into a record; returns the code."""
-
-    def keep(self, record: object) -> None:
-        """A record of the contacts of now becomes the last optimum."""
-
     def carry(self, points: object, normals: object, wrench: object, force: object) -> int:
         """
         The last optimum carried to contacts and wrench of now, (N, 3); 0: carried, 1: repaired, 2: clipped.
         """
 
     def arrays(self) -> dict[str, NDArray]:
-        """
-        Views of what is held, and of the contacts of now, by name: overwritten in place.
-        """
-
-    def unit_frame(self) -> tuple[float, float, float, float]:
-        """Length and centre [m] of the contacts of now."""
+        """Views of what is held, by name: overwritten in place."""

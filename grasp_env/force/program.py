@@ -102,7 +102,7 @@ class ForceProgram:
     def least_excess(self, wrench: Wrench, max_iterations: int = 100) -> Array:
         """Where no force keeps the limits: the record of the balanced force inside the cones that exceeds them least.
 
-        min t s.t. G x + w = 0, x in the cones, torsion within its friction, A x <= b + t limit, t >= 0, to EXCESS_WITHIN.
+        min t s.t. G x + w = 0, x in the cones, torsion within its friction, A x <= b + t limit, t >= 0, to 1 %.
         What the core's `excess.hpp` does for limits on one contact each, for joints that fingers share and for soft contacts
         too. Code LIMITS_EXCEEDED where it is found; INFEASIBLE: not even the cones balance the wrench.
         """

@@ -142,7 +142,7 @@ def calls() -> dict[str, Call]:
     force = (x / s.divisor.reshape(-1)).reshape(COUNT, 3)
     models = np.concatenate([np.zeros((1, COUNT)), s.scale.T, s.divisor.T])
     records, many = np.array([_record()] * 3), (3, SIZE)
-    basis, n, c, p, b, start, bounded = {"basis": s.basis}, newton(), conic(), pipeline(), begun(), learned(), limited()
+    basis, n, c, p, start, bounded = {"basis": s.basis}, newton(), conic(), pipeline(), learned(), limited()
     moved = {"points": s.positions, "normals": s.normals, "wrench": LOADS[0]}
     geometry = {"frames": (COUNT, 3, 3), "matrix": (6, 12), "cone_matrix": (6, 12), "torsion_matrix": (6, COUNT)}
     place = {"positions": s.positions, "normals": s.normals}
@@ -229,10 +229,6 @@ def calls() -> dict[str, Call]:
         ),
         "Pipeline.set_basis": Call(pipeline().set_basis, basis | {"frames": s.frames}, {}),
         "Pipeline.solve": Call(p.solve, moved | {"adjust": np.full(6, 0.1)}, {"record": (SIZE,)}),
-        "Pipeline.begin": Call(p.begin, moved, {}),
-        "Pipeline.adjust": Call(b.adjust, {"wrench": LOADS[0], "coordinates": np.full(6, 0.1)}, {}),
-        "Pipeline.descend": Call(b.descend, {"wrench": LOADS[0]}, {"record": (SIZE,)}),
-        "Pipeline.keep": Call(begun().keep, {}, {"record": (SIZE,)}),
         "Pipeline.carry": Call(begun().carry, moved, {"force": (COUNT, 3)}),
     }
 

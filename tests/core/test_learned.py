@@ -10,7 +10,7 @@ from oracles import newton
 from oracles.phi import lower_bound, phi
 from samples import COUNTS, Sample, layouts, sample, wrenches
 from test_newton import BOUND, CODE, CONVERGED, ITERATIONS, LIMIT, MARGIN, OBJECTIVE, REFUSED, RESIDUAL, check
-from test_pipeline import path, pipeline
+from test_pipeline import initial_of, path, pipeline
 
 WIDTH = 8
 NOTHING = np.zeros(0)
@@ -268,9 +268,8 @@ def test_a_pipeline_starts_from_its_layers(count: int, remembers: bool) -> None:
     plain, made = (pipeline(s, layouts(count)[-1], remembers, tolerance=1e-3) for _ in range(2))
     made.set_layers(WIDTH, numbers)
     for there, w in path(s, 8, 3e-3):
-        assert plain.begin(there.positions, there.normals, w)
-        assert made.begin(there.positions, there.normals, w)
-        x, x0 = made.start, plain.start
+        row, other = (each.solve(there.positions, there.normals, w) for each in (made, plain))
+        x, x0 = initial_of(there, row), initial_of(there, other)
         assert phi(x, s.weights) <= phi(x0, s.weights) * (1.0 + 1e-12)
         assert np.abs(there.rows @ x + there.unit @ w).max() <= 1e-12 * count * np.abs(x).max()
         if not remembers:
@@ -281,9 +280,5 @@ def test_a_pipeline_starts_from_its_layers(count: int, remembers: bool) -> None:
             if (np.diff([phi(each, s.weights) for each in every]) < 0.0).all():  # elsewhere steps are halved
                 # the rest force is turned, not corrected: a few thousandths of a feature
                 assert phi(x, s.weights) == pytest.approx(phi(every[-1], s.weights), rel=1e-2)
-        row, other = (
-            made.solve(there.positions, there.normals, w, None),
-            plain.solve(there.positions, there.normals, w, None),
-        )
         assert row[CODE] == other[CODE] == CONVERGED
         assert row[OBJECTIVE] == pytest.approx(other[OBJECTIVE], rel=1.1e-3)

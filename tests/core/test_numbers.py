@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from calls import CALLS, COUNT, LOADS, REFUSED, SAMPLE, SIZE, TOLERANCE, begun, contacts, newton, pipeline
+from calls import CALLS, COUNT, LOADS, REFUSED, SAMPLE, SIZE, TOLERANCE, begun, contacts, newton
 
 from grasp_env.core import _core
 
@@ -185,19 +185,3 @@ def test_a_start_of_garbage_is_refused(what: str, factor: float) -> None:
     else:
         interior = SAMPLE.rest * factor
         assert _core.Conic.make(contacts(), TOLERANCE, 60, interior).solve(LOADS[0], None, row) == REFUSED
-
-
-@pytest.mark.parametrize("what", ["wrench", "start"])
-def test_a_descent_of_nan_is_refused(what: str) -> None:
-    made, row = begun(), np.zeros(SIZE)
-    if what == "start":
-        made.arrays()["start"][:] = np.nan
-        made.resume()
-    assert made.descend(LOADS[0] * (np.nan if what == "wrench" else 1.0), row) == REFUSED
-
-
-@pytest.mark.parametrize("what", ["adjust", "descend"])
-def test_nothing_before_begin(what: str) -> None:
-    made = pipeline()
-    asked = made.adjust(LOADS[0], np.ones(6)) if what == "adjust" else made.descend(LOADS[0], np.zeros(SIZE))
-    assert asked in (False, REFUSED)

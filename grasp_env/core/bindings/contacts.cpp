@@ -94,11 +94,11 @@ Contacts make(nb::handle positions, nb::handle normals, nb::handle scale, nb::ha
 }  // namespace
 
 void bind_contacts(nb::module_& m) {
-    m.attr("TANGENT_SWITCH") = TANGENT_SWITCH, m.attr("UNIT_TOLERANCE") = UNIT_TOLERANCE, m.attr("ROUNDING") = ROUNDING;
+    m.attr("TANGENT_SWITCH") = TANGENT_SWITCH, m.attr("ROUNDING") = ROUNDING;
     m.attr("LARGEST") = LARGEST, m.attr("NOTHING") = NOTHING;
     m.def("all_finite", &all_finite, "array"_a, "Whether all numbers of a C-contiguous float64 array are finite.");
     m.def("normalise", &normalise, "normals"_a,
-          "Gives (N, 3) directions unit length in place; returns the first that misses it by more than UNIT_TOLERANCE, -1: none.");
+          "Gives (N, 3) directions unit length in place; returns the first that misses it by more than 1e-6, -1: none.");
     m.def("grasp_arrays", &grasp_arrays, "positions"_a, "normals"_a, "models"_a, "tangents"_a, "frames"_a, "matrix"_a,
           "cone_matrix"_a, "torsion_matrix"_a, "centre"_a, "frame"_a,
           "Fills the arrays of a `Grasp` from `frames` on; returns its length [m], negative where its rank may not be 6.");

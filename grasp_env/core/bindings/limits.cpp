@@ -39,8 +39,6 @@ void times(LimitedNewton& newton, nb::handle wrenches, int passes, nb::handle re
 }  // namespace
 
 void bind_limits(nb::module_& m) {
-    m.attr("EXCESS_WITHIN") = EXCESS_WITHIN;
-    m.attr("EXCESS_FLOOR") = EXCESS_FLOOR;
     nb::class_<LimitedNewton>(m, "LimitedNewton", "Newton on Phi within limits a . x <= b on the force of one contact each.")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "normals"_a, "bounds"_a, "shares"_a, "weights"_a, "owners"_a,
                     "basis"_a, "elastic"_a,

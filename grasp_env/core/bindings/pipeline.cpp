@@ -39,25 +39,6 @@ int solve(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle 
     return given.readable() ? pipeline.solve(given.load(), row.data()) : int(REFUSED);
 }
 
-bool begin(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench) {
-    const Buffer p(points), n(normals), w(wrench);
-    const int count = pipeline.contacts().count;
-    if (!p.has(count, 3) || !n.has(count, 3) || !w.has(6) || !pipeline.begin({p.data(), n.data(), w.data()})) return false;
-    pipeline.publish();
-    return true;
-}
-
-bool adjust(Pipeline& pipeline, nb::handle wrench, nb::handle coordinates) {
-    const Buffer w(wrench), c(coordinates);
-    if (!w.has(6) || !c.has(3 * pipeline.contacts().count - 6) || !pipeline.adjust(w.data(), c.data())) return false;
-    pipeline.publish();
-    return true;
-}
-
-int descend(Pipeline& pipeline, nb::handle wrench, nb::handle record) {
-    return pipeline.descend(in(wrench, 6).data(), out(record, record_size(pipeline.contacts().count)).data());
-}
-
 int carry(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench, nb::handle force) {
     const int count = pipeline.contacts().count;
     const Numbers p = in(points, count, 3), n = in(normals, count, 3), w = in(wrench, 6);
@@ -67,27 +48,14 @@ int carry(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle 
 nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
     auto& pipeline = nb::cast<Pipeline&>(self);
     auto& held = pipeline.held();
-    auto& now = const_cast<Contacts&>(pipeline.contacts());
-    const size_t count = now.count, size = 3 * count;
+    const size_t count = pipeline.contacts().count, size = 3 * count;
     nb::dict named;
     named["x"] = view(self, held.x, {size});
     named["frames"] = view(self, held.frames, {count, 3, 3});
     named["cone_matrix"] = view(self, held.cone_matrix, {6, size});
     named["basis"] = view(self, held.basis, {13, size});
     named["basis_frames"] = view(self, held.basis_frames, {count, 3, 3});
-    named["start"] = view(self, pipeline.start(), {size});
-    named["safe"] = view(self, pipeline.safe(), {size});
-    named["rest_now"] = view(self, pipeline.rest(), {size});
-    named["frames_now"] = view(self, now.frames, {count, 3, 3});
-    named["cone_matrix_now"] = view(self, now.cone_matrix, {6, size});
-    named["rows_now"] = view(self, now.rows, {6, size});
-    named["inverse_now"] = view(self, now.inverse, {size, 6});
     return named;
-}
-
-nb::typed<nb::tuple, double, double, double, double> unit_frame(const Pipeline& pipeline) {
-    const UnitFrame& unit = pipeline.contacts().unit;
-    return nb::make_tuple(unit.length, unit.centre.u, unit.centre.o, unit.centre.t);
 }
 
 }  // namespace
@@ -105,16 +73,7 @@ void bind_pipeline(nb::module_& m) {
         .def("set_layers", &Pipeline::set_layers, "layers"_a, "Learned layers that go on from every start.")
         .def("solve", &solve, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "adjust"_a.none(), "record"_a,
              "Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or None into a record; returns the code.")
-        .def("begin", &begin, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "The contacts of now and the start there; False: none.")
-        .def("resume", &Pipeline::resume, "Takes `start` back, which may have been replaced since `begin`.")
-        .def("adjust", &adjust, "wrench"_a.none(), "coordinates"_a.none(),
-             "Adds an internal force in (3N - 6,) coordinates to the start and repairs it, `start` included; False: not finite.")
-        .def("descend", &descend, "wrench"_a, "record"_a, "Newton, or the flow, from the start, into a record; returns the code.")
-        .def("keep", [](Pipeline& p, nb::handle record) {
-            p.keep(out(record, record_size(p.contacts().count)).data());
-        }, "record"_a, "A record of the contacts of now becomes the last optimum.")
         .def("carry", &carry, "points"_a, "normals"_a, "wrench"_a, "force"_a,
              "The last optimum carried to contacts and wrench of now, (N, 3); 0: carried, 1: repaired, 2: clipped.")
-        .def("arrays", &arrays, "Views of what is held, and of the contacts of now, by name: overwritten in place.")
-        .def("unit_frame", &unit_frame, "Length and centre [m] of the contacts of now.");
+        .def("arrays", &arrays, "Views of what is held, by name: overwritten in place.");
 }

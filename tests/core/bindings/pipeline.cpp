@@ -31,18 +31,6 @@ public:
         const Carried how = on_->carry(load(points, normals, wrench, {}), force.data());
         return nb::make_tuple(int(how), array(force));
     }
-    // what `solve` descends from, in `start`, and the combination, in `safe`; nothing that is held changes but the basis
-    bool begin(const In& points, const In& normals, const In& wrench, const std::optional<In>& adjust) {
-        const Load given = load(points, normals, wrench, adjust);
-        if (!on_->begin(given)) return false;
-        on_->publish();
-        if (!adjust) return true;
-        const bool good = on_->adjust(given.wrench, given.adjust);
-        on_->publish();
-        return good;
-    }
-    nb::object start() const { return array(on_->start()); }
-    nb::object safe() const { return array(on_->safe()); }
     nb::object last() const { return array(on_->held().x); }
     nb::object basis() const { return array(on_->held().basis, {13, size_t(3 * count())}); }
     void set_layers(int width, const In& weights) {
@@ -86,8 +74,6 @@ void bind_pipeline(nb::module_& m) {
         .def_static("make", &P::make, "lanes"_a, "blocks"_a, "placement"_a, "tolerance"_a, "limit"_a, "basis"_a, "frames"_a,
                     "remembers"_a, "reference"_a, "flows"_a = false)
         .def("solve", &P::solve, "points"_a, "normals"_a, "wrench"_a, "adjust"_a = nb::none()).def("carry", &P::carry)
-        .def("begin", &P::begin, "points"_a, "normals"_a, "wrench"_a, "adjust"_a = nb::none())
-        .def_prop_ro("start", &P::start).def_prop_ro("safe", &P::safe).def_prop_ro("last", &P::last)
-        .def_prop_ro("basis", &P::basis).def("set_layers", &P::set_layers).def("reset", &P::reset).def("forget", &P::forget)
+        .def_prop_ro("last", &P::last).def_prop_ro("basis", &P::basis).def("set_layers", &P::set_layers).def("reset", &P::reset).def("forget", &P::forget)
         .def("allocations", &P::allocations_in, "points"_a, "normals"_a, "wrenches"_a, "adjust"_a, "calls"_a);
 }

@@ -35,16 +35,16 @@ public:
     Contacts contacts;  // of the last call
     NewtonOn<V, B> newton;
     Held held;
-    bool remembers;                  // whether to start from the last optimum
-    std::vector<double> start, safe, rest;  // (3N,) of the last call: where the descent begins, the combination, the optimum at rest
+    bool remembers;  // whether to start from the last optimum
 
-    // basis: (13, 3N) of the nominal contacts, whose frames (N, 3, 3) it is written in. flows: the rule of the reduced flow, or null: Newton.
+    // basis: (13, 3N) of the nominal contacts, whose frames (N, 3, 3) it is written in.
+    // flows: the rule of the reduced flow, or null: Newton.
     PipelineOn(const Contacts& nominal, const Options& options, const double* basis, const double* frames, bool remembers,
                const double* reference, const StepRule* flows)
-        : contacts(nominal), newton(nominal.count, options), held(nominal.count), remembers(remembers), start(3 * nominal.count),
-          safe(3 * nominal.count), rest(3 * nominal.count), nominal_(basis, basis + 39 * nominal.count),
-          nominal_frames_(frames, frames + 9 * nominal.count), space_(nominal.count, reference), spare_(newton.starter.basis),
-          last_(newton.cones), turned_(newton.cones.field()), safe_(newton.cones.field()), refiner_(newton.cones, {}) {
+        : contacts(nominal), newton(nominal.count, options), held(nominal.count), remembers(remembers),
+          nominal_(basis, basis + 39 * nominal.count), nominal_frames_(frames, frames + 9 * nominal.count),
+          space_(nominal.count, reference), adjusted_(3 * nominal.count), spare_(newton.starter.basis), last_(newton.cones),
+          turned_(newton.cones.field()), safe_(newton.cones.field()), refiner_(newton.cones, {}) {
         if (flows) flow_.emplace(newton.cones, *flows, Form::reduced);
         reset();
     }
@@ -68,75 +68,14 @@ public:
     // Learned layers that go on from every start; none: none do.
     void set_layers(const Layers& layers) { refiner_ = {newton.cones, layers}; }
 
-    // REFUSED: the general path has to say why.
+    // REFUSED: the general path has to say why, and the last optimum stays.
     Code solve(const Load& load, double* row) {
         const Record record(row, contacts.count);
         record.summary().code = REFUSED;
-        if (!begin(load) || (load.adjust && !adjust(load.wrench, load.adjust))) return REFUSED;
+        if (!begin(load) || (load.adjust && !adjust(load))) return REFUSED;
         const Code code = descend(load.wrench, record);
-        keep(row);
+        if (code != REFUSED) keep(record);
         return code;
-    }
-
-    // Contacts of now and the start there, in newton.x; false where there is none.
-    bool begin(const Load& load) {
-        placed_ = place(load) == Placed::good;
-        if (!placed_) return false;
-        const Vec6 w = newton.cones.unit.of(load.wrench);
-        auto& starter = newton.starter;
-        if (!starter.combination(newton.cones, newton.system, load.wrench, w, safe_)) {
-            if (!renew()) return false;
-            starter.combine(load.wrench, safe_);
-            newton.cones.balance(safe_, w);
-        }
-        const bool carried = remembers && turn_last();
-        newton.x = carried ? turned_ : safe_;
-        if (carried) starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
-        if (refiner_.layers.layers.count()) {
-            starter.turn(newton.cones, starter.basis[12], starter.basis_tangents, turned_);
-            refiner_(newton.cones, newton.system, turned_, w, newton.options.tolerance, false, remembers ? &safe_ : nullptr, newton.x);
-        }
-        return true;
-    }
-
-    // What others go on from: `start`, `safe` and `rest`.
-    void publish() {
-        const auto& starter = newton.starter;
-        newton.cones.store(newton.x, start.data()), newton.cones.store(safe_, safe.data());
-        starter.turn(newton.cones, starter.basis[12], starter.basis_tangents, turned_);
-        newton.cones.store(turned_, rest.data());
-    }
-    // What they made of `start`.
-    void resume() { newton.cones.load(start.data(), newton.x); }
-
-    // An internal force, in (3N - 6,) coordinates [N], added to the start, which is then repaired; false where it is not finite or the
-    // coordinates end here.
-    bool adjust(const double* wrench, const double* coordinates) {
-        if (!placed_ || !sane_wrench(wrench) || !space_.place(contacts)) return false;
-        newton.cones.store(newton.x, start.data());
-        for (int j = 0; j < 3 * contacts.count; ++j) start[j] += space_.force(j, coordinates) * contacts.scale[j];
-        resume();
-        if (!newton.cones.sane(newton.x)) return false;
-        newton.cones.balance(newton.x, newton.cones.unit.of(wrench));
-        newton.starter.segment(newton.cones, safe_, newton.x);
-        return true;
-    }
-
-    // Newton, or the flow, from the start in newton.x.
-    Code descend(const double* wrench, const Record& record) {
-        if (!placed_ || !sane_wrench(wrench)) return REFUSED;
-        const Vec6 w = newton.cones.unit.of(wrench);
-        const Call call{.wrench = wrench, .start = Start::given};
-        if (flow_) return flow_->place(newton.cones) ? flow_->descend(newton, call, w, record) : REFUSED;
-        turned_ = newton.x;
-        return newton.descend_from(turned_, call, w, record);
-    }
-
-    // A record of the contacts of now becomes the last optimum; also one cut short: balanced and inside the cones.
-    void keep(double* row) {
-        const double* force = Record(row, contacts.count).force();
-        for (int j = 0; j < 3 * contacts.count; ++j) held.x[j] = force[j] * contacts.scale[j];
-        held.frames = contacts.frames, held.cone_matrix = contacts.cone_matrix;
     }
 
     // Between two solves: the last optimum carried to contacts and wrench of now, back inside the cones if need be. Changes nothing
@@ -175,12 +114,61 @@ public:
 private:
     std::vector<double> nominal_, nominal_frames_;
     NullSpace space_;
+    std::vector<double> adjusted_;  // (3N,) a start to work with
     std::optional<FlowOn<V, B>> flow_;
     std::array<Field, 13> spare_;
     Tangents<V, B> last_;  // those of the last optimum
     Field turned_, safe_;
     Refiner<V, B> refiner_;
-    bool placed_ = false;  // whether there are contacts of now
+
+    // Contacts of now and the start there, in newton.x; false where there is none.
+    bool begin(const Load& load) {
+        if (place(load) != Placed::good) return false;
+        const Vec6 w = newton.cones.unit.of(load.wrench);
+        auto& starter = newton.starter;
+        if (!starter.combination(newton.cones, newton.system, load.wrench, w, safe_)) {
+            if (!renew()) return false;
+            starter.combine(load.wrench, safe_);
+            newton.cones.balance(safe_, w);
+        }
+        const bool carried = remembers && turn_last();
+        newton.x = carried ? turned_ : safe_;
+        if (carried) starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
+        if (refiner_.layers.layers.count()) {
+            starter.turn(newton.cones, starter.basis[12], starter.basis_tangents, turned_);
+            refiner_(newton.cones, newton.system, turned_, w, newton.options.tolerance, false, remembers ? &safe_ : nullptr, newton.x);
+        }
+        return true;
+    }
+
+    // An internal force, in (3N - 6,) coordinates [N], added to the start, which is then repaired; false where it is not finite or
+    // the coordinates end here.
+    bool adjust(const Load& load) {
+        if (!space_.place(contacts)) return false;
+        newton.cones.store(newton.x, adjusted_.data());
+        for (int j = 0; j < 3 * contacts.count; ++j) adjusted_[j] += space_.force(j, load.adjust) * contacts.scale[j];
+        newton.cones.load(adjusted_.data(), newton.x);
+        if (!newton.cones.sane(newton.x)) return false;
+        newton.cones.balance(newton.x, newton.cones.unit.of(load.wrench));
+        newton.starter.segment(newton.cones, safe_, newton.x);
+        return true;
+    }
+
+    // Newton, or the flow, from the start in newton.x.
+    Code descend(const double* wrench, const Record& record) {
+        const Vec6 w = newton.cones.unit.of(wrench);
+        const Call call{.wrench = wrench, .start = Start::given};
+        if (flow_) return flow_->place(newton.cones) ? flow_->descend(newton, call, w, record) : REFUSED;
+        turned_ = newton.x;
+        return newton.descend_from(turned_, call, w, record);
+    }
+
+    // The force of the contacts of now becomes the last optimum; also one cut short: balanced and inside the cones.
+    void keep(const Record& record) {
+        const double* force = record.force();
+        for (int j = 0; j < 3 * contacts.count; ++j) held.x[j] = force[j] * contacts.scale[j];
+        held.frames = contacts.frames, held.cone_matrix = contacts.cone_matrix;
+    }
 
     Placed place(const Load& load) {
         if (!sane_wrench(load.wrench)) return Placed::refused;

@@ -126,20 +126,11 @@ public:
     virtual ~Pipeline() = default;
     virtual Held& held() = 0;
     virtual const Contacts& contacts() const = 0;
-    virtual std::vector<double>& start() = 0;
-    virtual std::vector<double>& safe() = 0;
-    virtual std::vector<double>& rest() = 0;
     virtual void reset() = 0;
     virtual void forget() = 0;
     virtual void set_basis(const double* basis, const double* frames) = 0;
     virtual void set_layers(const Layers& layers) = 0;
     virtual Code solve(const Load& load, double* row) = 0;
-    virtual bool begin(const Load& load) = 0;
-    virtual bool adjust(const double* wrench, const double* coordinates) = 0;
-    virtual void publish() = 0;
-    virtual void resume() = 0;
-    virtual Code descend(const double* wrench, double* row) = 0;
-    virtual void keep(double* row) = 0;
     virtual Carried carry(const Load& load, double* force) = 0;
 };
 
@@ -325,22 +316,11 @@ public:
     explicit PipelineAny(const Arguments&... arguments) : on_(arguments...) {}
     Held& held() override { return on_.held; }
     const Contacts& contacts() const override { return on_.contacts; }
-    std::vector<double>& start() override { return on_.start; }
-    std::vector<double>& safe() override { return on_.safe; }
-    std::vector<double>& rest() override { return on_.rest; }
     void reset() override { on_.reset(); }
     void forget() override { on_.forget(); }
     void set_basis(const double* basis, const double* frames) override { on_.set_basis(basis, frames); }
     void set_layers(const Layers& layers) override { on_.set_layers(layers); }
     Code solve(const Load& load, double* row) override { return on_.solve(load, row); }
-    bool begin(const Load& load) override { return on_.begin(load); }
-    bool adjust(const double* wrench, const double* coordinates) override { return on_.adjust(wrench, coordinates); }
-    void publish() override { on_.publish(); }
-    void resume() override { on_.resume(); }
-    Code descend(const double* wrench, double* row) override {
-        return on_.descend(wrench, Record(row, on_.contacts.count));
-    }
-    void keep(double* row) override { on_.keep(row); }
     Carried carry(const Load& load, double* force) override { return on_.carry(load, force); }
 
 private:
