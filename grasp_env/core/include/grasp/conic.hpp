@@ -51,7 +51,7 @@ public:
 
     ConicOn(int count, const Options& options)
         : options(options), cones(count), rest(cones.field()), force_(cones.field()), first_(cones.field()),
-          qr_(3 * width<V> * int(cones.blocks.size())), fitted_(3 * width<V> * int(cones.blocks.size())) {
+          qr_(int(cones.blocks.size())), fitted_(qr_.rows()) {
         resize(at_, cones.blocks.size());
     }
 
@@ -92,7 +92,7 @@ private:
     Blocks<At, B> at_;
     Field force_, first_;  // what is written
     Ldl6 ldl_;
-    Qr6 qr_;
+    LaneQr6<V> qr_;
     std::vector<double> fitted_;  // scaled, by axes
     int blocks() const { return int(at_.size()); }
 
@@ -167,10 +167,7 @@ private:
         for (int b = 0; b < blocks(); ++b) {
             const RootAxes m(at_[b].m = Scaling<V>(at_[b].x, at_[b].s));
             for (int k = 0; k < 3; ++k)
-                for (int r = 0; r < 6; ++r) {
-                    const V row = m.size[k] * dot(cones.blocks[b].g[r], m.axis[k]);
-                    for (int n = 0; n < width<V>; ++n) qr_((3 * b + k) * width<V> + n, r) = get(row, n);
-                }
+                for (int r = 0; r < 6; ++r) qr_.set(b, k, r, m.size[k] * dot(cones.blocks[b].g[r], m.axis[k]));
         }
         return qr_.factor();
     }
@@ -179,10 +176,7 @@ private:
         for (int b = 0; b < blocks(); ++b) {
             const RootAxes m(at_[b].m);
             const Vec3<V> d = sqrt(at_[b].m.eta) * field(at_[b]);
-            for (int k = 0; k < 3; ++k) {
-                const V part = dot(d, m.axis[k]);
-                for (int n = 0; n < width<V>; ++n) fitted_[(3 * b + k) * width<V> + n] = get(part, n);
-            }
+            for (int k = 0; k < 3; ++k) qr_.put(fitted_, b, k, dot(d, m.axis[k]));
         }
         return qr_.reject(fitted_);
     }
@@ -202,11 +196,7 @@ private:
     void add(const std::vector<double>& z) {
         for (int b = 0; b < blocks(); ++b) {
             const RootAxes m(at_[b].m);
-            for (int k = 0; k < 3; ++k) {
-                V part{};
-                for (int n = 0; n < width<V>; ++n) set(part, n, z[(3 * b + k) * width<V> + n]);
-                at_[b].q += (m.size[k] * part) * m.axis[k];
-            }
+            for (int k = 0; k < 3; ++k) at_[b].q += (m.size[k] * qr_.get(z, b, k)) * m.axis[k];
         }
     }
 

@@ -1,5 +1,6 @@
 // Least squares in six unknowns whose rows may differ in size by all digits of a number.
 #pragma once
+#include <cstring>
 #include "linear6.hpp"
 
 namespace grasp {
@@ -10,6 +11,7 @@ class Qr6 {
 public:
     explicit Qr6(int rows) : rows_(rows), a_(6 * rows), place_(rows), work_(rows) {}
 
+    int rows() const { return rows_; }
     double& operator()(int row, int column) { return a_[rows_ * column + row]; }
 
     // False where A has not rank 6 in floating point.
@@ -106,6 +108,24 @@ private:
         }
         return out;
     }
+};
+
+// The same of contacts in lanes, three rows to each: row k of all contacts of block b at once, and z with a number for each row.
+template <class V> class LaneQr6 : public Qr6 {
+public:
+    explicit LaneQr6(int blocks) : Qr6(ROWS * blocks) {}
+
+    void set(int b, int k, int column, const V& entries) { std::memcpy(&(*this)(first(b, k), column), &entries, sizeof(V)); }
+    static void put(std::vector<double>& z, int b, int k, const V& numbers) { std::memcpy(&z[first(b, k)], &numbers, sizeof(V)); }
+    static V get(const std::vector<double>& z, int b, int k) {
+        V numbers;
+        std::memcpy(&numbers, &z[first(b, k)], sizeof(V));
+        return numbers;
+    }
+
+private:
+    static constexpr int ROWS = 3 * width<V>;  // of a block
+    static constexpr int first(int b, int k) { return ROWS * b + width<V> * k; }
 };
 
 }  // namespace grasp

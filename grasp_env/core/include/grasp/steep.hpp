@@ -13,10 +13,9 @@ namespace grasp {
 template <class V, int B> class Steep {
 public:
     using Field = typename Cones<V, B>::Field;
-    static constexpr int W = width<V>;
 
     explicit Steep(const Cones<V, B>& cones)
-        : qr_(3 * W * int(cones.blocks.size())), descent_(3 * W * int(cones.blocks.size())), centring_(descent_), change_(descent_) {
+        : qr_(int(cones.blocks.size())), descent_(qr_.rows()), centring_(qr_.rows()), change_(qr_.rows()) {
         resize(axes_, cones.blocks.size());
     }
 
@@ -28,13 +27,8 @@ public:
             const V price[3] = {c.mask * a.price.along, c.mask * a.price.inward, V{}};
             const V barrier[3] = {c.mask * a.barrier.along, c.mask * a.barrier.inward, V{}};
             for (int k = 0; k < 3; ++k) {
-                V row[6];
-                for (int r = 0; r < 6; ++r) row[r] = dot(c.g[r], a[k]);
-                for (int n = 0; n < W; ++n) {
-                    const int at = (3 * b + k) * W + n;
-                    descent_[at] = -get(price[k], n), centring_[at] = -get(barrier[k], n);
-                    for (int r = 0; r < 6; ++r) qr_(at, r) = get(row[r], n);
-                }
+                for (int r = 0; r < 6; ++r) qr_.set(b, k, r, dot(c.g[r], a[k]));
+                qr_.put(descent_, b, k, -price[k]), qr_.put(centring_, b, k, -barrier[k]);
             }
         }
         if (!qr_.factor()) return false;
@@ -61,7 +55,7 @@ public:
     }
 
 private:
-    Qr6 qr_;
+    LaneQr6<V> qr_;
     Blocks<Axes<V>, B> axes_;
     std::vector<double> descent_, centring_, change_;  // z
     Vec6 nu_descent_{}, nu_centring_{};
@@ -69,11 +63,7 @@ private:
 
     void add(const std::vector<double>& z, Field& step) const {
         for (int b = 0; b < int(step.size()); ++b)
-            for (int k = 0; k < 3; ++k) {
-                V part{};
-                for (int n = 0; n < W; ++n) set(part, n, z[(3 * b + k) * W + n]);
-                step[b] += part * axes_[b][k];
-            }
+            for (int k = 0; k < 3; ++k) step[b] += qr_.get(z, b, k) * axes_[b][k];
     }
 };
 
