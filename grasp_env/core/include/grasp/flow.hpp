@@ -1,4 +1,5 @@
-// The paper's gradient flow, x_{k+1} = x_k + alpha_k d_k (Eqs. 12, 26): every x_k balanced and strictly inside the cones, Phi falling.
+// The paper's gradient flow, x_{k+1} = x_k + alpha_k d_k (Eqs. 12, 26): every x_k balanced and strictly inside the cones, Phi
+// falling.
 #pragma once
 #include "newton.hpp"
 #include "projection.hpp"
@@ -43,14 +44,13 @@ public:
     Code descend(NewtonOn<V, B>& on, const Call& call, const Vec6& w, const Record& record) {
         const auto& cones = on.cones;
         const int blocks = int(cones.blocks.size());
-        const double tolerance = on.options.tolerance;
-        const bool known = call.optimum == call.optimum;
         cones.store_force(on.x, record.initial_force());
-        // in registers where their number is fixed
-        Local x = on.x, next = next_, gradient = gradient_, there = there_, step = step_, past = past_;
+        // x_k, the gradient there, d_k; x_k + alpha d_k and the gradient there; d_{k-1}. In registers where their number is
+        // fixed.
+        Local x = on.x, gradient = gradient_, step = step_, next = next_, there = there_, past = past_;
         for (int b = 0; b < blocks; ++b) step[b] = past[b] = {V{}, V{}, V{}};
         // Phi at x + alpha step, which goes to `next`, its gradient to `there`; +inf outside
-        const auto evaluate = [&](double alpha) {
+        const auto ahead = [&](double alpha) {
             V total{}, room = all<V>(infinity);
             for (int b = 0; b < blocks; ++b) {
                 const auto& c = cones.blocks[b];
@@ -61,78 +61,48 @@ public:
             const double value = sum(total);
             return least(room) > 0.0 && value == value ? value : infinity;
         };
-        const auto slope = [&] { return total_of([&](int b) { return dot(there[b], step[b]); }); };  // at `next`
+        // its first and second derivative by alpha
+        const auto slope = [&] { return total_of([&](int b) { return dot(there[b], step[b]); }); };
         const auto bend = [&] {
             return total_of([&](int b) { return cones.blocks[b].mask * curvature(next[b], step[b], cones.blocks[b].weights); });
         };
-        double value = evaluate(0.0);
-        if (!(value < infinity)) return REFUSED;
-        double bound = known ? call.optimum : -infinity, alpha = rule.first, before = 0.0, gained = 0.0;
-        Watch watch{tolerance};
-        Vec6 nu{};
-        int iterations = 0, trials = 0;
-        Code code = LIMIT;
-        const auto certified = [&] { return bound > 0.0 && value - bound <= tolerance * bound; };
-        const auto certify = [&] {
-            on.x = x;
-            Vec6 found;
-            const double lower = bound_at(on, w, found);
-            if (lower >= bound) bound = lower, nu = found;
-            watch.looked(iterations, value, bound);
+        const auto mixed = [&] {  // <d_k, d_{k-1}>, which d_k then is
+            const double product = total_of([&](int b) { return inner(step[b], past[b]); });
+            for (int b = 0; b < blocks; ++b) past[b] = step[b];
+            return product;
         };
-        for (;; ++iterations) {
+        Progress at{.alpha = rule.first, .value = ahead(0.0)};
+        if (!(at.value < infinity)) return REFUSED;
+        Proof proof(call, on.options.tolerance);
+        const auto look = [&] {
+            if (proof.known) return;
+            on.x = x;
+            proof.take(bound_at(on, w), at);
+        };
+        Code code = LIMIT;
+        for (;; ++at.k) {
             for (int b = 0; b < blocks; ++b) x[b] = next[b], gradient[b] = there[b];
-            if (iterations < call.traced) call.trace[iterations] = value;
-            if (!known && (watch.due(iterations, value, gained) || iterations >= on.options.limit)) certify();
-            if (certified()) {
-                code = CONVERGED;
+            if (at.k < call.traced) call.trace[at.k] = at.value;
+            const bool last = at.k >= on.options.limit;
+            if (last || proof.due(at)) look();
+            if (proof.closes(at.value)) code = CONVERGED;
+            if (last || code == CONVERGED) break;
+            projection_.apply(cones, x, gradient, step);  // d_k
+            at.length = total_of([&](int b) { return squared(step[b]); });
+            at.size = total_of([&](int b) { return cones.blocks[b].mask * squared(x[b]); });
+            propose(at, mixed, bend);
+            if (!accept(at, ahead, slope, bend)) {  // x_{k+1}
+                look();
+                code = proof.closes(at.value) ? CONVERGED : STALLED;
                 break;
             }
-            if (iterations >= on.options.limit) break;
-            projection_.apply(cones, x, gradient, step);
-            const double length = total_of([&](int b) { return squared(step[b]); });  // |d|^2
-            const double reach = total_of([&](int b) { return cones.blocks[b].mask * squared(x[b]); });
-            if (rule.kind == StepRule::BARZILAI_BORWEIN) {
-                const double mixed = total_of([&](int b) { return inner(step[b], past[b]); });
-                if (iterations > 0) alpha *= inverse_curvature(before, length, mixed, iterations);
-                for (int b = 0; b < blocks; ++b) past[b] = step[b];
-                before = length;
-            } else if (rule.kind == StepRule::EXACT) {
-                const double here = bend();
-                alpha = here > 0.0 ? length / here : rule.first;
-            } else if (rule.kind == StepRule::ADAPTIVE) {
-                if (iterations > 0) alpha *= rule.grow;
-            } else {
-                alpha = rule.first;
-            }
-            alpha = std::min(alpha, LONGEST);
-            // a step far shorter than x, left from a start near the apex, grows from here instead of stalling
-            if (alpha * alpha * length < SHORTEST * SHORTEST * reach && length > 0.0) alpha = SHORTEST * std::sqrt(reach / length);
-            double trial = infinity, decrease = 0.0;
-            if (rule.kind == StepRule::EXACT) trial = search(evaluate, slope, bend, rule.decrease * length, alpha, trials);
-            if (rule.kind == StepRule::ARMIJO) decrease = rule.decrease * length;
-            bool accepted = trial < value;
-            for (int tried = 0; !accepted && alpha * alpha * length > ROUNDED * ROUNDED * reach; ++tried) {
-                ++trials;
-                trial = evaluate(alpha);
-                accepted = trial < value && trial <= value - decrease * alpha;
-                if (!accepted) alpha *= tried < PATIENCE ? rule.shrink : std::min(rule.shrink, 0.5);
-            }
-            if (!accepted) {
-                if (!known) certify();
-                code = certified() ? CONVERGED : STALLED;
-                break;
-            }
-            gained = value - trial, value = trial;
         }
         on.x = x;
-        if (known) bound_at(on, w, nu);
         Summary& s = record.summary();
-        s.iterations = iterations, s.trials = trials, s.objective = value, s.lower_bound = bound;
-        s.limit_excess = 0.0, s.multipliers = cones.unit.pull_back(nu);
+        s.iterations = at.k, s.trials = at.trials, s.objective = at.value, s.lower_bound = proof.best.value;
+        s.multipliers = cones.unit.pull_back(proof.known ? bound_at(on, w).multipliers : proof.best.multipliers);
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-        std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
-        return finish(on, w, code, known, record);
+        return finish(on, w, code, proof.known, record);
     }
 
 private:
@@ -140,27 +110,45 @@ private:
     static constexpr double SHORTEST = 1e-10;  // the first trial of an iteration moves x by at least this part of its length
     static constexpr double ROUNDED = 1e-16;   // and none by less than this
     static constexpr double LONGEST = 1e300;
-    static constexpr double FLAT = 1e-12, LEAP = 10.0;  // where <s, y> is below this share of <s, s> / alpha Phi is straight to rounding
+    static constexpr double FLAT = 1e-12;      // where <s, y> is below this share of <s, s> / alpha Phi is straight to rounding,
+    static constexpr double LEAP = 10.0;       // and alpha grows by this factor
     static constexpr int SEARCHES = 60;   // trials of a search for the exact minimum, before it settles for any decrease
     static constexpr int PATIENCE = 100;  // trials of an iteration after which steps are halved at least, so that they end
     Projection<V, B> projection_;
     Field next_, gradient_, there_, step_, past_;
 
-    // When to compute the bound, which costs as much as several iterations: not while steps gain more than what may be left, and once one
-    // is close, where the next will do. A bound falls short of min Phi by up to SHORT times the square of the gap, in parts of it.
-    struct Watch {
-        double enough;            // relative gap that is asked for
+    // How far a descent has come.
+    struct Progress {
+        double alpha, value;                            // alpha_k; Phi at x_k
+        double gained = 0.0;                            // by how much the last step lowered it
+        double length = 0.0, before = 0.0, size = 0.0;  // |d_k|^2, |d_{k-1}|^2, |x_k|^2
+        int k = 0, trials = 0;
+
+        bool moves(double part) const { return alpha * alpha * length > part * part * size; }  // x by more than this part of it
+    };
+    struct Bound { double value; Vec6 multipliers; };
+
+    // What is known of min Phi, and when to compute a bound again, which costs as much as several iterations: not while steps
+    // gain more than what may be left, and once one is close, where the next will do. A bound falls short of min Phi by up to
+    // SHORT times the square of the gap, in parts of it.
+    struct Proof {
+        bool known;        // the optimum is, to the caller
+        double tolerance;  // relative gap that is asked for
+        Bound best;
         int next = 0;             // iteration at which to look in any case
         double goal = -infinity;  // Phi at which to look
 
-        bool due(int iterations, double value, double gained) const {
-            return (iterations >= next || value <= goal) && gained <= enough * value;
-        }
-        void looked(int iterations, double value, double bound) {
-            const double gap = value - bound;
+        Proof(const Call& call, double tolerance)
+            : known(call.optimum == call.optimum), tolerance(tolerance), best{known ? call.optimum : -infinity, {}} {}
+
+        bool closes(double value) const { return best.value > 0.0 && value - best.value <= tolerance * best.value; }
+        bool due(const Progress& at) const { return (at.k >= next || at.value <= goal) && at.gained <= tolerance * at.value; }
+        void take(const Bound& found, const Progress& at) {
+            if (found.value >= best.value) best = found;
+            const double bound = best.value, gap = at.value - bound;
             const bool close = bound > 0.0 && gap < CLOSE * bound;
-            next = iterations + std::max(1, iterations / (close ? 2 : 8));
-            goal = close ? bound + enough * bound + std::min(0.5, SHORT * gap / bound) * gap : -infinity;
+            next = at.k + std::max(1, at.k / (close ? 2 : 8));
+            goal = close ? bound + tolerance * bound + std::min(0.5, SHORT * gap / bound) * gap : -infinity;
         }
         static constexpr double CLOSE = 1e-2, SHORT = 300.0;
     };
@@ -171,16 +159,50 @@ private:
         return sum(total);
     }
 
-    // Lower bound of min Phi from the Newton multipliers at on.x; -inf: none.
-    [[gnu::noinline]] static double bound_at(NewtonOn<V, B>& on, const Vec6& w, Vec6& nu) {
-        nu = {};
-        if (!on.system.assemble(on.cones, on.x)) return -infinity;
-        nu = on.system.multipliers(on.system.made + w);
-        return on.cones.lower_bound(nu, w);
+    // The first trial of alpha_k, by the rule.
+    template <class Mixed, class Bend> void propose(Progress& at, Mixed&& mixed, Bend&& bend) const {
+        if (rule.kind == StepRule::BARZILAI_BORWEIN) {
+            const double product = mixed();
+            if (at.k > 0) at.alpha *= inverse_curvature(at.before, at.length, product, at.k);
+            at.before = at.length;
+        } else if (rule.kind == StepRule::EXACT) {
+            const double here = bend();
+            at.alpha = here > 0.0 ? at.length / here : rule.first;
+        } else if (rule.kind == StepRule::ADAPTIVE) {
+            if (at.k > 0) at.alpha *= rule.grow;
+        } else {
+            at.alpha = rule.first;
+        }
+        at.alpha = std::min(at.alpha, LONGEST);
+        // a step far shorter than x, left from a start near the apex, grows from here instead of stalling
+        if (at.alpha * at.alpha * at.length < SHORTEST * SHORTEST * at.size && at.length > 0.0)
+            at.alpha = SHORTEST * std::sqrt(at.size / at.length);
     }
 
-    // Barzilai and Borwein (1988) in the metric of P, over alpha: with s the step before and y the change of the projected gradient,
-    // <s, s> / <s, y> or <s, y> / <y, y>.
+    // Trials of alpha_k until Phi falls, by as much as the rule asks; false where no step that moves x lets it.
+    template <class Ahead, class Slope, class Bend> bool accept(Progress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
+        const double decrease = rule.kind == StepRule::ARMIJO ? rule.decrease * at.length : 0.0;
+        double trial = rule.kind == StepRule::EXACT ? search(at, ahead, slope, bend) : infinity;
+        bool accepted = trial < at.value;
+        for (int tried = 0; !accepted && at.moves(ROUNDED); ++tried) {
+            ++at.trials;
+            trial = ahead(at.alpha);
+            accepted = trial < at.value && trial <= at.value - decrease * at.alpha;
+            if (!accepted) at.alpha *= tried < PATIENCE ? rule.shrink : std::min(rule.shrink, 0.5);
+        }
+        if (accepted) at.gained = at.value - trial, at.value = trial;
+        return accepted;
+    }
+
+    // Lower bound of min Phi from the Newton multipliers at on.x; -inf: none.
+    [[gnu::noinline]] static Bound bound_at(NewtonOn<V, B>& on, const Vec6& w) {
+        if (!on.system.assemble(on.cones, on.x)) return {-infinity, {}};
+        const Vec6 nu = on.system.multipliers(on.system.made + w);
+        return {on.cones.lower_bound(nu, w), nu};
+    }
+
+    // Barzilai and Borwein (1988) in the metric of P, over alpha: with s the step before and y the change of the projected
+    // gradient, <s, s> / <s, y> or <s, y> / <y, y>.
     double inverse_curvature(double before, double now, double mixed, int iterations) const {
         const double s_y = before - mixed, y_y = (before - mixed) + (now - mixed);
         if (!(s_y > FLAT * before && y_y > 0.0)) return LEAP;
@@ -188,21 +210,20 @@ private:
         return only || (alternate && iterations % 2 == 0) ? before / s_y : s_y / y_y;
     }
 
-    // Phi where its slope is at most `enough`, along alpha: Newton on the slope, kept in a bracket; inf: not found.
-    template <class Evaluate, class Slope, class Bend>
-    double search(Evaluate&& evaluate, Slope&& slope, Bend&& bend, double enough, double& alpha, int& trials) const {
+    // Phi where its slope is as small as the rule asks, along alpha: Newton on the slope, kept in a bracket; inf: not found.
+    template <class Ahead, class Slope, class Bend> double search(Progress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
         double low = 0.0, high = infinity;
-        for (int k = 0; k < SEARCHES; ++k) {
-            ++trials;
-            const double trial = evaluate(alpha), down = slope();
+        for (int n = 0; n < SEARCHES; ++n) {
+            ++at.trials;
+            const double trial = ahead(at.alpha), down = slope();
             double guess = -1.0;
             if (trial < infinity) {
-                if (std::abs(down) <= enough) return trial;
-                guess = alpha - down / bend();
+                if (std::abs(down) <= rule.decrease * at.length) return trial;
+                guess = at.alpha - down / bend();
             }
-            (trial < infinity && down < 0.0 ? low : high) = alpha;
-            if (!(low < guess && guess < high)) guess = high < infinity ? 0.5 * (low + high) : 2.0 * alpha;
-            alpha = guess;
+            (trial < infinity && down < 0.0 ? low : high) = at.alpha;
+            if (!(low < guess && guess < high)) guess = high < infinity ? 0.5 * (low + high) : 2.0 * at.alpha;
+            at.alpha = guess;
         }
         return infinity;
     }
@@ -223,7 +244,8 @@ private:
         const bool below = !known && s.objective - s.lower_bound < -HONEST * s.lower_bound;  // its bound: it misses balance
         const bool near = s.objective - s.lower_bound <= on.options.tolerance * s.lower_bound;
         if (code == CONVERGED && !(near && !below && cones.balanced(on.x, w, s.residual) && s.margin > 0.0)) code = STALLED;
-        s.code = code;
+        s.code = code, s.limit_excess = 0.0;
+        std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
         return code;
     }
     static constexpr double HONEST = 1e-9;  // part by which Phi may be off through rounding
