@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import null_space
 from scipy.optimize import linprog, minimize
 
+from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep, StepRule
 from grasp_env.grasp import Grasp, presets, wrench
 
 PAPER_WRENCH = np.array(wrench.PAPER_CONSTANT)
@@ -52,7 +53,7 @@ GRASPS = {
 }
 """Grasps with force closure for every number of fingers that the paper allows."""
 
-_LIGHT = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
+LIGHT = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
 PROBLEMS = (
     Problem("paper, lambda 0.01", GRASPS["cuboid, 4"], PAPER_WRENCH, 1.0, 0.01, 12.253093871456, 9.36),
     Problem("paper, lambda 0.1", GRASPS["cuboid, 4"], PAPER_WRENCH, 1.0, 0.1, 16.888750549924, 11.14),
@@ -60,15 +61,40 @@ PROBLEMS = (
     Problem("paper, heavy", GRASPS["cuboid, 4"], 20.0 * PAPER_WRENCH, 1.0, 0.01, 207.892749127),
     Problem("paper, no wrench", GRASPS["cuboid, 4"], np.zeros(6), 1.0, 0.01, 2.688205134854),
     Problem("paper, omega 2", GRASPS["cuboid, 4"], PAPER_WRENCH, 2.0, 0.1, 29.708887511358),
-    Problem("tripod, light", GRASPS["tripod"], _LIGHT, 1.0, 0.01, 3.594370132241),
+    Problem("tripod, light", GRASPS["tripod"], LIGHT, 1.0, 0.01, 3.594370132241),
     Problem("tripod, no wrench", GRASPS["tripod"], np.zeros(6), 1.0, 0.01, 1.8),
-    Problem("tripod, uneven", GRASPS["tripod, uneven"], _LIGHT, 1.0, 0.01, 3.550711735837),
+    Problem("tripod, uneven", GRASPS["tripod, uneven"], LIGHT, 1.0, 0.01, 3.550711735837),
     Problem("five fingers, paper", GRASPS["cuboid, 5"], PAPER_WRENCH, 1.0, 0.01, 12.599085309391),
-    Problem("five fingers, light", GRASPS["cuboid, 5"], _LIGHT, 1.0, 0.1, 10.838980458048),
+    Problem("five fingers, light", GRASPS["cuboid, 5"], LIGHT, 1.0, 0.1, 10.838980458048),
     Problem("five fingers, uneven", GRASPS["cuboid, 5, uneven"], PAPER_WRENCH, 1.0, 0.01, 12.448223260946),
 )
 CONIC_LEAST = 8.58473
 """Least total normal force of the reference grasp under the paper's wrench, exact cones, no barrier [N]."""
+
+
+WEIGHTS = [(1.0, 0.01), (1.0, 1.0), (2.5, 0.3), (0.2, 1e-4)]
+"""omega and lambda of Phi."""
+OUTSIDE = ([1.0, 1.0, 0.0], [1.0, 0.8, 0.7], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0])
+"""Cone coordinates of one contact on its cone, outside, at the apex, of no number."""
+STEP_RULES: dict[str, StepRule] = {
+    "fixed": FixedStep(0.01),
+    "armijo": ArmijoStep(),
+    "adaptive": AdaptiveStep(),
+    "short": BarzilaiBorweinStep(),
+    "long": BarzilaiBorweinStep(variant="long"),
+    "alternate": BarzilaiBorweinStep(variant="alternate"),
+    "exact": ExactStep(),
+    "rough": ExactStep(0.1),
+}
+"""Every step rule of the flows."""
+
+
+def inside_cones(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Cone coordinates of `count` contacts, margins from 2 to 100 % of u, u over three decades."""
+    u = np.exp(rng.uniform(-3.0, 3.0, count))
+    s = u * rng.uniform(0.0, 0.98, count)
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    return np.stack([u, s * np.cos(angle), s * np.sin(angle)], axis=1).reshape(-1)
 
 
 def weights(x: np.ndarray, omega: float = 1.0, lam: float = 0.01) -> np.ndarray:

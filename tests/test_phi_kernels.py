@@ -4,20 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GRASPS, weights
+from problems import GRASPS, OUTSIDE, WEIGHTS, inside_cones, weights
 
 from grasp_env import phi_kernels as kernels
 from grasp_env.force import Objective
-
-WEIGHTS = [(1.0, 0.01), (1.0, 1.0), (2.5, 0.3), (0.2, 1e-4)]
-
-
-def _inside(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Cone coordinates of `count` contacts, margins from 2 to 100 % of u, u over three decades."""
-    u = np.exp(rng.uniform(-3.0, 3.0, count))
-    s = u * rng.uniform(0.0, 0.98, count)
-    angle = rng.uniform(0.0, 2.0 * np.pi, count)
-    return np.stack([u, s * np.cos(angle), s * np.sin(angle)], axis=1).reshape(-1)
 
 
 @pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
@@ -25,7 +15,7 @@ def test_kernels_are_the_twin(omega: float, lam: float) -> None:
     rng = np.random.default_rng(2)
     objective = Objective(omega, lam)
     for _ in range(100):
-        x = _inside(rng, 4)
+        x = inside_cones(rng, 4)
         # the factors (u^2 - s^2) lose a factor of 50 of the rounding at a margin of 2 %, its cube thrice that
         assert kernels.phi(x, weights(x, omega, lam)) == pytest.approx(objective.value(x), rel=1e-13)
         gradient = np.empty(12)
@@ -40,7 +30,7 @@ def test_kernels_are_the_twin(omega: float, lam: float) -> None:
 
 def test_phi_is_infinite_outside_and_on_the_cones() -> None:
     inside = np.array([1.0, 0.2, 0.1])
-    for outside in ([1.0, 1.0, 0.0], [1.0, 0.8, 0.7], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]):
+    for outside in OUTSIDE:
         for x in (np.array([*inside, *outside]), np.array([*outside, *inside])):
             assert kernels.phi(x, weights(x, 1.0, 0.01)) == np.inf
 

@@ -8,6 +8,7 @@ import _core_test as insides
 import numpy as np
 import pytest
 from oracles import conic as oracle
+from oracles.interior_point import per_boundary, scaling
 from samples import COUNTS, LAYOUTS, Sample, layouts, sample, wrenches
 
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED = range(5)
@@ -32,7 +33,7 @@ def test_the_scaling_is_nesterov_and_todds(lanes: int) -> None:
     found = insides.scaling(lanes, x, s, d)
     for p, q, e, row in zip(x, s, d, found, strict=True):
         v, eta, shrink, root, scaled, twice = row[:3], *row[3:6], row[6:9], row[9:]
-        w = oracle.scaling(p, q)
+        w = scaling(p, q)
         # x . J x and s . J s keep 1 - EPS / depth of their digits, W^2 the square of what is lost
         lost = 1e-15 * max(p[0] ** 2 / (p @ (J * p)), q[0] ** 2 / (q @ (J * q)))
         assert eta == pytest.approx(np.sqrt((p @ (J * p)) / (q @ (J * q))), rel=lost)
@@ -52,7 +53,7 @@ def test_the_scaling_is_nesterov_and_todds(lanes: int) -> None:
 def test_the_oracles_boundary_is_where_steps_end() -> None:
     rng, bounded = np.random.default_rng(0), 0
     for x, d in zip(inside(rng, 60), rng.standard_normal((60, 3)), strict=True):
-        inverse = oracle.per_boundary(x, d)
+        inverse = per_boundary(x, d)
         assert inverse == pytest.approx(max(0.0, insides.boundary(1, x[None], d[None])[0, 2]), rel=1e-6, abs=1e-9)
         end = x + d / inverse if inverse > 0.0 else x
         bounded += inverse > 0.0

@@ -8,34 +8,19 @@ import _core_test as insides
 import numpy as np
 import pytest
 from oracles import full_flow, reduced_flow
-from oracles.descent import Descent, descend, never
+from oracles.descent import Descent, descend, followed, never
 from oracles.phi import lower_bound, phi
+from problems import STEP_RULES
 from samples import Sample, layouts, sample, wrenches
 from test_newton import CODE, ITERATIONS, OBJECTIVE, RESIDUAL, TRIALS, check
 from test_pipeline import path, pipeline
 
-from grasp_env.force.step_size import (
-    AdaptiveStep,
-    ArmijoStep,
-    BarzilaiBorweinStep,
-    ExactStep,
-    FixedStep,
-    StepRule,
-)
+from grasp_env.force.step_size import AdaptiveStep, BarzilaiBorweinStep, FixedStep, StepRule
 
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED = range(5)
 FULL, PAPER, REDUCED = FORMS = range(3)
 NONE = float("nan")
-RULES: dict[str, StepRule] = {
-    "fixed": FixedStep(0.003),
-    "armijo": ArmijoStep(),
-    "adaptive": AdaptiveStep(),
-    "short": BarzilaiBorweinStep(),
-    "long": BarzilaiBorweinStep(variant="long"),
-    "alternate": BarzilaiBorweinStep(variant="alternate"),
-    "exact": ExactStep(),
-    "rough": ExactStep(0.1),
-}
+RULES = STEP_RULES | {"fixed": FixedStep(0.003)}
 
 
 def flow(
@@ -64,13 +49,7 @@ def coordinates(s: Sample, row: np.ndarray) -> np.ndarray:
 
 def plain(s: Sample, x: np.ndarray, rule: StepRule, count: int) -> tuple[Descent, list[np.ndarray]]:
     """The oracle's reduced flow, and all its iterates."""
-    iterates: list[np.ndarray] = []
-
-    def keep(state: np.ndarray, _value: float, _iterations: int) -> bool:
-        iterates.append(state)
-        return False
-
-    return descend(x, reduced_flow.landscape(s.rows, s.weights), keep, rule, count), iterates
+    return followed(x, reduced_flow.landscape(s.rows, s.weights), rule, count)
 
 
 @pytest.mark.parametrize(

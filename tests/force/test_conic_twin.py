@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from oracles import conic
-from oracles.interior_point import ConicProgram, Iterate, nt_step, per_boundary, scaling
+from oracles.interior_point import per_boundary, scaling
 from problems import GRASPS, PAPER_WRENCH, random_grasp
 
 from grasp_env import core
@@ -38,9 +38,6 @@ def test_the_scaling_takes_s_to_x_and_the_boundary_is_where_steps_end(size: int)
     for _ in range(50):
         x, s, d = inside(rng, size), inside(rng, size), rng.standard_normal(size)
         w = scaling(x, s)
-        if size == 3:
-            np.testing.assert_array_equal(conic.scaling(x, s), w)
-            assert conic.per_boundary(x, d) == per_boundary(x, d)
         np.testing.assert_allclose(w @ w @ s, x, rtol=1e-10, atol=1e-10)
         j = np.array([1.0, -1.0, -1.0])[:size]
         form = w @ (j[:, None] * w)
@@ -145,19 +142,3 @@ def test_empty_lanes_shorten_steps(count: int, away: float) -> None:
         at, other = conic.iteration(padded, at), conic.iteration(bare, other)
     apart = np.abs(at.x[: 3 * count] - other.x).max() / np.abs(other.x).max()
     assert away <= apart <= (0.05 if away else 0.0)
-
-
-@pytest.mark.parametrize(("count", "kind"), [(4, "round"), (5, "elliptic")])
-def test_both_twins_take_one_step(count: int, kind: str) -> None:
-    """`oracles.interior_point` without limits and shared variables is `oracles.conic`."""
-    grasp, rest = closed_grasp(count, kind)
-    program = program_of(grasp, grasp.unit_frame @ LOAD, 1)
-    general = ConicProgram(
-        *program[:3], np.zeros((6, 0)), np.zeros(0), (3,) * count, program.counted, program.reach, 0.0
-    )  # fmt: skip
-    at = conic.start(program, inverse_of(grasp), rest)
-    other = Iterate(at.x, at.s, np.zeros(0), at.y)
-    for _ in range(4):
-        at, other = conic.iteration(program, at), nt_step(general, other)
-        for mine, theirs in zip(at, (other.x, other.s, other.y), strict=True):
-            np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-9 * np.abs(theirs).max())

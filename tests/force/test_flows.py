@@ -7,7 +7,7 @@ from math import floor
 import numpy as np
 import pytest
 from oracles import full_flow
-from oracles.descent import Descent, descend
+from oracles.descent import Descent, followed
 from oracles.reduced_flow import (
     flow_vector,
     landscape,
@@ -16,7 +16,7 @@ from oracles.reduced_flow import (
     picked_rows,
     reduced_projector,
 )
-from problems import GRASPS, PAPER_WRENCH, closure_grasps
+from problems import GRASPS, LIGHT, PAPER_WRENCH, closure_grasps
 
 from grasp_env.errors import InvalidInputError, UnsupportedProblemError
 from grasp_env.force import (
@@ -33,7 +33,6 @@ from grasp_env.force import (
 from grasp_env.grasp import Grasp
 
 OBJECTIVE = Objective(1.0, 0.1)
-LIGHT = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
 SQUEEZE = 5.0
 """Added internal force, in units of the rest force: a start far from the optimum, for many steps."""
 FLOWS = ("reduced_flow", "full_flow")
@@ -60,15 +59,9 @@ ALL = {**GRASPS, "elliptic and frictionless": MIXED}
 
 def _descend(grasp: Grasp, rule: AdaptiveStep, count: int) -> tuple[Descent, list[np.ndarray]]:
     """The plain reduced flow and all its iterates."""
-    iterates: list[np.ndarray] = []
-
-    def keep(state: np.ndarray, _value: float, _iterations: int) -> bool:
-        iterates.append(state)
-        return False
-
     # moments in units of the grasp: the projector does not depend on them, its rounding does
     land = landscape(grasp.unit_frame @ grasp.cone_matrix, _weights(grasp))
-    return descend(_start(grasp), land, keep, rule, count), iterates
+    return followed(_start(grasp), land, rule, count)
 
 
 @pytest.mark.parametrize("name", GRASPS)

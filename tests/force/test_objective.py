@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles.newton import newton_step
-from problems import GRASPS, PROBLEMS, Problem, closure_grasps, pyramid_margin, weights
+from problems import (
+    GRASPS,
+    OUTSIDE,
+    PROBLEMS,
+    WEIGHTS,
+    Problem,
+    closure_grasps,
+    inside_cones,
+    pyramid_margin,
+    weights,
+)
 from scipy.optimize import minimize
 
 from grasp_env import core
@@ -13,22 +23,12 @@ from grasp_env.force import Objective, description_matrix
 from grasp_env.force.basis import core_contacts
 from grasp_env.grasp import wrench as wrenches
 
-WEIGHTS = [(1.0, 0.01), (1.0, 1.0), (2.5, 0.3), (0.2, 1e-4)]
-
-
-def _inside(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Cone coordinates of `count` contacts, margins from 2 to 100 % of u, u over three decades."""
-    u = np.exp(rng.uniform(-3.0, 3.0, count))
-    s = u * rng.uniform(0.0, 0.98, count)
-    angle = rng.uniform(0.0, 2.0 * np.pi, count)
-    return np.stack([u, s * np.cos(angle), s * np.sin(angle)], axis=1).reshape(-1)
-
 
 @pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
 def test_phi_is_the_trace_of_its_definition(omega: float, lam: float) -> None:
     rng = np.random.default_rng(0)
     for _ in range(100):
-        x, friction = _inside(rng, 4), rng.uniform(0.2, 1.2, 4)
+        x, friction = inside_cones(rng, 4), rng.uniform(0.2, 1.2, 4)
         matrix = description_matrix(x.reshape(-1, 3) / np.stack([friction, *np.ones((2, 4))], axis=1), friction)
         expected = omega * np.trace(matrix) + lam * np.trace(np.linalg.inv(matrix))
         # the inverse of P loses digits by its condition number, at most 100 here
@@ -37,7 +37,7 @@ def test_phi_is_the_trace_of_its_definition(omega: float, lam: float) -> None:
 
 def test_phi_is_infinite_outside_and_on_the_cones() -> None:
     inside = np.array([1.0, 0.2, 0.1])
-    for outside in ([1.0, 1.0, 0.0], [1.0, 0.8, 0.7], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]):
+    for outside in OUTSIDE:
         for x in (np.array([*inside, *outside]), np.array([*outside, *inside])):
             assert Objective().value(x) == np.inf
 
@@ -47,7 +47,7 @@ def test_derivatives_by_finite_differences(omega: float, lam: float) -> None:
     rng = np.random.default_rng(1)
     objective = Objective(omega, lam)
     for _ in range(50):
-        x = _inside(rng, 3)
+        x = inside_cones(rng, 3)
         gradient, blocks = objective.gradient(x), objective.hessian(x)
         for j in range(9):
             slack = x[3 * (j // 3)] - np.hypot(x[3 * (j // 3) + 1], x[3 * (j // 3) + 2])

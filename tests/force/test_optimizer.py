@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from problems import GRASPS, PAPER_WRENCH
+from problems import GRASPS, LIGHT, PAPER_WRENCH
 
 from grasp_env.force import DESCENTS, ForceOptimizer, LinearCombination, Status, cone_margin, optimize_force
 from grasp_env.force.repair import Correction
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp import wrench as wrenches
-
-LIGHT = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
 
 
 def _shifted(grasp: Grasp, shift: float) -> Grasp:

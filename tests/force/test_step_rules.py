@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from oracles import reduced_flow
 from oracles.descent import Landscape, descend
-from problems import GRASPS, PAPER_WRENCH, closure_grasps
+from problems import GRASPS, LIGHT, PAPER_WRENCH, STEP_RULES, closure_grasps
 from scipy.optimize import minimize_scalar
 
 from grasp_env.errors import InvalidInputError, UnknownNameError
@@ -27,17 +27,6 @@ from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
 
 OBJECTIVE = Objective(1.0, 0.1)
-LIGHT = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
-RULES: dict[str, StepRule] = {
-    "fixed": FixedStep(0.01),
-    "armijo": ArmijoStep(),
-    "adaptive": AdaptiveStep(),
-    "short": BarzilaiBorweinStep(),
-    "long": BarzilaiBorweinStep(variant="long"),
-    "alternate": BarzilaiBorweinStep(variant="alternate"),
-    "exact": ExactStep(),
-    "rough": ExactStep(0.1),
-}
 WILD: dict[str, StepRule] = {
     "fixed, huge": FixedStep(1e9),
     "fixed, tiny": FixedStep(1e-15),
@@ -59,7 +48,7 @@ def _land(grasp: Grasp) -> Landscape:
     return reduced_flow.landscape(grasp.cone_matrix, OBJECTIVE.weights(grasp.n_contacts))
 
 
-@pytest.mark.parametrize("rule", [*RULES.values(), *WILD.values()], ids=[*RULES, *WILD])
+@pytest.mark.parametrize("rule", [*STEP_RULES.values(), *WILD.values()], ids=[*STEP_RULES, *WILD])
 def test_every_iterate_is_inside_balanced_and_better(rule: StepRule) -> None:
     rng = np.random.default_rng(3)
     for grasp in closure_grasps(10):
@@ -81,7 +70,7 @@ def test_every_iterate_is_inside_balanced_and_better(rule: StepRule) -> None:
             assert grasp.residual(solution.force, wrench) <= 1e-12 * size
 
 
-@pytest.mark.parametrize("rule", RULES.values(), ids=RULES)
+@pytest.mark.parametrize("rule", STEP_RULES.values(), ids=STEP_RULES)
 def test_every_rule_converges_with_a_certificate(rule: StepRule) -> None:
     for grasp in GRASPS.values():
         start = grasp.to_force(_start(grasp))
@@ -93,7 +82,7 @@ def test_every_rule_converges_with_a_certificate(rule: StepRule) -> None:
         assert solution.lower_bound <= solution.objective <= solution.lower_bound * (1.0 + 1e-8)
 
 
-@pytest.mark.parametrize("rule", [*RULES.values(), WILD["exact, fine"]], ids=[*RULES, "fine"])
+@pytest.mark.parametrize("rule", [*STEP_RULES.values(), WILD["exact, fine"]], ids=[*STEP_RULES, "fine"])
 def test_it_stalls_where_floating_point_ends(rule: StepRule) -> None:
     solution = optimize_force(
         GRASPS["cuboid, 4"], PAPER_WRENCH, step_rule=rule, barrier_weight=0.1, tolerance=1e-300, max_iterations=200_000

@@ -2,14 +2,7 @@
 
     min  c . x   s.t.  A x = b,  x in K          max -b . y   s.t.  s = c + A^T y in K
 
-K is a product of cones x_0 >= |(x_1, x_2)|, one a contact. With p o q = (p . q, p_0 q_1 + q_0 p_1, p_0 q_2 + q_0 p_2) and
-e = (1, 0, 0), feasible x and s are optimal where x o s = 0. Nesterov and Todd's W has W s = W^-1 x = l in every cone. A
-direction solves, for a right side h,
-
-    A dx = b - A x,   ds - A^T dy = c + A^T y - s,   W^-1 dx + W ds = h
-
-first with h = -l, straight at the optimum (the predictor). How far it gets says how much to centre, and its second-order
-error is known, so the step taken has l o h = -l o l + mu e - (W^-1 dx) o (W ds) (Mehrotra's corrector).
+K is a product of cones x_0 >= |(x_1, x_2)|, one a contact: a program of `interior_point` without rays and shared variables.
 """
 
 from __future__ import annotations
@@ -17,8 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-
-J = np.array([1.0, -1.0, -1.0])
+from oracles import interior_point
+from oracles.interior_point import ConicProgram, nt_step
 
 
 class Program(NamedTuple):
@@ -67,69 +60,11 @@ def start(program: Program, inverse: np.ndarray, rest: np.ndarray) -> Iterate:
 
 
 def iteration(program: Program, at: Iterate) -> Iterate:
-    """The next iterate: predictor, centring, corrector, one step length for x and one for (s, y)."""
-    a, b, c, counted, (near, nearer) = program
-    x, s, y = at
-    m, n = len(b), len(x)
-    cones = [slice(k, k + 3) for k in range(0, n, 3)]
-    w, w_inverse, l_product, e = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros(n)
-    for k in cones:
-        w[k, k] = scaling(x[k], s[k])
-        w_inverse[k, k] = np.linalg.inv(w[k, k])
-        l_product[k, k] = arrow(w[k, k] @ s[k])
-        e[k.start] = 1.0
-    scaled = w @ s
-    kkt = np.block(
-        [[a, np.zeros((m, n)), np.zeros((m, m))], [np.zeros((n, n)), np.eye(n), -a.T], [w_inverse, w, np.zeros((n, m))]]
-    )
-    missed = np.concatenate([b - a @ x, c + a.T @ y - s])
-
-    def direction(h: np.ndarray) -> list[np.ndarray]:
-        """(dx, ds, dy)."""
-        return np.split(np.linalg.solve(kkt, np.concatenate([missed, h])), [n, 2 * n])
-
-    def step(point: np.ndarray, move: np.ndarray, part: float) -> float:
-        """`part` of the way to the boundary, at most 1."""
-        return part / max(part, *(per_boundary(point[k], move[k]) for k in cones))
-
-    def gap(primal: np.ndarray, dual: np.ndarray) -> float:
-        return float(primal[: 3 * counted] @ dual[: 3 * counted])
-
-    dx, ds, _ = direction(-scaled)
-    primal, dual = step(x, dx, 1.0), step(s, ds, 1.0)
-    left = min(1.0, max(gap(x + primal * dx, s + dual * ds), 0.0) / gap(x, s))
-    # x o s = mu e has gap mu a cone: counting a contact's cone twice, as its barrier does, aims at half of that
-    target = left**3 * gap(x, s) / (2 * counted)
-    second = np.concatenate([arrow((w_inverse @ dx)[k]) @ (w @ ds)[k] for k in cones])
-
-    dx, ds, dy = direction(-scaled + np.linalg.solve(l_product, target * e - second))
-    part = near + nearer * min(primal, dual)
-    primal, dual = step(x, dx, part), step(s, ds, part)
-    return Iterate(x + primal * dx, s + dual * ds, y + dual * dy)
-
-
-def arrow(p: np.ndarray) -> np.ndarray:
-    """The matrix of q -> p o q."""
-    matrix = p[0] * np.eye(3)
-    matrix[0], matrix[:, 0] = p, p
-    return matrix
-
-
-def scaling(x: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """W, symmetric, with W s = W^-1 x, that maps the cone onto itself; W^2 = eta (2 v v^T - J), J = diag(1, -1, -1)."""
-    eta = np.sqrt((x @ (J * x)) / (s @ (J * s)))
-    v = x + eta * J * s
-    v = v / np.sqrt(v @ (J * v))
-    w = np.eye(3) + np.outer(v, v) / (1.0 + v[0])
-    w[0], w[:, 0] = v, v
-    return np.sqrt(eta) * w
-
-
-def per_boundary(x: np.ndarray, d: np.ndarray) -> float:
-    """1 / (the largest step that keeps x + a d in the cone), at least 0: W with W^2 e = x makes it e + a W^-2 d."""
-    w = scaling(x, np.eye(3)[0])
-    r = np.linalg.solve(w @ w, d)
-    return max(0.0, float(np.linalg.norm(r[1:]) - r[0]))
+    """The next iterate: `nt_step` without rays and shared variables."""
+    a, b, c, counted, reach = program
+    general = ConicProgram(a, b, c, np.zeros((len(b), 0)), np.zeros(0), (3,) * (len(c) // 3), counted, reach, 0.0)
+    x, s, _, y = nt_step(general, interior_point.Iterate(at.x, at.s, np.zeros(0), at.y))
+    return Iterate(x, s, y)
 
 
 def certified_bound(program: Program, y: np.ndarray) -> tuple[float, np.ndarray]:

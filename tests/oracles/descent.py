@@ -191,3 +191,14 @@ def descend(
 def never(state: np.ndarray, value: float, iterations: int) -> bool:
     """`converged` of a descent that only its number of steps ends."""
     return False
+
+
+def followed(state: np.ndarray, landscape: Landscape, rule: StepRule, count: int) -> tuple[Descent, list[np.ndarray]]:
+    """So many steps, and all states."""
+    states: list[np.ndarray] = []
+
+    def keep(state: np.ndarray, _value: float, _iterations: int) -> bool:
+        states.append(state)
+        return False
+
+    return descend(state, landscape, keep, rule, count), states

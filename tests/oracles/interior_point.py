@@ -1,7 +1,5 @@
 """One dense interior-point iteration with limits and shared variables: the plain twin of the core's `interior_point.hpp`.
 
-What `oracles.conic` leaves out, as hard contacts do not need it.
-
     min  c . x + d . t   s.t.  A x + g t = b,  x in K
     max -b . y           s.t.  s = c + A^T y in K,  g^T y + d = 0
 
