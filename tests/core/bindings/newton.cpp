@@ -1,16 +1,13 @@
 // Newton and the flows in every layout.
-#include <nanobind/stl/unique_ptr.h>
-
-#include "allocations.hpp"
-#include "arrays.hpp"
+#include "calls.hpp"
 
 using namespace grasp;
 
 namespace {
 
-class AnyNewton {
+class AnyNewton : public Calls<Newton> {
 public:
-    explicit AnyNewton(std::unique_ptr<Newton> on) : on_(std::move(on)) {}
+    using Calls::Calls;
     static std::unique_ptr<AnyNewton> make(int lanes, int blocks, const Placement& p, double tolerance, int limit) {
         return std::make_unique<AnyNewton>(
             instance_of<detail::NewtonAny, Newton>(lanes, blocks, p.contacts, Options{tolerance, limit}));
@@ -30,15 +27,14 @@ public:
         return nb::make_tuple(gap, array(basis, {13, size()}));
     }
     void set_basis(const In& basis) { on_->set_basis(numbers(basis, 13 * size())); }
-    nb::object solve(const In& wrench) { return solved({.wrench = numbers(wrench, 6)}); }
     nb::object follow(const In& wrench, const In& force, bool tangent) {
-        return solved({.wrench = numbers(wrench, 6), .start = tangent ? Start::tangent : Start::pseudoinverse,
-                       .force = numbers(force, size())});
+        return solved(from(tangent ? Start::tangent : Start::pseudoinverse, wrench, force));
     }
     nb::tuple descend(const In& wrench, const In& force, double optimum, int traced) {
         std::vector<double> trace(traced, -1.0);
-        nb::object row = solved({.wrench = numbers(wrench, 6), .start = Start::given, .force = numbers(force, size()),
-                                 .optimum = optimum, .trace = trace.data(), .traced = traced});
+        Call call = from(Start::given, wrench, force);
+        call.optimum = optimum, call.trace = trace.data(), call.traced = traced;
+        nb::object row = solved(call);
         return nb::make_tuple(row, array(trace));
     }
     nb::tuple internal_force() {
@@ -64,21 +60,12 @@ public:
         return counted([&] {
             for (int k = 0; k < calls; ++k) {
                 const int j = k % many, before = (k + 1) % many;
-                if (k % 3 == 0) on_->solve({.wrench = w + 6 * j}, row.data());
-                if (k % 3 == 1) on_->solve({.wrench = w + 6 * j, .start = Start::tangent, .force = f + size() * before}, row.data());
-                if (k % 3 == 2) on_->solve({.wrench = w + 6 * j, .start = Start::given, .force = f + size() * j}, row.data());
+                Call call{.wrench = w + 6 * j};
+                if (k % 3 == 1) call.start = Start::tangent, call.force = f + size() * before;
+                if (k % 3 == 2) call.start = Start::given, call.force = f + size() * j;
+                on_->solve(call, row.data());
             }
         });
-    }
-
-private:
-    std::unique_ptr<Newton> on_;
-
-    size_t size() const { return 3 * on_->contacts.count; }
-    nb::object solved(const Call& call) {
-        std::vector<double> row(record_size(on_->contacts.count));
-        on_->solve(call, row.data());
-        return array(row);
     }
 };
 
