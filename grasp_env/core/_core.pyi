@@ -112,7 +112,8 @@ class Newton:
 
     def make_basis(self, basis: object, warm: bool = False, interior: object | None = None) -> float:
         """
-        Fills the 12-basis, (13, 3N); returns the worst relative gap, inf: none. `warm`: it holds that of nearby contacts.
+        Fills the 12-basis, (13, 3N); returns the worst relative gap, inf: none.
+        warm: it holds that of nearby contacts.
         interior: (3N,) an internal force strictly inside the cones; None: it is searched.
         """
 
@@ -187,8 +188,9 @@ class LimitedNewton:
     @staticmethod
     def make(contacts: Contacts, tolerance: float, limit: int, normals: object, bounds: object, shares: object, weights: object, owners: object, basis: object, elastic: bool) -> LimitedNewton:
         """
-        Rows a (M, 3) of length one or zero, b (M,), by how much b grows with all of its limit (M,), lambda (M,), which contact
-        (M,); the 12-basis without limits (13, 3N). elastic: where no force keeps them, the one that exceeds them least.
+        Rows a (M, 3) of length one or zero, b (M,), by how much b grows with all of its limit (M,), lambda (M,),
+        which contact (M,); the 12-basis without limits (13, 3N).
+        elastic: where no force keeps them, the one that exceeds them least.
         """
 
     def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
@@ -286,12 +288,14 @@ class Model:
 
     def place(self, null_space: object, friction: float, scale: float) -> None:
         """
-        (3N, 3N - 6) internal forces that the network's outputs stand for; scale: sqrt(lambda / omega) over that of training.
+        (3N, 3N - 6) internal forces that the network's outputs stand for;
+        scale: sqrt(lambda / omega) over that of training.
         """
 
     def trained_on(self, length: float, centre: object, largest: float) -> None:
         """
-        The frame (length and centre [m]) in which training measured wrenches, their largest size [N]; < 0: none is inside.
+        The frame (length and centre [m]) in which training measured wrenches, their largest size [N];
+        < 0: none is inside.
         """
 
 class Learned:
@@ -305,8 +309,8 @@ class Learned:
 
     def start(self, wrench: object | None, previous: object | None, record: object) -> int:
         """
-        The start into a record; returns `converged` where it is certified, `limit` where a descent has to go on from the initial
-        force in it. previous: the record of another wrench's optimum, or None.
+        The start into a record; returns `converged` where it is certified, `limit` where a descent has to go on from the
+        initial force in it. previous: the record of another wrench's optimum, or None.
         """
 
     def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
@@ -316,7 +320,8 @@ class Learned:
 
     def predict(self, wrench: object, force: object) -> bool:
         """
-        The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network. False: not finite.
+        The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network.
+        False: not finite.
         """
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:

@@ -1,5 +1,5 @@
-// Python's own buffer protocol: an array is read as it is where its numbers lie as the core reads them, and refused elsewhere (Python
-// then converts it, or says what is wrong). Never a silent copy, never a misread layout.
+// Python's own buffer protocol: an array is read as it is where its numbers lie as the core reads them, and refused elsewhere
+// (Python then converts it, or says what is wrong). Never a silent copy, never a misread layout.
 #pragma once
 
 #include <cstring>

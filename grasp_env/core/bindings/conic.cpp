@@ -42,7 +42,8 @@ void bind_conic(nb::module_& m) {
     nb::class_<Conic>(m, "Conic", "The least sum of normal forces on the hard contacts of one grasp.")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "interior"_a,
                     "interior: (3N,) an internal force strictly inside the cones, cone coordinates.")
-        .def("solve", &solve, "wrench"_a.none(), "previous"_a.none(), "record"_a, "Into a record; returns the code. previous: not read.")
+        .def("solve", &solve, "wrench"_a.none(), "previous"_a.none(), "record"_a,
+             "Into a record; returns the code. previous: not read.")
         .def("solve_many", &solve_many, "wrenches"_a, "records"_a, "(M, 6) into (M, 20 + 7N); releases the GIL.")
         .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` calls each, into (M,).");
 }

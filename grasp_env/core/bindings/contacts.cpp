@@ -62,8 +62,8 @@ bool all_finite(nb::handle array) {
     return total == 0.0;
 }
 
-// (N, 3) normals in place: those that miss unit length by more than rounding are divided by it. Returns the first that misses it by more
-// than UNIT_TOLERANCE, -1: none.
+// (N, 3) normals in place: those that miss unit length by more than rounding are divided by it. Returns the first that misses it
+// by more than UNIT_TOLERANCE, -1: none.
 int normalise(nb::handle normals) {
     const Numbers n = out(normals, -1, 3);
     int first = -1;

@@ -1,5 +1,5 @@
-// The control loop's call of every Newton: from the 12-basis, or from the force and torsion of a previous record. REFUSED where the wrench is
-// no (6,) float64 array of finite numbers, the previous record is of other contacts, or there is no basis.
+// The control loop's call of every Newton: from the 12-basis, or from the force and torsion of a previous record. REFUSED where
+// the wrench is no (6,) float64 array of finite numbers, the previous record is of other contacts, or there is no basis.
 #pragma once
 
 #include <grasp/solvers.hpp>
@@ -15,6 +15,7 @@ template <class Solver> int follow(Solver& newton, nb::handle wrench, nb::handle
     const Buffer before(previous);
     if (!before.has(size)) return grasp::REFUSED;
     const grasp::Record known(before.data(), count);
-    return newton.solve({.wrench = load.data(), .start = grasp::Start::tangent, .force = known.force(), .torsion = known.torsion()},
+    return newton.solve({.wrench = load.data(), .start = grasp::Start::tangent, .force = known.force(),
+                         .torsion = known.torsion()},
                         row.data());
 }

@@ -63,8 +63,8 @@ std::unique_ptr<Learned> make(const Contacts& contacts, double tolerance, int li
     return Learned::make(contacts, {tolerance, limit}, in(basis, 13, 3 * contacts.count).data(), model);
 }
 
-// From the combination or the network, or from the force of a previous record where that is better. REFUSED where the wrench is no (6,)
-// float64 array of finite numbers, or the previous record is of other contacts.
+// From the combination or the network, or from the force of a previous record where that is better. REFUSED where the wrench is
+// no (6,) float64 array of finite numbers, or the previous record is of other contacts.
 template <Code (Learned::*run)(const double*, const double*, double*)>
 int called(Learned& learned, nb::handle wrench, nb::handle previous, nb::handle record) {
     const int count = learned.contacts.count, size = record_size(count);
@@ -90,7 +90,8 @@ void times(Learned& learned, nb::handle wrenches, int passes, nb::handle records
 void bind_learned(nb::module_& m) {
     m.attr("LAYER_FEATURES") = LAYER_FEATURES, m.attr("LAYER_REACH") = LAYER_REACH, m.attr("MOST_LAYERS") = MOST_LAYERS;
     m.attr("NETWORK_FEATURES") = NETWORK_FEATURES, m.attr("MOST_STAGES") = MOST_STAGES, m.attr("WIDEST") = WIDEST;
-    m.def("layer_size", [](int width) { return Layers::numbers(width); }, "width"_a, "Numbers of one learned layer; 0: too wide.");
+    m.def("layer_size", [](int width) { return Layers::numbers(width); }, "width"_a,
+          "Numbers of one learned layer; 0: too wide.");
     nb::class_<Network>(m, "Network", "A float32 perceptron with activation v/2 (1 + v / sqrt(1 + v^2)).")
         .def_static("make", &make_network, "sizes"_a, "weights"_a,
                     "sizes: inputs, hidden ..., outputs; weights: of each stage (inputs x outputs), then its bias, flat.");
@@ -101,19 +102,22 @@ void bind_learned(nb::module_& m) {
         .def("normalise", &normalise, "length"_a, "floor"_a, "log_mean"_a, "log_scale"_a, "friction_mean"_a, "friction_scale"_a,
              "Of the network's features, see policies/features.py.")
         .def("place", &place, "null_space"_a, "friction"_a, "scale"_a,
-             "(3N, 3N - 6) internal forces that the network's outputs stand for; scale: sqrt(lambda / omega) over that of training.")
+             "(3N, 3N - 6) internal forces that the network's outputs stand for;\n"
+             "scale: sqrt(lambda / omega) over that of training.")
         .def("trained_on", &trained_on, "length"_a, "centre"_a, "largest"_a,
-             "The frame (length and centre [m]) in which training measured wrenches, their largest size [N]; < 0: none is inside.");
+             "The frame (length and centre [m]) in which training measured wrenches, their largest size [N];\n"
+             "< 0: none is inside.");
     nb::class_<Learned>(m, "Learned", "A trained model's starts on the hard contacts of one grasp, and Newton from them.")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "basis"_a, "model"_a,
                     "basis: (13, 3N) the offline optima, cone coordinates.")
         .def("start", &called<&Learned::start>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
-             "The start into a record; returns `converged` where it is certified, `limit` where a descent has to go on from the initial\n"
-             "force in it. previous: the record of another wrench's optimum, or None.")
+             "The start into a record; returns `converged` where it is certified, `limit` where a descent has to go on from the\n"
+             "initial force in it. previous: the record of another wrench's optimum, or None.")
         .def("solve", &called<&Learned::solve>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
              "The start, and Newton from it unless it is certified, into a record; returns the code.")
         .def("predict", &predict, "wrench"_a, "force"_a,
-             "The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network. False: not finite.")
+             "The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network.\n"
+             "False: not finite.")
         .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` solves each, into (M,).")
         .def("covers", [](const Learned& learned, nb::handle wrench) { return learned.covers(in(wrench, 6).data()); }, "wrench"_a,
              "Whether wrench, contacts and friction lie in the training range.")

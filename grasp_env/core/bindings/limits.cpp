@@ -31,21 +31,19 @@ int descend(LimitedNewton& newton, nb::handle wrench, nb::handle force, nb::hand
     return newton.solve({.wrench = load.data(), .start = Start::given, .force = start.data()}, row.data());
 }
 
-void times(LimitedNewton& newton, nb::handle wrenches, int passes, nb::handle records, nb::handle best) {
-    time_calls(wrenches, passes, record_size(newton.contacts.count), records, best,
-               [&](const double* wrench, double* row) { newton.solve({.wrench = wrench}, row); });
-}
-
 }  // namespace
 
 void bind_limits(nb::module_& m) {
     nb::class_<LimitedNewton>(m, "LimitedNewton", "Newton on Phi within limits a . x <= b on the force of one contact each.")
-        .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "normals"_a, "bounds"_a, "shares"_a, "weights"_a, "owners"_a,
+        .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "normals"_a, "bounds"_a, "shares"_a, "weights"_a,
+                    "owners"_a,
                     "basis"_a, "elastic"_a,
-                    "Rows a (M, 3) of length one or zero, b (M,), by how much b grows with all of its limit (M,), lambda (M,), which contact\n"
-                    "(M,); the 12-basis without limits (13, 3N). elastic: where no force keeps them, the one that exceeds them least.")
+                    "Rows a (M, 3) of length one or zero, b (M,), by how much b grows with all of its limit (M,), lambda (M,),\n"
+                    "which contact (M,); the 12-basis without limits (13, 3N).\n"
+                    "elastic: where no force keeps them, the one that exceeds them least.")
         .def("solve", &follow<LimitedNewton>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
              "From the 12-basis, or from the force of a previous record, into a record; returns the code.")
         .def("descend", &descend, "wrench"_a, "force"_a, "record"_a, "From a balanced force (N, 3) inside the cones.")
-        .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` calls each, into (M,).");
+        .def("times", &newton_times<LimitedNewton>, "wrenches"_a, "passes"_a, "records"_a, "best"_a,
+             "Best seconds of `passes` calls each, into (M,).");
 }

@@ -42,8 +42,8 @@ void solve_many(const Newton& newton, nb::handle wrenches, nb::handle previous, 
 }
 
 // Newton from given forces (M, N, 3) on contacts in one place with M scales (M, N, 3) of cone coordinates; releases the GIL.
-void solve_scaled(const Contacts& contacts, nb::handle scales, nb::handle wrenches, nb::handle forces, double tolerance, int limit,
-                  nb::handle records) {
+void solve_scaled(const Contacts& contacts, nb::handle scales, nb::handle wrenches, nb::handle forces, double tolerance,
+                  int limit, nb::handle records) {
     const int count = contacts.count, size = record_size(count);
     const Numbers loads = in(wrenches, -1, 6);
     const Py_ssize_t many = loads.length(0);
@@ -55,14 +55,9 @@ void solve_scaled(const Contacts& contacts, nb::handle scales, nb::handle wrench
             Record(rows.data() + size * k, count).summary().code = REFUSED;
             continue;
         }
-        Newton::make(scaled, {tolerance, limit})->solve(
-            {.wrench = loads.data() + 6 * k, .start = Start::given, .force = starts.data() + 3 * count * k}, rows.data() + size * k);
+        const Call call{.wrench = loads.data() + 6 * k, .start = Start::given, .force = starts.data() + 3 * count * k};
+        Newton::make(scaled, {tolerance, limit})->solve(call, rows.data() + size * k);
     }
-}
-
-void times(Newton& newton, nb::handle wrenches, int passes, nb::handle records, nb::handle best) {
-    time_calls(wrenches, passes, record_size(newton.contacts.count), records, best,
-               [&](const double* wrench, double* row) { newton.solve({.wrench = wrench}, row); });
 }
 
 double fill_basis(Newton& newton, nb::handle basis, bool warm, nb::handle interior) {
@@ -119,14 +114,18 @@ void set_basis(Newton& newton, nb::handle basis) { newton.set_basis(in(basis, 13
 void bind_newton(nb::module_& m) {
     m.attr("ACCEPTED_GAP") = ACCEPTED_GAP;
     m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
-          "The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest (Eqs. 33, 34).");
-    m.def("solve_scaled", &solve_scaled, "contacts"_a, "scales"_a, "wrenches"_a, "forces"_a, "tolerance"_a, "limit"_a, "records"_a,
+          "The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest "
+          "(Eqs. 33, 34).");
+    m.def("solve_scaled", &solve_scaled, "contacts"_a, "scales"_a, "wrenches"_a, "forces"_a, "tolerance"_a, "limit"_a,
+          "records"_a,
           "Newton from given forces (M, N, 3) on contacts with M scales (M, N, 3) of cone coordinates, into (M, 20 + 7N).");
-    nb::class_<Newton>(m, "Newton", "Newton on Phi and the starts, on the hard contacts of one grasp; x is in cone coordinates [N].")
+    nb::class_<Newton>(m, "Newton",
+                       "Newton on Phi and the starts, on the hard contacts of one grasp; x is in cone coordinates [N].")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a)
         .def("set_basis", &set_basis, "basis"_a, "Takes the 12-basis with the rest force, (13, 3N) in cone coordinates.")
         .def("make_basis", &fill_basis, "basis"_a, "warm"_a = false, "interior"_a = nb::none(),
-             "Fills the 12-basis, (13, 3N); returns the worst relative gap, inf: none. `warm`: it holds that of nearby contacts.\n"
+             "Fills the 12-basis, (13, 3N); returns the worst relative gap, inf: none.\n"
+             "warm: it holds that of nearby contacts.\n"
              "interior: (3N,) an internal force strictly inside the cones; None: it is searched.")
         .def("internal_force", &internal_force, "x"_a, "Fills x (3N,) with an internal force strictly inside; False: none found.")
         .def("solve", &follow<Newton>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
@@ -135,12 +134,14 @@ void bind_newton(nb::module_& m) {
              "From a force (N, 3); optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.")
         .def("solve_many", &solve_many, "wrenches"_a, "previous"_a.none(), "records"_a,
              "(M, 6) into (M, 20 + 7N), from the 12-basis or from the forces in the rows of `previous`; releases the GIL.")
-        .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` calls each, into (M,).")
+        .def("times", &newton_times<Newton>, "wrenches"_a, "passes"_a, "records"_a, "best"_a,
+             "Best seconds of `passes` calls each, into (M,).")
         .def("carry", &carry, "wrench"_a, "previous"_a, "tangent"_a, "force"_a,
              "A previous optimum (N, 3) carried to this wrench, by the tangent correction or by G^+; False: not finite.")
         .def("repair", &repair, "wrench"_a, "candidate"_a, "force"_a,
              "The force of least Phi on the way from the combination to a candidate (N, 3), balanced; False: not finite.")
-        .def("inside", &interval, "point"_a, "ray"_a, "(low, high) of the k with point + k ray strictly inside; none: low >= high.")
+        .def("inside", &interval, "point"_a, "ray"_a,
+             "(low, high) of the k with point + k ray strictly inside; none: low >= high.")
         .def("newton_step", &newton_step, "wrench"_a, "x"_a, "step"_a, "multipliers"_a,
              "The Newton step at x (3N,); returns the squared decrement, negative where there is none.")
         .def("segment", &segment, "safe"_a, "x"_a, "x (3N,) = the least Phi on the segment from `safe` to it; returns how far.");

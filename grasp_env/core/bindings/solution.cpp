@@ -1,5 +1,5 @@
-// What `ForceSolution` is made of: one record and what was said of it, with the force read off it. Plain CPython and numpy, as the control
-// loop pays for every nanosecond here: the same in Python, or as a class of nanobind, takes four times as long.
+// What `ForceSolution` is made of: one record and what was said of it, with the force read off it. Plain CPython and numpy, as
+// the control loop pays for every nanosecond here: the same in Python, or as a class of nanobind, takes four times as long.
 #include <grasp/record.hpp>
 
 #include "module.hpp"
@@ -26,7 +26,9 @@ PyArrayObject* array(PyObject* object) { return reinterpret_cast<PyArrayObject*>
 bool is_record(PyObject* object) {
     if (!PyArray_Check(object)) return false;
     const PyArrayObject* a = array(object);
-    if (PyArray_TYPE(a) != NPY_DOUBLE || PyArray_NDIM(a) != 1 || !PyArray_IS_C_CONTIGUOUS(a) || !PyArray_ISBEHAVED_RO(a)) return false;
+    if (PyArray_TYPE(a) != NPY_DOUBLE || PyArray_NDIM(a) != 1 || !PyArray_IS_C_CONTIGUOUS(a) ||
+        !PyArray_ISBEHAVED_RO(a))
+        return false;
     return PyArray_DIM(a, 0) >= SUMMARY && (PyArray_DIM(a, 0) - SUMMARY) % 7 == 0;
 }
 
@@ -37,9 +39,10 @@ PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
     if (!named && many >= 3 && many <= 6) {  // the control loop's
         for (Py_ssize_t k = 0; k < many; ++k) *slots[k] = PyTuple_GET_ITEM(arguments, k);
     } else {
-        static const char* names[] = {"record", "method", "initial", "objective_trace", "certificate", "limit_multipliers", nullptr};
-        if (!PyArg_ParseTupleAndKeywords(arguments, named, "OOO|OOO", const_cast<char**>(names), &record, &method, &initial, &trace,
-                                         &certificate, &multipliers))
+        static const char* names[] = {"record", "method", "initial", "objective_trace", "certificate", "limit_multipliers",
+                                      nullptr};
+        if (!PyArg_ParseTupleAndKeywords(arguments, named, "OOO|OOO", const_cast<char**>(names), &record, &method, &initial,
+                                         &trace, &certificate, &multipliers))
             return nullptr;
     }
     if (!is_record(record)) {
@@ -60,7 +63,8 @@ void drop(PyObject* self) {
     Py_DECREF(type);
 }
 
-// Numbers of the record as a read-only array that keeps it alive: the certificates belong to them, and the next solve may start there.
+// Numbers of the record as a read-only array that keeps it alive: the certificates belong to them, and the next solve may start
+// there.
 PyObject* view(PyObject* self, Py_ssize_t first, int axes, const npy_intp* shape) {
     PyArrayObject* record = array(reinterpret_cast<Solution*>(self)->record);
     PyArray_Descr* type = PyArray_DESCR(record);
@@ -93,8 +97,8 @@ PyGetSetDef read[] = {
     {"code", code, nullptr, "How the solve ended, see `codes`.", nullptr},
     {"force", force, nullptr, "(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.", nullptr},
     {"initial_force", initial_force, nullptr, "(N, 3) the start [N].", nullptr},
-    {"torsion", torsion, nullptr, "(N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft.",
-     nullptr},
+    {"torsion", torsion, nullptr,
+     "(N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft.", nullptr},
     {},
 };
 PyMemberDef held[] = {

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <chrono>
 
+#include <grasp/record.hpp>
+
 #include "buffers.hpp"
 
 // best (M,) [s] of `passes` calls of solve(wrench, row) for each of (M, 6) wrenches
@@ -21,4 +23,10 @@ void time_calls(nb::handle wrenches, int passes, int size, nb::handle records, n
             const std::chrono::duration<double> spent = clock::now() - begin;
             least.data()[k] = std::min(least.data()[k], spent.count());
         }
+}
+// Of every Newton, from its 12-basis.
+template <class Solver>
+void newton_times(Solver& newton, nb::handle wrenches, int passes, nb::handle records, nb::handle best) {
+    time_calls(wrenches, passes, grasp::record_size(newton.contacts.count), records, best,
+               [&](const double* wrench, double* row) { newton.solve({.wrench = wrench}, row); });
 }

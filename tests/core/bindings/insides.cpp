@@ -87,7 +87,8 @@ public:
     nb::tuple combination(const In& wrench, bool moved) {
         Field x = cones().field();
         starter().moved = moved;
-        const bool found = starter().combination(cones(), newton_.system, numbers(wrench, 6), contacts_.unit.of(wrench.data()), x);
+        const Vec6 w = contacts_.unit.of(numbers(wrench, 6));
+        const bool found = starter().combination(cones(), newton_.system, wrench.data(), w, x);
         return nb::make_tuple(found, out(x));
     }
     nb::object turned(const In& x, const In& frames) {

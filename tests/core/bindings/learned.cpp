@@ -63,9 +63,9 @@ class AnyLearned {
 public:
     explicit AnyLearned(std::unique_ptr<Learned> on) : on_(std::move(on)) {}
     // sizes, weights: of the network, none where empty; width, layers: of the layers, none where empty; null_space in forces
-    static std::unique_ptr<AnyLearned> make(int lanes, int blocks, const Placement& p, double tolerance, int limit, const In& basis,
-                                            const std::vector<int>& sizes, const In& weights, const In& null_space, int width,
-                                            const In& layers) {
+    static std::unique_ptr<AnyLearned> make(int lanes, int blocks, const Placement& p, double tolerance, int limit,
+                                            const In& basis, const std::vector<int>& sizes, const In& weights,
+                                            const In& null_space, int width, const In& layers) {
         const size_t size = 3 * p.contacts.count;
         Model model;
         if (!sizes.empty()) {
@@ -77,8 +77,8 @@ public:
         if (layers.size()) model.layers = layers_of(width, layers);
         model.trained.length = 0.05, model.largest = 20.0;
         if (!model.fits(p.contacts.count)) throw nb::value_error("a model of other contacts");
-        return std::make_unique<AnyLearned>(instance_of<detail::LearnedAny, Learned>(lanes, blocks, p.contacts, Options{tolerance, limit},
-                                                                                    numbers(basis, 13 * size), model));
+        return std::make_unique<AnyLearned>(instance_of<detail::LearnedAny, Learned>(
+            lanes, blocks, p.contacts, Options{tolerance, limit}, numbers(basis, 13 * size), model));
     }
     std::unique_ptr<AnyLearned> clone() const { return std::make_unique<AnyLearned>(on_->clone()); }
 
@@ -127,6 +127,7 @@ void bind_learned(nb::module_& m) {
     m.def("layer_numbers", &Layers::numbers);
     nb::class_<L>(m, "AnyLearned")
         .def_static("make", &L::make).def("clone", &L::clone).def("predict", &L::predict).def("covers", &L::covers)
-        .def("start", &L::start, "wrench"_a, "previous"_a = nb::none()).def("solve", &L::solve, "wrench"_a, "previous"_a = nb::none())
+        .def("start", &L::start, "wrench"_a, "previous"_a = nb::none())
+        .def("solve", &L::solve, "wrench"_a, "previous"_a = nb::none())
         .def("allocations", &L::allocations_in, "wrenches"_a, "forces"_a, "calls"_a);
 }

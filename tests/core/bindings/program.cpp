@@ -25,7 +25,8 @@ template <class R, int T> struct Dense {
             int touched = 0, last = count;
             for (int i = 0; i < count; ++i) {
                 double size = 0.0;
-                for (int a = 0; a < D; ++a) row[i][a] = given.data()[D * (count * r + i) + a], size += std::abs(double(row[i][a]));
+                for (int a = 0; a < D; ++a)
+                    row[i][a] = given.data()[D * (count * r + i) + a], size += std::abs(double(row[i][a]));
                 if (size > 0.0) ++touched, last = i;
             }
             for (int k = 0; k < T; ++k) shared[k] = coupling.data()[T * r + k];
@@ -76,7 +77,8 @@ template <class F> nb::object with(int shared, bool twice, F&& f) {
 
 // `limit` iterations from (z, s, t, y, slack): the same five, and code, iterations, objective.
 nb::object interior_point(const In& given, const In& coupling, const In& right, int equal, const In& cost, const In& shared_cost,
-                          const In& soft, const In& z, const In& s, const In& t, const In& y, const In& slack, int limit, bool twice) {
+                          const In& soft, const In& z, const In& s, const In& t, const In& y, const In& slack, int limit,
+                          bool twice) {
     return with(int(shared_cost.size()), twice, [&]<class R, int T>(R, std::integral_constant<int, T>) -> nb::object {
         const Dense<R, T> dense(given, coupling, right, equal);
         InteriorPoint<R, D, T> engine(dense.rows, flags(soft));
@@ -85,13 +87,14 @@ nb::object interior_point(const In& given, const In& coupling, const In& right, 
         dense.put(y, engine.at.own, engine.at.joint), dense.put(slack, engine.at.own_slack, engine.at.joint_slack);
         const Code code = engine.run(1e-15, 0.0, 0.0, limit, [] { return infinity; });
         return nb::make_tuple(get(engine.at.z), get(engine.at.s), get(engine.at.t), dense.get(engine.at.own, engine.at.joint),
-                              dense.get(engine.at.own_slack, engine.at.joint_slack), int(code), engine.iterations, double(engine.objective()));
+                              dense.get(engine.at.own_slack, engine.at.joint_slack), int(code), engine.iterations,
+                              double(engine.objective()));
     });
 }
 
 // Solution (e, t, y) of `RowSystem` and what it misses; shapes (N, 3, 3), lines (N,).
-nb::object row_system(const In& given, const In& coupling, int equal, const In& diagonal, const In& shapes, const In& lines, const In& fz,
-                      const In& ft, const In& fy, bool twice) {
+nb::object row_system(const In& given, const In& coupling, int equal, const In& diagonal, const In& shapes, const In& lines,
+                      const In& fz, const In& ft, const In& fy, bool twice) {
     return with(int(ft.size()), twice, [&]<class R, int T>(R, std::integral_constant<int, T>) -> nb::object {
         const Dense<R, T> dense(given, coupling, diagonal, equal);
         RowSystem<R, D, T> system(dense.rows);
@@ -106,13 +109,14 @@ nb::object row_system(const In& given, const In& coupling, int equal, const In& 
         if (!system.factor(dense.rows)) throw nb::value_error("not positive definite");
         system.solve(dense.rows, f, x);
         system.missed(dense.rows, f, x, left);
-        return nb::make_tuple(get(x.z), get(x.t), dense.get(x.own, x.joint), get(left.z), get(left.t), dense.get(left.own, left.joint));
+        return nb::make_tuple(get(x.z), get(x.t), dense.get(x.own, x.joint), get(left.z), get(left.t),
+                              dense.get(left.own, left.joint));
     });
 }
 
 // Newton on Phi: (z, y, code, iterations, trials, value, bound).
-nb::object phi_rows(const In& given, const In& right, int equal, const In& weights, const In& row_weights, const In& soft, const In& z,
-                    double tolerance, int limit, bool twice) {
+nb::object phi_rows(const In& given, const In& right, int equal, const In& weights, const In& row_weights, const In& soft,
+                    const In& z, double tolerance, int limit, bool twice) {
     return with(0, twice, [&]<class R, int T>(R, std::integral_constant<int, T>) -> nb::object {
         if constexpr (T == 0) {
             const Dense<R, 0> dense(given, given, right, equal);
@@ -122,8 +126,8 @@ nb::object phi_rows(const In& given, const In& right, int equal, const In& weigh
             put(z, engine.z);
             const double none[6] = {};
             const Code code = engine.run({.wrench = none}, tolerance, limit, LONG);
-            return nb::make_tuple(get(engine.z), dense.get(engine.y.own, engine.y.joint), int(code), engine.iterations, engine.trials,
-                                  double(engine.value), double(engine.bound));
+            return nb::make_tuple(get(engine.z), dense.get(engine.y.own, engine.y.joint), int(code), engine.iterations,
+                                  engine.trials, double(engine.value), double(engine.bound));
         } else {
             return nb::none();
         }
@@ -139,19 +143,21 @@ nb::object twice(const In& a, const In& b, const std::string& what) {
 }
 
 // Calls of `Program`: how often they allocate.
-nb::object program_allocations(const In& frame, const In& balance, const In& rows, const In& bound, const In& divisor, const In& shares,
-                               const In& wrenches, int calls) {
+nb::object program_allocations(const In& frame, const In& balance, const In& rows, const In& bound, const In& divisor,
+                               const In& shares, const In& wrenches, int calls) {
     const int count = int(divisor.shape(0)), limits = int(bound.size()), many = int(wrenches.shape(0));
-    const auto program = Program::make({count, limits, frame.data(), balance.data(), rows.data(), bound.data(), divisor.data(), shares.data(), true});
+    const auto program = Program::make(
+        {count, limits, frame.data(), balance.data(), rows.data(), bound.data(), divisor.data(), shares.data(), true});
     std::vector<double> row(record_size(count)), prices(limits), z(4 * count), weights(2 * count, 0.01), each(limits, 0.01);
     int ended[6] = {};
     const long made = counted([&] {
         for (int k = 0; k < calls; ++k) {
             const double* w = wrenches.data() + 6 * (k % many);
-            ++ended[program->least(w, k % 2 ? Criterion::largest : Criterion::sum, {1e-6, 100}, Record(row.data(), count), prices.data())];
-            ++ended[program->least(w, Criterion::excess, {EXCESS_WITHIN, 100}, Record(row.data(), count), prices.data())];
+            const Record record(row.data(), count);
+            ++ended[program->least(w, k % 2 ? Criterion::largest : Criterion::sum, {1e-6, 100}, record, prices.data())];
+            ++ended[program->least(w, Criterion::excess, {EXCESS_WITHIN, 100}, record, prices.data())];
             if (program->deepest(w, 1e-7, z.data()).code == CONVERGED)
-                program->least_phi({.wrench = w}, weights.data(), each.data(), z.data(), {1e-4, 100}, Record(row.data(), count), prices.data());
+                program->least_phi({.wrench = w}, weights.data(), each.data(), z.data(), {1e-4, 100}, record, prices.data());
         }
     });
     return nb::make_tuple(made, ended[CONVERGED], ended[INFEASIBLE], ended[LIMITS_EXCEEDED]);
@@ -160,12 +166,13 @@ nb::object program_allocations(const In& frame, const In& balance, const In& row
 }  // namespace
 
 void bind_program(nb::module_& m) {
-    m.def("interior_point", &interior_point, "rows"_a, "coupling"_a, "right"_a, "equal"_a, "cost"_a, "shared_cost"_a, "soft"_a, "z"_a,
-          "s"_a, "t"_a, "y"_a, "slack"_a, "limit"_a, "twice"_a = false);
-    m.def("row_system", &row_system, "rows"_a, "coupling"_a, "equal"_a, "diagonal"_a, "shapes"_a, "lines"_a, "fz"_a, "ft"_a, "fy"_a,
-          "twice"_a = false);
-    m.def("phi_rows", &phi_rows, "rows"_a, "right"_a, "equal"_a, "weights"_a, "row_weights"_a, "soft"_a, "z"_a, "tolerance"_a, "limit"_a,
-          "twice"_a = false);
+    m.def("interior_point", &interior_point, "rows"_a, "coupling"_a, "right"_a, "equal"_a, "cost"_a, "shared_cost"_a, "soft"_a,
+          "z"_a, "s"_a, "t"_a, "y"_a, "slack"_a, "limit"_a, "twice"_a = false);
+    m.def("row_system", &row_system, "rows"_a, "coupling"_a, "equal"_a, "diagonal"_a, "shapes"_a, "lines"_a, "fz"_a, "ft"_a,
+          "fy"_a, "twice"_a = false);
+    m.def("phi_rows", &phi_rows, "rows"_a, "right"_a, "equal"_a, "weights"_a, "row_weights"_a, "soft"_a, "z"_a, "tolerance"_a,
+          "limit"_a, "twice"_a = false);
     m.def("twice", &twice, "a"_a, "b"_a, "what"_a);
-    m.def("program_allocations", &program_allocations, "frame"_a, "balance"_a, "rows"_a, "bound"_a, "divisor"_a, "shares"_a, "wrenches"_a, "calls"_a);
+    m.def("program_allocations", &program_allocations, "frame"_a, "balance"_a, "rows"_a, "bound"_a, "divisor"_a,
+          "shares"_a, "wrenches"_a, "calls"_a);
 }

@@ -49,7 +49,7 @@ template <class V, int B> inline Interval inside(const Cones<V, B>& cones, const
 }
 
 // Fills the basis of `newton` for its contacts; returns the worst relative gap, inf: failed.
-// warm: the basis holds the optima of nearby contacts to start from; else newton.x is an internal force strictly inside the cones.
+// warm: the basis holds the optima of nearby contacts to start from; else newton.x is an internal force strictly inside.
 template <class V, int B> double make_basis(NewtonOn<V, B>& newton, bool warm) {
     const auto& cones = newton.cones;
     auto& starter = newton.starter;

@@ -37,8 +37,8 @@ template <class V> inline Vec6 sums(const V (&a)[6]) {
     return out;
 }
 
-// What Phi has besides the cones' terms: nothing. What further limits add is `LimitTerms` of limits.hpp; what torsion adds, which turns
-// the object by variables of its own, is `SoftTerms` of soft.hpp.
+// What Phi has besides the cones' terms: nothing. What further limits add is `LimitTerms` of limits.hpp; what torsion adds, which
+// turns the object by variables of its own, is `SoftTerms` of soft.hpp.
 struct NoRows { static constexpr bool any = false, turns = false; };
 
 template <class V, int B> class Cones {
@@ -206,7 +206,8 @@ private:
         for (int b = 0; b < int(blocks.size()); ++b)
             for (int n = 0; n < W && W * b + n < count; ++n) f(b, n, 3 * (W * b + n));
     }
-    template <class R, class F, class... Part> double phi_of(const R& rows, [[maybe_unused]] double alpha, F&& at, Part... part) const {
+    template <class R, class F, class... Part>
+    double phi_of(const R& rows, [[maybe_unused]] double alpha, F&& at, Part... part) const {
         V total{}, room = all<V>(infinity);
         for (int b = 0; b < int(blocks.size()); ++b) {
             const Vec3<V> x = at(b);

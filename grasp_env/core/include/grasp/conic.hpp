@@ -1,13 +1,13 @@
-// The exact problem: least sum of normal forces, balance, friction cones. Primal-dual interior point with Nesterov-Todd scaling and
-// Mehrotra's corrector (Nesterov, Todd 1997; Mehrotra 1992; as in Vandenberghe 2010, "The CVXOPT linear and quadratic cone program
-// solvers"); every iterate is a valid grasp, and y scaled onto the boundary is a certified bound.
+// The exact problem: least sum of normal forces, balance, friction cones. Primal-dual interior point with Nesterov-Todd scaling
+// and Mehrotra's corrector (Nesterov, Todd 1997; Mehrotra 1992; as in Vandenberghe 2010, "The CVXOPT linear and quadratic cone
+// program solvers"); every iterate is a valid grasp, and y scaled onto the boundary is a certified bound.
 //
 //     min sum_i c_i u_i  s.t.  G x = -w,  x_i in the cone u >= |(o, t)|      max -w . y  s.t.  s_i = c_i e_u - G_i^T y in it
 //
-// In these coordinates the scaling of a contact is eta (2 v v^T - J), v . J v = 1, so the 6 x 6 matrix of an iteration is the sum of
-// eta (2 (G v)(G v)^T - G J G^T) with G J G^T constant. Close to losing force closure, or with contacts close together, that sum loses
-// its digits: where it stalls the problem is solved again by least squares in the axes of the scalings, and no step is the difference
-// of two large ones.
+// In these coordinates the scaling of a contact is eta (2 v v^T - J), v . J v = 1, so the 6 x 6 matrix of an iteration is the sum
+// of eta (2 (G v)(G v)^T - G J G^T) with G J G^T constant. Close to losing force closure, or with contacts close together, that
+// sum loses its digits: where it stalls the problem is solved again by least squares in the axes of the scalings, and no step is
+// the difference of two large ones.
 #pragma once
 #include "newton.hpp"
 #include "qr6.hpp"
@@ -150,7 +150,7 @@ private:
         return sums(total) - minus;
     }
 
-    // M by its axes: along v, against it, across both. None of its numbers is a difference, and none loses digits to a larger one.
+    // M by its axes: along v, against it, across both. None of its numbers is a difference or loses digits to a larger one.
     struct RootAxes {
         Vec3<V> axis[3];
         V size[3];  // of M's root: sqrt(eta) times v_0 + |v|, 1 / (v_0 + |v|), 1
@@ -306,8 +306,9 @@ private:
         return {sum(gap), sum(price)};
     }
 
-    // Balances the last digits, scales y onto the boundary of its set, writes force and certificates; returns the gap. For any y the
-    // largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|), g = G^T y over the contacts where that is positive.
+    // Balances the last digits, scales y onto the boundary of its set, writes force and certificates; returns the gap.
+    // For any y the largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|), g = G^T y, over the contacts where
+    // that is positive.
     double certify(const Vec6& unit, const Vec6& minus, double scale, const Vec6& y, const Record& record) {
         V before[6] = {}, steepest{}, squeeze{}, price{};
         for (int b = 0; b < blocks(); ++b) {

@@ -146,8 +146,8 @@ private:
         return true;
     }
 
-    // Rows (6, 3N) with Gram matrix s = lower * (orthonormal rows), by two Cholesky factors: to rounding for condition numbers up to
-    // 1e7. False where rank is lost.
+    // Rows (6, 3N) with Gram matrix s = lower * (orthonormal rows), by two Cholesky factors: to rounding for condition numbers up
+    // to 1e7. False where rank is lost.
     bool orthonormalise(Packed6 s, std::vector<double>& rows, double (&lower)[6][6]) const {
         const int size = 3 * count;
         for (int pass = 0; pass < 2; ++pass) {

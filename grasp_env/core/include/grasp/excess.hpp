@@ -3,8 +3,8 @@
 //     min t  s.t.  G x = -w,  x_i in the cone,  a . x <= b + t share      max -sum y b - nu . w  s.t.  sum y share = 1,
 //                                                                              s_i = sum y a - G_i^T nu in the cone,  y >= 0
 //
-// A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's scaling, t is one border of the 6 x 6
-// system; x is balanced throughout, and the multipliers of every iterate bound t (`LimitTerms::farkas`), dual feasible or not.
+// A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's scaling, t is one border of the 6 x
+// 6 system; x is balanced throughout, and the multipliers of every iterate bound t (`LimitTerms::farkas`), dual feasible or not.
 #pragma once
 #include "conic.hpp"
 #include "limits.hpp"
@@ -48,7 +48,9 @@ public:
             if (!(primal + dual > 1e-6)) return out;
             for (int b = 0; b < blocks; ++b) {
                 x[b] += all<V>(primal) * at_[b].dx, at_[b].s += all<V>(dual) * at_[b].ds;
-                rows.for_each(b, [&](Pair<V>& p) { p.sides([&](Side<V>& side, double) { side.price += all<V>(dual) * side.dprice; }); });
+                rows.for_each(b, [&](Pair<V>& p) {
+                    p.sides([&](Side<V>& side, double) { side.price += all<V>(dual) * side.dprice; });
+                });
             }
             t += primal * step.dt, nu = nu + dual * (step.nu - nu);
             const auto proof = rows.farkas(cones, nu, w, t);
@@ -108,8 +110,8 @@ private:
             at.m = Scaling<V>(x[b], at.s), at.l = at.m.scaled(at.s);
             const auto& [v, eta, shrink, root] = at.m;
             const V twice = 2.0 * eta;
-            at.inverse = {twice * v.u * v.u - eta, twice * v.u * v.o, twice * v.u * v.t, twice * v.o * v.o + eta, twice * v.o * v.t,
-                          twice * v.t * v.t + eta};
+            at.inverse = {twice * v.u * v.u - eta, twice * v.u * v.o, twice * v.u * v.t,
+                          twice * v.o * v.o + eta, twice * v.o * v.t, twice * v.t * v.t + eta};
             at.mixed = {V{}, V{}, V{}};
             gap += cones.blocks[b].mask * dot(x[b], at.s);
             rows.for_each(b, [&](Pair<V>& p) {
@@ -143,8 +145,8 @@ private:
 
     // The whole step for the gradients in `system` and `slope`, that of t: new multipliers nu, dt, and how far x and s may go.
     struct Step { Vec6 nu; double dt, primal, dual; };
-    Step direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system, const Border& border, const Vec6& left, double slope,
-                const Field& x) {
+    Step direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system, const Border& border,
+                const Vec6& left, double slope, const Field& x) {
         V cross{};
         for (int b = 0; b < int(at_.size()); ++b) cross -= dot(at_[b].inverse * at_[b].mixed, system.gradient[b]);
         const Vec6 first = system.multipliers(left);
@@ -166,7 +168,8 @@ private:
                     side.dslack = all<V>(dt) * side.share - sign * along;
                     side.dprice = there - side.bend * side.dslack - side.price;
                     price += sign * (side.price + side.dprice);
-                    primal = max(primal, -side.dslack / side.slack), dual = max(dual, side.weight > 0.0 ? -side.dprice / side.price : V{});
+                    primal = max(primal, -side.dslack / side.slack);
+                    dual = max(dual, side.weight > 0.0 ? -side.dprice / side.price : V{});
                 });
                 at.ds += price * p.a;
             });
@@ -183,14 +186,16 @@ private:
         for (int b = 0; b < int(x.size()); ++b) {
             gap += cones.blocks[b].mask * dot(x[b] + primal * at_[b].dx, at_[b].s + dual * at_[b].ds);
             rows.for_each(b, [&](const Pair<V>& p) {
-                p.sides([&](const Side<V>& side, double) { gap += (side.slack + primal * side.dslack) * (side.price + dual * side.dprice); });
+                p.sides([&](const Side<V>& side, double) {
+                    gap += (side.slack + primal * side.dslack) * (side.price + dual * side.dprice);
+                });
             });
         }
         return sum(gap);
     }
 
-    // The corrector's right sides, from the predictor's steps: gradients into `system`, prices without a change of slack into dprice;
-    // returns the slope of t.
+    // The corrector's right sides, from the predictor's steps: gradients into `system`, prices without a change of slack into
+    // dprice; returns the slope of t.
     double correct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, double target) {
         V slope{}, pull[6] = {};
         for (int b = 0; b < int(at_.size()); ++b) {

@@ -1,5 +1,4 @@
-// The paper's gradient flow, x_{k+1} = x_k + alpha_k d_k (Eqs. 12, 26): every x_k balanced and strictly inside the cones, Phi
-// falling.
+// The paper's gradient flow, x_{k+1} = x_k + alpha_k d_k (Eqs. 12, 26): every x_k balanced and inside the cones, Phi falling.
 #pragma once
 #include "newton.hpp"
 #include "projection.hpp"
@@ -45,8 +44,7 @@ public:
         const auto& cones = on.cones;
         const int blocks = int(cones.blocks.size());
         cones.store_force(on.x, record.initial_force());
-        // x_k, the gradient there, d_k; x_k + alpha d_k and the gradient there; d_{k-1}. In registers where their number is
-        // fixed.
+        // x_k, the gradient there, d_k; x_k + alpha d_k, the gradient there; d_{k-1}: in registers where their number is fixed
         Local x = on.x, gradient = gradient_, step = step_, next = next_, there = there_, past = past_;
         for (int b = 0; b < blocks; ++b) step[b] = past[b] = {V{}, V{}, V{}};
         // Phi at x + alpha step, which goes to `next`, its gradient to `there`; +inf outside

@@ -103,8 +103,8 @@ inline Packed6 gram(const double* rows, int columns) {
     return s;
 }
 
-// A lower bound of the least eigenvalue of a 6 x 6 Gram matrix s over its trace, from its factor; 0 where rounding may have made it: where it is above
-// CLEAR_RANK the rows have rank 6 beyond doubt, elsewhere only their singular values can tell.
+// A lower bound of the least eigenvalue of a 6 x 6 Gram matrix s over its trace, from its factor; 0 where rounding may have made
+// it: where it is above CLEAR_RANK the rows have rank 6 beyond doubt, elsewhere only their singular values can tell.
 // det S <= least eigenvalue * (trace / 5)^5, so the pivots of S bound that eigenvalue from below.
 inline constexpr double CLEAR_RANK = 1e-10;
 inline double rank_bound(const Packed6& s, const Ldl6& factor) {

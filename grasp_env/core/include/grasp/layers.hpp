@@ -1,9 +1,9 @@
-// Learned Newton layers: each moves a balanced force inside the cones towards the optimum of Phi by the Newton step, shortened where it
-// is long, plus what a perceptron on every contact adds. Where that does not lower Phi it is a plain Newton step.
+// Learned Newton layers: each moves a balanced force inside the cones towards the optimum of Phi by the Newton step, shortened
+// where it is long, plus what a perceptron on every contact adds. Where that does not lower Phi it is a plain Newton step.
 //
 // What a layer reads and says has no units and no frame: per contact p = u - s and q = u + s, s = |(o, t)|, the eigenvalues of P,
-// change by p a and q b, and the tangential force across itself by c sqrt(p q). Weights are shared by the contacts, each of which also
-// hears the mean of all. The torch twin, which trains them, is policies/newton_layers.py.
+// change by p a and q b, and the tangential force across itself by c sqrt(p q). Weights are shared by the contacts, each of which
+// also hears the mean of all. The torch twin, which trains them, is policies/newton_layers.py.
 #pragma once
 #include "network.hpp"
 #include "system.hpp"
@@ -20,7 +20,8 @@ public:
     struct Layer { Dense first, own, mean, last; };  // the second stage reads a contact's hidden numbers, and their mean
 
     Layers() = default;  // none
-    // flat: of each layer `numbers(width)`: stages FEATURES x width, 2 width x width, width x 3 as (inputs x outputs), each then its bias
+    // flat: of each layer `numbers(width)`: stages FEATURES x width, 2 width x width, width x 3 (inputs x outputs), each with its
+    // bias after it
     Layers(int count, int width, const float* flat) : width_(width) {
         for (int k = 0; k < count; ++k) {
             const float* second = flat + (LAYER_FEATURES + 1) * width;
@@ -62,8 +63,8 @@ public:
 
     // Moves x, balanced and strictly inside, by layers begin .. end - 1, each of which lowers Phi or is the last; returns Phi.
     // rest: the optimum without a wrench. settled: stop where the Newton decrement promises less than this relative gap.
-    // nu: the multipliers of the last Newton step looked at, unit frame; second order in how far x was from the optimum before it, they
-    // certify what it made; nan: none. Balance is lost to rounding alone: the caller's to take off.
+    // nu: the multipliers of the last Newton step looked at, unit frame; second order in how far x was from the optimum before
+    // it, they certify what it made; nan: none. Balance is lost to rounding alone: the caller's to take off.
     double refine(const Cones<V, B>& cones, System<V, B>& system, const Field& rest, double settled, int begin, int end, Field& x,
                   Vec6& nu) {
         double value = cones.phi(x);

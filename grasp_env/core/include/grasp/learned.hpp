@@ -1,5 +1,5 @@
-// Learned starts, and Newton from them in the same call. Whatever the weights say, a start is balanced, strictly inside the cones, and
-// has no more Phi than the paper's combination, nor than the previous solution where one is given.
+// Learned starts, and Newton from them in the same call. Whatever the weights say, a start is balanced, strictly inside the
+// cones, and has no more Phi than the paper's combination, nor than the previous solution where one is given.
 #pragma once
 #include "layers.hpp"
 #include "newton.hpp"
@@ -17,7 +17,8 @@ struct Normalisation { double length, floor, log_mean, log_scale, friction_mean,
 struct Model {
     Network network;  // or none: the combination
     Normalisation normalisation{};
-    double friction = 0.0, scale = 1.0;  // of the contacts; sqrt(lambda / omega) over that of training: Phi knows forces in that unit only
+    double friction = 0.0;  // of the contacts
+    double scale = 1.0;     // sqrt(lambda / omega) over that of training: Phi knows forces in that unit only
     std::vector<double> null_space;      // (3N, 3N - 6) the internal forces [N] that the network's outputs stand for
     Layers layers;                       // or none
     UnitFrame trained;                   // in which training measured wrenches,
@@ -45,11 +46,11 @@ public:
         bool within(double tolerance) const { return bound > 0.0 && value - bound <= tolerance * bound; }
     };
 
-    // x, balanced and strictly inside, becomes what the layers make of it. Where that is not certified and `other` is given, they begin
-    // from there too, and the better is kept: close to a cone they may get less far from a force with less Phi.
+    // x, balanced and strictly inside, becomes what the layers make of it. Where that is not certified and `other` is given, they
+    // begin from there too, and the better is kept: close to a cone they may get less far from a force with less Phi.
     // each: a certificate after every layer, not after the last.
-    Outcome operator()(const Cones<V, B>& cones, System<V, B>& system, const Field& rest, const Vec6& w, double tolerance, bool each,
-                       const Field* other, Field& x) {
+    Outcome operator()(const Cones<V, B>& cones, System<V, B>& system, const Field& rest, const Vec6& w, double tolerance,
+                       bool each, const Field* other, Field& x) {
         Outcome found = refined(cones, system, rest, w, tolerance, each, x);
         if (!other || found.within(tolerance)) return found;
         other_ = *other;
@@ -87,7 +88,8 @@ public:
 
     // basis: (13, 3N) the offline optima of the contacts
     LearnedOn(const Contacts& contacts, const Options& options, const double* basis, const Model& model)
-        : newton(contacts.count, options), model_(model), refiner_(newton.cones, model.layers), space_(std::max(0, 3 * contacts.count - 6)),
+        : newton(contacts.count, options), model_(model), refiner_(newton.cones, model.layers),
+          space_(std::max(0, 3 * contacts.count - 6)),
           safe_(newton.cones.field()), guess_(newton.cones.field()), begun_(newton.cones.field()), weights_(space_.size()) {
         auto& cones = newton.cones;
         cones.pack(contacts);
@@ -102,8 +104,8 @@ public:
         }
     }
 
-    // The start into a record: CONVERGED where it is certified within the tolerance; LIMIT: a descent has to go on from the initial force
-    // in it; REFUSED: numbers that are not finite. previous: (3N,) an optimum of another wrench [N], or null.
+    // The start into a record: CONVERGED where it is certified within the tolerance; LIMIT: a descent has to go on from the
+    // initial force in it; REFUSED: numbers that are not finite. previous: (3N,) an optimum of another wrench [N], or null.
     Code start(const double* wrench, const double* previous, const Record& record) {
         Vec6 w;
         if (!begin(wrench, previous, w, record)) return REFUSED;
@@ -220,7 +222,8 @@ private:
     Code write(const double* wrench, const Vec6& w, const Outcome& found, const Record& record) {
         const Code code = found.within(newton.options.tolerance) ? CONVERGED : LIMIT;
         Summary& s = record.summary();
-        s.code = code, s.iterations = s.trials = 0.0, s.objective = found.value, s.lower_bound = found.bound, s.limit_excess = 0.0;
+        s.code = code, s.iterations = s.trials = 0.0, s.objective = found.value, s.lower_bound = found.bound,
+        s.limit_excess = 0.0;
         s.multipliers = newton.cones.unit.pull_back(found.nu);
         std::copy(wrench, wrench + 6, s.wrench.begin());
         std::fill(record.torsion(), record.torsion() + newton.cones.count, 0.0);

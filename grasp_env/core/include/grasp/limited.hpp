@@ -1,4 +1,4 @@
-// Newton on Phi within limits, in one call: the optimum, a proof that no force keeps the limits, or the force that exceeds them least.
+// Newton on Phi within limits, in one call: the optimum, a proof that there is none, or the force that exceeds limits least.
 #pragma once
 #include "excess.hpp"
 
@@ -13,8 +13,8 @@ public:
 
     // From the 12-basis of the contacts without limits, a previous optimum, or any balanced force inside the cones.
     // REFUSED: numbers that are not finite, no start, or a problem for the general program, nearly infeasible or out of digits.
-    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within the limits.
-    // LIMITS_EXCEEDED: objective and bound are those of the excess.
+    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within
+    // the limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
     Code solve(const Call& call, const Record& record) {
         Summary& s = record.summary();
         s.code = REFUSED;

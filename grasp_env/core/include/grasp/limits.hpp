@@ -1,9 +1,9 @@
-// Limits that are linear in one contact's force, a . x <= b, as terms of Phi: joint torques of a finger, least and largest normal forces.
-// Phi gains lambda / slack for each row of length one; a row is a rank-one change of its contact's 3 x 3 inverse Hessian.
+// Limits that are linear in one contact's force, a . x <= b, as terms of Phi: joint torques of a finger, least and largest normal
+// forces. Phi gains lambda / slack for each row of length one; a row is a rank-one change of its contact's 3 x 3 inverse Hessian.
 //
-// Below a small slack the barrier goes on as its parabola (C2), so any force inside the cones is a start. That edge is lowered until
-// every slack is above it: then the optimum is that of lambda / slack, and so is its bound. Or Newton's multipliers prove that no force
-// keeps the limits (Farkas).
+// Below a small slack the barrier goes on as its parabola (C2), so any force inside the cones is a start. That edge is lowered
+// until every slack is above it: then the optimum is that of lambda / slack, and so is its bound. Or Newton's multipliers prove
+// that no force keeps the limits (Farkas).
 #pragma once
 #include "cones.hpp"
 
@@ -94,8 +94,8 @@ public:
         lean(cones);
     }
 
-    // Where the parabola begins, in parts of the contacts' own scales sqrt(lambda / omega), which slacks are of where limits bind. From
-    // the softest on any force is a start: a harder one takes more steps to come inside, a softer one to be hardened.
+    // Where the parabola begins, in parts of the contacts' own scales sqrt(lambda / omega), which slacks are of where limits
+    // bind. From the softest on any force is a start: a harder one takes more steps to come inside, a softer one to be hardened.
     static constexpr double SOFTEST = 8.0;
     void soften(double edge) { edge_ = edge; }
 
@@ -140,7 +140,9 @@ public:
         const V edge = all<V>(edge_) * scale_[b];
         for_each(b, [&](const Pair<V>& p) {
             y -= p.price() * p.a;
-            p.sides([&](const Side<V>& side, double) { total += conjugate(side.price, edge, side.weight) - side.price * side.bound; });
+            p.sides([&](const Side<V>& side, double) {
+                total += conjugate(side.price, edge, side.weight) - side.price * side.bound;
+            });
         });
         return total;
     }
@@ -178,17 +180,18 @@ public:
         if (slack >= edge_) return Verdict::on;
         // the optimum of a parabola need not be exact; but where rows are far below its edge, it is what multipliers are found at
         const bool settled = decrement < (slack < -BROKEN * edge_ ? CLOSER : SETTLED);
-        if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) && hopeless(cones, nu, w)) return Verdict::hopeless;
+        if (slack <= 0.0 && (settled || (iterations >= 2 && iterations % 2 == 1)) && hopeless(cones, nu, w))
+            return Verdict::hopeless;
         if (!settled) return Verdict::on;
         if (edge_ < HARDEST) return Verdict::lost;
         edge_ *= HARDENING;
         return Verdict::harder;
     }
 
-    // With prices y >= 0 and q = sum y a - G^T nu, every balanced force has sum q . x = sum y a . x + nu . w. In the cones and within limits
-    // raised by t this is at least -sum delta u_max, delta what q lacks of the dual cone, and at most sum y (b + t share) + nu . w: so
-    // value + t share >= 0, value < 0 is a proof that no force keeps the limits, and -value / share a bound of t.
-    // Where no row bounds u_max nu is leant over (see `lean`) until delta is nothing there.
+    // With prices y >= 0 and q = sum y a - G^T nu, every balanced force has sum q . x = sum y a . x + nu . w. In the cones and
+    // within limits raised by t this is at least -sum delta u_max, delta what q lacks of the dual cone, and at most
+    // sum y (b + t share) + nu . w: so value + t share >= 0, value < 0 is a proof that no force keeps the limits, and
+    // -value / share a bound of t. Where no row bounds u_max nu is leant over (see `lean`) until delta is nothing there.
     struct Farkas { double value, share, size; Vec6 nu; };  // size: what the terms of value add up to
     Farkas farkas(const Cones<V, B>& cones, const Vec6& given, const Vec6& w, double t = 0.0) const {
         const Vec6 nu = leant(cones, given);

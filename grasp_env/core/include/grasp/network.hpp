@@ -57,7 +57,7 @@ private:
         __builtin_memcpy(to, from, sizeof(float) * count);
     }
 
-    // R rows by K registers of outputs, which stay in registers throughout; few of them take turns, as a sum waits for the one before.
+    // R rows by K registers of outputs, which stay in registers throughout; few take turns, as a sum waits for the one before.
     template <int R, int K, bool hidden>
     void tile(const float* from, int stride, const Floats* begin, int first, float* to) const {
         constexpr int TURNS = 8 / (R * K);

@@ -58,9 +58,9 @@ public:
         return descend_from(begun_, call, w, record);
     }
 
-    // From the start in x, of which `begun` is a copy, to the record: with steps that reach `fraction` of the way to the boundary, and
-    // where those stall along the central path. leaping: the start is an optimum of another wrench, from where the first step goes all of
-    // Newton's way, to balance and down at once; REFUSED where that leaves the cones.
+    // From the start in x, of which `begun` is a copy, to the record: with steps that reach `fraction` of the way to the
+    // boundary, and where those stall along the central path. leaping: the start is an optimum of another wrench, from where the
+    // first step goes all of Newton's way, to balance and down at once; REFUSED where that leaves the cones.
     Code descend_from(const Field& begun, const Call& call, const Vec6& w, const Record& record, double fraction = SHORT,
                       bool leaping = false) {
         cones.store_force(x, record.initial_force());
@@ -95,7 +95,7 @@ public:
         return true;
     }
 
-    // The Newton step at x into `out`, its multipliers in the unit frame, and its squared decrement; negative: S lost definiteness.
+    // The Newton step at x into `out`, its multipliers in the unit frame, its squared decrement; negative: S is not definite.
     double newton_step(const Vec6& w, Field& out, Vec6& nu) {
         if (!system.assemble(cones, x)) return -1.0;
         const Vec6 left = system.made + w;
@@ -133,8 +133,8 @@ public:
 
 private:
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
-    static constexpr int PATIENCE = Rows::any ? 80 : 40;  // whole descents take half as many steps, unless they crawl along a surface
-    static constexpr int LONGEST = 400;        // the same along the central path: 40 at the most, but where hardly any force is inside
+    static constexpr int PATIENCE = Rows::any ? 80 : 40;  // whole descents take half, unless they crawl along a surface
+    static constexpr int LONGEST = 400;        // the same along the central path: 40 but where hardly any force is inside
     static constexpr double AHEAD = 3.0;       // times the part of the price to which x is nearest
     static constexpr double MISSES = 1e-13;    // a step that misses balance by less than this part of Phi needs no refinement
     static constexpr double ROUNDED = 1e-13;   // part of Phi
@@ -145,8 +145,8 @@ private:
 
     struct Direction { double decrement, reach; };  // squared Newton decrement, 1 / (largest step inside the cones)
 
-    // Forces at very different depths in their cones make S ill-conditioned: what the step misses of balance is taken off, in the metric
-    // of Phi while it is large (a few digits a time), then by the least change.
+    // Forces at very different depths in their cones make S ill-conditioned: what the step misses of balance is taken off, in the
+    // metric of Phi while it is large (a few digits a time), then by the least change.
     Direction find_step(const Vec6& nu, const Vec6& left, double value) {
         Vec6 missed = left + direction(nu);
         for (int round = 0; round < REFINEMENTS && size(missed) > MISSES * value; ++round)
@@ -190,7 +190,8 @@ private:
 
     bool assemble() {
         if constexpr (Rows::any) {
-            return system.assemble(cones, x, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) { rows.bend(b, x[b], gradient, inverse); }, rows);
+            const auto bend = [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) { rows.bend(b, x[b], gradient, inverse); };
+            return system.assemble(cones, x, bend, rows);
         } else {
             return system.assemble(cones, x);
         }
@@ -206,7 +207,7 @@ private:
         else return w;
     }
 
-    // Damped Newton from x, its system factored as it is: where forces exceed their distance to the cones by 1e4 it loses its digits.
+    // Damped Newton from x, its system factored as it is: where forces exceed their distance to the cones by 1e4 digits are lost.
     [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, Progress& at, double fraction, bool leaping) {
         const double tolerance = options.tolerance, tight = std::min(1e-2, 0.1 * std::sqrt(std::sqrt(tolerance)));
         for (;; ++at.iterations) {
@@ -255,9 +256,9 @@ private:
         }
     }
 
-    // Newton along the central path from x: every step goes to the optimum of the barrier and the largest part of the price of squeezing
-    // for which that is within reach. Forces then come close to the cones no sooner than they must, where steps along a curved surface
-    // are short, and the system keeps its digits.
+    // Newton along the central path from x: every step goes to the optimum of the barrier and the largest part of the price of
+    // squeezing for which that is within reach. Forces then come close to the cones no sooner than they must, where steps along a
+    // curved surface are short, and the system keeps its digits.
     [[gnu::cold, gnu::noinline]] Code follow(const Call& call, const Vec6& w, Progress& at) {
         double part = 0.0;
         for (at.value = cones.phi(x), at.iterations = 0;; ++at.iterations) {
@@ -267,7 +268,8 @@ private:
             part = reachable(part);
             Vec6 nu = steep.multipliers(part);
             cones.scale_inside(nu);
-            if (const double bound = at.known ? at.bound : cones.lower_bound(nu, w); bound >= at.bound) at.bound = bound, at.nu = nu;
+            if (const double bound = at.known ? at.bound : cones.lower_bound(nu, w); bound >= at.bound)
+                at.bound = bound, at.nu = nu;
             if (certified(at.value, at)) return CONVERGED;
             if (at.iterations >= options.limit) return LIMIT;
             if (at.iterations >= LONGEST) return STALLED;
@@ -299,8 +301,8 @@ private:
         return false;
     }
 
-    // The largest part of the price that a whole step of `follow` may go to: no less than that to which x is nearest, nor far ahead of
-    // it, where x would crawl along a surface again.
+    // The largest part of the price that a whole step of `follow` may go to: no less than that to which x is nearest, nor far
+    // ahead of it, where x would crawl along a surface again.
     double reachable(double before) const {
         const auto reach = [&](double part) {
             V most{};

@@ -35,8 +35,8 @@ template <class T> inline T curvature(const Vec3<T>& x, const Vec3<T>& move, con
                        4.0 * x.u * j2 * (move.o * move.o + move.t * move.t + 4.0 * j * along * along));
 }
 
-// Inverse of the Hessian, in closed form, without differences that cancel close to a cone: with p = u + s, q = u - s the part of Phi in
-// the plane of u and s is lambda (2/(p+q) + 1/p + 1/q), whose Hessian is diag(2/p^3, 2/q^3) + 4/(p+q)^3 (1, 1)(1, 1)^T.
+// Inverse of the Hessian, in closed form, without differences that cancel close to a cone: with p = u + s, q = u - s the part of
+// Phi in the plane of u and s is lambda (2/(p+q) + 1/p + 1/q), whose Hessian is diag(2/p^3, 2/q^3) + 4/(p+q)^3 (1, 1)(1, 1)^T.
 template <class T> inline Sym3<T> inverse_hessian(const Vec3<T>& x, const Weights<T>& w) {
     const auto [u, o, t] = x;
     const T u2 = u * u, s2 = o * o + t * t, d = u2 - s2, iu = 1.0 / u;
@@ -48,9 +48,9 @@ template <class T> inline Sym3<T> inverse_hessian(const Vec3<T>& x, const Weight
             across + bend * t * t};
 }
 
-// The same inverse as a sum of three a a^T, and the gradient along each a, that of the price of squeezing and of the barrier apart;
-// across has none. In p = u - s and q = u + s, where neither loses digits to the other: one axis lies along q, close to the force, one
-// along p, towards the surface, one across both.
+// The same inverse as a sum of three a a^T, and the gradient along each a, that of the price of squeezing and of the barrier
+// apart; across has none. In p = u - s and q = u + s, where neither loses digits to the other: one axis lies along q, close to
+// the force, one along p, towards the surface, one across both.
 template <class T> struct Axes {
     Vec3<T> along, inward, across;
     struct Pull { T along, inward; } price, barrier;
@@ -93,9 +93,9 @@ template <class T> struct Boundary {
     }
 };
 
-// One contact's part of the Lagrangian, min_x phi(x) - y . x with y = G^T nu, as a problem in r = (u - s)/(u + s): least over r of
-// 2 sqrt(lambda c1 c2), c1 = (low + high r)/2, c2 = 1 + 1/r + 2/(1 + r), low = a - |y_t|, high = a + |y_t|, a = 3 omega - y_u. Its
-// stationary r is the root of high r^2 ((1 + r)^2 + 2) = low ((1 + r)^2 + 2 r^2).
+// One contact's part of the Lagrangian, min_x phi(x) - y . x with y = G^T nu, as a problem in r = (u - s)/(u + s): least over r
+// of 2 sqrt(lambda c1 c2), c1 = (low + high r)/2, c2 = 1 + 1/r + 2/(1 + r), low = a - |y_t|, high = a + |y_t|, a = 3 omega - y_u.
+// Its stationary r is the root of high r^2 ((1 + r)^2 + 2) = low ((1 + r)^2 + 2 r^2).
 template <class T> struct Inner {
     T low, high;
 
@@ -126,8 +126,8 @@ template <class T> inline T dual(const Vec3<T>& y, const Weights<T>& w, T& room)
     return inner.value(r, w);
 }
 
-// The same from the r of a nearby force x, no contraction. Where the second Newton step is not a small part (`tight`) of r nothing
-// is claimed (room < 0); what it may leave, of the fourth order, is taken off: a value above the least would not be a bound.
+// The same from the r of a nearby force x, no contraction. Where the second Newton step is not a small part (`tight`) of r
+// nothing is claimed (room < 0); what it may leave, of the fourth order, is taken off: above the least would be no bound.
 template <class T> inline T dual_near(const Vec3<T>& y, const Weights<T>& w, const Vec3<T>& x, double tight, T& room) {
     const Inner<T> inner(y, w);
     const T s = sqrt(x.o * x.o + x.t * x.t);

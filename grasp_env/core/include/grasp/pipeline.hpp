@@ -78,8 +78,8 @@ public:
         return code;
     }
 
-    // Between two solves: the last optimum carried to contacts and wrench of now, back inside the cones if need be. Changes nothing
-    // that is held. force: (N, 3) [N] in the frames of the contacts of now.
+    // Between two solves: the last optimum carried to contacts and wrench of now, back inside the cones if need be. Changes
+    // nothing that is held. force: (N, 3) [N] in the frames of the contacts of now.
     Carried carry(const Load& load, double* force) {
         const auto& cones = newton.cones;
         auto& starter = newton.starter;
@@ -136,13 +136,14 @@ private:
         if (carried) starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
         if (refiner_.layers.layers.count()) {
             starter.turn(newton.cones, starter.basis[12], starter.basis_tangents, turned_);
-            refiner_(newton.cones, newton.system, turned_, w, newton.options.tolerance, false, remembers ? &safe_ : nullptr, newton.x);
+            refiner_(newton.cones, newton.system, turned_, w, newton.options.tolerance, false, remembers ? &safe_ : nullptr,
+                     newton.x);
         }
         return true;
     }
 
-    // An internal force, in (3N - 6,) coordinates [N], added to the start, which is then repaired; false where it is not finite or
-    // the coordinates end here.
+    // An internal force, in (3N - 6,) coordinates [N], added to the start, which is then repaired; false where it is not finite
+    // or the coordinates end here.
     bool adjust(const Load& load) {
         if (!space_.place(contacts)) return false;
         newton.cones.store(newton.x, adjusted_.data());

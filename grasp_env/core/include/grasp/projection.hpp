@@ -8,8 +8,8 @@ namespace grasp {
 enum class Form {
     full,    // Q, (9 N^2)^2 numbers, times vec(P^-1 W_i P^-1 - W_p) (Eqs. 9-12)
     paper,   // Q_bar, 27 N^2 numbers, times VWP (Eqs. 18-26)
-    reduced  // Pi = D^-1 - R^T R, D = diag(3, 2, 2), R the six orthonormal rows of G in D: the 9 N^2 numbers of -Pi up to four contacts,
-             // 39 N beyond, times the gradient of Phi
+    reduced  // Pi = D^-1 - R^T R, D = diag(3, 2, 2), R the six orthonormal rows of G in D: the 9 N^2 numbers of -Pi up to four
+             // contacts, 39 N beyond, times the gradient of Phi
 };
 inline constexpr int FULL_CONTACTS = 8;  // most that the dense Q is made for: 2.7 MB
 
@@ -86,8 +86,8 @@ private:
 
     static constexpr int PASSES = 6;
 
-    // R: the rows of G D^-1/2, orthonormalised by Cholesky factors, times D^-1/2. Two passes are rounding for condition numbers up to
-    // 1e7; beyond, a shift keeps the first factors positive (Fukaya et al. 2020, "Shifted Cholesky QR") and costs further passes.
+    // R: the rows of G D^-1/2, orthonormalised by Cholesky factors, times D^-1/2. Two passes are rounding for condition numbers
+    // up to 1e7; beyond, a shift keeps the first factors positive (Fukaya et al. 2020, "Shifted Cholesky QR") and costs more.
     bool orthonormalise(const Cones<V, B>& cones) {
         const double root[3] = {std::sqrt(PER[0]), std::sqrt(PER[1]), std::sqrt(PER[2])};
         const int blocks = int(cones.blocks.size());
@@ -173,8 +173,9 @@ private:
 #pragma GCC unroll 4
             for (int n = 0; n < 4; ++n) {
                 const Field* column = &columns_[3 * n];
-                part[n] = all<V>(get(gradient[n / W].u, n % W)) * column[0][b] + all<V>(get(gradient[n / W].o, n % W)) * column[1][b] +
-                          all<V>(get(gradient[n / W].t, n % W)) * column[2][b];
+                const Vec3<V>& g = gradient[n / W];
+                part[n] = all<V>(get(g.u, n % W)) * column[0][b] + all<V>(get(g.o, n % W)) * column[1][b] +
+                          all<V>(get(g.t, n % W)) * column[2][b];
             }
             step[b] = (part[0] + part[1]) + (part[2] + part[3]);
         }

@@ -5,8 +5,9 @@
 
 namespace grasp {
 
-// A (n, 6) = Q R by Householder's reflections, columns and rows taken by size: each row is then as good as its own digits, however
-// small it is beside the others (Cox, Higham 1998, "Stability of Householder QR factorization for weighted least squares problems").
+// A (n, 6) = Q R by Householder's reflections, columns and rows taken by size: each row is then as good as its own digits,
+// however small it is beside the others (Cox, Higham 1998, "Stability of Householder QR factorization for weighted least
+// squares problems").
 class Qr6 {
 public:
     explicit Qr6(int rows) : rows_(rows), a_(6 * rows), place_(rows), work_(rows) {}

@@ -1,8 +1,8 @@
 // Soft contacts: torsion as variables of Phi's own, eliminated contact by contact, and Newton with them.
 //
-// v is the torsion in units of its limit, abs(v) <= u; with p = u - v and q = u + v Phi gains lambda (1/p + 1/q). For any step du the
-// best dv is k du + delta, so a contact keeps its 3 x 3 block: e_u gains curvature and slope, its column of G gains k times that of v,
-// and delta adds a term of rank one to S. In p and q none of it cancels.
+// v is the torsion in units of its limit, abs(v) <= u; with p = u - v and q = u + v Phi gains lambda (1/p + 1/q). For any step du
+// the best dv is k du + delta, so a contact keeps its 3 x 3 block: e_u gains curvature and slope, its column of G gains k times
+// that of v, and delta adds a term of rank one to S. In p and q none of it cancels.
 #pragma once
 #include "newton.hpp"
 
@@ -64,7 +64,8 @@ public:
         const Contact& c = contacts_[b];
         Now& n = now_[b];
         const V u2 = x.u * x.u, v2 = n.v * n.v, p = x.u - n.v, q = x.u + n.v, d = p * q;
-        const V i = 1.0 / (x.u * (u2 + 3.0 * v2) * d), m = i * x.u * d, per = i * x.u * (u2 + 3.0 * v2);  // 1 / (u^2 + 3 v^2), 1 / (p q)
+        // m = 1 / (u^2 + 3 v^2), per = 1 / (p q)
+        const V i = 1.0 / (x.u * (u2 + 3.0 * v2) * d), m = i * x.u * d, per = i * x.u * (u2 + 3.0 * v2);
         n.lever = n.v * (3.0 * u2 + v2) * i * d;
         n.free = c.flat * d * d * d * i * d;
         n.pull = d * n.v * m;
@@ -123,8 +124,8 @@ public:
         for (auto& now : now_) now.v += all<V>(alpha) * now.step;
     }
 
-    // Takes torsion off y = G^T nu; returns its part of the dual value, the least of lambda/p + lambda/q + price u - y_v v over p and q.
-    // Any price from abs(y_v) on makes a bound; that of the optimum the largest.
+    // Takes torsion off y = G^T nu; returns its part of the dual value, the least of lambda/p + lambda/q + price u - y_v v over p
+    // and q. Any price from abs(y_v) on makes a bound; that of the optimum the largest.
     V dual(int b, const Vec6& nu, Vec3<V>& y) const {
         const V turn = along(b, nu), price = max(now_[b].price, abs(turn));
         y.u += price;
@@ -141,7 +142,8 @@ public:
     Verdict judge(const Cones<V, B>&, const Vec6&, const Vec6&, double, int) const { return Verdict::on; }
 
 private:
-    // hard: the column of u; g, that of v, lambda, flat = 1 / (4 lambda) and root = sqrt(2 lambda) are zero where a contact is not soft
+    // hard: the column of u; g, that of v, lambda, flat = 1 / (4 lambda) and root = sqrt(2 lambda) are zero where a contact is
+    // not soft
     struct Contact { V hard[6], g[6], lambda, flat, root, divisor; };
     struct Now {
         V v, step;

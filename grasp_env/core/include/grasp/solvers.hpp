@@ -59,8 +59,8 @@ public:
     const Contacts contacts;
 
     // basis: (13, 3N) as of `Newton`
-    static std::unique_ptr<LimitedNewton> make(const Contacts& contacts, const Options& options, const LimitRows& rows, const double* basis,
-                                               bool elastic);
+    static std::unique_ptr<LimitedNewton> make(const Contacts& contacts, const Options& options, const LimitRows& rows,
+                                               const double* basis, bool elastic);
     virtual ~LimitedNewton() = default;
     virtual Code solve(const Call& call, double* row) = 0;
 
@@ -74,7 +74,8 @@ public:
     const Contacts contacts;
 
     // divisor: (N,) torsion in units of its limit / torsion [1 / m], inf: not soft; basis: (13, 3N) as of `Newton`
-    static std::unique_ptr<SoftNewton> make(const Contacts& contacts, const Options& options, const double* divisor, const double* basis);
+    static std::unique_ptr<SoftNewton> make(const Contacts& contacts, const Options& options, const double* divisor,
+                                            const double* basis);
     virtual ~SoftNewton() = default;
     virtual Code solve(const Call& call, double* row) = 0;
 
@@ -104,7 +105,8 @@ public:
     Options options;
 
     // basis: (13, 3N) the offline optima; model: one that `fits` the contacts
-    static std::unique_ptr<Learned> make(const Contacts& contacts, const Options& options, const double* basis, const Model& model);
+    static std::unique_ptr<Learned> make(const Contacts& contacts, const Options& options, const double* basis,
+                                         const Model& model);
     virtual ~Learned() = default;
     virtual std::unique_ptr<Learned> clone() const = 0;
     virtual Code start(const double* wrench, const double* previous, double* row) = 0;

@@ -9,12 +9,12 @@ inline constexpr double FAR = 2.0;  // where carrying the combination to moved c
 enum class Start {
     combination,    // of the 12 offline optima (the paper, Sec. III)
     given,          // a force as it is
-    tangent,        // a previous optimum: the change that is least in the Hessian of Phi, which follows the optimum to first order
+    tangent,        // a previous optimum: the change that is least in the Hessian of Phi, which follows it to first order
     pseudoinverse,  // a previous optimum: the least change in force, G^+
 };
 
-// sum E_k f_k + max(0, 1 - sum E_k) f_rest, E_k = max(0, +-w_k) (Eqs. 33, 34): which of the 13 offline optima (+e_1..+e_6, -e_1..-e_6,
-// rest), and how much of each. As `printed` without the rest, which keeps it away from P = 0 at small wrenches.
+// sum E_k f_k + max(0, 1 - sum E_k) f_rest, E_k = max(0, +-w_k) (Eqs. 33, 34): which of the 13 offline optima (+e_1..+e_6,
+// -e_1..-e_6, rest), and how much of each. As `printed` without the rest, which keeps it away from P = 0 at small wrenches.
 struct Combination {
     int rows[7];
     double weights[7];
@@ -79,16 +79,16 @@ public:
         return value < infinity && value <= FAR * cones.phi(there_);
     }
 
-    // An optimum of other contacts or another wrench, in x, carried to those of now and strictly inside the cones: never worse than
-    // `safe`, the combination. The tangent correction is kept as it is where it is better than that.
+    // An optimum of other contacts or another wrench, in x, carried to those of now and strictly inside the cones: never worse
+    // than `safe`, the combination. The tangent correction is kept as it is where it is better than that.
     void carry(const Cones<V, B>& cones, System<V, B>& system, const Field& safe, const Vec6& w, Start how, Field& x) {
         const bool follows = how == Start::tangent && cones.phi(x) < infinity && tangent(cones, system, w, x);
         if (!follows) cones.balance(x, w);
         if (!(follows && cones.phi(x) < cones.phi(safe))) segment(cones, safe, x);
     }
 
-    // x = the force of least Phi on the segment from `safe` (strictly inside) to x; returns how far along. Phi is convex there: its
-    // slope is driven to zero by bisection inside the cones, to a thousandth. Never worse than either end.
+    // x = the force of least Phi on the segment from `safe` (strictly inside) to x; returns how far along. Phi is convex there:
+    // its slope is driven to zero by bisection inside the cones, to a thousandth. Never worse than either end.
     double segment(const Cones<V, B>& cones, const Field& safe, Field& x) {
         if (!cones.sane(x)) {
             x = safe;
@@ -130,8 +130,8 @@ public:
         return true;
     }
 
-    // out = x with its tangential parts turned from the tangents `from` into those of now. What the frames' tilt takes off a tangential
-    // force is left out, so that out is inside the cones where x is (round cones).
+    // out = x with its tangential parts turned from the tangents `from` into those of now. What the frames' tilt takes off a
+    // tangential force is left out, so that out is inside the cones where x is (round cones).
     void turn(const Cones<V, B>& cones, const Field& x, const Tangents<V, B>& from, Field& out) const {
         for (int b = 0; b < int(out.size()); ++b) {
             const auto& c = cones.blocks[b];

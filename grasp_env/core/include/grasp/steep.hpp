@@ -5,8 +5,8 @@
 
 namespace grasp {
 
-// The step in scaled coordinates z, H^-1 = M M^T: least |z + M^T grad| over G M z = -left. No digit of a small eigenvalue of H^-1 is
-// lost beside a large one, and S, whose condition number is the square of that of G M, is never formed.
+// The step in scaled coordinates z, H^-1 = M M^T: least |z + M^T grad| over G M z = -left. No digit of a small eigenvalue of H^-1
+// is lost beside a large one, and S, whose condition number is the square of that of G M, is never formed.
 //
 // The price of squeezing is linear, so that H is the barrier's alone: with a barrier t times as strong the step is
 // centring + part * descent, part = 1 / t, of one factorisation.

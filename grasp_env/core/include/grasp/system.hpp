@@ -18,8 +18,8 @@ public:
     bool assemble(const Cones<V, B>& cones, const Field& x) {
         return assemble(cones, x, [](int, Vec3<V>&, Sym3<V>&) {});
     }
-    // With other terms of the objective: more(b, gradient, inverse) adds those of block b. Where rows turn, their own variables are
-    // eliminated: `SoftTerms`.
+    // With other terms of the objective: more(b, gradient, inverse) adds those of block b. Where rows turn, their own variables
+    // are eliminated: `SoftTerms`.
     template <class F, class R = NoRows> bool assemble(const Cones<V, B>& cones, const Field& x, F&& more, const R& rows = {}) {
         V s[21] = {}, q[6] = {}, l[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
@@ -54,7 +54,8 @@ public:
         return direction(cones, nu, step, none);
     }
     // with the step of rows that turn
-    template <class R> [[gnu::always_inline]] Vec6 direction(const Cones<V, B>& cones, const Vec6& nu, Field& step, R& rows) const {
+    template <class R>
+    [[gnu::always_inline]] Vec6 direction(const Cones<V, B>& cones, const Vec6& nu, Field& step, R& rows) const {
         V moved[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             const Vec3<V>* g = columns(cones, rows, b);
@@ -71,7 +72,8 @@ public:
         return restore(cones, missed, x, none);
     }
     // the same of a step, x, and that of rows that turn
-    template <class R> [[gnu::always_inline]] Vec6 restore(const Cones<V, B>& cones, const Vec6& missed, Field& x, R& rows) const {
+    template <class R>
+    [[gnu::always_inline]] Vec6 restore(const Cones<V, B>& cones, const Vec6& missed, Field& x, R& rows) const {
         const Vec6 n = schur.solve(missed);
         V moved[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
@@ -84,7 +86,8 @@ public:
     }
 
 private:
-    template <class R> [[gnu::always_inline]] static const Vec3<V>* columns(const Cones<V, B>& cones, [[maybe_unused]] const R& rows, int b) {
+    template <class R>
+    [[gnu::always_inline]] static const Vec3<V>* columns(const Cones<V, B>& cones, [[maybe_unused]] const R& rows, int b) {
         if constexpr (R::turns) return rows.columns(b);
         else return cones.blocks[b].g;
     }

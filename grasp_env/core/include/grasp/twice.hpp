@@ -1,5 +1,5 @@
-// Numbers of twice a double's digits, for the few problems that lose all of those: the unevaluated sum of two doubles (Dekker 1971;
-// Hida, Li, Bailey 2001). A dozen times slower.
+// Numbers of twice a double's digits, for the few problems that lose all of those: the unevaluated sum of two doubles (Dekker
+// 1971; Hida, Li, Bailey 2001). A dozen times slower.
 #pragma once
 #include <cmath>
 
