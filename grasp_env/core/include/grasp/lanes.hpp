@@ -57,7 +57,10 @@ template <class V> inline double sum(V a) {
     return reduce(a, [](auto p, auto q) { return p + q; });
 }
 template <class V> inline double least(V a) {
-    return reduce(a, [](auto p, auto q) { return min(p, q); });
+    return reduce(a, [](auto p, auto q) {
+        if constexpr (width<decltype(p)> > 1) return min(p, q);
+        else return min(Lanes<2>{p}, Lanes<2>{q})[0];  // of plain numbers it may become a branch, and trials guess that wrong
+    });
 }
 template <class V> inline double largest(V a) {
     return reduce(a, [](auto p, auto q) { return max(p, q); });
