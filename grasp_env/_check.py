@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from numbers import Real
-from typing import Any, NoReturn, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,9 @@ from grasp_env import ranges
 from grasp_env.core import LARGEST, all_finite
 from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError, shown
 from grasp_env.ranges import Range
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
 
 Array: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
@@ -98,7 +102,7 @@ def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
     """
     if type(value) is float and within.low <= value <= within.high:
         return value
-    number = _scalar(value)
+    number = as_number(value)
     if number is None:
         raise InvalidInputError(f"{name} must be a number > 0, got {shown(value)}")
     if not math.isfinite(number) or number <= 0.0:
@@ -110,7 +114,7 @@ def positive(value: Any, name: str, within: Range = ranges.POSITIVE) -> float:
 
 def number(value: Any, name: str, within: Range = ranges.FINITE) -> float:
     """A finite float within a range, or `InvalidInputError`."""
-    found = _scalar(value)
+    found = as_number(value)
     if found is None or not within.low <= found <= within.high:
         raise InvalidInputError(f"{name} must be a number within {within}, got {shown(value)}")
     return found
@@ -124,11 +128,16 @@ def whole(value: Any, name: str, least: int, most: int = ranges.SEED) -> int:
         Traceback (most recent call last):
         grasp_env.errors.InvalidInputError: seed must be an integer >= 0, got -1
     """
-    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+    found = None
+    if is_a(value, int) and not is_a(value, bool):
+        found = int.__index__(value)
+    elif is_a(value, np.integer) and not is_a(value, np.timedelta64):
+        found = np.integer.__int__(value)
+    if found is None or found < least:
         raise InvalidInputError(f"{name} must be an integer >= {least}, got {shown(value)}")
-    if value > most:
+    if found > most:
         raise InvalidInputError(f"{name} must be an integer from {least} to {most}, got {shown(value)}")
-    return int(value)
+    return found
 
 
 def generator(seed: Any, name: str = "seed") -> np.random.Generator:
@@ -138,25 +147,52 @@ def generator(seed: Any, name: str = "seed") -> np.random.Generator:
 
 def choice(value: Any, kind: str, allowed: Iterable[str], hint: str = "") -> str:
     """One of some names, or `UnknownNameError`: of any object, also of one that has no hash or is equal to everything."""
-    names = tuple(allowed)
-    if not isinstance(value, str) or value not in names:
+    names, given = tuple(allowed), as_text(value)
+    if given is None or given not in names:
         raise UnknownNameError(kind, value, names, hint)
-    return value
+    return given
 
 
 def flag(value: Any, name: str) -> bool:
     """True or False, or `InvalidInputError`."""
-    if not isinstance(value, bool | np.bool_):
+    if not is_a(value, bool | np.bool_):
         raise InvalidInputError(f"{name} must be True or False, got {shown(value)}")
     return bool(value)
 
 
 def instance(value: Any, kind: type[T], name: str, or_none: bool = False) -> Any:
     """`value` where it is a `kind` (or None, where that is allowed), or `InvalidInputError`."""
-    if not isinstance(value, kind) and not (or_none and value is None):
+    if not is_a(value, kind) and not (or_none and value is None):
         what = f"{'an' if kind.__name__[0] in 'AEIO' else 'a'} {kind.__name__}{' or None' if or_none else ''}"
         raise InvalidInputError(f"{name} must be {what}, got {shown(value)}")
     return value
+
+
+@overload
+def is_a(value: object, kind: type[T]) -> TypeIs[T]: ...
+@overload
+def is_a(value: object, kind: Any) -> bool: ...
+def is_a(value: object, kind: Any) -> bool:
+    """Whether an object is of a class, by its own class alone: `isinstance` also asks the object, which may fail or lie.
+
+    Example:
+        >>> from unittest.mock import Mock
+        >>> isinstance(Mock(spec=float), float), is_a(Mock(spec=float), float)
+        (True, False)
+    """
+    return issubclass(type(value), kind)
+
+
+def as_text(value: object) -> str | None:
+    """Text as plain text, whatever a class of somebody else's makes of it; None: no text."""
+    return value if type(value) is str else str.__str__(value) if is_a(value, str) else None
+
+
+def as_list(value: Any) -> list[Any] | None:
+    """What a list or tuple holds, whatever a class of somebody else's makes of it; None: neither."""
+    kind: Any = type(value)
+    base: Any = list if issubclass(kind, list) else tuple if issubclass(kind, tuple) else None
+    return None if base is None else list(base.__iter__(value))
 
 
 def together(*checks: Callable[[], Any]) -> list[Any]:
@@ -184,17 +220,18 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
     return found
 
 
-def _scalar(value: Any) -> float | None:
+def as_number(value: Any) -> float | None:
     """A real number of any type, or an array of one without axes, as a float, infinite where it is too large; None: no number."""
-    if isinstance(value, np.ndarray) and value.ndim == 0:
-        value = value.item()
-    if not issubclass(type(value), Real) or isinstance(value, bool):
-        return None
     try:
-        with np.errstate(all="ignore"):
-            return float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -math.inf
+        if is_a(value, np.ndarray) and value.ndim == 0:
+            value = value.item()
+        if not issubclass(type(value), Real) or is_a(value, bool | np.timedelta64):
+            return None
+        try:
+            with np.errstate(all="ignore"):
+                return float(value)
+        except OverflowError:
+            return math.inf if value > 0 else -math.inf
     except Exception:  # a number of somebody else's
         return None
 
@@ -206,34 +243,57 @@ def _converted(value: Any, shape: Shape | None, name: str) -> Array:
         raise InvalidInputError(f"{name} must be numbers of shape {_text(shape)}: {why}, got {shown(value)}")
 
     try:
-        rows, depth = value, 0  # nothing that would fill the memory is turned into an array
-        while isinstance(rows, list | tuple | range) and len(rows):
-            depth += 1
-            if len(rows) > ranges.NUMBERS or depth > 8:
-                break
-            rows = rows[0]
-        else:
-            depth = 0
-        given = None if depth else np.asarray(value)
+        if is_a(value, np.ndarray) and not is_a(value, np.ma.MaskedArray):
+            value = np.ndarray.view(value, np.ndarray)
+        kinds = _kinds(value)
+        given = None if kinds is None else np.asarray(value)
     except Exception as error:  # numpy's, or of somebody else's __array__
         refuse(str(error).partition("\n")[0].rstrip(".")[:200])
-    if given is None:
+    if given is None or kinds is None:
         refuse("nested too deep or too long")
-    if isinstance(value, np.ma.MaskedArray) and np.ma.is_masked(value):
+    if is_a(value, np.ma.MaskedArray) and np.ma.is_masked(value):
         refuse("masked entries are no numbers")
     kind = given.dtype.kind
     if kind in _KINDS:
         refuse(f"{_KINDS[kind]} {'is' if kind == 'U' else 'are'} no {'number' if kind == 'U' else 'numbers'}")
     _check_shape(given.shape, shape, name)
-    if isinstance(value, list | tuple) and bool in set(map(type, np.asarray(value, dtype=object).flat)):
+    if bool in kinds or np.bool_ in kinds:
         refuse("true and false are no numbers")  # numpy would take them for 1 and 0
     if kind == "O":  # integers of any size, fractions
-        each = [_scalar(number) for number in given.flat]
+        each = [as_number(number) for number in given.flat]
         if None in each:
             refuse("not all of it is numbers")
         return np.array(each, dtype=np.float64).reshape(given.shape)
     with np.errstate(all="ignore"):
         return np.array(given, dtype=np.float64, order="C")
+
+
+def _kinds(value: Any) -> set[type] | None:
+    """The classes of what nested lists hold; None where numpy is not to be asked: too deep, too long, or endless things inside."""
+    kinds: set[type] = set()
+    total, left = 0, [(value, 0)]
+    while left:
+        rows, depth = left.pop()
+        each = as_list(rows)
+        if each is not None:
+            found = set(map(type, each))
+            kinds |= found
+            total += len(each)
+            if not found <= _SINGLE:
+                left.extend((entry, depth + 1) for entry in each if type(entry) not in _SINGLE)
+        elif is_a(rows, np.ndarray):
+            total += rows.size if depth else 0  # an array by itself is looked at, not read
+        elif not is_a(rows, str | bytes) and hasattr(type(rows), "__len__"):
+            with suppress(TypeError):  # a sparse matrix has no length, nor has a tensor without axes
+                total += len(rows)
+        if total > ranges.LISTED or depth > _DEEPEST:
+            return None
+    return kinds
+
+
+_SINGLE = frozenset({float, int, bool, complex, str, bytes, type(None), np.float64, np.float32, np.int64, np.bool_})
+_DEEPEST = 8
+"""Lists in lists."""
 
 
 def _check_shape(got: tuple[int, ...], shape: Shape | None, name: str) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from grasp_env._check import as_text, is_a
 from grasp_env.errors import GraspError, shown
 
 MEGABYTE = 1_000_000
@@ -45,7 +46,9 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
         handle = os.open(
             name, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC
         )  # opening a pipe must not wait for its writer
-    except (TypeError, ValueError) as error:  # no path, or one with a zero in it
+    except OSError:
+        raise
+    except Exception as error:  # no path, or one with a zero in it, or of somebody else's
         raise OSError(22, f"no path of a file ({error})", shown(path)) from None
     try:
         kind = os.fstat(handle)
@@ -117,14 +120,18 @@ def parsed(
 
 def as_path(path: Any, error: type[GraspError], what: str) -> Path:
     """A path of text or of `pathlib`, or `error`."""
-    if not isinstance(path, str | os.PathLike) or "\0" in str(path) or not str(path):
+    try:
+        text = as_text(os.fspath(path))
+    except Exception:  # no path, or one of somebody else's
+        text = None
+    if not text or "\0" in text:
         raise error(f"{what} must be a path, got {shown(path)}")
-    return Path(path)
+    return Path(text)
 
 
 def shown_path(path: object) -> str:
     """A path for a message."""
-    return str(path) if isinstance(path, str | os.PathLike) else shown(path)
+    return str(path) if is_a(path, Path) or type(path) is str else shown(path)
 
 
 def _read(handle: int, most: int, poll: select.poll | None) -> bytes:

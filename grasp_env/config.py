@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import as_array, choice, instance, positive, together, whole
+from grasp_env._check import as_array, as_list, as_text, choice, instance, is_a, positive, together, whole
 from grasp_env._files import as_path
 from grasp_env.errors import InvalidInputError, UnknownNameError, shown
 from grasp_env.force import METHODS, RULES
@@ -213,18 +212,14 @@ class EnvConfig:
         if getattr(self, name) is None and "None" in kind:
             return None
         if name == "hand":
-            return (
-                value
-                if isinstance(value, HandDescription)
-                else choice(value, name, HANDS, ", or give a HandDescription")
-            )
+            return value if is_a(value, HandDescription) else choice(value, name, HANDS, ", or give a HandDescription")
         if name in _NAMES:
             return choice(value, name, _NAMES[name])
         if name == "mesh":
-            return str(as_path(value, InvalidInputError, name)) if not (isinstance(value, str) and not value) else ""
+            return "" if as_text(value) == "" else str(as_path(value, InvalidInputError, name))
         if name == "randomise":
-            named = (value,) if isinstance(value, str) else value
-            return tuple(choice(each, name, RANDOM) for each in instance(named, Sequence, name))
+            named = (value,) if is_a(value, str) else instance(as_list(value), list, name)
+            return tuple(choice(each, name, RANDOM) for each in named)
         if name in _RANGES:
             low, high = as_array(value, (2,), name, _REAL).tolist()
             if not 0.0 < low <= high:

@@ -12,7 +12,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from grasp_env import observation
-from grasp_env._check import Array, as_array, as_wrench, choice, instance, whole
+from grasp_env._check import Array, as_array, as_wrench, choice, instance, is_a, whole
 from grasp_env.annotate import annotate
 from grasp_env.config import EnvConfig
 from grasp_env.control import ForceLoop
@@ -133,15 +133,15 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         EzPickle.__init__(self, render_mode, initial_force, config, **settings)
         if render_mode is not None:
             choice(render_mode, "render_mode", self.metadata["render_modes"])
-        if not isinstance(config, EnvConfig | None):
+        if not is_a(config, EnvConfig | None):
             raise InvalidInputError(
                 f"config must be an EnvConfig or None, got {shown(config)}; single settings are keywords"
             )
-        if not (initial_force is None or isinstance(initial_force, str) or callable(initial_force)):
+        if not (initial_force is None or is_a(initial_force, str) or callable(initial_force)):
             raise InvalidInputError(
                 f"initial_force must be a rule's name or a rule(grasp, wrench), got {shown(initial_force)}"
             )
-        if isinstance(initial_force, str):  # a name is a setting as any other: checked, and told in the config
+        if is_a(initial_force, str):  # a name is a setting as any other: checked, and told in the config
             settings, initial_force = {**settings, "initial_force": initial_force}, None
         self.config = (config or EnvConfig()).override(**settings).resolved()
         self.metadata = {**self.metadata, "render_fps": self.config.agent_rate}
@@ -337,7 +337,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
         plain = type(action) is np.ndarray and action.dtype.kind == "f"
-        values = np.asarray(action, dtype=np.float64) if plain else as_array(action, None, "action", finite=False)
+        with np.errstate(all="ignore"):  # more than a double holds is infinite
+            values = np.asarray(action, dtype=np.float64) if plain else as_array(action, None, "action", finite=False)
         numbers = values.tolist() if values.shape == self._action_shape else ()  # plain: six are too few for numpy
         if not numbers or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from reprlib import Repr
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from grasp_env.force.solution import ForceSolution
 
 
+_NAME = type.__dict__["__name__"]
+"""Of any class, whatever its own class says."""
 _SHORT = Repr()
 _SHORT.maxlevel = 4
 _SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = _SHORT.maxarray = 12
@@ -38,7 +40,9 @@ def shown(value: object) -> str:
             return _SHORT.repr(value.tolist())  # type: ignore[attr-defined]
         return _SHORT.repr(value)
     except Exception:  # a repr of somebody else's
-        return f"an {'int too long to show' if isinstance(value, int) else f'object of type {type(value).__name__}'}"
+        if issubclass(type(value), int):
+            return "an int too long to show"
+        return f"an object of type {_NAME.__get__(type(value))}"
 
 
 class GraspError(ValueError):
@@ -55,14 +59,22 @@ class UnknownNameError(GraspError, KeyError):
     def __init__(self, kind: str, given: object, allowed: Iterable[str], hint: str = "") -> None:
         self.given = given
         self.allowed = tuple(allowed)
-        self._parts = (kind, given, self.allowed, hint)
         super().__init__(f"unknown {kind} {shown(given)}: choose one of {', '.join(map(repr, self.allowed))}{hint}")
 
-    def __reduce__(self) -> tuple[type[UnknownNameError], tuple[str, object, tuple[str, ...], str]]:
-        return type(self), self._parts  # process pools send errors as pickles
+    def __reduce__(self) -> tuple[Any, ...]:
+        # process pools send errors as pickles: what was given may have none, what is told of it has
+        given = self.given if type(self.given) is str else shown(self.given)
+        return _told, (type(self), *self.args, {"given": given, "allowed": self.allowed})
 
     def __str__(self) -> str:  # KeyError would print the repr of the message
         return str(self.args[0])
+
+
+def _told(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:
+    """An error of that kind as it was."""
+    error = kind.__new__(kind, message)
+    error.__dict__.update(attributes)
+    return error
 
 
 class RankDeficientGraspError(GraspError):

@@ -78,5 +78,7 @@ EDGES = 30_000_000
 
 NUMBERS = 100_000_000
 """Most numbers of any array that is given: 0.8 GB."""
+LISTED = 10_000_000
+"""Most numbers of nested lists: numpy takes seconds to read them."""
 SEED = 2**63 - 1
 WORKERS = 1024

@@ -136,7 +136,7 @@ class ForceLimits:
             InvalidInputError: limits or a Jacobian of another number of contacts.
         """
         each = {}
-        whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
+        n_contacts = whole(n_contacts, "n_contacts", 1, ranges.CONTACTS)
         for name in ("min_normal", "max_normal"):
             value = np.asarray(getattr(self, name))
             if value.ndim and len(value) != n_contacts:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import Array, as_array, instance, positive, together, whole
+from grasp_env._check import Array, as_array, as_list, instance, is_a, positive, together, whole
 from grasp_env.errors import InvalidInputError, shown
 
 Weight = float | Sequence[float]
@@ -52,7 +52,8 @@ class Objective:
             array([[1.  , 0.01],
                    [2.  , 0.01]])
         """
-        out = np.empty((whole(count, "count", 0, ranges.SIDE_BY_SIDE), 2))
+        count = whole(count, "count", 0, ranges.SIDE_BY_SIDE)
+        out = np.empty((count, 2))
         for column, name in enumerate(("force_weight", "barrier_weight")):
             value = getattr(self, name)
             if np.ndim(value) == 1 and len(value) != count:
@@ -148,11 +149,7 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
 
 def _weight(value: Weight, name: str, within: ranges.Range) -> Weight:
     """A weight, or one per contact as a tuple, within its range."""
-    if (
-        not isinstance(value, Sequence | np.ndarray)
-        or isinstance(value, str)
-        or (isinstance(value, np.ndarray) and value.ndim == 0)
-    ):
+    if as_list(value) is None and not (is_a(value, np.ndarray) and np.asarray(value).ndim) and not is_a(value, range):
         return positive(value, name, within)
     each = as_array(value, (None,), name).tolist()
     return tuple(together(*(lambda k=k, v=v: positive(v, f"{name}[{k}]", within) for k, v in enumerate(each))))

@@ -9,13 +9,12 @@ of one iteration by a half at least, so that every search ends. A rule is data, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import Array, choice, positive
+from grasp_env._check import Array, as_number, choice, is_a, positive
 from grasp_env.errors import InvalidInputError, shown
 
 FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT = range(5)
@@ -93,10 +92,8 @@ class AdaptiveStep:
     shrink: float = 0.5
 
     def __post_init__(self) -> None:
-        first, grow = positive(self.first, "first", ranges.STEP), self.grow
-        if isinstance(grow, bool) or not (isinstance(grow, Real) and 1.0 <= grow < 1e6):
-            raise InvalidInputError(f"grow must be a finite factor >= 1, got {shown(grow)}")
-        _keep(self, first=first, grow=float(grow), shrink=_shrink(self.shrink))
+        first, grow = positive(self.first, "first", ranges.STEP), _grow(self.grow)
+        _keep(self, first=first, grow=grow, shrink=_shrink(self.shrink))
 
     def parameters(self) -> Array:
         """See `StepRule`."""
@@ -125,7 +122,7 @@ class BarzilaiBorweinStep:
 
     def __post_init__(self) -> None:
         _keep(self, first=positive(self.first, "first", ranges.STEP), shrink=_shrink(self.shrink))
-        choice(self.variant, "variant", VARIANTS)
+        object.__setattr__(self, "variant", choice(self.variant, "variant", VARIANTS))
 
     def parameters(self) -> Array:
         """See `StepRule`; the variant's number takes the place of `grow`."""
@@ -167,7 +164,7 @@ def checked_rule(rule: Any) -> StepRule:
     """
     if rule is None:
         return AdaptiveStep()
-    if not isinstance(rule, STEP_RULES):
+    if not is_a(rule, STEP_RULES):
         names = [each.__name__ for each in STEP_RULES]
         raise InvalidInputError(
             f"step_rule must be None or a {', '.join(names[:-1])} or {names[-1]}, got {shown(rule)}"
@@ -176,9 +173,17 @@ def checked_rule(rule: Any) -> StepRule:
 
 
 def _share(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not (issubclass(type(value), Real) and 0.0 < value < 1.0):
+    found = as_number(value)
+    if found is None or not 0.0 < found < 1.0:
         raise InvalidInputError(f"{name} must lie in (0, 1), got {shown(value)}")
-    return positive(value, name)
+    return found
+
+
+def _grow(value: Any) -> float:
+    found = as_number(value)
+    if found is None or not 1.0 <= found < 1e6:
+        raise InvalidInputError(f"grow must be a finite factor >= 1, got {shown(value)}")
+    return found
 
 
 def _shrink(value: Any) -> float:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, as_array, choice
+from grasp_env._check import Array, as_array, as_list, as_text, choice, is_a
 from grasp_env.errors import InvalidInputError, shown
 
 CONTACT_MODELS = ("hard", "soft", "frictionless")
@@ -50,12 +50,8 @@ class ContactModels:
     ) -> ContactModels:
         """See `Grasp.from_contacts` for the arguments and errors."""
         plain = type(friction) is float and ranges.FRICTION.low <= friction <= ranges.FRICTION.high
-        if (
-            isinstance(models, str)
-            and models == "hard"
-            and torsional_friction is None
-            and (plain or _dimensions(friction) < 2)
-        ):
+        named = as_text(models)
+        if named == "hard" and torsional_friction is None and (plain or _dimensions(friction) < 2):
             # what control loops make at every step: round cones at every contact
             coefficient = friction
             if not plain:
@@ -63,12 +59,12 @@ class ContactModels:
             mu, scale = np.empty((count, 2)), np.ones((count, 3))
             mu[:, 0] = mu[:, 1] = scale[:, 0] = coefficient
             return cls(("hard",) * count, mu, np.zeros(count), scale, scale.copy())._frozen()
-        if not isinstance(models, str | list | tuple | np.ndarray):
-            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {shown(models)}")
-        each = (models,) * count if isinstance(models, str) else models
-        length = 0 if isinstance(each, np.ndarray) and not each.ndim else len(each)
-        if length != count:
-            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {length}")
+        if is_a(models, np.ndarray) and models.ndim == 1 and len(models) == count:
+            models = models.tolist()
+        each = [named] * count if named is not None else as_list(models)
+        if each is None or len(each) != count:
+            given = shown(models) if each is None else len(each)
+            raise InvalidInputError(f"contact_model must be one name or {count} of them, got {given}")
         names = tuple(choice(name, "contact model", CONTACT_MODELS) for name in each)
         rough = np.array([name != "frictionless" for name in names], dtype=bool)
         soft = np.array([name == "soft" for name in names], dtype=bool)
@@ -126,13 +122,11 @@ def _friction_array(value: ArrayLike, shape: tuple[int, ...], rough: np.ndarray 
 
 
 def _dimensions(value: ArrayLike) -> int:
-    """Of what is given, 1 where it has none that can be told: `as_array` says why."""
-    if isinstance(value, np.ndarray | float | int | str):
-        return np.ndim(value)
+    """Of what is given, as lists and arrays show it: `as_array` says what is wrong with it."""
     depth = 0
-    while isinstance(value, list | tuple) and len(value) and depth < 3:
-        value, depth = value[0], depth + 1
-    return depth + (np.ndim(value) if isinstance(value, np.ndarray) else 0)
+    while depth < 3 and (each := as_list(value)):
+        value, depth = each[0], depth + 1
+    return depth + (np.asarray(value).ndim if is_a(value, np.ndarray) else 0)
 
 
 def _torsional(value: ArrayLike | None, count: int, soft: np.ndarray) -> Array:

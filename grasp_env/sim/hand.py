@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_env._check import instance
+from grasp_env._check import as_list, instance
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand_check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand_fingers import FingerDescription
@@ -55,18 +55,15 @@ class HandDescription:
     tip_friction: float = 1.0
 
     def __post_init__(self) -> None:
-        name = f"hand {word(self.name, 'name of a hand')!r}"
+        object.__setattr__(self, "name", word(self.name, "name of a hand"))
+        name = f"hand {self.name!r}"
         object.__setattr__(self, "links", parts(self.links, Link, f"{name}: links"))
         object.__setattr__(self, "fingertips", parts(self.fingertips, Fingertip, f"{name}: fingertips"))
         instance(self.palm, Palm, f"{name}: palm")
         positive(self.tip_friction, f"{name}: tip_friction")
         _check_tree(name, self.palm, self.links)
         _check_fingertips(name, self.links, self.fingertips)
-        home = (
-            tuple(_middle(link) for link in self.links)
-            if isinstance(self.home, tuple | list) and not self.home
-            else self.home
-        )
+        home = tuple(_middle(link) for link in self.links) if as_list(self.home) == [] else self.home
         object.__setattr__(self, "home", numbers(home, len(self.links), f"{name}: home [rad]"))
         for link, angle in zip(self.links, self.home, strict=True):
             if not link.lower <= angle <= link.upper:

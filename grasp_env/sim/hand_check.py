@@ -8,7 +8,7 @@ from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
-from grasp_env._check import as_array
+from grasp_env._check import as_array, as_list, as_text, is_a
 from grasp_env.errors import InvalidInputError, shown
 
 _MOST = 1e9
@@ -47,19 +47,21 @@ def positive(value: Any, name: str) -> float:
 
 def word(value: Any, name: str) -> str:
     """A name that is not empty, or `InvalidInputError`."""
-    if not isinstance(value, str) or not value.strip():
+    text = as_text(value)
+    if text is None or not text.strip():
         raise InvalidInputError(f"{name}={shown(value)} must be a name of at least one letter")
-    return value
+    return text
 
 
 def parts(values: Any, kind: type[T], name: str) -> tuple[T, ...]:
     """A row of `kind`s as a tuple, or `InvalidInputError`."""
-    if isinstance(values, str) or not isinstance(values, Sequence):
+    each = as_list(values)
+    if each is None:
         raise InvalidInputError(f"{name}={shown(values)} must be a list of {kind.__name__}s")
-    for value in values:
-        if not isinstance(value, kind):
+    for value in each:
+        if not is_a(value, kind):
             raise InvalidInputError(f"{name} must be a list of {kind.__name__}s, got {shown(value)} in it")
-    return tuple(values)
+    return tuple(each)
 
 
 def unit(values: Any, name: str) -> Vector3:
@@ -73,7 +75,7 @@ def unit(values: Any, name: str) -> Vector3:
 
 def limits(lower: Any, upper: Any, name: str) -> tuple[float, float]:
     """A lower limit below an upper one, or -inf and inf together: a joint that turns without end."""
-    if isinstance(lower, float) and isinstance(upper, float) and (lower, upper) == (-math.inf, math.inf):
+    if type(lower) is float and type(upper) is float and (lower, upper) == (-math.inf, math.inf):
         return -math.inf, math.inf
     low, high = numbers((lower, upper), 2, f"{name}: (lower, upper)")
     if low >= high:

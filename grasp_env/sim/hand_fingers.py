@@ -64,7 +64,8 @@ class FingerDescription:
     home: tuple[float, ...] = (0.0, -0.6, 1.2)
 
     def __post_init__(self) -> None:
-        name = f"finger {word(self.name, 'name of a finger')!r}"
+        object.__setattr__(self, "name", word(self.name, "name of a finger"))
+        name = f"finger {self.name!r}"
         press, hang = unit(self.press, f"{name}: press"), unit(self.hang, f"{name}: hang")
         if abs(np.dot(press, hang)) > 1e-9:
             raise InvalidInputError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from grasp_env._check import choice
+from grasp_env._check import as_text, choice
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand_check import Inertia, Vector3, inertia_of, limits, numbers, parts, positive, unit, word
 
@@ -101,8 +101,9 @@ class Link:
     joint: str = ""
 
     def __post_init__(self) -> None:
-        name = f"link {word(self.name, 'link name')!r}"
-        word(self.parent, f"{name}: parent")
+        _fix(self, name=word(self.name, "link name"))
+        name = f"link {self.name!r}"
+        _fix(self, parent=word(self.parent, f"{name}: parent"))
         lower, upper = limits(self.lower, self.upper, f"{name}: joint limits [rad]")
         _fix(
             self,
@@ -118,7 +119,7 @@ class Link:
             collision=parts(self.collision, Geometry, f"{name}: collision"),
             visual=parts(self.visual, Geometry, f"{name}: visual"),
             color=numbers(self.color, 3, f"{name}: color"),
-            joint=word(self.joint or f"{self.name}_joint", f"{name}: joint"),
+            joint=f"{self.name}_joint" if as_text(self.joint) == "" else word(self.joint, f"{name}: joint"),
         )
 
 
@@ -139,8 +140,9 @@ class Fingertip:
     radius: float
 
     def __post_init__(self) -> None:
-        name = f"fingertip {word(self.name, 'name of a fingertip')!r}"
-        word(self.link, f"{name}: link")
+        _fix(self, name=word(self.name, "name of a fingertip"))
+        name = f"fingertip {self.name!r}"
+        _fix(self, link=word(self.link, f"{name}: link"))
         center = numbers(self.center, 3, f"{name}: center")
         _fix(self, center=center, radius=positive(self.radius, f"{name}: radius [m]"))
 
@@ -162,7 +164,7 @@ class Palm:
     color: Vector3 = (0.17, 0.19, 0.23)
 
     def __post_init__(self) -> None:
-        word(self.name, "palm: name")
+        _fix(self, name=word(self.name, "palm: name"))
         _fix(
             self,
             collision=parts(self.collision, Geometry, f"palm {self.name!r}: collision"),

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from grasp_env._check import as_list, as_text
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand_check import Inertia, inertia_matrix, inertia_numbers, positive
 from grasp_env.sim.hand_frames import Frame
@@ -38,9 +39,11 @@ def read_urdf(
     Raises:
         InvalidInputError: The file is no hand that can be simulated.
     """
-    named = isinstance(fingertips, list | tuple) and all(isinstance(tip, str) for tip in fingertips)
-    if not named or not fingertips:
+    given = as_list(fingertips) or []
+    tips = [text for tip in given if (text := as_text(tip)) is not None]
+    if not tips or len(tips) < len(given):
         raise InvalidInputError(f"fingertips={shown(fingertips)} must be a list of one link name or more")
+    fingertips = tips
     name, links, joints = read_elements(path)
     missing = [tip for tip in fingertips if tip not in links]
     if missing:

@@ -10,6 +10,7 @@ import argparse
 import dataclasses
 import faulthandler
 import json
+import os
 import resource
 import sys
 import tempfile
@@ -120,6 +121,7 @@ def main() -> int:
     wrong = 0
     with tempfile.TemporaryDirectory() as folder:
         table = calls(Path(folder))
+        os.chdir(folder)  # whatever is written lands there
         for name, call in table.items():
             if name not in MISSING:
                 call.run(**call.good)  # what is good is answered

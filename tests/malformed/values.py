@@ -7,9 +7,12 @@ import decimal
 import fractions
 from collections.abc import Callable
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 from scipy import sparse
+
+from grasp_env.grasp import Grasp
 
 
 class Odd:
@@ -42,6 +45,56 @@ class Huge:
 
     def __getitem__(self, index: int) -> float:
         return 0.0
+
+
+def _fails(self: object, *_: object, **__: object) -> Any:
+    raise RuntimeError("no")
+
+
+def failing(base: type, *names: str) -> type:
+    """A class of that kind in which these methods fail."""
+    return type(f"Failing{base.__name__.title()}", (base,), dict.fromkeys(names, _fails) | {"__hash__": base.__hash__})
+
+
+_COMPARED = ("__lt__", "__le__", "__gt__", "__ge__", "__eq__", "__repr__")
+Text = failing(str, "__eq__", "__str__", "__repr__", "__len__", "__iter__")
+Number = failing(float, *_COMPARED, "__float__", "__mul__")
+Whole = failing(int, *_COMPARED, "__int__", "__index__", "__float__")
+Listed = failing(list, "__len__", "__getitem__", "__iter__")
+Row = failing(tuple, "__len__", "__getitem__", "__iter__")
+Silent = failing(object, "__getattribute__", "__repr__")
+Classless = type("Classless", (), {"__class__": property(_fails)})
+
+
+class Everything(str):
+    """Equal to every name."""
+
+    def __eq__(self, other: object) -> bool:
+        return True
+
+    __hash__ = str.__hash__
+
+
+class Least(int):
+    """Less than nothing, it says."""
+
+    def __lt__(self, other: object) -> bool:
+        return False
+
+    __gt__ = __lt__
+
+
+class Nameless(type):
+    """Of classes that do not tell their name."""
+
+    __name__ = property(_fails)  # type: ignore[assignment]
+
+
+class Array(np.ndarray):
+    """An array whose numbers are asked for in vain."""
+
+    shape = dtype = property(_fails)  # type: ignore[assignment]
+    __getitem__ = __array_function__ = __array_ufunc__ = _fails  # type: ignore[assignment]
 
 
 def nested(depth: int) -> list[Any]:
@@ -84,6 +137,12 @@ OBJECTS: list[Callable[[], Any]] = [
     lambda: np.ma.masked_array(np.ones(6), [1, 0, 0, 0, 0, 0]), lambda: sparse.csr_matrix(np.eye(6)), lambda: np.matrix(np.eye(6)),
     lambda: sparse.coo_array(np.eye(3)), lambda: int, lambda: np.float64, lambda: print, lambda: (x for x in range(6)),
     lambda: np.random.default_rng(0), lambda: ValueError("a"), lambda: np.array([None] * 6), lambda: np.array(10**400),
+    lambda: Text("newton"), lambda: Number(0.4), lambda: Whole(3), lambda: Listed(np.ones(6)), lambda: Row(np.ones(6)), Silent, Classless,
+    lambda: Everything("a"), lambda: Least(-5), Nameless("Kind", (), {"__repr__": _fails}), lambda: np.ones(6).view(Array),
+    lambda: np.timedelta64(3), lambda: [np.timedelta64(1)] * 6, lambda: [True] * 6, lambda: [np.True_, 1.0], lambda: range(10**8),
+    lambda: [[0.0], range(10**9)], lambda: [np.broadcast_to(0.0, 10**10)], lambda: [[range(10**6)] * 100] * 100,
+    lambda: Mock(spec=Grasp), lambda: Mock(spec=float), lambda: np.ones(6).astype(">f8"), lambda: np.array([np.longdouble("1e4000")] * 6),
+    lambda: memoryview(np.ones(6)), lambda: np.frombuffer(b"\0" + bytes(48), "u1")[1:].view("f8"), lambda: decimal.Decimal("0.4"),
     lambda: np.full((4, 3), "a"), lambda: np.broadcast_to(np.float64(0.0), (2**40,)), lambda: np.array([1.0, 10**400], dtype=object),
 ]  # fmt: skip
 
