@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from grasp_env import ranges
-from grasp_env._check import Array, as_array, checked_size, together, whole
+from grasp_env._check import Array, as_array, as_list, as_text, checked_size, choice, is_a, together, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError, shown
 from grasp_env.force.methods import Conic, Newton
 from grasp_env.force.optimizer import ForceOptimizer
@@ -181,10 +181,13 @@ def optimize_forces(
         lambda: None if workers is None else whole(workers, "workers", 1, ranges.WORKERS),
     )
     threads = min(given or os.cpu_count() or 1, max(1, len(loads)))
+    known = ForceOptimizer.__init__.__kwdefaults__ or {}
+    for name in options:
+        choice(name, "option", known)
     initial = options.get("initial")
-    if (isinstance(initial, str) and initial == "previous") or isinstance(initial, ForceSolution):
+    if as_text(initial) == "previous" or is_a(initial, ForceSolution):
         raise InvalidInputError("a batch has no previous solution: leave initial out, or give a rule")
-    if isinstance(grasps, Grasp):
+    if is_a(grasps, Grasp):
         optimizer = ForceOptimizer(grasps, method=method, **options)
         records = np.empty((len(loads), record_size(grasps.n_contacts)))
         run = _compiled_run(optimizer)
@@ -200,9 +203,10 @@ def optimize_forces(
             optimizer.previous = None
             name = _one(optimizer, loads[k], records[k], int(k), proofs) or name
         return ForceSolutions(records, method, name, proofs)
-    if not isinstance(grasps, Sequence):
+    each = as_list(grasps)
+    if each is None:
         raise InvalidInputError(f"grasps must be one Grasp or a list of them, got {shown(grasps)}")
-    return _many_grasps(list(grasps), loads, method, threads, options)
+    return _many_grasps(each, loads, method, threads, options)
 
 
 def _many_grasps(
@@ -211,7 +215,7 @@ def _many_grasps(
     if len(grasps) != len(loads):
         raise InvalidInputError(f"as many grasps as wrenches are needed, got {len(grasps)} and {len(loads)}")
     for k, grasp in enumerate(grasps):
-        if not isinstance(grasp, Grasp):
+        if not is_a(grasp, Grasp):
             raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
     sizes = {grasp.n_contacts for grasp in grasps}
     if len(sizes) > 1:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_wrench, choice
-from grasp_env.errors import InfeasibleStartError, InvalidInputError
+from grasp_env._check import Array, ContactForces, Wrench, as_text, as_wrench, choice, is_a
+from grasp_env.errors import GraspError, InfeasibleStartError, InvalidInputError
 from grasp_env.force.basis import OfflineBasis, starter
 from grasp_env.force.method import Loop, Settings, Start, given_start, infeasible_error
 from grasp_env.force.objective import Objective, as_objective
@@ -19,6 +20,10 @@ from grasp_env.force.repair import Repair, carry_over
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
+
+T = TypeVar("T")
 SQUEEZE = 1.1
 """The factor by which single-value and Lagrange starts exceed the least feasible squeeze."""
 LAGRANGE_WEIGHTS = np.array([1.0, 10.0, 10.0])
@@ -81,6 +86,41 @@ class LayeredRule(CompiledRule, Protocol):
     name: str
     layers: NDArray[np.float32]
     width: int
+
+
+def is_rule(value: object, kind: type[T]) -> TypeIs[T]:
+    """Whether an object is of one of the protocols above; one whose attributes fail is of none."""
+    try:
+        return isinstance(value, kind)
+    except Exception:
+        return False
+
+
+def rule_name(rule: Any) -> str:
+    """What solutions call the start of a rule or a callable."""
+    for name in ("name", "__name__"):
+        with suppress(Exception):  # an attribute of somebody else's
+            found = as_text(getattr(rule, name, None))
+            if found:
+                return found
+    return type(rule).__name__
+
+
+def asked(rule: Any, ask: Callable[..., Any], *given: Any) -> Any:
+    """What a rule says.
+
+    Raises:
+        InfeasibleStartError: it fails, in whatever way; `__cause__` says which.
+    """
+    try:
+        return ask(*given)
+    except GraspError:
+        raise
+    except Exception as error:
+        raise InfeasibleStartError(
+            f"initial-force rule {rule_name(rule)!r} fails with {type(error).__name__}: {str(error)[:200]}; a rule takes "
+            "(grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
+        ) from error
 
 
 def check_layers(layers: NDArray[np.float32], width: int) -> None:
@@ -247,7 +287,7 @@ class RuleStarts:
     def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
         """See `Method.start`: a checked name, a rule, an (N, 3) force or None: the paper's start, phase one where the grasp has none."""
         grasp, objective = self.grasp, self.settings.objective
-        if isinstance(initial, np.ndarray | list | tuple):
+        if is_a(initial, np.ndarray | list | tuple):
             return given_start("given", initial, grasp.n_contacts)
         own_choice = initial is None or (isinstance(initial, str) and initial == "previous" and previous is None)
         if own_choice:
@@ -262,10 +302,11 @@ class RuleStarts:
                 return Start("previous", carry_over(grasp, wrench, previous.force, objective, self.settings.correction))
             if isinstance(initial, str):
                 return given_start(initial, initial_rule(initial, objective)(grasp, wrench), grasp.n_contacts)
-            if isinstance(initial, CompiledRule):
-                return given_start(*initial.start(grasp, wrench, objective, previous), grasp.n_contacts)
-            force = initial(grasp, wrench)
-            if getattr(initial, "objective", objective) != objective:
+            if is_rule(initial, CompiledRule):
+                name, force = asked(initial, lambda: tuple(initial.start(grasp, wrench.copy(), objective, previous)))
+                return given_start(name, force, grasp.n_contacts)
+            force = asked(initial, initial, grasp, wrench.copy())
+            if asked(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
                 # made for another Phi, in which its guarantees hold: give them in this one
                 force = Repair(objective)(grasp, wrench, force)
             return given_start(rule_name(initial), force, grasp.n_contacts)
@@ -280,8 +321,3 @@ class RuleStarts:
                     "phase_one", found.force
                 )  # no force closure, or hardly: no 12-basis, but this wrench is safe
             raise
-
-
-def rule_name(rule: Any) -> str:
-    """What solutions call the start of a rule or a callable."""
-    return getattr(rule, "name", None) or getattr(rule, "__name__", type(rule).__name__)

@@ -15,7 +15,7 @@ from grasp_env import core
 from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force.basis import OfflineBasis, core_contacts
-from grasp_env.force.initial import CompiledRule
+from grasp_env.force.initial import CompiledRule, is_rule
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.method import BALANCE_TOLERANCE, Settings, Start, proven, refused_start
 from grasp_env.force.methods import NO_TRACE, FallingBack
@@ -126,7 +126,7 @@ class LimitedNewton(FallingBack):
         if isinstance(initial, str) and initial == "phase_one":
             return self.general.start(wrench, initial, previous)
         start = super().start(wrench, initial, previous)
-        if not (initial is None or isinstance(initial, str | CompiledRule)):
+        if not (initial is None or isinstance(initial, str) or is_rule(initial, CompiledRule)):
             slack = float(self.rows.slack(start.force).min(initial=np.inf))
             if not slack > 0.0:
                 raise InfeasibleStartError(

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, Wrench
+from grasp_env._check import Array, Wrench, instance
 from grasp_env.errors import InfeasibleStartError, InvalidInputError, UnsupportedProblemError
 from grasp_env.force.basis import OfflineBasis, core_contacts
-from grasp_env.force.initial import CompiledRule, RuleStarts
+from grasp_env.force.initial import CompiledRule, RuleStarts, asked, is_rule, rule_name
 from grasp_env.force.method import (
     CONIC_ITERATIONS,
     Loop,
@@ -159,7 +159,7 @@ class Newton(FallingBack):
         """See `Method.loop`."""
         if not self.has_basis:
             return None
-        if isinstance(initial, CompiledRule):
+        if is_rule(initial, CompiledRule):
             return rule_loop(self, initial) if self.settings.correction == "tangent" else None
         loop = super().loop(initial)
         if loop is not None:
@@ -275,8 +275,10 @@ def rule_loop(method: Any, rule: CompiledRule) -> Loop | None:
     settings = method.settings
     descend = None if settings.method == "newton" else method.descend
     try:
-        loop = rule.bind(method.grasp, settings.objective, settings.tolerance, settings.max_iterations, descend)
+        loop = asked(
+            rule, rule.bind, method.grasp, settings.objective, settings.tolerance, settings.max_iterations, descend
+        )
     except InfeasibleStartError:
         return None  # the general path says so in words
-    loop.stopped = method.solution
+    instance(loop, Loop, f"what initial-force rule {rule_name(rule)!r} binds to").stopped = method.solution
     return loop

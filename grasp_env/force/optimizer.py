@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import ContactForces, as_wrench, choice, flag, positive, together, whole
+from grasp_env._check import ContactForces, as_text, as_wrench, choice, flag, instance, is_a, positive, together, whole
 from grasp_env.errors import (
     InfeasibleStartError,
     InfeasibleWrenchError,
@@ -48,10 +48,6 @@ class ForceOptimizer:
 
     One optimizer belongs to one thread; several may run at once.
 
-    Attributes:
-        grasp: the contacts as they are now.
-        previous: the last solution; set it to None to forget.
-
     Example:
         >>> from grasp_env.grasp import presets
         >>> optimizer = ForceOptimizer(presets.paper_cuboid(), initial="previous")
@@ -85,32 +81,46 @@ class ForceOptimizer:
         Args:
             correction: how `initial="previous"` restores balance, "tangent" or "pseudoinverse".
         """
-        self.settings = Settings(
-            *together(
-                lambda: choice(method, "method", METHODS),
-                lambda: choice(criterion, "criterion", CRITERIA),
-                lambda: as_limits(limits),
-                lambda: Objective(force_weight, barrier_weight),
-                lambda: _tolerance(tolerance, method),
-                lambda: whole(max_iterations, "max_iterations", 0, ranges.ITERATIONS),
-                lambda: checked_rule(step_rule),
-                lambda: choice(correction, "correction", CORRECTIONS),
-                lambda: flag(elastic, "elastic"),
-                lambda: as_grasp(grasp),
-                lambda: _check_initial(initial),
-            )[:9]
+        checked = together(
+            lambda: choice(method, "method", METHODS),
+            lambda: choice(criterion, "criterion", CRITERIA),
+            lambda: as_limits(limits),
+            lambda: Objective(force_weight, barrier_weight),
+            lambda: _tolerance(tolerance, method),
+            lambda: whole(max_iterations, "max_iterations", 0, ranges.ITERATIONS),
+            lambda: checked_rule(step_rule),
+            lambda: choice(correction, "correction", CORRECTIONS),
+            lambda: flag(elastic, "elastic"),
+            lambda: as_grasp(grasp),
+            lambda: checked_initial(initial),
         )
+        self.settings = Settings(*checked[:9])
         self.objective = self.settings.objective
         if elastic and limits is None:
             raise InvalidInputError("elastic=True says what to do with limits that no force keeps: give limits")
+        method, criterion, initial = self.settings.method, self.settings.criterion, checked[10]
         if criterion != "sum" and method != "conic":
             raise UnsupportedProblemError(f"criterion {criterion!r} belongs to method 'conic', got method {method!r}")
         if initial is not None and method in ("conic", "linear"):
             raise InvalidInputError(f"method {method!r} starts from its own centre, got initial={shown(initial)}")
         # a solution is where the first call starts; the next ones start from their own previous one
-        self.previous: ForceSolution | None = initial if isinstance(initial, ForceSolution) else None
-        self.initial: Initial | None = "previous" if isinstance(initial, ForceSolution) else initial
+        self._previous: ForceSolution | None = initial if is_a(initial, ForceSolution) else None
+        self._initial: Initial | None = "previous" if is_a(initial, ForceSolution) else initial
         self._set_grasp(grasp)
+
+    @property
+    def grasp(self) -> Grasp:
+        """The contacts as they are now; to set them is to `move_to` them."""
+        return self._grasp
+
+    @grasp.setter
+    def grasp(self, grasp: Grasp) -> None:
+        self.move_to(grasp)
+
+    @property
+    def initial(self) -> Initial | None:
+        """The start of every call that has none of its own."""
+        return self._initial
 
     @property
     def method(self) -> str:
@@ -133,6 +143,15 @@ class ForceOptimizer:
         return self.settings.step_rule
 
     @property
+    def previous(self) -> ForceSolution | None:
+        """The last solution, where `initial="previous"` starts; None: forgotten, or none yet."""
+        return self._previous
+
+    @previous.setter
+    def previous(self, solution: ForceSolution | None) -> None:
+        self._previous = instance(solution, ForceSolution, "previous", or_none=True)
+
+    @property
     def limit_labels(self) -> tuple[str, ...]:
         """What each entry of a solution's `limit_multipliers` belongs to."""
         return getattr(self._method, "limit_labels", ())
@@ -147,7 +166,7 @@ class ForceOptimizer:
         changed = self.grasp.n_contacts != grasp.n_contacts
         self._set_grasp(grasp)
         if changed:
-            self.previous = None
+            self._previous = None
 
     def solve(
         self,
@@ -169,15 +188,15 @@ class ForceOptimizer:
         if loop is not None and initial is None and optimum is None and trace is False:
             # the control loop's path: one compiled call, which reads the array as it is or refuses it
             record = _empty(self._size)
-            if not loop.remembers or self.previous is None:
+            if not loop.remembers or self._previous is None:
                 code, name = loop.call(wrench, None, record), loop.name
             else:
-                code, name = loop.call(wrench, self.previous._record, record), loop.carried
+                code, name = loop.call(wrench, self._previous._record, record), loop.carried
             if code == CONVERGED:
-                self.previous = solution = loop.solution(record, self._name, name)
+                self._previous = solution = loop.solution(record, self._name, name)
                 return solution
             if code != REFUSED:
-                self.previous = solution = loop.stopped(record, self._name, name)
+                self._previous = solution = loop.stopped(record, self._name, name)
                 return solution
             if not readable(wrench):
                 return self.solve(as_wrench(wrench))
@@ -188,7 +207,7 @@ class ForceOptimizer:
         )
         try:
             start = self._method.start(load, self._checked_initial(initial), self._before(initial))
-            self.previous = solution = self._method.run(load, start, known, trace)
+            self._previous = solution = self._method.run(load, start, known, trace)
         except InfeasibleWrenchError:
             limits = self.settings.limits
             if limits is None or not self.settings.elastic:
@@ -200,7 +219,7 @@ class ForceOptimizer:
             record = self._elastic.least_excess(load)
             if record[CODE] != LIMITS_EXCEEDED:
                 raise
-            self.previous = solution = ForceSolution(record, self.method, "central")
+            self._previous = solution = ForceSolution(record, self.method, "central")
         return solution
 
     def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
@@ -218,45 +237,48 @@ class ForceOptimizer:
 
     def _checked_initial(self, initial: Initial | None) -> Any:
         """The start of a call: its own where it has one; "previous" for a solution."""
-        if initial is None:
-            initial = self.initial
-        else:
-            _check_initial(initial)
-        return "previous" if isinstance(initial, ForceSolution) else initial
+        initial = self._initial if initial is None else checked_initial(initial)
+        return "previous" if is_a(initial, ForceSolution) else initial
 
     def _before(self, initial: Initial | None) -> ForceSolution | None:
-        return initial if isinstance(initial, ForceSolution) else self.previous
+        return initial if is_a(initial, ForceSolution) else self._previous
 
     def _set_grasp(self, grasp: Grasp) -> None:
         # everything that may refuse the grasp first: an optimizer is never half moved
         method = make_method(grasp, self.settings)
-        self.grasp, self._method, self._size = grasp, method, record_size(grasp.n_contacts)
+        self._grasp, self._method, self._size = grasp, method, record_size(grasp.n_contacts)
         self._elastic: ForceProgram | None = None  # made where it is needed
-        self._loop, self._name = method.loop(self.initial), self.settings.method
+        self._loop, self._name = method.loop(self._initial), self.settings.method
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name not in ("_method", "_loop", "_elastic")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._set_grasp(self.grasp)  # compiled solvers are made anew
+        self._set_grasp(self._grasp)  # compiled solvers are made anew
 
 
-def _check_initial(initial: object) -> None:
-    if isinstance(initial, str):
-        hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in initial else ""
-        choice(initial, "initial-force rule", (*RULES, "previous"), hint)
-    elif isinstance(initial, type) or not (
-        initial is None or isinstance(initial, ForceSolution | np.ndarray | list | tuple) or callable(initial)
-    ):
+def checked_initial(initial: Any) -> Any:
+    """A start as `optimize_force` takes it, names as plain text.
+
+    Raises:
+        UnknownNameError, InvalidInputError: it is none.
+    """
+    named = as_text(initial)
+    if named is not None:
+        hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in named else ""
+        return choice(named, "initial-force rule", (*RULES, "previous"), hint)
+    given = initial is None or is_a(initial, ForceSolution | np.ndarray | list | tuple)
+    if not given and (is_a(initial, type) or not callable(initial)):
         raise InvalidInputError(
             f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {shown(initial)}"
         )
+    return initial
 
 
 def _tolerance(given: float | None, method: str) -> float:
     if given is None:
-        return CONIC_TOLERANCE if isinstance(method, str) and method == "conic" else TOLERANCE
+        return CONIC_TOLERANCE if as_text(method) == "conic" else TOLERANCE
     return positive(given, "tolerance", ranges.TOLERANCE)
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from grasp_env import core, ranges
 from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench, choice
-from grasp_env.errors import InfeasibleStartError, UnsupportedProblemError, shown
+from grasp_env.errors import InfeasibleStartError, UnsupportedProblemError
 from grasp_env.force.basis import OfflineBasis, core_contacts
-from grasp_env.force.initial import LayeredRule, check_layers
+from grasp_env.force.initial import LayeredRule, check_layers, is_rule
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.optimizer import MAX_ITERATIONS, ForceOptimizer
 from grasp_env.force.record import CODE, REFUSED, STALLED, record_size
@@ -107,19 +107,18 @@ class ForcePipeline:
             UnknownNameError, InvalidInputError: as `ForceOptimizer`.
         """
         as_grasp(grasp)
-        choice(method, "method of a pipeline", PIPELINE_METHODS)
-        layered = isinstance(initial, LayeredRule)
-        if layered:
-            check_layers(initial.layers, initial.width)
-        if not layered:
-            named = initial if isinstance(initial, str) else shown(initial)
-            choice(named, "start of a pipeline", STARTS, ", or give a rule of learned layers")
+        method = choice(method, "method of a pipeline", PIPELINE_METHODS)
+        layered = initial if is_rule(initial, LayeredRule) else None
+        if layered is not None:
+            check_layers(layered.layers, layered.width)
+            self.initial = layered.name
+        else:
+            self.initial = choice(initial, "start of a pipeline", STARTS, ", or give a rule of learned layers")
         if set(grasp.models.names) != {"hard"}:
             raise UnsupportedProblemError(
                 f"a ForcePipeline knows hard contacts, got {grasp.models.names}: use a ForceOptimizer and its move_to"
             )
         self.grasp, self.method = grasp, method
-        self.initial = initial.name if layered else str(initial)
         self.objective = Objective(force_weight, barrier_weight)
         self._given: dict[str, Any] = {
             "method": method,
@@ -135,8 +134,8 @@ class ForcePipeline:
             if reference is None
             else as_array(reference, (3 * count, grasp.null_dimension), "reference")
         )
-        remembers = initial.remembers if layered else initial == "previous"
-        self._layers = (initial.layers, initial.width) if layered else None
+        remembers = self.initial == "previous" if layered is None else layered.remembers
+        self._layers = None if layered is None else (layered.layers, layered.width)
         self._shape, self._coordinates, self._size = (count, 3), (grasp.null_dimension,), record_size(count)
         self._remembers = remembers
         self._make()

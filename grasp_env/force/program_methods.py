@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import Array, Wrench
+from grasp_env._check import Array, Wrench, is_a
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, NotConvergedError, UnsupportedProblemError
 from grasp_env.force.feasibility import Feasibility, answer
-from grasp_env.force.initial import InitialForceRule, rule_name
+from grasp_env.force.initial import InitialForceRule, asked, rule_name
 from grasp_env.force.method import (
     BALANCE_TOLERANCE,
     CONIC_ITERATIONS,
@@ -122,7 +122,7 @@ class ProgramNewton(_Program):
         Raises:
             UnsupportedProblemError: a rule's name, which knows hard contacts without further limits.
         """
-        if isinstance(initial, np.ndarray | list | tuple):
+        if is_a(initial, np.ndarray | list | tuple):
             return given_start("given", initial, self.grasp.n_contacts)
         if initial is None or initial == "phase_one" or (initial == "previous" and previous is None):
             return self.deepest(wrench)
@@ -135,7 +135,7 @@ class ProgramNewton(_Program):
                 "it out"
             )
         rule: InitialForceRule = initial
-        return given_start(rule_name(rule), rule(self.grasp, wrench), self.grasp.n_contacts)
+        return given_start(rule_name(rule), asked(rule, rule, self.grasp, wrench.copy()), self.grasp.n_contacts)
 
     def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
         """See `Method`."""

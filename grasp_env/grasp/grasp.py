@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, ContactForces, Wrench, as_array, together
+from grasp_env._check import Array, ContactForces, Wrench, as_array, is_a, together
 from grasp_env.core import grasp_arrays, normalise
 from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, shown
 from grasp_env.grasp.contact_model import ContactModels
@@ -53,6 +53,10 @@ class Grasp:
     models: ContactModels = field(repr=False)
     torsion_matrix: Array = field(repr=False)
     unit_frame: Array = field(repr=False)
+
+    def __post_init__(self) -> None:
+        # arrays that contradict each other would make wrong forces: `_made` alone fills them
+        raise InvalidInputError("a Grasp is made by Grasp.from_contacts, with other friction by with_friction")
 
     @classmethod
     def from_contacts(
@@ -137,7 +141,15 @@ class Grasp:
             >>> bool((Grasp.unchecked(g.positions, g.normals, g.models).matrix == g.matrix).all())
             True
         """
-        return cls._made(positions.copy(), normals.copy(), models, _DEFAULT if tangents is None else tangents.copy())
+        try:
+            return cls._made(
+                positions.copy(), normals.copy(), models, _DEFAULT if tangents is None else tangents.copy()
+            )
+        except (AttributeError, TypeError) as error:
+            raise InvalidInputError(
+                f"positions, normals and tangents must be C-contiguous float64 arrays (N, 3) and models those of N contacts: {error}; "
+                "Grasp.from_contacts takes anything"
+            ) from None
 
     @classmethod
     def _made(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
@@ -263,7 +275,7 @@ def as_grasp(value: object) -> Grasp:
     Raises:
         InvalidInputError: it is something else.
     """
-    if not isinstance(value, Grasp):
+    if not is_a(value, Grasp):
         raise InvalidInputError(f"a Grasp is needed (Grasp.from_contacts, grasp_env.grasp.presets), got {shown(value)}")
     return value
 
@@ -322,6 +334,8 @@ def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
 
 
 def _checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
+    if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
+        raise InvalidInputError("positions and normals must be finite")  # of `unchecked` alone
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
         rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())

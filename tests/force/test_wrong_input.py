@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -27,6 +29,7 @@ from grasp_env.force import (
     carry_over,
     initial_rule,
     optimize_force,
+    optimize_forces,
 )
 from grasp_env.grasp import Grasp, presets
 
@@ -173,6 +176,69 @@ def test_a_rule_that_breaks_its_promise(broken: Callable[[np.ndarray], object], 
     if isinstance(force, np.ndarray):
         with pytest.raises(InfeasibleStartError, match=message):
             optimize_force(GRASP, PAPER_WRENCH, initial=force)
+
+
+class Rule:
+    """A rule of somebody else's whose parts can be made to fail."""
+
+    name, remembers = "mine", False
+
+    def __call__(self, grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
+        return LinearCombination()(grasp, wrench)
+
+
+def failing(**parts: object) -> Rule:
+    """Such a rule with other parts."""
+    return type("Failing", (Rule,), parts)()  # type: ignore[return-value]
+
+
+def fail(*_: object) -> NoReturn:
+    raise LookupError("no table")
+
+
+@pytest.mark.parametrize(
+    ("rule", "told"),
+    [
+        (fail, "'fail' fails with LookupError: no table; a rule takes"),
+        (lambda: 1, "fails with TypeError"),
+        (failing(__call__=fail), "'mine' fails with LookupError"),
+        (failing(objective=property(fail)), "'mine' fails with LookupError"),
+        (failing(start=fail, bind=fail), "'mine' fails with LookupError"),
+        (failing(start=fail, bind=lambda *_: 3), "what initial-force rule 'mine' binds to must be a Loop, got 3"),
+        (failing(start=lambda *_: None, bind=fail), "'mine' fails with TypeError"),
+    ],
+)
+@pytest.mark.parametrize("method", ["newton", "reduced_flow"])
+def test_a_rule_that_fails(rule: Any, told: str, method: str) -> None:
+    with pytest.raises(GraspError, match=told):
+        optimize_force(GRASP, PAPER_WRENCH, method=method, initial=rule)
+
+
+def test_a_rule_whose_name_fails_is_called_after_its_class() -> None:
+    assert optimize_force(GRASP, PAPER_WRENCH, initial=failing(name=property(fail))).initial == "Failing"
+
+
+def test_a_grasp_is_not_made_by_hand() -> None:
+    with pytest.raises(InvalidInputError, match=r"made by Grasp\.from_contacts"):
+        replace(GRASP, friction=np.full(4, 0.9))
+
+
+def test_what_an_optimizer_holds_is_checked_where_it_is_set() -> None:
+    optimizer = ForceOptimizer(GRASP, method="newton", initial="previous")
+    for odd in (3, "previous", GRASP, Status.OPTIMAL):
+        with pytest.raises(InvalidInputError, match="previous must be a ForceSolution or None"):
+            optimizer.previous = odd
+    with pytest.raises(InvalidInputError, match="a Grasp is needed"):
+        optimizer.grasp = 3
+    moved = presets.paper_cuboid(0.7)
+    optimizer.grasp = moved
+    assert moved.residual(optimizer.solve(PAPER_WRENCH).force, PAPER_WRENCH) < 1e-9
+    assert optimizer.solve(PAPER_WRENCH).total_normal_force < optimize_force(GRASP, PAPER_WRENCH).total_normal_force
+
+
+def test_options_of_a_batch_have_names() -> None:
+    with pytest.raises(UnknownNameError, match="unknown option 'tolerence': choose one of 'initial', 'method', 'criterion'"):
+        optimize_forces(GRASP, PAPER_WRENCH[None], tolerence=1e-3)
 
 
 def test_a_rule_within_rounding_of_balance_is_taken() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,7 @@ CUBOID = presets.paper_cuboid()
 SOFT = Grasp.from_contacts(CUBOID.positions, CUBOID.normals, 0.4, contact_model="soft", torsional_friction=0.005)
 PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 FORCE = np.array([[9.0, 0.0, 0.0], [3.6, 0.0, 0.0], [2.7, 0.0, 0.0], [2.7, 0.0, 0.0]])
+SOLVED = f.optimize_force(CUBOID, PAPER, method="newton")
 JACOBIAN = 0.1 * np.random.default_rng(0).standard_normal((4, 3, 5))
 
 
@@ -72,7 +74,8 @@ def _solve(method: str, grasp: Grasp = CUBOID, **more: Any) -> Call:
 
 @cache
 def _optimizer(method: str) -> f.ForceOptimizer:
-    return f.ForceOptimizer(CUBOID, method=method)
+    method, _, initial = method.partition(", ")
+    return f.ForceOptimizer(CUBOID, method=method, initial=initial or None)
 
 
 @cache
@@ -114,6 +117,20 @@ def _rows(**keywords: Any) -> Any:
     return limits.rows(CUBOID).bound, limits.slack(FORCE)[0]
 
 
+def _ruled(**attributes: Any) -> Any:
+    """A solve from a rule of somebody else's that returns this force and has these attributes."""
+    force = attributes.pop("force")
+    rule = type("Rule", (), attributes | {"__call__": lambda self, grasp, wrench: force})()
+    return f.optimize_force(CUBOID, PAPER, method="newton", initial=rule)
+
+
+def _after(previous: Any, solution: Any) -> Any:
+    """Solves that go on from these, one set before and one given."""
+    optimizer = _optimizer("newton, previous")
+    optimizer.previous = previous
+    return optimizer.solve(PAPER), optimizer.solve(PAPER, initial=solution)
+
+
 def _started(rule: Any) -> Callable[..., Any]:
     return lambda grasp, wrench: rule()(grasp, wrench)
 
@@ -124,7 +141,7 @@ def _load(folder: Path) -> Callable[..., Any]:
     def run(**keys: Any) -> Any:
         try:
             text = json.dumps(keys, default=_plain)
-        except (ValueError, RecursionError, TypeError):
+        except Exception:  # no JSON at all, or an object of somebody else's
             text = "[" * 100_000
         file = folder / "given.json"
         file.write_text(text, encoding="utf-8", errors="replace")
@@ -161,7 +178,7 @@ def _step(action: Any) -> Any:
 
 def _words(value: Any) -> list[str]:
     try:
-        return [str(each)[:1000] for each in value][:8]
+        return [str(each)[:1000] for each in islice(value, 8)]
     except Exception:
         return ["nothing"]
 
@@ -229,6 +246,11 @@ def calls(folder: Path) -> dict[str, Call]:
             )
             for m in ("reduced_flow", "newton", "conic", "linear")
         },
+        "ForceOptimizer.previous": Call(_after, {"previous": SOLVED, "solution": SOLVED}),
+        "ForceSolution": Call(
+            lambda record: repr(f.ForceSolution(record, "newton", "previous")), {"record": SOLVED._record}
+        ),
+        "a rule": Call(_ruled, {"force": SOLVED.force, "name": "mine", "objective": f.Objective(), "remembers": False, "start": None, "bind": None}),
         "ForceOptimizer.start": Call(_with(lambda: _optimizer("newton"), "start"), {"wrench": PAPER, "initial": "lagrange"}),
         "ForceOptimizer.move_to": Call(_with(lambda: _optimizer("newton"), "move_to"), {"grasp": CUBOID}),
         "optimize_forces": Call(

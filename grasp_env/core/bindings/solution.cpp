@@ -23,13 +23,25 @@ PyObject* nothing = nullptr;  // an empty array, read-only
 
 PyArrayObject* array(PyObject* object) { return reinterpret_cast<PyArrayObject*>(object); }
 
+// Refuses with the project's own error, which is found only when it is needed.
+PyObject* refuse(const char* said) {
+    nb::object kind = nb::module_::import_("grasp_env.errors").attr("InvalidInputError");
+    PyErr_SetString(kind.ptr(), said);
+    return nullptr;
+}
+
 bool is_record(PyObject* object) {
     if (!PyArray_Check(object)) return false;
     const PyArrayObject* a = array(object);
     if (PyArray_TYPE(a) != NPY_DOUBLE || PyArray_NDIM(a) != 1 || !PyArray_IS_C_CONTIGUOUS(a) ||
         !PyArray_ISBEHAVED_RO(a))
         return false;
-    return PyArray_DIM(a, 0) >= SUMMARY && (PyArray_DIM(a, 0) - SUMMARY) % 7 == 0;
+    if (PyArray_DIM(a, 0) < SUMMARY || (PyArray_DIM(a, 0) - SUMMARY) % 7) return false;
+    const double* row = static_cast<const double*>(PyArray_DATA(const_cast<PyArrayObject*>(a)));
+    const bool counted = row[1] >= 0.0 && row[2] >= 0.0 && row[1] + row[2] < 1e18;
+    if (!(row[0] >= 0.0 && row[0] <= double(grasp::LIMITS_EXCEEDED) && counted)) return false;
+    const int code = int(row[0]);
+    return double(code) == row[0] && code != grasp::REFUSED;
 }
 
 PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
@@ -46,8 +58,12 @@ PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
             return nullptr;
     }
     if (!is_record(record)) {
-        PyErr_SetString(PyExc_TypeError, "a record is a C-contiguous float64 array of 20 + 7N numbers");
-        return nullptr;
+        try {
+            return refuse("a record must be a C-contiguous float64 array of 20 + 7N numbers, the first a code of `Status`: take a solver's");
+        } catch (nb::python_error& error) {
+            error.restore();
+            return nullptr;
+        }
     }
     Solution* made = reinterpret_cast<Solution*>(type->tp_alloc(type, 0));
     if (!made) return nullptr;
