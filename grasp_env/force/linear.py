@@ -23,6 +23,10 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 
 _SOLVER_TOLERANCE = 1e-10
 """HiGHS's least; relative to the wrench and the limits, which it is given scaled to 1."""
+_TIGHT = 1e-7
+"""[of the limit] within which a limit counts as touched."""
+_KEPT = 1e-9
+"""What an optimal answer may miss of balance and exceed of limits, relative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +40,8 @@ class LinearForces:
         multipliers: (6,) nu of the balance G f + w = 0: objective changes by -nu . dw; None when infeasible. Without
             limits -nu . w is the objective. It bounds the PYRAMID's problem from below, not the cone's, whose
             optimum is smaller.
-        status: OPTIMAL, or INFEASIBLE: no force inside the pyramids and limits balances the wrench (one inside the
-            cones may).
+        status: OPTIMAL; STALLED: more than a part in 1e9 of balance or of a limit is missed; INFEASIBLE: no force inside the
+            pyramids and limits balances the wrench (one inside the cones may).
     """
 
     force: ContactForces
@@ -80,22 +84,24 @@ def linear_forces(grasp: Grasp, wrench: ArrayLike, facets: int = 8, limits: Forc
             f"facets must be at most {ranges.EDGES // count**2} with {count} contacts, got {facets}"
         )
     edges = pyramid_edges(grasp, facets)
-    scale = np.concatenate([np.ones(3), np.full(3, grasp.length)])
+    frame = grasp.unit_frame
     balance = np.zeros((6, count, 4))
     balance[:, :, :3] = grasp.matrix.reshape(6, count, 3)
     balance[:, :, 3] = grasp.torsion_matrix
+    balance = frame @ balance.reshape(6, -1) @ edges
     matrix, bound, _ = (as_limits(limits) or ForceLimits()).rows(grasp)
-    load = wrench / scale
+    load = frame @ wrench
     # rows in units of force, then everything in units of what forces there must be
     size = np.abs(matrix).max(axis=1)
     size[size == 0.0] = 1.0  # a joint that no force reaches
     unit = max(float(np.abs(load).max()), float((-bound / size).max(initial=0.0))) or 1.0
+    limited, bound, load = (matrix / size[:, None]) @ edges, bound / size / unit, load / unit
     answer = linprog(
         edges[0::4].sum(axis=0),
-        A_ub=(matrix / size[:, None]) @ edges,
-        b_ub=bound / size / unit,
-        A_eq=balance.reshape(6, -1) @ edges / scale[:, None],
-        b_eq=-load / unit,
+        A_ub=limited,
+        b_ub=bound,
+        A_eq=balance,
+        b_eq=-load,
         method="highs-ds",
         options={
             "presolve": False,
@@ -110,13 +116,21 @@ def linear_forces(grasp: Grasp, wrench: ArrayLike, facets: int = 8, limits: Forc
             f"the linear program of wrench {wrench.tolist()} ended with neither an optimum nor a proof that there is none: "
             f"{answer.message}; use fewer facets, or optimize_force"
         )
-    forces = (edges @ answer.x * unit).reshape(count, 4)
+    x = answer.x
+    tight = np.abs(limited @ x - bound) <= _TIGHT * np.abs(bound)
+    held, right = np.concatenate([balance, limited[tight]]), np.concatenate([-load, bound[tight]])
+    for _ in range(2):  # onto what it holds, each edge by a part of itself: HiGHS's tolerance is absolute
+        part = np.linalg.lstsq(held * x, right - held @ x, rcond=1e-12)[0]
+        x = x * (1.0 + np.clip(part, -0.5, 0.5))
+    missed = np.abs(balance @ x + load).max() > _KEPT * np.abs(load).max() + 1e-14 * np.abs(x).max(initial=0.0)
+    missed = missed or (limited @ x > bound + _KEPT * np.abs(bound)).any()
+    forces = (edges @ x * unit).reshape(count, 4)
     return LinearForces(
         forces[:, :3].copy(),
         forces[:, 3].copy(),
         float(forces[:, 0].sum()),
-        np.asarray(answer.eqlin.marginals) / scale,
-        Status.OPTIMAL,
+        np.asarray(answer.eqlin.marginals) @ frame,
+        Status.STALLED if missed else Status.OPTIMAL,
     )
 
 

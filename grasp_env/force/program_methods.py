@@ -35,6 +35,7 @@ from grasp_env.force.record import (
     OBJECTIVE,
     REFUSED,
     RESIDUAL,
+    STALLED,
     WRENCH,
     record_size,
 )
@@ -42,6 +43,8 @@ from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.grasp.grasp import Grasp
 
 NO_PRICES = np.empty(0)
+NEXT_TO_NOTHING = 1e-9
+"""[N], [N m]."""
 
 
 class _Program:
@@ -157,13 +160,24 @@ class ProgramNewton(_Program):
         record, prices = program.least_phi(
             wrench, weights, z, settings.tolerance, optimum, settings.max_iterations, values
         )
+        if record[CODE] == REFUSED:
+            raise NotConvergedError(
+                f"Newton finds no number for Phi at the start {start.name!r} of wrench {wrench.tolist()}: forces, limits and weights are "
+                "too many decades apart; use method='conic', or units in which they are not"
+            )
         count = self.grasp.n_contacts
         record[FORCE + 3 * count : FORCE + 6 * count] = start.force.reshape(-1)
         traced = values[: int(record[ITERATIONS]) + 1]
         return ForceSolution(record, "newton", start.name, traced, limit_multipliers=prices)
 
     def deepest(self, wrench: Wrench) -> Start:
-        """The force deepest inside all limits."""
+        """The force deepest inside all limits; of a wrench next to nothing, whose own are far from what Phi asks, that of none, balanced."""
+        if np.abs(wrench).max() < NEXT_TO_NOTHING:
+            rest = answer(self.program, np.zeros(6))
+            if rest.force is not None:
+                z = self.program.balanced(self.program.variables(rest.force, rest.torsion), wrench)
+                if self.program.slack(z) > 0.0:
+                    return Start("phase_one", self.program.force(z), self.program.torsion(z))
         found = self.feasible(wrench, "phase_one")
         assert found.force is not None
         return Start("phase_one", found.force, found.torsion)
@@ -215,7 +229,8 @@ class Linear(OwnStart):
         record = np.zeros(record_size(count))
         z = self.program.variables(found.force, found.torsion)
         # the dual of the pyramids says nothing about the cones: no bound
-        record[CODE], record[OBJECTIVE], record[BOUND] = CONVERGED, found.objective, -np.inf
+        record[CODE] = STALLED if found.status is Status.STALLED else CONVERGED
+        record[OBJECTIVE], record[BOUND] = found.objective, -np.inf
         record[MARGIN], record[RESIDUAL] = self.grasp.cone_margin(found.force), self.program.residual(z, wrench)
         record[WRENCH : WRENCH + 6] = wrench
         record[MULTIPLIERS : MULTIPLIERS + 6] = found.multipliers

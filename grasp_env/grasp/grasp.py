@@ -209,7 +209,7 @@ class Grasp:
     def cone_margin(self, force: ContactForces) -> float:
         """Min over contacts of u - sqrt(o^2 + t^2) in cone coordinates [N], mu * normal - |tangential| for round cones."""
         u, o, t = self.to_cone(force).reshape(-1, 3).T
-        return float((u - np.sqrt(o * o + t * t)).min())
+        return float((u - np.hypot(o, t)).min())
 
     @property
     def n_contacts(self) -> int:

@@ -237,7 +237,9 @@ def test_what_an_optimizer_holds_is_checked_where_it_is_set() -> None:
 
 
 def test_options_of_a_batch_have_names() -> None:
-    with pytest.raises(UnknownNameError, match="unknown option 'tolerence': choose one of 'initial', 'method', 'criterion'"):
+    with pytest.raises(
+        UnknownNameError, match="unknown option 'tolerence': choose one of 'initial', 'method', 'criterion'"
+    ):
         optimize_forces(GRASP, PAPER_WRENCH[None], tolerence=1e-3)
 
 
