@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import select
 import stat
 import time
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from grasp_env._check import as_text, is_a
 from grasp_env.errors import GraspError, shown
@@ -116,6 +120,20 @@ def parsed(
     except Exception as problem:  # every format's reader has its own, and nesting its own too
         said = "nested too deep" if isinstance(problem, RecursionError) else str(problem)[:300]
         raise error(f"{name} is not {form}: {said}{hint}") from problem
+
+
+def unpacked(blob: bytes, most: int = WEIGHTS) -> dict[str, np.ndarray]:
+    """The arrays of an .npz, of numbers and text only.
+
+    Raises:
+        ValueError: it holds objects, or more than `most` bytes once it is unpacked, or claims to.
+    """
+    with zipfile.ZipFile(io.BytesIO(blob)) as packed:
+        if sum(entry.file_size for entry in packed.infolist()) > most:
+            raise ValueError(f"its arrays have more than {most // MEGABYTE} MB")
+    # what an entry says of its size it cannot exceed; what its array says of its own size is read against that
+    with np.load(io.BytesIO(blob), allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
 
 
 def as_path(path: Any, error: type[GraspError], what: str) -> Path:

@@ -14,7 +14,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from grasp_env._files import WEIGHTS, as_path, parsed, read_bytes
+from grasp_env._files import WEIGHTS, as_path, parsed, read_bytes, unpacked
 from grasp_env.errors import ModelFileError
 from grasp_env.observation import bounds
 
@@ -142,8 +142,7 @@ def read_tensors(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.
 def read_arrays(folder: Path, meta: dict[str, Any], stem: str) -> dict[str, np.ndarray]:
     """The arrays of `<stem>.npz`, no objects; raises `ModelFileError` where its hash is another."""
     try:
-        with np.load(io.BytesIO(_checked(folder, meta, f"{stem}.npz")), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
+        return unpacked(_checked(folder, meta, f"{stem}.npz"))
     except ModelFileError:
         raise
     except Exception as error:  # zipfile, zlib and numpy each have their own

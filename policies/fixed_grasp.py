@@ -106,6 +106,7 @@ class FixedGraspForce(LearnedInitialForce):
     def _weights(self, friction: float) -> Array:
         """Of that friction, as the core reads them: stage by stage (inputs x outputs), then the bias."""
         feature = (friction - self.features.friction_mean) / self.features.friction_scale
+        feature = min(max(feature, -1e3), 1e3)  # far beyond training, where powers are no numbers any more
         powers, parts = feature ** np.arange(self._degree + 1), list[Array]()
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
             for name, shape in (("weight", (-1, b, a)), ("bias", (-1, b))):

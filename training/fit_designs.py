@@ -17,7 +17,7 @@ from training.any_dataset import Pool, make_pool
 from training.designs import Multipliers, Plain, Unrolled
 from training.fit_any import HELD_OUT_SEED, PERCENTILES, StartsTask, layer_gaps
 from training.fit_loop import Plan, optimise
-from training.runs import Run, provenance
+from training.runs import Run, provenance, understood
 from training.settings import AnyFitConfig
 from training.soap import Soap
 
@@ -52,8 +52,9 @@ def compare(config: AnyFitConfig, out: Path, progress: bool = False) -> dict[str
     made = provenance()
     kept: dict[str, Any] = {}
     if (out / "designs.json").is_file():
-        kept = run.read_json("designs.json")
-        kept = kept["designs"] if kept["config"] == asdict(config) else {}
+        with understood(out, "choose another --out"):
+            kept = run.read_json("designs.json")
+            kept = dict(kept["designs"]) if kept["config"] == asdict(config) else {}
     train = make_pool(np.random.default_rng([config.seed, 0]), config.grasps, config.samples, (CONTACTS,))
     held_out = make_pool(np.random.default_rng([HELD_OUT_SEED, 1]), config.held_out // 4, config.held_out, (CONTACTS,))
     steps = layer_gaps(None, held_out, "basis", 8)

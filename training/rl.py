@@ -25,7 +25,7 @@ from training.rl_env import first_seed, make_envs
 from training.rl_evaluate import evaluate_runs
 from training.rl_score import score
 from training.rl_settings import CURVE_SEED, RLConfig
-from training.runs import Run, provenance
+from training.runs import Run, provenance, understood
 
 
 def train(config: RLConfig, out: Path, resume: bool = False, console: Console | None = None) -> dict[str, Any]:
@@ -52,8 +52,10 @@ def train(config: RLConfig, out: Path, resume: bool = False, console: Console | 
                 rl_checkpoint.check_settings(folder, config, seed)
     finished = out / "run.json"
     if resume and finished.is_file():
-        done = Run(out).read_json("run.json")["config"]
-        if config.steps <= done["steps"] and set(config.seeds) <= set(done["seeds"]):
+        with understood(out, "choose another --out"):
+            done = Run(out).read_json("run.json")["config"]
+            complete = config.steps <= done["steps"] and set(config.seeds) <= set(done["seeds"])
+        if complete:
             console.print(f"{out} is finished, {done['steps']} steps: nothing is left to train; more --steps go on")
             return Run(out).read_json("rl.json")
         finished.unlink()

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from grasp_env._files import WEIGHTS, parsed, read_json
-from grasp_env.errors import InvalidInputError
+from grasp_env._files import WEIGHTS, parsed, read_json, unpacked
+from grasp_env.errors import GraspError, InvalidInputError
 
 _PACKAGES = ("numpy", "scipy", "numba", "torch", "gymnasium", "stable-baselines3", "pybullet")
 
@@ -88,24 +88,43 @@ class Run:
         """Reads JSON; raises `InvalidInputError` where the file is none."""
         return read_json(self.path(name), InvalidInputError, "the run's file")
 
-    def write_arrays(self, name: str, arrays: dict[str, np.ndarray]) -> Path:
+    def write_arrays(self, name: str, values: dict[str, np.ndarray]) -> Path:
         """Writes a compressed .npz without pickles."""
 
         def save(path: Path) -> None:
             with path.open("wb") as file:
-                np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+                np.savez_compressed(file, **values)  # type: ignore[arg-type]
 
         return self.write(name, save)
 
     def read_arrays(self, name: str) -> dict[str, np.ndarray]:
         """Reads an .npz; object arrays are refused."""
-
-        def read(blob: bytes) -> dict[str, np.ndarray]:
-            with np.load(io.BytesIO(blob), allow_pickle=False) as file:
-                return {key: file[key] for key in file.files}
-
         path = self.path(name)
-        return parsed(path, read, InvalidInputError, f"the run's file {path}", "an .npz without objects", most=WEIGHTS)
+        return parsed(
+            path, unpacked, InvalidInputError, f"the run's file {path}", "an .npz without objects", most=WEIGHTS
+        )
+
+
+@contextmanager
+def understood(folder: Path, again: str) -> Iterator[None]:
+    """Whatever goes wrong while a run's files are made use of is their fault: they were changed, or another version's.
+
+    Args:
+        folder: the run's.
+        again: how such files are made.
+
+    Raises:
+        InvalidInputError: anything went wrong; the project's own errors stay.
+    """
+    try:
+        yield
+    except GraspError:
+        raise
+    except Exception as error:
+        raise InvalidInputError(
+            f"{folder} lacks what is needed of it ({type(error).__name__}: {str(error)[:200]}): its files were changed, or another "
+            f"version made them; {again}"
+        ) from error
 
 
 def default_name(kind: str) -> str:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env._check import Array, as_array
-from grasp_env.errors import InvalidInputError
+from grasp_env import ranges
+from grasp_env._check import Array, as_array, as_list, as_text, is_a, positive, together
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.canvas import FAINT, INK, WHITE, Canvas, Color
 from grasp_env.sim.view import View
 
@@ -70,16 +71,26 @@ class Annotation:
     scale: float | None = None
 
     def __post_init__(self) -> None:
-        count = len(np.atleast_2d(self.points))
+        count = len(as_array(self.points, (None, 3), "points"))
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("points", "normals", "forces"), (count, 3))
         shapes |= {"friction": (count,), "active": (count,), "wrench": (6,), "center": (3,)}
-        if np.asarray(self.active).dtype == np.bool_:
-            object.__setattr__(self, "active", np.asarray(self.active, dtype=np.float64))
         shapes |= {name: (count, 3) for name in ("measured", "colors") if getattr(self, name) is not None}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, as_array(getattr(self, name), shape, name))
-        if self.scale is not None and not (np.isfinite(self.scale) and self.scale > 0.0):
-            raise InvalidInputError(f"scale={self.scale} must be finite and > 0 [m/N], or None")
+        together(*(lambda name=name, shape=shape: self._keep(name, shape) for name, shape in shapes.items()))
+        if self.scale is not None:
+            object.__setattr__(self, "scale", positive(self.scale, "scale"))
+        pairs = [[as_text(part) for part in as_list(pair) or ()] for pair in as_list(self.lines) or ()]
+        if as_list(self.lines) is None or any(len(pair) != 2 or None in pair for pair in pairs):
+            raise InvalidInputError(f"lines must be a list of (label, value) pairs of text, got {shown(self.lines)}")
+
+    def _keep(self, name: str, shape: tuple[int, ...]) -> None:
+        value = getattr(self, name)
+        if name == "active":  # true and false are no numbers elsewhere
+            each = as_list(value)
+            if each is not None:
+                value = [float(entry) if is_a(entry, bool | np.bool_) else entry for entry in each]
+            elif is_a(value, np.ndarray) and value.dtype == np.bool_:
+                value = value.astype(np.float64)
+        object.__setattr__(self, name, as_array(value, shape, name, ranges.SIZE))
 
     @property
     def force_scale(self) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from grasp_env.core import Solution, record_fields, record_size
+from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceSolution
 
 FORCE = record_fields()["force"]
@@ -66,10 +67,16 @@ def test_nothing_leaks() -> None:
         np.zeros(48, dtype=np.float32),
         np.zeros(96)[::2],
         np.zeros(48).astype(">f8"),
+        np.full(48, 4.0),  # a call that was refused is no solution
+        np.full(48, 0.5),
+        np.full(48, -1.0),
+        np.full(48, np.nan),
+        np.full(48, 1e300),
+        np.array([0.0, np.nan] + 46 * [0.0]),
     ],
 )
 def test_only_records_are_taken(record: object) -> None:
-    with pytest.raises(TypeError, match="a record is a C-contiguous float64 array of 20"):
+    with pytest.raises(InvalidInputError, match="a record must be a C-contiguous float64 array of 20"):
         Solution(record, "newton", "given")  # pyright: ignore[reportArgumentType]
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
 import sys
 import threading
 import time
+import zipfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from grasp_env import _files
@@ -61,6 +65,26 @@ def sparse(path: Path) -> None:
         file.truncate(2**40)
 
 
+@cache
+def bomb() -> bytes:
+    """A megabyte that would be a gigabyte of zeros."""
+    blob = io.BytesIO()
+    with (
+        zipfile.ZipFile(blob, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as packed,
+        packed.open("a.npy", "w") as entry,
+    ):
+        np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": (1000, 1 << 17)})
+        for _ in range(1000):
+            entry.write(bytes(1 << 20))
+    return blob.getvalue()
+
+
+def boaster(path: Path) -> None:
+    """An array whose header claims more numbers than there are atoms."""
+    with zipfile.ZipFile(path, "w") as packed, packed.open("a.npy", "w") as entry:
+        np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": (10**15, 10**3)})
+
+
 FILES: dict[str, Callable[[Path], Any]] = {
     "missing": lambda path: None,
     "empty": lambda path: path.write_bytes(b""),
@@ -92,6 +116,8 @@ FILES: dict[str, Callable[[Path], Any]] = {
     ),
     "wrong kinds": lambda path: path.write_text('{"rows": 3, "kind": "solver", "schema": [], "positions": {}, "normals": null}'),
     "a list": lambda path: path.write_text("[1, 2]"),
+    "arrays that unpack to gigabytes": lambda path: path.write_bytes(bomb()),
+    "arrays that claim to be large": boaster,
 }  # fmt: skip
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
-from grasp_env.errors import InvalidInputError
 from training.commands.claims import print_claims
 
 
@@ -26,15 +25,10 @@ class Report:
         """Runs it; raises the errors of the project."""
         from training.env_report import build_env_report
         from training.report import build_report, report_path
-        from training.runs import Run
+        from training.runs import Run, understood
 
         run = Run.open(self.run, "run.json")
-        try:
+        with understood(run.folder, "run `grasp evaluate` again"):
             build = build_env_report if run.read_json("run.json").get("kind") == "env" else build_report
             print_claims(build(run))
-        except (KeyError, TypeError, AttributeError, IndexError) as error:
-            raise InvalidInputError(
-                f"{run.folder} lacks what a report is made of ({error!r}): its files were changed, or another version made them; "
-                "run `grasp evaluate` again"
-            ) from error
         Console().print(str(report_path(run)), highlight=False)

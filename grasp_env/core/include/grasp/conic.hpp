@@ -64,7 +64,7 @@ public:
         const Vec6 unit = cones.unit.of(wrench);
         const double scale = size(unit);
         if (scale < NOTHING) {  // no force is needed, and none is less
-            out.code = CONVERGED;
+            out.code = CONVERGED, out.residual = scale;
             return CONVERGED;
         }
         const Vec6 minus = (-1.0 / scale) * unit;

@@ -5,7 +5,7 @@
 namespace grasp {
 
 inline constexpr double LARGEST = 1e12;    // [N], [N m] beyond which numbers are mistakes
-inline constexpr double NOTHING = 1e-280;  // [N] below which a wrench counts as none: its square has no digits left
+inline constexpr double NOTHING = 1e-306;  // [N] below which a wrench counts as none: its inverse is infinite
 
 enum class Placed { good, refused, rank_lost };  // refused: not finite, or a normal that is not of unit length
 
