@@ -80,7 +80,10 @@ def write_checkpoint(
 
 def checkpoints(parent: Path) -> list[Path]:
     """The whole checkpoints of a folder, oldest first."""
-    return sorted(path for path in parent.glob(f"{STEM}*") if (path / META).is_file())
+    try:
+        return sorted(path for path in parent.glob(f"{STEM}*") if os.path.isfile(path / META))
+    except OSError:  # a name too long, a folder that is closed
+        return []
 
 
 def find_checkpoint(folder: str | Path) -> Path:
@@ -90,7 +93,7 @@ def find_checkpoint(folder: str | Path) -> Path:
         ModelFileError: there is none.
     """
     folder = as_path(folder, ModelFileError, "an agent's folder")
-    if (folder / META).is_file():
+    if os.path.isfile(folder / META):  # which never raises, as names too long or closed folders make a Path do
         return folder
     for parent in (folder / "checkpoints", folder):
         if found := checkpoints(parent):

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from grasp_env._files import shown_path
 from grasp_env.errors import GraspError
 from training.commands.bench import Bench
 from training.commands.demo import Demo
@@ -43,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command.execute()
     except GraspError as error:
         sys.stderr.write(f"grasp: {error}\n")
+        return 2
+    except OSError as error:  # a disk that is full, a folder that is closed, a name too long: of whatever file
+        sys.stderr.write(f"grasp: {shown_path(error.filename)}: {error.strerror or error}; choose another path\n")
         return 2
     except KeyboardInterrupt:
         sys.stderr.write("grasp: interrupted\n")

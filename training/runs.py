@@ -55,7 +55,7 @@ class Run:
             InvalidInputError: there is no such run.
         """
         folder = Path(folder)
-        if not (folder / needs).is_file():
+        if not os.path.isfile(folder / needs):
             raise InvalidInputError(f"{folder} is not a finished run: {needs} is missing; run `grasp evaluate` first")
         return cls(folder)
 
