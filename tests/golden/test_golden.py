@@ -15,6 +15,7 @@ SHORTER = "steps go 0.7 of the way to a cone instead of 0.95: a fifth fewer on a
 TICK = "Newton's last step lands elsewhere within its tolerance: forces and torques of the first tick agree to 3e-9 instead of 1e-9"
 SOLVED = "the offline basis, which stalled where forces exceed sqrt(lambda/omega) by 1e5, is found: an answer instead of an error"
 WORDS = "the same class of error; its words now show what was given, or the range"
+TINY = "a wrench of 1e-300 N is balanced, where it counted as none"
 PROGRAM = (
     "the general program starts inside the cones, not from units: some iterations more where a limit lies far from that start; "
     "stopped early it says iteration_limit, as its force is inside, where it was stalled"
@@ -42,6 +43,7 @@ ACCEPTED: dict[str, str] = {
         for kind in ("array", "callable")
         for method in ("reduced_flow", "newton")
     },
+    **{f"edges: conic, {name}, sizes": TINY for name in ("cuboid", "3 uneven", "millimetres", "soft")},
     "refused: batch too large": WORDS,
     "refused: batch of no workers": WORDS,
     **{
