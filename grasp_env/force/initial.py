@@ -21,7 +21,7 @@ from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
 if TYPE_CHECKING:
-    from typing_extensions import TypeIs
+    from grasp_env._check import TypeIs
 
 T = TypeVar("T")
 SQUEEZE = 1.1
