@@ -293,7 +293,7 @@ class RuleStarts:
         if own_choice:
             initial = "linear_combination"  # also where there is nothing to carry over yet
         try:
-            if initial == "previous":
+            if isinstance(initial, str) and initial == "previous":
                 assert previous is not None
                 if previous.n_contacts != grasp.n_contacts:
                     raise InfeasibleStartError(
@@ -305,7 +305,8 @@ class RuleStarts:
             if is_rule(initial, CompiledRule):
                 name, force = asked(initial, lambda: tuple(initial.start(grasp, wrench.copy(), objective, previous)))
                 return given_start(name, force, grasp.n_contacts)
-            force = asked(initial, initial, grasp, wrench.copy())
+            rule: Any = initial
+            force = asked(rule, rule, grasp, wrench.copy())
             if asked(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
                 # made for another Phi, in which its guarantees hold: give them in this one
                 force = Repair(objective)(grasp, wrench, force)
@@ -315,7 +316,8 @@ class RuleStarts:
 
             found = phase_one(grasp, wrench)
             if found.certificate is not None:
-                raise infeasible_error(grasp, wrench, self.settings.method, str(initial), found.certificate) from error
+                name = initial if isinstance(initial, str) else rule_name(initial)
+                raise infeasible_error(grasp, wrench, self.settings.method, name, found.certificate) from error
             if own_choice and found.force is not None:
                 return Start(
                     "phase_one", found.force

@@ -127,12 +127,14 @@ class ProgramNewton(_Program):
         """
         if is_a(initial, np.ndarray | list | tuple):
             return given_start("given", initial, self.grasp.n_contacts)
-        if initial is None or initial == "phase_one" or (initial == "previous" and previous is None):
+        if initial is None:
             return self.deepest(wrench)
-        if initial == "previous":
-            assert previous is not None
-            return self.carried(wrench, previous)
         if isinstance(initial, str):
+            if initial == "phase_one" or (initial == "previous" and previous is None):
+                return self.deepest(wrench)
+            if initial == "previous":
+                assert previous is not None
+                return self.carried(wrench, previous)
             raise UnsupportedProblemError(
                 f"initial={initial!r} knows hard contacts without further limits; use 'phase_one' or 'previous', or leave "
                 "it out"

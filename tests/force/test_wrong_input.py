@@ -215,7 +215,12 @@ def test_a_rule_that_fails(rule: Any, told: str, method: str) -> None:
 
 
 def test_a_rule_whose_name_fails_is_called_after_its_class() -> None:
-    assert optimize_force(GRASP, PAPER_WRENCH, initial=failing(name=property(fail))).initial == "Failing"
+    for rule in (failing(name=property(fail)), failing(name=3, __eq__=fail, __str__=fail, __repr__=fail)):
+        assert optimize_force(GRASP, PAPER_WRENCH, initial=rule).initial == "Failing"
+        with pytest.raises(InfeasibleWrenchError):  # fingers that only push upwards
+            optimize_force(
+                Grasp.from_contacts(GRASP.positions, [[0.0, 0.0, 1.0]] * 4, 0.4), [0, 0, 1, 0, 0, 0], initial=rule
+            )
 
 
 def test_a_grasp_is_not_made_by_hand() -> None:
