@@ -58,7 +58,7 @@ ROUNDING: float = 1e-15
 
 LARGEST: float = 1000000000000.0
 
-NOTHING: float = 1e-280
+NOTHING: float = 1e-306
 
 def all_finite(array: object) -> bool:
     """Whether all numbers of a C-contiguous float64 array are finite."""

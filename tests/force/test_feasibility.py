@@ -7,7 +7,16 @@ import pytest
 from problems import closure_grasps, pyramid_margin, random_grasp
 
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError
-from grasp_env.force import RULES, Objective, OfflineBasis, Status, cone_margin, optimize_force, phase_one
+from grasp_env.force import (
+    RULES,
+    ForceLimits,
+    Objective,
+    OfflineBasis,
+    Status,
+    cone_margin,
+    optimize_force,
+    phase_one,
+)
 from grasp_env.grasp import Grasp, presets
 
 PRESETS = [presets.tripod(), presets.paper_cuboid(), presets.five_finger_cuboid()]
@@ -176,3 +185,12 @@ def test_the_basis_is_remembered_per_grasp_and_objective() -> None:
     assert OfflineBasis.of(grasp) is OfflineBasis.of(grasp, Objective())
     assert OfflineBasis.of(grasp) is not OfflineBasis.of(grasp, Objective(1.0, 0.1))
     assert OfflineBasis.of(presets.tripod()) is not OfflineBasis.of(grasp)
+
+
+@pytest.mark.parametrize("most", [1e-12, 1e-8, 1e-3, 1.0])
+def test_a_rest_within_limits_knows_no_size(most: float) -> None:
+    """How deep a force without wrench lies is a part of the tightest limit."""
+    found = phase_one(presets.paper_cuboid(), np.zeros(6), ForceLimits(max_normal=most))
+    unit = phase_one(presets.paper_cuboid(), np.zeros(6), ForceLimits(max_normal=1.0))
+    assert found.feasible
+    assert found.margin == pytest.approx(unit.margin, rel=1e-6)

@@ -42,7 +42,11 @@ private:
         double size = grasp::size(load);
         bool free = size == 0.0;
         for (int k = 0; k < many_; ++k) size = std::max(size, -in_->bound[k]), free = free && in_->bound[k] == 0.0;
-        if (!(size > NOTHING)) size = 1.0;
+        if (!(size > NOTHING)) {  // of a rest the tightest limit is the unit
+            size = 1.0;
+            for (int k = 0; k < many_; ++k)
+                if (in_->bound[k] > NOTHING) size = std::min(size, in_->bound[k]);
+        }
         const Vec6 unit = (1.0 / size) * load, turned = in_->solve_lower(unit);
         ask(engine, turned, size);
         const auto& at = engine.at;
