@@ -55,9 +55,7 @@ class OfflineBasis:
             if solver.make_basis(forces, warm=True) < core.ACCEPTED_GAP:
                 return cls(grasp.models.cone_divisor, objective, forces)
         if not solver.internal_force(np.empty(forces.shape[1])):
-            from grasp_env.force.feasibility import (
-                phase_one,
-            )  # the general program: it can also prove that there is none
+            from grasp_env.force.feasibility import phase_one  # the general program, which also proves that
 
             interior = None
             with suppress(NotConvergedError):  # closure within rounding of none

@@ -318,8 +318,6 @@ class RuleStarts:
             if found.certificate is not None:
                 name = initial if isinstance(initial, str) else rule_name(initial)
                 raise infeasible_error(grasp, wrench, self.settings.method, name, found.certificate) from error
-            if own_choice and found.force is not None:
-                return Start(
-                    "phase_one", found.force
-                )  # no force closure, or hardly: no 12-basis, but this wrench is safe
+            if own_choice and found.force is not None:  # no closure, or hardly: no 12-basis, but this wrench is safe
+                return Start("phase_one", found.force)
             raise
