@@ -159,7 +159,7 @@ def test_repeats_and_copies(layout: tuple[int, int]) -> None:
 def test_no_wrench_and_wrenches_that_are_none(layout: tuple[int, int]) -> None:
     s = sample(4)
     made = solver(s, layout)
-    for nothing in (np.zeros(6), np.full(6, 1e-310), -np.full(6, 1e-307)):
+    for nothing in (np.zeros(6), np.full(6, 1e-310), -np.full(6, 1e-309)):
         row = made.solve(nothing)
         assert row[CODE] == CONVERGED
         assert not row[20:].any()
