@@ -44,8 +44,8 @@ public:
     }
 
     // Until accept(), asked wherever the iterate is feasible with a gap of tolerance * |objective| + absolute, returns a gap within the
-    // tolerance; asked from a gap of `watch` * |objective| on. Where accept() has no force at all, as steps that end short of a limit never
-    // kept it, some settle. Ends at the best feasible iterate.
+    // tolerance; asked from a gap of `watch` * |objective| on. Where the gap is closed and an equation is not, or accept() has no force at
+    // all, as steps that end short of a limit never kept it, some settle. Ends at the best feasible iterate.
     template <class Accept> Code run(double tolerance, double absolute, double watch, int limit, Accept&& accept) {
         double goal = tolerance;
         R best = infinity;
@@ -60,9 +60,11 @@ public:
             const bool usable = m.primal < NEARLY && m.dual < NEARLY;
             if (usable && m.gap < best) best = m.gap, best_ = at;
             bool done = false, spent = false, settle = false;
-            if (m.primal < FEASIBLE && m.dual < FEASIBLE && m.gap <= max(watch, goal) * m.size + absolute) {
+            const bool close = m.gap <= goal * m.size + absolute;
+            if (!(m.primal < FEASIBLE && m.dual < FEASIBLE)) {
+                settle = close && m.dual < FEASIBLE && settled++ < SETTLINGS;
+            } else if (close || m.gap <= watch * m.size + absolute) {
                 const double found = accept();
-                const bool close = m.gap <= goal * m.size + absolute;
                 done = found <= tolerance;
                 settle = close && !(found < infinity) && m.primal > KEPT && settled++ < SETTLINGS;
                 while (!done && !settle && !spent && m.gap <= goal * m.size + absolute)
