@@ -75,6 +75,7 @@ def cases() -> dict[str, Case]:
                 f"{model} of another Phi",
                 lambda m=model, o=weights: started(m, GRASPS["cuboid"], wanted, o),
                 tight=True,
+                start=BASIS,
             )
         )
         out.append(Case(f"{model} on a floor", lambda m=model: started(m, FLOOR, wanted[:2])))

@@ -7,8 +7,10 @@ without a warning, in `SECONDS`. A call that hangs ends the process with its tra
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import faulthandler
+import io
 import json
 import os
 import resource
@@ -83,7 +85,8 @@ def drawn(table: dict[str, Call], seed: int, k: int) -> tuple[str, Call, dict[st
 def fault(call: Call, given: dict[str, Any]) -> str:
     """What is wrong with how a call ended; empty: nothing."""
     begin = time.process_time()
-    with warnings.catch_warnings(record=True) as told:
+    printed = contextlib.redirect_stdout(io.StringIO())  # `print` is a callable, too; the log is for faults
+    with printed, warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         try:
             answer = call.run(**given)
