@@ -21,7 +21,7 @@ import numpy as np
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from force.clarabel_reference import SOLVED, Reference, _run, own_error
+from force.clarabel_reference import Reference, _run, own_error
 
 from grasp_env.errors import (
     GraspError,
@@ -169,7 +169,8 @@ def least_phi(reference: Reference, wrench: Array, weights: tuple[float, float])
         rotated(y, z, [], np.sqrt(2.0 * root))
     matrix, sides = np.vstack(blocks), np.concatenate(right)
     found = _run(cost, matrix, sides, cones, 1e-10)
-    error = own_error(found, matrix, sides) if str(found.status) in SOLVED else np.inf
+    # almost solved, it may miss balance by 1e-6 of the wrench, which between contacts 1e-6 apart is worth a hundredth of Phi
+    error = own_error(found, cost, matrix, sides) if str(found.status) == "Solved" else np.inf
     return omega * unit * found.obj_val, error
 
 
@@ -193,12 +194,18 @@ def outcome(p: Problem, method: str) -> str:
         return "wrong: an answer that is none"
     size = float(np.abs(reference.load(p.wrench)).max())
     most = float(np.abs(found.force).max())
+    bearable = (
+        float((reference.gamma * found.force[:, 0]).max()) / reference.length
+    )  # torsion is known to digits of its limit
     if not np.isfinite(found.force).all():
         return "wrong: not finite"
     if found.cone_margin < 0.0 or reference.violation(found.force, found.torsion) > 1e-13 * most:
         return "wrong: outside a cone"
     residual = reference.residual(found.force, found.torsion, p.wrench)
-    if found.status is Status.OPTIMAL and residual > BALANCE * max(size, min(most, 1.0)) + 1e-13 * most:
+    if (
+        found.status is Status.OPTIMAL
+        and residual > BALANCE * max(size, min(most, 1.0)) + 1e-13 * most + 4e-15 * bearable
+    ):
         return "wrong: optimal without balance"
     if method == "newton":
         least, error = least_phi(reference, p.wrench, p.weights)
