@@ -194,18 +194,16 @@ def outcome(p: Problem, method: str) -> str:
         return "wrong: an answer that is none"
     size = float(np.abs(reference.load(p.wrench)).max())
     most = float(np.abs(found.force).max())
-    bearable = (
-        float((reference.gamma * found.force[:, 0]).max()) / reference.length
-    )  # torsion is known to digits of its limit
+    # torsion is known to digits of its limit, and arms about the contacts' centre to those of how far away they are
+    bearable = float((reference.gamma * found.force[:, 0]).max()) / reference.length
+    away = float(np.abs(p.grasp.positions).max()) / reference.length
+    rounding = 1e-13 * most + 4e-15 * bearable + 1e-15 * away * most
     if not np.isfinite(found.force).all():
         return "wrong: not finite"
     if found.cone_margin < 0.0 or reference.violation(found.force, found.torsion) > 1e-13 * most:
         return "wrong: outside a cone"
     residual = reference.residual(found.force, found.torsion, p.wrench)
-    if (
-        found.status is Status.OPTIMAL
-        and residual > BALANCE * max(size, min(most, 1.0)) + 1e-13 * most + 4e-15 * bearable
-    ):
+    if found.status is Status.OPTIMAL and residual > BALANCE * max(size, min(most, 1.0)) + rounding:
         return "wrong: optimal without balance"
     if method == "newton":
         least, error = least_phi(reference, p.wrench, p.weights)
