@@ -174,7 +174,7 @@ template <int D> struct Constraints {
             else out.add_own(last, last < count ? wide<R>(limit[k][last]) : Tuple<R, D>{}, shared, k);
         }
         if constexpr (T == 1)
-            for (int i = 0; i < count; ++i) {  // normal <= t, or where t is an excess <= most_
+            for (int i = 0; i < count; ++i) {  // normal <= t, or where t is an excess <= a bound to come
                 Tuple<R, D> row{};
                 row[0] = price[i];
                 out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);

@@ -29,7 +29,7 @@ public:
 
     InteriorPoint(const Rows<R, D, T>& given, const std::vector<char>& soft)
         : rows(given), cost(rows.count), soft(soft), system_(rows), f_(rows), d_(rows), left_(rows), more_(rows), residual_(rows),
-          h_(rows.count), ds_(rows.count), dz_(rows.count), scaling_(rows.count), kappa_own_(rows.own.size()),
+          ds_(rows.count), dz_(rows.count), scaling_(rows.count), kappa_own_(rows.own.size()),
           dslack_own_(rows.own.size()), kappa_joint_(rows.joint), dslack_joint_(rows.joint) {
         at.z.resize(rows.count), at.s.resize(rows.count);
         at.own.resize(rows.own.size()), at.own_slack.resize(rows.own.size());
@@ -79,7 +79,7 @@ public:
                 code = LIMIT;
                 break;
             }
-            if (!step(settle ? max(m.gap, 0.3 * (tolerance * m.size + absolute)) : m.gap, settle)) {
+            if (!step(settle ? max(m.gap, MIDDLE * (tolerance * m.size + absolute)) : m.gap, settle)) {
                 code = STALLED;
                 break;
             }
@@ -92,13 +92,14 @@ private:
     static constexpr double FEASIBLE = 1e-9, NEARLY = 1e-7;  // residuals, relative to the data
     static constexpr double KEPT = 1e-14;                    // of equations that only rounding misses
     static constexpr double AWAY = 1e10;                     // multipliers at which an infeasible program shows
+    static constexpr double MIDDLE = 0.3;  // of the gap that is asked for: where a step that settles aims
     static constexpr int REFINEMENTS = 2, SETTLINGS = 3;
     static constexpr double ENOUGH = 1e-14;  // of the largest force: what a direction may miss of its equations
     R largest_ = 0.0;
     RowSystem<R, D, T> system_;
     Space<R, D, T> f_, d_, left_, more_, residual_;  // d_.z is the scaled direction W^-1 dz
     State best_;
-    std::vector<Tuple<R, D>> h_, ds_, dz_;
+    std::vector<Tuple<R, D>> ds_, dz_;
     std::vector<Scaling<R>> scaling_;
     std::vector<R> kappa_own_, dslack_own_, kappa_joint_, dslack_joint_;
 
@@ -171,7 +172,7 @@ private:
             shape.a[0][0] = root * v.u, shape.a[0][1] = shape.a[1][0] = root * v.o, shape.a[0][2] = shape.a[2][0] = root * v.t;
             shape.a[1][1] = root * (1.0 + v.o * v.o * m.shrink), shape.a[2][2] = root * (1.0 + v.t * v.t * m.shrink);
             shape.a[1][2] = shape.a[2][1] = root * v.o * v.t * m.shrink;
-            if (D == 4) shape.line = soft[i] ? sqrt(at.z[i][D - 1] / at.s[i][D - 1])   : R(1.0);
+            if (D == 4) shape.line = soft[i] ? sqrt(at.z[i][D - 1] / at.s[i][D - 1]) : R(1.0);
         }
         for (int k = 0; k < int(rows.own.size()); ++k) system_.own_diagonal[k] = at.own_slack[k] / at.own[k];
         for (int r = rows.equal; r < rows.joint; ++r) system_.joint_diagonal[r] = at.joint_slack[r] / at.joint[r];
