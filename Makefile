@@ -87,6 +87,8 @@ else
 	@if [ -f $(BUILD)/build.ninja ]; then $(NINJA); else $(EDITABLE) . --no-deps; fi
 endif
 
+FORMAT := find grasp_env/core tests/core -name '*.[ch]pp' | xargs $(BIN)/clang-format
+
 STUB := $(BIN)/python -m nanobind.stubgen -q -p grasp_env/core/bindings/stub.pat -m grasp_env.core._core -o
 stubs: core
 	$(STUB) grasp_env/core/_core.pyi
@@ -106,6 +108,7 @@ sanitize:
 check: core
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(FORMAT) --dry-run -Werror
 	$(BIN)/basedpyright
 	@$(STUB) build/_core.pyi && diff -u grasp_env/core/_core.pyi build/_core.pyi || { \
 	  echo "grasp_env/core/_core.pyi (-) is not what the built module says (+): run make stubs" >&2; exit 1; }
@@ -113,6 +116,7 @@ check: core
 format: $(STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+	$(FORMAT) -i
 
 clean:
 	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache grasp_env/core/_core*.so tests/core/_core_test*.so

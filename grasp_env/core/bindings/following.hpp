@@ -15,7 +15,6 @@ template <class Solver> int follow(Solver& newton, nb::handle wrench, nb::handle
     const Buffer before(previous);
     if (!before.has(size)) return grasp::REFUSED;
     const grasp::Record known(before.data(), count);
-    return newton.solve({.wrench = load.data(), .start = grasp::Start::tangent, .force = known.force(),
-                         .torsion = known.torsion()},
-                        row.data());
+    return newton.solve(
+        {.wrench = load.data(), .start = grasp::Start::tangent, .force = known.force(), .torsion = known.torsion()}, row.data());
 }

@@ -90,8 +90,8 @@ void times(Learned& learned, nb::handle wrenches, int passes, nb::handle records
 void bind_learned(nb::module_& m) {
     m.attr("LAYER_FEATURES") = LAYER_FEATURES, m.attr("LAYER_REACH") = LAYER_REACH, m.attr("MOST_LAYERS") = MOST_LAYERS;
     m.attr("NETWORK_FEATURES") = NETWORK_FEATURES, m.attr("MOST_STAGES") = MOST_STAGES, m.attr("WIDEST") = WIDEST;
-    m.def("layer_size", [](int width) { return Layers::numbers(width); }, "width"_a,
-          "Numbers of one learned layer; 0: too wide.");
+    m.def(
+        "layer_size", [](int width) { return Layers::numbers(width); }, "width"_a, "Numbers of one learned layer; 0: too wide.");
     nb::class_<Network>(m, "Network", "A float32 perceptron with activation v/2 (1 + v / sqrt(1 + v^2)).")
         .def_static("make", &make_network, "sizes"_a, "weights"_a,
                     "sizes: inputs, hidden ..., outputs; weights: of each stage (inputs x outputs), then its bias, flat.");
@@ -119,7 +119,8 @@ void bind_learned(nb::module_& m) {
              "The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network.\n"
              "False: not finite.")
         .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` solves each, into (M,).")
-        .def("covers", [](const Learned& learned, nb::handle wrench) { return learned.covers(in(wrench, 6).data()); }, "wrench"_a,
-             "Whether wrench, contacts and friction lie in the training range.")
+        .def(
+            "covers", [](const Learned& learned, nb::handle wrench) { return learned.covers(in(wrench, 6).data()); }, "wrench"_a,
+            "Whether wrench, contacts and friction lie in the training range.")
         .def_prop_ro("outside", &Learned::outside, "Whether the last wrench was not covered.");
 }

@@ -36,8 +36,7 @@ int descend(LimitedNewton& newton, nb::handle wrench, nb::handle force, nb::hand
 void bind_limits(nb::module_& m) {
     nb::class_<LimitedNewton>(m, "LimitedNewton", "Newton on Phi within limits a . x <= b on the force of one contact each.")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "normals"_a, "bounds"_a, "shares"_a, "weights"_a,
-                    "owners"_a,
-                    "basis"_a, "elastic"_a,
+                    "owners"_a, "basis"_a, "elastic"_a,
                     "Rows a (M, 3) of length one or zero, b (M,), by how much b grows with all of its limit (M,), lambda (M,),\n"
                     "which contact (M,); the 12-basis without limits (13, 3N).\n"
                     "elastic: where no force keeps them, the one that exceeds them least.")

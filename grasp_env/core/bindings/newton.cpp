@@ -19,8 +19,12 @@ int descend(Newton& newton, nb::handle wrench, nb::handle force, double optimum,
     const int count = newton.contacts.count;
     const Numbers load = in(wrench, 6), start = in(force, count, 3), values = out(trace, -1);
     const Numbers row = out(record, record_size(count));
-    const Call call{.wrench = load.data(), .start = Start::given, .force = start.data(), .optimum = optimum,
-                    .trace = values.data(), .traced = int(values.length(0))};
+    const Call call{.wrench = load.data(),
+                    .start = Start::given,
+                    .force = start.data(),
+                    .optimum = optimum,
+                    .trace = values.data(),
+                    .traced = int(values.length(0))};
     return newton.solve(call, row.data());
 }
 

@@ -33,8 +33,11 @@ void bind_record(nb::module_& m) {
     m.def("record_fields", &record_fields,
           "Where the fields of a solution stand in its row of numbers; from `force` on 3N force, 3N initial force, N torsion.");
     m.def("codes", &codes, "How a solve ends, by name.");
-    m.def("record_size", [](int contacts) {
-        if (contacts < 0 || contacts > 1'000'000) throw nb::value_error("0 to 1,000,000 contacts");
-        return grasp::record_size(contacts);
-    }, "contacts"_a, "Numbers in a row of N contacts.");
+    m.def(
+        "record_size",
+        [](int contacts) {
+            if (contacts < 0 || contacts > 1'000'000) throw nb::value_error("0 to 1,000,000 contacts");
+            return grasp::record_size(contacts);
+        },
+        "contacts"_a, "Numbers in a row of N contacts.");
 }

@@ -21,8 +21,13 @@ int descend(SoftNewton& newton, nb::handle wrench, nb::handle force, nb::handle 
     const int count = newton.contacts.count;
     const Numbers load = in(wrench, 6), start = in(force, count, 3), turn = in(torsion, count), values = out(trace, -1);
     const Numbers row = out(record, record_size(count));
-    return newton.solve({.wrench = load.data(), .start = Start::given, .force = start.data(), .torsion = turn.data(),
-                         .optimum = optimum, .trace = values.data(), .traced = int(values.length(0))},
+    return newton.solve({.wrench = load.data(),
+                         .start = Start::given,
+                         .force = start.data(),
+                         .torsion = turn.data(),
+                         .optimum = optimum,
+                         .trace = values.data(),
+                         .traced = int(values.length(0))},
                         row.data());
 }
 

@@ -12,13 +12,10 @@ namespace {
 
 constexpr Py_ssize_t SUMMARY = sizeof(grasp::Summary) / sizeof(double);
 
-struct Solution {
-    PyObject_HEAD
-    PyObject *record, *method, *initial, *objective_trace, *certificate, *limit_multipliers;
-};
+struct Solution { PyObject_HEAD PyObject *record, *method, *initial, *objective_trace, *certificate, *limit_multipliers; };
 
-constexpr PyObject* Solution::* FIELDS[] = {&Solution::record, &Solution::method, &Solution::initial, &Solution::objective_trace,
-                                            &Solution::certificate, &Solution::limit_multipliers};
+constexpr PyObject* Solution::* FIELDS[] = {&Solution::record,          &Solution::method,      &Solution::initial,
+                                            &Solution::objective_trace, &Solution::certificate, &Solution::limit_multipliers};
 PyObject* nothing = nullptr;  // an empty array, read-only
 
 PyArrayObject* array(PyObject* object) { return reinterpret_cast<PyArrayObject*>(object); }
@@ -33,8 +30,7 @@ PyObject* refuse(const char* said) {
 bool is_record(PyObject* object) {
     if (!PyArray_Check(object)) return false;
     const PyArrayObject* a = array(object);
-    if (PyArray_TYPE(a) != NPY_DOUBLE || PyArray_NDIM(a) != 1 || !PyArray_IS_C_CONTIGUOUS(a) ||
-        !PyArray_ISBEHAVED_RO(a))
+    if (PyArray_TYPE(a) != NPY_DOUBLE || PyArray_NDIM(a) != 1 || !PyArray_IS_C_CONTIGUOUS(a) || !PyArray_ISBEHAVED_RO(a))
         return false;
     if (PyArray_DIM(a, 0) < SUMMARY || (PyArray_DIM(a, 0) - SUMMARY) % 7) return false;
     const double* row = static_cast<const double*>(PyArray_DATA(const_cast<PyArrayObject*>(a)));
@@ -59,7 +55,9 @@ PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
     }
     if (!is_record(record)) {
         try {
-            return refuse("a record must be a C-contiguous float64 array of 20 + 7N numbers, the first a code of `Status`: take a solver's");
+            return refuse(
+                "a record must be a C-contiguous float64 array of 20 + 7N numbers, the first a code of `Status`: take a "
+                "solver's");
         } catch (nb::python_error& error) {
             error.restore();
             return nullptr;

@@ -40,7 +40,9 @@ protected:
 
     size_t size() const { return 3 * on_->contacts.count; }
     grasp::Call from(grasp::Start start, const In& wrench, const In& force, const std::optional<In>& torsion = {}) const {
-        return {.wrench = numbers(wrench, 6), .start = start, .force = numbers(force, size()),
+        return {.wrench = numbers(wrench, 6),
+                .start = start,
+                .force = numbers(force, size()),
                 .torsion = torsion ? numbers(*torsion, size() / 3) : nullptr};
     }
     nb::object solved(const grasp::Call& call) {
@@ -55,7 +57,8 @@ template <class Solver, class... Arguments>
 void bind_calls(nb::module_& m, const char* name, std::unique_ptr<Calls<Solver>> (*make)(Arguments...)) {
     using C = Calls<Solver>;
     nb::class_<C>(m, name)
-        .def_static("make", make).def("solve", &C::solve)
+        .def_static("make", make)
+        .def("solve", &C::solve)
         .def("follow", &C::follow, "wrench"_a, "force"_a, "torsion"_a = nb::none())
         .def("descend", &C::descend, "wrench"_a, "force"_a, "torsion"_a = nb::none())
         .def("allocations", &C::allocations_in);

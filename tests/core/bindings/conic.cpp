@@ -41,6 +41,7 @@ private:
 void bind_conic(nb::module_& m) {
     nb::class_<AnyConic>(m, "AnyConic")
         .def_static("make", &AnyConic::make, "lanes"_a, "blocks"_a, "placement"_a, "tolerance"_a, "limit"_a, "interior"_a)
-        .def("clone", &AnyConic::clone).def("solve", &AnyConic::solve)
+        .def("clone", &AnyConic::clone)
+        .def("solve", &AnyConic::solve)
         .def("allocations", &AnyConic::allocations_in, "wrenches"_a, "calls"_a);
 }

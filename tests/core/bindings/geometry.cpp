@@ -83,11 +83,12 @@ void bind_geometry(nb::module_& m) {
     m.def("inside", &interval, "point"_a, "ray"_a, "(low, high) of one cone.");
     m.def("null_space", &null_space, "placement"_a, "reference"_a, "(3N, 3N - 6); None: not spanned.");
     nb::class_<Placement>(m, "Placement")
-        .def_prop_ro("verdict", [](const Placement& p) { return int(p.placed); }, "0: good, 1: refused, 2: rank lost.")
+        .def_prop_ro(
+            "verdict", [](const Placement& p) { return int(p.placed); }, "0: good, 1: refused, 2: rank lost.")
         .def_prop_ro("arrays", &arrays_of)
         .def("place", &move, "positions"_a, "normals"_a)
-        .def("rescale", [](Placement& p, In scale) {
-            return p.contacts.rescale(numbers(scale, 3 * p.contacts.count));
-        }, "scale"_a, "False where rank is lost.");
+        .def(
+            "rescale", [](Placement& p, In scale) { return p.contacts.rescale(numbers(scale, 3 * p.contacts.count)); }, "scale"_a,
+            "False where rank is lost.");
     m.def("place", &place, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a = nb::none());
 }

@@ -139,18 +139,32 @@ template <class V> void bind(nb::module_& m, const char* name) {
     using I = Insides<V>;
     nb::class_<I>(m, name)
         .def(nb::init<const Placement&>())
-        .def("stored", &I::stored).def("loaded_force", &I::loaded_force).def("phi", &I::phi)
-        .def("along", &I::along).def("wrench", &I::wrench).def("balance", &I::balance).def("reach", &I::reach)
-        .def("margin", &I::margin).def("sane", &I::sane).def("largest_normal", &I::largest_normal)
-        .def("lower_bound", &I::lower_bound).def("lower_bound_near", &I::lower_bound_near)
-        .def("certified", &I::certified).def("system", &I::system).def("restore", &I::restore)
-        .def("squeezed", &I::squeezed).def("inside", &I::inside).def("set_basis", &I::set_basis)
-        .def("combine", &I::combine).def("combination", &I::combination).def("turned", &I::turned)
-        .def("tangent", &I::tangent).def("segment", &I::segment).def("carry", &I::carry);
+        .def("stored", &I::stored)
+        .def("loaded_force", &I::loaded_force)
+        .def("phi", &I::phi)
+        .def("along", &I::along)
+        .def("wrench", &I::wrench)
+        .def("balance", &I::balance)
+        .def("reach", &I::reach)
+        .def("margin", &I::margin)
+        .def("sane", &I::sane)
+        .def("largest_normal", &I::largest_normal)
+        .def("lower_bound", &I::lower_bound)
+        .def("lower_bound_near", &I::lower_bound_near)
+        .def("certified", &I::certified)
+        .def("system", &I::system)
+        .def("restore", &I::restore)
+        .def("squeezed", &I::squeezed)
+        .def("inside", &I::inside)
+        .def("set_basis", &I::set_basis)
+        .def("combine", &I::combine)
+        .def("combination", &I::combination)
+        .def("turned", &I::turned)
+        .def("tangent", &I::tangent)
+        .def("segment", &I::segment)
+        .def("carry", &I::carry);
 }
 
 }  // namespace
 
-void bind_insides(nb::module_& m) {
-    bind<Lanes<1>>(m, "Insides1"), bind<Lanes<4>>(m, "Insides4"), bind<Lanes<8>>(m, "Insides8");
-}
+void bind_insides(nb::module_& m) { bind<Lanes<1>>(m, "Insides1"), bind<Lanes<4>>(m, "Insides4"), bind<Lanes<8>>(m, "Insides8"); }

@@ -126,7 +126,10 @@ void bind_learned(nb::module_& m) {
     m.def("network_numbers", [](const std::vector<int>& sizes) { return Network::numbers(sizes); });
     m.def("layer_numbers", &Layers::numbers);
     nb::class_<L>(m, "AnyLearned")
-        .def_static("make", &L::make).def("clone", &L::clone).def("predict", &L::predict).def("covers", &L::covers)
+        .def_static("make", &L::make)
+        .def("clone", &L::clone)
+        .def("predict", &L::predict)
+        .def("covers", &L::covers)
         .def("start", &L::start, "wrench"_a, "previous"_a = nb::none())
         .def("solve", &L::solve, "wrench"_a, "previous"_a = nb::none())
         .def("allocations", &L::allocations_in, "wrenches"_a, "forces"_a, "calls"_a);

@@ -34,7 +34,6 @@ double bound_of_rank(In rows) {
 }
 double size_of(In a) { return size(six(a)); }
 
-
 // Of A (n, 6), g (n,) and b (6,): what A does not reach of g, its multipliers, the least z with A^T z = b, its multipliers.
 nb::tuple rows_by_size(In matrix, In g, In b) {
     const int rows = int(matrix.shape(0));

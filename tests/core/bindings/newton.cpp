@@ -76,9 +76,14 @@ void bind_newton(nb::module_& m) {
     nb::class_<N>(m, "AnyNewton")
         .def_static("make", &N::make, "lanes"_a, "blocks"_a, "placement"_a, "tolerance"_a, "limit"_a)
         .def_static("flow", &N::flow, "lanes"_a, "blocks"_a, "placement"_a, "tolerance"_a, "limit"_a, "form"_a, "rule"_a)
-        .def("clone", &N::clone).def("make_basis", &N::make_basis).def("set_basis", &N::set_basis).def("solve", &N::solve)
+        .def("clone", &N::clone)
+        .def("make_basis", &N::make_basis)
+        .def("set_basis", &N::set_basis)
+        .def("solve", &N::solve)
         .def("follow", &N::follow, "wrench"_a, "force"_a, "tangent"_a)
         .def("descend", &N::descend, "wrench"_a, "force"_a, "optimum"_a, "traced"_a)
-        .def("internal_force", &N::internal_force).def("newton_step", &N::newton_step).def("repair", &N::repair)
+        .def("internal_force", &N::internal_force)
+        .def("newton_step", &N::newton_step)
+        .def("repair", &N::repair)
         .def("allocations", &N::allocations_in, "wrenches"_a, "forces"_a, "calls"_a);
 }

@@ -38,9 +38,7 @@ nb::object phi_of(int lanes, In x, In weights) {
     return with_lanes(lanes, [&](auto zero) {
         using V = decltype(zero);
         const Rows<V> at(x, 3), w(weights, 2);
-        return over<V, 2>(x.shape(0), [&](size_t k, auto& out) {
-            out = {phi(at.triple(k), w.weights(k)), slack(at.triple(k))};
-        });
+        return over<V, 2>(x.shape(0), [&](size_t k, auto& out) { out = {phi(at.triple(k), w.weights(k)), slack(at.triple(k))}; });
     });
 }
 

@@ -73,8 +73,12 @@ void bind_pipeline(nb::module_& m) {
     nb::class_<P>(m, "AnyPipeline")
         .def_static("make", &P::make, "lanes"_a, "blocks"_a, "placement"_a, "tolerance"_a, "limit"_a, "basis"_a, "frames"_a,
                     "remembers"_a, "reference"_a, "flows"_a = false)
-        .def("solve", &P::solve, "points"_a, "normals"_a, "wrench"_a, "adjust"_a = nb::none()).def("carry", &P::carry)
-        .def_prop_ro("last", &P::last).def_prop_ro("basis", &P::basis).def("set_layers", &P::set_layers)
-        .def("reset", &P::reset).def("forget", &P::forget)
+        .def("solve", &P::solve, "points"_a, "normals"_a, "wrench"_a, "adjust"_a = nb::none())
+        .def("carry", &P::carry)
+        .def_prop_ro("last", &P::last)
+        .def_prop_ro("basis", &P::basis)
+        .def("set_layers", &P::set_layers)
+        .def("reset", &P::reset)
+        .def("forget", &P::forget)
         .def("allocations", &P::allocations_in, "points"_a, "normals"_a, "wrenches"_a, "adjust"_a, "calls"_a);
 }

@@ -173,6 +173,6 @@ void bind_program(nb::module_& m) {
     m.def("phi_rows", &phi_rows, "rows"_a, "right"_a, "equal"_a, "weights"_a, "row_weights"_a, "soft"_a, "z"_a, "tolerance"_a,
           "limit"_a, "twice"_a = false);
     m.def("twice", &twice, "a"_a, "b"_a, "what"_a);
-    m.def("program_allocations", &program_allocations, "frame"_a, "balance"_a, "rows"_a, "bound"_a, "divisor"_a,
-          "shares"_a, "wrenches"_a, "calls"_a);
+    m.def("program_allocations", &program_allocations, "frame"_a, "balance"_a, "rows"_a, "bound"_a, "divisor"_a, "shares"_a,
+          "wrenches"_a, "calls"_a);
 }

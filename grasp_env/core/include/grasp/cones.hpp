@@ -170,9 +170,8 @@ public:
     // The same in half the time where x is close to the optimum.
     template <class R = NoRows>
     double lower_bound(const Vec6& nu, const Vec6& w, const Field& x, double tight, const R& rows = {}) const {
-        return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) {
-            return dual_near(y, blocks[b].weights, x[b], tight, room);
-        });
+        return bound(nu, w, rows,
+                     [&](const Vec3<V>& y, int b, V& room) { return dual_near(y, blocks[b].weights, x[b], tight, room); });
     }
 
     // Scales multipliers that miss the dual cones into them, as nu = 0 is inside.

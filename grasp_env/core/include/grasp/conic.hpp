@@ -81,11 +81,11 @@ private:
     static constexpr double STEP = 0.995;  // the largest part of the way to the boundary
 
     struct At {
-        Vec3<V> x, s;     // primal and dual slack
+        Vec3<V> x, s;  // primal and dual slack
         Scaling<V> m;
         Vec3<V> l, d, q;  // scaled point, (scaled) dual direction, dx
-        V share, l0;      // of the boundary at l; 1 / l_0
-        Vec3<V> first;    // first x, for the record
+        V share, l0;  // of the boundary at l; 1 / l_0
+        Vec3<V> first;  // first x, for the record
 
         Boundary<V> boundary() const { return {l, m.root, share}; }  // l . J l = s . J s
     };

@@ -10,14 +10,14 @@ namespace grasp {
 
 // What a program is made of; arrays are row-major.
 struct Given {
-    int count, limits;      // N, M
-    const double* frame;    // (6, 6) wrenches into the unit frame
+    int count, limits;  // N, M
+    const double* frame;  // (6, 6) wrenches into the unit frame
     const double* balance;  // (6, N, 4) of (u, o, t, w), unit frame
-    const double* rows;     // (M, N, 4) of length one: rows . z <= bound; those of torsion come first
-    const double* bound;    // (M,) [N]
+    const double* rows;  // (M, N, 4) of length one: rows . z <= bound; those of torsion come first
+    const double* bound;  // (M,) [N]
     const double* divisor;  // (N, 4) force and torsion from z; inf where nothing is transmitted
-    const double* shares;   // (M,) [N] by how much a bound grows where its limit grows by all of itself; 0: never
-    bool elastic;           // whether the least excess will be asked
+    const double* shares;  // (M,) [N] by how much a bound grows where its limit grows by all of itself; 0: never
+    bool elastic;  // whether the least excess will be asked
 };
 
 // `excess`: the largest part of itself by which a limit is exceeded, t with rows . z <= bound + t share.
@@ -40,12 +40,12 @@ inline double least_of(const std::vector<double>& values) {
 
 template <int D> struct Constraints {
     using Field = std::vector<Tuple<double, D>>;  // z, or a row of coefficients of it
-    int count, limits, torsions;                  // N, M; the first rows are those of torsion
+    int count, limits, torsions;  // N, M; the first rows are those of torsion
     std::vector<char> soft;
     std::vector<double> price, divisor, bound, shares;  // price: normal force = price u
-    std::vector<int> torsion_row;                       // (N,) -1: not soft
-    std::vector<Field> balance, limit, turn;            // (6,) G, (M,), (6,) Q
-    double frame[6][6], lower[6][6] = {};               // L
+    std::vector<int> torsion_row;  // (N,) -1: not soft
+    std::vector<Field> balance, limit, turn;  // (6,) G, (M,), (6,) Q
+    double frame[6][6], lower[6][6] = {};  // L
 
     explicit Constraints(const Given& given)
         : count(given.count), limits(given.limits), soft(count), price(count), divisor(given.divisor, given.divisor + 4 * count),
@@ -55,7 +55,8 @@ template <int D> struct Constraints {
         const auto rows_of = [&](const double* from, int many, std::vector<Field>& to) {
             to.assign(many, Field(count));
             for (int k = 0; k < many; ++k)
-                for (int i = 0; i < count; ++i) std::copy(from + 4 * (count * k + i), from + 4 * (count * k + i) + D, to[k][i].begin());
+                for (int i = 0; i < count; ++i)
+                    std::copy(from + 4 * (count * k + i), from + 4 * (count * k + i) + D, to[k][i].begin());
         };
         rows_of(given.balance, 6, balance), rows_of(given.rows, limits, limit);
         torsions = 0;
@@ -144,7 +145,6 @@ template <int D> struct Constraints {
         }
     }
 
-
     template <class R, int T> Rows<R, D, T> rows(int many, Criterion criterion = Criterion::sum) const {
         Rows<R, D, T> out;
         const auto turned = [](const Field& row) {
@@ -212,7 +212,7 @@ template <int D> struct Constraints {
     }
 
 private:
-    static constexpr double PAD = 6e-16;   // of the numbers that make a slack: what rounding may cost on the way to forces
+    static constexpr double PAD = 6e-16;  // of the numbers that make a slack: what rounding may cost on the way to forces
     static constexpr double LAST = 4e-16;  // of the largest normal force: what rounding it may cost balance
 
     // G = L Q by Gram and Schmidt, twice.

@@ -27,10 +27,9 @@ public:
     Contacts() = default;
     // scale: (N, 3) mu for the normal and 1 for round cones; 0 where nothing is transmitted. weights: (N, 2) omega, lambda.
     Contacts(int count, const double* scales, const double* weights, const double* along = nullptr)
-        : count(count), scale(scales, scales + 3 * count), divisor(3 * count), omega(count), lambda(count),
-          frames(9 * count), matrix(18 * count), cone_matrix(18 * count), rows(18 * count), force_rows(18 * count),
-          inverse(18 * count), used_(3 * count), per_(3 * count),
-          inward_(3 * count), work_(18 * count) {
+        : count(count), scale(scales, scales + 3 * count), divisor(3 * count), omega(count), lambda(count), frames(9 * count),
+          matrix(18 * count), cone_matrix(18 * count), rows(18 * count), force_rows(18 * count), inverse(18 * count),
+          used_(3 * count), per_(3 * count), inward_(3 * count), work_(18 * count) {
         transmit();
         for (int i = 0; i < count; ++i) omega[i] = weights[2 * i], lambda[i] = weights[2 * i + 1];
         if (along) tangents.assign(along, along + 3 * count);
@@ -74,9 +73,7 @@ public:
     void orthonormal(std::vector<double>& out) const {
         out = force_rows;
         double lower[6][6];
-        if (!orthonormalise(gram(out.data(), 3 * count), out, lower)) {
-            Rotations(out, 3 * count).normalise();
-        }
+        if (!orthonormalise(gram(out.data(), 3 * count), out, lower)) { Rotations(out, 3 * count).normalise(); }
     }
 
     // The same contacts with another (N, 3) scale of cone coordinates; false where rank is lost.

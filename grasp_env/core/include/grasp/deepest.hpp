@@ -88,8 +88,10 @@ private:
     template <class R> bool separates(const InteriorPoint<R, D, 2>& engine, const Vec6& y, const Vec6& unit, double size) {
         const auto& rows = engine.rows;
         for (const auto& row : rows.own)
-            if (row.label >= 0) prices_[row.label] = evened(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
-        for (int r = rows.equal; r < rows.joint; ++r) prices_[rows.label[r]] = evened(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
+            if (row.label >= 0)
+                prices_[row.label] = evened(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
+        for (int r = rows.equal; r < rows.joint; ++r)
+            prices_[rows.label[r]] = evened(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
         const double rounding = ROUNDING * (8 + many_);
         for (int i = 0; i < in_->count; ++i) {
             Tuple<double, D> dual{};

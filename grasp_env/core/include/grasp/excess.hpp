@@ -18,7 +18,12 @@ template <class V, int B> class LeastExcess {
 public:
     using Field = typename Cones<V, B>::Field;
 
-    struct Found { bool certified; int iterations; double bound; Vec6 multipliers; };  // d t / d w = -multipliers
+    struct Found {
+        bool certified;
+        int iterations;
+        double bound;
+        Vec6 multipliers;
+    };  // d t / d w = -multipliers
 
     explicit LeastExcess(const Cones<V, B>& cones) { resize(at_, cones.blocks.size()); }
 
@@ -48,9 +53,8 @@ public:
             if (!(primal + dual > 1e-6)) return out;
             for (int b = 0; b < blocks; ++b) {
                 x[b] += all<V>(primal) * at_[b].dx, at_[b].s += all<V>(dual) * at_[b].ds;
-                rows.for_each(b, [&](Pair<V>& p) {
-                    p.sides([&](Side<V>& side, double) { side.price += all<V>(dual) * side.dprice; });
-                });
+                rows.for_each(
+                    b, [&](Pair<V>& p) { p.sides([&](Side<V>& side, double) { side.price += all<V>(dual) * side.dprice; }); });
             }
             t += primal * step.dt, nu = nu + dual * (step.nu - nu);
             const auto proof = rows.farkas(cones, nu, w, t);
@@ -132,7 +136,10 @@ private:
     }
 
     // t's border of the system: what S does not know.
-    struct Border { Vec6 side, across; double pivot; };
+    struct Border {
+        Vec6 side, across;
+        double pivot;
+    };
     Border bordered(const Cones<V, B>& cones, const System<V, B>& system, double curvature) {
         V sides[6] = {}, square{};
         for (int b = 0; b < int(at_.size()); ++b) {
@@ -144,7 +151,10 @@ private:
     }
 
     // The whole step for the gradients in `system` and `slope`, that of t: new multipliers nu, dt, and how far x and s may go.
-    struct Step { Vec6 nu; double dt, primal, dual; };
+    struct Step {
+        Vec6 nu;
+        double dt, primal, dual;
+    };
     Step direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system, const Border& border,
                 const Vec6& left, double slope, const Field& x) {
         V cross{};

@@ -10,9 +10,9 @@ struct StepRule {
     enum Kind { FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT };
     static constexpr double ALTERNATE = 0.0, LONG_ONLY = 1.0;  // BARZILAI_BORWEIN has its variant in `grow`; else the short one
     int kind = ADAPTIVE;
-    double first = 0.3;     // first trial step [N / omega]
-    double grow = 1.5;      // factor after an accepted step
-    double shrink = 0.5;    // after a rejected one
+    double first = 0.3;  // first trial step [N / omega]
+    double grow = 1.5;  // factor after an accepted step
+    double shrink = 0.5;  // after a rejected one
     double decrease = 0.0;  // share of alpha |d|^2 by which Phi has to fall; of EXACT: of the slope that may be left
 };
 
@@ -106,34 +106,37 @@ public:
 private:
     using Local = std::conditional_t<B == 0, Field&, Field>;
     static constexpr double SHORTEST = 1e-10;  // the first trial of an iteration moves x by at least this part of its length
-    static constexpr double ROUNDED = 1e-16;   // and none by less than this
+    static constexpr double ROUNDED = 1e-16;  // and none by less than this
     static constexpr double LONGEST = 1e300;
-    static constexpr double FLAT = 1e-12;      // where <s, y> is below this share of <s, s> / alpha Phi is straight to rounding,
-    static constexpr double LEAP = 10.0;       // and alpha grows by this factor
-    static constexpr int SEARCHES = 60;   // trials of a search for the exact minimum, before it settles for any decrease
+    static constexpr double FLAT = 1e-12;  // where <s, y> is below this share of <s, s> / alpha Phi is straight to rounding,
+    static constexpr double LEAP = 10.0;  // and alpha grows by this factor
+    static constexpr int SEARCHES = 60;  // trials of a search for the exact minimum, before it settles for any decrease
     static constexpr int PATIENCE = 100;  // trials of an iteration after which steps are halved at least, so that they end
     Projection<V, B> projection_;
     Field next_, gradient_, there_, step_, past_;
 
     // How far a descent has come.
     struct Progress {
-        double alpha, value;                            // alpha_k; Phi at x_k
-        double gained = 0.0;                            // by how much the last step lowered it
+        double alpha, value;  // alpha_k; Phi at x_k
+        double gained = 0.0;  // by how much the last step lowered it
         double length = 0.0, before = 0.0, size = 0.0;  // |d_k|^2, |d_{k-1}|^2, |x_k|^2
         int k = 0, trials = 0;
 
         bool moves(double part) const { return alpha * alpha * length > part * part * size; }  // x by more than this part of it
     };
-    struct Bound { double value; Vec6 multipliers; };
+    struct Bound {
+        double value;
+        Vec6 multipliers;
+    };
 
     // What is known of min Phi, and when to compute a bound again, which costs as much as several iterations: not while steps
     // gain more than what may be left, and once one is close, where the next will do. A bound falls short of min Phi by up to
     // SHORT times the square of the gap, in parts of it.
     struct Proof {
-        bool known;        // the optimum is, to the caller
+        bool known;  // the optimum is, to the caller
         double tolerance;  // relative gap that is asked for
         Bound best;
-        int next = 0;             // iteration at which to look in any case
+        int next = 0;  // iteration at which to look in any case
         double goal = -infinity;  // Phi at which to look
 
         Proof(const Call& call, double tolerance)

@@ -15,22 +15,22 @@ namespace grasp {
 template <class R, int D, int T> class InteriorPoint {
 public:
     struct State {
-        std::vector<Tuple<R, D>> z, s;             // primal and dual, strictly inside
+        std::vector<Tuple<R, D>> z, s;  // primal and dual, strictly inside
         Tuple<R, T> t{};
-        std::vector<R> own, joint;         // multipliers; > 0 on limits
+        std::vector<R> own, joint;  // multipliers; > 0 on limits
         std::vector<R> own_slack, joint_slack;  // > 0 on limits
     };
     Rows<R, D, T> rows;
     std::vector<Tuple<R, D>> cost;
     Tuple<R, T> shared_cost{};
     std::vector<char> soft;  // whether w is a variable; elsewhere it stays 1 and no row touches it
-    State at;                // the start, then the answer
+    State at;  // the start, then the answer
     int iterations = 0;
 
     InteriorPoint(const Rows<R, D, T>& given, const std::vector<char>& soft)
         : rows(given), cost(rows.count), soft(soft), system_(rows), f_(rows), d_(rows), left_(rows), more_(rows), residual_(rows),
-          ds_(rows.count), dz_(rows.count), scaling_(rows.count), kappa_own_(rows.own.size()),
-          dslack_own_(rows.own.size()), kappa_joint_(rows.joint), dslack_joint_(rows.joint) {
+          ds_(rows.count), dz_(rows.count), scaling_(rows.count), kappa_own_(rows.own.size()), dslack_own_(rows.own.size()),
+          kappa_joint_(rows.joint), dslack_joint_(rows.joint) {
         at.z.resize(rows.count), at.s.resize(rows.count);
         at.own.resize(rows.own.size()), at.own_slack.resize(rows.own.size());
         at.joint.resize(rows.joint), at.joint_slack.resize(rows.joint);
@@ -90,8 +90,8 @@ public:
 
 private:
     static constexpr double FEASIBLE = 1e-9, NEARLY = 1e-7;  // residuals, relative to the data
-    static constexpr double KEPT = 1e-14;                    // of equations that only rounding misses
-    static constexpr double AWAY = 1e10;                     // multipliers at which an infeasible program shows
+    static constexpr double KEPT = 1e-14;  // of equations that only rounding misses
+    static constexpr double AWAY = 1e10;  // multipliers at which an infeasible program shows
     static constexpr double MIDDLE = 0.3;  // of the gap that is asked for: where a step that settles aims
     static constexpr int REFINEMENTS = 2, SETTLINGS = 3;
     static constexpr double ENOUGH = 1e-14;  // of the largest force: what a direction may miss of its equations
@@ -103,7 +103,10 @@ private:
     std::vector<Scaling<R>> scaling_;
     std::vector<R> kappa_own_, dslack_own_, kappa_joint_, dslack_joint_;
 
-    struct Measured { R gap, size, primal, dual; bool runs_away; };
+    struct Measured {
+        R gap, size, primal, dual;
+        bool runs_away;
+    };
 
     // Residuals of the equations into `residual_`; the gap and how large all that is.
     Measured measure() {
@@ -264,12 +267,15 @@ private:
         for (int i = 0; i < rows.count; ++i) {
             keep_largest<R>(out.primal, Boundary<R>(cone(at.z[i])).per(cone(dz_[i])));
             keep_largest<R>(out.dual, Boundary<R>(cone(at.s[i])).per(cone(ds_[i])));
-            if (D == 4 && soft[i]) keep_largest<R>(out.primal, -dz_[i][D - 1] / at.z[i][D - 1]), keep_largest<R>(out.dual, -ds_[i][D - 1] / at.s[i][D - 1]);
+            if (D == 4 && soft[i])
+                keep_largest<R>(out.primal, -dz_[i][D - 1] / at.z[i][D - 1]),
+                    keep_largest<R>(out.dual, -ds_[i][D - 1] / at.s[i][D - 1]);
         }
         for (int k = 0; k < int(rows.own.size()); ++k)
             keep_largest<R>(out.primal, -dslack_own_[k] / at.own_slack[k]), keep_largest<R>(out.dual, -d_.own[k] / at.own[k]);
         for (int r = rows.equal; r < rows.joint; ++r)
-            keep_largest<R>(out.primal, -dslack_joint_[r] / at.joint_slack[r]), keep_largest<R>(out.dual, -d_.joint[r] / at.joint[r]);
+            keep_largest<R>(out.primal, -dslack_joint_[r] / at.joint_slack[r]),
+                keep_largest<R>(out.dual, -d_.joint[r] / at.joint[r]);
         return out;
     }
 

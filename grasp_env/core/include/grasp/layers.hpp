@@ -10,8 +10,8 @@
 
 namespace grasp {
 
-inline constexpr int LAYER_FEATURES = 11;    // numbers that a layer reads of each contact
-inline constexpr double LAYER_REACH = 0.9;   // part of the way to the nearest cone that a layer goes at most
+inline constexpr int LAYER_FEATURES = 11;  // numbers that a layer reads of each contact
+inline constexpr double LAYER_REACH = 0.9;  // part of the way to the nearest cone that a layer goes at most
 inline constexpr int MOST_LAYERS = 64;
 
 // The weights of a few layers.
@@ -26,8 +26,10 @@ public:
         for (int k = 0; k < count; ++k) {
             const float* second = flat + (LAYER_FEATURES + 1) * width;
             const float* last = second + (2 * width + 1) * width;
-            layers_.push_back({{LAYER_FEATURES, width, flat, second - width}, {width, width, second, last - width},
-                               {width, width, second + width * width, last - width}, {width, 3, last, last + 3 * width}});
+            layers_.push_back({{LAYER_FEATURES, width, flat, second - width},
+                               {width, width, second, last - width},
+                               {width, width, second + width * width, last - width},
+                               {width, 3, last, last + 3 * width}});
             flat += numbers(width);
         }
     }
@@ -93,7 +95,7 @@ public:
     }
 
 private:
-    static constexpr int ROWS = 4;      // contacts per pass over the weights
+    static constexpr int ROWS = 4;  // contacts per pass over the weights
     static constexpr int HALVINGS = 3;  // of a learned step that does not lower Phi, before a plain one is tried
     static constexpr double SMALLEST = 1e-24;  // of s^2, below which a force has no direction of its own
     static constexpr double SHORTEST = 1e-12;  // added to what a logarithm is taken of
@@ -146,8 +148,8 @@ private:
             const auto& weights = cones.blocks[b].weights;
             const V unit = sqrt(weights.lambda / weights.omega);
             const Vec3<V> step = own.relative(step_[b]), there = own.relative(rest[b]);
-            const V told[] = {own.p / unit, own.q / unit, squash(step.u), squash(step.o), squash(step.t),
-                              squash(there.u), squash(there.o), squash(there.t)};
+            const V told[] = {own.p / unit,   own.q / unit,    squash(step.u),  squash(step.o),
+                              squash(step.t), squash(there.u), squash(there.o), squash(there.t)};
             for (int n = 0; n < width<V> && width<V> * b + n < cones.count; ++n) {
                 float* to = &features_[(width<V> * b + n) * LAYER_FEATURES];
                 for (int i = 0; i < 8; ++i) to[i] = float(get(told[i], n));

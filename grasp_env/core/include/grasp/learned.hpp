@@ -18,11 +18,11 @@ struct Model {
     Network network;  // or none: the combination
     Normalisation normalisation{};
     double friction = 0.0;  // of the contacts
-    double scale = 1.0;     // sqrt(lambda / omega) over that of training: Phi knows forces in that unit only
-    std::vector<double> null_space;      // (3N, 3N - 6) the internal forces [N] that the network's outputs stand for
-    Layers layers;                       // or none
-    UnitFrame trained;                   // in which training measured wrenches,
-    double largest = -1.0;               // and their largest size there [N]; negative: nothing is inside
+    double scale = 1.0;  // sqrt(lambda / omega) over that of training: Phi knows forces in that unit only
+    std::vector<double> null_space;  // (3N, 3N - 6) the internal forces [N] that the network's outputs stand for
+    Layers layers;  // or none
+    UnitFrame trained;  // in which training measured wrenches,
+    double largest = -1.0;  // and their largest size there [N]; negative: nothing is inside
 
     // Whether the parts belong together, and to so many contacts.
     bool fits(int count) const {
@@ -42,7 +42,7 @@ public:
 
     struct Outcome {
         double value = infinity, bound = -infinity;  // Phi, and a lower bound of its minimum
-        Vec6 nu{};                                   // multipliers of the bound, unit frame
+        Vec6 nu{};  // multipliers of the bound, unit frame
         bool within(double tolerance) const { return bound > 0.0 && value - bound <= tolerance * bound; }
     };
 
@@ -89,8 +89,8 @@ public:
     // basis: (13, 3N) the offline optima of the contacts
     LearnedOn(const Contacts& contacts, const Options& options, const double* basis, const Model& model)
         : newton(contacts.count, options), model_(model), refiner_(newton.cones, model.layers),
-          space_(std::max(0, 3 * contacts.count - 6)),
-          safe_(newton.cones.field()), guess_(newton.cones.field()), begun_(newton.cones.field()), weights_(space_.size()) {
+          space_(std::max(0, 3 * contacts.count - 6)), safe_(newton.cones.field()), guess_(newton.cones.field()),
+          begun_(newton.cones.field()), weights_(space_.size()) {
         auto& cones = newton.cones;
         cones.pack(contacts);
         const int size = 3 * contacts.count, columns = int(space_.size());

@@ -15,17 +15,17 @@ inline constexpr double UNBOUNDED = 1e30;  // [N] of what no row bounds: finite,
 struct LimitRows {
     int count = 0;
     const double* normal = nullptr;  // (M, 3) of length one; zero: no force changes it
-    const double* bound = nullptr;   // (M,) b [N]
-    const double* share = nullptr;   // (M,) by how much b grows where the limit grows by all of itself [N]
+    const double* bound = nullptr;  // (M,) b [N]
+    const double* share = nullptr;  // (M,) by how much b grows where the limit grows by all of itself [N]
     const double* weight = nullptr;  // (M,) lambda > 0
-    const int* contact = nullptr;    // (M,)
+    const int* contact = nullptr;  // (M,)
 };
 
 // a . x <= bound + t share, or for the other side of a pair -a . x; where it is not there weight and share are zero.
 template <class V> struct Side {
     V bound, share, weight;
-    V slack, price, bend;   // at x; price >= 0: its multiplier, bend: how that grows as the slack shrinks
-    V dslack, dprice;       // of a step
+    V slack, price, bend;  // at x; price >= 0: its multiplier, bend: how that grows as the slack shrinks
+    V dslack, dprice;  // of a step
 
     void at(const V& along, double t) { slack = bound + all<V>(t) * share - along; }
 };
@@ -192,7 +192,10 @@ public:
     // within limits raised by t this is at least -sum delta u_max, delta what q lacks of the dual cone, and at most
     // sum y (b + t share) + nu . w: so value + t share >= 0, value < 0 is a proof that no force keeps the limits, and
     // -value / share a bound of t. Where no row bounds u_max nu is leant over (see `lean`) until delta is nothing there.
-    struct Farkas { double value, share, size; Vec6 nu; };  // size: what the terms of value add up to
+    struct Farkas {
+        double value, share, size;
+        Vec6 nu;
+    };  // size: what the terms of value add up to
     Farkas farkas(const Cones<V, B>& cones, const Vec6& given, const Vec6& w, double t = 0.0) const {
         const Vec6 nu = leant(cones, given);
         V total{}, share{}, size{};
@@ -230,19 +233,19 @@ public:
 
 private:
     static constexpr double SETTLED = 0.03;  // squared decrement, as a part of Phi, from which the edge is lowered
-    static constexpr double CLOSER = 3e-4;   // the same where a row is BROKEN edges outside
+    static constexpr double CLOSER = 3e-4;  // the same where a row is BROKEN edges outside
     static constexpr double BROKEN = 10.0;
     static constexpr double HARDENING = 1.0 / 16.0;
     static constexpr double HARDEST = 1e-6;  // nearly infeasible: another method's
-    static constexpr double SURE = 1e-9;       // of what the terms of a proof add up to: far above their rounding
+    static constexpr double SURE = 1e-9;  // of what the terms of a proof add up to: far above their rounding
     static constexpr double DAMPED = 1e-12;  // of the trace: contacts that least squares know too little of
-    static constexpr double INSIDE = 0.1;    // of e_u: how deep in the dual cones its answer must be
+    static constexpr double INSIDE = 0.1;  // of e_u: how deep in the dual cones its answer must be
     static constexpr double PARALLEL = 1e-12;  // by which opposite rows may differ
     double edge_ = SOFTEST;
     int each_ = 1;
-    std::vector<Pair<V>> pairs_;        // (blocks, each)
+    std::vector<Pair<V>> pairs_;  // (blocks, each)
     Blocks<V, B> scale_, room_, more_;  // u is at most room + t more within limits raised by t
-    Blocks<V, B> leans_;                // 1 of a contact that no row bounds, whose u is at most room + t more - lean . w
+    Blocks<V, B> leans_;  // 1 of a contact that no row bounds, whose u is at most room + t more - lean . w
     Vec6 lean_{};
     bool leaning_ = false;
     V tightest_{};
@@ -268,7 +271,8 @@ private:
         Ldl6 factor;
         const Vec6 nu = factor.factor(square) > 0.0 ? factor.solve(side) : Vec6{};
         V nearest = all<V>(infinity), most{}, more{};
-        for (int b = 0; b < blocks; ++b) nearest = min(nearest, leans_[b] > 0.0 ? slack(cones.blocks[b].transposed(nu)) : all<V>(infinity));
+        for (int b = 0; b < blocks; ++b)
+            nearest = min(nearest, leans_[b] > 0.0 ? slack(cones.blocks[b].transposed(nu)) : all<V>(infinity));
         const double inside = least(nearest);
         leaning_ = inside > INSIDE && inside < infinity;
         if (!leaning_) {

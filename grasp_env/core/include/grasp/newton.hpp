@@ -45,8 +45,8 @@ public:
     std::vector<double> row;  // a record to work with
 
     NewtonOn(int count, const Options& options)
-        : options(options), cones(count), system(cones), steep(cones), starter(cones), x(cones.field()),
-          row(record_size(count)), step_(cones.field()), begun_(cones.field()), best_(cones.field()), centring_(cones.field()) {}
+        : options(options), cones(count), system(cones), steep(cones), starter(cones), x(cones.field()), row(record_size(count)),
+          step_(cones.field()), begun_(cones.field()), best_(cones.field()), centring_(cones.field()) {}
 
     // Start, descent, certificates. REFUSED: numbers that are not finite, or no start that is balanced and strictly inside.
     Code solve(const Call& call, const Record& record) {
@@ -149,8 +149,7 @@ private:
     // metric of Phi while it is large (a few digits a time), then by the least change.
     Direction find_step(const Vec6& nu, const Vec6& left, double value) {
         Vec6 missed = left + direction(nu);
-        for (int round = 0; round < REFINEMENTS && size(missed) > MISSES * value; ++round)
-            missed = left + restored(missed);
+        for (int round = 0; round < REFINEMENTS && size(missed) > MISSES * value; ++round) missed = left + restored(missed);
         V decrement{}, reach{};
         for (int b = 0; b < int(x.size()); ++b) {
             const auto& c = cones.blocks[b];

@@ -44,8 +44,7 @@ template <class T> inline Sym3<T> inverse_hessian(const Vec3<T>& x, const Weight
     const T along = scale * u2 * (3.0 * u2 + s2);
     const T across = d * d * iu / (4.0 * w.lambda);
     const T bend = scale * (3.0 * u2 * (u2 + s2) - 2.0 * s2 * s2) * iu;
-    return {scale * u2 * u * (u2 + 3.0 * s2), along * o, along * t, across + bend * o * o, bend * o * t,
-            across + bend * t * t};
+    return {scale * u2 * u * (u2 + 3.0 * s2), along * o, along * t, across + bend * o * o, bend * o * t, across + bend * t * t};
 }
 
 // The same inverse as a sum of three a a^T, and the gradient along each a, that of the price of squeezing and of the barrier

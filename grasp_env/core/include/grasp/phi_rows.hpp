@@ -14,14 +14,14 @@ public:
     std::vector<R> row_weights;  // (M,) lambda of each limit
     std::vector<char> soft;
     std::vector<Tuple<R, D>> z;  // the start, strictly inside, then the answer
-    Space<R, D, 0> y, proof;     // multipliers, and those of the bound
+    Space<R, D, 0> y, proof;  // multipliers, and those of the bound
     int iterations = 0, trials = 0;
     R value = 0.0, bound = 0.0;
 
     PhiRows(const Rows<R, D, 0>& given, const std::vector<char>& soft, int limits)
-        : rows(given), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), proof(rows), system_(rows), f_(rows), left_(rows),
-          more_(rows), own_slack_(rows.own.size()), own_trial_(rows.own.size()), joint_slack_(rows.joint), joint_trial_(rows.joint),
-          step_(rows.count), trial_(rows.count) {}
+        : rows(given), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), proof(rows), system_(rows),
+          f_(rows), left_(rows), more_(rows), own_slack_(rows.own.size()), own_trial_(rows.own.size()), joint_slack_(rows.joint),
+          joint_trial_(rows.joint), step_(rows.count), trial_(rows.count) {}
 
     // fraction: of the way to the boundary that a step goes at most
     Code run(const Call& call, double tolerance, int limit, double fraction) {
@@ -30,15 +30,19 @@ public:
         iterations = trials = 0;
         evaluate();
         if (!(value < infinity)) return REFUSED;
-        const auto certified = [&] { return bound > 0.0 && value - bound <= tolerance * bound && (known || value - bound >= BELOW * bound); };
+        const auto certified = [&] {
+            return bound > 0.0 && value - bound <= tolerance * bound && (known || value - bound >= BELOW * bound);
+        };
         for (;; ++iterations) {
             if (iterations < call.traced) call.trace[iterations] = double(value);
             const auto [decrement, reach] = find_step();
             if (!(decrement < infinity)) return certified() ? CONVERGED : STALLED;
-            if (const R found = known ? bound : lower_bound(); known || !(found <= bound) || !(bound > -infinity)) bound = found, proof = y;
+            if (const R found = known ? bound : lower_bound(); known || !(found <= bound) || !(bound > -infinity))
+                bound = found, proof = y;
             if (certified()) return CONVERGED;
             if (iterations >= limit) return LIMIT;
-            if (!search(decrement, reach > 0.0 ? min(R(1.0), fraction / reach) : R(1.0))) return certified() ? CONVERGED : STALLED;
+            if (!search(decrement, reach > 0.0 ? min(R(1.0), fraction / reach) : R(1.0)))
+                return certified() ? CONVERGED : STALLED;
         }
     }
 
@@ -52,7 +56,7 @@ private:
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
     static constexpr double BALANCED = 1e-13;  // a step that misses balance by less than this part of Phi needs no refinement
     static constexpr double SHORTEST = 1e-10;  // a step moves z by at least this part of its length
-    static constexpr double BELOW = -1e-9;     // rounding by which Phi may fall short of its bound
+    static constexpr double BELOW = -1e-9;  // rounding by which Phi may fall short of its bound
     RowSystem<R, D, 0> system_;
     Space<R, D, 0> f_, left_, more_;
     std::vector<R> own_slack_, own_trial_, joint_slack_, joint_trial_;
@@ -70,9 +74,7 @@ private:
     // +inf unless strictly inside
     R phi(const std::vector<Tuple<R, D>>& at, const std::vector<R>& own, const std::vector<R>& joint) const {
         R total = 0.0;
-        const auto barrier = [&](const R& weight, const R& slack) {
-            total += slack > 0.0 ? weight / slack : R(infinity);
-        };
+        const auto barrier = [&](const R& weight, const R& slack) { total += slack > 0.0 ? weight / slack : R(infinity); };
         for (int i = 0; i < rows.count; ++i) {
             const Vec3<R> x = cone(at[i]);
             if (!(x.u > 0.0 && lorentz(x, x) > 0.0)) return infinity;
@@ -134,11 +136,13 @@ private:
                 decrement += weights[i].lambda / (z[i][D - 1] * z[i][D - 1]) * step_[i][D - 1];
                 keep_largest<R>(reach, -step_[i][D - 1] / z[i][D - 1]);
             }
-            for (int r = rows.equal; r < rows.joint; ++r) joint_trial_[r] = (i ? joint_trial_[r] : R(0.0)) + inner(rows.columns[rows.joint * i + r], step_[i]);
+            for (int r = rows.equal; r < rows.joint; ++r)
+                joint_trial_[r] = (i ? joint_trial_[r] : R(0.0)) + inner(rows.columns[rows.joint * i + r], step_[i]);
             for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
                 shrinks(inner(rows.own[k].row, step_[i]), own_slack_[k], row_weights[rows.own[k].label], decrement, reach);
         }
-        for (int r = rows.equal; r < rows.joint; ++r) shrinks(joint_trial_[r], joint_slack_[r], row_weights[rows.label[r]], decrement, reach);
+        for (int r = rows.equal; r < rows.joint; ++r)
+            shrinks(joint_trial_[r], joint_slack_[r], row_weights[rows.label[r]], decrement, reach);
         return {decrement, reach};
     }
     static void shrinks(const R& by, const R& slack, const R& weight, R& decrement, R& reach) {
@@ -177,14 +181,14 @@ private:
             total += 2.0 * sqrt(row_weights[rows.own[k].label] * y.own[k]) - y.own[k] * rows.own[k].right;
         }
         for (int r = 0; r < rows.joint; ++r) {
-            if (r >= rows.equal) y.joint[r] = max(y.joint[r], R(0.0)), total += 2.0 * sqrt(row_weights[rows.label[r]] * y.joint[r]);
+            if (r >= rows.equal)
+                y.joint[r] = max(y.joint[r], R(0.0)), total += 2.0 * sqrt(row_weights[rows.label[r]] * y.joint[r]);
             total -= y.joint[r] * rows.right[r];
         }
         for (int i = 0; i < rows.count; ++i) {
             Tuple<R, D> q{};
             for (int r = 0; r < rows.joint; ++r) add(q, y.joint[r], rows.columns[rows.joint * i + r]);
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
-                add(q, y.own[k], rows.own[k].row);
+            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(q, y.own[k], rows.own[k].row);
             R room;
             total += dual(-cone(q), weights[i], room);
             if (!(room > 0.0) || (D == 4 && soft[i] && !(q[D - 1] >= 0.0))) return -infinity;

@@ -20,14 +20,15 @@ public:
 
     // Into a record, with prices (M,) >= 0 of the limits. INFEASIBLE: the record's multipliers are the twist that proves it. REFUSED: numbers
     // that are not finite, or neither a force nor a proof was found. LIMITS_EXCEEDED: what `excess` ends with, to EXCESS_WITHIN.
-    virtual Code least(const double* wrench, Criterion criterion, const Options& options, const Record& record, double* prices) = 0;
+    virtual Code least(const double* wrench, Criterion criterion, const Options& options, const Record& record,
+                       double* prices) = 0;
     // z (N, 4) [N]: the force of largest m with depth m in all cones and rows, where forces and the wrench's share r sum to one, m <= r.
     virtual Deepest deepest(const double* wrench, double tolerance, double* z) = 0;
 
     // The least Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega and lambda, row_weights (M,). Of the
     // call wrench, optimum and trace are read. REFUSED: no such start.
-    virtual Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const Options& options,
-                           const Record& record, double* prices) = 0;
+    virtual Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z,
+                           const Options& options, const Record& record, double* prices) = 0;
 
 protected:
     Program(int count, int limits) : count(count), limits(limits) {}
@@ -43,8 +44,8 @@ public:
     explicit ProgramOn(const Given& given)
         : Program(given.count, given.limits), in_(std::make_shared<Constraints<D>>(given)), sum_(in_->template within<0>(limits)),
           largest_(in_->template within<1>(limits, Criterion::largest)), depth_(in_, limits), cones_(in_, in_->torsions),
-          phi_{{sum_.quick.rows, in_->soft, limits}, {sum_.careful.rows, in_->soft, limits}}, rest_(count), inside_(count), z_(count),
-          best_(count), room_(in_->room()), room_inside_(room_), prices_(limits), best_prices_(limits) {
+          phi_{{sum_.quick.rows, in_->soft, limits}, {sum_.careful.rows, in_->soft, limits}}, rest_(count), inside_(count),
+          z_(count), best_(count), room_(in_->room()), room_inside_(room_), prices_(limits), best_prices_(limits) {
         if (given.elastic) excess_.emplace(in_->template within<1>(limits, Criterion::excess));
         const double nothing[6] = {};
         has_rest_ = cones_.find(nothing, 1e-2, rest_).code == CONVERGED;
@@ -125,8 +126,7 @@ public:
         if (first != STALLED && (first != LIMIT || options.limit <= PATIENCE)) return written(quick, first);
         // where surfaces are curved against the forces steps along them are short: down the central path, which is far from them
         double raised = 1.0;
-        for (int i = 0; i < count; ++i)
-            raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
+        for (int i = 0; i < count; ++i) raised = std::max(raised, weights[2 * i] * z[4 * i] * z[4 * i] / weights[2 * i + 1]);
         take_start(careful);
         const Call path{.wrench = call.wrench};
         while ((raised /= FALL) > 1.0 && spent < options.limit)
@@ -138,13 +138,14 @@ public:
     }
 
 private:
-    static constexpr double BALANCED = 1e-9;   // of the wrench: what an optimal force may miss
-    static constexpr double BELOW = -1e-9;     // rounding by which an objective may fall short of its bound
-    static constexpr double MOST = 1e4;        // of the largest normal force of a start: normal forces among which an excess is the least
-    static constexpr double BEGIN = 1.5;       // of a start's excess: how much limits are raised there
-    static constexpr int FIRST_TRY = 40;       // iterations, of which a dozen is usual, before another start or more digits are tried
-    static constexpr int PATIENCE = 200;       // iterations on Phi, of which twenty are usual, before the central path is tried
-    static constexpr double FALL = 30.0;       // of lambda from one stage of the path to the next
+    static constexpr double BALANCED = 1e-9;  // of the wrench: what an optimal force may miss
+    static constexpr double BELOW = -1e-9;  // rounding by which an objective may fall short of its bound
+    static constexpr double MOST =
+        1e4;  // of the largest normal force of a start: normal forces among which an excess is the least
+    static constexpr double BEGIN = 1.5;  // of a start's excess: how much limits are raised there
+    static constexpr int FIRST_TRY = 40;  // iterations, of which a dozen is usual, before another start or more digits are tried
+    static constexpr int PATIENCE = 200;  // iterations on Phi, of which twenty are usual, before the central path is tried
+    static constexpr double FALL = 30.0;  // of lambda from one stage of the path to the next
     std::shared_ptr<const Constraints<D>> in_;
     Precisions<D, 0> sum_;
     Precisions<D, 1> largest_;
@@ -174,7 +175,8 @@ private:
             else if (begin(engine)) inside_from_start(engine);
             const int limit = std::min(options.limit, watches(engine) ? options.limit : FIRST_TRY);
             const double enough = elastic() ? EXCESS_FLOOR / raised_ : 0.0;
-            const Code code = engine.run(options.tolerance, enough, watches(engine) ? 0.1 : 0.0, limit, [&] { return consider(engine); });
+            const Code code =
+                engine.run(options.tolerance, enough, watches(engine) ? 0.1 : 0.0, limit, [&] { return consider(engine); });
             spent += engine.iterations;
             if (code != CONVERGED && consider(engine) <= options.tolerance) return CONVERGED;
             return code == LIMIT && limit < options.limit ? STALLED : code;
@@ -207,7 +209,8 @@ private:
     double excess(const Field& z) const {
         double most = 0.0;
         for (int k = in_->torsions; k < limits; ++k)
-            if (in_->shares[k] > 0.0) most = std::max(most, (size_ * in_->product(in_->limit[k], z) - in_->bound[k]) / in_->shares[k]);
+            if (in_->shares[k] > 0.0)
+                most = std::max(most, (size_ * in_->product(in_->limit[k], z) - in_->bound[k]) / in_->shares[k]);
         return most;
     }
     // t in units of an excess above that of a start z, where it begins at one; normal forces up to a multiple of those of z.
@@ -353,7 +356,9 @@ private:
     double gap() const {
         if (!(best_value_ < infinity)) return infinity;
         const double found = elastic() ? (best_value_ - best_bound_) / std::max(best_bound_, EXCESS_FLOOR / EXCESS_WITHIN)
-                             : best_bound_ > 0.0 ? (best_value_ - best_bound_) / best_bound_ : best_value_ == 0.0 ? 0.0 : infinity;
+                             : best_bound_ > 0.0  ? (best_value_ - best_bound_) / best_bound_
+                             : best_value_ == 0.0 ? 0.0
+                                                  : infinity;
         return found >= BELOW ? found : infinity;
     }
 
@@ -409,22 +414,27 @@ private:
     }
 
     // Optimal where what is returned is: balanced, inside, its gap within the tolerance.
-    template <class R> Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call, double tolerance, const Record& record, double* prices) {
+    template <class R>
+    Code write_phi(PhiRows<R, D>& engine, Code code, const Call& call, double tolerance, const Record& record, double* prices) {
         for (int i = 0; i < count; ++i) best_[i] = narrow(engine.z[i]);
         best_residual_ = in_->rebalance(best_, unit_);
-        for (double part = 1e-15;; part = std::min(1.0, 4.0 * part)) {  // what rounding took outside goes back, on the way to the start
+        for (double part = 1e-15;;
+             part = std::min(1.0, 4.0 * part)) {  // what rounding took outside goes back, on the way to the start
             for (int i = 0; i < count; ++i) engine.z[i] = wide<R>(best_[i]);
             engine.evaluate();
             in_->rooms(best_, limits, room_, [&](int k) { return in_->bound[k]; });
             if ((least_of(room_) >= 0.0 && engine.value < infinity) || best_ == inside_) break;
             for (int i = 0; i < count; ++i)
-                for (int a = 0; a < D; ++a) best_[i][a] = part < 1.0 ? best_[i][a] + part * (inside_[i][a] - best_[i][a]) : inside_[i][a];
+                for (int a = 0; a < D; ++a)
+                    best_[i][a] = part < 1.0 ? best_[i][a] + part * (inside_[i][a] - best_[i][a]) : inside_[i][a];
             best_residual_ = grasp::size(in_->wrench_of(best_) + unit_);
         }
         best_value_ = double(engine.value), best_bound_ = double(engine.bound);
         for (int r = 0; r < 6; ++r) best_nu_[r] = -double(engine.proof.joint[r]);
-        for (int k = 0; k < int(engine.rows.own.size()); ++k) best_prices_[engine.rows.own[k].label] = double(engine.proof.own[k]);
-        for (int r = engine.rows.equal; r < engine.rows.joint; ++r) best_prices_[engine.rows.label[r]] = double(engine.proof.joint[r]);
+        for (int k = 0; k < int(engine.rows.own.size()); ++k)
+            best_prices_[engine.rows.own[k].label] = double(engine.proof.own[k]);
+        for (int r = engine.rows.equal; r < engine.rows.joint; ++r)
+            best_prices_[engine.rows.label[r]] = double(engine.proof.joint[r]);
         double force = 0.0;
         for (int i = 0; i < count; ++i) force = std::max(force, best_[i][0]);
         const bool good = least_of(room_) >= 0.0 && best_residual_ <= BALANCED * (force + grasp::size(unit_));

@@ -23,15 +23,16 @@ template <class T> inline std::array<T, 9> drive(const Vec3<T>& x, const Weights
     const T a = (u * u - t * t) * i, b = o * t * i, c = -u * o * i, d = (u * u - o * o) * i, e = -u * t * i, f = u * u * i;
     const T one = w.lambda * (a * b + b * d + c * e), two = w.lambda * (a * c + b * e + c * f);
     const T five = w.lambda * (b * c + d * e + e * f);
-    return {w.lambda * (a * a + b * b + c * c) - w.omega, one, two, one, w.lambda * (b * b + d * d + e * e) - w.omega, five,
-            two, five, w.lambda * (c * c + e * e + f * f) - w.omega};
+    return {w.lambda * (a * a + b * b + c * c) - w.omega, one,  two, one,
+            w.lambda * (b * b + d * d + e * e) - w.omega, five, two, five,
+            w.lambda * (c * c + e * e + f * f) - w.omega};
 }
 
 template <class V, int B> class Projection {
 public:
     using Field = typename Cones<V, B>::Field;
     static constexpr int W = width<V>;
-    static constexpr bool DENSE = B > 0 && W * B <= 4;  // where the product with -Pi is faster than the two with R
+    static constexpr bool DENSE = B > 0 && W* B <= 4;  // where the product with -Pi is faster than the two with R
 
     Projection(const Cones<V, B>& cones, Form form) : form_(form), count_(cones.count), spare_(cones.field()) {
         for (auto& row : rows_) row = cones.field();
@@ -79,7 +80,7 @@ private:
 
     Form form_;
     int count_;
-    Field rows_[6];               // R
+    Field rows_[6];  // R
     std::vector<Field> columns_;  // of -Pi or Q_bar
     std::vector<double> dense_, into_, out_;  // Q, vec(P^-1 W_i P^-1 - W_p), their product
     Field spare_;

@@ -56,15 +56,21 @@ template <class R, int D> struct Shape {
 
 // sum_i C_i z_i + g t = right (the first `equal` joint rows) or <= right (the other joint rows, and every row of one contact).
 template <class R, int D, int T> struct Rows {
-    struct Own { int contact; Tuple<R, D> row; Tuple<R, T> shared; R right; int label; };
+    struct Own {
+        int contact;
+        Tuple<R, D> row;
+        Tuple<R, T> shared;
+        R right;
+        int label;
+    };
     int count = 0, joint = 0, equal = 0;
-    int doubtful = -1;               // an equation that the contacts alone may not keep apart from the others, only with t
-    std::vector<Tuple<R, D>> columns;   // (N, joint) coefficients of the joint rows, contact by contact
+    int doubtful = -1;  // an equation that the contacts alone may not keep apart from the others, only with t
+    std::vector<Tuple<R, D>> columns;  // (N, joint) coefficients of the joint rows, contact by contact
     std::vector<Tuple<R, T>> coupling;  // (joint,)
-    std::vector<R> right;       // (joint,)
-    std::vector<Own> own;            // contact by contact; those of no contact (only t) last
-    std::vector<int> first;          // (N + 2,) own[first[i]] is the first of contact i
-    std::vector<int> label;          // (joint,) what a joint row is called, -1: an equation
+    std::vector<R> right;  // (joint,)
+    std::vector<Own> own;  // contact by contact; those of no contact (only t) last
+    std::vector<int> first;  // (N + 2,) own[first[i]] is the first of contact i
+    std::vector<int> label;  // (joint,) what a joint row is called, -1: an equation
 
     void add_joint(const std::vector<Tuple<R, D>>& row, const Tuple<R, T>& shared, int name) {
         coupling.push_back(shared), right.push_back(0.0), label.push_back(name);
@@ -89,7 +95,7 @@ private:
 
 // A point of the program's space, a direction or a right side.
 template <class R, int D, int T> struct Space {
-    std::vector<Tuple<R, D>> z;         // (N,)
+    std::vector<Tuple<R, D>> z;  // (N,)
     std::vector<R> own, joint;  // rows' multipliers, or what belongs to a row
     Tuple<R, T> t{};
 
@@ -105,13 +111,13 @@ template <class R, int D, int T> struct Space {
 //   e + F^T C^T dy = f.z,   g^T dy = f.t,   C F e + g dt - diagonal dy = f.rows         (dy: of own and joint rows alike)
 template <class R, int D, int T> class RowSystem {
 public:
-    std::vector<Shape<R, D>> shapes;                      // (N,)
+    std::vector<Shape<R, D>> shapes;  // (N,)
     std::vector<R> own_diagonal, joint_diagonal;  // >= 0; own > 0
 
     explicit RowSystem(const Rows<R, D, T>& rows)
         : shapes(rows.count), own_diagonal(rows.own.size()), joint_diagonal(rows.joint), own_(rows.own.size()),
-          blocks_(rows.count), turned_(rows.count * rows.joint), reduced_(rows.count * rows.joint), schur_(rows.joint * (rows.joint + 1) / 2),
-          coupled_(rows.joint), solved_(rows.joint) {}
+          blocks_(rows.count), turned_(rows.count * rows.joint), reduced_(rows.count * rows.joint),
+          schur_(rows.joint * (rows.joint + 1) / 2), coupled_(rows.joint), solved_(rows.joint) {}
 
     // False where the system is not positive definite in floating point.
     bool factor(const Rows<R, D, T>& rows) {
@@ -162,10 +168,12 @@ public:
         y = f.joint;
         for (int i = 0; i < rows.count; ++i) {
             Tuple<R, D> b = f.z[i];
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) add(shared, own_[k].weight * own_[k].forward(b, f.own[k]), own_[k].shared);
+            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
+                add(shared, own_[k].weight * own_[k].forward(b, f.own[k]), own_[k].shared);
             for (int r = 0; r < rows.joint; ++r) y[r] -= inner(reduced_[rows.joint * i + r], b);
         }
-        for (int k = rows.first[rows.count]; k < int(rows.own.size()); ++k) add(shared, f.own[k] / own_diagonal[k], rows.own[k].shared);
+        for (int k = rows.first[rows.count]; k < int(rows.own.size()); ++k)
+            add(shared, f.own[k] / own_diagonal[k], rows.own[k].shared);
         schur_solve(y);
         if constexpr (T > 0) {
             for (int r = 0; r < rows.joint; ++r) add(shared, y[r], coupled_[r]);
@@ -180,11 +188,13 @@ public:
             Tuple<R, D>&e = out.z[i], rest{};
             e = f.z[i];
             for (int r = 0; r < rows.joint; ++r) add(e, -y[r], turned_[rows.joint * i + r]);
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) out.own[k] = inner(own_[k].shared, shared) - own_[k].forward(e, f.own[k]);
+            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
+                out.own[k] = inner(own_[k].shared, shared) - own_[k].forward(e, f.own[k]);
             for (int j = 0; j < D; ++j)
                 for (int k = 0; k < T; ++k) e[j] -= block.l[D + k][j] * shared[k];
             block.backward(e);
-            for (int k = rows.first[i + 1] - 1; k >= rows.first[i]; --k) out.own[k] = own_[k].backward(rest, out.own[k]) / own_diagonal[k];
+            for (int k = rows.first[i + 1] - 1; k >= rows.first[i]; --k)
+                out.own[k] = own_[k].backward(rest, out.own[k]) / own_diagonal[k];
         }
         for (int k = rows.first[rows.count]; k < int(rows.own.size()); ++k)
             out.own[k] = (inner(rows.own[k].shared, shared) - f.own[k]) / own_diagonal[k];
@@ -204,7 +214,8 @@ public:
                 const Tuple<R, D>& row = rows.columns[rows.joint * i + r];
                 left.joint[r] -= inner(row, dz), add(pull, x.joint[r], row);
             }
-            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k) left.own[k] -= inner(rows.own[k].row, dz), add(pull, x.own[k], rows.own[k].row);
+            for (int k = rows.first[i]; k < rows.first[i + 1]; ++k)
+                left.own[k] -= inner(rows.own[k].row, dz), add(pull, x.own[k], rows.own[k].row);
             add(left.z[i], R(-1.0), x.z[i]), add(left.z[i], R(-1.0), shapes[i].transposed(pull));
         }
         for (int k = 0; k < int(rows.own.size()); ++k) {
@@ -226,7 +237,7 @@ private:
     // cancels however large the row is.
     struct Own {
         Tuple<R, D> p, beta, ratio;  // its number there, what of it joins the block's row, and old over new pivot
-        Tuple<R, T> shared;          // what is left for the shared variables, and its weight
+        Tuple<R, T> shared;  // what is left for the shared variables, and its weight
         R weight;
 
         // b: D^-1 L^-1 of the block's right side, without and then with this row's `right`; returns what is left of that
@@ -287,7 +298,7 @@ private:
     std::vector<Own> own_;
     std::vector<Block> blocks_;
     std::vector<Tuple<R, D>> turned_, reduced_;  // the joint rows (N, joint) in the blocks' coordinates, and L^-1 of them
-    std::vector<R> schur_;             // of the joint rows, factored: L below, 1 / D on the diagonal
+    std::vector<R> schur_;  // of the joint rows, factored: L below, 1 / D on the diagonal
     std::vector<Tuple<R, T>> coupled_, solved_;
     std::array<Tuple<R, T>, T> corner_;
 

@@ -148,9 +148,9 @@ private:
     struct Now {
         V v, step;
         V lever, free, pull, slope;  // k, 1 / psi_vv, psi_v / psi_vv, psi_v; psi the terms of torsion
-        V p, q;                      // 1 / (u - v), 1 / (u + v)
+        V p, q;  // 1 / (u - v), 1 / (u + v)
         V price;
-        Vec3<V> columns[6];          // G of the force with the torsion that follows it
+        Vec3<V> columns[6];  // G of the force with the torsion that follows it
     };
     Blocks<Contact, B> contacts_{};
     Blocks<Now, B> now_{};

@@ -123,8 +123,7 @@ protected:
 class alignas(64) Pipeline {
 public:
     static std::unique_ptr<Pipeline> make(const Contacts& nominal, const Options& options, const double* basis,
-                                          const double* frames, bool remembers, const double* reference,
-                                          const StepRule* flows);
+                                          const double* frames, bool remembers, const double* reference, const StepRule* flows);
     virtual ~Pipeline() = default;
     virtual Held& held() = 0;
     virtual const Contacts& contacts() const = 0;
@@ -314,8 +313,7 @@ private:
 
 template <class V, int B> class PipelineAny final : public Pipeline {
 public:
-    template <class... Arguments>
-    explicit PipelineAny(const Arguments&... arguments) : on_(arguments...) {}
+    template <class... Arguments> explicit PipelineAny(const Arguments&... arguments) : on_(arguments...) {}
     Held& held() override { return on_.held; }
     const Contacts& contacts() const override { return on_.contacts; }
     void reset() override { on_.reset(); }

@@ -7,9 +7,9 @@ namespace grasp {
 inline constexpr double FAR = 2.0;  // where carrying the combination to moved contacts makes Phi grow by more, the basis is old
 
 enum class Start {
-    combination,    // of the 12 offline optima (the paper, Sec. III)
-    given,          // a force as it is
-    tangent,        // a previous optimum: the change that is least in the Hessian of Phi, which follows it to first order
+    combination,  // of the 12 offline optima (the paper, Sec. III)
+    given,  // a force as it is
+    tangent,  // a previous optimum: the change that is least in the Hessian of Phi, which follows it to first order
     pseudoinverse,  // a previous optimum: the least change in force, G^+
 };
 
@@ -50,7 +50,7 @@ public:
     using Field = typename Cones<V, B>::Field;
     std::array<Field, 13> basis;  // argmin Phi for +e_1..+e_6, -e_1..-e_6 and for no wrench, cone coordinates
     Tangents<V, B> basis_tangents, tangents;  // those the basis is written in, and those of now
-    bool has_basis = false, moved = false;    // moved: the contacts are not those of the basis any more
+    bool has_basis = false, moved = false;  // moved: the contacts are not those of the basis any more
 
     explicit Starter(const Cones<V, B>& cones)
         : basis_tangents(cones), tangents(cones), there_(cones.field()), safe_(cones.field()), step_(cones.field()) {
