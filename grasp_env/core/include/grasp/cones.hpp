@@ -8,14 +8,15 @@ namespace grasp {
 
 // Constants of W contacts. Unused lanes hold a contact without effect: G = 0, weights 1, mask 0, force (1, 0, 0).
 template <class V> struct Block {
+    using S = Reduced<V>;
     Vec3<V> g[6], inverse[6];  // row r of G, and of (G^+)^T, unit frame
     V gjg[21];                 // G J G^T, J = diag(1, -1, -1)
     Vec3<V> scale, divisor;
     Weights<V> weights;
     V cost, mask;  // price of u in the sum of normal forces, 1 / mu; 1 for a contact
 
-    Vec3<V> transposed(const Vec6& n) const { return combined(g, n); }   // G^T n
-    Vec3<V> least(const Vec6& n) const { return combined(inverse, n); }  // G^+ n
+    Vec3<V> transposed(const Six<S>& n) const { return combined(g, n); }   // G^T n
+    Vec3<V> least(const Six<S>& n) const { return combined(inverse, n); }  // G^+ n
     // out += G x, lane by lane
     void add_wrench(const Vec3<V>& x, V (&out)[6]) const { add(g, x, out); }
 
@@ -24,14 +25,14 @@ template <class V> struct Block {
 #pragma GCC unroll 8
         for (int r = 0; r < 6; ++r) out[r] += dot(rows[r], x);
     }
-    [[gnu::always_inline]] static Vec3<V> combined(const Vec3<V>* rows, const Vec6& n) {
+    [[gnu::always_inline]] static Vec3<V> combined(const Vec3<V>* rows, const Six<S>& n) {
         const auto pair = [&](int r) { return all<V>(n[r]) * rows[r] + all<V>(n[r + 1]) * rows[r + 1]; };
         return pair(0) + pair(2) + pair(4);
     }
 };
 
-template <class V> inline Vec6 sums(const V (&a)[6]) {
-    Vec6 out;
+template <class V> inline Six<Reduced<V>> sums(const V (&a)[6]) {
+    Six<Reduced<V>> out;
 #pragma GCC unroll 8
     for (int r = 0; r < 6; ++r) out[r] = sum(a[r]);
     return out;
@@ -45,6 +46,7 @@ template <class V, int B> class Cones {
 public:
     static constexpr int W = width<V>;
     using Field = Blocks<Vec3<V>, B>;  // a triple per contact
+    using S = Reduced<V>;
     int count;
     UnitFrame unit;
     Blocks<Block<V>, B> blocks;
@@ -58,12 +60,13 @@ public:
         return out;
     }
 
-    void pack(const Contacts& c) {
+    // Of a register of problems: those of the problem in `lane`, as everywhere below.
+    void pack(const Contacts& c, int lane = 0) {
         const int size = 3 * count;
         unit = c.unit;
         for (int i = 0; i < W * int(blocks.size()); ++i) {
             auto& block = blocks[i / W];
-            const int n = i % W;
+            const int n = many<V> ? lane : i % W;
             const bool used = i < count;
             set(block.mask, n, used);
             set(block.cost, n, used ? 1.0 / c.divisor[3 * i] : 1.0);
@@ -83,19 +86,19 @@ public:
     }
 
     // (3N,) numbers into the lanes, and back
-    void load(const double* from, Field& x) const {
-        each([&](int b, int n, int at) {
+    void load(const double* from, Field& x, int lane = 0) const {
+        each(lane, [&](int b, int n, int at) {
             for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a]);
         });
     }
-    void store(const Field& x, double* to) const {
-        each([&](int b, int n, int at) {
+    void store(const Field& x, double* to, int lane = 0) const {
+        each(lane, [&](int b, int n, int at) {
             for (int a = 0; a < 3; ++a) to[at + a] = get(x[b][a], n);
         });
     }
     // the same of forces (normal, o, t) [N]
-    void load_force(const double* from, Field& x) const {
-        each([&](int b, int n, int at) {
+    void load_force(const double* from, Field& x, int lane = 0) const {
+        each(lane, [&](int b, int n, int at) {
             for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a] * get(blocks[b].scale[a], n));
         });
     }
@@ -108,11 +111,11 @@ public:
     }
 
     // +inf unless strictly inside every cone
-    template <class R = NoRows> double phi(const Field& x, const R& rows = {}) const {
+    template <class R = NoRows> S phi(const Field& x, const R& rows = {}) const {
         return phi_of(rows, 0.0, [&](int b) { return x[b]; });
     }
     // of x + alpha step
-    template <class R = NoRows> double phi_along(const Field& x, const Field& step, double alpha, const R& rows = {}) const {
+    template <class R = NoRows> S phi_along(const Field& x, const Field& step, const S& alpha, const R& rows = {}) const {
         return phi_of(rows, alpha, [&](int b) { return x[b] + all<V>(alpha) * step[b]; });
     }
     // the same with `part` of the price of squeezing
@@ -127,20 +130,20 @@ public:
         return sum(total);
     }
 
-    [[gnu::always_inline]] Vec6 wrench(const Field& x) const {  // G x
+    [[gnu::always_inline]] Six<S> wrench(const Field& x) const {  // G x
         V out[6] = {};
         for (int b = 0; b < int(blocks.size()); ++b) blocks[b].add_wrench(x[b], out);
         return sums(out);
     }
     // x -= G^+ (G x + w), w in the unit frame: balanced by the least change in force
-    void balance(Field& x, const Vec6& w) const { subtract(x, wrench(x) + w); }
+    void balance(Field& x, const Six<S>& w) const { subtract(x, wrench(x) + w); }
     // x -= G^+ missed
-    void subtract(Field& x, const Vec6& missed) const {
+    void subtract(Field& x, const Six<S>& missed) const {
         for (int b = 0; b < int(blocks.size()); ++b) x[b] -= blocks[b].least(missed);
     }
 
     // 1 / (largest step inside the cones); <= 0: all of the ray is inside
-    double reach(const Field& x, const Field& step) const {
+    S reach(const Field& x, const Field& step) const {
         V most{};
         for (int b = 0; b < int(blocks.size()); ++b) most = max(most, Boundary<V>(x[b]).per(step[b]));
         return largest(most);
@@ -157,19 +160,19 @@ public:
         for (int b = 0; b < int(blocks.size()); ++b) total += abs(x[b].u) + abs(x[b].o) + abs(x[b].t);
         return sum(total) < LARGEST;
     }
-    double largest_normal(const Field& x) const {  // |u|
+    S largest_normal(const Field& x) const {  // |u|
         V most{};
         for (int b = 0; b < int(blocks.size()); ++b) most = max(most, blocks[b].mask * abs(x[b].u));
         return largest(most);
     }
 
     // Dual value at nu (unit frame): a lower bound of min Phi that needs no trust in the iterations; -inf: none.
-    template <class R = NoRows> double lower_bound(const Vec6& nu, const Vec6& w, const R& rows = {}) const {
+    template <class R = NoRows> S lower_bound(const Six<S>& nu, const Six<S>& w, const R& rows = {}) const {
         return bound(nu, w, rows, [&](const Vec3<V>& y, int b, V& room) { return dual(y, blocks[b].weights, room); });
     }
     // The same in half the time where x is close to the optimum.
     template <class R = NoRows>
-    double lower_bound(const Vec6& nu, const Vec6& w, const Field& x, double tight, const R& rows = {}) const {
+    S lower_bound(const Six<S>& nu, const Six<S>& w, const Field& x, double tight, const R& rows = {}) const {
         return bound(nu, w, rows,
                      [&](const Vec3<V>& y, int b, V& room) { return dual_near(y, blocks[b].weights, x[b], tight, room); });
     }
@@ -201,12 +204,13 @@ private:
     static constexpr double INSIDE = 1.0 - 1e-13;  // of the way to the surface of the dual cones: beyond it rounding decides
     int needed() const { return (count + W - 1) / W; }
 
-    template <class F> void each(F&& f) const {
+    // f(block, lane, first number) for every contact
+    template <class F> void each(int lane, F&& f) const {
         for (int b = 0; b < int(blocks.size()); ++b)
-            for (int n = 0; n < W && W * b + n < count; ++n) f(b, n, 3 * (W * b + n));
+            for (int n = 0; n < W && W * b + n < count; ++n) f(b, many<V> ? lane : n, 3 * (W * b + n));
     }
     template <class R, class F, class... Part>
-    double phi_of(const R& rows, [[maybe_unused]] double alpha, F&& at, Part... part) const {
+    S phi_of(const R& rows, [[maybe_unused]] const S& alpha, F&& at, Part... part) const {
         V total{}, room = all<V>(infinity);
         for (int b = 0; b < int(blocks.size()); ++b) {
             const Vec3<V> x = at(b);
@@ -215,10 +219,10 @@ private:
             total += blocks[b].mask * term;
             room = min(room, min(x.u, lorentz(x, x)));
         }
-        const double value = sum(total);
-        return least(room) > 0.0 && value == value ? value : infinity;
+        const S value = sum(total);
+        return select((least(room) > 0.0) & (value == value), value, S(infinity));
     }
-    template <class R, class F> double bound(const Vec6& nu, const Vec6& w, [[maybe_unused]] const R& rows, F&& least_of) const {
+    template <class R, class F> S bound(const Six<S>& nu, const Six<S>& w, [[maybe_unused]] const R& rows, F&& least_of) const {
         V total{}, smallest = all<V>(infinity);
         for (int b = 0; b < int(blocks.size()); ++b) {
             V room;
@@ -230,8 +234,8 @@ private:
             total += blocks[b].mask * part;
             smallest = min(smallest, room);
         }
-        const double value = sum(total) - dot(nu, w);
-        return least(smallest) > 0.0 && value == value ? value : -infinity;
+        const S value = sum(total) - dot(nu, w);
+        return select((least(smallest) > 0.0) & (value == value), value, S(-infinity));
     }
 };
 

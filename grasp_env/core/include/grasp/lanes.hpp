@@ -1,4 +1,5 @@
-// Lanes: W contacts in one vector register, with the operators of numbers; a double is the register of one lane.
+// Registers with the operators of numbers: `Lanes` of W contacts of one problem (a double is the register of one), `Each` of one
+// contact of W problems.
 #pragma once
 #include <array>
 #include <limits>
@@ -20,19 +21,31 @@ template <int W> struct LaneType { typedef double type __attribute__((vector_siz
 template <> struct LaneType<1> { typedef double type; };
 template <int W> using Lanes = typename LaneType<W>::type;
 template <class V> inline constexpr int width = int(sizeof(V) / sizeof(double));
+template <int W> struct Each;
+template <class V> inline constexpr bool many = false;  // problems in a register
+template <int W> inline constexpr bool many<Each<W>> = true;
+template <int W> inline constexpr int width<Each<W>> = 1;  // contacts in it
 inline constexpr double infinity = std::numeric_limits<double>::infinity();
 
+template <class V> inline V select(const decltype(V{} < V{})& which, const V& a, const V& b) { return which ? a : b; }
 template <class V> inline V all(double a) { return V{} + a; }
+template <class V> inline V all(const V& a)
+    requires many<V>
+{
+    return a;
+}
 template <class V> inline V min(V a, V b) { return a < b ? a : b; }
 template <class V> inline V max(V a, V b) { return a > b ? a : b; }
 template <class V> inline V abs(V a) { return max(a, -a); }
 
 template <class V> inline double get(const V& a, int n) {
-    if constexpr (width<V> == 1) return a;
+    if constexpr (many<V>) return a.lanes[n];
+    else if constexpr (width<V> == 1) return a;
     else return a[n];
 }
 template <class V> inline void set(V& a, int n, double value) {
-    if constexpr (width<V> == 1) a = value;
+    if constexpr (many<V>) a.lanes[n] = value;
+    else if constexpr (width<V> == 1) a = value;
     else a[n] = value;
 }
 template <class V> inline V sqrt(V a) {
@@ -45,8 +58,38 @@ template <class V> inline V sqrt(V a) {
     }
 }
 
+// W problems side by side, a contact of each at a time: what is summed or compared over the contacts of a `Lanes` stays apart.
+template <int W> struct Each {
+    using Register = Lanes<W>;
+    using Mask = decltype(Register{} < Register{});  // of problems
+    Register lanes;
+
+    Each() = default;
+    Each(double a) : lanes(Register{} + a) {}
+    Each(const Register& lanes) : lanes(lanes) {}
+
+    friend Each operator+(const Each& a, const Each& b) { return a.lanes + b.lanes; }
+    friend Each operator-(const Each& a, const Each& b) { return a.lanes - b.lanes; }
+    friend Each operator-(const Each& a) { return -a.lanes; }
+    friend Each operator*(const Each& a, const Each& b) { return a.lanes * b.lanes; }
+    friend Each operator/(const Each& a, const Each& b) { return a.lanes / b.lanes; }
+    Each& operator+=(const Each& b) { return *this = *this + b; }
+    Each& operator-=(const Each& b) { return *this = *this - b; }
+    Each& operator*=(const Each& b) { return *this = *this * b; }
+    friend Mask operator<(const Each& a, const Each& b) { return a.lanes < b.lanes; }
+    friend Mask operator>(const Each& a, const Each& b) { return a.lanes > b.lanes; }
+    friend Mask operator<=(const Each& a, const Each& b) { return a.lanes <= b.lanes; }
+    friend Mask operator>=(const Each& a, const Each& b) { return a.lanes >= b.lanes; }
+    friend Mask operator==(const Each& a, const Each& b) { return a.lanes == b.lanes; }
+    friend Mask operator!=(const Each& a, const Each& b) { return a.lanes != b.lanes; }
+    friend Each select(const Mask& which, const Each& a, const Each& b) { return which ? a.lanes : b.lanes; }
+    friend Each min(const Each& a, const Each& b) { return select(a < b, a, b); }
+    friend Each max(const Each& a, const Each& b) { return select(a > b, a, b); }
+    friend Each sqrt(const Each& a) { return sqrt(a.lanes); }
+};
+
 // Reductions over the lanes, as a tree.
-template <class V, class F> inline double reduce(V a, F pair) {
+template <class V, class F> inline auto reduce(V a, F pair) {
     if constexpr (width<V> == 1) return a;
     else if constexpr (width<V> == 2) return pair(a[0], a[1]);
     else if constexpr (width<V> == 4)
@@ -64,6 +107,17 @@ template <class V> inline double least(V a) {
 }
 template <class V> inline double largest(V a) {
     return reduce(a, [](auto p, auto q) { return max(p, q); });
+}
+
+template <int W> inline const Each<W>& sum(const Each<W>& a) { return a; }
+template <int W> inline const Each<W>& least(const Each<W>& a) { return a; }
+template <int W> inline const Each<W>& largest(const Each<W>& a) { return a; }
+// What is left of a register when its contacts are reduced: one number, or one for each problem.
+template <class V> using Reduced = std::remove_cvref_t<decltype(sum(V{}))>;
+
+inline bool any(bool which) { return which; }
+template <class M> inline bool any(const M& which) {
+    return reduce(which, [](auto p, auto q) { return p | q; }) != 0;
 }
 
 // B registers' worth of T, or as many as the contacts need where B = 0.

@@ -6,44 +6,52 @@
 
 namespace grasp {
 
-using Vec6 = std::array<double, 6>;
+template <class S> using Six = std::array<S, 6>;
+using Vec6 = Six<double>;
 
-inline Vec6 operator+(Vec6 a, const Vec6& b) {
+template <class S> inline Six<S> operator+(Six<S> a, const Six<S>& b) {
     for (int r = 0; r < 6; ++r) a[r] += b[r];
     return a;
 }
-inline Vec6 operator-(Vec6 a, const Vec6& b) {
+template <class S> inline Six<S> operator-(Six<S> a, const Six<S>& b) {
     for (int r = 0; r < 6; ++r) a[r] -= b[r];
     return a;
 }
-inline Vec6 operator*(double k, Vec6 a) {
+template <class S> inline Six<S> operator*(const std::type_identity_t<S>& k, Six<S> a) {
     for (int r = 0; r < 6; ++r) a[r] *= k;
     return a;
 }
-inline double dot(const Vec6& a, const Vec6& b) {
-    double total = 0.0;
+template <class S> inline S dot(const Six<S>& a, const Six<S>& b) {
+    S total{};
     for (int r = 0; r < 6; ++r) total += a[r] * b[r];
     return total;
 }
 // Largest magnitude.
-inline double size(const Vec6& a) {
-    double most = 0.0;
-    for (double v : a) most = std::abs(v) <= most ? most : std::abs(v);  // keeps what is not a number
+template <class S> inline S size(const Six<S>& a) {
+    S most{};
+    for (const S& v : a) most = select(abs(v) <= most, most, abs(v));  // keeps what is not a number
     return most;
 }
 
-constexpr int packed(int r, int s) { return r * (r + 1) / 2 + s; }
-using Packed6 = std::array<double, 21>;
+// Entry by entry.
+template <class S, class Which> inline Six<S> select(const Which& which, Six<S> a, const Six<S>& b) {
+    for (int r = 0; r < 6; ++r) a[r] = select(which, a[r], b[r]);
+    return a;
+}
 
-struct Ldl6 {
-    Packed6 l;  // L below, 1 / D on the diagonal
+constexpr int packed(int r, int s) { return r * (r + 1) / 2 + s; }
+template <class S> using Packed = std::array<S, 21>;
+using Packed6 = Packed<double>;
+
+template <class S> struct Ldl {
+    Packed<S> l;  // L below, 1 / D on the diagonal
 
     // Factors a packed lower triangle; returns the least pivot: positive where the matrix is positive definite.
-    double factor(const Packed6& s) {
-        double smallest = infinity;
+    S factor(const Packed<S>& s) {
+        S smallest = infinity;
 #pragma GCC unroll 8
         for (int j = 0; j < 6; ++j) {
-            double c[6], d = s[packed(j, j)];
+            S c[6], d = s[packed(j, j)];
 #pragma GCC unroll 8
             for (int k = 0; k < j; ++k) {
                 c[k] = s[packed(j, k)];
@@ -53,12 +61,12 @@ struct Ldl6 {
                 d -= c[k] * l[packed(j, k)];
             }
             l[packed(j, j)] = 1.0 / d;
-            smallest = d < smallest || d != d ? d : smallest;
+            smallest = select((d < smallest) | (d != d), d, smallest);
         }
         return smallest;
     }
 
-    Vec6 solve(Vec6 b) const {
+    Six<S> solve(Six<S> b) const {
 #pragma GCC unroll 8
         for (int j = 1; j < 6; ++j)
 #pragma GCC unroll 8
@@ -72,5 +80,6 @@ struct Ldl6 {
         return b;
     }
 };
+using Ldl6 = Ldl<double>;
 
 }  // namespace grasp

@@ -9,6 +9,33 @@ namespace grasp {
 // Parts of the way to the boundary that a step goes at most: with the shorter one it takes a fifth fewer steps.
 inline constexpr double SHORT = 0.7, LONG = 0.95;
 
+// The rules of a descent, for one problem and for a register of them.
+template <class S> struct Rules {
+    static constexpr int HALVINGS = 60;
+    static constexpr double SHORTEST = 1e-10;  // a step moves x by at least this part of its length
+    static constexpr double BELOW = -1e-9;  // rounding by which Phi may fall short of its bound
+
+    // Whether a value of Phi is certified by a lower bound. Far below it is a force that misses balance: steps restore that.
+    static auto certified(const S& value, const S& bound, double tolerance) {
+        const S above = value - bound;
+        return (bound > 0.0) & (above <= tolerance * bound) & (above >= BELOW * bound);
+    }
+    // Whether alpha of a step takes Phi down from `value` to `found`; `flat`: as far as rounding can tell.
+    static auto falls(const S& found, const S& value, const S& alpha, const S& decrement) {
+        return found < value - 1e-4 * alpha * decrement;
+    }
+    static auto flat(const S& value, const S& decrement) { return decrement < 1e-9 * value; }
+    // Whether the decrement promises the tolerance: Phi - min Phi is half of it to third order. A bound costs a quarter of an
+    // iteration, so it waits for that.
+    static auto close(const S& value, const S& decrement, double tolerance) { return decrement < 4.0 * tolerance * value; }
+    // Whether a step is small, so that its multipliers certify where a whole one went to, without another system.
+    static auto small(const S& value, const S& decrement, double tolerance) { return decrement < std::sqrt(tolerance) * value; }
+    // How near the end of an `Inner` iteration must be, see `dual_near`.
+    static double tight(double tolerance) { return std::min(1e-2, 0.1 * std::sqrt(std::sqrt(tolerance))); }
+    // alpha of a step that goes `fraction` of the way to the boundary
+    static S longest(const S& reach, double fraction) { return min(S(1.0), fraction / max(reach, S(1e-300))); }
+};
+
 struct Options {
     double tolerance = 1e-4;  // relative certified gap
     int limit = 20000;        // most accepted steps
@@ -23,6 +50,14 @@ struct Call {
     double optimum = std::numeric_limits<double>::quiet_NaN();  // a known min Phi to take the gap to, instead of the bound
     double* trace = nullptr;                                    // receives Phi of iterates 0 .. traced - 1
     int traced = 0;
+};
+
+// How far a descent has come.
+struct Progress {
+    double value, bound;
+    bool known = false;  // whether the bound is an optimum that the caller knows
+    int iterations = 0, trials = 0;
+    Vec6 nu{};
 };
 
 inline bool sane_wrench(const double* wrench) {
@@ -131,58 +166,41 @@ public:
         return balance_inside(plain) || balance_inside(careful);
     }
 
+    // What is claimed of x is checked of the force that is returned: balance, cones, gap.
+    Code finish(Code code, const Field& safe, const Call& call, const Vec6& w, const Progress& at, const Record& record) {
+        Summary& s = record.summary();
+        const Vec6 left = turned(w);
+        if (at.iterations > 0) cones.balance(x, left);  // what rounding left of G x + w
+        cones.certify(x, left, record);
+        if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual)) && !Rows::turns) mend(safe, w, record);
+        s.objective = cones.phi(x, rows), s.lower_bound = at.bound, s.multipliers = cones.unit.pull_back(at.nu);
+        if (std::abs(s.objective - at.value) <= ROUNDED * at.value) s.objective = at.value;
+        if (!cones.balanced(x, w, s.residual) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
+        s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.limit_excess = 0.0;
+        std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
+        if constexpr (Rows::turns) rows.store(cones, record.torsion());
+        else std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
+        return code;
+    }
+
 private:
-    static constexpr int REFINEMENTS = 3, HALVINGS = 60;
+    using By = Rules<double>;
+    static constexpr int REFINEMENTS = 3;
     static constexpr int PATIENCE = Rows::any ? 80 : 40;  // whole descents take half, unless they crawl along a surface
     static constexpr int LONGEST = 400;        // the same along the central path: 40 but where hardly any force is inside
     static constexpr double AHEAD = 3.0;       // times the part of the price to which x is nearest
-    static constexpr double MISSES = 1e-13;    // a step that misses balance by less than this part of Phi needs no refinement
     static constexpr double ROUNDED = 1e-13;   // part of Phi
-    static constexpr double SHORTEST = 1e-10;  // a step moves x by at least this part of its length
-    static constexpr double BELOW = -1e-9;     // rounding by which Phi may fall short of its bound
     static constexpr double MISSED = 1e-8;     // part of wrench and force by which a given start may miss balance
     Field step_, begun_, best_, centring_;
 
-    struct Direction { double decrement, reach; };  // squared Newton decrement, 1 / (largest step inside the cones)
-
-    // Forces at very different depths in their cones make S ill-conditioned: what the step misses of balance is taken off, in the
-    // metric of Phi while it is large (a few digits a time), then by the least change.
-    Direction find_step(const Vec6& nu, const Vec6& left, double value) {
-        Vec6 missed = left + direction(nu);
-        for (int round = 0; round < REFINEMENTS && size(missed) > MISSES * value; ++round) missed = left + restored(missed);
-        V decrement{}, reach{};
-        for (int b = 0; b < int(x.size()); ++b) {
-            const auto& c = cones.blocks[b];
-            step_[b] -= c.least(missed);
-            if constexpr (Rows::any) rows.follow(b, step_[b]);
-            decrement -= dot(step_[b], system.gradient[b]);
-            reach = max(reach, Boundary<V>(x[b]).per(step_[b]));
-            if constexpr (Rows::turns) decrement -= rows.slope(b, step_[b]), reach = max(reach, rows.reach(b, step_[b]));
-        }
-        return {sum(decrement), largest(reach)};
+    typename System<V, B>::Step find_step(const Vec6& nu, const Vec6& left, double value) {
+        return system.step(cones, x, nu, left, value, step_, rows);
     }
 
-    Vec6 direction(const Vec6& nu) {
-        if constexpr (Rows::turns) return system.direction(cones, nu, step_, rows);
-        else return system.direction(cones, nu, step_);
-    }
-    Vec6 restored(const Vec6& missed) {
-        if constexpr (Rows::turns) return system.restore(cones, missed, step_, rows);
-        else return system.restore(cones, missed, step_);
-    }
-
-    // How far a descent has come.
-    struct Progress {
-        double value, bound;
-        bool known;  // whether the bound is an optimum that the caller knows
-        int iterations = 0, trials = 0;
-        Vec6 nu{};
-    };
-
-    // far below its bound is a force that misses balance: steps restore it
     bool certified(double value, const Progress& at) const {
-        const double above = value - at.bound;
-        const bool closed = at.bound > 0.0 && above <= options.tolerance * at.bound && (at.known || above >= BELOW * at.bound);
+        const double tolerance = options.tolerance;
+        const bool closed =
+            at.known ? at.bound > 0.0 && value - at.bound <= tolerance * at.bound : By::certified(value, at.bound, tolerance);
         if constexpr (Rows::any) return closed && rows.within(x);
         else return closed;
     }
@@ -208,7 +226,7 @@ private:
 
     // Damped Newton from x, its system factored as it is: where forces exceed their distance to the cones by 1e4 digits are lost.
     [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, Progress& at, double fraction, bool leaping) {
-        const double tolerance = options.tolerance, tight = std::min(1e-2, 0.1 * std::sqrt(std::sqrt(tolerance)));
+        const double tolerance = options.tolerance, tight = By::tight(tolerance);
         for (;; ++at.iterations) {
             if (at.iterations < call.traced) call.trace[at.iterations] = at.value;
             if (!assemble()) return STALLED;
@@ -232,20 +250,18 @@ private:
                 if (now == Verdict::hopeless) return INFEASIBLE;
                 if (now != Verdict::on) return STALLED;
             }
-            // Phi - min Phi is half the squared decrement to third order: the bound costs a quarter of an iteration, so it waits
-            if (!at.known && (decrement < 4.0 * tolerance * at.value || at.iterations >= options.limit))
+            if (!at.known && (By::close(at.value, decrement, tolerance) || at.iterations >= options.limit))
                 at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
             if (certified(at.value, at)) return CONVERGED;
             if (at.iterations >= options.limit) return LIMIT;
             if (at.iterations >= PATIENCE) return STALLED;
-            double alpha = reach > 0.0 ? std::min(1.0, fraction / reach) : 1.0;
+            double alpha = By::longest(reach, fraction);
             if (!search(at.value, decrement, alpha, at.trials, [&] { return cones.phi_along(x, step_, alpha, rows); })) {
                 if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
                 return certified(at.value, at) ? CONVERGED : STALLED;
             }
             move(alpha);
-            // the multipliers belong to where the step went: where it was a small whole one, they certify that without a system
-            if (alpha == 1.0 && decrement < std::sqrt(tolerance) * at.value) {
+            if (alpha == 1.0 && By::small(at.value, decrement, tolerance)) {
                 if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, x, tight, rows));
                 if (certified(at.value, at)) {
                     if (++at.iterations < call.traced) call.trace[at.iterations] = at.value;
@@ -313,7 +329,7 @@ private:
         double low = std::min(nearest, 1.0), high = std::min(AHEAD * nearest, 1.0);
         if (reach(high) <= LONG) return high;
         if (reach(low) > LONG) return low;
-        for (int round = 0; round < HALVINGS; ++round) {
+        for (int round = 0; round < By::HALVINGS; ++round) {
             const double middle = std::sqrt(low * high), found = reach(middle);
             (found <= LONG ? low : high) = middle;
             if (found <= LONG && found > 0.8 * LONG) break;
@@ -321,22 +337,6 @@ private:
         return low;
     }
 
-    // What is claimed of x is checked of the force that is returned: balance, cones, gap.
-    Code finish(Code code, const Field& safe, const Call& call, const Vec6& w, const Progress& at, const Record& record) {
-        Summary& s = record.summary();
-        const Vec6 left = turned(w);
-        if (at.iterations > 0) cones.balance(x, left);  // what rounding left of G x + w
-        cones.certify(x, left, record);
-        if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual)) && !Rows::turns) mend(safe, w, record);
-        s.objective = cones.phi(x, rows), s.lower_bound = at.bound, s.multipliers = cones.unit.pull_back(at.nu);
-        if (std::abs(s.objective - at.value) <= ROUNDED * at.value) s.objective = at.value;
-        if (!cones.balanced(x, w, s.residual) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
-        s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.limit_excess = 0.0;
-        std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
-        if constexpr (Rows::turns) rows.store(cones, record.torsion());
-        else std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
-        return code;
-    }
     // What misses balance is balanced; what rounding took out of a cone goes back, on the way to `safe`.
     [[gnu::cold, gnu::noinline]] void mend(const Field& safe, const Vec6& w, const Record& record) {
         cones.balance(x, w);
@@ -347,14 +347,14 @@ private:
 
     // Halves alpha until what `along` it falls, and with it `value`; false where no step that moves x does.
     template <class F> bool search(double& value, double decrement, double& alpha, int& trials, F&& along) {
-        for (int halving = 0; halving < HALVINGS; ++halving, alpha *= 0.5) {
+        for (int halving = 0; halving < By::HALVINGS; ++halving, alpha *= 0.5) {
             ++trials;
             const double found = along();
-            const bool falls = found < value - 1e-4 * alpha * decrement, flat = decrement < 1e-9 * value;
+            const bool falls = By::falls(found, value, alpha, decrement), flat = By::flat(value, decrement);
             if (falls || (flat && found <= value)) {
                 // far from the optimum steps are as long as Phi is straight: what counts is how far x moves
                 const bool suspect = flat || halving > 0;
-                if (suspect && !(alpha * cones.largest_normal(step_) > SHORTEST * cones.largest_normal(x))) return false;
+                if (suspect && !(alpha * cones.largest_normal(step_) > By::SHORTEST * cones.largest_normal(x))) return false;
                 value = found;
                 return true;
             }

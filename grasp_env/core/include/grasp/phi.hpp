@@ -135,7 +135,7 @@ template <class T> inline T dual_near(const Vec3<T>& y, const Weights<T>& w, con
     const T last = inner.change(r);
     r -= last;
     const T part = last / r, part2 = part * part;
-    room = abs(last) < tight * r ? inner.low : all<T>(-1.0);
+    room = select(abs(last) < tight * r, inner.low, all<T>(-1.0));
     return (1.0 - 0.25 * part2 * part2) * inner.value(r, w);  // r is off by the square of `last`, the value by the square of that
 }
 

@@ -7,20 +7,21 @@ namespace grasp {
 template <class V, int B> class System {
 public:
     using Field = typename Cones<V, B>::Field;
+    using S = Reduced<V>;
     Field gradient;
     Blocks<Sym3<V>, B> inverse;  // H^-1
-    Ldl6 schur;                  // S = G H^-1 G^T, factored
-    Vec6 pull{}, made{};         // G H^-1 grad and G x
+    Ldl<S> schur;                  // S = G H^-1 G^T, factored
+    Six<S> pull{}, made{};         // G H^-1 grad and G x
 
     explicit System(const Cones<V, B>& cones) : gradient(cones.field()) { resize(inverse, cones.blocks.size()); }
 
     // All of it at x; false where S is not positive definite in floating point.
-    bool assemble(const Cones<V, B>& cones, const Field& x) {
+    auto assemble(const Cones<V, B>& cones, const Field& x) {
         return assemble(cones, x, [](int, Vec3<V>&, Sym3<V>&) {});
     }
     // With other terms of the objective: more(b, gradient, inverse) adds those of block b. Where rows turn, their own variables
     // are eliminated: `SoftTerms`.
-    template <class F, class R = NoRows> bool assemble(const Cones<V, B>& cones, const Field& x, F&& more, const R& rows = {}) {
+    template <class F, class R = NoRows> auto assemble(const Cones<V, B>& cones, const Field& x, F&& more, const R& rows = {}) {
         V s[21] = {}, q[6] = {}, l[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             const auto& c = cones.blocks[b];
@@ -38,7 +39,7 @@ public:
                 for (int k = 0; k <= r; ++k) s[packed(r, k)] += dot(hg, g[k]);
             }
         }
-        Packed6 lower;
+        Packed<S> lower;
 #pragma GCC unroll 32
         for (int k = 0; k < 21; ++k) lower[k] = sum(s[k]);
         pull = sums(q), made = sums(l);
@@ -46,16 +47,16 @@ public:
     }
 
     // Multipliers of the step from an x that misses balance by `left` = G x + w: S nu = G H^-1 grad - left.
-    Vec6 multipliers(const Vec6& left) const { return schur.solve(pull - left); }
+    Six<S> multipliers(const Six<S>& left) const { return schur.solve(pull - left); }
 
     // step = H^-1 (G^T nu - grad); returns G step
-    Vec6 direction(const Cones<V, B>& cones, const Vec6& nu, Field& step) const {
+    Six<S> direction(const Cones<V, B>& cones, const Six<S>& nu, Field& step) const {
         NoRows none;
         return direction(cones, nu, step, none);
     }
     // with the step of rows that turn
     template <class R>
-    [[gnu::always_inline]] Vec6 direction(const Cones<V, B>& cones, const Vec6& nu, Field& step, R& rows) const {
+    [[gnu::always_inline]] Six<S> direction(const Cones<V, B>& cones, const Six<S>& nu, Field& step, R& rows) const {
         V moved[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             const Vec3<V>* g = columns(cones, rows, b);
@@ -66,15 +67,40 @@ public:
         return sums(moved);
     }
 
+    struct Step { S decrement, reach; };  // squared Newton decrement, 1 / (largest step inside the cones)
+
+    // The Newton step at x, where Phi is `value`, with multipliers nu; x misses balance by `left`. Forces at very different depths
+    // in their cones make S ill-conditioned: what the step misses of balance is taken off, in the metric of Phi while it is large
+    // (a few digits a time), then by the least change.
+    template <class R> Step step(const Cones<V, B>& cones, const Field& x, const Six<S>& nu, const Six<S>& left, const S& value,
+                                 Field& step, R& rows) const {
+        Six<S> missed = left + direction(cones, nu, step, rows);
+        for (int round = 0; round < REFINEMENTS; ++round) {
+            const auto rough = size(missed) > MISSES * value;
+            if (!any(rough)) break;
+            missed = left + restore(cones, select(rough, missed, Six<S>{}), step, rows);
+        }
+        V decrement{}, reach{};
+        for (int b = 0; b < int(x.size()); ++b) {
+            const auto& c = cones.blocks[b];
+            step[b] -= c.least(missed);
+            if constexpr (R::any) rows.follow(b, step[b]);
+            decrement -= dot(step[b], gradient[b]);
+            reach = max(reach, Boundary<V>(x[b]).per(step[b]));
+            if constexpr (R::turns) decrement -= rows.slope(b, step[b]), reach = max(reach, rows.reach(b, step[b]));
+        }
+        return {sum(decrement), largest(reach)};
+    }
+
     // x -= H^-1 G^T S^-1 missed: balance restored by the change that is least in the Hessian; returns G x
-    Vec6 restore(const Cones<V, B>& cones, const Vec6& missed, Field& x) const {
+    Six<S> restore(const Cones<V, B>& cones, const Six<S>& missed, Field& x) const {
         NoRows none;
         return restore(cones, missed, x, none);
     }
     // the same of a step, x, and that of rows that turn
     template <class R>
-    [[gnu::always_inline]] Vec6 restore(const Cones<V, B>& cones, const Vec6& missed, Field& x, R& rows) const {
-        const Vec6 n = schur.solve(missed);
+    [[gnu::always_inline]] Six<S> restore(const Cones<V, B>& cones, const Six<S>& missed, Field& x, R& rows) const {
+        const Six<S> n = schur.solve(missed);
         V moved[6] = {};
         for (int b = 0; b < int(cones.blocks.size()); ++b) {
             const Vec3<V> change = inverse[b] * Block<V>::combined(columns(cones, rows, b), n);
@@ -86,6 +112,9 @@ public:
     }
 
 private:
+    static constexpr int REFINEMENTS = 3;
+    static constexpr double MISSES = 1e-13;  // a step that misses balance by less than this part of Phi needs no refinement
+
     template <class R>
     [[gnu::always_inline]] static const Vec3<V>* columns(const Cones<V, B>& cones, [[maybe_unused]] const R& rows, int b) {
         if constexpr (R::turns) return rows.columns(b);
