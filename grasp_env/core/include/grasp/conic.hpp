@@ -42,44 +42,11 @@ template <class T> struct Scaling {
     }
 };
 
-template <class V, int B> class ConicOn {
+// The iterate and its steps, of one problem or a register of them.
+template <class V, int B> class ConicSteps {
 public:
+    using S = Reduced<V>;
     using Field = typename Cones<V, B>::Field;
-    Options options;
-    Cones<V, B> cones;
-    Field rest;  // an internal force strictly inside the cones: what a start squeezes with
-
-    ConicOn(int count, const Options& options)
-        : options(options), cones(count), rest(cones.field()), force_(cones.field()), first_(cones.field()),
-          qr_(int(cones.blocks.size())), fitted_(qr_.rows()) {
-        resize(at_, cones.blocks.size());
-    }
-
-    Code solve(const double* wrench, const Record& record) {
-        record.clear();
-        Summary& out = record.summary();
-        out.code = REFUSED;
-        if (!sane_wrench(wrench) || !cones.sane(rest) || !(cones.margin(rest) > 0.0)) return REFUSED;
-        std::copy(wrench, wrench + 6, out.wrench.begin());
-        const Vec6 unit = cones.unit.of(wrench);
-        const double scale = size(unit);
-        if (scale < NOTHING) {  // no force is needed, and none is less
-            out.code = CONVERGED, out.residual = scale;
-            return CONVERGED;
-        }
-        const Vec6 minus = (-1.0 / scale) * unit;
-        Code code = descend<false>(unit, minus, scale, record);
-        if (code == STALLED) {  // S has lost its digits
-            const double tried = out.iterations;
-            code = descend<true>(unit, minus, scale, record);
-            out.trials += tried;
-        }
-        return code;
-    }
-
-private:
-    static constexpr double STEP = 0.995;  // the largest part of the way to the boundary
-
     struct At {
         Vec3<V> x, s;  // primal and dual slack
         Scaling<V> m;
@@ -89,64 +56,236 @@ private:
 
         Boundary<V> boundary() const { return {l, m.root, share}; }  // l . J l = s . J s
     };
-    Blocks<At, B> at_;
+    Cones<V, B> cones;
+    Field rest;  // an internal force strictly inside the cones: what a start squeezes with
+    Blocks<At, B> at;
+    S gap{}, price{};
+    Six<S> y{};
+    Ldl<S> schur;
+
+    explicit ConicSteps(int count) : cones(count), rest(cones.field()) { resize(at, cones.blocks.size()); }
+    int blocks() const { return int(at.size()); }
+
+    // x = -G^+ w + k rest with k beyond what the triangle inequality asks, s = c
+    void start(const Six<S>& minus) {
+        V squeeze = all<V>(1e-6), cost{};
+        for (int b = 0; b < blocks(); ++b) {
+            at[b].x = cones.blocks[b].least(minus);
+            squeeze = max(squeeze, -slack(at[b].x) / slack(rest[b]));
+        }
+        const V k = all<V>(1.3 * largest(squeeze));
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            at[b].x += k * rest[b];
+            at[b].first = at[b].x;
+            at[b].s = {c.cost, V{}, V{}};
+            cost += c.mask * c.cost * at[b].x.u;
+        }
+        gap = price = sum(cost), y = {};
+    }
+
+    // S = sum eta (2 (G v)(G v)^T - G J G^T), factored; returns its least pivot
+    S system() {
+        V s[21] = {};
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            const auto& m = at[b].m = Scaling<V>(at[b].x, at[b].s);
+            V g[6];
+#pragma GCC unroll 8
+            for (int r = 0; r < 6; ++r) g[r] = dot(c.g[r], m.v);
+#pragma GCC unroll 8
+            for (int r = 0; r < 6; ++r) {
+                const V e = 2.0 * g[r];
+#pragma GCC unroll 8
+                for (int k = 0; k <= r; ++k) s[packed(r, k)] += m.eta * (e * g[k] - c.gjg[packed(r, k)]);
+            }
+        }
+        Packed<S> lower;
+#pragma GCC unroll 32
+        for (int k = 0; k < 21; ++k) lower[k] = sum(s[k]);
+        return schur.factor(lower);
+    }
+
+    // A step with Mehrotra's corrector: `down` is the predictor's dy (dx + M ds = -x, so that S dy = G x = -w), correct(pull) that
+    // of all. Whether it moves anything; where it does not, it is not taken. EXACT: `correct` leaves dx in q.
+    template <bool EXACT, class F> auto step(const Six<S>& down, F&& correct) {
+        const auto [primal, dual, cross, square] = predict(down);
+        const S after = gap + dual * cross - primal * (gap + cross) - primal * dual * (cross + square);
+        const S part = max(S(0.0), after) / gap, centring = min(part * part * part, S(1.0));
+        const S reach = 0.9 + (STEP - 0.9) * min(dual, primal);
+        const Six<S> dy = correct(centre(centring * gap / (2.0 * cones.count)));
+        const auto [longest_x, longest_s] = direct<EXACT>(dy, reach);
+        const auto moves = longest_x + longest_s > 1e-6;
+        if (!any(moves)) return moves;
+        y = y + longest_s * dy;
+        advance(longest_x, longest_s);
+        return moves;
+    }
+
+private:
+    static constexpr double STEP = 0.995;  // the largest part of the way to the boundary
+
+    // Longest steps of x and s along the predictor ds = -G^T dy, s . dx part and ds . ds part.
+    struct Predicted { S primal, dual, cross, square; };
+    Predicted predict(const Six<S>& dy) {
+        V primal = all<V>(1.0), dual = all<V>(1.0), cross{}, square{};
+        for (int b = 0; b < blocks(); ++b) {
+            auto& here = at[b];
+            const auto& m = here.m;
+            const Vec3<V> l = here.l = m.scaled(here.s), e = here.d = m.scaled(-cones.blocks[b].transposed(dy));
+            const V n = l.u * m.root + 1.0, both = 1.0 / (n * l.u);  // one division for two
+            here.share = both * l.u, here.l0 = both * n;
+            const auto way = here.boundary().way(e);
+            dual = max(dual, way.away - way.along), primal = max(primal, 1.0 + way.away + way.along);
+            const V part = cones.blocks[b].mask * m.eta;
+            cross += part * dot(l, e), square += part * dot(e, e);
+        }
+        return {1.0 / largest(primal), 1.0 / largest(dual), sum(cross), sum(square)};
+    }
+
+    // d = scaled right side with centring and second order, q its unscaled image; returns -G q
+    Six<S> centre(const S& target) {
+        V out[6] = {};
+        for (int b = 0; b < blocks(); ++b) {
+            auto& here = at[b];
+            const auto& m = here.m;
+            const Vec3<V>&l = here.l, e = here.d, f = l + e;
+            const Vec3<V> r{target / m.eta + dot(f, e), f.u * e.o + e.u * f.o, f.u * e.t + e.u * f.t};
+            const V h = lorentz(l, r) * m.root * m.root;
+            here.d = Vec3<V>{h, (r.o - h * l.o) * here.l0, (r.t - h * l.t) * here.l0} - l;
+            here.q = m.eta * m.scaled(here.d);
+            cones.blocks[b].add_wrench(here.q, out);
+        }
+        return -1.0 * sums(out);
+    }
+
+    // d = ds, q = dx; returns the steps, `reach` of the way to the boundary of x and s
+    struct Lengths { S primal, dual; };
+    template <bool EXACT> Lengths direct(const Six<S>& dy, const S& reach) {
+        V primal = all<V>(reach), dual = all<V>(reach);
+        for (int b = 0; b < blocks(); ++b) {
+            auto& here = at[b];
+            const Vec3<V> d = -cones.blocks[b].transposed(dy);
+            if constexpr (EXACT) {  // q is dx already
+                dual = max(dual, Boundary<V>(here.s).per(d)), primal = max(primal, Boundary<V>(here.x).per(here.q));
+            } else {
+                const Vec3<V> e = here.m.scaled(d);
+                const Boundary<V> edge = here.boundary();
+                dual = max(dual, edge.per(e)), primal = max(primal, edge.per(here.d - e));
+                here.q -= here.m.twice(d);
+            }
+            here.d = d;
+        }
+        return {reach / largest(primal), reach / largest(dual)};
+    }
+
+    void advance(const S& primal, const S& dual) {
+        V left{}, cost{};
+        for (int b = 0; b < blocks(); ++b) {
+            auto& here = at[b];
+            const auto& c = cones.blocks[b];
+            here.x += all<V>(primal) * here.q, here.s += all<V>(dual) * here.d;
+            left += c.mask * dot(here.x, here.s), cost += c.mask * c.cost * here.x.u;
+        }
+        gap = sum(left), price = sum(cost);
+    }
+};
+
+template <class V, int B> class ConicOn : public ConicSteps<V, B> {
+    using Steps = ConicSteps<V, B>;
+    using typename Steps::At;
+
+public:
+    using Steps::cones, Steps::rest, Steps::at, Steps::y;
+    using typename Steps::Field;
+    Options options;
+
+    ConicOn(int count, const Options& options)
+        : Steps(count), options(options), force_(cones.field()), first_(cones.field()), qr_(Steps::blocks()),
+          fitted_(qr_.rows()) {}
+
+    // A wrench of size 1, and what it was made from.
+    struct Posed {
+        Vec6 unit, minus;
+        double scale;
+    };
+    // Begins a record; false where that is all of it.
+    bool pose(const double* wrench, Posed& posed, const Record& record) const {
+        record.clear();
+        Summary& out = record.summary();
+        out.code = REFUSED;
+        if (!sane_wrench(wrench) || !cones.sane(rest) || !(cones.margin(rest) > 0.0)) return false;
+        std::copy(wrench, wrench + 6, out.wrench.begin());
+        posed.unit = cones.unit.of(wrench);
+        posed.scale = size(posed.unit);
+        if (posed.scale < NOTHING) {  // no force is needed, and none is less
+            out.code = CONVERGED, out.residual = posed.scale;
+            return false;
+        }
+        posed.minus = (-1.0 / posed.scale) * posed.unit;
+        return true;
+    }
+
+    Code solve(const double* wrench, const Record& record) {
+        Posed posed;
+        Summary& out = record.summary();
+        if (!pose(wrench, posed, record)) return Code(int(out.code));
+        Code code = descend<false>(posed, record);
+        if (code == STALLED) {  // S has lost its digits
+            const double tried = out.iterations;
+            code = descend<true>(posed, record);
+            out.trials += tried;
+        }
+        return code;
+    }
+
+    // The iterate as an answer, with its certificate: the iterations' own gap is not proof. Returns the certified gap.
+    double conclude(const Posed& posed, int iterations, const Record& record) {
+        const double certified = certify(posed.unit, posed.minus, posed.scale, y, record);
+        Summary& out = record.summary();
+        out.code = certified <= options.tolerance ? CONVERGED : STALLED, out.iterations = out.trials = iterations;
+        return certified;
+    }
+
+private:
     Field force_, first_;  // what is written
-    Ldl6 ldl_;
     LaneQr6<V> qr_;
     std::vector<double> fitted_;  // scaled, by axes
-    int blocks() const { return int(at_.size()); }
+    using Steps::blocks;
 
     // From the start to the record. EXACT: dy by least squares instead of S, which has the square of their condition number.
-    template <bool EXACT> Code descend(const Vec6& unit, const Vec6& minus, double scale, const Record& record) {
-        double price = start(minus), gap = price, goal = options.tolerance, certified = infinity;
-        Vec6 y{};
-        int iterations = 0;
-        Code code = CONVERGED;
-        for (;; ++iterations) {
-            while (gap <= goal * price) {  // the iterations' own gap is not proof: the certificate's is
-                certified = certify(unit, minus, scale, y, record);
-                if (certified <= options.tolerance) break;
+    template <bool EXACT> Code descend(const Posed& posed, const Record& record) {
+        const Vec6& minus = posed.minus;
+        this->start(minus);
+        double goal = options.tolerance;
+        for (int iterations = 0;; ++iterations) {
+            while (this->gap <= goal * this->price) {
+                if (conclude(posed, iterations, record) <= options.tolerance) return CONVERGED;
                 goal *= 0.1;
-                if (!(gap > 0.0) || goal < 1e-3 * options.tolerance) {
-                    code = STALLED;
-                    break;
-                }
+                if (!(this->gap > 0.0) || goal < 1e-3 * options.tolerance) return STALLED;
             }
-            if (certified <= options.tolerance || code == STALLED) break;
-            if (iterations >= options.limit) {
-                code = LIMIT;
-                break;
+            const bool ends = iterations >= options.limit, sound = !ends && (EXACT ? axes() : this->system() > 0.0);
+            bool moves = false;
+            if constexpr (EXACT) {
+                if (sound)
+                    moves = this->template step<true>(fit([](const At& at) { return at.m.scaled(at.s); }),
+                                                      [&](const Vec6&) { return correction(missed(minus)); });
+            } else {
+                if (sound)
+                    moves = this->template step<false>(this->schur.solve(minus),
+                                                       [&](const Vec6& pull) { return this->schur.solve(pull); });
             }
-            if (!(EXACT ? axes() : system(ldl_) > 0.0)) {
-                code = STALLED;
-                break;
-            }
-            // predictor: dx + M ds = -x, so that S dy = G x = -w
-            const Vec6 down = EXACT ? fit([](const At& at) { return at.m.scaled(at.s); }) : ldl_.solve(minus);
-            const auto [primal, dual, cross, square] = predict(down);
-            const double after = gap + dual * cross - primal * (gap + cross) - primal * dual * (cross + square);
-            const double part = std::max(after, 0.0) / gap, centring = std::min(1.0, part * part * part);
-            const double reach = 0.9 + (STEP - 0.9) * std::min(primal, dual);
-            const Vec6 pull = centre(centring * gap / (2.0 * cones.count));
-            const Vec6 dy = EXACT ? step(missed(minus)) : ldl_.solve(pull);
-            const auto [longest_x, longest_s] = direct<EXACT>(dy, reach);
-            if (!(longest_x + longest_s > 1e-6)) {
-                code = STALLED;
-                break;
-            }
-            y = y + longest_s * dy;
-            const auto reached = advance(longest_x, longest_s);
-            gap = reached.gap, price = reached.price;
+            if (moves) continue;
+            const Code code = ends ? LIMIT : STALLED;
+            if (conclude(posed, iterations, record) <= options.tolerance) return CONVERGED;
+            record.summary().code = code;
+            return code;
         }
-        if (!(certified <= options.tolerance) && certify(unit, minus, scale, y, record) <= options.tolerance) code = CONVERGED;
-        Summary& out = record.summary();
-        out.code = code, out.iterations = out.trials = iterations;
-        return code;
     }
 
     Vec6 missed(const Vec6& minus) const {  // G x + w
         V total[6] = {};
-        for (int b = 0; b < blocks(); ++b) cones.blocks[b].add_wrench(at_[b].x, total);
+        for (int b = 0; b < blocks(); ++b) cones.blocks[b].add_wrench(at[b].x, total);
         return sums(total) - minus;
     }
 
@@ -165,7 +304,7 @@ private:
     // A with S = A^T A, factored.
     bool axes() {
         for (int b = 0; b < blocks(); ++b) {
-            const RootAxes m(at_[b].m = Scaling<V>(at_[b].x, at_[b].s));
+            const RootAxes m(at[b].m = Scaling<V>(at[b].x, at[b].s));
             for (int k = 0; k < 3; ++k)
                 for (int r = 0; r < 6; ++r) qr_.set(b, k, r, m.size[k] * dot(cones.blocks[b].g[r], m.axis[k]));
         }
@@ -174,20 +313,20 @@ private:
     // The dy of which A dy is nearest to a scaled field
     template <class F> Vec6 fit(F&& field) {
         for (int b = 0; b < blocks(); ++b) {
-            const RootAxes m(at_[b].m);
-            const Vec3<V> d = sqrt(at_[b].m.eta) * field(at_[b]);
+            const RootAxes m(at[b].m);
+            const Vec3<V> d = sqrt(at[b].m.eta) * field(at[b]);
             for (int k = 0; k < 3; ++k) qr_.put(fitted_, b, k, dot(d, m.axis[k]));
         }
         return qr_.reject(fitted_);
     }
     // dy and q = dx, the root of M times what A dy leaves of d: never the difference of two large steps. Takes off what x misses.
-    Vec6 step(const Vec6& left) {
+    Vec6 correction(const Vec6& left) {
         Vec6 dy = -1.0 * fit([](const At& at) { return at.d; });
-        for (auto& at : at_) at.q = {V{}, V{}, V{}};
+        for (auto& here : at) here.q = {V{}, V{}, V{}};
         add(fitted_);
         for (int round = 0; round < 3; ++round) {
             V total[6] = {};
-            for (int b = 0; b < blocks(); ++b) cones.blocks[b].add_wrench(at_[b].q, total);
+            for (int b = 0; b < blocks(); ++b) cones.blocks[b].add_wrench(at[b].q, total);
             dy = dy + qr_.least(-1.0 * (sums(total) + left), fitted_);
             add(fitted_);
         }
@@ -195,115 +334,9 @@ private:
     }
     void add(const std::vector<double>& z) {
         for (int b = 0; b < blocks(); ++b) {
-            const RootAxes m(at_[b].m);
-            for (int k = 0; k < 3; ++k) at_[b].q += (m.size[k] * qr_.get(z, b, k)) * m.axis[k];
+            const RootAxes m(at[b].m);
+            for (int k = 0; k < 3; ++k) at[b].q += (m.size[k] * qr_.get(z, b, k)) * m.axis[k];
         }
-    }
-
-    // x = -G^+ w + k rest with k beyond what the triangle inequality asks, s = c; returns the price
-    double start(const Vec6& minus) {
-        V squeeze = all<V>(1e-6), price{};
-        for (int b = 0; b < blocks(); ++b) {
-            at_[b].x = cones.blocks[b].least(minus);
-            squeeze = max(squeeze, -slack(at_[b].x) / slack(rest[b]));
-        }
-        const V k = all<V>(1.3 * largest(squeeze));
-        for (int b = 0; b < blocks(); ++b) {
-            const auto& c = cones.blocks[b];
-            at_[b].x += k * rest[b];
-            at_[b].first = at_[b].x;
-            at_[b].s = {c.cost, V{}, V{}};
-            price += c.mask * c.cost * at_[b].x.u;
-        }
-        return sum(price);
-    }
-
-    // S = sum eta (2 (G v)(G v)^T - G J G^T), factored; returns its least pivot
-    double system(Ldl6& schur) {
-        V s[21] = {};
-        for (int b = 0; b < blocks(); ++b) {
-            const auto& c = cones.blocks[b];
-            const auto& m = at_[b].m = Scaling<V>(at_[b].x, at_[b].s);
-            V g[6];
-#pragma GCC unroll 8
-            for (int r = 0; r < 6; ++r) g[r] = dot(c.g[r], m.v);
-#pragma GCC unroll 8
-            for (int r = 0; r < 6; ++r) {
-                const V e = 2.0 * g[r];
-#pragma GCC unroll 8
-                for (int k = 0; k <= r; ++k) s[packed(r, k)] += m.eta * (e * g[k] - c.gjg[packed(r, k)]);
-            }
-        }
-        Packed6 lower;
-#pragma GCC unroll 32
-        for (int k = 0; k < 21; ++k) lower[k] = sum(s[k]);
-        return schur.factor(lower);
-    }
-
-    // Longest steps of x and s along the predictor ds = -G^T dy, s . dx part and ds . ds part.
-    struct Predicted { double primal, dual, cross, square; };
-    Predicted predict(const Vec6& dy) {
-        V primal = all<V>(1.0), dual = all<V>(1.0), cross{}, square{};
-        for (int b = 0; b < blocks(); ++b) {
-            auto& at = at_[b];
-            const auto& m = at.m;
-            const Vec3<V> l = at.l = m.scaled(at.s), e = at.d = m.scaled(-cones.blocks[b].transposed(dy));
-            const V n = l.u * m.root + 1.0, both = 1.0 / (n * l.u);  // one division for two
-            at.share = both * l.u, at.l0 = both * n;
-            const auto way = at.boundary().way(e);
-            dual = max(dual, way.away - way.along), primal = max(primal, 1.0 + way.away + way.along);
-            const V part = cones.blocks[b].mask * m.eta;
-            cross += part * dot(l, e), square += part * dot(e, e);
-        }
-        return {1.0 / largest(primal), 1.0 / largest(dual), sum(cross), sum(square)};
-    }
-
-    // d = scaled right side with centring and second order, q its unscaled image; returns -G q
-    Vec6 centre(double target) {
-        V out[6] = {};
-        for (int b = 0; b < blocks(); ++b) {
-            auto& at = at_[b];
-            const auto& m = at.m;
-            const Vec3<V>&l = at.l, e = at.d, f = l + e;
-            const Vec3<V> r{target / m.eta + dot(f, e), f.u * e.o + e.u * f.o, f.u * e.t + e.u * f.t};
-            const V h = lorentz(l, r) * m.root * m.root;
-            at.d = Vec3<V>{h, (r.o - h * l.o) * at.l0, (r.t - h * l.t) * at.l0} - l;
-            at.q = m.eta * m.scaled(at.d);
-            cones.blocks[b].add_wrench(at.q, out);
-        }
-        return -1.0 * sums(out);
-    }
-
-    // d = ds, q = dx; returns the steps, `reach` of the way to the boundary of x and s
-    struct Steps { double primal, dual; };
-    template <bool EXACT> Steps direct(const Vec6& dy, double reach) {
-        V primal = all<V>(reach), dual = all<V>(reach);
-        for (int b = 0; b < blocks(); ++b) {
-            auto& at = at_[b];
-            const Vec3<V> d = -cones.blocks[b].transposed(dy);
-            if constexpr (EXACT) {  // q is dx already
-                dual = max(dual, Boundary<V>(at.s).per(d)), primal = max(primal, Boundary<V>(at.x).per(at.q));
-            } else {
-                const Vec3<V> e = at.m.scaled(d);
-                const Boundary<V> edge = at.boundary();
-                dual = max(dual, edge.per(e)), primal = max(primal, edge.per(at.d - e));
-                at.q -= at.m.twice(d);
-            }
-            at.d = d;
-        }
-        return {reach / largest(primal), reach / largest(dual)};
-    }
-
-    struct Reached { double gap, price; };
-    Reached advance(double primal, double dual) {
-        V gap{}, price{};
-        for (int b = 0; b < blocks(); ++b) {
-            auto& at = at_[b];
-            const auto& c = cones.blocks[b];
-            at.x += all<V>(primal) * at.q, at.s += all<V>(dual) * at.d;
-            gap += c.mask * dot(at.x, at.s), price += c.mask * c.cost * at.x.u;
-        }
-        return {sum(gap), sum(price)};
     }
 
     // Balances the last digits, scales y onto the boundary of its set, writes force and certificates; returns the gap.
@@ -313,7 +346,7 @@ private:
         V before[6] = {}, steepest{}, squeeze{}, price{};
         for (int b = 0; b < blocks(); ++b) {
             const auto& c = cones.blocks[b];
-            c.add_wrench(at_[b].x, before);
+            c.add_wrench(at[b].x, before);
             const Vec3<V> g = c.transposed(y);
             steepest = max(steepest, (g.u + sqrt(g.o * g.o + g.t * g.t)) / c.cost);
         }
@@ -321,7 +354,7 @@ private:
         const Vec6 left = sums(before) - minus;
         for (int b = 0; b < blocks(); ++b) {
             const auto& c = cones.blocks[b];
-            auto& x = at_[b].x;
+            auto& x = at[b].x;
             x -= c.least(left);
             const V outside = 1e-15 * x.u - slack(x);  // 1e-15: what the rounding of the next lines may cost
             // the last digits of balance may take x out of its cone: an internal force takes it back
@@ -329,7 +362,7 @@ private:
         }
         const V k = all<V>(largest(squeeze));
         for (int b = 0; b < blocks(); ++b) {
-            force_[b] = all<V>(scale) * (at_[b].x + k * rest[b]), first_[b] = all<V>(scale) * at_[b].first;
+            force_[b] = all<V>(scale) * (at[b].x + k * rest[b]), first_[b] = all<V>(scale) * at[b].first;
             price += cones.blocks[b].mask * cones.blocks[b].cost * force_[b].u;
         }
         cones.store_force(first_, record.initial_force());
