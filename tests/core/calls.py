@@ -186,12 +186,13 @@ def calls() -> dict[str, Call]:
         ),
         "LimitedNewton.solve": Call(bounded.solve, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),
         "LimitedNewton.descend": Call(bounded.descend, {"wrench": np.eye(6)[0], "force": force}, {"record": (SIZE,)}),
+        "LimitedNewton.solve_many": Call(bounded.solve_many, {"wrenches": LOADS, "previous": records}, {"records": many}),
         "LimitedNewton.times": Call(
             partial(bounded.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}
         ),
         "Conic.make": Call(partial(_core.Conic.make, contacts(), **made), {"interior": s.rest}, {}),
         "Conic.solve": Call(partial(c.solve, previous=None), {"wrench": LOADS[0]}, {"record": (SIZE,)}),
-        "Conic.solve_many": Call(c.solve_many, {"wrenches": LOADS}, {"records": many}),
+        "Conic.solve_many": Call(partial(c.solve_many, previous=None), {"wrenches": LOADS}, {"records": many}),
         "Conic.times": Call(partial(c.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
         "Network.make": Call(partial(_core.Network.make, [8, 6]), {"weights": np.full(54, 0.1)}, {}),
         "Layers.make": Call(partial(_core.Layers.make, 1), {"weights": LAYER_WEIGHTS}, {}, frozenset({"weights"})),
@@ -201,6 +202,7 @@ def calls() -> dict[str, Call]:
         "Learned.solve": Call(start.solve, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),
         "Learned.predict": Call(start.predict, {"wrench": LOADS[0]}, {"force": (COUNT, 3)}),
         "Learned.covers": Call(start.covers, {"wrench": LOADS[0]}, {}),
+        "Learned.solve_many": Call(start.solve_many, {"wrenches": LOADS, "previous": records}, {"records": many}),
         "Learned.times": Call(partial(start.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
         "Program.make": Call(partial(_core.Program.make, elastic=True), program()[1], {}),
         "Program.least_force": Call(

@@ -98,6 +98,8 @@ OPTIONAL = {
     ("Newton.solve", "previous"),
     ("LimitedNewton.solve", "previous"),
     ("Newton.solve_many", "previous"),
+    ("LimitedNewton.solve_many", "previous"),
+    ("Learned.solve_many", "previous"),
     ("Pipeline.make", "flows"),
     ("Pipeline.solve", "adjust"),
 }

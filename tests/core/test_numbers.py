@@ -55,8 +55,9 @@ def test_numbers_that_are_none_are_refused_or_harmless(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "which"),
     [
-        *((name, "wrenches") for name in ("Newton.solve_many", "Conic.solve_many", "Newton.times", "Conic.times")),
+        *((name, "wrenches") for name in ("Newton.solve_many", "Conic.solve_many", "Learned.solve_many", "Newton.times", "Conic.times")),
         ("Newton.solve_many", "previous"),
+        ("Learned.solve_many", "previous"),
     ],
 )
 def test_one_row_that_is_none_leaves_the_others(name: str, which: str) -> None:

@@ -3,7 +3,7 @@
 
 #include <grasp/solvers.hpp>
 
-#include "buffers.hpp"
+#include "following.hpp"
 #include "timing.hpp"
 
 using namespace grasp;
@@ -21,16 +21,6 @@ int solve(Conic& conic, nb::handle wrench, nb::handle, nb::handle record) {
     return load.has(6) ? conic.solve(load.data(), row.data()) : int(REFUSED);
 }
 
-void solve_many(const Conic& conic, nb::handle wrenches, nb::handle records) {
-    const int size = record_size(conic.contacts.count);
-    const Numbers loads = in(wrenches, -1, 6);
-    const Py_ssize_t many = loads.length(0);
-    const Numbers rows = out(records, many, size);
-    const auto own = conic.clone();  // before others may use it
-    nb::gil_scoped_release free;
-    for (Py_ssize_t k = 0; k < many; ++k) own->solve(loads.data() + 6 * k, rows.data() + size * k);
-}
-
 void times(Conic& conic, nb::handle wrenches, int passes, nb::handle records, nb::handle best) {
     time_calls(wrenches, passes, record_size(conic.contacts.count), records, best,
                [&](const double* wrench, double* row) { conic.solve(wrench, row); });
@@ -44,6 +34,6 @@ void bind_conic(nb::module_& m) {
                     "interior: (3N,) an internal force strictly inside the cones, cone coordinates.")
         .def("solve", &solve, "wrench"_a.none(), "previous"_a.none(), "record"_a,
              "Into a record; returns the code. previous: not read.")
-        .def("solve_many", &solve_many, "wrenches"_a, "records"_a, "(M, 6) into (M, 20 + 7N); releases the GIL.")
+        .def("solve_many", &solve_many<Conic>, "wrenches"_a, "previous"_a.none(), "records"_a, SOLVE_MANY)
         .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` calls each, into (M,).");
 }

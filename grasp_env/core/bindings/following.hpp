@@ -18,3 +18,17 @@ template <class Solver> int follow(Solver& newton, nb::handle wrench, nb::handle
     return newton.solve(
         {.wrench = load.data(), .start = grasp::Start::tangent, .force = known.force(), .torsion = known.torsion()}, row.data());
 }
+
+inline constexpr const char* SOLVE_MANY =
+    "(M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.";
+template <class Solver> void solve_many(const Solver& solver, nb::handle wrenches, nb::handle previous, nb::handle records) {
+    const int size = grasp::record_size(solver.contacts.count);
+    const Numbers loads = in(wrenches, -1, 6);
+    const Py_ssize_t many = loads.length(0);
+    const Numbers rows = out(records, many, size);
+    const bool follows = !previous.is_none();
+    const Numbers before = follows ? in(previous, many, size) : in(records, many, size);
+    const auto own = solver.clone();  // before others may use it
+    nb::gil_scoped_release free;
+    own->solve_many({many, loads.data(), rows.data(), follows ? before.data() : nullptr});
+}

@@ -5,7 +5,7 @@
 
 #include <grasp/solvers.hpp>
 
-#include "buffers.hpp"
+#include "following.hpp"
 #include "timing.hpp"
 
 using namespace grasp;
@@ -118,6 +118,7 @@ void bind_learned(nb::module_& m) {
         .def("predict", &predict, "wrench"_a, "force"_a,
              "The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network.\n"
              "False: not finite.")
+        .def("solve_many", &solve_many<Learned>, "wrenches"_a, "previous"_a.none(), "records"_a, SOLVE_MANY)
         .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` solves each, into (M,).")
         .def(
             "covers", [](const Learned& learned, nb::handle wrench) { return learned.covers(in(wrench, 6).data()); }, "wrench"_a,

@@ -43,6 +43,7 @@ void bind_limits(nb::module_& m) {
         .def("solve", &follow<LimitedNewton>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
              "From the 12-basis, or from the force of a previous record, into a record; returns the code.")
         .def("descend", &descend, "wrench"_a, "force"_a, "record"_a, "From a balanced force (N, 3) inside the cones.")
+        .def("solve_many", &solve_many<LimitedNewton>, "wrenches"_a, "previous"_a.none(), "records"_a, SOLVE_MANY)
         .def("times", &newton_times<LimitedNewton>, "wrenches"_a, "passes"_a, "records"_a, "best"_a,
              "Best seconds of `passes` calls each, into (M,).");
 }

@@ -28,23 +28,6 @@ int descend(Newton& newton, nb::handle wrench, nb::handle force, double optimum,
     return newton.solve(call, row.data());
 }
 
-// (M, 6) wrenches into (M, 20 + 7N) records, each from the 12-basis or from the force in its row of `previous`; releases the GIL.
-void solve_many(const Newton& newton, nb::handle wrenches, nb::handle previous, nb::handle records) {
-    const int count = newton.contacts.count, size = record_size(count);
-    const Numbers loads = in(wrenches, -1, 6);
-    const Py_ssize_t many = loads.length(0);
-    const Numbers rows = out(records, many, size);
-    const bool follows = !previous.is_none();
-    const Numbers before = follows ? in(previous, many, size) : in(records, many, size);
-    const auto own = newton.clone();  // before others may use it
-    nb::gil_scoped_release free;
-    for (Py_ssize_t k = 0; k < many; ++k) {
-        Call call{.wrench = loads.data() + 6 * k};
-        if (follows) call.start = Start::tangent, call.force = Record(before.data() + size * k, count).force();
-        own->solve(call, rows.data() + size * k);
-    }
-}
-
 // Newton from given forces (M, N, 3) on contacts in one place with M scales (M, N, 3) of cone coordinates; releases the GIL.
 void solve_scaled(const Contacts& contacts, nb::handle scales, nb::handle wrenches, nb::handle forces, double tolerance,
                   int limit, nb::handle records) {
@@ -136,8 +119,7 @@ void bind_newton(nb::module_& m) {
              "From the 12-basis, or from the force of a previous record carried over, into a record; returns the code.")
         .def("descend", &descend, "wrench"_a, "force"_a, "optimum"_a, "trace"_a, "record"_a,
              "From a force (N, 3); optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.")
-        .def("solve_many", &solve_many, "wrenches"_a, "previous"_a.none(), "records"_a,
-             "(M, 6) into (M, 20 + 7N), from the 12-basis or from the forces in the rows of `previous`; releases the GIL.")
+        .def("solve_many", &solve_many<Newton>, "wrenches"_a, "previous"_a.none(), "records"_a, SOLVE_MANY)
         .def("times", &newton_times<Newton>, "wrenches"_a, "passes"_a, "records"_a, "best"_a,
              "Best seconds of `passes` calls each, into (M,).")
         .def("carry", &carry, "wrench"_a, "previous"_a, "tangent"_a, "force"_a,

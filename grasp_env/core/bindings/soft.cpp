@@ -42,6 +42,7 @@ void bind_soft(nb::module_& m) {
              "From the 12-basis, or from force and torsion of a previous record, into a record; returns the code.")
         .def("descend", &descend, "wrench"_a, "force"_a, "torsion"_a, "optimum"_a, "trace"_a, "record"_a,
              "From a balanced force (N, 3) inside the cones with torsions (N,) within their limits.")
+        .def("solve_many", &solve_many<SoftNewton>, "wrenches"_a, "previous"_a.none(), "records"_a, SOLVE_MANY)
         .def("times", &newton_times<SoftNewton>, "wrenches"_a, "passes"_a, "records"_a, "best"_a,
              "Best seconds of `passes` calls each, into (M,).");
 }

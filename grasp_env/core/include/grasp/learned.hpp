@@ -115,17 +115,23 @@ public:
     // The start, and Newton from it unless it is certified already.
     Code solve(const double* wrench, const double* previous, const Record& record) {
         Vec6 w;
-        if (!begin(wrench, previous, w, record)) return REFUSED;
-        if (model_.layers.count()) {
-            const Outcome found = polish(w);
-            if (found.within(newton.options.tolerance)) return write(wrench, w, found, record);
-        }
+        if (!begin_descent(wrench, previous, w, record)) return Code(int(record.summary().code));
         const Call call{.wrench = wrench, .start = Start::given};
         begun_ = newton.x;
         const Code code = newton.descend_from(begun_, call, w, record);
         if (code != STALLED) return code;
         newton.x = safe_;  // the paper's way, once more
         return newton.descend_from(safe_, call, w, record);
+    }
+
+    // The start that Newton goes on from, in newton.x, and the wrench in the unit frame; false where the record says it all.
+    bool begin_descent(const double* wrench, const double* previous, Vec6& w, const Record& record) {
+        if (!begin(wrench, previous, w, record)) return false;
+        if (!model_.layers.count()) return true;
+        const Outcome found = polish(w);
+        if (!found.within(newton.options.tolerance)) return true;
+        write(wrench, w, found, record);
+        return false;
     }
 
     // Whether a wrench is no larger than those of training, and contacts and friction are like them.

@@ -5,6 +5,7 @@
 #include "learned.hpp"
 #include "limited.hpp"
 #include "pipeline.hpp"
+#include "problems.hpp"
 #include "soft.hpp"
 
 namespace grasp {
@@ -21,6 +22,8 @@ public:
     virtual std::unique_ptr<Newton> clone() const = 0;
 
     virtual Code solve(const Call& call, double* row) = 0;
+    // Many wrenches, from the combination or by the tangent correction from previous solutions.
+    virtual void solve_many(const Many& many) = 0;
     // (13, 3N) the optima of Phi for +e_1..+e_6, -e_1..-e_6 and for no wrench; returns the worst relative gap, inf: failed.
     // basis: that of nearby contacts, where `warm`; interior: an internal force x strictly inside, or null: it is searched.
     virtual double make_basis(bool warm, const double* interior, double* basis) = 0;
@@ -62,7 +65,9 @@ public:
     static std::unique_ptr<LimitedNewton> make(const Contacts& contacts, const Options& options, const LimitRows& rows,
                                                const double* basis, bool elastic);
     virtual ~LimitedNewton() = default;
+    virtual std::unique_ptr<LimitedNewton> clone() const = 0;
     virtual Code solve(const Call& call, double* row) = 0;
+    virtual void solve_many(const Many& many) = 0;
 
 protected:
     explicit LimitedNewton(const Contacts& contacts) : contacts(contacts) {}
@@ -77,7 +82,9 @@ public:
     static std::unique_ptr<SoftNewton> make(const Contacts& contacts, const Options& options, const double* divisor,
                                             const double* basis);
     virtual ~SoftNewton() = default;
+    virtual std::unique_ptr<SoftNewton> clone() const = 0;
     virtual Code solve(const Call& call, double* row) = 0;
+    virtual void solve_many(const Many& many) = 0;
 
 protected:
     explicit SoftNewton(const Contacts& contacts) : contacts(contacts) {}
@@ -93,6 +100,7 @@ public:
     virtual ~Conic() = default;
     virtual std::unique_ptr<Conic> clone() const = 0;
     virtual Code solve(const double* wrench, double* row) = 0;
+    virtual void solve_many(const Many& many) = 0;
 
 protected:
     explicit Conic(const Contacts& contacts) : contacts(contacts) {}
@@ -111,6 +119,7 @@ public:
     virtual std::unique_ptr<Learned> clone() const = 0;
     virtual Code start(const double* wrench, const double* previous, double* row) = 0;
     virtual Code solve(const double* wrench, const double* previous, double* row) = 0;
+    virtual void solve_many(const Many& many) = 0;
     virtual bool predict(const double* wrench, double* force) = 0;
     virtual bool covers(const double* wrench) const = 0;
     virtual bool outside() const = 0;
@@ -137,6 +146,12 @@ public:
 
 namespace detail {
 
+// One after the other.
+template <class Solver> void solve_each(Solver& solver, const Many& many) {
+    for (std::ptrdiff_t k = 0; k < many.count; ++k)
+        solver.solve(many.call(k, solver.contacts.count), many.rows + record_size(solver.contacts.count) * k);
+}
+
 // The descents and their starts; Base: Newton, or what derives from it.
 template <class Base, class V, int B> class DescentAny : public Base {
 public:
@@ -150,6 +165,7 @@ public:
         on_.options = options;
         return on_.solve(call, Record(row, contacts.count));
     }
+    void solve_many(const Many& many) override { solve_each(*this, many); }
     double make_basis(bool warm, const double* interior, double* basis) override {
         if (warm) load_basis(basis);
         else if (interior) on_.cones.load(interior, on_.x);
@@ -217,6 +233,19 @@ template <class V, int B> class NewtonAny final : public DescentAny<Newton, V, B
 public:
     using DescentAny<Newton, V, B>::DescentAny;
     std::unique_ptr<Newton> clone() const override { return std::make_unique<NewtonAny>(*this); }
+
+    void solve_many(const Many& many) override {
+        const int count = this->contacts.count;
+        auto& on = this->on_;
+        on.options = this->options;
+        const auto begin = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
+            record.summary().code = REFUSED;
+            w = on.cones.unit.of(many.wrench(k));
+            return sane_wrench(many.wrench(k)) && on.begin(many.call(k, count), w);
+        };
+        newton_many(on, this->contacts, many, begin,
+                    [&](std::ptrdiff_t k, const Record& record) { on.solve(many.call(k, count), record); });
+    }
 };
 
 template <class V, int B> class FlowAny final : public DescentAny<Flow, V, B> {
@@ -255,7 +284,9 @@ public:
         newton.starter.has_basis = true;
         on_.elastic = elastic;
     }
+    std::unique_ptr<LimitedNewton> clone() const override { return std::make_unique<LimitedAny>(*this); }
     Code solve(const Call& call, double* row) override { return on_.solve(call, Record(row, contacts.count)); }
+    void solve_many(const Many& many) override { solve_each(*this, many); }
 
 private:
     LimitedOn<V, B> on_;
@@ -269,7 +300,9 @@ public:
         for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, newton.starter.basis[k]);
         newton.starter.has_basis = true;
     }
+    std::unique_ptr<SoftNewton> clone() const override { return std::make_unique<SoftAny>(*this); }
     Code solve(const Call& call, double* row) override { return on_.solve(call, Record(row, contacts.count)); }
+    void solve_many(const Many& many) override { solve_each(*this, many); }
 
 private:
     SoftOn<V, B> on_;
@@ -284,6 +317,7 @@ public:
     }
     std::unique_ptr<Conic> clone() const override { return std::make_unique<ConicAny>(*this); }
     Code solve(const double* wrench, double* row) override { return on_.solve(wrench, Record(row, contacts.count)); }
+    void solve_many(const Many& many) override { conic_many(on_, contacts, many); }
 
 private:
     ConicOn<V, B> on_;
@@ -302,6 +336,15 @@ public:
     Code solve(const double* wrench, const double* previous, double* row) override {
         on_.newton.options = options;
         return on_.solve(wrench, previous, Record(row, contacts.count));
+    }
+    void solve_many(const Many& many) override {
+        on_.newton.options = options;
+        const auto begin = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
+            return on_.begin_descent(many.wrench(k), many.call(k, contacts.count).force, w, record);
+        };
+        newton_many(on_.newton, contacts, many, begin, [&](std::ptrdiff_t k, const Record& record) {
+            on_.solve(many.wrench(k), many.call(k, contacts.count).force, record);
+        });
     }
     bool predict(const double* wrench, double* force) override { return on_.predict(wrench, force); }
     bool covers(const double* wrench) const override { return on_.covers(wrench); }
