@@ -70,7 +70,7 @@ def test_iterations_are_the_oracles(count: int, kind: str) -> None:
         unit = s.unit @ load
         size = float(np.abs(unit).max())
         for layout in layouts(count):
-            program = oracle.padded(s.rows, unit / size, s.divisor, layout[0] * max(1, layout[1]))
+            program = oracle.of_grasp(s.rows, unit / size, s.divisor)
             at = oracle.start(program, s.inverse, s.rest)
             first, seen = size * at.x[: 3 * count] / s.divisor.reshape(-1), []
             for k in range(1, 5):

@@ -74,22 +74,10 @@ def closed_grasp(count: int, kind: str) -> tuple[Grasp, np.ndarray]:
             return grasp, grasp.to_cone(found.force)
 
 
-def lanes_of(count: int) -> int:
-    """Contacts that the core's registers hold together: 4 or 8 where they all fit, else as many as one register of this build."""
-    if count <= 8:
-        return 4 if count <= 4 else 8
-    return {"AVX-512": 8, "AVX2": 4, "AVX": 4}.get(core.build_info()["instruction_set"], 2)
-
-
 def inverse_of(grasp: Grasp) -> np.ndarray:
     """(3N, 6) of the unit frame: the least change of the force, not of the cone coordinates; G^+ of the columns in newtons."""
     scale = grasp.models.cone_scale.reshape(-1)
     return scale[:, None] * np.linalg.pinv(grasp.unit_frame @ grasp.cone_matrix * scale)
-
-
-def program_of(grasp: Grasp, unit: np.ndarray, lanes: int) -> conic.Program:
-    """The core's program: its empty lanes hold contacts without effect that limit the steps all the same."""
-    return conic.padded(grasp.unit_frame @ grasp.cone_matrix, unit, grasp.models.cone_divisor, lanes)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +91,7 @@ def test_conic_takes_the_twins_steps(count: int, kind: str) -> None:
     for load in (LOAD, 20.0 * PAPER_WRENCH):
         loaded = grasp.unit_frame @ load
         size = float(np.abs(loaded).max())
-        program = program_of(grasp, loaded / size, lanes_of(count))
+        program = conic.of_grasp(grasp.unit_frame @ grasp.cone_matrix, loaded / size, divisor)
         at = conic.start(program, inverse_of(grasp), rest)
         first = size * at.x[: 3 * count].reshape(count, 3) / divisor
         seen = [first]
@@ -128,17 +116,3 @@ def test_conic_takes_the_twins_steps(count: int, kind: str) -> None:
             seen.append(force)
         # every iteration moved: equal iterates would prove nothing
         assert all(np.abs(b - a).max() > 1e-6 * np.abs(b).max() for a, b in pairwise(seen))
-
-
-@pytest.mark.parametrize(("count", "away"), [(3, 1e-5), (5, 1e-4), (4, 0.0), (8, 0.0)])
-def test_empty_lanes_shorten_steps(count: int, away: float) -> None:
-    """What the comparison above would miss if the twin left them out: nothing where all lanes are taken."""
-    grasp, rest = closed_grasp(count, "round")
-    unit = grasp.unit_frame @ LOAD
-    unit /= np.abs(unit).max()
-    padded, bare = program_of(grasp, unit, lanes_of(count)), program_of(grasp, unit, 1)
-    at, other = (conic.start(program, inverse_of(grasp), rest) for program in (padded, bare))
-    for _ in range(4):
-        at, other = conic.iteration(padded, at), conic.iteration(bare, other)
-    apart = np.abs(at.x[: 3 * count] - other.x).max() / np.abs(other.x).max()
-    assert away <= apart <= (0.05 if away else 0.0)

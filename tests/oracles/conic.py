@@ -19,14 +19,12 @@ class Program(NamedTuple):
 
     Attributes:
         matrix: A (m, n); right: b (m,); cost: c (n,).
-        counted: how many of the cones, the first ones, make up the gap; the others (empty lanes) only limit the steps.
         reach: (a, b): a step goes a + b min(predictor's steps) of the way to the boundary.
     """
 
     matrix: np.ndarray
     right: np.ndarray
     cost: np.ndarray
-    counted: int
     reach: tuple[float, float] = (0.9, 0.095)
 
 
@@ -38,31 +36,26 @@ class Iterate(NamedTuple):
     y: np.ndarray
 
 
-def padded(matrix: np.ndarray, wrench: np.ndarray, divisor: np.ndarray, lanes: int) -> Program:
-    """The program of a grasp (unit frame) with empty contacts up to a multiple of `lanes`."""
-    count = len(divisor)
-    every = lanes * (-(-count // lanes))
-    a, cost = np.zeros((6, 3 * every)), np.zeros(3 * every)
-    a[:, : 3 * count], cost[0::3] = matrix, 1.0
-    cost[0 : 3 * count : 3] = 1.0 / divisor[:, 0]
-    return Program(a, -wrench, cost, count)
+def of_grasp(matrix: np.ndarray, wrench: np.ndarray, divisor: np.ndarray) -> Program:
+    """The program of a grasp, unit frame."""
+    cost = np.zeros(matrix.shape[1])
+    cost[0::3] = 1.0 / divisor[:, 0]
+    return Program(matrix, -wrench, cost)
 
 
 def start(program: Program, inverse: np.ndarray, rest: np.ndarray) -> Iterate:
     """x = G^+ b + k rest, k 1.3 times what takes every contact inside; s = c. rest: (3N,) strictly inside."""
-    real = 3 * program.counted
-    x, internal = np.zeros(len(program.cost)), np.zeros(len(program.cost))
-    internal[0::3] = 1.0
-    x[:real], internal[:real] = inverse @ program.right, rest
-    depth = internal[0::3] - np.hypot(internal[1::3], internal[2::3])
+    x = inverse @ program.right
+    depth = rest[0::3] - np.hypot(rest[1::3], rest[2::3])
     squeeze = 1.3 * max(1e-6, ((np.hypot(x[1::3], x[2::3]) - x[0::3]) / depth).max())
-    return Iterate(x + squeeze * internal, program.cost.copy(), np.zeros(6))
+    return Iterate(x + squeeze * rest, program.cost.copy(), np.zeros(6))
 
 
 def iteration(program: Program, at: Iterate) -> Iterate:
     """The next iterate: `nt_step` without rays and shared variables."""
-    a, b, c, counted, reach = program
-    general = ConicProgram(a, b, c, np.zeros((len(b), 0)), np.zeros(0), (3,) * (len(c) // 3), counted, reach, 0.0)
+    a, b, c, reach = program
+    cones = len(c) // 3
+    general = ConicProgram(a, b, c, np.zeros((len(b), 0)), np.zeros(0), (3,) * cones, cones, reach, 0.0)
     x, s, _, y = nt_step(general, interior_point.Iterate(at.x, at.s, np.zeros(0), at.y))
     return Iterate(x, s, y)
 

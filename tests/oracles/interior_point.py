@@ -29,7 +29,7 @@ class ConicProgram(NamedTuple):
         matrix: A (m, n); right: b (m,); cost: c (n,).
         coupling: g (m, T); shared_cost: d (T,).
         sizes: numbers in each cone, 3 or 1; their sum is n.
-        counted: how many of the cones, the first ones, make up the gap; the others (empty lanes) only limit the steps.
+        counted: how many of the cones, the first ones, make up the gap; the others only limit the steps.
         reach: (a, b): a step goes a + b min(predictor's steps) of the way to the boundary.
         floor: least part of the mean gap to aim at.
     """

@@ -152,7 +152,8 @@ private:
             const Vec3<V>&l = here.l, e = here.d, f = l + e;
             const Vec3<V> r{target / m.eta + dot(f, e), f.u * e.o + e.u * f.o, f.u * e.t + e.u * f.t};
             const V h = lorentz(l, r) * m.root * m.root;
-            here.d = Vec3<V>{h, (r.o - h * l.o) * here.l0, (r.t - h * l.t) * here.l0} - l;
+            here.d = cones.blocks[b].mask *
+                     (Vec3<V>{h, (r.o - h * l.o) * here.l0, (r.t - h * l.t) * here.l0} - l);  // unused lanes rest
             here.q = m.eta * m.scaled(here.d);
             cones.blocks[b].add_wrench(here.q, out);
         }
