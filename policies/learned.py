@@ -201,6 +201,7 @@ class LearnedLoop(Loop):
     ) -> None:
         self.call, self.remembers = learned.solve if descend is None else self._descended, remembers
         self.solution = self.stopped = ForceSolution
+        self.many = learned.solve_many if descend is None else None
         self._learned, self._descend, self._names = learned, descend, (name, name + OUTSIDE)
 
     @property

@@ -134,7 +134,7 @@ class Newton:
 
     def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
         """
-        (M, 6) into (M, 20 + 7N), from the 12-basis or from the forces in the rows of `previous`; releases the GIL.
+        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
         """
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
@@ -164,6 +164,15 @@ class Newton:
         """
         x (3N,) = the least Phi on the segment from `safe` to it; returns how far.
         """
+
+def newton_grasps(positions: object, normals: object, scales: object, tangents: object, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+    """
+    Newton from the 12-basis of each of U grasps (U, N, 3), weights (N, 2); wrenches first[u] to first[u + 1] - 1 are those of grasp u;
+    REFUSED: it has no force closure. Into (M, 20 + 7N); releases the GIL.
+    """
+
+def conic_grasps(positions: object, normals: object, scales: object, tangents: object, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+    """The same, least sum of normal forces; weights are not read."""
 
 FULL_CONTACTS: int = 8
 
@@ -201,6 +210,11 @@ class LimitedNewton:
     def descend(self, wrench: object, force: object, record: object) -> int:
         """From a balanced force (N, 3) inside the cones."""
 
+    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
+        """
+        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
+        """
+
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
         """Best seconds of `passes` calls each, into (M,)."""
 
@@ -223,6 +237,11 @@ class SoftNewton:
         From a balanced force (N, 3) inside the cones with torsions (N,) within their limits.
         """
 
+    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
+        """
+        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
+        """
+
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
         """Best seconds of `passes` calls each, into (M,)."""
 
@@ -238,8 +257,10 @@ class Conic:
     def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
         """Into a record; returns the code. previous: not read."""
 
-    def solve_many(self, wrenches: object, records: object) -> None:
-        """(M, 6) into (M, 20 + 7N); releases the GIL."""
+    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
+        """
+        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
+        """
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
         """Best seconds of `passes` calls each, into (M,)."""
@@ -322,6 +343,11 @@ class Learned:
         """
         The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network.
         False: not finite.
+        """
+
+    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
+        """
+        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
         """
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:

@@ -1,27 +1,30 @@
-"""Many wrenches, many grasps: the core's solvers over arrays, on all cores, with the bits of one call at a time."""
+"""Many wrenches, many grasps: the core's solvers over arrays, on all cores; the answers of one call at a time."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from grasp_env import ranges
+from grasp_env import core, ranges
 from grasp_env._check import Array, as_array, as_list, as_text, checked_size, choice, is_a, together, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError, shown
-from grasp_env.force.methods import Conic, Newton
+from grasp_env.force.method import proven
+from grasp_env.force.methods import NO_TRACE
+from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.force.record import (
     BOUND,
     CODE,
     CONVERGED,
     FORCE,
+    INFEASIBLE,
     ITERATIONS,
+    LIMITS_EXCEEDED,
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
@@ -30,7 +33,7 @@ from grasp_env.force.record import (
     WRENCH,
     record_size,
 )
-from grasp_env.force.solution import STATUSES, ForceSolution, Status
+from grasp_env.force.solution import STATUSES, ForceSolution, Priced, Status
 from grasp_env.grasp.grasp import Grasp
 
 
@@ -40,12 +43,26 @@ class ForceSolutions(Sequence[ForceSolution]):
     Attributes:
         records: (M, 20 + 7N) one row per problem, see `record.py`.
         method: the method's name.
-        initial: the name of the start rule.
+        initial: the name of the start rule. (A single call also says where a wrench is outside a learned one's training range.)
     """
 
-    def __init__(self, records: Array, method: str, initial: str, proofs: dict[int, ForceSolution]) -> None:
+    def __init__(
+        self,
+        records: Array,
+        method: str,
+        initial: str,
+        known: dict[int, ForceSolution] | None = None,
+        priced: Array | Priced = NO_TRACE,
+    ) -> None:
+        """Of records that somebody filled.
+
+        Args:
+            records, method, initial: see the attributes.
+            known: those that are more than their row of numbers.
+            priced: what prices the limits of the others; empty: they have none.
+        """
         self.records, self.method, self.initial = records, method, initial
-        self._proofs = proofs
+        self._known, self._priced = known or {}, priced
 
     def __len__(self) -> int:
         return len(self.records)
@@ -54,12 +71,15 @@ class ForceSolutions(Sequence[ForceSolution]):
         """The solution at an integer, a `ForceSolutions` at a slice."""
         if isinstance(index, slice):
             chosen = range(len(self))[index]
-            proofs = {k: self._proofs[m] for k, m in enumerate(chosen) if m in self._proofs}
-            return ForceSolutions(self.records[index], self.method, self.initial, proofs)
+            known = {k: self._known[m] for k, m in enumerate(chosen) if m in self._known}
+            return ForceSolutions(self.records[index], self.method, self.initial, known, self._priced)
         position = range(len(self))[index]
-        if position in self._proofs:
-            return self._proofs[position]
-        return ForceSolution(self.records[position], self.method, self.initial)
+        if position in self._known:
+            return self._known[position]
+        record = self.records[position]
+        if record[CODE] == INFEASIBLE:
+            return proven(record, self.method, self.initial).solution
+        return ForceSolution(record, self.method, self.initial, NO_TRACE, None, self._priced)
 
     def __iter__(self) -> Iterator[ForceSolution]:
         return (self[k] for k in range(len(self)))
@@ -153,8 +173,9 @@ def optimize_forces(
 ) -> ForceSolutions:
     """Grasp forces for many wrenches and one grasp, or as many grasps.
 
-    One grasp with hard contacts and force closure runs `newton` and the flows (from the 12-basis) and `conic` without Python between
-    the problems; every other combination loops over `ForceOptimizer`. Either way the numbers are those of single calls.
+    `newton` and `conic` on hard contacts with force closure take problems side by side in the vector registers, also from learned
+    starts; the flows, `newton` within limits and with soft contacts run without Python between the problems; every other combination
+    loops over `ForceOptimizer`. Answers are those of single calls (converged forces to 1e-9 of them) and do not depend on `workers`.
 
     Args:
         grasps: one grasp for all wrenches, or M grasps of one number of contacts.
@@ -180,7 +201,7 @@ def optimize_forces(
         lambda: checked_size(as_array(wrenches, (None, 6), "wrenches"), "wrenches"),
         lambda: None if workers is None else whole(workers, "workers", 1, ranges.WORKERS),
     )
-    threads = min(given or os.cpu_count() or 1, max(1, len(loads)))
+    threads = given or os.cpu_count() or 1
     known = ForceOptimizer.__init__.__kwdefaults__ or {}
     for name in options:
         choice(name, "option", known)
@@ -188,30 +209,30 @@ def optimize_forces(
     if as_text(initial) == "previous" or is_a(initial, ForceSolution):
         raise InvalidInputError("a batch has no previous solution: leave initial out, or give a rule")
     if is_a(grasps, Grasp):
-        optimizer = ForceOptimizer(grasps, method=method, **options)
-        records = np.empty((len(loads), record_size(grasps.n_contacts)))
-        run = _compiled_run(optimizer)
-        if run is not None:
-            _over_parts(lambda part: run(loads[part], records[part]), len(loads), threads)
-            # what the compiled call could not finish gets a second, slower look
-            unfinished = np.flatnonzero(records[:, CODE] != CONVERGED)
-        else:
-            unfinished = np.arange(len(loads))
-        proofs: dict[int, ForceSolution] = {}
-        name = "linear_combination" if optimizer._method.takes_start else "central"
-        for k in unfinished:
-            optimizer.previous = None
-            name = _one(optimizer, loads[k], records[k], int(k), proofs) or name
-        return ForceSolutions(records, method, name, proofs)
+        return _one_grasp(ForceOptimizer(grasps, method=method, **options), loads, threads)
     each = as_list(grasps)
     if each is None:
         raise InvalidInputError(f"grasps must be one Grasp or a list of them, got {shown(grasps)}")
-    return _many_grasps(each, loads, method, threads, options)
+    return _many_grasps(_checked_grasps(each, loads), loads, method, threads, options)
 
 
-def _many_grasps(
-    grasps: list[Grasp], loads: Array, method: str, threads: int, options: dict[str, Any]
-) -> ForceSolutions:
+def _one_grasp(optimizer: ForceOptimizer, loads: Array, threads: int) -> ForceSolutions:
+    records = np.empty((len(loads), record_size(optimizer.grasp.n_contacts)))
+    method, loop = optimizer._method, optimizer._loop
+    name = loop.name if loop is not None else "linear_combination" if method.takes_start else "central"
+    unfinished = np.arange(len(loads))
+    if loop is not None and loop.many is not None and not loop.remembers:
+        many = loop.many
+        _over_parts(lambda part: many(loads[part], None, records[part]), len(loads), CHUNK, threads)
+        unfinished = _unfinished(records)
+    known: dict[int, ForceSolution] = {}
+    for k in unfinished:
+        optimizer.previous = None
+        name = _one(optimizer, loads[k], records[k], int(k), known) or name
+    return ForceSolutions(records, optimizer.method, name, known, getattr(method, "priced", NO_TRACE))
+
+
+def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
     if len(grasps) != len(loads):
         raise InvalidInputError(f"as many grasps as wrenches are needed, got {len(grasps)} and {len(loads)}")
     for k, grasp in enumerate(grasps):
@@ -222,24 +243,75 @@ def _many_grasps(
         raise InvalidInputError(f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}")
     if not grasps:
         raise InvalidInputError("at least one grasp is needed to know the number of contacts")
+    return grasps
+
+
+def _many_grasps(
+    grasps: list[Grasp], loads: Array, method: str, threads: int, options: dict[str, Any]
+) -> ForceSolutions:
+    distinct = list({id(grasp): grasp for grasp in grasps}.values())
+    first = ForceOptimizer(grasps[0], method=method, **options)
     records = np.empty((len(loads), record_size(grasps[0].n_contacts)))
-    proofs: dict[int, ForceSolution] = {}
-    names: list[str] = []
+    solve = _compiled_grasps(first, distinct, options.get("initial"))
+    unfinished = np.arange(len(loads))
+    name = "linear_combination" if first._method.takes_start else "central"
+    if solve is not None:
+        place = {id(grasp): u for u, grasp in enumerate(distinct)}
+        which = np.array([place[id(grasp)] for grasp in grasps])
+        order = np.argsort(which, kind="stable")  # a grasp's problems one after the other
+        begins = np.searchsorted(which[order], np.arange(len(distinct) + 1))
 
-    def work(part: slice) -> None:
-        for k in range(part.start, part.stop):
-            optimizer = ForceOptimizer(grasps[k], method=method, **options)
-            name = _one(optimizer, loads[k], records[k], k, proofs)
-            names.extend([name] if name else [])
+        def work(part: slice) -> None:
+            mine = order[begins[part.start] : begins[part.stop]]
+            found = np.empty((len(mine), records.shape[1]))
+            solve(distinct[part], begins[part.start : part.stop + 1] - begins[part.start], loads[mine], found)
+            records[mine] = found
 
-    _over_parts(work, len(loads), threads)
-    return ForceSolutions(records, method, names[0] if names else "none", proofs)
+        _over_parts(work, len(distinct), GRASPS, threads)
+        unfinished = _unfinished(records)
+    known: dict[int, ForceSolution] = {}
+    for k in unfinished:
+        name = _one(ForceOptimizer(grasps[k], method=method, **options), loads[k], records[k], int(k), known) or name
+    return ForceSolutions(records, method, name, known)
+
+
+def _compiled_grasps(
+    optimizer: ForceOptimizer, grasps: list[Grasp], initial: Any
+) -> Callable[[list[Grasp], Array, Array, Array], None] | None:
+    """(grasps, where the problems of each begin, their wrenches, their records) -> None: the core's call, if it serves them all."""
+    settings, count = optimizer.settings, grasps[0].n_contacts
+    if settings.limits is not None or not all(grasp.hard for grasp in grasps):
+        return None
+    if settings.method == "newton" and settings.correction == "tangent" and initial in (None, "linear_combination"):
+        weights, call = settings.objective.weights(count), core.newton_grasps
+    elif settings.method == "conic" and settings.criterion == "sum":
+        weights, call = Objective().weights(count), core.conic_grasps
+    else:
+        return None
+    limit = getattr(optimizer._method, "limit", settings.max_iterations)
+
+    def solve(part: list[Grasp], first: Array, loads: Array, records: Array) -> None:
+        arrays = (
+            np.stack([grasp.positions for grasp in part]),
+            np.stack([grasp.normals for grasp in part]),
+            np.stack([grasp.models.cone_scale for grasp in part]),
+            np.stack([grasp.frames[:, :, 1] for grasp in part]),
+        )
+        call(*arrays, weights, first.astype(np.float64), settings.tolerance, limit, loads, records)
+
+    return solve
+
+
+def _unfinished(records: Array) -> Array:
+    """Which of what the core wrote gets a second, slower look."""
+    codes = records[:, CODE]
+    return np.flatnonzero((codes != CONVERGED) & (codes != INFEASIBLE) & (codes != LIMITS_EXCEEDED))
 
 
 def _one(
-    optimizer: ForceOptimizer, load: Array, record: Array, position: int, proofs: dict[int, ForceSolution]
+    optimizer: ForceOptimizer, load: Array, record: Array, position: int, known: dict[int, ForceSolution]
 ) -> str | None:
-    """Solves one problem into `record`; an infeasible one keeps its proof. Returns the name of the start."""
+    """Solves one problem into `record`; what is more than that is `known`. Returns the name of the start."""
     try:
         solution = optimizer.solve(load)
     except (InfeasibleWrenchError, NotConvergedError) as error:
@@ -252,26 +324,30 @@ def _one(
         solution = found
     record[:] = solution._record
     if optimizer.settings.limits is not None or solution.status is Status.INFEASIBLE:
-        proofs[position] = solution
+        known[position] = solution
     return None if solution.status is Status.INFEASIBLE else solution.initial
 
 
-def _compiled_run(optimizer: ForceOptimizer) -> Callable[[Array, Array], None] | None:
-    method = optimizer._method
-    if isinstance(method, Conic):
-        return method.solver.solve_many
-    if isinstance(method, Newton) and optimizer._loop is not None and optimizer._loop.name == "linear_combination":
-        solver = method.solver
-        return lambda loads, records: solver.solve_many(loads, None, records)
-    return None
+CHUNK, GRASPS = 4096, 64
+"""Problems, and grasps, of one call of the core: of whatever many threads, so that answers do not depend on those."""
 
 
-def _over_parts(work: Callable[[slice], None], count: int, threads: int) -> None:
-    edges = np.linspace(0, count, threads + 1).astype(int)
-    parts = [slice(int(a), int(b)) for a, b in pairwise(edges)]
-    if threads == 1:
-        work(parts[0])
+def _over_parts(work: Callable[[slice], None], count: int, size: int, threads: int) -> None:
+    """work(part) for all of `count`, `size` at a time, on so many threads; an error or an interrupt ends all after their part."""
+    parts = iter([slice(k, min(k + size, count)) for k in range(0, count, size)])
+
+    def take() -> None:
+        for part in parts:  # a list's iterator hands each of them to one thread
+            work(part)
+
+    threads = min(threads, -(-count // size))
+    if threads <= 1:
+        take()
         return
     with ThreadPoolExecutor(threads) as pool:
-        for _ in pool.map(work, parts):
-            pass
+        try:
+            for done in [pool.submit(take) for _ in range(threads)]:
+                done.result()
+        finally:
+            for _ in parts:  # nothing is left where all went well
+                pass

@@ -100,7 +100,7 @@ class LimitedNewton(FallingBack):
         Raises:
             InfeasibleStartError: no force closure, so there is no 12-basis to start from.
         """
-        self.grasp, self.settings, self.rows = grasp, settings, rows
+        self.grasp, self.settings, self.priced = grasp, settings, rows
         self.solver = core.LimitedNewton.make(
             core_contacts(grasp, settings.objective), settings.tolerance, settings.max_iterations, rows.normals, rows.bounds,
             rows.shares, rows.weights, rows.owners, OfflineBasis.of(grasp, settings.objective).cone_forces, settings.elastic,
@@ -109,7 +109,7 @@ class LimitedNewton(FallingBack):
     @property
     def limit_labels(self) -> tuple[str, ...]:
         """What each entry of a solution's `limit_multipliers` belongs to."""
-        return self.rows.labels
+        return self.priced.labels
 
     def solution(self, record: Array, method: str, initial: str) -> ForceSolution:
         """What the core wrote.
@@ -118,7 +118,7 @@ class LimitedNewton(FallingBack):
             InfeasibleWrenchError: no force keeps the limits.
         """
         if record[CODE] != INFEASIBLE:
-            return ForceSolution(record, method, initial, NO_TRACE, None, self.rows)
+            return ForceSolution(record, method, initial, NO_TRACE, None, self.priced)
         raise proven(record, method, initial)
 
     def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
@@ -127,7 +127,7 @@ class LimitedNewton(FallingBack):
             return self.general.start(wrench, initial, previous)
         start = super().start(wrench, initial, previous)
         if not (initial is None or isinstance(initial, str) or is_rule(initial, CompiledRule)):
-            slack = float(self.rows.slack(start.force).min(initial=np.inf))
+            slack = float(self.priced.slack(start.force).min(initial=np.inf))
             if not slack > 0.0:
                 raise InfeasibleStartError(
                     f"initial-force rule {start.name!r} leaves the limits by {-slack:.3g} N; use "
@@ -151,7 +151,7 @@ class LimitedNewton(FallingBack):
         balanced = self.grasp.residual(start.force, wrench) <= BALANCE_TOLERANCE * size
         if not (balanced and self.grasp.cone_margin(start.force) > 0.0):
             raise refused_start(self.grasp, wrench, start)
-        inside = studied and float(self.rows.slack(start.force).min(initial=np.inf)) > 0.0
+        inside = studied and float(self.priced.slack(start.force).min(initial=np.inf)) > 0.0
         return self.general.run(wrench, start if inside else self.general.deepest(wrench), optimum, trace)
 
 

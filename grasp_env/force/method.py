@@ -60,6 +60,7 @@ class Loop:
             the general path then converts or explains.
         name: of the start without a previous solution. carried: with one.
         remembers: whether the previous solution is handed to it.
+        many: `call` for (M, 6) wrenches, (M, 20 + 7N) previous records or None, into such records; None: one after the other.
         solution: (record, method, the start's name) -> what a call that CONVERGED wrote.
         stopped: the same for one that ended otherwise; may go on from there, or raise where that is a proof.
     """
@@ -68,6 +69,7 @@ class Loop:
     name: str
     carried: str = ""
     remembers: bool = False
+    many: Callable[[Array, Array | None, Array], None] | None = None
     solution: Callable[[Array, str, str], ForceSolution] = ForceSolution
     stopped: Callable[[Array, str, str], ForceSolution] = ForceSolution
 

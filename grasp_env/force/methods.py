@@ -135,8 +135,9 @@ class FallingBack(RuleStarts):
         named = initial is None or (isinstance(initial, str) and initial in LOOPED)
         if not named or self.settings.correction != "tangent":
             return None
+        solver, follows = self.solver, initial == "previous"
         return Loop(
-            self.solver.solve, "linear_combination", "previous", initial == "previous", self.solution, self.solution
+            solver.solve, "linear_combination", "previous", follows, solver.solve_many, self.solution, self.solution
         )
 
 
@@ -225,8 +226,8 @@ class Conic(OwnStart):
 
     def __init__(self, grasp: Grasp, settings: Settings, contacts: core.Contacts, interior: Array) -> None:
         self.grasp, self.settings, self._size = grasp, settings, record_size(grasp.n_contacts)
-        limit = min(settings.max_iterations, CONIC_ITERATIONS)
-        self.solver = core.Conic.make(contacts, settings.tolerance, limit, interior)
+        self.limit = min(settings.max_iterations, CONIC_ITERATIONS)
+        self.solver = core.Conic.make(contacts, settings.tolerance, self.limit, interior)
 
     @cached_property
     def general(self) -> ProgramConic:
@@ -237,7 +238,7 @@ class Conic(OwnStart):
 
     def loop(self, initial: Any) -> Loop | None:
         """See `Method.loop`."""
-        return Loop(self.solver.solve, "central", stopped=self.solution)
+        return Loop(self.solver.solve, "central", many=self.solver.solve_many, stopped=self.solution)
 
     def solution(self, record: Array, method: str, initial: str) -> ForceSolution:
         """What the core wrote; where that stopped short of the tolerance, what the general program makes of it in twice the digits.

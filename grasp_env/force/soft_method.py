@@ -64,9 +64,9 @@ class SoftNewton(FallingBack):
             RankDeficientGraspError: nor wrenches of all directions.
         """
         self.grasp, self.settings = grasp, settings
-        self._torsion = TorsionPrices.of(grasp, settings.objective.weights(grasp.n_contacts))
+        self.priced = TorsionPrices.of(grasp, settings.objective.weights(grasp.n_contacts))
         self.solver = core.SoftNewton.make(
-            core_contacts(grasp, settings.objective), settings.tolerance, settings.max_iterations, self._torsion.divisor,
+            core_contacts(grasp, settings.objective), settings.tolerance, settings.max_iterations, self.priced.divisor,
             OfflineBasis.of(grasp, settings.objective).cone_forces,
         )  # fmt: skip
 
@@ -77,7 +77,7 @@ class SoftNewton(FallingBack):
 
     def solution(self, record: Array, method: str, initial: str, trace: Array = NO_TRACE) -> ForceSolution:
         """What the core wrote."""
-        return ForceSolution(record, method, initial, trace, None, self._torsion)
+        return ForceSolution(record, method, initial, trace, None, self.priced)
 
     def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
         """See `Method.start`. The 12-basis is without torsion; all else is the general program's, as a previous solution with its torsion.

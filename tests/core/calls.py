@@ -159,6 +159,22 @@ def calls() -> dict[str, Call]:
             {"scales": np.array([s.scale]), "wrenches": np.eye(6)[:1], "forces": force[None]},
             {"records": (1, SIZE)},
         ),
+        **{
+            name: Call(
+                partial(call, **made),
+                {
+                    "positions": s.positions[None],
+                    "normals": s.normals[None],
+                    "scales": np.array([s.scale]),
+                    "tangents": s.frames[None, :, :, 1].copy(),
+                    "weights": s.weights,
+                    "first": np.array([0.0, 3.0]),
+                    "wrenches": LOADS,
+                },
+                {"records": many},
+            )
+            for name, call in (("newton_grasps", _core.newton_grasps), ("conic_grasps", _core.conic_grasps))
+        },
         "Newton.set_basis": Call(newton().set_basis, basis, {}),
         "Newton.make_basis": Call(partial(newton().make_basis, warm=True), {"interior": s.rest}, {"basis": (13, 12)}),
         "Newton.internal_force": Call(n.internal_force, {}, {"x": (12,)}),
@@ -186,7 +202,9 @@ def calls() -> dict[str, Call]:
         ),
         "LimitedNewton.solve": Call(bounded.solve, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),
         "LimitedNewton.descend": Call(bounded.descend, {"wrench": np.eye(6)[0], "force": force}, {"record": (SIZE,)}),
-        "LimitedNewton.solve_many": Call(bounded.solve_many, {"wrenches": LOADS, "previous": records}, {"records": many}),
+        "LimitedNewton.solve_many": Call(
+            bounded.solve_many, {"wrenches": LOADS, "previous": records}, {"records": many}
+        ),
         "LimitedNewton.times": Call(
             partial(bounded.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}
         ),

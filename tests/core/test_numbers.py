@@ -55,7 +55,10 @@ def test_numbers_that_are_none_are_refused_or_harmless(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "which"),
     [
-        *((name, "wrenches") for name in ("Newton.solve_many", "Conic.solve_many", "Learned.solve_many", "Newton.times", "Conic.times")),
+        *(
+            (name, "wrenches")
+            for name in ("Newton.solve_many", "Conic.solve_many", "Learned.solve_many", "Newton.times", "Conic.times")
+        ),
         ("Newton.solve_many", "previous"),
         ("Learned.solve_many", "previous"),
     ],

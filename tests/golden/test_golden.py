@@ -25,7 +25,6 @@ SETTLED = (
 )
 FLOOR = "no start named and no force closure: phase one starts, an answer instead of the advice to name it"
 ACCEPTED: dict[str, str] = {
-    "solver: reduced_flow from phase_one, cuboid": "the deepest force is found to 1e-7 by other steps: the flow begins a little elsewhere",
     **{
         f"environment: first tick, {name}": TICK
         for name in (

@@ -10,6 +10,7 @@ void bind_build_info(nb::module_& m);
 void bind_record(nb::module_& m);
 void bind_contacts(nb::module_& m);
 void bind_newton(nb::module_& m);
+void bind_grasps(nb::module_& m);
 void bind_flow(nb::module_& m);
 void bind_limits(nb::module_& m);
 void bind_soft(nb::module_& m);

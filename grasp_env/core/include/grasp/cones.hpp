@@ -60,13 +60,12 @@ public:
         return out;
     }
 
-    // Of a register of problems: those of the problem in `lane`, as everywhere below.
-    void pack(const Contacts& c, int lane = 0) {
+    void pack(const Contacts& c) {
         const int size = 3 * count;
         unit = c.unit;
         for (int i = 0; i < W * int(blocks.size()); ++i) {
             auto& block = blocks[i / W];
-            const int n = many<V> ? lane : i % W;
+            const int n = i % W;
             const bool used = i < count;
             set(block.mask, n, used);
             set(block.cost, n, used ? 1.0 / c.divisor[3 * i] : 1.0);
@@ -85,7 +84,25 @@ public:
                 for (int s = 0; s <= r; ++s) block.gjg[packed(r, s)] = lorentz(block.g[r], block.g[s]);
     }
 
-    // (3N,) numbers into the lanes, and back
+    // A register of problems, all of them on the contacts of one.
+    template <class C, int D> void spread(const Cones<C, D>& one)
+        requires many<V>
+    {
+        unit = one.unit;
+        for (int i = 0; i < count; ++i) {
+            const auto& from = one.blocks[i / width<C>];
+            auto& to = blocks[i];
+            const auto copy = [&](const C& a, V& b) { b = V(get(a, i % width<C>)); };
+            const auto copy3 = [&](const Vec3<C>& a, Vec3<V>& b) { copy(a.u, b.u), copy(a.o, b.o), copy(a.t, b.t); };
+            for (int r = 0; r < 6; ++r) copy3(from.g[r], to.g[r]), copy3(from.inverse[r], to.inverse[r]);
+            for (int k = 0; k < 21; ++k) copy(from.gjg[k], to.gjg[k]);
+            copy3(from.scale, to.scale), copy3(from.divisor, to.divisor);
+            copy(from.weights.omega, to.weights.omega), copy(from.weights.lambda, to.weights.lambda);
+            copy(from.cost, to.cost), copy(from.mask, to.mask);
+        }
+    }
+
+    // (3N,) numbers into the lanes, and back; of a register of problems those of one lane
     void load(const double* from, Field& x, int lane = 0) const {
         each(lane, [&](int b, int n, int at) {
             for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a]);

@@ -84,7 +84,7 @@ template <class V, int B> class LearnedOn {
 public:
     using Field = typename Cones<V, B>::Field;
     NewtonOn<V, B> newton;
-    bool outside = true;  // whether the last wrench was not covered
+    bool outside = false;  // whether the last wrench was not covered
 
     // basis: (13, 3N) the offline optima of the contacts
     LearnedOn(const Contacts& contacts, const Options& options, const double* basis, const Model& model)

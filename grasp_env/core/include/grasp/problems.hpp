@@ -27,8 +27,10 @@ public:
     V value{}, bound{}, iterations{}, trials{};
     Six<V> wrench{}, nu{};  // unit frame: what is balanced; multipliers
 
-    NewtonLanes(int count, const Options& options)
-        : options(options), cones(count), x(cones.field()), system_(cones), step_(cones.field()) {}
+    template <class C, int B> NewtonLanes(const Cones<C, B>& contacts, const Options& options, double fraction = SHORT)
+        : options(options), cones(contacts.count), x(cones.field()), fraction_(fraction), system_(cones), step_(cones.field()) {
+        cones.spread(contacts);
+    }
 
     // A problem: its start (3N,), balanced and strictly inside, in cone coordinates, its wrench, Phi there.
     void begin(int lane, const double* start, const Vec6& w, double phi) {
@@ -60,7 +62,7 @@ public:
         open &= ~certified;
         if (!any(open)) return {certified, live & ~certified};
 
-        V alpha = By::longest(reach, SHORT);
+        V alpha = By::longest(reach, fraction_);
         const Mask moved = search(open, decrement, alpha);
         for (int b = 0; b < int(x.size()); ++b) x[b] += alpha * step_[b];
         iterations += select(moved, V(1.0), V(0.0));
@@ -75,6 +77,7 @@ public:
 private:
     using By = Rules<V>;
     static constexpr int PATIENCE = 40;  // steps that an ordinary descent never takes
+    double fraction_;  // of the way to the boundary
     System<V, 0> system_;
     Field step_;
 
@@ -111,7 +114,10 @@ public:
     V iterations{};
     Six<V> minus{};  // of the wrenches, unit frame, of size 1
 
-    ConicLanes(int count, const Options& options) : options(options), steps(count) {}
+    template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const Options& options)
+        : options(options), steps(contacts.count) {
+        steps.cones.spread(contacts);
+    }
 
     // The start of a problem; its last iterate, returning how many it took.
     template <class C, int B> void begin(int lane, const ConicSteps<C, B>& from, const Vec6& w) {
@@ -163,6 +169,8 @@ template <class Many, class Begin, class End> void run(Many& lanes, std::ptrdiff
     }
 }
 
+inline constexpr int FEW = REGISTER / 2;  // problems that are not worth the lanes
+
 // What many calls of a solver read and write, a row of each for a problem.
 struct Many {
     std::ptrdiff_t count;
@@ -186,13 +194,13 @@ struct Many {
 // Newton on many wrenches of one grasp. begin(k, w, record): makes the start of problem k in one.x and its wrench in the unit
 // frame, or writes the record and returns false; alone(k, record): solves it in the ordinary way.
 template <class V, int B, class Begin, class Alone>
-void newton_many(NewtonOn<V, B>& one, const Contacts& contacts, const Many& many, Begin&& begin, Alone&& alone) {
-    NewtonLanes<REGISTER> lanes(contacts.count, one.options);
-    for (int lane = 0; lane < REGISTER; ++lane) lanes.cones.pack(contacts, lane);
+void newton_many(NewtonOn<V, B>& one, const Many& many, Begin&& begin, Alone&& alone) {
     auto& cones = one.cones;
-    std::vector<double> x(3 * contacts.count);
+    const int count = cones.count;
+    NewtonLanes<REGISTER> lanes(cones, one.options);
+    std::vector<double> x(3 * count);
     const auto enter = [&](int lane, std::ptrdiff_t k) {
-        const Record record = many.record(k, contacts.count);
+        const Record record = many.record(k, count);
         Vec6 w;
         if (!begin(k, w, record)) return false;
         cones.store_force(one.x, record.initial_force()), cones.store(one.x, x.data());
@@ -205,7 +213,7 @@ void newton_many(NewtonOn<V, B>& one, const Contacts& contacts, const Many& many
         return true;
     };
     const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
-        const Record record = many.record(k, contacts.count);
+        const Record record = many.record(k, count);
         if (closed) {
             lanes.cones.store(lanes.x, x.data(), lane), cones.load(x.data(), one.x);
             const Call call{.wrench = many.wrench(k), .start = Start::given};
@@ -216,13 +224,33 @@ void newton_many(NewtonOn<V, B>& one, const Contacts& contacts, const Many& many
     run(lanes, many.count, enter, leave);
 }
 
+// The same from the combination, or from the previous solutions.
+template <class V, int B> void newton_many(NewtonOn<V, B>& one, const Many& many) {
+    const int count = one.cones.count;
+    const auto alone = [&](std::ptrdiff_t k, const Record& record) { one.solve(many.call(k, count), record); };
+    if (many.count < FEW) {
+        for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
+        return;
+    }
+    const auto begin = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
+        record.summary().code = REFUSED;
+        w = one.cones.unit.of(many.wrench(k));
+        return sane_wrench(many.wrench(k)) && one.begin(many.call(k, count), w);
+    };
+    newton_many(one, many, begin, alone);
+}
+
 // The least sum of normal forces, for many wrenches of one grasp.
-template <class V, int B> void conic_many(ConicOn<V, B>& one, const Contacts& contacts, const Many& many) {
-    ConicLanes<REGISTER> lanes(contacts.count, one.options);
-    for (int lane = 0; lane < REGISTER; ++lane) lanes.steps.cones.pack(contacts, lane);
+template <class V, int B> void conic_many(ConicOn<V, B>& one, const Many& many) {
+    const int count = one.cones.count;
+    if (many.count < FEW) {
+        for (std::ptrdiff_t k = 0; k < many.count; ++k) one.solve(many.wrench(k), many.record(k, count));
+        return;
+    }
+    ConicLanes<REGISTER> lanes(one.cones, one.options);
     typename ConicOn<V, B>::Posed posed[REGISTER];
     const auto enter = [&](int lane, std::ptrdiff_t k) {
-        const Record record = many.record(k, contacts.count);
+        const Record record = many.record(k, count);
         if (!one.pose(many.wrench(k), posed[lane], record)) return false;
         one.start(posed[lane].minus);
         if (one.gap <= one.options.tolerance * one.price) {  // a start that is good enough
@@ -233,7 +261,7 @@ template <class V, int B> void conic_many(ConicOn<V, B>& one, const Contacts& co
         return true;
     };
     const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
-        const Record record = many.record(k, contacts.count);
+        const Record record = many.record(k, count);
         if (closed) {
             one.start(posed[lane].minus);  // for the record
             const int iterations = lanes.end(lane, one);

@@ -2,10 +2,10 @@
 #pragma once
 #include "conic.hpp"
 #include "dispatch.hpp"
+#include "grasps.hpp"
 #include "learned.hpp"
 #include "limited.hpp"
 #include "pipeline.hpp"
-#include "problems.hpp"
 #include "soft.hpp"
 
 namespace grasp {
@@ -235,16 +235,8 @@ public:
     std::unique_ptr<Newton> clone() const override { return std::make_unique<NewtonAny>(*this); }
 
     void solve_many(const Many& many) override {
-        const int count = this->contacts.count;
-        auto& on = this->on_;
-        on.options = this->options;
-        const auto begin = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
-            record.summary().code = REFUSED;
-            w = on.cones.unit.of(many.wrench(k));
-            return sane_wrench(many.wrench(k)) && on.begin(many.call(k, count), w);
-        };
-        newton_many(on, this->contacts, many, begin,
-                    [&](std::ptrdiff_t k, const Record& record) { on.solve(many.call(k, count), record); });
+        this->on_.options = this->options;
+        newton_many(this->on_, many);
     }
 };
 
@@ -317,7 +309,7 @@ public:
     }
     std::unique_ptr<Conic> clone() const override { return std::make_unique<ConicAny>(*this); }
     Code solve(const double* wrench, double* row) override { return on_.solve(wrench, Record(row, contacts.count)); }
-    void solve_many(const Many& many) override { conic_many(on_, contacts, many); }
+    void solve_many(const Many& many) override { conic_many(on_, many); }
 
 private:
     ConicOn<V, B> on_;
@@ -342,7 +334,7 @@ public:
         const auto begin = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
             return on_.begin_descent(many.wrench(k), many.call(k, contacts.count).force, w, record);
         };
-        newton_many(on_.newton, contacts, many, begin, [&](std::ptrdiff_t k, const Record& record) {
+        newton_many(on_.newton, many, begin, [&](std::ptrdiff_t k, const Record& record) {
             on_.solve(many.wrench(k), many.call(k, contacts.count).force, record);
         });
     }
