@@ -85,7 +85,7 @@ public:
     }
 
     // S = sum eta (2 (G v)(G v)^T - G J G^T), factored; returns its least pivot
-    S system() {
+    [[gnu::always_inline]] S system() {
         V s[21] = {};
         for (int b = 0; b < blocks(); ++b) {
             const auto& c = cones.blocks[b];
@@ -108,7 +108,7 @@ public:
 
     // A step with Mehrotra's corrector: `down` is the predictor's dy (dx + M ds = -x, so that S dy = G x = -w), correct(pull) that
     // of all. Whether it moves anything; where it does not, it is not taken. EXACT: `correct` leaves dx in q.
-    template <bool EXACT, class F> auto step(const Six<S>& down, F&& correct) {
+    template <bool EXACT, class F> [[gnu::always_inline]] auto step(const Six<S>& down, F&& correct) {
         const auto [primal, dual, cross, square] = predict(down);
         const S after = gap + dual * cross - primal * (gap + cross) - primal * dual * (cross + square);
         const S part = max(S(0.0), after) / gap, centring = min(part * part * part, S(1.0));
@@ -144,7 +144,7 @@ private:
     }
 
     // d = scaled right side with centring and second order, q its unscaled image; returns -G q
-    Six<S> centre(const S& target) {
+    [[gnu::always_inline]] Six<S> centre(const S& target) {
         V out[6] = {};
         for (int b = 0; b < blocks(); ++b) {
             auto& here = at[b];
@@ -162,7 +162,7 @@ private:
 
     // d = ds, q = dx; returns the steps, `reach` of the way to the boundary of x and s
     struct Lengths { S primal, dual; };
-    template <bool EXACT> Lengths direct(const Six<S>& dy, const S& reach) {
+    template <bool EXACT> [[gnu::always_inline]] Lengths direct(const Six<S>& dy, const S& reach) {
         V primal = all<V>(reach), dual = all<V>(reach);
         for (int b = 0; b < blocks(); ++b) {
             auto& here = at[b];
@@ -180,7 +180,7 @@ private:
         return {reach / largest(primal), reach / largest(dual)};
     }
 
-    void advance(const S& primal, const S& dual) {
+    [[gnu::always_inline]] void advance(const S& primal, const S& dual) {
         V left{}, cost{};
         for (int b = 0; b < blocks(); ++b) {
             auto& here = at[b];

@@ -27,7 +27,7 @@ template <int W> inline constexpr bool many<Each<W>> = true;
 template <int W> inline constexpr int width<Each<W>> = 1;  // contacts in it
 inline constexpr double infinity = std::numeric_limits<double>::infinity();
 
-template <class V> inline V select(const decltype(V{} < V{})& which, const V& a, const V& b) { return which ? a : b; }
+template <class V> [[gnu::always_inline]] inline V select(decltype(V{} < V{}) which, V a, V b) { return which ? a : b; }
 template <class V> inline V all(double a) { return V{} + a; }
 template <class V> inline V all(const V& a)
     requires many<V>
@@ -36,7 +36,10 @@ template <class V> inline V all(const V& a)
 }
 template <class V> inline V min(V a, V b) { return a < b ? a : b; }
 template <class V> inline V max(V a, V b) { return a > b ? a : b; }
-template <class V> inline V abs(V a) { return max(a, -a); }
+template <class V> inline V abs(V a) {
+    if constexpr (std::is_same_v<V, double>) return __builtin_fabs(a);
+    else return max(a, -a);
+}
 
 template <class V> inline double get(const V& a, int n) {
     if constexpr (many<V>) return a.lanes[n];
@@ -48,7 +51,7 @@ template <class V> inline void set(V& a, int n, double value) {
     else if constexpr (width<V> == 1) a = value;
     else a[n] = value;
 }
-template <class V> inline V sqrt(V a) {
+template <class V> [[gnu::always_inline]] inline V sqrt(V a) {
     if constexpr (width<V> == 1) {
         return __builtin_sqrt(a);
     } else {

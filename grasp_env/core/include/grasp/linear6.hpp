@@ -66,7 +66,7 @@ template <class S> struct Ldl {
         return smallest;
     }
 
-    Six<S> solve(Six<S> b) const {
+    [[gnu::always_inline]] Six<S> solve(Six<S> b) const {
 #pragma GCC unroll 8
         for (int j = 1; j < 6; ++j)
 #pragma GCC unroll 8

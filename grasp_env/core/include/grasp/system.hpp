@@ -74,11 +74,12 @@ public:
     // (a few digits a time), then by the least change.
     template <class R> Step step(const Cones<V, B>& cones, const Field& x, const Six<S>& nu, const Six<S>& left, const S& value,
                                  Field& step, R& rows) const {
-        Six<S> missed = left + direction(cones, nu, step, rows);
+        Six<S> missed = left + moved_by(cones, nu, step, rows);
         for (int round = 0; round < REFINEMENTS; ++round) {
             const auto rough = size(missed) > MISSES * value;
             if (!any(rough)) break;
-            missed = left + restore(cones, select(rough, missed, Six<S>{}), step, rows);
+            if constexpr (many<V>) missed = select(rough, missed, Six<S>{});
+            missed = left + restored_by(cones, missed, step, rows);
         }
         V decrement{}, reach{};
         for (int b = 0; b < int(x.size()); ++b) {
@@ -112,6 +113,18 @@ public:
     }
 
 private:
+    // `direction` and `restore`, out of line unless rows turn
+    template <class R> [[gnu::always_inline]] Six<S> moved_by(const Cones<V, B>& cones, const Six<S>& nu, Field& step,
+                                                              [[maybe_unused]] R& rows) const {
+        if constexpr (R::turns) return direction(cones, nu, step, rows);
+        else return direction(cones, nu, step);
+    }
+    template <class R> [[gnu::always_inline]] Six<S> restored_by(const Cones<V, B>& cones, const Six<S>& missed, Field& step,
+                                                                 [[maybe_unused]] R& rows) const {
+        if constexpr (R::turns) return restore(cones, missed, step, rows);
+        else return restore(cones, missed, step);
+    }
+
     static constexpr int REFINEMENTS = 3;
     static constexpr double MISSES = 1e-13;  // a step that misses balance by less than this part of Phi needs no refinement
 
