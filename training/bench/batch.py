@@ -10,13 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env.force import optimize_forces
+from grasp_env.force import ForceLimits, optimize_forces
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import sample_ball
+from policies import LearnedInitialForce
 from training.runs import provenance
 
-METHODS = {"newton": 1e-4, "conic": 1e-6}
-"""With the tolerances that are these methods' defaults."""
+KINDS: dict[str, dict[str, Any]] = {
+    "newton": {"method": "newton"},
+    "newton, tolerance 1e-8": {"method": "newton", "tolerance": 1e-8},
+    "newton from four_finger": {"method": "newton", "initial": LearnedInitialForce.pretrained("four_finger")},
+    "newton within limits": {"method": "newton", "limits": ForceLimits(max_normal=20.0)},
+    "conic": {"method": "conic"},
+}
+"""What is measured: keywords of `optimize_forces`, the defaults where none is named."""
 
 
 def batch(
@@ -26,35 +33,34 @@ def batch(
 
     Returns:
         {"rows": [{method, workers, per_second, optimal}], "speedup": {method: all cores over one}, "peak_gib"}; the peak is
-        of the whole process, wrenches and two results included.
+        of the whole process, wrenches and one result included.
     """
     grasp = presets.paper_cuboid()
     loads = sample_ball(np.random.default_rng(seed), wrenches)
     cores = os.cpu_count() or 1
     rows = []
-    for method, tolerance in METHODS.items():
-        optimize_forces(grasp, loads[:100], method=method, tolerance=tolerance)
+    for kind, options in KINDS.items():
+        optimize_forces(grasp, loads[:100], **options)
         best: dict[int, float] = {}
         optimal = 0
         for turn in range(rounds):
             for workers in sorted({1, cores}):
-                tick(f"{method}, {workers} workers, round {turn + 1} of {rounds}")
+                tick(f"{kind}, {workers} workers, round {turn + 1} of {rounds}")
                 begin = time.perf_counter()
-                result = optimize_forces(grasp, loads, method=method, tolerance=tolerance, workers=workers)
+                result = optimize_forces(grasp, loads, workers=workers, **options)
                 best[workers] = min(best.get(workers, np.inf), time.perf_counter() - begin)
                 optimal = int(result.optimal.sum())
                 del result
         rows += [
-            {"method": method, "tolerance": tolerance, "workers": workers, "per_second": wrenches / seconds,
-             "optimal": optimal}
+            {"method": kind, "workers": workers, "per_second": wrenches / seconds, "optimal": optimal}
             for workers, seconds in best.items()
-        ]  # fmt: skip
+        ]
     rate = {(row["method"], row["workers"]): row["per_second"] for row in rows}
     return {
         "kind": "batch",
         "wrenches": wrenches,
         "rows": rows,
-        "speedup": {method: rate[method, cores] / rate[method, 1] for method in METHODS},
+        "speedup": {method: rate[method, cores] / rate[method, 1] for method in KINDS},
         "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
         "provenance": provenance(),
     }
