@@ -39,9 +39,15 @@ _KINDS = {"U": "text", "S": "bytes", "b": "true or false", "c": "complex", "M": 
 
 
 def as_array(
-    value: ArrayLike, shape: Shape | None, name: str, within: Range | None = None, *, finite: bool = True
+    value: ArrayLike,
+    shape: Shape | None,
+    name: str,
+    within: Range | None = None,
+    *,
+    finite: bool = True,
+    copy: bool = True,
 ) -> Array:
-    """Returns `value` as a new finite float64 array of `shape`.
+    """Returns `value` as a new finite float64 array of `shape`, contiguous.
 
     Args:
         value: numbers.
@@ -49,6 +55,7 @@ def as_array(
         name: for messages.
         within: where every number must lie.
         finite: whether infinite ones and nan are refused.
+        copy: False: an array that is such already is not copied.
 
     Raises:
         InvalidInputError: not numbers, another shape, not finite, or out of range.
@@ -65,7 +72,7 @@ def as_array(
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
         _check_shape(value.shape, shape, name)
-        array = np.array(value, order="C")
+        array = np.array(value, order="C") if copy else np.ascontiguousarray(value)
     else:
         array = _converted(value, shape, name)
     if finite and not all_finite(array):

@@ -198,7 +198,7 @@ def optimize_forces(
         ((100, 4, 3), True)
     """
     loads, given = together(
-        lambda: checked_size(as_array(wrenches, (None, 6), "wrenches"), "wrenches"),
+        lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches"),
         lambda: None if workers is None else whole(workers, "workers", 1, ranges.WORKERS),
     )
     threads = given or os.cpu_count() or 1
@@ -259,10 +259,10 @@ def _many_grasps(
         place = {id(grasp): u for u, grasp in enumerate(distinct)}
         which = np.array([place[id(grasp)] for grasp in grasps])
         order = np.argsort(which, kind="stable")  # a grasp's problems one after the other
-        begins = np.searchsorted(which[order], np.arange(len(distinct) + 1))
+        begins = np.searchsorted(which[order], np.arange(len(distinct) + 1)).astype(np.float64)
 
         def work(part: slice) -> None:
-            mine = order[begins[part.start] : begins[part.stop]]
+            mine = order[int(begins[part.start]) : int(begins[part.stop])]
             found = np.empty((len(mine), records.shape[1]))
             solve(distinct[part], begins[part.start : part.stop + 1] - begins[part.start], loads[mine], found)
             records[mine] = found
@@ -297,12 +297,12 @@ def _compiled_grasps(
             np.stack([grasp.models.cone_scale for grasp in part]),
             np.stack([grasp.frames[:, :, 1] for grasp in part]),
         )
-        call(*arrays, weights, first.astype(np.float64), settings.tolerance, limit, loads, records)
+        call(*arrays, weights, first, settings.tolerance, limit, loads, records)
 
     return solve
 
 
-def _unfinished(records: Array) -> Array:
+def _unfinished(records: Array) -> NDArray[np.intp]:
     """Which of what the core wrote gets a second, slower look."""
     codes = records[:, CODE]
     return np.flatnonzero((codes != CONVERGED) & (codes != INFEASIBLE) & (codes != LIMITS_EXCEEDED))
