@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from grasp_env import core, ranges
 from grasp_env._check import Array, as_array, as_list, as_text, checked_size, choice, is_a, together, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError, shown
-from grasp_env.force.method import proven
+from grasp_env.force.method import CONIC_ITERATIONS, proven
 from grasp_env.force.methods import NO_TRACE
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer
@@ -282,13 +282,14 @@ def _compiled_grasps(
     settings, count = optimizer.settings, grasps[0].n_contacts
     if settings.limits is not None or not all(grasp.hard for grasp in grasps):
         return None
-    if settings.method == "newton" and settings.correction == "tangent" and initial in (None, "linear_combination"):
-        weights, call = settings.objective.weights(count), core.newton_grasps
+    combines = settings.correction == "tangent" and (initial is None or as_text(initial) == "linear_combination")
+    if settings.method == "newton" and combines:
+        weights, limit, call = settings.objective.weights(count), settings.max_iterations, core.newton_grasps
     elif settings.method == "conic" and settings.criterion == "sum":
+        limit = min(settings.max_iterations, CONIC_ITERATIONS)
         weights, call = Objective().weights(count), core.conic_grasps
     else:
         return None
-    limit = getattr(optimizer._method, "limit", settings.max_iterations)
 
     def solve(part: list[Grasp], first: Array, loads: Array, records: Array) -> None:
         arrays = (

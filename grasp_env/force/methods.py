@@ -226,8 +226,8 @@ class Conic(OwnStart):
 
     def __init__(self, grasp: Grasp, settings: Settings, contacts: core.Contacts, interior: Array) -> None:
         self.grasp, self.settings, self._size = grasp, settings, record_size(grasp.n_contacts)
-        self.limit = min(settings.max_iterations, CONIC_ITERATIONS)
-        self.solver = core.Conic.make(contacts, settings.tolerance, self.limit, interior)
+        limit = min(settings.max_iterations, CONIC_ITERATIONS)
+        self.solver = core.Conic.make(contacts, settings.tolerance, limit, interior)
 
     @cached_property
     def general(self) -> ProgramConic:
