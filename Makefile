@@ -48,7 +48,7 @@ $(STAMP): pyproject.toml constraints.txt
 	  rm -rf .venv; echo "$$python cannot make a virtual environment: on Debian or Ubuntu install $$(basename "$$python")-venv" >&2; exit 1; }
 	$(PIP) pip setuptools scikit-build-core nanobind numpy cmake ninja
 	$(PIP) torch==2.13.0
-	$(EDITABLE) ".[dev,video,bench]"
+	$(EDITABLE) ".[all,bench,dev]"
 	@touch $(STAMP)
 
 # The core in the tree is the one pip built; ninja knows what has changed since. Any other leaves the tree alone.

@@ -14,9 +14,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba import njit
-
 from grasp_env import core
+from grasp_env._extras import need
+
+with need("sim"):
+    from numba import njit
 
 _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(

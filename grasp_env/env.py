@@ -6,10 +6,14 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
-from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
+
+from grasp_env._extras import need
+
+with need("sim"):
+    import gymnasium as gym
+    from gymnasium.utils import EzPickle
 
 from grasp_env import observation
 from grasp_env._check import Array, as_array, as_wrench, choice, instance, is_a, whole

@@ -124,5 +124,9 @@ class GraspFileError(GraspError, OSError):
     """A grasp's file that cannot be read or written, is not of this format, or describes no valid grasp."""
 
 
+class MissingExtraError(GraspError, ImportError):
+    """Packages that the solver does without, and this needs, are not installed; the message has the command."""
+
+
 class SimulationError(GraspError, RuntimeError):
     """The simulator diverged, was closed, or cannot do what was asked."""

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-import torch
-from torch import Tensor, nn
+from grasp_env._extras import need
+
+with need("train"):
+    import torch
+    from torch import Tensor, nn
 
 
 class _Activation(torch.autograd.Function):

@@ -17,6 +17,7 @@ from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceLimits, InitialForceRule, initial_rule, optimize_force, optimize_forces
 from grasp_env.force.initial import RULES
@@ -51,10 +52,13 @@ def record(
         **settings: more keywords of the environment: task, shape, disturbance, render_size.
 
     Raises:
-        InvalidInputError: another suffix, no time, a folder that does not exist, or .mp4 without the extra "video".
+        InvalidInputError: another suffix, no time, or a folder that does not exist.
+        MissingExtraError: .mp4 without the extra "video"; .gif and .webp need none.
     """
     if out.suffix not in SUFFIXES:
         raise InvalidInputError(f"out must end in one of {', '.join(SUFFIXES)}, got {out}")
+    if out.suffix == ".mp4":
+        need("video")
     if seconds is not None:
         if not seconds > 0.0 or not np.isfinite(seconds):
             raise InvalidInputError(f"seconds must be finite and > 0, got {seconds}")
@@ -101,11 +105,8 @@ def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
         with path.open("wb") as file:
             first.save(file, format=path.suffix[1:], save_all=bool(settings), **settings)
         return
-    try:
-        # pixels in blocks of two: what the colours of H.264 are stored in
-        writer = imageio.get_writer(path, format="FFMPEG", mode="I", fps=FRAME_RATE, macro_block_size=2, quality=8)
-    except ImportError:
-        raise InvalidInputError("writing .mp4 needs the extra: pip install 'grasp-force[video]', or use .gif") from None
+    # pixels in blocks of two: what the colours of H.264 are stored in
+    writer = imageio.get_writer(path, format="FFMPEG", mode="I", fps=FRAME_RATE, macro_block_size=2, quality=8)
     try:
         for frame in frames:
             writer.append_data(frame)

@@ -7,8 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
+
+from grasp_env._extras import need
+
+with need("train"):
+    import torch
+    from torch import Tensor
 
 from grasp_env.force import Objective
 from grasp_env.grasp import Grasp, presets, reference_basis

@@ -7,8 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor, nn
+
+from grasp_env._extras import need
+
+with need("train"):
+    import torch
+    from torch import Tensor, nn
 
 from policies.checkpoint import Checkpoint
 from policies.newton_layers import NewtonLayers, newton_step, phi

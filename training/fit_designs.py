@@ -9,8 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import nn
+
+from grasp_env._extras import need
+
+with need("train"):
+    import torch
+    from torch import nn
 
 from policies.newton_layers import NewtonLayers
 from training.any_dataset import Pool, make_pool

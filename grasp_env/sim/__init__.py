@@ -1,14 +1,17 @@
 """The simulated hand and object; the only package that knows PyBullet."""
 
-from grasp_env.sim.camera import Camera, CameraConfig
-from grasp_env.sim.client import Client
-from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.hand import HANDS, FingerDescription, HandDescription
-from grasp_env.sim.kinematics import HandKinematics
-from grasp_env.sim.objects import ObjectDescription
-from grasp_env.sim.overlay import Annotation
-from grasp_env.sim.scene import Scene
-from grasp_env.sim.snapshot import Snapshot
+from grasp_env._extras import need
+
+with need("sim"):
+    from grasp_env.sim.camera import Camera, CameraConfig
+    from grasp_env.sim.client import Client
+    from grasp_env.sim.config import SceneConfig
+    from grasp_env.sim.hand import HANDS, FingerDescription, HandDescription
+    from grasp_env.sim.kinematics import HandKinematics
+    from grasp_env.sim.objects import ObjectDescription
+    from grasp_env.sim.overlay import Annotation
+    from grasp_env.sim.scene import Scene
+    from grasp_env.sim.snapshot import Snapshot
 
 __all__ = [
     "HANDS",

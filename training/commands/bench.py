@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +13,7 @@ import tyro
 from rich.console import Console
 
 from grasp_env import ranges
+from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError, shown
 
 
@@ -49,7 +51,8 @@ class Bench:
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
-        from training.bench import batch, core, env, scaling, show, solver
+        need(*(("sim", "report") if self.what == "env" else ("report",)))
+        from training.bench import batch, core, scaling, show, solver
         from training.runs import Run
 
         options: dict[str, Any] = {"seed": _at_least(self.seed, "seed", 0, ranges.SEED)}
@@ -71,10 +74,12 @@ class Bench:
         with console.status("starting") as status:
             if sys.stderr.isatty():
                 options["tick"] = status.update
-            benches = {
-                "solver": solver.solver, "scaling": scaling.scaling, "batch": batch.batch, "env": env.env_bench, "core": core.core,
-            }  # fmt: skip
-            run = benches[self.what]
+            run: Callable[..., dict[str, Any]]
+            if self.what == "env":
+                from training.bench.env import env_bench as run
+            else:
+                benches = {"solver": solver.solver, "scaling": scaling.scaling, "batch": batch.batch, "core": core.core}
+                run = benches[self.what]
             result = run(**options)
         path = show.save(result, self.out)
         if self.json:

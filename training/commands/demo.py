@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from grasp_env._extras import need
 from training.commands.rules import rule
 
 
@@ -40,6 +41,7 @@ class Demo:
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
+        need("sim", "report")
         from training.demo import record
 
         disturbance = self.disturbance or ("paper_path" if self.task == "hold" else None)

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import tyro
 
+from grasp_env._extras import need
 from training.commands.claims import print_claims
 from training.settings import EvaluateConfig
 
@@ -30,6 +31,7 @@ class Evaluate(EvaluateConfig):
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
+        need("sim", "report")
         kind: Any = EvaluateConfig
         if self.what == "env":
             from training.env_evaluation import EnvEvaluateConfig, evaluate_env

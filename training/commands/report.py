@@ -8,6 +8,7 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
+from grasp_env._extras import need
 from training.commands.claims import print_claims
 
 
@@ -23,6 +24,7 @@ class Report:
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
+        need("report")
         from training.env_report import build_env_report
         from training.report import build_report, report_path
         from training.runs import Run, understood

@@ -8,6 +8,8 @@ from pathlib import Path
 
 from rich.console import Console
 
+from grasp_env._extras import need
+
 
 @dataclass(frozen=True)
 class Reproduce:
@@ -23,6 +25,7 @@ class Reproduce:
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
+        need("report")
         from training.reproduce import reproduce
 
         metrics = reproduce(self.out, self.quick, sys.stderr.isatty())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from grasp_env._extras import need
 from training.rl_settings import RLConfig
 
 
@@ -28,6 +29,7 @@ class RL(RLConfig):
         from training.runs import Run
 
         if self.compare:
+            need("sim", "train", "report")
             from training.rl_evaluate import evaluate_runs
 
             runs = [Run.open(folder, "run.json").folder for folder in self.compare]

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from rich.console import Console
 
+from grasp_env._extras import need
+
 
 @dataclass(frozen=True)
 class Warmup:
@@ -13,6 +15,7 @@ class Warmup:
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
+        need("sim", "report")
         from training.demo import warm_up
 
         Console().print(f"kernels compiled and cached in {warm_up():.1f} s", highlight=False)

@@ -1,0 +1,42 @@
+"""What the solver does without and may not be installed: the extras of `pyproject.toml`, asked for where they are imported."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from contextlib import nullcontext
+from importlib.util import find_spec
+
+from grasp_env.errors import MissingExtraError
+
+EXTRAS = {
+    "cli": ("rich", "tyro"),
+    "sim": ("PIL", "gymnasium", "numba", "pybullet", "trimesh"),
+    "train": ("stable_baselines3", "tensorboard", "torch"),
+    "report": ("PIL", "imageio", "jinja2", "matplotlib"),
+    "video": ("imageio_ffmpeg",),
+}
+"""What each brings, as it is imported."""
+
+
+def need(*extras: str) -> nullcontext[None]:
+    """Refuses where one of these extras is not installed: before the imports it stands for, alone or in a `with`.
+
+    Raises:
+        MissingExtraError: one line with the command that installs what is missing.
+
+    Example:
+        >>> with need("sim"):
+        ...     import gymnasium
+    """
+    missing = {extra: [name for name in EXTRAS[extra] if find_spec(name) is None] for extra in extras}
+    missing = {extra: names for extra, names in missing.items() if names}
+    absent = dict.fromkeys(name for names in missing.values() for name in names)
+    if "pybullet" in absent and sys.version_info >= (3, 12):
+        raise MissingExtraError(
+            f"the simulated hand needs pybullet, which has wheels for CPython 3.10 and 3.11 only, and this is "
+            f'{platform.python_version()}: make an environment of one of those and run pip install "grasp-force[{",".join(missing)}]" there'
+        )
+    if missing:
+        raise MissingExtraError(f'this needs {", ".join(absent)}: pip install "grasp-force[{",".join(missing)}]"')
+    return nullcontext()
