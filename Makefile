@@ -1,13 +1,15 @@
 # Everything runs in .venv, which the first target that needs it makes, with the core (C++20) built into the source tree.
 # PYTHON=/path/to/python3.11 chooses the interpreter; ARGS="..." goes to the command. CXX=clang++, GRASP_BUILD_TYPE=Debug,
-# GRASP_ARCH=x86-64-v3 and GRASP_SANITIZE=ON build the core once more, in a folder of its own, and test that one.
+# GRASP_ARCH=x86-64-v3, GRASP_SANITIZE=ON and GRASP_ZIG=native build the core once more, in a folder of its own, and test that one.
 
 .DEFAULT_GOAL := help
-.PHONY: help install core stubs evaluate test slow sanitize check format clean
+.PHONY: help install core stubs evaluate test slow sanitize check format wheel clean
 BIN := .venv/bin
 STAMP := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 EDITABLE := $(PIP) --no-build-isolation -C build-dir=build/core -e
+
+ZIG := echo "taking a C++ compiler from PyPI" && $(PIP) ziglang
 
 help:
 	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about seven minutes)"
@@ -19,15 +21,12 @@ help:
 	@echo "make stubs      write grasp_env/core/_core.pyi anew"
 	@echo "make core       only build the core"
 	@echo "make install    only the set-up"
+	@echo "make wheel      wheels for other machines: dist/ (five minutes for each interpreter; TARGET=aarch64-linux-gnu.2.28: for ARM)"
 
 install: core
 
 # torch goes first and alone: resolved together with other packages a newer build with gigabytes of CUDA may come
 $(STAMP): pyproject.toml constraints.txt
-	@for compiler in "$(CXX)" c++ g++ clang++; do command -v "$$compiler" >/dev/null && found=1; done; \
-	if [ -z "$$found" ]; then \
-	  echo "No C++ compiler: install g++ (Debian, Ubuntu: apt-get install g++; Fedora: dnf install gcc-c++; macOS: xcode-select --install)." >&2; exit 1; \
-	fi
 	@fits() { "$$1" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 12))' >/dev/null 2>&1; }; \
 	python="$(PYTHON)"; \
 	if [ -x $(BIN)/python ]; then \
@@ -47,6 +46,7 @@ $(STAMP): pyproject.toml constraints.txt
 	"$$python" -m venv .venv || { \
 	  rm -rf .venv; echo "$$python cannot make a virtual environment: on Debian or Ubuntu install $$(basename "$$python")-venv" >&2; exit 1; }
 	$(PIP) pip setuptools scikit-build-core nanobind numpy cmake ninja
+	@for compiler in $(CXX) c++ g++ clang++; do command -v "$$compiler" >/dev/null && exit 0; done; $(ZIG)
 	$(PIP) torch==2.13.0
 	$(EDITABLE) ".[all,bench,dev]"
 	@touch $(STAMP)
@@ -71,6 +71,10 @@ ifdef GRASP_SANITIZE
 OPTIONS += -DGRASP_SANITIZE=$(GRASP_SANITIZE)
 BUILD := $(BUILD)-sanitize
 endif
+ifdef GRASP_ZIG
+OPTIONS += -DGRASP_ZIG=$(GRASP_ZIG)
+BUILD := $(BUILD)-zig
+endif
 NINJA := $(BIN)/cmake --build $(BUILD) $(if $(filter core,$(MAKECMDGOALS)),,-- --quiet)
 PYTEST := $(BIN)/python -m pytest
 ifdef OPTIONS
@@ -80,6 +84,7 @@ endif
 core: $(STAMP)
 ifdef OPTIONS
 	@mkdir -p build
+	@[ -z "$(GRASP_ZIG)" ] || $(BIN)/python -c "import ziglang" 2>/dev/null || { $(ZIG); }
 	@$(BIN)/cmake -S . -B $(BUILD) -G Ninja -DCMAKE_MAKE_PROGRAM=$(abspath $(BIN)/ninja) -DPython_EXECUTABLE=$(abspath $(BIN)/python) \
 	  -DGRASP_CORE_TEST=ON $(OPTIONS) >$(BUILD).log || { cat $(BUILD).log; exit 1; }
 	@$(NINJA)
@@ -118,5 +123,8 @@ format: $(STAMP)
 	$(BIN)/ruff check --fix .
 	$(FORMAT) -i
 
+wheel:
+	.ci/wheels
+
 clean:
-	rm -rf .venv build *.egg-info .pytest_cache .ruff_cache grasp_env/core/_core*.so tests/core/_core_test*.so
+	rm -rf .venv build dist *.egg-info .pytest_cache .ruff_cache grasp_env/core/_core*.so tests/core/_core_test*.so

@@ -12,8 +12,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import torch
-from torch import Tensor, nn
+from grasp_env._extras import need
+
+with need("train"):
+    import torch
+    from torch import Tensor, nn
 
 from grasp_env.core import LAYER_FEATURES as FEATURES
 from grasp_env.core import LAYER_REACH as REACH

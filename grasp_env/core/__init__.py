@@ -1,5 +1,8 @@
 """The compiled core, C++20: headers in `include/grasp`, this module their door to Python."""
 
+from grasp_env.core._builds import folders
+
+__path__ += folders()
 try:
     from grasp_env.core._core import (
         ACCEPTED_GAP,

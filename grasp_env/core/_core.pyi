@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 def build_info() -> dict[str, str]:
     """
-    Version, compiler, instruction set, build type and flags of this module.
+    Version, compiler, instruction set, build type, processor asked for and flags of this module.
     """
 
 def record_fields() -> dict[str, int]:

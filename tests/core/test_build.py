@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import ast
+import ctypes
 import os
+import platform
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -14,7 +17,7 @@ import pytest
 
 import grasp_env
 from grasp_env import core
-from grasp_env.core import _core
+from grasp_env.core import _builds, _core
 
 ROOT = Path(__file__).parents[2]
 FLAGS = core.build_info()["flags"].split()
@@ -62,6 +65,66 @@ def test_the_sanitizers_watch(right: str, wrong: str, verdict: str) -> None:
         assert done.returncode != 0
         assert verdict in done.stderr
         assert "survived" not in done.stdout
+
+
+LEVELS = ("x86-64-v2", "x86-64-v3", "x86-64-v4")
+
+
+@pytest.mark.parametrize(
+    ("level", "asked", "taken"),
+    [(2, "", 0), (3, "", 1), (4, "", 2), (5, "", 2), (4, "x86-64-v2", 0), (2, "x86-64-v3", 1)],
+)
+def test_a_wheel_takes_the_best_build_for_the_processor_or_the_one_asked_for(
+    level: int, asked: str, taken: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in LEVELS:
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr(_builds, "processor_level", lambda here: level)
+    monkeypatch.setenv(_builds.VARIABLE, asked)
+    assert _builds.folders(tmp_path) == [str(tmp_path / LEVELS[taken])]
+
+
+def test_a_wheel_refuses_a_processor_or_a_level_that_it_has_nothing_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "x86-64-v2").mkdir()
+    monkeypatch.delenv(_builds.VARIABLE, raising=False)
+    monkeypatch.setattr(_builds, "processor_level", lambda here: 1)
+    with pytest.raises(ImportError, match="x86-64-v2, and this one is older"):
+        _builds.folders(tmp_path)
+    monkeypatch.setenv(_builds.VARIABLE, "x86-64-v9")
+    with pytest.raises(ImportError, match="GRASP_CORE_ARCH=x86-64-v9: this wheel holds x86-64-v2"):
+        _builds.folders(tmp_path)
+
+
+def test_an_install_with_one_build_chooses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(_builds.VARIABLE, "x86-64-v2")
+    assert _builds.folders(tmp_path) == []
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="levels of x86-64")
+def test_the_level_is_what_the_compiler_finds(tmp_path: Path) -> None:
+    """processor.cpp beside GCC's own answer, and beside what this very build runs on."""
+    compiler = shutil.which("g++")
+    if compiler is None:
+        pytest.skip("no g++")
+    source = ROOT / "grasp_env/core/bindings/wheel/processor.cpp"
+    own = tmp_path / "own.cpp"
+    own.write_text(
+        """extern "C" int own() { __builtin_cpu_init(); return __builtin_cpu_supports("x86-64-v4") ? 4 :
+        __builtin_cpu_supports("x86-64-v3") ? 3 : __builtin_cpu_supports("x86-64-v2") ? 2 : 1; }"""
+    )
+    library = tmp_path / "processor.so"
+    command = [compiler, "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", str(source), "-o", str(library)]
+    subprocess.run(command, check=True, timeout=60)
+    level = _builds.processor_level(tmp_path)
+    least = {"AVX-512": 4, "AVX2": 3, "AVX": 2, "SSE4.2": 2}.get(core.build_info()["instruction_set"], 1)
+    assert least <= level <= 4
+    made = subprocess.run(
+        [*command[:-3], str(own), *command[-2:-1], str(tmp_path / "own.so")], timeout=60, capture_output=True
+    )
+    if made.returncode == 0:  # GCC 12 and later know the levels' names
+        assert level == ctypes.CDLL(str(tmp_path / "own.so")).own()
 
 
 def test_stub_has_every_public_name() -> None:

@@ -32,6 +32,7 @@ nb::typed<nb::dict, nb::str, nb::str> build_info() {
     info["compiler"] = GRASP_COMPILER;
     info["instruction_set"] = instruction_set();
     info["build_type"] = GRASP_BUILD_TYPE;
+    info["arch"] = GRASP_ARCH;
     info["flags"] = GRASP_FLAGS;
     return info;
 }
@@ -39,5 +40,6 @@ nb::typed<nb::dict, nb::str, nb::str> build_info() {
 }  // namespace
 
 void bind_build_info(nb::module_& m) {
-    m.def("build_info", &build_info, "Version, compiler, instruction set, build type and flags of this module.");
+    m.def("build_info", &build_info,
+          "Version, compiler, instruction set, build type, processor asked for and flags of this module.");
 }

@@ -43,9 +43,9 @@ bool is_record(PyObject* object) {
 PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
     PyObject *record, *method, *initial, *trace = nothing, *certificate = Py_None, *multipliers = nothing;
     PyObject** const slots[] = {&record, &method, &initial, &trace, &certificate, &multipliers};
-    const Py_ssize_t many = PyTuple_GET_SIZE(arguments);
+    const Py_ssize_t many = PyTuple_Size(arguments);
     if (!named && many >= 3 && many <= 6) {  // the control loop's
-        for (Py_ssize_t k = 0; k < many; ++k) *slots[k] = PyTuple_GET_ITEM(arguments, k);
+        for (Py_ssize_t k = 0; k < many; ++k) *slots[k] = PyTuple_GetItem(arguments, k);
     } else {
         static const char* names[] = {"record", "method", "initial", "objective_trace", "certificate", "limit_multipliers",
                                       nullptr};
@@ -63,7 +63,7 @@ PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
             return nullptr;
         }
     }
-    Solution* made = reinterpret_cast<Solution*>(type->tp_alloc(type, 0));
+    Solution* made = reinterpret_cast<Solution*>(PyType_GenericAlloc(type, 0));
     if (!made) return nullptr;
     PyObject* given[] = {record, method, initial, trace, certificate, multipliers};
     for (int k = 0; k < 6; ++k) made->*FIELDS[k] = Py_NewRef(given[k]);
@@ -73,7 +73,7 @@ PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
 void drop(PyObject* self) {
     PyTypeObject* type = Py_TYPE(self);
     for (const auto field : FIELDS) Py_CLEAR(reinterpret_cast<Solution*>(self)->*field);
-    type->tp_free(self);
+    reinterpret_cast<freefunc>(PyType_GetSlot(type, Py_tp_free))(self);
     Py_DECREF(type);
 }
 
@@ -82,7 +82,7 @@ void drop(PyObject* self) {
 PyObject* view(PyObject* self, Py_ssize_t first, int axes, const npy_intp* shape) {
     PyArrayObject* record = array(reinterpret_cast<Solution*>(self)->record);
     PyArray_Descr* type = PyArray_DESCR(record);
-    Py_INCREF(type);
+    Py_INCREF(reinterpret_cast<PyObject*>(type));
     PyObject* made = PyArray_NewFromDescr(&PyArray_Type, type, axes, shape, nullptr,
                                           static_cast<double*>(PyArray_DATA(record)) + first, NPY_ARRAY_CARRAY_RO, nullptr);
     if (!made) return nullptr;

@@ -1,0 +1,172 @@
+"""The solver installs alone; what needs more says so in one line, with the command that installs it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+from grasp_env import _extras
+from grasp_env._extras import EXTRAS, need
+from grasp_env.errors import MissingExtraError
+
+ROOT = Path(__file__).parents[1]
+PYPROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def _required(name: str) -> set[str]:
+    """Distributions of one list of pyproject.toml, without those of extras it names."""
+    (listed,) = re.findall(rf"^{name} = \[(.*?)\](?: #.*)?$", PYPROJECT, re.MULTILINE | re.DOTALL)
+    return {name for name in re.findall(r"\"([\w.-]+)", listed) if name != "grasp-force"}
+
+
+def _without(names: tuple[str, ...], script: str) -> subprocess.CompletedProcess[str]:
+    """A script where none of these packages can be found."""
+    start = f"""
+import sys
+from importlib.machinery import PathFinder
+class Finder(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        return None if name in {names} else PathFinder.find_spec(name, path, target)
+sys.meta_path[sys.meta_path.index(PathFinder)] = Finder
+"""
+    return subprocess.run([sys.executable, "-c", start + script], cwd=ROOT, timeout=120, capture_output=True, text=True)
+
+
+HEAVY = tuple(name for extra in ("sim", "train", "report", "video") for name in EXTRAS[extra])
+
+
+def test_the_solver_needs_three_packages() -> None:
+    assert _required("dependencies") == {"numpy", "scipy", "safetensors"}
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_the_table_is_what_pip_installs(extra: str) -> None:
+    homes = packages_distributions()
+    assert {homes[name][0].lower().replace("_", "-") for name in EXTRAS[extra]} == _required(extra)
+
+
+def test_all_are_in_all() -> None:
+    (line,) = re.findall(r"^all = \[\"grasp-force\[(.*)\]\"\]$", PYPROJECT, re.MULTILINE)
+    assert set(line.split(",")) | {"cli"} == set(EXTRAS)  # train and report bring cli
+    assert PYPROJECT.count('"grasp-force[cli]"') == 2
+
+
+IMPORTS = {
+    "import grasp_env.env": "sim",
+    "import grasp_env.sim": "sim",
+    "from grasp_env.config import EnvConfig": "sim",
+    "from grasp_env.control import ForceLoop": "sim",
+    "import gymnasium; gymnasium.make('grasp_env:FourFingerGrasp-v0')": "sim",
+    "import policies.network": "train",
+    "import policies.newton_layers": "train",
+    "import training.fit": "train",
+    "import training.fit_any": "train",
+    "import training.fit_designs": "train",
+}
+
+
+def test_imports_name_their_extra() -> None:
+    """All in one process, the one after the other: an import that failed leaves nothing behind."""
+    script = f"""
+for statement, extra in {IMPORTS}.items():
+    try:
+        exec(statement)
+        print(statement, "works")
+    except ImportError as error:
+        name = "numba, pybullet, trimesh" if extra == "sim" else "stable_baselines3, tensorboard, torch"
+        wanted = f'this needs {{name}}: pip install "grasp-force[{{extra}}]"'
+        if (type(error).__name__, str(error)) != ("MissingExtraError", wanted):
+            print(statement, repr(error))
+"""
+    done = _without(("pybullet", "numba", "trimesh", *EXTRAS["train"]), script)  # gym.make needs gymnasium itself
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+
+
+COMMANDS = {
+    "fit": "train",
+    "fit any_grasp": "train",
+    "fit designs": "train",
+    "rl": "sim,train,report",
+    "rl --compare nowhere": "sim,train,report",
+    "evaluate": "sim,report",
+    "evaluate env": "sim,report",
+    "report nowhere": "report",
+    "reproduce": "report",
+    "demo --video hand.gif": "sim,report",
+    "bench solver": "report",
+    "bench scaling": "report",
+    "bench batch": "report",
+    "bench core": "report",
+    "bench env": "sim,report",
+    "warmup": "sim,report",
+}
+
+
+def test_commands_name_their_extras_in_one_line(tmp_path: Path) -> None:
+    script = f"""
+import contextlib, io, os
+sys.path.insert(0, {str(ROOT)!r})
+os.chdir({str(tmp_path)!r})
+from training.cli import main
+for words, extras in {COMMANDS}.items():
+    with contextlib.redirect_stderr(io.StringIO()) as told:
+        code = main(words.split())
+    line = told.getvalue()
+    if code != 2 or not line.startswith("grasp: this needs ") or not line.endswith(f': pip install "grasp-force[{{extras}}]"\\n'):
+        print(words, code, line)
+    if line.count("\\n") != 1:
+        print(words, "more than a line")
+"""
+    done = _without(HEAVY, script)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_program_itself_names_its_extra() -> None:
+    done = _without(EXTRAS["cli"], "from training.cli import main; sys.exit(main(['solve', '--wrench', *'100000']))")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == 'grasp: this needs rich, tyro: pip install "grasp-force[cli]"\n'
+
+
+def test_commands_run_without_the_extras_they_do_not_need() -> None:
+    script = "from training.cli import main; sys.exit(main(['solve', '--wrench', *'100000', '--json']))"
+    done = _without(HEAVY, script)
+    assert done.returncode == 0, done.stderr
+
+
+def test_help_needs_no_extra_but_its_own() -> None:
+    done = _without(HEAVY, "from training.cli import main; main(['rl', '--help'])")
+    assert done.returncode == 0, done.stderr
+    assert "--resume" in done.stdout
+
+
+def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from training.demo import record
+
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(MissingExtraError, match=r'this needs imageio_ffmpeg: pip install "grasp-force\[video\]"'):
+        record(tmp_path / "hand.mp4")
+
+
+def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    need(*EXTRAS)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.raises(MissingExtraError) as told:
+        need("sim", "report")
+    assert str(told.value) == 'this needs numba: pip install "grasp-force[sim]"'
+    assert isinstance(told.value, ImportError)
+
+
+def test_where_pybullet_has_no_wheel_another_python_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    monkeypatch.setattr(_extras.sys, "version_info", (3, 12, 1))
+    with pytest.raises(MissingExtraError, match=r"wheels for CPython 3\.10 and 3\.11 only") as told:
+        need("sim")
+    assert "\n" not in str(told.value)
+    assert re.search(r"\"pybullet>=[\d.]+; python_version < '3\.12'\"", PYPROJECT)
