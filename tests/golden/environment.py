@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import gymnasium as gym
 import numpy as np
 from golden.case import Case, named
 from golden.record import Outcome
 
 from policies import LearnedInitialForce
+
+if TYPE_CHECKING:
+    import gymnasium as gym
 
 ENV = "grasp_env:FourFingerGrasp-v0"
 HELD = ("is_success", "steps", "drift", "total_force")
@@ -42,6 +44,8 @@ def first_tick(seed: int, rule: bool | None = None, adjust: float = 0.0, **setti
     """A reset and one control tick, which is one agent step here."""
     if rule is not None:
         settings["initial_force"] = LearnedInitialForce.pretrained("any_grasp", remembers=rule)
+    import gymnasium as gym  # the other groups need the solver only
+
     env = gym.make(ENV, **{"agent_rate": 250, **settings})
     try:
         # the second reset of an environment, so that nothing depends on what the process did before
@@ -81,6 +85,8 @@ def _array(name: str, values: Any) -> Outcome:
 
 def episodes(count: int, **settings: Any) -> list[Outcome]:
     """(count, 4) `HELD` of episodes with seeds 0, 1, ..., each to its end."""
+    import gymnasium as gym  # the other groups need the solver only
+
     env = gym.make(ENV, **settings)
     table = np.zeros((count, len(HELD)))
     try:
