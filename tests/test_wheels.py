@@ -1,0 +1,118 @@
+"""What `make wheel` left in dist/: installs and solves in an empty environment without a compiler, right at every level."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from grasp_env.core import _builds
+
+ROOT = Path(__file__).parents[1]
+WHEELS = sorted((ROOT / "dist").glob(f"grasp_force-*{platform.machine()}.whl"))
+CORE = "grasp_env/core"
+SOLVE = """
+import json
+from grasp_env import core
+from grasp_env.force import METHODS, optimize_force
+from grasp_env.grasp import presets
+from policies import LearnedInitialForce
+grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
+answers = [optimize_force(grasp, wrench, method=method) for method in METHODS]
+answers.append(optimize_force(grasp, wrench, initial=LearnedInitialForce.pretrained()))
+print(json.dumps([core.build_info()["arch"], [answer.status.value == "optimal" for answer in answers]]))
+"""
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not WHEELS, reason="no wheel for this machine in dist: make wheel"),
+    pytest.mark.parametrize("wheel", WHEELS, ids=lambda wheel: wheel.name),
+]
+
+
+def _python_of(wheel: Path) -> str:
+    """An interpreter that is not this one's environment."""
+    later = "-abi3-" in wheel.name
+    (minor,) = map(int, re.findall(r"-cp3(\d+)-", wheel.name)[:1])
+    for candidate in (minor, *range(minor + 1, 16)) if later else (minor,):
+        if candidate == sys.version_info.minor:
+            return sys.executable
+        found = shutil.which(f"python3.{candidate}")
+        if found and subprocess.run([found, "-V"], capture_output=True, check=False).returncode == 0:
+            return found
+    pytest.skip(f"no CPython 3.{minor} on the PATH")
+
+
+def _levels(folder: Path) -> list[str]:
+    """The builds that this processor runs; [""]: there is but one."""
+    held = sorted(path.name for path in (folder / CORE).glob("x86-64-v*"))
+    return [name for name in held if int(name[-1]) <= _builds.processor_level(folder / CORE)] or [""]
+
+
+@pytest.fixture
+def unpacked(wheel: Path, tmp_path: Path) -> Path:
+    zipfile.ZipFile(wheel).extractall(tmp_path / "unpacked")
+    return tmp_path / "unpacked"
+
+
+def test_solves_in_an_empty_environment_without_a_compiler(wheel: Path, unpacked: Path, tmp_path: Path) -> None:
+    python = tmp_path / "empty/bin/python"
+    subprocess.run([_python_of(wheel), "-m", "venv", str(tmp_path / "empty")], check=True, timeout=120)
+    install = [str(python), "-m", "pip", "install", "-q", "--only-binary", ":all:", str(wheel)]
+    subprocess.run(install, check=True, timeout=300, env={"PATH": "", "HOME": os.environ["HOME"]})
+    levels = _levels(unpacked)
+    for level in levels:
+        done = subprocess.run(
+            [str(python), "-c", SOLVE],
+            cwd=tmp_path,
+            env={_builds.VARIABLE: level},
+            timeout=120,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        arch, optimal = json.loads(done.stdout)
+        assert arch == level
+        assert all(optimal)
+    best = subprocess.run([str(python), "-c", SOLVE], cwd=tmp_path, env={}, timeout=120, capture_output=True, text=True)
+    assert json.loads(best.stdout)[0] == levels[-1]
+
+
+def test_needs_nothing_of_this_machine_but_its_glibc(wheel: Path, unpacked: Path) -> None:
+    files = sorted(unpacked.rglob("*.so"))
+    assert len(files) == (4 if platform.machine() == "x86_64" else 1)
+    major, minor = map(int, re.findall(r"manylinux_(\d+)_(\d+)_", wheel.name)[0])
+    for file in files:
+        data = file.read_bytes()
+        assert b"libstdc++.so" not in data, file
+        assert b"libgcc_s" not in data, file
+        needed = {(int(a), int(b)) for a, b in re.findall(rb"GLIBC_(\d+)\.(\d+)", data)}
+        assert not needed or max(needed) <= (major, minor), file
+
+
+def test_golden_outcomes_hold_at_every_level(wheel: Path, unpacked: Path) -> None:
+    if _python_of(wheel) != sys.executable:
+        pytest.skip("of another Python than this one")
+    for level in _levels(unpacked):
+        command = [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-q",
+            "tests/golden",
+            "-k",
+            "not environment",
+            "-p",
+            "no:cacheprovider",
+        ]
+        environment = {**os.environ, "GRASP_CORE_BUILD": str(unpacked / CORE / level)}
+        done = subprocess.run(command, cwd=ROOT, env=environment, timeout=600, capture_output=True, text=True)
+        assert done.returncode == 0, (level, done.stdout[-2000:])
