@@ -64,8 +64,8 @@ class Checkpoint:
             "card": self.card,
         }
         text = (json.dumps({**body, "sha256": _digest(body)}, indent=2, allow_nan=False) + "\n").encode()
-        _replace(_file(stem, ".safetensors"), blob)
-        _replace(_file(stem, ".json"), text)
+        replace(_file(stem, ".safetensors"), blob)
+        replace(_file(stem, ".json"), text)
         return _file(stem, ".safetensors")
 
     @classmethod
@@ -210,7 +210,8 @@ def _refuse(constant: str) -> float:
     raise ValueError(f"{constant} is no number")
 
 
-def _replace(file: Path, data: bytes) -> None:
+def replace(file: Path, data: bytes) -> None:
+    """Writes a file under a temporary name first."""
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
         temporary.write_bytes(data)

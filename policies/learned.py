@@ -11,7 +11,8 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_array, choice, flag
-from grasp_env.errors import InfeasibleStartError
+from grasp_env._files import as_path
+from grasp_env.errors import InfeasibleStartError, ModelFileError
 from grasp_env.force import ForceSolution, Objective, OfflineBasis
 from grasp_env.force.basis import core_contacts
 from grasp_env.force.method import Loop, readable
@@ -19,7 +20,7 @@ from grasp_env.force.objective import as_objective
 from grasp_env.force.record import CODE, FORCE, LIMIT, REFUSED, WRENCH, record_size
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.grasp import as_grasp
-from policies.checkpoint import Checkpoint
+from policies.checkpoint import Checkpoint, replace
 
 PRETRAINED = Path(__file__).parent / "pretrained"
 MODELS = ("any_grasp", "four_finger")
@@ -89,6 +90,25 @@ class LearnedInitialForce(ABC):
             UnknownNameError: another name.
         """
         return LearnedInitialForce.load(PRETRAINED / choice(name, "pretrained model", MODELS), remembers=remembers)
+
+    def export(self, path: str | Path, grasp: Grasp) -> Path:
+        """Writes what C++ programs read: the model for the contacts of one grasp, and this rule's Phi.
+
+        Args:
+            path: of the file; `grasp::ModelFile::load` reads it.
+            grasp: hard contacts that this model knows. `any_grasp` models also go on from every start of a
+                `grasp::Pipeline`, whose contacts move.
+
+        Raises:
+            InfeasibleStartError: contacts that this model does not know.
+            ModelFileError: the file cannot be written.
+        """
+        file = as_path(path, ModelFileError, "a model's file")
+        try:
+            replace(file, self._hard_model(as_grasp(grasp)).save())
+        except OSError as error:
+            raise ModelFileError(f"model file {file}: {error.strerror or error}") from None
+        return file
 
     @property
     def name(self) -> str:
@@ -167,13 +187,17 @@ class LearnedInitialForce(ABC):
             prepared = self._prepared = grasp, self._make(as_grasp(grasp), 0.0, 0)
         return prepared[1]
 
-    def _make(self, grasp: Grasp, tolerance: float, limit: int) -> core.Learned:
+    def _hard_model(self, grasp: Grasp) -> core.Model:
         if set(grasp.models.names) != {"hard"}:
             raise InfeasibleStartError(
                 f"this model knows hard contacts, the grasp has {grasp.models.names}: use initial='linear_combination'"
             )
+        return self._model(grasp)
+
+    def _make(self, grasp: Grasp, tolerance: float, limit: int) -> core.Learned:
+        model = self._hard_model(grasp)
         basis = OfflineBasis.of(grasp, self.objective).cone_forces
-        return core.Learned.make(core_contacts(grasp, self.objective), tolerance, limit, basis, self._model(grasp))
+        return core.Learned.make(core_contacts(grasp, self.objective), tolerance, limit, basis, model)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # the prepared grasp is a cache; sub-process environments get the checkpoint

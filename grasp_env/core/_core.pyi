@@ -68,6 +68,11 @@ def normalise(normals: object) -> int:
     Gives (N, 3) directions unit length in place; returns the first that misses it by more than 1e-6, -1: none.
     """
 
+def cone_scale(friction: object, scale: object) -> None:
+    """
+    Fills (N, 3), cone coordinates = scale * force, of friction (N, 2) along o and t; 0: the normal force alone.
+    """
+
 def grasp_arrays(positions: object, normals: object, models: object, tangents: object, frames: object, matrix: object, cone_matrix: object, torsion_matrix: object, centre: object, frame: object) -> float:
     """
     Fills the arrays of a `Grasp` from `frames` on; returns its length [m], negative where its rank may not be 6.
@@ -188,6 +193,19 @@ class Flow(Newton):
 
     def repeat(self, x: object, times: int) -> float:
         """Makes the step at x (3N,) so many times; for measurements."""
+
+def limit_rows(least: object, most: object, jacobian: object, torques: object, biases: object, matrix: object, bounds: object, limited: object) -> int:
+    """
+    Finite limits of normal forces (N,) and, with a Jacobian (N, 4, J), of torques (J,), as rows A f <= b on force and
+    torsion: fills A (R, N, 4), b (R,) and what each limit is (R,), R = 2 (N + J), up to the number that it returns.
+    """
+
+def contact_rows(divisor: object, lambdas: object, matrix: object, bounds: object, limited: object, normals: object, table: object) -> bool:
+    """
+    Rows (M, N, 3) on forces as those that `LimitedNewton` takes, of contacts with a divisor (N, 3) and lambda (N,): fills
+    normals (M, 3) and a table (5, M) of bounds, shares, weights, what rows were divided by, and owners. False: one touches
+    several contacts, or is beyond what solvers can bear.
+    """
 
 class LimitedNewton:
     """
@@ -318,6 +336,13 @@ class Model:
         The frame (length and centre [m]) in which training measured wrenches, their largest size [N];
         < 0: none is inside.
         """
+
+    def save(self) -> bytes:
+        """What `grasp::ModelFile` reads: one file for C++ programs."""
+
+    @staticmethod
+    def load(bytes: bytes) -> Model | None:
+        """The model that `save` wrote; None: it is not whole."""
 
 class Learned:
     """

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import ranges
+from grasp_env import core, ranges
 from grasp_env._check import Array, as_array, instance, number, together, whole
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.torques import checked_jacobian
@@ -180,29 +180,19 @@ class ForceLimits:
         """`rows`, and what each row's limit is (M,) [N, N m]."""
         count = as_grasp(grasp).n_contacts
         least, most, jac, limit, bias = self.checked(count)
-        matrix: list[Array] = []
-        bound: list[float] = []
-        labels: list[str] = []
-        limited: list[float] = []
-        for sign, normals, word in ((-1.0, least, ">="), (1.0, most, "<=")):
-            for k in np.flatnonzero((normals > 0.0) & np.isfinite(normals)):
-                row = np.zeros((count, 4))
-                row[k, 0] = sign
-                matrix.append(row)
-                bound.append(sign * normals[k])
-                limited.append(normals[k])
-                labels.append(f"contact {k}: normal {word} {normals[k]:g} N")
+        labels = [f"contact {k}: normal >= {least[k]:g} N" for k in np.flatnonzero((least > 0.0) & np.isfinite(least))]
+        labels += [f"contact {k}: normal <= {most[k]:g} N" for k in np.flatnonzero(np.isfinite(most))]
+        for j in np.flatnonzero(np.isfinite(limit)):
+            labels += [f"joint {j}: torque {word}{limit[j]:g} N m" for word in ("<= ", ">= -")]
+        room = 2 * (count + len(limit))
+        matrix, bound, limited = np.empty((room, count, 4)), np.empty(room), np.empty(room)
+        made = core.limit_rows(least, most, jac, limit, bias, matrix, bound, limited)
+        assert made == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.cone_scale > 0.0
         transmitted[:, 3] = grasp.models.torsional_friction > 0.0
-        for j in np.flatnonzero(np.isfinite(limit)):
-            for sign, word in ((1.0, "<= "), (-1.0, ">= -")):
-                matrix.append(sign * transmitted * jac[:, :, j])
-                bound.append(limit[j] - sign * bias[j])
-                limited.append(limit[j])
-                labels.append(f"joint {j}: torque {word}{limit[j]:g} N m")
-        rows = LimitRows(np.array(matrix).reshape(len(bound), 4 * count), np.array(bound), tuple(labels))
-        return rows, np.array(limited)
+        rows = (matrix[:made] * transmitted).reshape(made, 4 * count)
+        return LimitRows(rows, bound[:made].copy(), tuple(labels)), limited[:made].copy()
 
     def violations(
         self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9

@@ -24,11 +24,6 @@ from grasp_env.force.record import CODE, INFEASIBLE, REFUSED, record_size
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
-MOST_ROWS = 64
-"""Rows of one contact up to which the core takes them."""
-MOST_FORCE = 1e20
-"""[N] up to which the core takes bounds."""
-
 
 @dataclass(frozen=True, eq=False)
 class ContactRows:
@@ -56,28 +51,16 @@ class ContactRows:
 
     @classmethod
     def of(cls, grasp: Grasp, limits: ForceLimits, objective: Objective) -> ContactRows | None:
-        """None where a row touches several contacts, or there are more than `MOST_ROWS` on one."""
+        """None where a row touches several contacts, or there are more on one, or larger ones, than the core takes."""
         given, limited = limits._rows(grasp)
-        count = grasp.n_contacts
-        rows = given.matrix.reshape(-1, count, 4)[:, :, :3] / grasp.models.cone_divisor
-        touched = (rows != 0.0).any(axis=2)
-        owners = touched.argmax(axis=1)
-        if (touched.sum(axis=1) > 1).any() or np.bincount(owners, minlength=1).max() > MOST_ROWS:
+        count, many = grasp.n_contacts, len(given.bound)
+        rows = np.ascontiguousarray(given.matrix.reshape(many, count, 4)[:, :, :3])
+        normals, table = np.empty((many, 3)), np.empty((5, many))
+        divisor, lam = grasp.models.cone_divisor, objective.weights(count)[:, 1].copy()
+        if not core.contact_rows(divisor, lam, rows, given.bound, limited, normals, table):
             return None
-        lam = objective.weights(count)[:, 1]
-        normals = rows[np.arange(len(rows)), owners]
-        sizes = np.sqrt((normals**2).sum(axis=1))
-        sizes[sizes == 0.0] = 1.0
-        return cls(
-            normals / sizes[:, None],
-            given.bound / sizes,
-            limited / sizes,
-            np.where(touched.any(axis=1), lam[owners], lam.mean()),
-            owners.astype(np.float64),
-            sizes,
-            grasp.models.cone_scale,
-            given.labels,
-        )
+        bounds, shares, weights, sizes, owners = table
+        return cls(normals, bounds, shares, weights, owners, sizes, grasp.models.cone_scale, given.labels)
 
     def slack(self, force: Array) -> Array:
         """(M,) distances of forces (N, 3) [N] from the limits [N]; negative outside."""
@@ -161,9 +144,7 @@ def limited_newton(grasp: Grasp, settings: Settings) -> LimitedNewton | None:
     if not grasp.hard:
         return None
     rows = ContactRows.of(grasp, settings.limits, settings.objective)
-    if rows is None or not (
-        np.isfinite(rows.normals).all() and (np.abs([rows.bounds, rows.shares]) <= MOST_FORCE).all()
-    ):
+    if rows is None:
         return None
     try:
         return LimitedNewton(grasp, settings, rows)

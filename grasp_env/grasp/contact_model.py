@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import ranges
+from grasp_env import core, ranges
 from grasp_env._check import Array, as_array, as_list, as_text, choice, is_a
 from grasp_env.errors import InvalidInputError, shown
 
@@ -56,8 +56,9 @@ class ContactModels:
             coefficient = friction
             if not plain:
                 coefficient = _friction_array(friction, (count,) if _dimensions(friction) else ())
-            mu, scale = np.empty((count, 2)), np.ones((count, 3))
-            mu[:, 0] = mu[:, 1] = scale[:, 0] = coefficient
+            mu, scale = np.empty((count, 2)), np.empty((count, 3))
+            mu[:, 0] = mu[:, 1] = coefficient
+            core.cone_scale(mu, scale)
             return cls(("hard",) * count, mu, np.zeros(count), scale, scale.copy())._frozen()
         if is_a(models, np.ndarray) and models.ndim == 1 and len(models) == count:
             models = models.tolist()
@@ -70,12 +71,8 @@ class ContactModels:
         soft = np.array([name == "soft" for name in names], dtype=bool)
         mu = _friction(friction, count, rough)
         gamma = _torsional(torsional_friction, count, soft)
-        cone_scale = np.zeros((count, 3))
-        cone_scale[:, 0] = np.where(rough, np.sqrt(mu[:, 0] * mu[:, 1]), 1.0)
-        round_cone = mu[:, 0] == mu[:, 1]
-        for k in (1, 2):
-            stretch = np.where(round_cone, 1.0, cone_scale[:, 0] / np.where(rough, mu[:, k - 1], 1.0))
-            cone_scale[:, k] = np.where(rough, stretch, 0.0)
+        cone_scale = np.empty((count, 3))
+        core.cone_scale(np.ascontiguousarray(mu), cone_scale)
         # dividing by what was multiplied gives a force back to the last bit; x / inf = 0
         cone_divisor = np.where(cone_scale > 0.0, cone_scale, np.inf)
         return cls(names, mu, gamma, cone_scale, cone_divisor)._frozen()

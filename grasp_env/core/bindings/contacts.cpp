@@ -75,20 +75,21 @@ int normalise(nb::handle normals) {
     return first;
 }
 
+// (N, 2) friction along o and t, 0: none, into (N, 3) scale of cone coordinates
+void scales(nb::handle friction, nb::handle scale) {
+    const Numbers mu = in(friction, -1, 2), made = out(scale, mu.length(0), 3);
+    for (Py_ssize_t i = 0; i < mu.length(0); ++i) {
+        const Point one = cone_scale(mu.data()[2 * i], mu.data()[2 * i + 1]);
+        for (int a = 0; a < 3; ++a) made.data()[3 * i + a] = one[a];
+    }
+}
+
 Contacts make(nb::handle positions, nb::handle normals, nb::handle scale, nb::handle weights, nb::handle tangents) {
     const Numbers p = in(positions, -1, 3);
     const int count = int(p.length(0));
     const Numbers n = in(normals, count, 3), s = in(scale, count, 3), w = in(weights, count, 2), along = in(tangents, -1, 3);
-    for (int j = 0; j < 3 * count; ++j)
-        if (!(s.data()[j] >= 0.0 && s.data()[j] < infinity) || (j % 3 == 0 && s.data()[j] == 0.0))
-            throw nb::value_error("scale must be finite and >= 0, that of normals > 0");
-    for (int j = 0; j < 2 * count; ++j)
-        if (!(w.data()[j] > 0.0 && w.data()[j] < infinity)) throw nb::value_error("weights must be finite and > 0");
-    Contacts contacts(count, s.data(), w.data(), along.length(0) ? in(tangents, count, 3).data() : nullptr);
-    const Placed placed = contacts.place(p.data(), n.data());
-    if (placed == Placed::refused) throw nb::value_error("positions must be finite and normals of unit length");
-    if (placed == Placed::rank_lost) throw nb::value_error("rank(G) < 6");
-    return contacts;
+    return Contacts::checked(count, p.data(), n.data(), s.data(), w.data(),
+                             along.length(0) ? in(tangents, count, 3).data() : nullptr);
 }
 
 }  // namespace
@@ -99,6 +100,8 @@ void bind_contacts(nb::module_& m) {
     m.def("all_finite", &all_finite, "array"_a, "Whether all numbers of a C-contiguous float64 array are finite.");
     m.def("normalise", &normalise, "normals"_a,
           "Gives (N, 3) directions unit length in place; returns the first that misses it by more than 1e-6, -1: none.");
+    m.def("cone_scale", &scales, "friction"_a, "scale"_a,
+          "Fills (N, 3), cone coordinates = scale * force, of friction (N, 2) along o and t; 0: the normal force alone.");
     m.def("grasp_arrays", &grasp_arrays, "positions"_a, "normals"_a, "models"_a, "tangents"_a, "frames"_a, "matrix"_a,
           "cone_matrix"_a, "torsion_matrix"_a, "centre"_a, "frame"_a,
           "Fills the arrays of a `Grasp` from `frames` on; returns its length [m], negative where its rank may not be 6.");

@@ -8,6 +8,7 @@
 #include "rule.hpp"
 
 using namespace grasp;
+using namespace grasp::any;
 
 namespace {
 

@@ -3,12 +3,14 @@
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
+#include <grasp/model_file.hpp>
 #include <grasp/solvers.hpp>
 
 #include "following.hpp"
 #include "timing.hpp"
 
 using namespace grasp;
+using namespace grasp::any;
 
 namespace {
 
@@ -43,9 +45,8 @@ Model make_model(const std::optional<Network>& network, const std::optional<Laye
 
 void normalise(Model& model, double length, double floor, double log_mean, double log_scale, double friction_mean,
                double friction_scale) {
-    for (const double positive : {length, floor, log_scale, friction_scale})
-        if (!(positive > 0.0 && positive < infinity)) throw nb::value_error("lengths and scales must be finite and > 0");
     model.normalisation = {length, floor, log_mean, log_scale, friction_mean, friction_scale};
+    if (!model.normalisation.good()) throw nb::value_error("means must be finite, lengths and scales also > 0");
 }
 
 void place(Model& model, nb::handle null_space, double friction, double scale) {
@@ -56,6 +57,11 @@ void place(Model& model, nb::handle null_space, double friction, double scale) {
 
 void trained_on(Model& model, double length, nb::handle centre, double largest) {
     model.trained.length = length, model.trained.centre = point(in(centre, 3).data()), model.largest = largest;
+}
+
+nb::bytes save(const Model& model) {
+    const std::string bytes = ModelFile::write(model);
+    return nb::bytes(bytes.data(), bytes.size());
 }
 
 std::unique_ptr<Learned> make(const Contacts& contacts, double tolerance, int limit, nb::handle basis, const Model& model) {
@@ -106,7 +112,11 @@ void bind_learned(nb::module_& m) {
              "scale: sqrt(lambda / omega) over that of training.")
         .def("trained_on", &trained_on, "length"_a, "centre"_a, "largest"_a,
              "The frame (length and centre [m]) in which training measured wrenches, their largest size [N];\n"
-             "< 0: none is inside.");
+             "< 0: none is inside.")
+        .def("save", &save, "What `grasp::ModelFile` reads: one file for C++ programs.")
+        .def_static(
+            "load", [](nb::bytes bytes) { return ModelFile::read({bytes.c_str(), bytes.size()}); }, "bytes"_a,
+            "The model that `save` wrote; None: it is not whole.");
     nb::class_<Learned>(m, "Learned", "A trained model's starts on the hard contacts of one grasp, and Newton from them.")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "basis"_a, "model"_a,
                     "basis: (13, 3N) the offline optima, cone coordinates.")

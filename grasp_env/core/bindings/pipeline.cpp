@@ -8,6 +8,7 @@
 #include "views.hpp"
 
 using namespace grasp;
+using namespace grasp::any;
 
 namespace {
 

@@ -7,6 +7,7 @@
 #include "timing.hpp"
 
 using namespace grasp;
+using namespace grasp::any;
 
 namespace {
 

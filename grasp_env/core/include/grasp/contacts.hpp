@@ -1,5 +1,7 @@
 // Hard contacts: what they transmit and weigh, given once, and where they are now. `place` allocates nothing.
 #pragma once
+#include <span>
+#include <stdexcept>
 #include "geometry.hpp"
 
 namespace grasp {
@@ -8,6 +10,9 @@ inline constexpr double LARGEST = 1e12;    // [N], [N m] beyond which numbers ar
 inline constexpr double NOTHING = 1e-306;  // [N] below which a wrench counts as none: its inverse is infinite
 
 enum class Placed { good, refused, rank_lost };  // refused: not finite, or a normal that is not of unit length
+
+// The weights of Phi, of all contacts alike: the price of squeezing, and of coming close to a cone [N^2].
+struct Objective { double force_weight = 1.0, barrier_weight = 0.01; };
 
 class Contacts {
 public:
@@ -33,6 +38,51 @@ public:
         transmit();
         for (int i = 0; i < count; ++i) omega[i] = weights[2 * i], lambda[i] = weights[2 * i + 1];
         if (along) tangents.assign(along, along + 3 * count);
+    }
+
+    // Contacts in their place; throws std::invalid_argument, which says what is wrong, unless solvers can be made for them.
+    // Numbers contact by contact. positions, normals: as of `place`. friction: one coefficient for all contacts, one of each (N),
+    // or two of each (N, 2), along o and t; 0: frictionless. along: (N, 3) tangents, or none.
+    static Contacts from(std::span<const double> positions, std::span<const double> normals, std::span<const double> friction,
+                         const Objective& objective = {}, std::span<const double> along = {}) {
+        const auto ask = [](bool good, const char* said) {
+            if (!good) throw std::invalid_argument(said);
+        };
+        const std::size_t size = positions.size(), count = size / 3, given = friction.size();
+        ask(size > 0 && size % 3 == 0 && size <= 3 * MOST_CONTACTS,
+            "positions must be three numbers of each contact, up to 1000");
+        ask(normals.size() == size, "normals must be as many as positions");
+        ask(along.empty() || along.size() == size, "tangents must be as many as positions, or none");
+        ask(given == 1 || given == count || given == 2 * count, "friction must be one number, N or 2N");
+        std::vector<double> scale(size), weights(2 * count);
+        for (std::size_t i = 0; i < count; ++i) {
+            const bool two = given == 2 * count;
+            const double mu_o = friction[two ? 2 * i : given == 1 ? 0 : i], mu_t = two ? friction[2 * i + 1] : mu_o;
+            ask(mu_o >= 0.0 && mu_t >= 0.0 && mu_o < infinity && mu_t < infinity, "friction must be finite and >= 0");
+            const Point made = cone_scale(mu_o, mu_t);
+            for (int a = 0; a < 3; ++a) scale[3 * i + a] = made[a];
+            weights[2 * i] = objective.force_weight, weights[2 * i + 1] = objective.barrier_weight;
+        }
+        return checked(int(count), positions.data(), normals.data(), scale.data(), weights.data(),
+                       along.empty() ? nullptr : along.data());
+    }
+    static Contacts from(std::span<const double> positions, std::span<const double> normals, double friction,
+                         const Objective& objective = {}) {
+        return from(positions, normals, std::span(&friction, 1), objective);
+    }
+    // The same by scale and weights (N, 2), as of the constructor.
+    static Contacts checked(int count, const double* positions, const double* normals, const double* scales,
+                            const double* weights, const double* along = nullptr) {
+        for (int j = 0; j < 3 * count; ++j)
+            if (!(scales[j] >= 0.0 && scales[j] < infinity) || (j % 3 == 0 && scales[j] == 0.0))
+                throw std::invalid_argument("scale must be finite and >= 0, that of normals > 0");
+        for (int j = 0; j < 2 * count; ++j)
+            if (!(weights[j] > 0.0 && weights[j] < infinity)) throw std::invalid_argument("weights must be finite and > 0");
+        Contacts contacts(count, scales, weights, along);
+        const Placed placed = contacts.place(positions, normals);
+        if (placed == Placed::refused) throw std::invalid_argument("positions must be finite and normals of unit length");
+        if (placed == Placed::rank_lost) throw std::invalid_argument("rank(G) < 6");
+        return contacts;
     }
 
     // positions [m] and inward unit normals, (N, 3) each, object frame
@@ -90,6 +140,7 @@ public:
     }
 
 private:
+    static constexpr std::size_t MOST_CONTACTS = 1000;
     std::vector<double> used_, per_;  // 1 where a force is transmitted; 1 / divisor
     std::vector<double> inward_, work_;  // (N, 3) normals as they are taken; (6, 3N)
     static constexpr double RANK = 1e-8;  // least ratio of singular values of G in the unit frame that counts as rank 6
@@ -136,19 +187,19 @@ private:
         found.normalise();
         for (int j = 0; j < size; ++j)
             for (int q = 0; q < 6; ++q) {
-                double total = 0.0;
-                for (int r = 0; r < 6; ++r) total += work_[size * r + j] * found.turn[r][q] / found.value[r];
-                inverse[6 * j + q] = total * scale[j];
+                double made = 0.0;
+                for (int r = 0; r < 6; ++r) made += work_[size * r + j] * found.turn[r][q] / found.value[r];
+                inverse[6 * j + q] = made * scale[j];
             }
         return true;
     }
 
     // Rows (6, 3N) with Gram matrix s = lower * (orthonormal rows), by two Cholesky factors: to rounding for condition numbers up
     // to 1e7. False where rank is lost.
-    bool orthonormalise(Packed6 s, std::vector<double>& rows, double (&lower)[6][6]) const {
+    bool orthonormalise(Packed6 s, std::vector<double>& turned, double (&lower)[6][6]) const {
         const int size = 3 * count;
         for (int pass = 0; pass < 2; ++pass) {
-            if (pass == 1) s = gram(rows.data(), size);
+            if (pass == 1) s = gram(turned.data(), size);
             double factor[6][6] = {}, both[6][6] = {};
             for (int i = 0; i < 6; ++i)
                 for (int j = 0; j <= i; ++j) {
@@ -158,9 +209,9 @@ private:
                     factor[i][j] = i == j ? std::sqrt(a) : a / factor[j][j];
                 }
             for (int i = 0; i < 6; ++i) {
-                double* row = rows.data() + size * i;
+                double* row = turned.data() + size * i;
                 for (int k = 0; k < i; ++k)
-                    for (int j = 0; j < size; ++j) row[j] -= factor[i][k] * rows[size * k + j];
+                    for (int j = 0; j < size; ++j) row[j] -= factor[i][k] * turned[size * k + j];
                 for (int j = 0; j < size; ++j) row[j] /= factor[i][i];
                 for (int j = 0; j <= i; ++j) {
                     if (pass == 0) both[i][j] = factor[i][j];

@@ -20,6 +20,15 @@ inline Point normalised(const Point& a) {
     return std::abs(size - 1.0) > ROUNDING ? (1.0 / size) * a : a;
 }
 
+// Cone coordinates = scale * force: (mu, o mu / mu_o, t mu / mu_t), mu = sqrt(mu_o mu_t), so that every friction cone is round and
+// of slope one. Without friction the normal force alone is transmitted.
+inline Point cone_scale(double mu_o, double mu_t) {
+    if (!(mu_o > 0.0 && mu_t > 0.0)) return {1.0, 0.0, 0.0};
+    if (mu_o == mu_t) return {mu_o, 1.0, 1.0};
+    const double mu = std::sqrt(mu_o * mu_t);
+    return {mu, mu / mu_o, mu / mu_t};
+}
+
 // (n, o, t) with o the projection of `along` on the tangent plane; without one of e_x, or of e_y where |n . e_x| > 0.9.
 struct Frame {
     Point n, o, t;

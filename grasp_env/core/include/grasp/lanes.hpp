@@ -6,6 +6,11 @@
 #include <type_traits>
 #include <vector>
 
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error \
+    "grasp: -ffast-math drops the checks for NaN that every solver relies on; take -ffp-contract=fast -fno-math-errno -fno-trapping-math"
+#endif
+
 namespace grasp {
 
 // What one register of this build holds. Wider vectors than the machine's go through memory: twelve times as slow.

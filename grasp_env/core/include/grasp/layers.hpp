@@ -39,6 +39,13 @@ public:
         return width < 1 || width > WIDEST ? 0 : (LAYER_FEATURES + 1) * width + (2 * width + 1) * width + 3 * width + 3;
     }
 
+    void write(std::vector<float>& flat) const {
+        for (const auto& [first, own, mean, last] : layers_) {
+            first.write_weights(flat), first.write_bias(flat);
+            own.write_weights(flat), mean.write_weights(flat), own.write_bias(flat);
+            last.write_weights(flat), last.write_bias(flat);
+        }
+    }
     int count() const { return int(layers_.size()); }
     int width() const { return width_; }
     const Layer& operator[](int k) const { return layers_[k]; }

@@ -11,7 +11,16 @@ inline constexpr int NETWORK_FEATURES = 8;  // numbers that a network reads: the
 inline constexpr double EASE = 0.1, SETTLED = 1e-7;
 
 // How a network's features are made, as policies/features.py says.
-struct Normalisation { double length, floor, log_mean, log_scale, friction_mean, friction_scale; };
+struct Normalisation {
+    double length, floor, log_mean, log_scale, friction_mean, friction_scale;
+
+    // Whether what is divided by may be.
+    bool good() const {
+        for (const double positive : {length, floor, log_scale, friction_scale})
+            if (!(positive > 0.0 && positive < infinity)) return false;
+        return std::abs(log_mean) < infinity && std::abs(friction_mean) < infinity;
+    }
+};
 
 // A trained model on contacts as they are now: a network from the wrench to internal forces, layers, or both.
 struct Model {

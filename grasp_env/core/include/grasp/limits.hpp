@@ -59,12 +59,14 @@ public:
     using Field = typename Cones<V, B>::Field;
     int sides = 0;  // how many rows
 
+    // Allocates nothing where the contacts had as many rows before.
     void pack(const Cones<V, B>& cones, const LimitRows& rows) {
         const int blocks = int(cones.blocks.size());
-        std::vector<std::vector<Both>> of(W * blocks);
+        of_.resize(W * blocks);
+        for (auto& mine : of_) mine.clear();
         sides = rows.count, each_ = 1;
         for (int m = 0; m < rows.count; ++m) {
-            auto& mine = of[rows.contact[m]];
+            auto& mine = of_[rows.contact[m]];
             auto at = mine.begin();
             while (at != mine.end() && !(at->low < 0 && opposite(rows.normal + 3 * at->high, rows.normal + 3 * m))) ++at;
             if (at != mine.end()) at->low = m;
@@ -77,7 +79,7 @@ public:
             const auto& w = cones.blocks[b].weights;
             scale_[b] = sqrt(w.lambda / w.omega);
             for (int n = 0; n < W; ++n) {
-                const auto& mine = of[W * b + n];
+                const auto& mine = of_[W * b + n];
                 for (int k = 0; k < int(mine.size()); ++k) {
                     auto& pair = pairs_[each_ * b + k];
                     for (int a = 0; a < 3; ++a) set(pair.a[a], n, rows.normal[3 * mine[k].high + a]);
@@ -241,8 +243,10 @@ private:
     static constexpr double DAMPED = 1e-12;  // of the trace: contacts that least squares know too little of
     static constexpr double INSIDE = 0.1;  // of e_u: how deep in the dual cones its answer must be
     static constexpr double PARALLEL = 1e-12;  // by which opposite rows may differ
+    struct Both { int high, low; };  // the rows of a pair; -1: none
     double edge_ = SOFTEST;
     int each_ = 1;
+    std::vector<std::vector<Both>> of_;  // those of each contact, while they are packed
     std::vector<Pair<V>> pairs_;  // (blocks, each)
     Blocks<V, B> scale_, room_, more_;  // u is at most room + t more within limits raised by t
     Blocks<V, B> leans_;  // 1 of a contact that no row bounds, whose u is at most room + t more - lean . w
@@ -325,8 +329,6 @@ private:
         const V bend = weight > 0.0 ? 0.25 * edge * edge * edge / weight : V{};
         return 2.0 * sqrt(weight * inside) + over * edge - bend * over * over;
     }
-
-    struct Both { int high, low; };  // the rows of a pair; -1: none
 
     // Largest u within the rows of a contact and its cone, and how it grows with the limits: u <= sum z b for any z >= 0 with
     // sum z a - e_u in the dual cone, of which one, two and three pairs are tried.

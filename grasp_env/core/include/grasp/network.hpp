@@ -2,6 +2,7 @@
 #pragma once
 #include <algorithm>
 #include <span>
+#include <vector>
 #include "lanes.hpp"
 
 namespace grasp {
@@ -30,10 +31,16 @@ public:
     Dense() = default;
     // flat: (inputs x outputs)
     Dense(int inputs, int outputs, const float* flat, const float* bias)
-        : inputs_(inputs), row_(registers(outputs)), weights_(std::size_t(inputs) * row_), bias_(row_) {
+        : inputs_(inputs), outputs_(outputs), row_(registers(outputs)), weights_(std::size_t(inputs) * row_), bias_(row_) {
         for (int i = 0; i < inputs; ++i) spread(flat + std::size_t(i) * outputs, outputs, &weights_[std::size_t(i) * row_]);
         spread(bias, outputs, bias_.data());
     }
+
+    // What it was made of goes on at the end of `flat`.
+    void write_weights(std::vector<float>& flat) const {
+        for (int i = 0; i < inputs_; ++i) write(&weights_[std::size_t(i) * row_], flat);
+    }
+    void write_bias(std::vector<float>& flat) const { write(bias_.data(), flat); }
 
     int padded() const { return FLOATS * row_; }  // outputs rounded up to whole registers
     const Floats* bias() const { return bias_.data(); }
@@ -48,8 +55,12 @@ public:
     }
 
 private:
-    int inputs_ = 0, row_ = 0;
+    int inputs_ = 0, outputs_ = 0, row_ = 0;
     std::vector<Floats> weights_, bias_;
+
+    void write(const Floats* from, std::vector<float>& flat) const {
+        for (int k = 0; k < outputs_; ++k) flat.push_back(from[k / FLOATS][k % FLOATS]);
+    }
 
     static int registers(int outputs) { return (outputs + FLOATS - 1) / FLOATS; }
     static void spread(const float* from, int count, Floats* to) {
@@ -97,7 +108,7 @@ public:
             stages_.emplace_back(inputs, outputs, flat, bias);
             flat = bias + outputs;
         }
-        if (!sizes.empty()) inputs_ = sizes.front(), outputs_ = sizes.back();
+        sizes_.assign(sizes.begin(), sizes.end());
         std::size_t widest = 0;
         for (const Dense& stage : stages_) widest = std::max(widest, std::size_t(stage.padded()));
         one_.resize(widest), other_.resize(widest);
@@ -114,8 +125,12 @@ public:
     }
 
     bool empty() const { return stages_.empty(); }
-    int inputs() const { return inputs_; }
-    int outputs() const { return outputs_; }
+    int inputs() const { return empty() ? 0 : sizes_.front(); }
+    int outputs() const { return empty() ? 0 : sizes_.back(); }
+    std::span<const int> sizes() const { return sizes_; }
+    void write(std::vector<float>& flat) const {
+        for (const Dense& stage : stages_) stage.write_weights(flat), stage.write_bias(flat);
+    }
 
     // features: (inputs,); the outputs stay until the next call.
     const float* operator()(const float* features) {
@@ -131,7 +146,7 @@ public:
     }
 
 private:
-    int inputs_ = 0, outputs_ = 0;
+    std::vector<int> sizes_;
     std::vector<Dense> stages_;
     std::vector<float> one_, other_;
 };

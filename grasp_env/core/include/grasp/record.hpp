@@ -28,6 +28,7 @@ constexpr int record_size(int count) { return int(sizeof(Summary) / sizeof(doubl
 class Record {
 public:
     Record(double* row, int count) : row_(row), count_(count) {}
+    Code code() const { return Code(int(summary().code)); }
     Summary& summary() const { return *reinterpret_cast<Summary*>(row_); }
     double* force() const { return row_ + sizeof(Summary) / sizeof(double); }
     double* initial_force() const { return force() + 3 * count_; }

@@ -1,4 +1,4 @@
-// The solvers whatever the number of contacts: what bindings and other programs hold.
+// The solvers whatever the number of contacts: what the bindings, and grasp.hpp for other programs, are made of.
 #pragma once
 #include "conic.hpp"
 #include "dispatch.hpp"
@@ -8,7 +8,7 @@
 #include "pipeline.hpp"
 #include "soft.hpp"
 
-namespace grasp {
+namespace grasp::any {
 
 // Newton on Phi, and the starts, on the contacts of one grasp. Forces are (3N,) [N], x is (3N,) in cone coordinates [N].
 // Aligned as their registers are: who deletes through them need not know.
@@ -59,13 +59,16 @@ protected:
 // Newton on Phi within limits on each contact's force; see `LimitedOn`.
 class alignas(64) LimitedNewton {
 public:
-    const Contacts contacts;
+    Contacts contacts;  // of now
 
     // basis: (13, 3N) as of `Newton`
     static std::unique_ptr<LimitedNewton> make(const Contacts& contacts, const Options& options, const LimitRows& rows,
                                                const double* basis, bool elastic);
     virtual ~LimitedNewton() = default;
     virtual std::unique_ptr<LimitedNewton> clone() const = 0;
+    // The contacts and their limits are now these, a little away from those of the basis. Allocates nothing where each contact had
+    // as many rows before. Unless `good`, nothing may be solved before it is called again.
+    virtual Placed move(const double* positions, const double* normals, const LimitRows& rows) = 0;
     virtual Code solve(const Call& call, double* row) = 0;
     virtual void solve_many(const Many& many) = 0;
 
@@ -273,10 +276,21 @@ public:
         newton.cones.pack(contacts);
         newton.rows.pack(newton.cones, rows);
         for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, newton.starter.basis[k]);
+        newton.starter.basis_tangents.load(contacts.frames.data(), contacts.count);
         newton.starter.has_basis = true;
         on_.elastic = elastic;
     }
     std::unique_ptr<LimitedNewton> clone() const override { return std::make_unique<LimitedAny>(*this); }
+    Placed move(const double* positions, const double* normals, const LimitRows& rows) override {
+        auto& newton = on_.newton;
+        const Placed placed = contacts.place(positions, normals);
+        if (placed != Placed::good) return placed;
+        newton.cones.pack(contacts);
+        newton.rows.pack(newton.cones, rows);
+        newton.starter.tangents.load(contacts.frames.data(), contacts.count);
+        newton.starter.moved = true;
+        return placed;
+    }
     Code solve(const Call& call, double* row) override { return on_.solve(call, Record(row, contacts.count)); }
     void solve_many(const Many& many) override { solve_each(*this, many); }
 
@@ -391,4 +405,4 @@ inline std::unique_ptr<Pipeline> Pipeline::make(const Contacts& nominal, const O
     return instance<Pipeline, detail::PipelineAny>(nominal.count, nominal, options, basis, frames, remembers, reference, flows);
 }
 
-}  // namespace grasp
+}  // namespace grasp::any

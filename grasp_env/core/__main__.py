@@ -1,0 +1,28 @@
+"""`python -m grasp_env.core`: what another build asks of this package."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+
+def main() -> None:
+    """Prints what is asked for."""
+    parser = argparse.ArgumentParser(prog="python -m grasp_env.core", description="where the C++ core is")
+    asked = parser.add_mutually_exclusive_group(required=True)
+    folder = Path(__file__).resolve().parent
+    for option, path, said in (
+        (
+            "--cmake-dir",
+            folder / "cmake",
+            "for find_package(grasp): -Dgrasp_DIR=$(python -m grasp_env.core --cmake-dir)",
+        ),
+        ("--include-dir", folder / "include", "of <grasp/grasp.hpp>"),
+    ):
+        asked.add_argument(option, dest="path", action="store_const", const=path, help=said)
+    sys.stdout.write(f"{parser.parse_args().path}\n")
+
+
+if __name__ == "__main__":
+    main()
