@@ -2,6 +2,7 @@
 // bound, normal force, the torque of a joint of its own finger) is a rank-one term of that contact's block; what is factored is balance,
 // the rows that couple contacts, and the T variables that all share.
 #pragma once
+#include <algorithm>
 #include "vec3.hpp"
 
 namespace grasp {
