@@ -16,12 +16,11 @@ from grasp_env.force import optimize_force
 from grasp_env.grasp import presets
 
 ROOT = Path(__file__).parents[2]
-CORE, CONSUMER = ROOT / "grasp_env/core", Path(__file__).parent / "package"
+CORE, CONSUMER = ROOT / "grasp_env/core", Path(__file__).parent / "programs/consumer"
 HEADERS = sorted(path.name for path in (CORE / "include/grasp").glob("*.hpp"))
 FLAGS = ["-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Wno-psabi", "-Werror"]
 SHADOW = {"g++": "-Wshadow=local", "clang++": "-Wshadow"}
 """GCC takes a constructor's parameters for shadows of what they fill."""
-COMPILERS = ["g++", pytest.param("clang++", marks=pytest.mark.slow)]
 EXPECTED = optimize_force(
     presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0], method="newton", tolerance=1e-9
 ).objective
@@ -110,8 +109,12 @@ def dropped(folder: Path) -> Iterator[str]:
     yield f"-DGRASP_FOLDER={folder / 'core'}"
 
 
-@pytest.mark.parametrize("compiler", COMPILERS)
-@pytest.mark.parametrize("way", [installed, packaged, dropped])
+WAYS = [(way, compiler) for way in (installed, packaged, dropped) for compiler in SHADOW]
+
+
+@pytest.mark.parametrize(
+    ("way", "compiler"), [WAYS[0], *(pytest.param(*way, marks=pytest.mark.slow) for way in WAYS[1:])]
+)
 def test_a_program_builds_and_solves(way, compiler: str, tmp_path: Path) -> None:
     tool("cmake")
     (option,) = way(tmp_path)
@@ -130,6 +133,15 @@ def test_a_program_builds_and_solves(way, compiler: str, tmp_path: Path) -> None
     code, objective = succeed(build / "consumer").split()
     assert code == "0"
     assert float(objective) == pytest.approx(EXPECTED, rel=2e-9)
+
+
+@pytest.mark.parametrize("way", [packaged, dropped])
+def test_a_program_finds_the_headers(way, tmp_path: Path) -> None:
+    (option,) = way(tmp_path)
+    succeed(tool("cmake"), "-S", CONSUMER, "-B", tmp_path / "build", option, "-DCMAKE_EXPORT_COMPILE_COMMANDS=ON")
+    command = (tmp_path / "build/compile_commands.json").read_text()
+    assert f"{tmp_path}/" in command.partition("-isystem ")[2]
+    assert "-ffp-contract=fast" in command
 
 
 def test_another_version_is_not_found(tmp_path: Path) -> None:

@@ -42,8 +42,9 @@ protected:
     // run(row) -> Code into the record, which is overwritten by the next call
     template <class F> Record ended(F&& run) {
         const Record record(row_.data(), count_);
-        record.summary().code = REFUSED;
+        record.summary().margin = 0.0;
         const Code code = run(row_.data());
+        record.summary().code = code;
         if (code != REFUSED && code != INFEASIBLE) {
             std::copy_n(record.force(), 3 * count_, last_.data());
             std::copy_n(record.torsion(), count_, last_.data() + 3 * count_);
@@ -139,7 +140,11 @@ private:
     bool ready_ = true;
 
     Record run(const Call& call) {
-        return ended([&](double* row) { return ready_ ? on_->solve(call, row) : REFUSED; });
+        return ended([&](double* row) {
+            const Code code = ready_ ? on_->solve(call, row) : REFUSED;
+            // hardly any force keeps the limits, or hardly none: what it has got is balanced and inside the cones all the same
+            return code == REFUSED && Record(row, contacts().count).summary().margin > 0.0 ? STALLED : code;
+        });
     }
 
     // What is wrong with the sizes of limits.
