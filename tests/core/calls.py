@@ -26,6 +26,12 @@ LAYER_WEIGHTS = 0.1 * np.random.default_rng(1).standard_normal((2, _core.layer_s
 RULE = np.array([2.0, 0.3, 1.5, 0.5, 0.0])
 
 
+LIMITS = {
+    "least": np.full(COUNT, 0.1), "most": np.full(COUNT, 9.0), "jacobian": np.full((COUNT, 4, 3), 0.05),
+    "torques": np.ones(3), "biases": np.zeros(3),
+}  # fmt: skip
+
+
 def contacts() -> _core.Contacts:
     s = SAMPLE
     return _core.Contacts.make(s.positions, s.normals, s.scale, s.weights, np.zeros((0, 3)))
@@ -152,6 +158,14 @@ def calls() -> dict[str, Call]:
         "Contacts.make": Call(_core.Contacts.make, place | {"scale": s.scale, "weights": s.weights} | optional, {}),
         "grasp_arrays": Call(
             _core.grasp_arrays, place | {"models": models} | optional, geometry | {"centre": (3,), "frame": (6, 6)}
+        ),
+        "cone_scale": Call(_core.cone_scale, {"friction": np.full((COUNT, 2), 0.4)}, {"scale": (COUNT, 3)}),
+        "limit_rows": Call(_core.limit_rows, LIMITS, {"matrix": (14, COUNT, 4), "bounds": (14,), "limited": (14,)}),
+        "contact_rows": Call(
+            _core.contact_rows,
+            {"divisor": s.divisor, "lambdas": s.weights[:, 1].copy(), "matrix": np.eye(12).reshape(12, COUNT, 3)}
+            | {"bounds": np.ones(12), "limited": np.ones(12)},
+            {"normals": (12, 3), "table": (5, 12)},
         ),
         "combine": Call(partial(_core.combine, printed=False), basis | {"wrench": LOADS[0]}, {"to": (12,)}),
         "solve_scaled": Call(

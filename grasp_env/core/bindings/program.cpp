@@ -15,6 +15,9 @@ std::unique_ptr<Program> make(nb::handle frame, nb::handle balance, nb::handle r
     const Numbers d = in(divisor, -1, 4), b = in(bound, -1);
     if (std::max(d.length(0), b.length(0)) > 1'000'000) throw nb::type_error("at most 1,000,000 contacts and limits");
     const int count = int(d.length(0)), limits = int(b.length(0));
+    int soft = 0;
+    for (int i = 0; i < count; ++i) soft += d.data()[4 * i + 3] < infinity;
+    if (soft > limits) throw nb::value_error("each soft contact needs a row of its torsion");
     return Program::make({count, limits, in(frame, 6, 6).data(), in(balance, 6, count, 4).data(),
                           in(rows, limits, count, 4).data(), b.data(), d.data(), in(shares, limits).data(), elastic});
 }

@@ -142,11 +142,19 @@ private:
     Record run(const Call& call) {
         return ended([&](double* row) {
             const Code code = ready_ ? on_->solve(call, row) : REFUSED;
-            // hardly any force keeps the limits, or hardly none: what it has got is balanced and inside the cones all the same
-            return code == REFUSED && Record(row, contacts().count).summary().margin > 0.0 ? STALLED : code;
+            return code == REFUSED && serves(call.wrench, Record(row, contacts().count)) ? STALLED : code;
         });
     }
 
+    // Where hardly any force keeps the limits, or hardly none: whether what was found is balanced and inside the cones all the same.
+    bool serves(const double* wrench, const Record& record) const {
+        constexpr double MISSED = 1e-8;  // part of wrench and forces
+        const Summary& s = record.summary();
+        if (!(s.margin > 0.0 && s.margin < infinity)) return false;
+        double most = size(contacts().unit.of(wrench));
+        for (int j = 0; j < 3 * contacts().count; ++j) most += std::abs(record.force()[j]);
+        return s.residual <= MISSED * most;
+    }
     // What is wrong with the sizes of limits.
     static const char* wrong(int count, const ForceLimits& limits) {
         const std::size_t size = std::size_t(count), joints = limits.torque_limit.size();
