@@ -10,7 +10,7 @@
 #include "timing.hpp"
 
 using namespace grasp;
-using namespace grasp::any;
+using namespace grasp::generic;
 
 namespace {
 

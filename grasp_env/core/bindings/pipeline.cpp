@@ -8,7 +8,7 @@
 #include "views.hpp"
 
 using namespace grasp;
-using namespace grasp::any;
+using namespace grasp::generic;
 
 namespace {
 

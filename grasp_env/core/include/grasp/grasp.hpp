@@ -23,7 +23,7 @@ using Triples = std::span<const double>;  // (N, 3) contact by contact
 // The offline part, (13, 3N): the optima of Phi for the 12 unit wrenches and for none, cone coordinates. Throws without force closure.
 inline std::vector<double> offline_basis(const Contacts& contacts) {
     std::vector<double> basis(39 * contacts.count);
-    if (!(any::Newton::make(contacts, {1.0, 0})->make_basis(false, nullptr, basis.data()) < ACCEPTED_GAP))
+    if (!(generic::Newton::make(contacts, {1.0, 0})->make_basis(false, nullptr, basis.data()) < ACCEPTED_GAP))
         throw std::invalid_argument("the contacts have no force closure: no forces within friction balance every wrench");
     return basis;
 }
@@ -69,7 +69,7 @@ private:
 class Newton : public Solutions {
 public:
     explicit Newton(const Contacts& contacts, const Options& options = {})
-        : Solutions(contacts.count), on_(any::Newton::make(contacts, options)) {
+        : Solutions(contacts.count), on_(generic::Newton::make(contacts, options)) {
         on_->set_basis(offline_basis(contacts).data());
     }
     // From the combination of the 12 offline optima.
@@ -90,25 +90,25 @@ public:
     const Contacts& contacts() const { return on_->contacts; }
 
 private:
-    std::unique_ptr<any::Newton> on_;
+    std::unique_ptr<generic::Newton> on_;
 };
 
 // The least sum of normal forces, exactly on the cones where that is least.
 class Conic : public Solutions {
 public:
     explicit Conic(const Contacts& contacts, const Options& options = {1e-6, CONIC_ITERATIONS})
-        : Solutions(contacts.count), on_(any::Conic::make(contacts, options, interior(contacts).data())) {}
+        : Solutions(contacts.count), on_(generic::Conic::make(contacts, options, interior(contacts).data())) {}
     Record solve(Wrench wrench) {
         return ended([&](double* row) { return on_->solve(wrench.data(), row); });
     }
     const Contacts& contacts() const { return on_->contacts; }
 
 private:
-    std::unique_ptr<any::Conic> on_;
+    std::unique_ptr<generic::Conic> on_;
 
     static std::vector<double> interior(const Contacts& contacts) {
         std::vector<double> x(3 * contacts.count);
-        if (!any::Newton::make(contacts, {1.0, 0})->internal_force(x.data()))
+        if (!generic::Newton::make(contacts, {1.0, 0})->internal_force(x.data()))
             throw std::invalid_argument("the contacts have no force closure: no forces within friction balance every wrench");
         return x;
     }
@@ -136,7 +136,7 @@ public:
 
 private:
     LimitTable table_;
-    std::unique_ptr<any::LimitedNewton> on_;
+    std::unique_ptr<generic::LimitedNewton> on_;
     bool ready_ = true;
 
     Record run(const Call& call) {
@@ -164,13 +164,14 @@ private:
         if (!limits.torque_bias.empty() && limits.torque_bias.size() != joints) return "torque_bias must be (J,), or none";
         return nullptr;
     }
-    static std::unique_ptr<any::LimitedNewton> made(const Contacts& contacts, const ForceLimits& limits, Limits kind,
-                                                    const Options& options, LimitTable& table) {
+    static std::unique_ptr<generic::LimitedNewton> made(const Contacts& contacts, const ForceLimits& limits, Limits kind,
+                                                        const Options& options, LimitTable& table) {
         if (const char* said = wrong(contacts.count, limits)) throw std::invalid_argument(said);
         if (!table.fill(contacts, limits))
             throw std::invalid_argument(
                 "limits must be finite, and no joint may move two contacts: those are for the Python package");
-        return any::LimitedNewton::make(contacts, options, table.rows(), offline_basis(contacts).data(), kind == Limits::elastic);
+        return generic::LimitedNewton::make(contacts, options, table.rows(), offline_basis(contacts).data(),
+                                            kind == Limits::elastic);
     }
 };
 
@@ -179,7 +180,7 @@ class Learned : public Solutions {
 public:
     Learned(const Contacts& contacts, const Model& model, const Options& options = {}) : Solutions(contacts.count) {
         if (!model.fits(contacts.count)) throw std::invalid_argument("the model is for another number of contacts");
-        on_ = any::Learned::make(contacts, options, offline_basis(contacts).data(), model);
+        on_ = generic::Learned::make(contacts, options, offline_basis(contacts).data(), model);
     }
     Record solve(Wrench wrench) {
         return ended([&](double* row) { return on_->solve(wrench.data(), nullptr, row); });
@@ -193,7 +194,7 @@ public:
     const Contacts& contacts() const { return on_->contacts; }
 
 private:
-    std::unique_ptr<any::Learned> on_;
+    std::unique_ptr<generic::Learned> on_;
 };
 
 // Newton for contacts that move a little from call to call, from the last optimum carried along; their number and friction stay.
@@ -201,8 +202,8 @@ class Pipeline : public Solutions {
 public:
     explicit Pipeline(const Contacts& nominal, const Options& options = {})
         : Solutions(nominal.count),
-          on_(any::Pipeline::make(nominal, options, offline_basis(nominal).data(), nominal.frames.data(), true,
-                                  std::vector<double>(9 * nominal.count * nominal.count).data(), nullptr)) {}
+          on_(generic::Pipeline::make(nominal, options, offline_basis(nominal).data(), nominal.frames.data(), true,
+                                      std::vector<double>(9 * nominal.count * nominal.count).data(), nullptr)) {}
     Record solve(Triples positions, Triples normals, Wrench wrench) {
         return ended([&](double* row) {
             if (!is_triples(positions) || !is_triples(normals)) return REFUSED;
@@ -218,7 +219,7 @@ public:
     const Contacts& contacts() const { return on_->contacts(); }
 
 private:
-    std::unique_ptr<any::Pipeline> on_;
+    std::unique_ptr<generic::Pipeline> on_;
 };
 
 }  // namespace grasp

@@ -8,7 +8,7 @@
 #include "pipeline.hpp"
 #include "soft.hpp"
 
-namespace grasp::any {
+namespace grasp::generic {
 
 // Newton on Phi, and the starts, on the contacts of one grasp. Forces are (3N,) [N], x is (3N,) in cone coordinates [N].
 // Aligned as their registers are: who deletes through them need not know.
@@ -405,4 +405,4 @@ inline std::unique_ptr<Pipeline> Pipeline::make(const Contacts& nominal, const O
     return instance<Pipeline, detail::PipelineAny>(nominal.count, nominal, options, basis, frames, remembers, reference, flows);
 }
 
-}  // namespace grasp::any
+}  // namespace grasp::generic
