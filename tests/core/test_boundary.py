@@ -316,3 +316,25 @@ except ValueError:
 else:
     sys.exit(1)
 """)
+
+
+TRIAL = Path(__file__).with_name("boundary_trial.py")
+SEED = int(os.environ.get("GRASP_TRIAL_SEED", "0"))
+
+
+def faults(seed: int, count: int) -> str:
+    """What went wrong in that many random calls, in a process of its own: a crash or a hang is a fault of the last call."""
+    command = [sys.executable, str(TRIAL), "--seed", str(seed), "--count", str(count)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.stdout + (done.stderr[-3000:] if done.returncode else "")
+
+
+def test_random_calls() -> None:
+    assert faults(SEED, 1000) == ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", range(10))
+def test_a_hundred_thousand_random_calls(part: int) -> None:
+    """`GRASP_TRIAL_SEED=S make slow GRASP_SANITIZE=ON ARGS="tests/core -k hundred_thousand"` under the sanitizers."""
+    assert faults(SEED + 1 + part, 10_000) == ""

@@ -130,12 +130,13 @@ def test_processes_after_use(way: str) -> None:
 
 
 LONG = [
-    ("newton", "wrenches", 8_000_000),
-    ("conic", "wrenches", 6_000_000),
-    ("reduced_flow", "wrenches", 1_000_000),
-    ("newton", "grasps", 2_000_000),
+    ("reduced_flow", "wrenches", 400_000),
+    ("newton", "wrenches", 1_500_000),
+    ("conic", "wrenches", 1_000_000),
+    ("newton", "grasps", 300_000),
 ]
-"""Batches of several seconds."""
+"""Batches of seconds, within 0.6 GiB."""
+CASES = [(*batch, workers) for batch in LONG for workers in (1, 2, None)]
 INTERRUPTED = """
 import signal, sys, threading, time
 import numpy as np
@@ -150,10 +151,10 @@ sent = []
 def interrupt():
     sent.append(time.perf_counter())
     signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
-timer = threading.Timer(0.5, interrupt)
+timer = threading.Timer(0.1, interrupt)
 timer.start()
 try:
-    optimize_forces(grasps, loads, method=method, workers=workers)
+    optimize_forces(grasps, loads, method=method, workers=workers, tolerance=1e-12)
     print("finished", file=sys.stderr)
     sys.exit(3)
 except KeyboardInterrupt:
@@ -167,8 +168,9 @@ print(took, threading.active_count())
 """
 
 
-@pytest.mark.parametrize("workers", [1, 2, None])
-@pytest.mark.parametrize(("method", "kind", "count"), LONG)
+@pytest.mark.parametrize(
+    ("method", "kind", "count", "workers"), [CASES[1], *(pytest.param(*c, marks=pytest.mark.slow) for c in CASES)]
+)
 def test_an_interrupt_ends_a_batch(method: str, kind: str, count: int, workers: int | None) -> None:
     """Within about a second, at any length; what comes after it has the same bits."""
     command = [sys.executable, "-c", INTERRUPTED, method, str(workers), kind, str(count)]
@@ -177,7 +179,7 @@ def test_an_interrupt_ends_a_batch(method: str, kind: str, count: int, workers: 
     )
     assert done.returncode == 0, done.stderr[-2000:]
     took, threads = done.stdout.split()
-    assert float(took) < 2.0
+    assert float(took) < 1.0
     assert threads == "1"
 
 
