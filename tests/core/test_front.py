@@ -31,6 +31,11 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return {line.partition(":" if ":" in line else " ")[0]: line for line in lines}
 
 
+def numbers(line: str) -> list[float]:
+    """Code, objective, excess of limits, forces."""
+    return [float(word) for word in line.partition(":")[2].split()]
+
+
 def jacobian() -> np.ndarray:
     own = np.zeros((4, 3, 12))
     a, j = np.indices((3, 3))
@@ -63,20 +68,33 @@ ELLIPTIC = Grasp.from_contacts(
 )
 def test_results_are_those_of_python(said: dict[str, str], name: str, asked: dict) -> None:
     """Optima of Phi to 1e-9 lie within some 1e-5 N of each other; conic's and the excess's are flat."""
-    _, code, objective, excess, *force = said[name].split()
+    code, objective, excess, *force = numbers(said[name])
     given = {"grasp": presets.paper_cuboid(), "method": "newton", "tolerance": 1e-9} | asked
     python: ForceSolution = optimize_force(given.pop("grasp"), WRENCH, **given)
-    assert int(code) == python._record[0]
+    assert code == python._record[0]
     exact = given["tolerance"] == 1e-9
-    assert float(objective) == pytest.approx(python.objective, rel=2e-9 if exact else 2e-3)
-    assert float(excess) == pytest.approx(python.limit_excess, rel=2e-3, abs=1e-12)
+    assert objective == pytest.approx(python.objective, rel=2e-9 if exact else 2e-3)
+    assert excess == pytest.approx(python.limit_excess, rel=2e-3, abs=1e-12)
     close = {"conic": 1e-4, "elastic": 0.5}.get(name, 2e-4)
-    assert np.array(force, dtype=float).reshape(4, 3) == pytest.approx(python.force, abs=close)
+    assert np.reshape(force, (4, 3)) == pytest.approx(python.force, abs=close)
+
+
+@pytest.mark.parametrize(
+    ("moved", "there"),
+    [("limits moved there", "limits there"), ("limits followed there", "limits there"), ("moved there", "there")],
+)
+def test_contacts_that_moved_are_as_those_made_there(said: dict[str, str], moved: str, there: str) -> None:
+    """Both to 1e-9 of the optimum, where forces lie within some 1e-5 N."""
+    assert numbers(said[moved])[:2] == pytest.approx(numbers(said[there])[:2], rel=2e-9)
+    assert numbers(said[moved])[3:] == pytest.approx(numbers(said[there])[3:], abs=2e-4)
+    assert numbers(said[there])[1] != pytest.approx(
+        numbers(said["limited" if "limits" in there else "newton"])[1], rel=1e-4
+    )
 
 
 def test_no_force_is_proven(said: dict[str, str]) -> None:
-    _, code, objective, *_ = said["strict"].split()
-    assert (int(code), objective) == (3, "inf")
+    code, objective, *_ = numbers(said["strict"])
+    assert (code, objective) == (3, np.inf)
     with pytest.raises(InfeasibleWrenchError):
         optimize_force(presets.paper_cuboid(), WRENCH, method="newton", limits=TIGHT)
 

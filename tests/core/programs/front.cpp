@@ -32,7 +32,7 @@ const double normals[] = {0, 0, 1, 0, 0, -1, 0, 0, -1, 0, 0, -1}, wrench[] = {1,
 const double none = std::numeric_limits<double>::quiet_NaN();
 
 void print(const char* name, const grasp::Record& record) {
-    std::printf("%s %d %.12g %g", name, record.code(), record.summary().objective, record.summary().limit_excess);
+    std::printf("%s: %d %.12g %g", name, record.code(), record.summary().objective, record.summary().limit_excess);
     for (int i = 0; i < 12; ++i) std::printf(" %.9g", record.force()[i]);
     std::printf("\n");
 }
@@ -128,6 +128,12 @@ int main(int given, char** arguments) {
         for (int j = 0; j < 12; ++j) out[j] = positions[j] + 0.0005 * std::sin(0.01 * k + j);
         return out;
     };
+    const auto away = grasp::Contacts::from(point(50), normals, 0.4);
+    grasp::LimitedNewton there(away, limits, grasp::Limits::elastic, exact);
+    limited.move(point(50), normals, limits);
+    print("limits there", there.solve(wrench)), print("limits moved there", limited.solve(wrench));
+    print("limits followed there", limited.follow(wrench));
+    print("there", grasp::Newton(away, exact).solve(wrench)), print("moved there", pipeline.solve(point(50), normals, wrench));
     const auto ended = [](const grasp::Record& record) { return record.code() == grasp::CONVERGED; };
     counted("newton", calls, [&](int k) { return ended(newton.solve(load(k))) && ended(newton.follow(load(k + 1))); });
     counted("conic", calls, [&](int k) { return ended(conic.solve(load(k))); });
