@@ -5,6 +5,7 @@
 #include "arrays.hpp"
 
 using namespace grasp;
+using namespace grasp::generic;
 
 namespace {
 

@@ -2,6 +2,7 @@
 #include "calls.hpp"
 
 using namespace grasp;
+using namespace grasp::generic;
 
 namespace {
 

@@ -6,6 +6,7 @@
 #include "arrays.hpp"
 
 using namespace grasp;
+using namespace grasp::generic;
 
 namespace {
 
