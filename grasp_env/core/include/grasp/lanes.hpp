@@ -60,7 +60,7 @@ template <class V> [[gnu::always_inline]] inline V sqrt(V a) {
     if constexpr (width<V> == 1) {
         return __builtin_sqrt(a);
     } else {
-        V root;
+        V root{};
         for (int n = 0; n < width<V>; ++n) root[n] = __builtin_sqrt(a[n]);
         return root;
     }

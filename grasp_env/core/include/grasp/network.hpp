@@ -20,7 +20,7 @@ inline Floats load_floats(const float* from) {
 }
 inline Floats activation(Floats v) {
     const Floats square = 1.0f + v * v;
-    Floats root;
+    Floats root{};
     for (int n = 0; n < FLOATS; ++n) root[n] = __builtin_sqrtf(square[n]);
     return 0.5f * v * (1.0f + v / root);
 }
