@@ -18,4 +18,5 @@ set(grasp_flags -ffp-contract=fast -fno-math-errno -fno-trapping-math -Wno-psabi
 set_target_properties(grasp::core PROPERTIES
   INTERFACE_INCLUDE_DIRECTORIES "${grasp_include}"
   INTERFACE_COMPILE_FEATURES cxx_std_20
+  GRASP_FLAGS "${grasp_flags}"
   INTERFACE_COMPILE_OPTIONS "$<$<COMPILE_LANG_AND_ID:CXX,GNU,Clang,AppleClang>:${grasp_flags}>")
