@@ -119,8 +119,8 @@ def test_arrays_may_lie_in_any_order():
         rows = optimize_forces(plain, loads, method=method)
         np.testing.assert_array_equal(optimize_forces(plain, turned(loads), method=method).force, rows.force)
         column = np.stack([loads[0], loads[1]], axis=1)[:, 0]
-        # what the core cannot read as it lies takes the general path: another rounding of the start
-        np.testing.assert_allclose(optimize_force(plain, column, method=method).force, rows.force[0], rtol=1e-12)
+        # what the core cannot read as it lies takes the general path, and batches sum in another order: another rounding
+        np.testing.assert_allclose(optimize_force(plain, column, method=method).force, rows.force[0], rtol=1e-9)
     start = optimize_force(plain, loads[0]).initial_force
     for initial in (start, lambda grasp, wrench: start):
         known = optimize_force(plain, loads[0], method="newton", initial=initial)
