@@ -72,7 +72,7 @@ def as_array(
     """
     if type(value) is np.ndarray and value.dtype is _FLOAT:
         _check_shape(value.shape, shape, name)
-        array = np.array(value, order="C") if copy else np.ascontiguousarray(value)
+        array = np.array(value, order="C", copy=True if copy else None)
     else:
         array = _converted(value, shape, name)
     if finite and not all_finite(array):

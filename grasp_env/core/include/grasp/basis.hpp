@@ -58,7 +58,7 @@ template <class V, int B> double squeeze(const Cones<V, B>& cones, const typenam
     return std::sqrt(sum(barrier) / sum(force));
 }
 
-// Makes the basis of a Newton for its contacts, one optimum after the other; rest (12) first: the others start from it.
+// Makes the basis of a Newton for its contacts: the optimum at rest (12) first, as the others start from it.
 template <class V, int B> class BasisMaker {
 public:
     explicit BasisMaker(NewtonOn<V, B>& newton) : newton_(newton), kept_(newton.options) {
