@@ -451,3 +451,19 @@ class Pipeline:
 
     def arrays(self) -> dict[str, NDArray]:
         """Views of what is held, by name: overwritten in place."""
+
+class Surface:
+    """A convex surface, body frame; the axis of cylinders and capsules is y."""
+
+    @staticmethod
+    def make(kind: str, numbers: object, triangles: object, normals: object) -> Surface:
+        """
+        numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius; capsule, radius
+        and half its axis. Of a mesh (F, 3, 3) corners [m], from outside counterclockwise, and (F, 3) OUTWARD normals.
+        """
+
+    def nearest(self, center: object) -> tuple[NDArray, NDArray, float]:
+        """
+        The nearest point [m], (3,), the INWARD unit normal there and the distance [m], below 0 inside. Where several
+        points are as near, one of them; on edges the normal is the direction to them.
+        """

@@ -16,4 +16,5 @@ NB_MODULE(_core, m) {
     bind_learned(m);
     bind_program(m);
     bind_pipeline(m);
+    bind_surface(m);
 }

@@ -19,3 +19,4 @@ void bind_learned(nb::module_& m);
 void bind_program(nb::module_& m);
 void bind_pipeline(nb::module_& m);
 void bind_solution(nb::module_& m);
+void bind_surface(nb::module_& m);
