@@ -1,6 +1,7 @@
 """The compiled core; `grasp_env.core` is its door."""
 
 from collections.abc import Sequence
+import enum
 from typing import Any
 
 import numpy as np
@@ -467,3 +468,412 @@ class Surface:
         The nearest point [m], (3,), the INWARD unit normal there and the distance [m], below 0 inside. Where several
         points are as near, one of them; on edges the normal is the direction to them.
         """
+
+REACHED: float = 1e-09
+
+class Link:
+    """A link of a hand and the joint that moves it."""
+
+    def __init__(self, *, parent: int, offset: Sequence[float], rotation: Sequence[float], axis: Sequence[float], mass: float, center: Sequence[float], lower: float, upper: float, torque_limit: float) -> None:
+        """
+        parent: number of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's frame.
+        axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m].
+        """
+
+class Tip:
+    """The sphere with which a finger touches."""
+
+    def __init__(self, *, link: int, center: Sequence[float], radius: float) -> None:
+        """center [m] in the link's frame."""
+
+class Tree:
+    """A hand as a tree of M links with N fingertips, never changed."""
+
+    @staticmethod
+    def make(links: Sequence[Link], tips: Sequence[Tip]) -> Tree:
+        """Parents come before their links."""
+
+    @property
+    def joints(self) -> int: ...
+
+    @property
+    def fingers(self) -> int: ...
+
+    def trace(self, angles: object, rotations: object, origins: object) -> None:
+        """
+        Where the links are at angles (M,) [rad], world frame: rotations (M, 3, 3) and origins (M, 3) [m] are filled.
+        """
+
+    def tips(self, angles: object, centers: object) -> None:
+        """Centres of the fingertips [m], world frame, into (N, 3)."""
+
+    def jacobian(self, angles: object, link: int, place: object, jacobian: object) -> None:
+        """
+        The velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).
+        """
+
+    def gravity_torques(self, angles: object, gravity: object, torques: object) -> None:
+        """
+        Torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].
+        """
+
+class Reach:
+    """
+    Inverse kinematics of a hand: damped least squares within the joint limits.
+    """
+
+    @staticmethod
+    def make(tree: Tree, limited: bool = True) -> "std::unique_ptr<grasp::Reach, std::default_delete<grasp::Reach> >":
+        """limited: within the joint limits."""
+
+    @property
+    def groups(self) -> list[tuple[list[int], list[int]]]:
+        """Fingers that share joints, and these joints."""
+
+    def solve(self, targets: object, starts: object, angles: object, missed: object) -> None:
+        """
+        Brings the tips near to targets (N, 3) [m], from starts (S, M) in this order: fills angles (M,) [rad], and (G,) what
+        the worst tip of each group misses [m].
+        """
+
+class Answers:
+    """
+    Where the numbers lie in the nested tuples that a simulator answers with.
+    """
+
+    def __init__(self, *, link: int, place: int, forces: Sequence[tuple[int, int]], sign: float, first: int, links: Sequence[int]) -> None:
+        """
+        Of a contact: which item is the engine's link number, which the point, which pairs are amounts and directions of
+        forces; sign 1 where they push the object, -1 where they push the hand. links: the hand's link of each of the
+        engine's, from number `first` on, -1: none.
+        """
+
+    def read(self, joints: object, pose: object, velocity: object, contacts: object, numbers: object) -> int:
+        """
+        Joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, angular) and contacts as the flat
+        numbers of `Scene.read`; returns how many there are. Nothing is written where `numbers` is too short.
+        """
+
+def reading_size(joints: int, contacts: int) -> int:
+    """Numbers of a reading."""
+
+class Scene:
+    """A hand and an object in a simulator, as they were last read."""
+
+    @staticmethod
+    def make(tree: Tree, surface: Surface, gravity: Sequence[float]) -> Scene: ...
+
+    def set_gravity(self, gravity: Sequence[float]) -> None:
+        """[m/s^2], (3,), world frame."""
+
+    def read(self, numbers: object) -> bool:
+        """
+        Angles (M,), rates (M,), the object's position, quaternion (x y z w), linear and angular velocity, and seven numbers
+        a contact: the hand's link, the point [m] and the force ON the object [N]; world frame. False: not finite, or the
+        object is lost.
+        """
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Views of what follows from it, by name: overwritten at each reading."""
+
+class Body:
+    """The object as a controller believes it to be, and the pose feedback."""
+
+    def __init__(self) -> None: ...
+
+    @property
+    def mass(self) -> float:
+        """[kg]"""
+
+    @mass.setter
+    def mass(self, arg: float, /) -> None: ...
+
+    @property
+    def inertia(self) -> list[float]:
+        """(9,) [kg m^2] about its centre, object frame"""
+
+    @inertia.setter
+    def inertia(self, arg: Sequence[float], /) -> None: ...
+
+    @property
+    def position_gain(self) -> float:
+        """[N/m]"""
+
+    @position_gain.setter
+    def position_gain(self, arg: float, /) -> None: ...
+
+    @property
+    def position_damping(self) -> float:
+        """[N s/m]"""
+
+    @position_damping.setter
+    def position_damping(self, arg: float, /) -> None: ...
+
+    @property
+    def rotation_gain(self) -> float:
+        """[1/s^2], times the inertia"""
+
+    @rotation_gain.setter
+    def rotation_gain(self, arg: float, /) -> None: ...
+
+    @property
+    def rotation_damping(self) -> float:
+        """[1/s], times the inertia"""
+
+    @rotation_damping.setter
+    def rotation_damping(self, arg: float, /) -> None: ...
+
+    def wrench(self, scene: Scene, target: object, gravity: object) -> list[float]:
+        """
+        Weight - inertial wrench of the wanted motion + pose feedback (6,) [N, N m], object frame.
+        """
+
+class Spring:
+    """Of a tip that is drawn to its place."""
+
+    def __init__(self, gain: float, damping: float, limit: float) -> None:
+        """[N/m], [N s/m], the most force [N]"""
+
+class WrenchSource(enum.Enum):
+    """How the controller knows the external wrench."""
+
+    measured = 0
+
+    estimated = 1
+
+    none = 2
+
+class Hold(enum.Enum):
+    """What the fingers in contact do."""
+
+    optimised = 0
+    """carry the last optimum along"""
+
+    squeeze = 1
+    """a constant internal force, and what balances"""
+
+    place = 2
+    """no force: every finger holds its place"""
+
+    direct = 3
+    """given forces"""
+
+    lost = 4
+    """no force closure: given forces, balanced as far as the cones let them"""
+
+class ControlSettings:
+    """Belief and gains of a control loop."""
+
+    def __init__(self) -> None: ...
+
+    @property
+    def body(self) -> Body: ...
+
+    @body.setter
+    def body(self, arg: Body, /) -> None: ...
+
+    @property
+    def friction(self) -> float:
+        """that the solver believes in"""
+
+    @friction.setter
+    def friction(self, arg: float, /) -> None: ...
+
+    @property
+    def reach(self) -> Spring:
+        """of a finger without contact on its way"""
+
+    @reach.setter
+    def reach(self, arg: Spring, /) -> None: ...
+
+    @property
+    def spring(self) -> Spring:
+        """of all fingers where nothing is optimised"""
+
+    @spring.setter
+    def spring(self, arg: Spring, /) -> None: ...
+
+    @property
+    def reach_depth(self) -> float:
+        """[m] inside the surface to which a finger reaches"""
+
+    @reach_depth.setter
+    def reach_depth(self, arg: float, /) -> None: ...
+
+    @property
+    def posture_gain(self) -> float:
+        """[N m/rad] of joints that the tips leave free"""
+
+    @posture_gain.setter
+    def posture_gain(self, arg: float, /) -> None: ...
+
+    @property
+    def posture_damping(self) -> float:
+        """[N m s/rad]"""
+
+    @posture_damping.setter
+    def posture_damping(self, arg: float, /) -> None: ...
+
+    @property
+    def most_change(self) -> float:
+        """[N] by which a force may change in a tick beyond balance"""
+
+    @most_change.setter
+    def most_change(self, arg: float, /) -> None: ...
+
+    @property
+    def release(self) -> int:
+        """ticks without force after which a finger is no longer in contact"""
+
+    @release.setter
+    def release(self, arg: int, /) -> None: ...
+
+class SensorSettings:
+    """What the controller sees: how late, how noisy."""
+
+    def __init__(self) -> None: ...
+
+    @property
+    def wrench(self) -> WrenchSource: ...
+
+    @wrench.setter
+    def wrench(self, arg: WrenchSource, /) -> None: ...
+
+    @property
+    def tick(self) -> float:
+        """[s]"""
+
+    @tick.setter
+    def tick(self, arg: float, /) -> None: ...
+
+    @property
+    def keep(self) -> float:
+        """share of its last value that the estimate keeps over a tick"""
+
+    @keep.setter
+    def keep(self, arg: float, /) -> None: ...
+
+    @property
+    def delay(self) -> int:
+        """ticks by which everything comes late"""
+
+    @delay.setter
+    def delay(self, arg: int, /) -> None: ...
+
+    @property
+    def wrench_delay(self) -> int:
+        """ticks by which measured wrenches come later than that"""
+
+    @wrench_delay.setter
+    def wrench_delay(self, arg: int, /) -> None: ...
+
+    @property
+    def pose_noise(self) -> float:
+        """standard deviation per axis [m]"""
+
+    @pose_noise.setter
+    def pose_noise(self, arg: float, /) -> None: ...
+
+    @property
+    def tactile_noise(self) -> float:
+        """standard deviation per axis, part of the force"""
+
+    @tactile_noise.setter
+    def tactile_noise(self, arg: float, /) -> None: ...
+
+class Outcome:
+    """How the object is held."""
+
+    @property
+    def drift(self) -> float:
+        """[m] from where it should be"""
+
+    @property
+    def tilt(self) -> float:
+        """[rad] from how it should stand"""
+
+    @property
+    def force_error(self) -> float:
+        """largest component of measured - commanded force [N]"""
+
+    @property
+    def slip(self) -> float:
+        """fastest touching tip on the object [m/s]"""
+
+    @property
+    def stray(self) -> float:
+        """force of links on the object [N]"""
+
+    @property
+    def total_normal(self) -> float:
+        """sum of the commanded normal forces [N]"""
+
+class Controller:
+    """The control loop of a hand: what it sees, and the torques that hold."""
+
+    @staticmethod
+    def make(scene: Scene, settings: ControlSettings, sensors: SensorSettings) -> "std::unique_ptr<grasp::Controller, std::default_delete<grasp::Controller> >": ...
+
+    def reset(self) -> None:
+        """Forgets the episode; before it the scene stood still."""
+
+    def rewind(self) -> None:
+        """As before the first tick: what was seen was not yet."""
+
+    def see(self, external: object, gravity: object, target: object, noise: object | None) -> None:
+        """
+        What is known at this tick: the external wrench (6,) as a perfect sensor would tell it, gravity (3,), the target (19,),
+        standard normal numbers (3 + 3N,) where anything is noisy.
+        """
+
+    def add_set(self, which: int, pipeline: Pipeline | None) -> None:
+        """
+        Fingers (bits) that may be in contact together, and the pipeline that holds their last optimum.
+        """
+
+    def give(self, hold: Hold, which: int, given: object | None) -> None:
+        """
+        What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them.
+        """
+
+    def rest(self) -> None:
+        """Measured forces as the commanded ones: what the hand does at rest."""
+
+    def command(self) -> list:
+        """Joint torques (M,) [N m] of this tick."""
+
+    def outcome(self, target: object, error: object, measured: object) -> Outcome:
+        """
+        How the object is held, by the truth: fills the pose error (12,) against a target (19,), and the measured forces
+        (N, 3) in the commanded contact frames [N].
+        """
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Views of what is commanded, by name: overwritten in place."""
+
+    def seen(self) -> dict[str, NDArray]:
+        """Views of what is seen, by name: overwritten in place."""
+
+    @property
+    def exact(self) -> bool:
+        """Whether the scene is seen as it is."""
+
+    @property
+    def mask(self) -> int:
+        """The fingers that count as in contact: 2^i for finger i."""
+
+    @property
+    def changed(self) -> bool:
+        """Whether they changed since forces were last given."""
+
+    @property
+    def changes(self) -> int:
+        """How often they changed since `reset`."""
+
+    @property
+    def repaired(self) -> int:
+        """Ticks in which forces had to be brought back into the cones."""
+
+    @property
+    def peak(self) -> float:
+        """Largest torque since `reset` [N m]."""

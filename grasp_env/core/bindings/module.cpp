@@ -17,4 +17,7 @@ NB_MODULE(_core, m) {
     bind_program(m);
     bind_pipeline(m);
     bind_surface(m);
+    bind_tree(m);
+    bind_scene(m);
+    bind_controller(m);
 }

@@ -17,6 +17,4 @@ inline View view(nb::handle owner, std::vector<double>& numbers, std::initialize
 }
 
 // A new array (3,).
-inline nb::object array_of(const grasp::Point& p) {
-    return nb::cast(View(const_cast<double*>(&p.u), {3}), nb::rv_policy::copy);
-}
+inline nb::object array_of(const grasp::Point& p) { return nb::cast(View(const_cast<double*>(&p.u), {3}), nb::rv_policy::copy); }

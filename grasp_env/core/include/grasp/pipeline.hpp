@@ -81,14 +81,27 @@ public:
     // Between two solves: the last optimum carried to contacts and wrench of now, back inside the cones if need be. Changes
     // nothing that is held. force: (N, 3) [N] in the frames of the contacts of now.
     Carried carry(const Load& load, double* force) {
+        const Placed placed = place(load);
+        newton.cones.load(held.x.data(), newton.x);
+        return carry_turned(load, placed, held.frames.data(), force);
+    }
+    // The same of forces (N, 3) [N] in frames (N, 3, 3) of contacts nearby; `force` may be `then`.
+    Carried carry_from(const Load& load, const double* then, const double* frames, double* force) {
+        const Placed placed = place(load);
+        newton.cones.load_force(then, newton.x);
+        return carry_turned(load, placed, frames, force);
+    }
+
+private:
+    // What is in newton.x, in such frames, carried.
+    Carried carry_turned(const Load& load, Placed placed, const double* frames, double* force) {
         const auto& cones = newton.cones;
         auto& starter = newton.starter;
-        const Placed placed = place(load);
         if (placed == Placed::refused) {
             std::fill(force, force + 3 * contacts.count, 0.0);
             return CLIPPED;
         }
-        turn_last();
+        turn_from(frames);
         const Vec6 w = cones.unit.of(load.wrench);
         Field& x = newton.x;
         x = turned_;
@@ -111,7 +124,6 @@ public:
         return outcome;
     }
 
-private:
     std::vector<double> nominal_, nominal_frames_;
     NullSpace space_;
     std::vector<double> adjusted_;  // (3N,) a start to work with
@@ -183,11 +195,13 @@ private:
 
     // The last optimum in the frames of now; false where there is none.
     bool turn_last() {
-        Field& there = newton.x;
-        newton.cones.load(held.x.data(), there);
-        last_.load(held.frames.data(), contacts.count);
-        newton.starter.turn(newton.cones, there, last_, turned_);
-        return newton.cones.phi(there) < infinity;
+        newton.cones.load(held.x.data(), newton.x);
+        turn_from(held.frames.data());
+        return newton.cones.phi(newton.x) < infinity;
+    }
+    void turn_from(const double* frames) {
+        last_.load(frames, contacts.count);
+        newton.starter.turn(newton.cones, newton.x, last_, turned_);
     }
 
     // The offline basis of the contacts of now in place of the one that is held; false: none found from there.

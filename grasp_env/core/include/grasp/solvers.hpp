@@ -145,6 +145,7 @@ public:
     virtual void set_layers(const Layers& layers) = 0;
     virtual Code solve(const Load& load, double* row) = 0;
     virtual Carried carry(const Load& load, double* force) = 0;
+    virtual Carried carry_from(const Load& load, const double* then, const double* frames, double* force) = 0;
 };
 
 namespace detail {
@@ -371,6 +372,9 @@ public:
     void set_layers(const Layers& layers) override { on_.set_layers(layers); }
     Code solve(const Load& load, double* row) override { return on_.solve(load, row); }
     Carried carry(const Load& load, double* force) override { return on_.carry(load, force); }
+    Carried carry_from(const Load& load, const double* then, const double* frames, double* force) override {
+        return on_.carry_from(load, then, frames, force);
+    }
 
 private:
     PipelineOn<V, B> on_;

@@ -1,0 +1,164 @@
+// The control loop of a hand.
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include <grasp/controller.hpp>
+
+#include "scene.hpp"
+#include "views.hpp"
+
+using namespace grasp;
+using namespace grasp::generic;
+
+namespace {
+
+using Nine = std::array<double, 9>;
+
+Target target_of(nb::handle row) { return *reinterpret_cast<const Target*>(in(row, Target::SIZE).data()); }
+
+std::array<double, 6> wrench(const Body& body, const Scene& scene, nb::handle target, nb::handle gravity) {
+    return body.wrench(scene.now, target_of(target), point(in(gravity, 3).data()));
+}
+
+void see(Controller& controller, nb::handle external, nb::handle gravity, nb::handle target, nb::handle noise) {
+    const Numbers told = in(external, 6), pull = in(gravity, 3);
+    const Buffer normal(noise);
+    if (!controller.sensors.exact() && !normal.has(3 + 3 * controller.tree->fingers())) throw nb::type_error("noise: (3 + 3N,)");
+    controller.see(told.data(), normal.data(), {point(pull.data()), target_of(target)});
+}
+
+void give(Controller& controller, Hold hold, std::uint64_t which, nb::handle given) {
+    if (!controller.has_set(which)) throw nb::value_error("no such set of fingers");
+    const Buffer forces(given);
+    if (!given.is_none() && !forces.has(3 * controller.set_size(which))) throw nb::type_error("given: (3n,)");
+    controller.give(hold, which, given.is_none() ? nullptr : forces.data());
+}
+
+nb::list command(Controller& controller) {
+    controller.command();
+    nb::list torques;
+    for (double torque : controller.torques) torques.append(torque);
+    return torques;
+}
+
+Controller::Outcome outcome(const Controller& controller, nb::handle target, nb::handle error, nb::handle measured) {
+    const Controller::Outcome found = controller.outcome(target_of(target), out(measured, controller.tree->fingers(), 3).data());
+    const double* first = &found.error.position.u;
+    std::copy(first, first + 12, out(error, 12).data());
+    return found;
+}
+static_assert(sizeof(PoseError) == 12 * sizeof(double));
+
+nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
+    auto& c = nb::cast<Controller&>(self);
+    const std::size_t fingers = c.tree->fingers(), joints = c.tree->joints();
+    nb::dict named;
+    named["wrench"] = View(c.wrench.data(), {6}, self);
+    named["torques"] = view(self, c.torques, {joints});
+    named["force"] = view(self, c.force, {fingers, 3});
+    named["frames"] = view(self, c.frames, {fingers, 3, 3});
+    named["depths"] = view(self, c.depths, {fingers});
+    named["home"] = view(self, c.home, {joints});
+    named["goals"] = View(&c.goals.data()->u, {fingers, 3}, self);
+    named["inwards"] = View(&c.inwards.data()->u, {fingers, 3}, self);
+    return named;
+}
+
+nb::typed<nb::dict, nb::str, nb::ndarray<>> seen(nb::handle self) {
+    return arrays_of(self, const_cast<Snapshot&>(nb::cast<Controller&>(self).seen()));
+}
+
+}  // namespace
+
+void bind_controller(nb::module_& m) {
+    nb::class_<Body>(m, "Body", "The object as a controller believes it to be, and the pose feedback.")
+        .def(nb::init<>())
+        .def_rw("mass", &Body::mass, "[kg]")
+        .def_prop_rw(
+            "inertia",
+            [](const Body& b) {
+                Nine out;
+                for (int k = 0; k < 9; ++k) out[k] = b.inertia.rows[k / 3][k % 3];
+                return out;
+            },
+            [](Body& b, const Nine& a) { b.inertia = Rotation::from(a.data()); }, "(9,) [kg m^2] about its centre, object frame")
+        .def_rw("position_gain", &Body::position_gain, "[N/m]")
+        .def_rw("position_damping", &Body::position_damping, "[N s/m]")
+        .def_rw("rotation_gain", &Body::rotation_gain, "[1/s^2], times the inertia")
+        .def_rw("rotation_damping", &Body::rotation_damping, "[1/s], times the inertia")
+        .def("wrench", &wrench, "scene"_a, "target"_a, "gravity"_a,
+             "Weight - inertial wrench of the wanted motion + pose feedback (6,) [N, N m], object frame.");
+    nb::class_<Spring>(m, "Spring", "Of a tip that is drawn to its place.")
+        .def(nb::init<double, double, double>(), "gain"_a, "damping"_a, "limit"_a, "[N/m], [N s/m], the most force [N]");
+    nb::enum_<WrenchSource>(m, "WrenchSource", "How the controller knows the external wrench.")
+        .value("measured", WrenchSource::measured)
+        .value("estimated", WrenchSource::estimated)
+        .value("none", WrenchSource::none);
+    nb::enum_<Hold>(m, "Hold", "What the fingers in contact do.")
+        .value("optimised", Hold::optimised, "carry the last optimum along")
+        .value("squeeze", Hold::squeeze, "a constant internal force, and what balances")
+        .value("place", Hold::place, "no force: every finger holds its place")
+        .value("direct", Hold::direct, "given forces")
+        .value("lost", Hold::lost, "no force closure: given forces, balanced as far as the cones let them");
+    nb::class_<ControlSettings>(m, "ControlSettings", "Belief and gains of a control loop.")
+        .def(nb::init<>())
+        .def_rw("body", &ControlSettings::body)
+        .def_rw("friction", &ControlSettings::friction, "that the solver believes in")
+        .def_rw("reach", &ControlSettings::reach, "of a finger without contact on its way")
+        .def_rw("spring", &ControlSettings::spring, "of all fingers where nothing is optimised")
+        .def_rw("reach_depth", &ControlSettings::reach_depth, "[m] inside the surface to which a finger reaches")
+        .def_rw("posture_gain", &ControlSettings::posture_gain, "[N m/rad] of joints that the tips leave free")
+        .def_rw("posture_damping", &ControlSettings::posture_damping, "[N m s/rad]")
+        .def_rw("most_change", &ControlSettings::most_change, "[N] by which a force may change in a tick beyond balance")
+        .def_rw("release", &ControlSettings::release, "ticks without force after which a finger is no longer in contact");
+    nb::class_<SensorSettings>(m, "SensorSettings", "What the controller sees: how late, how noisy.")
+        .def(nb::init<>())
+        .def_rw("wrench", &SensorSettings::wrench)
+        .def_rw("tick", &SensorSettings::tick, "[s]")
+        .def_rw("keep", &SensorSettings::keep, "share of its last value that the estimate keeps over a tick")
+        .def_rw("delay", &SensorSettings::delay, "ticks by which everything comes late")
+        .def_rw("wrench_delay", &SensorSettings::wrench_delay, "ticks by which measured wrenches come later than that")
+        .def_rw("pose_noise", &SensorSettings::pose_noise, "standard deviation per axis [m]")
+        .def_rw("tactile_noise", &SensorSettings::tactile_noise, "standard deviation per axis, part of the force");
+    using Outcome = Controller::Outcome;
+    nb::class_<Outcome>(m, "Outcome", "How the object is held.")
+        .def_ro("drift", &Outcome::drift, "[m] from where it should be")
+        .def_ro("tilt", &Outcome::tilt, "[rad] from how it should stand")
+        .def_ro("force_error", &Outcome::force_error, "largest component of measured - commanded force [N]")
+        .def_ro("slip", &Outcome::slip, "fastest touching tip on the object [m/s]")
+        .def_ro("stray", &Outcome::stray, "force of links on the object [N]")
+        .def_ro("total_normal", &Outcome::total_normal, "sum of the commanded normal forces [N]");
+    nb::class_<Controller>(m, "Controller", "The control loop of a hand: what it sees, and the torques that hold.")
+        .def_static(
+            "make",
+            [](const std::shared_ptr<Scene>& scene, const ControlSettings& settings, const SensorSettings& sensors) {
+                return std::make_unique<Controller>(scene, settings, sensors);
+            },
+            "scene"_a, "settings"_a, "sensors"_a)
+        .def("reset", &Controller::reset, "Forgets the episode; before it the scene stood still.")
+        .def(
+            "rewind", [](Controller& c) { c.sensors.reset(); }, "As before the first tick: what was seen was not yet.")
+        .def("see", &see, "external"_a, "gravity"_a, "target"_a, "noise"_a.none(),
+             "What is known at this tick: the external wrench (6,) as a perfect sensor would tell it, gravity (3,), the target "
+             "(19,),\n"
+             "standard normal numbers (3 + 3N,) where anything is noisy.")
+        .def("add_set", &Controller::add_set, "which"_a, "pipeline"_a.none(), nb::keep_alive<1, 3>(),
+             "Fingers (bits) that may be in contact together, and the pipeline that holds their last optimum.")
+        .def("give", &give, "hold"_a, "which"_a, "given"_a.none(),
+             "What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them.")
+        .def("rest", &Controller::rest, "Measured forces as the commanded ones: what the hand does at rest.")
+        .def("command", &command, "Joint torques (M,) [N m] of this tick.")
+        .def("outcome", &outcome, "target"_a, "error"_a, "measured"_a,
+             "How the object is held, by the truth: fills the pose error (12,) against a target (19,), and the measured forces\n"
+             "(N, 3) in the commanded contact frames [N].")
+        .def("arrays", &arrays, "Views of what is commanded, by name: overwritten in place.")
+        .def("seen", &seen, "Views of what is seen, by name: overwritten in place.")
+        .def_prop_ro(
+            "exact", [](const Controller& c) { return c.sensors.exact(); }, "Whether the scene is seen as it is.")
+        .def_ro("mask", &Controller::mask, "The fingers that count as in contact: 2^i for finger i.")
+        .def_ro("changed", &Controller::changed, "Whether they changed since forces were last given.")
+        .def_ro("changes", &Controller::changes, "How often they changed since `reset`.")
+        .def_ro("repaired", &Controller::repaired, "Ticks in which forces had to be brought back into the cones.")
+        .def_ro("peak", &Controller::peak, "Largest torque since `reset` [N m].");
+}

@@ -1,0 +1,11 @@
+// What the files of scenes and of the control loop share.
+#pragma once
+
+#include <nanobind/ndarray.h>
+
+#include <grasp/snapshot.hpp>
+
+#include "buffers.hpp"
+
+// Views of a snapshot by name, which keep its owner alive.
+nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays_of(nb::handle owner, grasp::Snapshot& snapshot);

@@ -1,0 +1,118 @@
+// Hands: their trees of links, and inverse kinematics.
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/vector.h>
+
+#include <grasp/reach.hpp>
+
+#include "buffers.hpp"
+
+using namespace grasp;
+
+namespace {
+
+using Three = std::array<double, 3>;
+using Nine = std::array<double, 9>;
+
+void make_link(Link* link, int parent, const Three& offset, const Nine& rotation, const Three& axis, double mass,
+               const Three& center, double lower, double upper, double torque_limit) {
+    new (link)
+        Link{parent, point(offset.data()), Rotation::from(rotation.data()), point(axis.data()), mass, point(center.data()), lower,
+             upper,  torque_limit};
+}
+
+std::shared_ptr<Tree> make_tree(const std::vector<Link>& links, const std::vector<Tip>& tips) {
+    for (std::size_t j = 0; j < links.size(); ++j)
+        if (links[j].parent >= int(j) || links[j].parent < -1) throw nb::value_error("parents come before their links");
+    for (const Tip& tip : tips)
+        if (tip.link < 0 || tip.link >= int(links.size())) throw nb::value_error("a tip is on a link");
+    return std::make_shared<Tree>(Tree{links, tips});
+}
+
+// A posture at these angles (M,).
+Posture posture(const std::shared_ptr<Tree>& tree, nb::handle angles) {
+    Posture made(tree);
+    made.trace(in(angles, tree->joints()).data());
+    return made;
+}
+
+void trace(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle rotations, nb::handle origins) {
+    const Posture made = posture(tree, angles);
+    const int count = tree->joints();
+    double *r = out(rotations, count, 3, 3).data(), *o = out(origins, count, 3).data();
+    for (int j = 0; j < count; ++j)
+        for (int k = 0; k < 3; ++k) {
+            o[3 * j + k] = made.origins[j][k];
+            for (int c = 0; c < 3; ++c) r[9 * j + 3 * k + c] = made.frames[j].rows[k][c];
+        }
+}
+
+void tips(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle centers) {
+    const Posture made = posture(tree, angles);
+    double* to = out(centers, tree->fingers(), 3).data();
+    for (int i = 0; i < tree->fingers(); ++i)
+        for (int k = 0; k < 3; ++k) to[3 * i + k] = made.tip(i)[k];
+}
+
+void jacobian(const std::shared_ptr<Tree>& tree, nb::handle angles, int link, nb::handle place, nb::handle to) {
+    if (link < 0 || link >= tree->joints()) throw nb::value_error("no such link");
+    posture(tree, angles).jacobian(link, point(in(place, 3).data()), out(to, 3, tree->joints()).data());
+}
+
+void gravity_torques(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle gravity, nb::handle torques) {
+    posture(tree, angles).carry(point(in(gravity, 3).data()), out(torques, tree->joints()).data());
+}
+
+void solve(Reach& reach, nb::handle targets, nb::handle starts, nb::handle angles, nb::handle missed) {
+    const int joints = reach.tree().joints(), fingers = reach.tree().fingers();
+    const Numbers wanted = in(targets, fingers, 3), from = in(starts, -1, joints);
+    std::vector<Point> places;
+    for (int i = 0; i < fingers; ++i) places.push_back(point(wanted.data() + 3 * i));
+    reach.solve(places.data(), from.data(), int(from.length(0)), out(angles, joints).data(),
+                out(missed, reach.groups.size()).data());
+}
+
+}  // namespace
+
+void bind_tree(nb::module_& m) {
+    m.attr("REACHED") = REACHED;
+    nb::class_<Link>(m, "Link", "A link of a hand and the joint that moves it.")
+        .def("__init__", &make_link, nb::kw_only(), "parent"_a, "offset"_a, "rotation"_a, "axis"_a, "mass"_a, "center"_a,
+             "lower"_a, "upper"_a, "torque_limit"_a,
+             "parent: number of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's "
+             "frame.\n"
+             "axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m].");
+    nb::class_<Tip>(m, "Tip", "The sphere with which a finger touches.")
+        .def(
+            "__init__",
+            [](Tip* tip, int link, const Three& center, double radius) { new (tip) Tip{link, point(center.data()), radius}; },
+            nb::kw_only(), "link"_a, "center"_a, "radius"_a, "center [m] in the link's frame.");
+    nb::class_<Tree>(m, "Tree", "A hand as a tree of M links with N fingertips, never changed.")
+        .def_static("make", &make_tree, "links"_a, "tips"_a, "Parents come before their links.")
+        .def_prop_ro("joints", &Tree::joints)
+        .def_prop_ro("fingers", &Tree::fingers)
+        .def("trace", &trace, "angles"_a, "rotations"_a, "origins"_a,
+             "Where the links are at angles (M,) [rad], world frame: rotations (M, 3, 3) and origins (M, 3) [m] are filled.")
+        .def("tips", &tips, "angles"_a, "centers"_a, "Centres of the fingertips [m], world frame, into (N, 3).")
+        .def("jacobian", &jacobian, "angles"_a, "link"_a, "place"_a, "jacobian"_a,
+             "The velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).")
+        .def("gravity_torques", &gravity_torques, "angles"_a, "gravity"_a, "torques"_a,
+             "Torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].");
+    nb::class_<Reach>(m, "Reach", "Inverse kinematics of a hand: damped least squares within the joint limits.")
+        .def_static(
+            "make", [](const std::shared_ptr<Tree>& tree, bool limited) { return std::make_unique<Reach>(tree, limited); },
+            "tree"_a, "limited"_a = true, "limited: within the joint limits.")
+        .def_prop_ro(
+            "groups",
+            [](const Reach& reach) {
+                std::vector<std::pair<std::vector<int>, std::vector<int>>> groups;
+                for (const FingerGroup& group : reach.groups) groups.emplace_back(group.fingers, group.joints);
+                return groups;
+            },
+            "Fingers that share joints, and these joints.")
+        .def("solve", &solve, "targets"_a, "starts"_a, "angles"_a, "missed"_a,
+             "Brings the tips near to targets (N, 3) [m], from starts (S, M) in this order: fills angles (M,) [rad], and (G,) "
+             "what\n"
+             "the worst tip of each group misses [m].");
+}

@@ -1,0 +1,112 @@
+// A hand as a tree of links, each moved by a joint: where the links are, how points of them move, what pushes with them.
+#pragma once
+#include <memory>
+#include "rotation.hpp"
+
+namespace grasp {
+
+struct Link {
+    int parent;         // the link that carries it, of a smaller number; -1: the palm
+    Point offset;       // of its joint in the parent's frame [m]
+    Rotation rotation;  // its frame at angle 0 to the parent's
+    Point axis;         // of its joint, unit, its own frame
+    double mass;        // [kg]
+    Point center;       // of mass, its own frame [m]
+    double lower, upper, torque_limit;  // [rad], [rad], [N m]
+};
+
+// The sphere with which a finger touches.
+struct Tip {
+    int link;
+    Point center;   // [m], the link's frame
+    double radius;  // [m]
+};
+
+struct Tree {
+    std::vector<Link> links;  // M, joint j moves link j
+    std::vector<Tip> tips;    // N
+
+    int joints() const { return int(links.size()); }
+    int fingers() const { return int(tips.size()); }
+    // The finger whose tip is on a link; -1: none.
+    int finger_at(int link) const {
+        for (int i = fingers() - 1; i >= 0; --i)
+            if (tips[i].link == link) return i;
+        return -1;
+    }
+
+    // What one finger needs: its joints alone, which `joints` tells.
+    Tree chain(int finger, std::vector<int>& joints) const {
+        joints.clear();
+        for (int j = tips[finger].link; j >= 0; j = links[j].parent) joints.insert(joints.begin(), j);
+        Tree out{{}, {tips[finger]}};
+        for (int j : joints) {
+            out.links.push_back(links[j]);
+            out.links.back().parent = int(out.links.size()) - 2;
+        }
+        out.tips[0].link = int(joints.size()) - 1;
+        return out;
+    }
+};
+
+// Where all links are, world frame.
+class Posture {
+public:
+    std::vector<Rotation> frames;        // link frame to world frame
+    std::vector<Point> origins, axes;  // of the joints [m], unit
+
+    explicit Posture(std::shared_ptr<const Tree> tree)
+        : frames(tree->joints()), origins(tree->joints()), axes(tree->joints()), tree_(std::move(tree)) {}
+
+    // angles: (M,) [rad]
+    void trace(const double* angles) {
+        for (int j = 0; j < tree_->joints(); ++j) {
+            const Link& link = tree_->links[j];
+            const bool carried = link.parent >= 0;
+            const Rotation rest = carried ? frames[link.parent] * link.rotation : link.rotation;
+            origins[j] = at(link.parent, link.offset);
+            axes[j] = rest * link.axis;
+            frames[j] = rest.turned(link.axis, angles[j]);
+        }
+    }
+
+    // A point of a link's frame; -1: of the palm's, which is the world's.
+    Point at(int link, const Point& local) const { return link < 0 ? local : origins[link] + frames[link] * local; }
+    Point tip(int finger) const { return at(tree_->tips[finger].link, tree_->tips[finger].center); }
+
+    // f(j, how a point of the link moves per speed of joint j): one column of the Jacobian after another.
+    template <class F> void carriers(int link, const Point& place, F&& f) const {
+        for (int j = link; j >= 0; j = tree_->links[j].parent) f(j, cross(axes[j], place - origins[j]));
+    }
+    // (3, M) into `out`
+    void jacobian(int link, const Point& place, double* out) const {
+        const int count = tree_->joints();
+        std::fill(out, out + 3 * count, 0.0);
+        carriers(link, place, [&](int j, const Point& moves) {
+            for (int k = 0; k < 3; ++k) out[count * k + j] = moves[k];
+        });
+    }
+    // [m/s], of a point fixed to the link; rates: (M,) [rad/s]
+    Point velocity(int link, const Point& place, const double* rates) const {
+        Point out{0.0, 0.0, 0.0};
+        carriers(link, place, [&](int j, const Point& moves) { out += rates[j] * moves; });
+        return out;
+    }
+    // torques (M,) += J^T force: that with which the link pushes there
+    void push(int link, const Point& place, const Point& force, double* torques) const {
+        carriers(link, place, [&](int j, const Point& moves) { torques[j] += dot(moves, force); });
+    }
+    // torques (M,) that carry the weight of all links [N m]; gravity [m/s^2]
+    void carry(const Point& gravity, double* torques) const {
+        std::fill(torques, torques + tree_->joints(), 0.0);
+        for (int j = 0; j < tree_->joints(); ++j) {
+            const Link& link = tree_->links[j];
+            push(j, at(j, link.center), -link.mass * gravity, torques);
+        }
+    }
+
+private:
+    std::shared_ptr<const Tree> tree_;
+};
+
+}  // namespace grasp
