@@ -15,23 +15,20 @@ with need("sim"):
     import gymnasium as gym
     from gymnasium.utils import EzPickle
 
-from grasp_env import observation
 from grasp_env._check import Array, as_array, as_wrench, choice, instance, is_a, whole
 from grasp_env.annotate import annotate
 from grasp_env.config import EnvConfig
-from grasp_env.control import ForceLoop
+from grasp_env.control.loop import ForceLoop
+from grasp_env.control.sensing import NoiseRows
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
-from grasp_env.estimation import NoiseRows
 from grasp_env.force.initial import InitialForceRule
+from grasp_env.observation import Observer
 from grasp_env.reward import reward_terms
-from grasp_env.sensing import Sensors
 from grasp_env.sim import Camera, CameraConfig, Scene
 from grasp_env.sim.debug_lines import draw_debug
 from grasp_env.sim.overlay import Annotation
 from grasp_env.stage import Stage
 from grasp_env.task import make_plan, succeeded
-
-_NO_WRENCH = np.zeros(6)
 
 
 class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickle):
@@ -159,22 +156,23 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._budget = config.max_iterations if config.iteration_budget is None else config.iteration_budget
         self._torque_limits = hand.torque_limits
         self._colors = np.array([links[tip.link].color for tip in hand.fingertips])
-        self._bound = observation.bounds(tips, joints)
-        self.observation_space = gym.spaces.Box(-self._bound, self._bound, dtype=np.float32)
+        self._observer = Observer(tips, joints)
+        self.observation_space = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
         sizes = {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}
         self._action_shape = (sizes[config.action_mode],)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
-        self._measured, self._summary = np.zeros((tips, 3)), np.zeros(6)
         self._ticks_per_step = config.control_rate // config.agent_rate
         self._steps_per_tick = config.physics_rate // config.control_rate
         assert config.duration is not None
+        assert config.max_drift is not None
+        assert config.max_tilt is not None
+        self._most_drift, self._most_tilt = config.max_drift, config.max_tilt
         self._step_limit = max(1, round(config.duration * config.agent_rate))
         self._camera: Camera | None = None
         self._lines: list[int] = []  # of the window
         self._started = self._ended = False
         self._failure = ""
         self._upright = np.array(config.gravity)
-        self._sensors = Sensors(config, self._stage.scene)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -206,22 +204,15 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._falling = not (plan.gravity == plan.gravity[0]).all()
         self._growing = not (plan.mass_factor == 1.0).all()
         self._last_row = len(plan) - 1
-        # what is seen is what is, and only the wrench changes from tick to tick
-        self._quick = self._sensors.prompt and not (
-            self._falling or self._growing or self._world_pushes is not None or self.config.wrench == "estimated"
-        )
-        measured = self.config.wrench == "measured"
-        self._told_rows = self._wrenches if measured else [_NO_WRENCH] * len(plan)
-        self._sensors.reset(self.np_random)
+        self._loop.reset(self.np_random)
         self._motor_noise = NoiseRows(
-            np.random.default_rng(int(self.np_random.integers(2**63))), len(scene.bodies.joints)
+            np.random.default_rng(int(self.np_random.integers(2**63))), len(self._torque_limits)
         )
-        self._loop.reset()
         self._tick, self._open, self._slip_distance, self._lines = 0, 0.0, 0.0, []
         self._failure, self._ended, self._started = "", False, True
-        self._look(scene)
-        self._loop.hold()
-        self._sensors.rewind()
+        external, _ = self._plan_tick(scene)
+        self._observer.watch(scene.look(), self._loop)
+        self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
         terms = reward_terms(self.config, True, 0, 0.0)
         self._observed = self._observe(scene)
         return self._observed, self._info(scene, terms)
@@ -251,7 +242,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             self.config,
             not self._failure,
             self._loop.iterations if self._loop.closure else self._budget,
-            self._numbers[observation.TOTAL_NORMAL],
+            self._outcome.total_normal,
         )
         truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
         self._ended = bool(self._failure) or truncated
@@ -265,7 +256,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         scene = self._open_stage().scene
         annotation = self._annotation(scene)
         if self.render_mode == "human" and annotation is not None:
-            self._lines = draw_debug(scene.client.number, annotation, self._lines)
+            self._lines = draw_debug(scene.simulator.client.number, annotation, self._lines)
         if self.render_mode != "rgb_array":
             return None
         if self._camera is None:
@@ -293,56 +284,49 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         elif config.action_mode == "initial_force" and any(numbers):
             adjustment = config.action_scale * np.array(numbers)
         for k in range(self._ticks_per_step):
-            if k and self._quick:
-                tick = min(self._tick, self._last_row)
-                torques = loop.follow(scene, self._told_rows[tick], self._targets[tick])
-                if torques is not None:
-                    self._advance(scene, torques, self._pushes[tick])
-                    continue
-            wrench = self._look(scene)
-            if k == 0 and given is None and config.controller == "optimised":
-                loop.optimise(adjustment)
-            self._advance(scene, loop.command(given), wrench)
+            external, push = self._plan_tick(scene)
+            target = self._targets[min(self._tick, self._last_row)]
+            torques = loop.tick(external, self._believed_gravity(scene), target, k == 0, adjustment, given)
+            self._advance(scene, torques, push)
 
-    def _advance(self, scene: Scene, torques: list[float], wrench: list[float] | None) -> None:
+    def _advance(self, scene: Scene, torques: list[float], push: list[float] | None) -> None:
         """One control tick of physics."""
         if self.config.force_noise:
             noisy = np.array(torques) * (1.0 + self.config.force_noise * self._motor_noise())
             torques = np.clip(noisy, -self._torque_limits, self._torque_limits).tolist()
         for _ in range(self._steps_per_tick):
-            scene.advance(torques, wrench)
+            scene.advance(torques, push)
         self._tick += 1
         self._open = 0.0 if self._loop.closure else self._open + self._loop.dt
 
-    def _look(self, scene: Scene) -> list[float] | None:
-        """Lets the controller see the scene of this tick; returns the external wrench (6,) that acts during it, object frame."""
-        tick = min(self._tick, len(self._plan) - 1)
-        plan, config = self._plan, self.config
+    def _plan_tick(self, scene: Scene) -> tuple[Array, list[float] | None]:
+        """Lets the plan of this tick act; the external wrench (6,), object frame, and the same for the simulator, None: none."""
+        tick, plan = min(self._tick, self._last_row), self._plan
         if self._falling:
             scene.set_gravity(plan.gravity[tick])
         if self._growing and (tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]):
             scene.change_object(self._mass * float(plan.mass_factor[tick]))
-        seen = self._sensors.see()
-        external, pushing = self._wrenches[tick], self._pushes[tick]
+        external, push = self._wrenches[tick], self._pushes[tick]
         if self._world_pushes is not None:
             external = external.copy()
             external[:3] += scene.look().rotation.T @ self._world_pushes[tick]
-            pushing = external.tolist()
-        told = self._sensors.told(external) if config.wrench == "measured" else _NO_WRENCH
-        gravity = scene.gravity if config.wrench == "measured" else self._upright
-        self._loop.see(self._sensors.buffer, seen, told, gravity, self._targets[tick])
-        return pushing
+            push = external.tolist()
+        return external, push
+
+    def _believed_gravity(self, scene: Scene) -> Array:
+        """(3,) [m/s^2] that the controller counts on: the one of now only where wrenches are measured."""
+        return scene.gravity if self.config.wrench == "measured" else self._upright
 
     def _lost(self) -> str:
-        drift, tilt = self._numbers[:2]
-        if drift > self.config.max_drift or tilt > self.config.max_tilt:
+        if self._outcome.drift > self._most_drift or self._outcome.tilt > self._most_tilt:
             return "dropped"
         return "closure_lost" if self._open > self.config.max_contact_gap else ""
 
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
-        plain = type(action) is np.ndarray and action.dtype.kind == "f"
-        with np.errstate(all="ignore"):  # more than a double holds is infinite
-            values = np.asarray(action, dtype=np.float64) if plain else as_array(action, None, "action", finite=False)
+        values, plain = action, type(action) is np.ndarray and action.dtype.kind == "f"
+        if not (plain and action.itemsize <= 8):
+            with np.errstate(all="ignore"):  # more than a double holds is infinite
+                values = np.asarray(action, np.float64) if plain else as_array(action, None, "action", finite=False)
         numbers = values.tolist() if values.shape == self._action_shape else ()  # plain: six are too few for numpy
         if not numbers or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(
@@ -357,27 +341,16 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         return forces
 
     def _observe(self, scene: Scene) -> NDArray[np.float32]:
-        loop, out = self._loop, np.empty(len(self._bound), dtype=np.float32)
         scene.look()
-        tick = min(self._tick, self._last_row)
-        observation.observe(
-            scene.buffer, scene.tree_indices, self._targets[tick], loop.wrench, loop.force, loop.frames, loop.friction, self._bound,
-            self._measured, self._summary, out,
-        )  # fmt: skip
-        self._numbers = self._summary.tolist()
-        return out
+        observed, self._outcome = self._observer(self._targets[min(self._tick, self._last_row)])
+        return observed
 
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
-        loop, solution = self._loop, self._loop.solution
-        drift, tilt, force_error, slip, stray, _ = self._numbers
+        loop, solution, outcome = self._loop, self._loop.solution, self._outcome
+        force_error, slip, stray = outcome.force_error, outcome.slip, outcome.stray
         if self._failure == "simulation_diverged":  # what was read last, but no forces
-            self._measured[:], touching, force_error, slip, stray = (
-                0.0,
-                np.zeros(len(loop.force), dtype=bool),
-                0.0,
-                0.0,
-                0.0,
-            )
+            self._observer.measured[:], touching = 0.0, np.zeros(len(loop.force), dtype=bool)
+            force_error = slip = stray = 0.0
         else:
             touching = scene.look().touching > 0.0
         self._slip_distance += slip / self.config.agent_rate
@@ -393,21 +366,21 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             "contact_changes": loop.contact_changes,
             "wrench": loop.wrench.copy(),
             "commanded_force": loop.force.copy(),
-            "measured_force": self._measured.copy(),
+            "measured_force": self._observer.measured.copy(),
             "force_error": force_error,
             "touching": touching,
             "stray_force": stray,
             "slip": slip,
             "slip_distance": self._slip_distance,
-            "drift": drift,
-            "tilt": tilt,
+            "drift": outcome.drift,
+            "tilt": outcome.tilt,
             "peak_torque": loop.peak_torque,
             "repaired_controls": loop.repaired,
             "time": self._tick * loop.dt,
             "object_mass": scene.config.object.mass,
             **self._object_info,
             "failure": self._failure,
-            "is_success": succeeded(self.config.task, drift, tilt, bool(self._failure)),
+            "is_success": succeeded(self.config.task, outcome.drift, outcome.tilt, bool(self._failure)),
             **terms,
         }
 
@@ -415,8 +388,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         """What is drawn over a picture; nothing before the first reset, or where the simulation diverged."""
         if not self._started or self._failure == "simulation_diverged":
             return None
-        drift, tilt = self._numbers[0], self._numbers[1]
-        return annotate(self._loop, scene.look(), self._colors, self._tick * self._loop.dt, drift, tilt, self._failure)
+        time, outcome = self._tick * self._loop.dt, self._outcome
+        return annotate(self._loop, scene.look(), self._colors, time, outcome.drift, outcome.tilt, self._failure)
 
     def _open_stage(self) -> Stage:
         if self._stage is None:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from grasp_env._compile import compiled
-from grasp_env._views import small
-from grasp_env.control_kernels import pose_error
-from grasp_env.sim.snapshot import split
+from grasp_env._check import Array
+from grasp_env.core import Outcome
+from grasp_env.sim.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from grasp_env.control.loop import ForceLoop
 
 
 @dataclass(frozen=True)
@@ -50,54 +52,36 @@ def bounds(tips: int, joints: int) -> NDArray[np.float32]:
     return np.repeat([block.bound for block in blocks], [block.size for block in blocks]).astype(np.float32)
 
 
-DRIFT, TILT, FORCE_ERROR, SLIP, STRAY, TOTAL_NORMAL = range(6)
-"""Places in a summary: the object's distance [m] and angle [rad] from where it should be, largest component of measured - commanded
-force [N], fastest tip on the object [m/s], force of links on the object [N], commanded normal forces [N]."""
+class Observer:
+    """Fills observations for one hand.
 
-
-@compiled
-def observe(buffer, indices, target, wrench, force, frames, friction, bound, measured, summary, out):
-    """Writes the clipped observation, the measured forces (N, 3) in contact frames, and the summary.
-
-    Args:
-        buffer: of the snapshot. indices: of the hand, from `pack_tree`. target: (19,) the wanted motion.
-        wrench, force, frames: what is commanded. friction: of the solver.
-        bound, out: (size,) float32.
+    Attributes:
+        bound: (size,) float32 of each entry.
+        error: (12,) position, orientation, velocities of the object against the wanted ones, world frame.
+        measured: (N, 3) measured forces in the commanded contact frames [N].
     """
-    m, n = indices[0], indices[1]
-    s = split(buffer, n, m)
-    error = small(12)
-    pose_error(s, target, error)
-    summary[DRIFT] = math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
-    summary[TILT] = math.sqrt(error[3] ** 2 + error[4] ** 2 + error[5] ** 2)
-    summary[FORCE_ERROR], summary[SLIP], summary[STRAY], summary[TOTAL_NORMAL] = 0.0, 0.0, s.stray[0], 0.0
-    place = 0
-    for k in range(6):
-        out[place + k] = wrench[k]
-    place += 6
-    for k in range(12):
-        out[place + k] = error[k]
-    place += 12
-    for i in range(n):
-        for k in range(3):
-            total = 0.0
-            for q in range(3):
-                total += frames[i, q, k] * s.forces[i, q]
-            measured[i, k] = total
-            j = place + 3 * i + k
-            out[j], out[j + 3 * n] = s.points[i, k], s.normals[i, k]
-            out[j + 6 * n], out[j + 9 * n] = force[i, k], total
-            summary[FORCE_ERROR] = max(summary[FORCE_ERROR], abs(total - force[i, k]))
-        summary[TOTAL_NORMAL] += force[i, 0]
-        if s.touching[i] > 0.0:
-            summary[SLIP] = max(summary[SLIP], s.slip[i])
-        out[place + 12 * n + i] = s.touching[i]
-    place += 13 * n
-    for j in range(m):
-        out[place + j] = s.angles[j]
-    out[place + m] = friction
-    for j in range(out.size):
-        out[j] = min(max(out[j], -bound[j]), bound[j])
+
+    def __init__(self, tips: int, joints: int) -> None:
+        self.bound = bounds(tips, joints)
+        self._least = -self.bound
+        self.error, self.measured = np.zeros(12), np.zeros((tips, 3))
+
+    def watch(self, snapshot: Snapshot, loop: ForceLoop) -> None:
+        """Whose numbers are observed, in the order of `fields`: views that a reading and a tick overwrite."""
+        self._loop = loop
+        parts = (
+            loop.wrench, self.error, snapshot.points, snapshot.normals, loop.force, self.measured, snapshot.touching,
+            snapshot.angles, np.array([loop.friction]),
+        )  # fmt: skip
+        self._parts = [part.reshape(-1) for part in parts]
+
+    def __call__(self, target: Array) -> tuple[NDArray[np.float32], Outcome]:
+        """The clipped observation, and how the object is held; target: (19,) the wanted motion."""
+        outcome = self._loop.outcome(target, self.error, self.measured)
+        values = np.empty_like(self.bound)
+        np.concatenate(self._parts, out=values, casting="same_kind")
+        np.maximum(values, self._least, out=values)
+        return np.minimum(values, self.bound, out=values), outcome
 
 
 def table() -> list[str]:

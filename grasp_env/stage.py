@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from grasp_env.closing import CLEARANCE, close_hand, take_over
 from grasp_env.config import EnvConfig
-from grasp_env.control import ForceLoop
+from grasp_env.control.closing import CLEARANCE, close_hand, take_over
+from grasp_env.control.loop import ForceLoop
 from grasp_env.errors import GraspError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
 from grasp_env.sim.grasp_points import grasp_points
@@ -132,8 +132,6 @@ class Stage:
 
     def _settle(self, item: ObjectDescription) -> None:
         self._loop.begin(self.scene)
-        try:
-            take_over(self.scene, self._loop)
-        finally:
-            self._loop.settling = False
+        take_over(self.scene, self._loop)
+        self._loop.settling = False
         self.item = item

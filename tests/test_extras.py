@@ -61,7 +61,7 @@ IMPORTS = {
     "import grasp_env.env": "sim",
     "import grasp_env.sim": "sim",
     "from grasp_env.config import EnvConfig": "sim",
-    "from grasp_env.control import ForceLoop": "sim",
+    "from grasp_env.control.loop import ForceLoop": "sim",
     "import gymnasium; gymnasium.make('grasp_env:FourFingerGrasp-v0')": "sim",
     "import policies.network": "train",
     "import policies.newton_layers": "train",

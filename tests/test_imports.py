@@ -61,10 +61,8 @@ def test_the_solver_imports_numpy_and_scipy_only(package: str) -> None:
         "grasp_env.core",
         "grasp_env.errors",
         "grasp_env._check",
-        "grasp_env._compile",
         "grasp_env._files",
         "grasp_env.ranges",
-        "grasp_env._views",
         "grasp_env.grasp",
         "grasp_env.force",
     )
@@ -83,15 +81,7 @@ def test_the_core_is_below_everything_else() -> None:
         assert {name for name in _roots(path) if name not in sys.stdlib_module_names} <= {"grasp_env", "numpy"}, path
         assert all(name.startswith("grasp_env.core") for name in _imports(path) if name.startswith("grasp_env")), path
     for path in _files("grasp_env", "grasp"):
-        assert not _imports(path) & {"grasp_env._compile", "grasp_env._views"}, path
-        assert "numba" not in _roots(path), path
-
-
-@pytest.mark.parametrize("package", [("grasp_env", "force"), ("policies",)])
-def test_no_kernel_of_numba_is_left(package: tuple[str, ...]) -> None:
-    for path in _files(*package):
-        assert "numba" not in _roots(path), path
-        assert not _imports(path) & {"grasp_env._compile", "grasp_env._views"}, path
+        assert _roots(path) <= SOLVER | set(sys.stdlib_module_names), path
 
 
 def test_pybullet_is_imported_in_one_file() -> None:

@@ -450,6 +450,9 @@ class Pipeline:
         The last optimum carried to contacts and wrench of now, (N, 3); 0: carried, 1: repaired, 2: clipped.
         """
 
+    def carry_from(self, points: object, normals: object, wrench: object, then: object, frames: object, force: object) -> int:
+        """The same of forces (N, 3) [N] in frames (N, 3, 3) of contacts nearby."""
+
     def arrays(self) -> dict[str, NDArray]:
         """Views of what is held, by name: overwritten in place."""
 
@@ -523,7 +526,7 @@ class Reach:
     """
 
     @staticmethod
-    def make(tree: Tree, limited: bool = True) -> "std::unique_ptr<grasp::Reach, std::default_delete<grasp::Reach> >":
+    def make(tree: Tree, limited: bool = True) -> Reach:
         """limited: within the joint limits."""
 
     @property
@@ -812,7 +815,7 @@ class Controller:
     """The control loop of a hand: what it sees, and the torques that hold."""
 
     @staticmethod
-    def make(scene: Scene, settings: ControlSettings, sensors: SensorSettings) -> "std::unique_ptr<grasp::Controller, std::default_delete<grasp::Controller> >": ...
+    def make(scene: Scene, settings: ControlSettings, sensors: SensorSettings) -> Controller: ...
 
     def reset(self) -> None:
         """Forgets the episode; before it the scene stood still."""
@@ -853,6 +856,13 @@ class Controller:
 
     def seen(self) -> dict[str, NDArray]:
         """Views of what is seen, by name: overwritten in place."""
+
+    @property
+    def direct(self) -> bool:
+        """Whether the scene is seen as it is, whatever the settings."""
+
+    @direct.setter
+    def direct(self, arg: bool, /) -> None: ...
 
     @property
     def exact(self) -> bool:

@@ -146,22 +146,22 @@ class ForcePipeline:
         default = Grasp.unchecked(grasp.positions, grasp.normals, grasp.models)
         tangents = np.zeros((0, 3)) if (default.frames == grasp.frames).all() else grasp.frames[:, :, 1].copy()
         basis = OfflineBasis.of(grasp, self.objective).cone_forces
-        self._core = core.Pipeline.make(
+        self.core = core.Pipeline.make(
             core_contacts(grasp, self.objective, tangents), checked.tolerance, checked.max_iterations, basis,
             np.ascontiguousarray(grasp.frames), self._remembers, np.ascontiguousarray(self.reference),
             checked.step_rule.parameters() if self.method == "reduced_flow" else None,
         )  # fmt: skip
-        arrays = self._core.arrays()
+        arrays = self.core.arrays()
         weights = self.objective.weights(grasp.n_contacts)
         x, frames, cone_matrix, rows, basis_frames = (arrays[name] for name in Held._fields[:5])
         self.held = Held(x, frames, cone_matrix, rows, basis_frames, grasp.models.cone_divisor, weights, tangents)
-        self._solve = self._core.solve
+        self._solve = self.core.solve
         if self._layers is not None:
             layers, width = self._layers
-            self._core.set_layers(core.Layers.make(width, np.array(layers, dtype=np.float64, order="C")))
+            self.core.set_layers(core.Layers.make(width, np.array(layers, dtype=np.float64, order="C")))
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("_core", "_solve", "held")}
+        return {name: value for name, value in vars(self).items() if name not in ("core", "_solve", "held")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -184,7 +184,7 @@ class ForcePipeline:
 
     def reset(self) -> None:
         """Forgets all calls: the next solve gives the bits that the first ever gave."""
-        self._core.reset()
+        self.core.reset()
         self._hold(self.grasp, None)
 
     def solve(self, points: Array, normals: Array, wrench: Wrench, *, adjust: Array | None = None) -> ForceSolution:
@@ -216,7 +216,7 @@ class ForcePipeline:
         if self._solve(points, normals, wrench, adjust, record) <= STALLED:
             return ForceSolution(record, self.method, self.initial)
         # what cannot be read as it is, and what has to be said in words: nothing stale is left
-        self._core.forget()
+        self.core.forget()
         points, normals = as_array(points, self._shape, "points"), as_array(normals, self._shape, "normals")
         wrench = as_wrench(wrench)
         if adjust is not None:
@@ -243,7 +243,7 @@ class ForcePipeline:
             CARRIED (0): the tangent correction, strictly inside. REPAIRED (1): the least Phi on the way to it from the carried
             combination. CLIPPED (2): inside the cones, but balance is given up as far as they ask.
         """
-        return self._core.carry(points, normals, wrench, out_force)
+        return self.core.carry(points, normals, wrench, out_force)
 
     def _hold(self, grasp: Grasp, solution: ForceSolution | None) -> None:
         self.held.frames[:] = grasp.frames
@@ -254,7 +254,7 @@ class ForcePipeline:
         self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None, record: Array
     ) -> ForceSolution:
         """What the core left: first once more with a new basis, then a `ForceOptimizer` on the grasp of now."""
-        self._core.forget()
+        self.core.forget()
         tangents = self.held.tangents
         grasp = Grasp.from_contacts(
             points,
@@ -265,7 +265,7 @@ class ForcePipeline:
         if record[CODE] == REFUSED:
             with suppress(InfeasibleStartError):  # no force closure: the general path says so
                 basis = OfflineBasis.of(grasp, self.objective).cone_forces
-                self._core.set_basis(basis, np.ascontiguousarray(grasp.frames))
+                self.core.set_basis(basis, np.ascontiguousarray(grasp.frames))
                 if self._solve(points, normals, wrench, adjust, record) <= STALLED:
                     return ForceSolution(record, self.method, self.initial)
         wrench = as_wrench(wrench)

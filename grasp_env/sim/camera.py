@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.bullet import Bullet
 from grasp_env.sim.client import bullet
 from grasp_env.sim.hand import Vector3
 from grasp_env.sim.overlay import Annotation, draw
@@ -81,7 +82,11 @@ class Camera:
 
     def __init__(self, scene: Scene, config: CameraConfig | None = None) -> None:
         self.config = config = config or CameraConfig()
-        self._scene = scene
+        if not isinstance(scene.simulator, Bullet):
+            raise InvalidInputError(
+                f"pictures are drawn by Bullet, the scene's engine is {type(scene.simulator).__name__}"
+            )
+        self._bullet = scene.simulator
         size = config.supersampling * config.height, config.supersampling * config.width
         self._background = gradient(size[1], size[0], _TOP, _BOTTOM)
         self.fit()
@@ -101,7 +106,7 @@ class Camera:
         drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
         wanted = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
         self.view = wanted.fitted(drawn, config.margin, config.footer) if len(drawn) else wanted
-        self._fitted_to = self._scene.bodies
+        self._fitted_to = self._bullet.world
 
     def capture(self, annotation: Annotation | None = None) -> np.ndarray:
         """The scene now, (height, width, 3) uint8.
@@ -112,12 +117,12 @@ class Camera:
         Raises:
             SimulationError: The scene is closed.
         """
-        if self._scene.bodies is not self._fitted_to:
+        if self._bullet.world is not self._fitted_to:
             self.fit()
         opacity, factor = self.config.object_opacity, self.config.supersampling
         image, depth = self._render(shadows=True)
         if opacity < 1.0:  # the renderer knows only drawn and not drawn: blend the two
-            with self._scene.object_hidden():  # what is behind has no shadows: that saves a tenth of the time
+            with self._bullet.object_hidden():  # what is behind has no shadows: that saves a tenth of the time
                 see_through(image, depth, *self._render(shadows=False), opacity, image)
         if factor > 1:
             split = image.reshape(self.config.height, factor, self.config.width, factor, 3)
@@ -144,7 +149,7 @@ class Camera:
         _, _, pixels, depth, _ = bullet.getCameraImage(
             width, height, view.view_matrix, view.projection_matrix, **_LIGHT, shadow=int(shadows),
             renderer=bullet.ER_TINY_RENDERER, flags=bullet.ER_NO_SEGMENTATION_MASK,
-            physicsClientId=self._scene.client.number,
+            physicsClientId=self._bullet.client.number,
         )  # fmt: skip
         pixels = np.ascontiguousarray(pixels, np.uint8).reshape(height, width, 4)
         return pixels, np.ascontiguousarray(depth, np.float32).reshape(height, width)

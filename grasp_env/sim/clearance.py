@@ -10,7 +10,7 @@ import numpy as np
 from grasp_env._compile import compiled
 from grasp_env.sim.hand import Geometry, HandDescription
 from grasp_env.sim.hand_frames import rotation_matrix
-from grasp_env.sim.kinematics import trace_hand
+from grasp_env.sim.kinematics_kernels import trace_hand
 from grasp_env.sim.shapes import nearest
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)

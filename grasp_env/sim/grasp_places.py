@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_env._compile import compiled
 from grasp_env.sim.clearance import surface_gap, write_limbs
-from grasp_env.sim.kinematics import trace_hand
+from grasp_env.sim.kinematics_kernels import trace_hand
 from grasp_env.sim.kinematics_solve import REACHED, solve_hand
 from grasp_env.sim.shapes import nearest
 

@@ -15,7 +15,9 @@ from grasp_env.sim.clearance import Limbs, hand_clearance, hand_limbs
 from grasp_env.sim.grasp_places import fill_pool
 from grasp_env.sim.grasp_search import choose
 from grasp_env.sim.hand import HandDescription
-from grasp_env.sim.kinematics import HandKinematics, Tree
+from grasp_env.sim.hand_frames import rotation_matrix
+from grasp_env.sim.kinematics import HandKinematics
+from grasp_env.sim.kinematics_kernels import Tree
 from grasp_env.sim.objects import ObjectDescription
 from grasp_env.sim.shapes import nearest
 
@@ -183,10 +185,10 @@ class _Search:
                 return None
             points, normals = self.points[row, choices[turn]], self.normals[row, choices[turn]]
             try:
-                angles = self.kinematics.solve(points - self.kinematics.tree.tip_radii[:, None] * normals)
+                angles = self.kinematics.solve(points - self.kinematics.tip_radii[:, None] * normals)
             except InvalidInputError:  # fingers that share joints reach their places one by one only
                 continue
-            away, apart = hand_clearance(self.kinematics.tree, self.limbs, self.item.surface, angles)
+            away, apart = hand_clearance(_tree(self.kinematics), self.limbs, self.item.surface, angles)
             if away >= 0.9 * clearance and apart > 0.0:
                 return points, normals
         return None
@@ -203,7 +205,7 @@ class _Search:
         gap = np.inf
         if palm.any():
             still = Limbs(*(np.ascontiguousarray(part[palm]) for part in limbs))
-            gap, _ = hand_clearance(self.kinematics.tree, still, self.item.surface, self.kinematics.home)
+            gap, _ = hand_clearance(_tree(self.kinematics), still, self.item.surface, self.kinematics.home)
         if gap < _MARGINS[-1][2]:
             raise InvalidInputError(
                 f"{self._name} reaches {-1e3 * gap:.1f} mm into the palm of the hand {self.kinematics.hand.name!r}; "
@@ -242,7 +244,7 @@ def _parts(kinematics: HandKinematics) -> tuple[Limbs, NDArray[np.bool_], list[_
 
 
 def _chain(kinematics: HandKinematics, finger: int) -> _Chain:
-    tree, joints = kinematics.tree, np.flatnonzero(kinematics.carries[finger])
+    tree, joints = _tree(kinematics), np.flatnonzero(kinematics.carries[finger])
     own = slice(finger, finger + 1)
     chain = Tree(
         parents=np.arange(len(joints)) - 1,
@@ -259,6 +261,27 @@ def _chain(kinematics: HandKinematics, finger: int) -> _Chain:
         torque_limits=tree.torque_limits[joints],
     )
     return _Chain(joints.astype(np.int64), chain)
+
+
+@lru_cache(maxsize=8)
+def _tree(kinematics: HandKinematics) -> Tree:
+    """The arrays of the search's kernels."""
+    hand = kinematics.hand
+    numbers = {link.name: index for index, link in enumerate(hand.links)}
+    return Tree(
+        parents=np.array([numbers.get(link.parent, -1) for link in hand.links], dtype=np.int64),
+        offsets=np.array([link.origin for link in hand.links]),
+        rotations=np.array([rotation_matrix(link.rotation) for link in hand.links]),
+        axes=np.array([link.axis for link in hand.links]),
+        masses=np.array([link.mass for link in hand.links]),
+        centers=np.array([link.center for link in hand.links]),
+        tip_links=kinematics.tip_links,
+        tip_centers=np.array([tip.center for tip in hand.fingertips]),
+        tip_radii=kinematics.tip_radii,
+        lower=kinematics.lower,
+        upper=kinematics.upper,
+        torque_limits=kinematics.torque_limits,
+    )
 
 
 @lru_cache(maxsize=1)

@@ -1,4 +1,4 @@
-"""The kinematics of a hand: its arrays, the compiled kernels over them, and the inverse kinematics."""
+"""The kinematics of a hand: where its links are, how they move and what carries them, and the inverse kinematics."""
 
 from __future__ import annotations
 
@@ -7,41 +7,25 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env._check import as_array
+from grasp_env import core
+from grasp_env._check import Array, Indices, as_array, whole
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand import HandDescription
 from grasp_env.sim.hand_frames import rotation_matrix
-from grasp_env.sim.kinematics_kernels import (
-    Tree,
-    add_force_torques,
-    hand_tips,
-    trace_hand,
-    write_gravity_torques,
-    write_jacobian,
-    write_tip_centers,
-)
-from grasp_env.sim.kinematics_solve import REACHED, solve_hand
-
-__all__ = [
-    "HandKinematics",
-    "Tree",
-    "add_force_torques",
-    "trace_hand",
-    "write_gravity_torques",
-    "write_jacobian",
-    "write_tip_centers",
-]
 
 _OTHER_STARTS = 11
+_LIMIT = 1e-6  # [rad] beyond a limit that is none
 
 
 class HandKinematics:
-    """The geometry and masses of a hand as arrays, with what follows from them.
+    """The geometry and masses of a hand in the core, with what follows from them; M joints, N fingertips.
 
     Attributes:
         hand: The description.
-        tree: Its arrays for the kernels, to be read only; M joints, N fingertips.
+        tree: Its links and fingertips in the core.
         home: Rest posture [rad], (M,).
+        lower, upper: Joint limits [rad], (M,), -inf and inf where there are none; torque_limits: [N m], (M,).
+        tip_links: The number of each fingertip's link, (N,); tip_radii: [m], (N,).
         carries: Whether a joint moves a fingertip, (N, M) bool.
         reach: Most that a tip can be away from the origin of its finger's first joint [m], (N,).
 
@@ -55,33 +39,94 @@ class HandKinematics:
     def __init__(self, hand: HandDescription) -> None:
         self.hand = hand
         numbers = {link.name: index for index, link in enumerate(hand.links)}
-        self.tree = Tree(
-            parents=np.array([numbers.get(link.parent, -1) for link in hand.links], dtype=np.int64),
-            offsets=np.array([link.origin for link in hand.links]),
-            rotations=np.array([rotation_matrix(link.rotation) for link in hand.links]),
-            axes=np.array([link.axis for link in hand.links]),
-            masses=np.array([link.mass for link in hand.links]),
-            centers=np.array([link.center for link in hand.links]),
-            tip_links=np.array([numbers[tip.link] for tip in hand.fingertips], dtype=np.int64),
-            tip_centers=np.array([tip.center for tip in hand.fingertips]),
-            tip_radii=np.array([tip.radius for tip in hand.fingertips]),
-            lower=np.array([link.lower for link in hand.links]),
-            upper=np.array([link.upper for link in hand.links]),
-            torque_limits=hand.torque_limits,
+        parents = [numbers.get(link.parent, -1) for link in hand.links]
+        self.tree = core.Tree.make(
+            [
+                core.Link(
+                    parent=parent,
+                    offset=link.origin,
+                    rotation=rotation_matrix(link.rotation).ravel().tolist(),
+                    axis=link.axis,
+                    mass=link.mass,
+                    center=link.center,
+                    lower=link.lower,
+                    upper=link.upper,
+                    torque_limit=link.torque_limit,
+                )
+                for parent, link in zip(parents, hand.links, strict=True)
+            ],
+            [core.Tip(link=numbers[tip.link], center=tip.center, radius=tip.radius) for tip in hand.fingertips],
         )
         self.home = np.array(hand.home)
+        self.lower, self.upper = (np.array([getattr(link, side) for link in hand.links]) for side in ("lower", "upper"))
+        self.torque_limits = hand.torque_limits
+        self.tip_links: Indices = np.array([numbers[tip.link] for tip in hand.fingertips], dtype=np.int64)
+        self.tip_radii = np.array([tip.radius for tip in hand.fingertips])
         self.carries = np.zeros((hand.finger_count, hand.joint_count), dtype=bool)
         self.reach, self._roots = np.zeros(hand.finger_count), np.zeros((hand.finger_count, 3))
-        for finger in range(hand.finger_count):
-            self._follow(finger)
-        self._groups = _groups(self.carries)
-        self._starts = _other_starts(self.tree)
+        for finger, tip in enumerate(hand.fingertips):
+            chain = [numbers[tip.link]]
+            while parents[chain[-1]] >= 0:
+                chain.append(parents[chain[-1]])
+            self.carries[finger, chain] = True
+            arms = [tip.center, *(hand.links[link].origin for link in chain[:-1])]
+            self.reach[finger] = sum(float(np.linalg.norm(arm)) for arm in arms)
+            self._roots[finger] = hand.links[chain[-1]].origin
+        self._within, self._beyond = core.Reach.make(self.tree), core.Reach.make(self.tree, limited=False)
+        self._starts = _other_starts(self.lower, self.upper)
 
-    def tips(self, angles: ArrayLike) -> np.ndarray:
+    def links(self, angles: ArrayLike) -> tuple[Array, Array]:
+        """Where the links are, world frame, for joint angles (M,) [rad]: link frame to world frame (M, 3, 3), origins (M, 3) [m].
+
+        The origin of a link lies on the axis of the joint that moves it.
+        """
+        count = self.hand.joint_count
+        rotations, origins = np.empty((count, 3, 3)), np.empty((count, 3))
+        self.tree.trace(self._angles(angles), rotations, origins)
+        return rotations, origins
+
+    def tips(self, angles: ArrayLike) -> Array:
         """Centres of the fingertips [m], (N, 3), world frame, for joint angles (M,) [rad]."""
-        return hand_tips(self.tree, as_array(angles, (self.hand.joint_count,), "angles"))
+        centers = np.empty((self.hand.finger_count, 3))
+        self.tree.tips(self._angles(angles), centers)
+        return centers
 
-    def solve(self, tips: ArrayLike, start: ArrayLike | None = None) -> np.ndarray:
+    def jacobian(self, angles: ArrayLike, finger: int, point: ArrayLike | None = None) -> Array:
+        """How a point of a finger's last link moves per joint speed, (3, M) [m/rad], world frame.
+
+        A force f there takes the joint torques J^T f.
+
+        Args:
+            angles: Of the joints [rad], (M,).
+            finger: Its number.
+            point: [m], (3,), world frame; None: the centre of the fingertip.
+
+        Raises:
+            InvalidInputError: No such finger, or a wrong shape.
+
+        Example:
+            >>> kinematics = HandKinematics(HandDescription.four_finger())
+            >>> kinematics.jacobian(kinematics.home, finger=0).shape
+            (3, 12)
+        """
+        whole(finger, "finger", 0, self.hand.finger_count - 1)
+        place = self.tips(angles)[finger] if point is None else as_array(point, (3,), "point")
+        return self.link_jacobian(angles, int(self.tip_links[finger]), place)
+
+    def link_jacobian(self, angles: ArrayLike, link: int, point: ArrayLike) -> Array:
+        """The same of a point (3,) [m], world frame, of any link, by its number in the description."""
+        whole(link, "link", 0, self.hand.joint_count - 1)
+        out = np.empty((3, self.hand.joint_count))
+        self.tree.jacobian(self._angles(angles), link, as_array(point, (3,), "point"), out)
+        return out
+
+    def gravity_torques(self, angles: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)) -> Array:
+        """Joint torques [N m], (M,), that carry the hand's own weight under a gravity (3,) [m/s^2], world frame."""
+        out = np.empty(self.hand.joint_count)
+        self.tree.gravity_torques(self._angles(angles), as_array(gravity, (3,), "gravity"), out)
+        return out
+
+    def solve(self, tips: ArrayLike, start: ArrayLike | None = None) -> Array:
         """Joint angles within the limits that bring the tips to the given centres.
 
         The search starts at `start`, else at the rest posture, and tries a few fixed other postures for fingers that
@@ -99,8 +144,8 @@ class HandKinematics:
         """
         targets = as_array(tips, (self.hand.finger_count, 3), "tips")
         first = self.home if start is None else as_array(start, self.home.shape, "start")
-        angles, missed = self._search(self.tree, targets, first)
-        if not (missed <= REACHED).all():
+        angles, missed = self._search(self._within, targets, first)
+        if not (missed <= core.REACHED).all():
             raise InvalidInputError(self._explain(targets, first, angles))
         return angles
 
@@ -110,37 +155,19 @@ class HandKinematics:
         if (np.square(targets - self._roots).sum(axis=1) > self.reach**2).any():
             return False
         first = self.home if start is None else as_array(start, self.home.shape, "start")
-        return bool((self._search(self.tree, targets, first)[1] <= REACHED).all())
+        return bool((self._search(self._within, targets, first)[1] <= core.REACHED).all())
 
-    def _follow(self, finger: int) -> None:
-        """Note which joints carry a finger, where the first one is and how far the tip can be from it."""
-        tree = self.tree
-        link = int(tree.tip_links[finger])
-        self.reach[finger] = np.linalg.norm(tree.tip_centers[finger])
-        while True:
-            self.carries[finger, link] = True
-            if tree.parents[link] < 0:
-                self._roots[finger] = tree.offsets[link]
-                return
-            self.reach[finger] += np.linalg.norm(tree.offsets[link])
-            link = int(tree.parents[link])
+    def _angles(self, angles: ArrayLike) -> Array:
+        return as_array(angles, (self.hand.joint_count,), "angles")
 
-    def _group(self, finger: int) -> tuple[np.ndarray, np.ndarray]:
-        """The fingers that share joints with one, directly or through others, and all their joints, (M,) bool."""
-        finger_order, finger_ends, joint_order, joint_ends = self._groups
-        group = int(np.searchsorted(finger_ends, np.flatnonzero(finger_order == finger)[0], side="right"))
-        joints = np.zeros(len(self.home), dtype=bool)
-        joints[np.split(joint_order, joint_ends)[group]] = True
-        return np.split(finger_order, finger_ends)[group], joints
-
-    def _search(self, tree: Tree, targets: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Angles (M,), and what the worst tip of each group misses [m]."""
-        starts = np.vstack([np.clip(first, tree.lower, tree.upper), self._starts])
-        angles, missed = np.empty(len(first)), np.empty(len(self._groups[1]))
-        solve_hand(tree, targets, *self._groups, starts, angles, missed)
+    def _search(self, reach: core.Reach, targets: Array, first: Array) -> tuple[Array, Array]:
+        """Angles (M,), and what the worst tip of each group of fingers that share joints misses [m]."""
+        starts = np.vstack([np.clip(first, self.lower, self.upper), self._starts])
+        angles, missed = np.empty(len(first)), np.empty(len(reach.groups))
+        reach.solve(np.ascontiguousarray(targets), starts, angles, missed)
         return angles, missed
 
-    def _explain(self, targets: np.ndarray, first: np.ndarray, angles: np.ndarray) -> str:
+    def _explain(self, targets: Array, first: Array, angles: Array) -> str:
         """What keeps the fingers from their targets."""
         away = np.linalg.norm(self.tips(angles) - targets, axis=1)
         finger = int(np.argmax(away))
@@ -151,16 +178,15 @@ class HandKinematics:
                 f"finger {name!r} cannot reach tip={target}: it is {distance:.4f} m from its first joint, allowed are "
                 f"up to {self.reach[finger]:.4f} m; move the contact or the finger's base"
             )
-        endless = np.full(len(angles), math.inf)
-        free, _ = self._search(self.tree._replace(lower=-endless, upper=endless), targets, first)
-        members, joints = self._group(finger)
+        free, _ = self._search(self._beyond, targets, first)
+        members, joints = next(group for group in self._within.groups if finger in group[0])
         together = " together with the fingers that share its joints" if len(members) > 1 else ""
-        if np.linalg.norm(self.tips(free) - targets, axis=1)[members].max() <= REACHED:
+        if np.linalg.norm(self.tips(free) - targets, axis=1)[members].max() <= core.REACHED:
             turned = free + np.round((angles - free) / (2 * math.pi)) * 2 * math.pi
             beyond = [
                 f"{link.joint} = {turned[joint]:.3f} rad, allowed are {link.lower:.3f} to {link.upper:.3f}"
                 for joint, link in enumerate(self.hand.links)
-                if joints[joint] and not link.lower <= turned[joint] <= link.upper
+                if joint in joints and not link.lower - _LIMIT <= turned[joint] <= link.upper + _LIMIT
             ]
             if not beyond:
                 return (
@@ -177,33 +203,10 @@ class HandKinematics:
         )
 
 
-def _groups(carries: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Fingers that share joints: finger order, ends of groups in it, joint order, ends of groups in it."""
-    finger_order: list[int] = []
-    joint_order: list[int] = []
-    finger_ends, joint_ends = [], []
-    rest = list(range(len(carries)))
-    while rest:
-        joints, size = carries[rest[0]], 0
-        while joints.sum() > size:
-            size = joints.sum()
-            joints = carries[(carries & joints).any(axis=1)].any(axis=0)
-        members = [finger for finger in rest if (carries[finger] & joints).any()]
-        rest = [finger for finger in rest if finger not in members]
-        finger_order += members
-        joint_order += np.flatnonzero(joints).tolist()
-        finger_ends.append(len(finger_order))
-        joint_ends.append(len(joint_order))
-    order, ends, joints, stops = (
-        np.array(row, dtype=np.int64) for row in (finger_order, finger_ends, joint_order, joint_ends)
-    )
-    return order, ends, joints, stops
-
-
-def _other_starts(tree: Tree) -> np.ndarray:
+def _other_starts(lower: Array, upper: Array) -> Array:
     """The middle of the joints' ranges, then points spread over them, (S, M)."""
-    lower, upper = np.maximum(tree.lower, -math.pi), np.minimum(tree.upper, math.pi)
-    starts: list[np.ndarray] = [0.5 * (lower + upper)]
+    lower, upper = np.maximum(lower, -math.pi), np.minimum(upper, math.pi)
+    starts: list[Array] = [0.5 * (lower + upper)]
     for index in range(1, _OTHER_STARTS):
         # golden-ratio steps: spread for any number of joints, and the same in every process
         fractions = (index * (np.arange(len(lower)) + 1) * 0.6180339887498949) % 1.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_env.env import FourFingerGrasp
+from grasp_env.motion import resting_target
 
 
 def iterations(action: float, steps: int = 4) -> list[int]:
@@ -25,13 +26,21 @@ def test_one_missed_tick_does_not_let_a_finger_go() -> None:
     env = FourFingerGrasp()
     env.reset(seed=0)
     env.step(np.zeros(6, dtype=np.float32))
-    loop = env._loop
-    for mask in (14, 15, 15, 14, 15, 14, 15):
-        env.scene.look().mask[0] = mask
-        loop.see(env.scene.buffer, env.scene.look(), loop._told, env.scene.gravity, loop._target)
-        assert loop._mask == 15
-    for mask, held in ((14, 15), (14, 15), (14, 14)):
-        env.scene.look().mask[0] = mask
-        loop.see(env.scene.buffer, env.scene.look(), loop._told, env.scene.gravity, loop._target)
-        assert loop._mask == held
+    core, touching = env._loop._core, env.scene.look().touching
+    still = (np.zeros(6), env.scene.gravity, resting_target(1)[0], None)
+    for mask, held in (
+        (14, 15),
+        (15, 15),
+        (15, 15),
+        (14, 15),
+        (15, 15),
+        (14, 15),
+        (15, 15),
+        (14, 15),
+        (14, 15),
+        (14, 14),
+    ):
+        touching[:] = [mask >> finger & 1 for finger in range(4)]
+        core.see(*still)
+        assert core.mask == held
     env.close()

@@ -8,57 +8,71 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hands import scene_alone
 from scipy.spatial.transform import Rotation
 
+from grasp_env import core
 from grasp_env.config import EnvConfig
-from grasp_env.control import RELEASE, believe
-from grasp_env.control_kernels import least_norm, pose_error, rotation_vector, wrench_to_balance
+from grasp_env.control.loop import RELEASE, believed_body, control_settings
+from grasp_env.control.sensing import sensor_settings
 from grasp_env.env import FourFingerGrasp
 from grasp_env.motion import motion_target, resting_target
-from grasp_env.sim import ObjectDescription, Snapshot
+from grasp_env.sim import ObjectDescription, Scene, Snapshot
 from grasp_env.sim.client import bullet
-from grasp_env.sim.snapshot import snapshot_size, split
 
 ITEM = ObjectDescription(size=(0.06, 0.1, 0.14), mass=0.3)
 GRAVITY = np.array([0.0, -9.81, 0.0])
 
 
-def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0)) -> Snapshot:
-    """A snapshot of an object, in which nothing else is set."""
-    made = split(np.zeros(snapshot_size(4, 12)), 4, 12)
-    made.position[:], made.linear[:], made.angular[:] = position, linear, angular
-    made.rotation[:] = Rotation.from_rotvec(turn).as_matrix()
-    return made
+def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0)) -> core.Scene:
+    """A scene of an object, in which nothing else is set."""
+    scene, s = scene_alone(ITEM)
+    s.position[:], s.linear[:], s.angular[:] = position, linear, angular
+    s.rotation[:] = Rotation.from_rotvec(turn).as_matrix()
+    return scene
 
 
-def balanced(
-    s: Snapshot, target: np.ndarray | None = None, told: np.ndarray | None = None, item: ObjectDescription = ITEM
-) -> np.ndarray:
-    """`wrench_to_balance` with the default gains, (6,)."""
-    out = np.empty(6)
-    target = resting_target(1)[0] if target is None else target
-    wrench_to_balance(s, target, np.zeros(6) if told is None else told, GRAVITY, believe(EnvConfig(), item), out)
-    return out
+def controller(scene: core.Scene, **settings: Any) -> core.Controller:
+    """A control loop with the default gains."""
+    config = EnvConfig(**settings)
+    return core.Controller.make(scene, control_settings(config, ITEM, 0.5), sensor_settings(config))
 
 
-def test_rotation_vector_against_scipy():
-    rng, out = np.random.default_rng(0), np.empty(3)
-    for _ in range(200):
-        vector = rng.normal(size=3) * rng.uniform(0, 0.9)
-        rotation_vector(Rotation.from_rotvec(vector).as_matrix(), out)
-        np.testing.assert_allclose(out, vector, atol=1e-12)
+def pose_error(scene: core.Scene, target: np.ndarray) -> np.ndarray:
+    """(12,) position, orientation, linear and angular velocity against the target's."""
+    error = np.empty(12)
+    controller(scene).outcome(target, error, np.empty((4, 3)))
+    return error
+
+
+def balanced(scene: core.Scene, target: np.ndarray | None = None, told: np.ndarray | None = None) -> np.ndarray:
+    """The wrench to balance with the default gains, (6,)."""
+    made = controller(scene)
+    made.see(np.zeros(6) if told is None else told, GRAVITY, resting_target(1)[0] if target is None else target, None)
+    wrench = made.arrays()["wrench"]
+    body = believed_body(EnvConfig(), ITEM)
+    own = np.array(body.wrench(scene, resting_target(1)[0] if target is None else target, GRAVITY))
+    np.testing.assert_allclose(wrench, own + (0.0 if told is None else told), rtol=1e-14)
+    return wrench
+
+
+def test_orientation_error_against_scipy():
+    rng, target = np.random.default_rng(0), resting_target(1)[0]
+    vectors = [rng.normal(size=3) * rng.uniform(0, 0.9) for _ in range(200)]
+    for vector in vectors:
+        np.testing.assert_allclose(pose_error(state(turn=vector), target)[3:6], vector, atol=1e-12)
     for tiny in (0.0, 1e-12, 1e-8, 1e-6):
-        rotation_vector(Rotation.from_rotvec([tiny, 0.0, 0.0]).as_matrix(), out)
-        np.testing.assert_allclose(out, [tiny, 0.0, 0.0], rtol=1e-6, atol=1e-15)
+        error = pose_error(state(turn=(tiny, 0.0, 0.0)), target)[3:6]
+        np.testing.assert_allclose(error, [tiny, 0.0, 0.0], rtol=1e-6, atol=1e-15)
 
 
 def test_pose_error_is_zero_on_the_target_and_points_away_from_it():
-    target, error = motion_target("rotate", np.linspace(0.0, 1.0, 51), 0.3, 1.0)[10], np.empty(12)
+    target = motion_target("rotate", np.linspace(0.0, 1.0, 51), 0.3, 1.0)[10]
     wanted = Rotation.from_quat(target[3:7])
-    pose_error(state(target[:3], wanted.as_rotvec(), target[7:10], target[10:13]), target, error)
-    np.testing.assert_allclose(error, 0.0, atol=1e-12)
+    on = state(target[:3], wanted.as_rotvec(), target[7:10], target[10:13])
+    np.testing.assert_allclose(pose_error(on, target), 0.0, atol=1e-12)
     off = Rotation.from_rotvec([0.01, -0.02, 0.03])
-    pose_error(state((0.1, 0.2, 0.3), (off * wanted).as_rotvec(), (1, 2, 3), (4, 5, 6)), target, error)
+    error = pose_error(state((0.1, 0.2, 0.3), (off * wanted).as_rotvec(), (1, 2, 3), (4, 5, 6)), target)
     np.testing.assert_allclose(error[3:6], [0.01, -0.02, 0.03], atol=1e-12)
     np.testing.assert_allclose(error[:3], np.array([0.1, 0.2, 0.3]) - target[:3])
     np.testing.assert_allclose(error[6:], np.arange(1.0, 7.0) - target[7:13])
@@ -112,26 +126,41 @@ def test_inertial_wrench_of_a_moving_target():
         np.testing.assert_allclose(balanced(s, target), [*force, *moment], rtol=1e-4, atol=1e-6)
 
 
-def test_least_norm_against_numpy():
+def test_a_squeeze_restores_balance_by_the_least_change():
     rng = np.random.default_rng(0)
-    for _ in range(20):
-        matrix, wrench, force = rng.normal(size=(6, 12)), rng.normal(size=6), rng.normal(size=12)
-        expected = force - np.linalg.pinv(matrix) @ (matrix @ force + wrench)
-        least_norm(force, matrix, wrench)
-        np.testing.assert_allclose(force, expected, atol=1e-6)  # 1e-9 of the largest entry stands on the diagonal
-    lost = np.ones(12)
-    least_norm(lost, np.zeros((6, 12)), np.ones(6))
-    np.testing.assert_array_equal(lost, 1.0)  # nothing can be done, and nothing is
+    for fingers in (4, 3):
+        for _ in range(20):
+            scene, s = scene_alone(ITEM)
+            s.points[:] = rng.normal(size=(4, 3))
+            normals = rng.normal(size=(4, 3))
+            s.normals[:] = normals / np.linalg.norm(normals, axis=1)[:, None]
+            made, told, given = controller(scene), rng.normal(size=6), rng.normal(size=3 * fingers)
+            which = (1 << fingers) - 1
+            made.add_set(which, None)
+            made.see(told, GRAVITY, resting_target(1)[0], None)
+            made.give(core.Hold.squeeze, which, given)
+            made.command()
+            arrays = made.arrays()
+            matrix = np.concatenate(
+                [
+                    np.vstack([f, np.cross(p, f, axisb=0, axisc=0)])
+                    for p, f in zip(s.points, arrays["frames"], strict=True)
+                ],
+                axis=1,
+            )[:, : 3 * fingers]
+            expected = given - np.linalg.pinv(matrix) @ (matrix @ given + arrays["wrench"])
+            # 1e-9 of the largest entry stands on the diagonal
+            np.testing.assert_allclose(arrays["force"].reshape(-1)[: 3 * fingers], expected, atol=2e-5)
+            assert not arrays["force"].reshape(-1)[3 * fingers :].any()
 
 
-def torques_of(s: Snapshot, tree: Any, frames: np.ndarray, forces: np.ndarray) -> np.ndarray:
+def torques_of(s: Snapshot, scene: Scene, frames: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Gravity compensation + J^T f, in plain numpy; forces (N, 3) in contact frames."""
     torques = s.gravity_torques.copy()
-    for finger, link in enumerate(tree.tip_links.tolist()):
+    for finger in range(len(forces)):
         push = s.rotation @ frames[finger] @ forces[finger]
-        while link >= 0:
+        for link in np.flatnonzero(scene.kinematics.carries[finger]):
             torques[link] += s.axes[link] @ np.cross(s.touch[finger] - s.origins[link], push)
-            link = int(tree.parents[link])
     return torques
 
 
@@ -188,15 +217,15 @@ class Trial:
                 )
             )  # fmt: skip
             if len(self.ticks) <= 5 and loop.fingers.size == 4:
-                expected = torques_of(s, scene.kinematics.tree, frames, loop.force)
+                expected = torques_of(s, scene, frames, loop.force)
                 np.testing.assert_allclose(torques, expected, atol=1e-9)
             if self.START < len(self.ticks) <= self.START + ticks:
                 for finger in pulled:
-                    link = scene.bodies.joints[int(scene.kinematics.tree.tip_links[finger])]
+                    link = scene.simulator.world.joints[int(scene.kinematics.tip_links[finger])]
                     away = -force * (s.rotation @ s.normals[finger])
                     bullet.applyExternalForce(
-                        scene.bodies.hand, link, away.tolist(), s.tips[finger].tolist(), bullet.WORLD_FRAME,
-                        scene.client.number,
+                        scene.simulator.world.hand, link, away.tolist(), s.tips[finger].tolist(), bullet.WORLD_FRAME,
+                        scene.simulator.client.number,
                     )  # fmt: skip
             advance(torques, wrench)
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hands import scene_alone
 from scipy.spatial.transform import Rotation
 
+from grasp_env import core
+from grasp_env.control.sensing import NoiseRows, keep_factor
 from grasp_env.disturbance import ornstein_uhlenbeck
-from grasp_env.estimation import ESTIMATOR_STATE, Delay, NoiseRows, add_force_noise, estimate_wrench, keep_factor
+from grasp_env.motion import resting_target
+from grasp_env.sim import Snapshot
 
 TICK = 0.004
 MASS = 0.2
@@ -64,32 +68,46 @@ def hold(wrench: np.ndarray, seed: int, mass: float = MASS, spin=(0.0, 0.0, 0.0)
     return trial
 
 
-def estimates(trial, time=0.0, noise=0.0, seed=0):
+class Estimator:
+    """The core's estimate of the external wrench, of a scene that is written by hand."""
+
+    def __init__(self, fingers: int = 4, time: float = 0.0, keep: float | None = None, noise: float = 0.0) -> None:
+        self.scene, self.views = scene_alone(fingers=fingers)
+        self.target = resting_target(1)[0]
+        control, sensors = core.ControlSettings(), core.SensorSettings()
+        self.body = core.Body()
+        self.body.mass, self.body.inertia = MASS, INERTIA.reshape(-1).tolist()
+        control.body = self.body
+        sensors.wrench, sensors.tick, sensors.tactile_noise = core.WrenchSource.estimated, TICK, noise
+        sensors.keep = keep_factor(time, TICK) if keep is None else keep
+        self.core = core.Controller.make(self.scene, control, sensors)
+        self.noise = NoiseRows(np.random.default_rng(0), 3 + 3 * fingers)
+
+    def __call__(self, rotation, linear, angular, points, forces, gravity=GRAVITY) -> np.ndarray:
+        s = self.views
+        s.rotation[:], s.linear[:], s.angular[:], s.points[:], s.forces[:] = rotation, linear, angular, points, forces
+        self.core.see(np.full(6, 9.0), gravity, self.target, self.noise())  # it does not look at the true wrench
+        return self.core.arrays()["wrench"] - self.body.wrench(self.scene, self.target, gravity)
+
+
+def estimates(trial, time=0.0, noise=0.0):
     """(T + 1, 6) estimates along a trial of `hold`."""
-    state, out, measured = np.zeros(ESTIMATOR_STATE), np.empty(6), np.empty((4, 3))
-    keep, rows = keep_factor(time, TICK), NoiseRows(np.random.default_rng(seed), 12)
-    result = []
-    for rotation, linear, angular, forces in trial:
-        add_force_noise(forces, noise, rows(), measured)
-        rotation = np.ascontiguousarray(rotation)
-        estimate_wrench(state, rotation, linear, angular, POINTS, measured, MASS, INERTIA, GRAVITY, TICK, keep, out)
-        result.append(out.copy())
-    return np.array(result)
+    estimator = Estimator(time=time, noise=noise)
+    return np.array(
+        [estimator(rotation, linear, angular, POINTS, forces) for rotation, linear, angular, forces in trial]
+    )
 
 
-def test_kernel_against_numpy():
-    rng = np.random.default_rng(0)
-    state, out = np.zeros(ESTIMATOR_STATE), np.empty(6)
-    expected_state = state.copy()
+def test_the_core_against_numpy():
+    rng, estimator = np.random.default_rng(0), Estimator(fingers=5, keep=0.7)
+    state = np.zeros(13)
     for _ in range(20):
-        rotation = np.ascontiguousarray(Rotation.random(random_state=int(rng.integers(1000))).as_matrix())
-        linear, angular, gravity = rng.standard_normal((3, 3))
+        rotation = Rotation.random(random_state=int(rng.integers(1000))).as_matrix()
+        linear, angular = rng.standard_normal((2, 3))
         points, forces = rng.standard_normal((2, 5, 3))
-        rest = (MASS, INERTIA, gravity, TICK, 0.7)
-        expected_state, expected = twin(expected_state, rotation, linear, angular, points, forces, *rest)
-        estimate_wrench(state, rotation, linear, angular, points, forces, *rest, out)
-        np.testing.assert_allclose(out, expected, rtol=1e-11, atol=1e-11)
-        np.testing.assert_allclose(state, expected_state, rtol=1e-11, atol=1e-11)
+        seen = (rotation, linear, angular, points, forces)
+        state, expected = twin(state, *seen, MASS, INERTIA, GRAVITY, TICK, 0.7)
+        np.testing.assert_allclose(estimator(*seen), expected, rtol=1e-11, atol=1e-11)
 
 
 def test_constant_wrench_is_found_at_once_and_filtered_as_asked():
@@ -144,15 +162,27 @@ def test_noise_against_lag(random_trial):
     assert error[0.02] < 0.7 * error[0.3]
 
 
+def look(seen: core.Controller, wrench: np.ndarray, noise: np.ndarray) -> Snapshot:
+    """What the controller sees at the next tick."""
+    seen.see(wrench, GRAVITY, resting_target(1)[0], noise)
+    return Snapshot(**seen.seen())
+
+
 def test_force_noise_statistics():
-    forces = np.array([[3.0, 0.0, 4.0], [0.0, 0.0, 0.0]])
-    noise = NoiseRows(np.random.default_rng(0), 6)
-    samples = np.empty((4000, 2, 3))
-    for out in samples:
-        add_force_noise(forces, 0.1, noise(), out)
+    scene, truth = scene_alone(fingers=2)
+    truth.forces[:] = forces = np.array([[3.0, 0.0, 4.0], [0.0, 0.0, 0.0]])
+    sensors = core.SensorSettings()
+    sensors.tactile_noise, sensors.pose_noise = 0.1, 1e-3
+    made, noise = core.Controller.make(scene, core.ControlSettings(), sensors), NoiseRows(np.random.default_rng(0), 9)
+    samples, places = np.empty((4000, 2, 3)), np.empty((4000, 3))
+    for k in range(4000):
+        seen = look(made, np.zeros(6), noise())
+        samples[k], places[k] = seen.forces, seen.position
     np.testing.assert_allclose(samples[:, 0].std(axis=0), 0.5, rtol=0.06)  # 10 % of 5 N on every axis
     np.testing.assert_allclose(samples[:, 0].mean(axis=0), forces[0], atol=0.04)
     assert not samples[:, 1].any()
+    np.testing.assert_allclose(places.std(axis=0), 1e-3, rtol=0.06)
+    np.testing.assert_array_equal(truth.forces, forces)  # the scene itself is left alone
 
 
 def test_noise_rows_are_the_seeds():
@@ -163,17 +193,23 @@ def test_noise_rows_are_the_seeds():
     np.testing.assert_array_equal(many, np.random.default_rng(5).standard_normal((200, 7)))
 
 
-@pytest.mark.parametrize("ticks", [0, 1, 5])
-def test_delay(ticks):
-    delay = Delay.of_time(ticks * TICK + 0.0003, 1.0 / TICK, 2)
-    assert delay.ticks == ticks
+@pytest.mark.parametrize("late", [0, 1, 5])
+@pytest.mark.parametrize("later", [0, 2])
+def test_delays(late, later):
+    """The scene and forces come `late` ticks late, measured wrenches `later` ticks more; before the first tick it stood still."""
+    scene, truth = scene_alone()
+    sensors = core.SensorSettings()
+    sensors.delay, sensors.wrench_delay = late, later
+    made = core.Controller.make(scene, core.ControlSettings(), sensors)
     for _ in range(2):  # a reset forgets
-        delay.reset(np.array([-1.0, -2.0]))
+        truth.forces[:] = -1.0
+        made.reset()
         for k in range(20):
-            row = np.array([k, 10.0 * k])
-            late = delay(row)
-            np.testing.assert_array_equal(late, [-1.0, -2.0] if k < ticks else [k - ticks, 10.0 * (k - ticks)])
-            row[:] = np.nan  # the buffer holds a copy
+            truth.forces[:] = k
+            seen = look(made, np.full(6, 1.0 + k), np.zeros(15))
+            assert (seen.forces == (-1.0 if k < late else k - late)).all()
+            known = 0.0 if k < late + later else 1.0 + k - late - later
+            np.testing.assert_array_equal(made.arrays()["wrench"], known)  # of a body without mass
 
 
 def test_keep_factor():

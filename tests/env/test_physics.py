@@ -67,8 +67,8 @@ def test_contact_forces_sum_to_the_applied_wrench(hand, shape):
     weight = s.rotation.T @ (0.2 * np.array([0.0, -9.81, 0.0]))
     applied = WRENCH + np.concatenate([weight, np.zeros(3)])
     force, moment = s.forces.sum(axis=0), np.zeros(3)
-    hand, item = env.scene.bodies.hand, env.scene.bodies.object
-    for row in bullet.getContactPoints(hand, item, physicsClientId=env.scene.client.number):
+    hand, item = env.scene.simulator.world.hand, env.scene.simulator.world.object
+    for row in bullet.getContactPoints(hand, item, physicsClientId=env.scene.simulator.client.number):
         push = -(row[9] * np.array(row[7]) + row[10] * np.array(row[11]) + row[12] * np.array(row[13]))
         moment += s.rotation.T @ np.cross(np.array(row[6]) - s.position, push)
     np.testing.assert_allclose(force, -applied[:3], atol=0.01 * np.linalg.norm(applied[:3]))
@@ -115,13 +115,13 @@ def still() -> list[tuple[dict[str, Any], float, np.ndarray]]:
     env = FourFingerGrasp(disturbance="none", duration=20.0)
     env.reset(seed=0)
     rows = []
-    tree = env.scene.kinematics.tree
+    masses = np.array([link.mass for link in env.scene.config.hand.links])
     for _ in range(500):
         _, _, terminated, _, info = env.step(np.zeros(6, dtype=np.float32))
         assert not terminated
         s = env.scene.look()
         energy = 0.5 * 0.2 * s.linear @ s.linear + 0.5 * (0.2 * 0.1**2 / 6.0) * s.angular @ s.angular
-        energy += 0.5 * (tree.masses * 0.1**2) @ s.rates**2  # links turn about points at most 0.1 m away
+        energy += 0.5 * (masses * 0.1**2) @ s.rates**2  # links turn about points at most 0.1 m away
         rows.append((info, float(energy), np.concatenate([s.position, s.rotation.reshape(-1)])))
     env.close()
     return rows

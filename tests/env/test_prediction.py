@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env.prediction import carry_forward
-from grasp_env.sim import Scene, SceneConfig
-from grasp_env.sim.snapshot import split
+from grasp_env import core
+from grasp_env.motion import resting_target
+from grasp_env.sim import Scene, SceneConfig, Snapshot
 
 
 def test_carried_forward_is_what_comes() -> None:
-    """A free object turns and drifts at constant speed, one joint moves slowly: after 20 ms the prediction is the scene."""
+    """A free object turns and drifts at constant speed, one joint moves slowly: what is seen 20 ms late is carried to now."""
+    late = 5
     scene = Scene(SceneConfig(clearance=0.03, gravity=(0.0, 0.0, 0.0)))
     hand = scene.config.hand
-    torques = np.zeros(hand.joint_count)
+    sensors = core.SensorSettings()
+    sensors.tick, sensors.delay = scene.timestep, late
+    controller = core.Controller.make(scene.core, core.ControlSettings(), sensors)
+    controller.reset()
+    torques, still = np.zeros(hand.joint_count), (np.zeros(6), np.zeros(3), resting_target(1)[0], np.zeros(15))
     torques[2] = 1e-4  # [N m]
     scene.step(torques, [0.5, -0.2, 0.3, 0.01, 0.02, -0.03])
-    scene.look()
-    buffer = scene.buffer.copy()
-    seen = split(buffer, hand.finger_count, hand.joint_count)
-    before = seen.points.copy()
-    for _ in range(5):
+    before = scene.look().points.copy()
+    for _ in range(late):
+        controller.see(*still)
         scene.step(np.zeros(hand.joint_count))
-    time = 5 * scene.timestep
-    carry_forward(*scene.observed, time, buffer)
-    now = scene.look()
+        scene.look()
+    controller.see(*still)
+    seen, now = Snapshot(**controller.seen()), scene.look()
     # the cube's three moments of inertia are equal: it turns at constant velocity; Bullet's quaternion steps are exact to 1e-6
     np.testing.assert_allclose(seen.rotation, now.rotation, atol=1e-6)
     np.testing.assert_allclose(seen.position, now.position, atol=1e-12)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from hands import numbers
 
 from grasp_env.env import FourFingerGrasp
 from grasp_env.sim import Scene
@@ -52,8 +53,7 @@ def start(env: FourFingerGrasp) -> np.ndarray:
     miss = np.linalg.norm(s.rotation @ s.forces.sum(axis=0) + weight) / np.linalg.norm(weight)
     assert miss < 0.01  # what the environment promises
     for _ in range(10):
-        scene.look()
-        rows.append(scene.buffer.copy())
+        rows.append(numbers(scene))
         env.step(ZERO)
     return np.array(rows)
 
@@ -64,7 +64,7 @@ def disturb(scene: Scene, seed: int, steps: int) -> None:
     push = np.zeros(6) if seed == 0 else np.array([2.0, 2.0, 2.0, 0.05, 0.05, 0.05])
     torque = 0.0 if seed == 0 else 0.3
     for _ in range(steps):
-        scene.step(torque * rng.normal(size=len(scene.bodies.joints)), push * rng.normal(size=6))
+        scene.step(torque * rng.normal(size=len(scene.simulator.world.joints)), push * rng.normal(size=6))
 
 
 @pytest.mark.parametrize("settings", OBJECTS, ids=str)
@@ -82,9 +82,8 @@ def go_on(scene: Scene) -> np.ndarray:
     """Everything that can be read now and in a few steps under given torques."""
     rows = []
     for _ in range(6):
-        scene.look()
-        rows.append(scene.buffer.copy())
-        scene.advance([0.02] * len(scene.bodies.joints), None)
+        rows.append(numbers(scene))
+        scene.advance([0.02] * len(scene.simulator.world.joints), None)
     return np.array(rows)
 
 

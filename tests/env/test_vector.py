@@ -127,7 +127,7 @@ def test_every_environment_has_a_client_of_its_own():
         env.close()
     before = sum(bullet.isConnected(number) for number in range(64))
     envs = [FourFingerGrasp(**RANDOM) for _ in range(3)]
-    assert len({env.scene.client.number for env in envs}) == 3
+    assert len({env.scene.simulator.client.number for env in envs}) == 3
     assert sum(bullet.isConnected(number) for number in range(64)) == before + 3
     rows: list[list[np.ndarray]] = [[env.reset(seed=seed)[0]] for env, seed in zip(envs, (3, 4, 5), strict=True)]
     for _ in range(10):

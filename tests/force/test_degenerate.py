@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from oracles.phi import phi
 from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp, weights
 
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, cone_margin, optimize_force, phase_one
 from grasp_env.force.basis import starter
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp import wrench as wrenches
-from grasp_env.phi_kernels import phi
 
 
 def _inside(rng: np.random.Generator) -> np.ndarray:

@@ -21,7 +21,6 @@ from grasp_env.force import (
 )
 from grasp_env.force.basis import _REMEMBERED
 from grasp_env.grasp import Grasp, presets
-from grasp_env.phi_kernels import step_to_boundary
 
 
 def test_a_remembered_basis_does_not_keep_its_grasp_alive():
@@ -61,15 +60,6 @@ def test_the_printed_start_of_a_tiny_wrench_converges(method):
     wrench = [1e-9, 0, 0, 0, 0, 0]
     solution = optimize_force(presets.paper_cuboid(), wrench, initial="linear_combination_printed", method=method)
     assert solution.status is Status.OPTIMAL
-
-
-def test_step_to_boundary_through_the_apex():
-    rng = np.random.default_rng(0)
-    for _ in range(2000):
-        x = np.array([1.0, *rng.uniform(-0.6, 0.6, 2)])
-        factor = rng.uniform(0.1, 3.0)
-        # the discriminant is zero: a double root has half the digits
-        assert step_to_boundary(x, -factor * x) == pytest.approx(1.0 / factor, rel=1e-6)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])

@@ -1,24 +1,25 @@
-"""`ForcePipeline.carry` between two solves: the optimum followed, repaired, clipped, and its twin in the control tick."""
+"""`ForcePipeline.carry` between two solves: the optimum followed, repaired, clipped, as the control tick does."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from force.test_pipeline import NOMINAL, contacts, grasp_of, some_wrench
+from oracles.carry import CARRIED, CLIPPED, REPAIRED, carry, turn
+from oracles.newton import combine, tangent_correction
+from oracles.phi import phi
 from problems import PAPER_WRENCH
 
-from grasp_env.carry_kernels import CARRIED, CLIPPED, REPAIRED, carry_or_repair, turn, write_contact_geometry
 from grasp_env.force import ForceOptimizer, Status
 from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.grasp import Grasp
-from grasp_env.phi_kernels import combine, tangent
 
 
 @pytest.mark.parametrize("count", NOMINAL)
 def test_carry_follows_the_optimum(count: int) -> None:
     rng = np.random.default_rng(count)
     pipeline = ForcePipeline(NOMINAL[count], method="newton", tolerance=1e-8)
-    force, x = np.empty((count, 3)), np.empty(3 * count)
+    force = np.empty((count, 3))
     for _ in range(20):
         points, normals = contacts(rng, count)
         wrench = some_wrench(rng)
@@ -34,7 +35,7 @@ def test_carry_follows_the_optimum(count: int) -> None:
         best = ForceOptimizer(grasp, method="newton", tolerance=1e-10).solve(wrench)
         np.testing.assert_allclose(force, best.force, atol=1e-2)
         # the tangent correction of now, exactly: the tangents turn by less than rounding shows
-        assert tangent(pipeline.x, grasp.cone_matrix.copy(), wrench, pipeline.held.weights, x)
+        x = tangent_correction(pipeline.x, grasp.cone_matrix, wrench, pipeline.held.weights)
         np.testing.assert_allclose(grasp.to_cone(force), x, atol=1e-5)
 
 
@@ -48,9 +49,10 @@ def test_carry_repairs_and_clips() -> None:
     assert grasp.residual(force, heavy) < 1e-9
     assert grasp.cone_margin(force) > 0.0
     # friction cones that no balanced force of any combination is in: a wrench along which the basis does not reach
-    x, out = pipeline.x.copy(), np.empty(12)
-    assert carry_or_repair(x, np.zeros(12), pipeline.cone_matrix, heavy, pipeline.held.weights, out) == CLIPPED
-    pipeline._core.set_basis(np.zeros((13, 12)), np.ascontiguousarray(grasp.frames))
+    outside = np.tile([1.0, 2.0, 0.0], 4)
+    outcome, out, _ = carry(pipeline.x, outside, pipeline.cone_matrix, heavy, pipeline.held.weights)
+    assert outcome == CLIPPED
+    pipeline.core.set_basis(np.zeros((13, 12)), np.ascontiguousarray(grasp.frames))
     assert pipeline.carry(points, normals, heavy, force) == CLIPPED
     for clipped in (out, grasp.to_cone(force)):
         u, o, t = clipped.reshape(-1, 3).T
@@ -59,34 +61,50 @@ def test_carry_repairs_and_clips() -> None:
 
 
 @pytest.mark.parametrize("count", NOMINAL)
-def test_the_control_tick_carries_as_the_pipeline_does(count: int) -> None:
-    """`carry_kernels`, step by step, against one call of the core."""
+def test_carry_step_by_step(count: int) -> None:
     rng = np.random.default_rng(count)
     pipeline = ForcePipeline(NOMINAL[count], method="newton")
-    held, size, seen = pipeline.held, 3 * count, set()
-    frames, matrix, cone_matrix = np.empty((count, 3, 3)), np.empty((6, size)), np.empty((6, size))
-    x, combined, there, out = np.empty((4, size))
-    force = np.empty((count, 3))
+    held, seen, force = pipeline.held, set(), np.empty((count, 3))
     for jump in (1e-3, 0.1, 1.0, 10.0, 100.0) * 4:
         points, normals = contacts(rng, count)
         wrench = some_wrench(rng)
         pipeline.solve(points, normals, wrench)
         points, normals = contacts(rng, count)
         wrench = wrench + jump * some_wrench(rng)
-        write_contact_geometry(points, normals, held.divisor.copy(), held.tangents, frames, matrix, cone_matrix)
         now = grasp_of(count, points, normals)
-        np.testing.assert_allclose(frames, now.frames, rtol=0, atol=3e-15)
-        np.testing.assert_allclose(matrix, now.matrix, rtol=0, atol=3e-15)
-        np.testing.assert_allclose(cone_matrix, now.cone_matrix, rtol=1e-14, atol=3e-15)
-        turn(held.x, held.divisor.copy(), held.frames, frames, x)
-        combine(held.basis, wrench, False, there)
-        turn(there, held.divisor.copy(), held.basis_frames, frames, combined)
-        outcome = carry_or_repair(x, combined, cone_matrix, wrench, held.weights, out)
+        x = turn(held.x, held.divisor, held.frames, now.frames)
+        combined = turn(combine(held.basis, wrench), held.divisor, held.basis_frames, now.frames)
+        outcome, first, last = carry(x, combined, now.cone_matrix, wrench, held.weights)
         assert pipeline.carry(points, normals, wrench, force) == outcome
+        made, way = now.to_cone(force), last - first
+        part = float(np.clip((made - first) @ way / max(float(way @ way), 1e-300), 0.0, 1.0))
         # a system of condition up to 1e7, solved in two frames
-        np.testing.assert_allclose(now.to_cone(force), out, rtol=0, atol=1e-7 * np.abs(out).max())
+        np.testing.assert_allclose(made, first + part * way, rtol=0, atol=1e-7 * np.abs(last).max())
+        assert phi(made, held.weights) <= phi(first, held.weights) * (1.0 + 1e-6)
         seen.add(outcome)
     assert seen >= {CARRIED, REPAIRED}
+
+
+@pytest.mark.parametrize("count", NOMINAL)
+def test_a_force_that_is_not_held_is_carried_alike(count: int) -> None:
+    """`carry_from` of what is held, in place or not, gives the bits of `carry`, and leaves what is held alone."""
+    rng = np.random.default_rng(count)
+    pipeline = ForcePipeline(NOMINAL[count], method="newton")
+    for jump in (1e-3, 1.0, 100.0):
+        points, normals = contacts(rng, count)
+        solution = pipeline.solve(points, normals, some_wrench(rng))
+        then, frames = solution.force.copy(), pipeline.frames.copy()
+        held, wanted, made = [array.copy() for array in pipeline.held], np.empty((count, 3)), np.empty((count, 3))
+        points, normals = contacts(rng, count)
+        wrench = jump * some_wrench(rng)
+        outcome = pipeline.carry(points, normals, wrench, wanted)
+        assert pipeline.core.carry_from(points, normals, wrench, then, frames, made) == outcome
+        # force times scale, as it was held
+        np.testing.assert_allclose(made, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
+        pipeline.core.carry_from(points, normals, wrench, then, frames, then)
+        np.testing.assert_array_equal(then, made)
+        for array, before in zip(pipeline.held, held, strict=True):
+            np.testing.assert_array_equal(array, before)
 
 
 def test_carry_without_an_optimum_is_the_carried_combination() -> None:
@@ -120,9 +138,8 @@ def test_frames_that_switch_axes_carry_the_force_along() -> None:
         grasp.to_object_frame(before.force),
         atol=0.05 * before.force[:, 0].max(),
     )
-    x, back = np.empty(12), np.empty(12)
-    turn(grasp.to_cone(before.force), pipeline.held.divisor, grasp.frames.copy(), frames, x)
-    turn(x, pipeline.held.divisor, frames, grasp.frames.copy(), back)
+    x = turn(grasp.to_cone(before.force), pipeline.held.divisor, grasp.frames, frames)
+    back = turn(x, pipeline.held.divisor, frames, grasp.frames)
     np.testing.assert_allclose(back, grasp.to_cone(before.force), rtol=1e-3, atol=1e-3)
     assert pipeline.solve(points, turned, wrench).status is Status.OPTIMAL
     np.testing.assert_array_equal(pipeline.frames, after.frames)

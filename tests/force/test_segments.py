@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 import pytest
 from oracles import newton as oracle
+from oracles.phi import phi
 from problems import PAPER_WRENCH, closure_grasps, random_grasp, weights
 
 from grasp_env import core
@@ -15,7 +15,6 @@ from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, car
 from grasp_env.force.basis import core_contacts, starter
 from grasp_env.force.repair import CORRECTIONS, Correction
 from grasp_env.grasp import Grasp, presets, wrench
-from grasp_env.phi_kernels import best_on_segment, combine, phi, step_to_boundary
 
 OBJECTIVE = Objective()
 GRASPS = [presets.tripod(), presets.paper_cuboid(), presets.five_finger_cuboid(), *closure_grasps()[:5]]
@@ -84,42 +83,18 @@ def test_ray_interval_on_real_numbers() -> None:
         assert (((low < GRID) & (high > GRID)) == scan)[clear].all(), (point, ray, low, high)
 
 
-@pytest.mark.parametrize("contacts", [1, 2, 4])
-def test_step_to_boundary_against_an_exact_scan(contacts: int) -> None:
-    rng = np.random.default_rng(20 + contacts)
-    endless = 0
-    for _ in range(4000):
-        x = rng.integers(-3, 4, 3 * contacts).astype(float)
-        x[0::3] = np.floor(np.hypot(x[1::3], x[2::3])) + 1.0
-        step = rng.integers(-3, 4, 3 * contacts).astype(float)
-        step[0::3] = np.abs(step[0::3]) + rng.integers(0, 3) if rng.random() < 0.5 else step[0::3]
-        limit = step_to_boundary(x, step)
-        scan = inside(x, step)
-        clear = np.abs(GRID - limit) > 1e-9 * (1 + GRID)  # see above
-        assert ((limit > GRID) == scan)[clear].all(), (x, step, limit)
-        endless += limit == np.inf
-    assert endless > 100
+def best_on_segment(grasp: Grasp, safe: np.ndarray, candidate: np.ndarray) -> tuple[float, np.ndarray]:
+    """How far along, and the force there."""
+    out = candidate.copy()
+    return starter(grasp, OBJECTIVE).segment(safe, out), out
 
 
-def by_the_core(grasp: Grasp, safe: np.ndarray, candidate: np.ndarray, out: np.ndarray) -> float:
-    out[:] = candidate
-    return starter(grasp, OBJECTIVE).segment(safe, out)
+ROUNDING = 1e-14
+"""Part of Phi by which the best may seem worse than an end: the core compares sums of another order than the oracle."""
 
 
-def by_the_kernel(grasp: Grasp, safe: np.ndarray, candidate: np.ndarray, out: np.ndarray) -> float:
-    return best_on_segment(safe, candidate, weights(safe), out)
-
-
-Segment = Callable[[Grasp, np.ndarray, np.ndarray, np.ndarray], float]
-both_segments = pytest.mark.parametrize("segment", [by_the_core, by_the_kernel])
-"""What the solver does, and what the control tick does between two solves."""
-ROUNDING = {by_the_core: 1e-14, by_the_kernel: 0.0}
-"""Part of Phi by which the best may seem worse than an end: the core compares sums of another order than `kernels.phi`."""
-
-
-@both_segments
 @pytest.mark.parametrize("grasp", GRASPS, ids=lambda grasp: f"N{grasp.n_contacts}")
-def test_best_on_segment_is_the_best_of_the_segment(grasp: Grasp, segment: Segment) -> None:
+def test_best_on_segment_is_the_best_of_the_segment(grasp: Grasp) -> None:
     rng = np.random.default_rng(30)
     basis = OfflineBasis.of(grasp)
     thetas = np.linspace(0.0, 1.0, 1001)
@@ -127,13 +102,12 @@ def test_best_on_segment_is_the_best_of_the_segment(grasp: Grasp, segment: Segme
         load = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
         safe = grasp.to_cone(basis.combine(load))
         candidate = safe + rng.standard_normal(safe.size) * safe.max() * 10.0 ** rng.uniform(-3, 0)
-        out = np.empty_like(safe)
-        theta = segment(grasp, safe, candidate, out)
+        theta, out = best_on_segment(grasp, safe, candidate)
         assert 0.0 <= theta <= 1.0
         value = phi(out, weights(safe))
         assert cone_margin(grasp.to_force(out), grasp.friction) > 0.0
-        assert value <= phi(safe, weights(safe)) * (1.0 + ROUNDING[segment])
-        assert value <= phi(candidate, weights(safe)) * (1.0 + ROUNDING[segment])
+        assert value <= phi(safe, weights(safe)) * (1.0 + ROUNDING)
+        assert value <= phi(candidate, weights(safe)) * (1.0 + ROUNDING)
         scan = min(phi(safe + k * (candidate - safe), weights(safe)) for k in thetas)
         # twelve halvings end within 1e-3 of theta: far less than a tenth of what the segment can gain
         assert value - scan <= 0.1 * (phi(safe, weights(safe)) - scan) + 1e-12 * value
@@ -159,14 +133,12 @@ def test_combinations_are_equations_33_and_34() -> None:
             load = size * rng.standard_normal(6)
             for printed in (False, True):
                 wanted = oracle.combine(basis, load, printed)
-                for made in (core.combine, combine):
-                    made(basis, load, printed, out)
-                    # sums of at most seven terms
-                    np.testing.assert_allclose(out, wanted, rtol=0, atol=1e-15 * np.abs(basis).max() * (1.0 + 6 * size))
+                core.combine(basis, load, printed, out)
+                # sums of at most seven terms
+                np.testing.assert_allclose(out, wanted, rtol=0, atol=1e-15 * np.abs(basis).max() * (1.0 + 6 * size))
 
 
-@both_segments
-def test_repair_of_twenty_thousand_candidates_is_never_worse_than_the_basis(segment: Segment) -> None:
+def test_repair_of_twenty_thousand_candidates_is_never_worse_than_the_basis() -> None:
     rng = np.random.default_rng(31)
     better = 0
     for k in range(20_000):
@@ -175,7 +147,7 @@ def test_repair_of_twenty_thousand_candidates_is_never_worse_than_the_basis(segm
             OfflineBasis.of(grasp)
         load = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03] * 10.0 ** rng.uniform(-3, 1)
         safe = np.empty(3 * grasp.n_contacts)
-        combine(OfflineBasis.of(grasp).cone_forces, load, False, safe)
+        core.combine(OfflineBasis.of(grasp).cone_forces, load, False, safe)
         candidate = wild(rng, safe)
         flat = candidate / grasp.models.cone_divisor.reshape(-1)
         if np.isfinite(flat).all():  # the steps of `Repair`, without its set-up
@@ -183,9 +155,8 @@ def test_repair_of_twenty_thousand_candidates_is_never_worse_than_the_basis(segm
             x = grasp.to_cone(flat.reshape(-1, 3))
         else:
             x = safe.copy()
-        out = np.empty_like(safe)
-        segment(grasp, safe, x, out)
-        assert phi(out, weights(safe)) <= phi(safe, weights(safe)) * (1.0 + ROUNDING[segment])
+        _, out = best_on_segment(grasp, safe, x)
+        assert phi(out, weights(safe)) <= phi(safe, weights(safe)) * (1.0 + ROUNDING)
         assert cone_margin(grasp.to_force(out), grasp.friction) > 0.0
         force = grasp.to_force(out)
         # what a candidate of 1e8 N leaves of its balance is 1e-7 N, times the part of it that is taken

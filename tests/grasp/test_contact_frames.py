@@ -5,7 +5,6 @@ import pytest
 from oracles.geometry import frame, grasp_matrix
 from problems import GRASPS, random_grasp
 
-from grasp_env.carry_kernels import write_contact_geometry
 from grasp_env.core import TANGENT_SWITCH
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.contact import contact_frames
@@ -46,36 +45,28 @@ def test_compiled_geometry_is_the_plain_one(normals: np.ndarray) -> None:
     positions, friction = rng.uniform(-0.1, 0.1, normals.shape), rng.uniform(0.1, 2.0, len(normals))
     stretch = np.stack([friction, *np.ones((2, len(normals)))], axis=1)
     grasp = Grasp.from_contacts(positions, normals, friction)
-    by_the_core = grasp.frames, grasp.matrix, grasp.cone_matrix
-    by_the_kernel = tuple(np.empty(array.shape) for array in by_the_core)
-    write_contact_geometry(positions, normals, stretch, np.zeros((0, 3)), *by_the_kernel)
     plain = contact_frames(normals)
-    for frames, matrix, cone_matrix in (by_the_core, by_the_kernel):
-        # the projection is written out, so only rounding may differ
-        np.testing.assert_allclose(frames, plain, atol=3e-15)
-        np.testing.assert_allclose(matrix, grasp_matrix(positions, plain), atol=3e-15)
-        np.testing.assert_allclose(cone_matrix * stretch.reshape(-1), matrix, atol=3e-15)
+    # the projection is written out, so only rounding may differ
+    np.testing.assert_allclose(grasp.frames, plain, atol=3e-15)
+    np.testing.assert_allclose(grasp.matrix, grasp_matrix(positions, plain), atol=3e-15)
+    np.testing.assert_allclose(grasp.cone_matrix * stretch.reshape(-1), grasp.matrix, atol=3e-15)
 
 
 def test_frames_along_given_tangents(normals: np.ndarray) -> None:
-    """The grasp's and those of the control tick, which may be asked for tangents close to the normal."""
     rng = np.random.default_rng(3)
     positions, tangents = rng.uniform(-0.1, 0.1, normals.shape), rng.standard_normal(normals.shape)
     tangents[::3] = normals[::3] + 1e-3 * tangents[::3]
     grasp = Grasp.from_contacts(positions, normals, 0.5, tangents=tangents)
     stretch = np.tile([0.5, 1.0, 1.0], (len(normals), 1))
-    by_the_core = grasp.frames, grasp.matrix, grasp.cone_matrix
-    by_the_kernel = tuple(np.empty(array.shape) for array in by_the_core)
-    write_contact_geometry(positions, normals, stretch, tangents, *by_the_kernel)
     # what the projection loses where the tangent is within 1e-3 of the normal
     near = np.where(np.arange(len(normals)) % 3 == 0, 1e-11, 1e-13)[:, None, None]
     plain = np.array([frame(n, along) for n, along in zip(normals, tangents, strict=True)])
-    for frames, matrix, cone_matrix in (by_the_core, by_the_kernel):
-        assert (np.abs(frames - plain) <= near).all()
-        np.testing.assert_allclose(np.einsum("nji,njk->nik", frames, frames), np.tile(np.eye(3), (len(normals), 1, 1)),
-                                   atol=3e-15)  # fmt: skip
-        np.testing.assert_allclose(matrix, grasp_matrix(positions, frames), atol=3e-15)
-        np.testing.assert_allclose(cone_matrix * stretch.reshape(-1), matrix, atol=3e-15)
+    frames = grasp.frames
+    assert (np.abs(frames - plain) <= near).all()
+    turned = np.einsum("nji,njk->nik", frames, frames)
+    np.testing.assert_allclose(turned, np.tile(np.eye(3), (len(normals), 1, 1)), atol=3e-15)
+    np.testing.assert_allclose(grasp.matrix, grasp_matrix(positions, frames), atol=3e-15)
+    np.testing.assert_allclose(grasp.cone_matrix * stretch.reshape(-1), grasp.matrix, atol=3e-15)
 
 
 @pytest.mark.parametrize("name", GRASPS)

@@ -22,13 +22,11 @@ def grasp_matrix(points: np.ndarray) -> np.ndarray:
 
 def grasp_torques(scene: Scene, forces: np.ndarray) -> np.ndarray:
     """Torques (M,) with which the tips push with `forces` (N, 3), object frame, and that carry the links."""
-    s, tree = scene.look(), scene.kinematics.tree
+    s = scene.look()
     torques = s.gravity_torques.copy()
     for finger, force in enumerate(forces @ s.rotation.T):
-        link = int(tree.tip_links[finger])
-        while link >= 0:
+        for link in np.flatnonzero(scene.kinematics.carries[finger]):
             torques[link] += s.axes[link] @ np.cross(s.touch[finger] - s.origins[link], force)
-            link = int(tree.parents[link])
     return torques
 
 

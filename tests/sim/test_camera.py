@@ -77,7 +77,7 @@ def test_project_agrees_with_the_renderer(scene: Scene) -> None:
     config = CameraConfig(width=240, height=240, object_opacity=1.0)
     camera = Camera(scene, config)
     with_object = camera.capture().astype(int)
-    with scene.object_hidden():
+    with scene.simulator.object_hidden():
         without = camera.capture().astype(int)
     rows, columns = np.nonzero(np.abs(with_object - without).max(axis=2) > 40)
     half = 0.05 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -240,5 +240,5 @@ def test_smooth_edges_come_nearer_to_the_true_coverage(angle: float) -> None:
 
 
 def test_debug_lines_without_a_window_do_nothing(scene: Scene) -> None:
-    lines = draw_debug(scene.client.number, one_finger())
-    assert len(draw_debug(scene.client.number, one_finger(), lines)) == 2
+    lines = draw_debug(scene.simulator.client.number, one_finger())
+    assert len(draw_debug(scene.simulator.client.number, one_finger(), lines)) == 2

@@ -28,7 +28,7 @@ def test_closing_twice_is_fine() -> None:
     scene = Scene()
     scene.close()
     scene.close()
-    assert scene.client.closed
+    assert scene.simulator.client.closed
 
 
 @pytest.mark.parametrize("name", ["reset", "look", "keep", "change_object"])

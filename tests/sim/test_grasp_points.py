@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hands import load_hand
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceOptimizer, force_closure
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.presets import paper_cuboid
 from grasp_env.sim import HANDS, HandKinematics
-from grasp_env.sim.bodies import create_body
+from grasp_env.sim.bullet import create_body, joint_indices
 from grasp_env.sim.clearance import hand_clearance, hand_limbs, segment_gap, surface_gap
 from grasp_env.sim.client import Client, bullet
-from grasp_env.sim.grasp_points import FRICTION_MARGIN, check_points, grasp_points
+from grasp_env.sim.grasp_points import FRICTION_MARGIN, _tree, check_points, grasp_points
 from grasp_env.sim.grasp_search import least_force
-from grasp_env.sim.hand_bodies import joint_indices, load_hand
 from grasp_env.sim.objects import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
 from grasp_env.sim.shapes import nearest
 
@@ -43,7 +43,7 @@ def check(item: ObjectDescription, kinematics: HandKinematics, points: np.ndarra
     on, inward = check_points(item, points, normals)
     np.testing.assert_allclose(points, on, atol=1e-9)
     np.testing.assert_allclose(normals, inward, atol=1e-6)
-    tree = kinematics.tree
+    tree = _tree(kinematics)
     tips = points - tree.tip_radii[:, None] * normals
     angles = kinematics.solve(tips)
     away, apart = hand_clearance(tree, hand_limbs(kinematics.hand), item.surface, angles)
@@ -115,7 +115,7 @@ def test_bullet_sees_no_other_contact(hand: HandKinematics) -> None:
         item = ObjectDescription(shape)
         points, normals = grasp_points(item, hand)
         # with gaps of 0.2 mm at the tips nothing at all touches
-        angles = hand.solve(points - (hand.tree.tip_radii[:, None] + 2e-4) * normals)
+        angles = hand.solve(points - (hand.tip_radii[:, None] + 2e-4) * normals)
         client = Client()
         number = client.number
         body = load_hand(number, hand.hand)
@@ -127,7 +127,7 @@ def test_bullet_sees_no_other_contact(hand: HandKinematics) -> None:
         rows = bullet.getContactPoints(physicsClientId=number)
         assert all(row[8] > 0.0 for row in rows)
         near = {row[3] for row in bullet.getClosestPoints(body, held, 4e-4, physicsClientId=number)}
-        assert near == {joints[link] for link in hand.tree.tip_links}
+        assert near == {joints[link] for link in hand.tip_links}
         client.close()
 
 

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hands import links_of_indices, load_hand
 
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError
+from grasp_env.sim.bullet import joint_indices
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.hand import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Link, Palm
-from grasp_env.sim.hand_bodies import joint_indices, links_of_indices, load_hand
-from grasp_env.sim.kinematics import HandKinematics, trace_hand, write_jacobian
+from grasp_env.sim.kinematics import HandKinematics
 
 # where the fingers press on the faces of a cuboid at z = -side / 2 (the thumb) and z = side / 2 [m]
 FRONT = {
@@ -107,13 +108,13 @@ def test_equal_hands_are_equal_hashable_and_picklable() -> None:
 def test_links_clear_one_another_and_the_object(posed: Posed, side: float) -> None:
     kinematics, tips = posed.kinematics, tips_on_cuboid(posed.hand.name, side)
     angles = kinematics.solve(tips)
-    assert np.minimum(angles - kinematics.tree.lower, kinematics.tree.upper - angles).min() > 0.4
+    assert np.minimum(angles - kinematics.lower, kinematics.upper - angles).min() > 0.4
     posed.pose(angles)
     assert posed.collisions() == set()
     halves = [0.5 * side] * 3
     shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=halves, physicsClientId=posed.number)
     box = bullet.createMultiBody(0.2, shape, physicsClientId=posed.number)
-    tip_links = kinematics.tree.tip_links.tolist()
+    tip_links = kinematics.tip_links.tolist()
     for link in range(posed.hand.joint_count):
         gap = posed.distance(box, link)
         assert abs(gap) < 1e-6 if link in tip_links else gap > 0.03, (link, gap)
@@ -126,8 +127,8 @@ def test_links_clear_one_another_and_the_object(posed: Posed, side: float) -> No
 @pytest.mark.parametrize("side", OBJECT_SIDES)
 def test_only_the_tip_of_a_distal_link_is_near_the_object(posed: Posed, side: float) -> None:
     kinematics, hand = posed.kinematics, posed.hand
-    frames, origins, _ = traced(kinematics, kinematics.solve(tips_on_cuboid(hand.name, side)))
-    for link in kinematics.tree.tip_links:
+    frames, origins = kinematics.links(kinematics.solve(tips_on_cuboid(hand.name, side)))
+    for link in kinematics.tip_links:
         capsule = next(shape for shape in hand.links[link].collision if shape.kind == "capsule")
         along = np.linspace(-0.5, 0.5, 41) * capsule.size[1] + capsule.origin[0]
         outside = np.maximum(np.abs(origins[link] + np.outer(along, frames[link][:, 0])) - 0.5 * side, 0.0)
@@ -135,12 +136,12 @@ def test_only_the_tip_of_a_distal_link_is_near_the_object(posed: Posed, side: fl
 
 
 def test_a_finger_meets_itself_nowhere_and_the_palm_only_with_its_folded_tip(posed: Posed) -> None:
-    rng, tree, hand = np.random.default_rng(5), posed.kinematics.tree, posed.hand
+    rng, hand, (lower, upper) = np.random.default_rng(5), posed.hand, (posed.kinematics.lower, posed.kinematics.upper)
     posed.pose(posed.kinematics.home)
     assert posed.collisions() == set()
     for trial in range(400):
         own = posed.kinematics.carries[trial % hand.finger_count]
-        angles = np.where(own, rng.uniform(tree.lower, tree.upper), posed.kinematics.home)
+        angles = np.where(own, rng.uniform(lower, upper), posed.kinematics.home)
         posed.pose(angles)
         for first, second in posed.collisions():
             fingers = {name.split("_")[0] for name in (first, second)}
@@ -150,21 +151,13 @@ def test_a_finger_meets_itself_nowhere_and_the_palm_only_with_its_folded_tip(pos
                 assert "distal" in first + second
 
 
-def traced(kinematics: HandKinematics, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    count = len(angles)
-    frames, origins, axes = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
-    trace_hand(kinematics.tree, angles, frames, origins, axes)
-    return frames, origins, axes
-
-
 @pytest.mark.parametrize("name", sorted(HANDS))
 def test_grasping_poses_are_far_from_singular(name: str) -> None:
     kinematics = HandKinematics(HANDS[name]())
     tips = tips_on_cuboid(name, 0.1)
-    _, origins, axes = traced(kinematics, kinematics.solve(tips))
-    for finger, link in enumerate(kinematics.tree.tip_links):
-        jacobian = np.empty((3, kinematics.hand.joint_count))
-        write_jacobian(kinematics.tree, link, origins, axes, tips[finger], jacobian)
+    angles = kinematics.solve(tips)
+    for finger in range(len(tips)):
+        jacobian = kinematics.jacobian(angles, finger)
         assert np.linalg.cond(jacobian[:, kinematics.carries[finger]]) < 4.5
 
 

@@ -8,19 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hands import load_hand
 
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.bullet import HAND_FLAGS, joint_indices
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.hand import HANDS, FingerDescription, HandDescription
-from grasp_env.sim.hand_bodies import HAND_FLAGS, joint_indices, load_hand
 from grasp_env.sim.hand_check import inertia_matrix
-from grasp_env.sim.kinematics import (
-    HandKinematics,
-    add_force_torques,
-    trace_hand,
-    write_gravity_torques,
-    write_jacobian,
-)
+from grasp_env.sim.kinematics import HandKinematics
 
 CROOKED = Path(__file__).parent / "assets" / "crooked_hand.urdf"
 CROOKED_TIPS = ("pad_a", "finger_b_end", "finger_c_end")
@@ -66,9 +61,8 @@ class Loaded:
         self.angles = np.random.default_rng(3).uniform(-0.6, 1.1, self.count)
         for index, angle in zip(self.indices, self.angles.tolist(), strict=True):
             bullet.resetJointState(self.body, index, angle, physicsClientId=self.number)
-        self.frames, self.origins = np.empty((self.count, 3, 3)), np.empty((self.count, 3))
-        self.axes = np.empty((self.count, 3))
-        trace_hand(self.kinematics.tree, self.angles, self.frames, self.origins, self.axes)
+        self.frames, self.origins = self.kinematics.links(self.angles)
+        self.axes = np.array([frame @ link.axis for frame, link in zip(self.frames, hand.links, strict=True)])
 
     def theirs(self) -> list[float]:
         """The angles in PyBullet's order, as a list: arrays make it crash."""
@@ -77,9 +71,7 @@ class Loaded:
         return angles.tolist()
 
     def jacobian(self, link: int, point: np.ndarray) -> np.ndarray:
-        jacobian = np.empty((3, self.count))
-        write_jacobian(self.kinematics.tree, link, self.origins, self.axes, point, jacobian)
-        return jacobian
+        return self.kinematics.link_jacobian(self.angles, link, point)
 
 
 @pytest.fixture(params=[*MAKERS, "original"])
@@ -100,14 +92,18 @@ def test_positions_match_pybullet(loaded: Loaded) -> None:
 
 
 def test_jacobians_match_pybullet(loaded: Loaded) -> None:
-    zero, tree = [0.0] * loaded.count, loaded.kinematics.tree
+    zero, kinematics = [0.0] * loaded.count, loaded.kinematics
     tips = loaded.kinematics.tips(loaded.angles)
-    for finger, link in enumerate(tree.tip_links):
+    for finger, link in enumerate(kinematics.tip_links.tolist()):
+        np.testing.assert_array_equal(kinematics.jacobian(loaded.angles, finger), loaded.jacobian(link, tips[finger]))
         index = loaded.indices[link]
         # PyBullet measures the point from the link's origin along the principal axes of its inertia
         turn = bullet.getDynamicsInfo(loaded.body, index, physicsClientId=loaded.number)[4]
         axes = np.array(bullet.getMatrixFromQuaternion(turn)).reshape(3, 3)
-        for local, point in (((0.0, 0.0, 0.0), loaded.origins[link]), (tree.tip_centers[finger], tips[finger])):
+        for local, point in (
+            ((0.0, 0.0, 0.0), loaded.origins[link]),
+            (loaded.hand.fingertips[finger].center, tips[finger]),
+        ):
             theirs, _ = bullet.calculateJacobian(
                 loaded.body,
                 index,
@@ -122,35 +118,32 @@ def test_jacobians_match_pybullet(loaded: Loaded) -> None:
 
 
 def test_jacobians_match_finite_differences(loaded: Loaded) -> None:
-    step, tree = 1e-6, loaded.kinematics.tree
+    step = 1e-6
     tips = loaded.kinematics.tips(loaded.angles)
     for joint in range(loaded.count):
         shift = np.zeros(loaded.count)
         shift[joint] = step
         ahead, behind = (loaded.kinematics.tips(loaded.angles + sign * shift) for sign in (1, -1))
         slopes = (ahead - behind) / (2 * step)
-        for finger, link in enumerate(tree.tip_links):
+        for finger, link in enumerate(loaded.kinematics.tip_links.tolist()):
             np.testing.assert_allclose(loaded.jacobian(link, tips[finger])[:, joint], slopes[finger], atol=1e-9)
 
 
 def test_gravity_torques_match_pybullet(loaded: Loaded) -> None:
-    torques, zero = np.empty(loaded.count), [0.0] * loaded.count
-    kinematics = loaded.kinematics
-    write_gravity_torques(kinematics.tree, loaded.frames, loaded.origins, loaded.axes, GRAVITY, torques)
+    torques, zero = loaded.kinematics.gravity_torques(loaded.angles, GRAVITY), [0.0] * loaded.count
     bullet.setGravity(*GRAVITY, physicsClientId=loaded.number)
     theirs = bullet.calculateInverseDynamics(loaded.body, loaded.theirs(), zero, zero, physicsClientId=loaded.number)
     np.testing.assert_allclose(torques, np.array(theirs)[loaded.columns], atol=1e-12)
 
 
 def test_gravity_torques_are_the_slope_of_the_height(loaded: Loaded) -> None:
-    torques, tree, step = np.empty(loaded.count), loaded.kinematics.tree, 1e-6
-    write_gravity_torques(tree, loaded.frames, loaded.origins, loaded.axes, GRAVITY, torques)
-    frames, origins, axes = (np.empty_like(part) for part in (loaded.frames, loaded.origins, loaded.axes))
+    torques, step = loaded.kinematics.gravity_torques(loaded.angles, GRAVITY), 1e-6
+    masses = np.array([link.mass for link in loaded.hand.links])
+    inside = np.array([link.center for link in loaded.hand.links])
 
     def potential(angles: np.ndarray) -> float:
-        trace_hand(tree, angles, frames, origins, axes)
-        centers = origins + (frames @ tree.centers[:, :, None])[:, :, 0]
-        return -float(tree.masses @ centers @ GRAVITY)
+        frames, origins = loaded.kinematics.links(angles)
+        return -float(masses @ (origins + (frames @ inside[:, :, None])[:, :, 0]) @ GRAVITY)
 
     for joint in range(loaded.count):
         shift = np.zeros(loaded.count)
@@ -159,24 +152,15 @@ def test_gravity_torques_are_the_slope_of_the_height(loaded: Loaded) -> None:
         assert abs(torques[joint] - slope) < 1e-9
 
 
-def test_force_torques_are_the_transposed_jacobian(loaded: Loaded) -> None:
-    force, torques = np.array([1.0, -2.0, 0.5]), np.ones(loaded.count)
-    point = np.array([0.1, 0.2, -0.1])
-    for link in range(loaded.count):
-        torques[:] = 1.0
-        add_force_torques(loaded.kinematics.tree, link, loaded.origins, loaded.axes, point, force, torques)
-        np.testing.assert_allclose(torques, 1.0 + loaded.jacobian(link, point).T @ force, atol=1e-15)
-
-
 def test_inertias_match_pybullet(loaded: Loaded) -> None:
     """The mass matrix: inertias, and what fixed joints merge, mean the same to PyBullet."""
-    total, tree = np.zeros((loaded.count, loaded.count)), loaded.kinematics.tree
+    total = np.zeros((loaded.count, loaded.count))
     for link in range(loaded.count):
-        center = loaded.origins[link] + loaded.frames[link] @ tree.centers[link]
+        center = loaded.origins[link] + loaded.frames[link] @ loaded.hand.links[link].center
         moving = loaded.jacobian(link, center)
         turning = np.where((moving != 0.0).any(axis=0), loaded.axes.T, 0.0)
         inertia = loaded.frames[link] @ inertia_matrix(loaded.hand.links[link].inertia) @ loaded.frames[link].T
-        total += tree.masses[link] * moving.T @ moving + turning.T @ inertia @ turning
+        total += loaded.hand.links[link].mass * moving.T @ moving + turning.T @ inertia @ turning
     theirs = np.array(bullet.calculateMassMatrix(loaded.body, loaded.theirs(), physicsClientId=loaded.number))
     # PyBullet finds principal axes to about 1e-8 of the inertia
     np.testing.assert_allclose(theirs[np.ix_(loaded.columns, loaded.columns)], total, atol=1e-11)
@@ -185,14 +169,14 @@ def test_inertias_match_pybullet(loaded: Loaded) -> None:
 @pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
 def test_solve_comes_back_to_reachable_tips(maker: Callable[[], HandDescription]) -> None:
     kinematics, rng = HandKinematics(maker()), np.random.default_rng(0)
-    lower, upper = np.maximum(kinematics.tree.lower, -math.pi), np.minimum(kinematics.tree.upper, math.pi)
+    lower, upper = np.maximum(kinematics.lower, -math.pi), np.minimum(kinematics.upper, math.pi)
     for _ in range(50):
         tips = kinematics.tips(rng.uniform(lower, upper))
         assert kinematics.reachable(tips)
         angles = kinematics.solve(tips)
         assert np.linalg.norm(kinematics.tips(angles) - tips, axis=1).max() < 1e-9
-        assert (angles >= kinematics.tree.lower).all()
-        assert (angles <= kinematics.tree.upper).all()
+        assert (angles >= kinematics.lower).all()
+        assert (angles <= kinematics.upper).all()
         assert np.array_equal(angles, kinematics.solve(tips))
 
 

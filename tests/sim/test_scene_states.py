@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hands import numbers
 
 from grasp_env.errors import InvalidInputError, SimulationError, UnknownNameError
 from grasp_env.sim import ObjectDescription, Scene, SceneConfig
@@ -21,8 +22,7 @@ def _record(scene: Scene, holder: Callable[[Scene], np.ndarray], steps: int = 60
     rows = []
     for k in range(steps):
         scene.step(holder(scene), PUSH * np.sin(0.2 * k))
-        scene.look()
-        rows.append(scene.buffer.copy())
+        rows.append(numbers(scene))
     return np.array(rows)
 
 

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from scipy.optimize import minimize
 
-from grasp_env.sim.bodies import UNDAMPED, create_body, set_dynamics
+from grasp_env.sim.bullet import UNDAMPED, create_body, set_dynamics
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.objects import SHAPES, ObjectDescription
 from grasp_env.sim.shapes import nearest

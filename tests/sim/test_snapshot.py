@@ -6,29 +6,19 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hands import scene_alone
 from scipy.spatial.transform import Rotation
 
-from grasp_env.sim import HANDS, HandKinematics, ObjectDescription, Scene
+from grasp_env import core
+from grasp_env.sim import Scene, Snapshot
 from grasp_env.sim.client import bullet
-from grasp_env.sim.snapshot import (
-    BODY,
-    ROW,
-    STRAY_DISTANCE,
-    Snapshot,
-    observe,
-    pack_tree,
-    snapshot_size,
-    split,
-    unpack_tree,
-    write_rotation,
-)
 
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 
 
 def _tip_links(scene: Scene) -> list[int]:
     """Bullet's numbers of the links with a tip."""
-    return [scene.bodies.joints[link] for link in scene.kinematics.tree.tip_links.tolist()]
+    return [scene.simulator.world.joints[link] for link in scene.kinematics.tip_links.tolist()]
 
 
 @pytest.fixture
@@ -44,59 +34,52 @@ def moving(held: Scene, make_holder: Callable) -> Scene:
     return held
 
 
-def test_the_views_fill_the_buffer_and_share_nothing() -> None:
-    for tips, joints in ((4, 12), (3, 9), (1, 7)):
-        buffer = np.zeros(snapshot_size(tips, joints))
-        views = split(buffer, tips, joints)
-        assert isinstance(views, Snapshot)
-        for mark, view in enumerate(views, start=1):
-            assert (view == 0.0).all()
-            view[...] = mark
-        assert (buffer > 0.0).all()
-        for mark, view in enumerate(views, start=1):
-            assert (view == mark).all()
-        assert views.points.shape == views.normals.shape == views.touch.shape == views.forces.shape == (tips, 3)
-        assert views.frames.shape == (joints, 3, 3)
-
-
-@pytest.mark.parametrize("name", sorted(HANDS))
-def test_a_packed_tree_comes_back(name: str) -> None:
-    tree = HandKinematics(HANDS[name]()).tree
-    again = unpack_tree(*pack_tree(tree))
-    for before, after in zip(tree, again, strict=True):
-        np.testing.assert_array_equal(before, after)
-        assert before.shape == after.shape
+@pytest.mark.parametrize("fingers", [4, 1])
+def test_the_views_have_their_shapes_and_share_nothing(fingers: int) -> None:
+    scene, views = scene_alone(fingers=fingers)
+    for mark, view in enumerate(views, start=1):
+        view[...] = mark
+    for mark, view in enumerate(Snapshot(**scene.arrays()), start=1):
+        assert (view == mark).all()
+    assert views.points.shape == views.normals.shape == views.touch.shape == views.forces.shape == (fingers, 3)
+    assert views.frames.shape == (3 * fingers, 3, 3)
 
 
 def test_rotation_of_a_quaternion() -> None:
-    rotation = np.empty((3, 3))
+    scene, views = scene_alone()
+    row = np.zeros(core.reading_size(12, 0))
     for turn in Rotation.random(50, rng=np.random.default_rng(0)):
-        write_rotation(turn.as_quat(), rotation)
-        np.testing.assert_allclose(rotation, turn.as_matrix(), atol=1e-14)
+        row[27:31] = turn.as_quat()
+        assert scene.read(row)
+        np.testing.assert_allclose(views.rotation, turn.as_matrix(), atol=1e-14)
 
 
 def test_the_hand_is_where_bullet_has_it(moving: Scene) -> None:
-    s, client, tree = moving.look(), moving.client.number, moving.kinematics.tree
-    for joint, index in enumerate(moving.bodies.joints):
+    s, client, hand = moving.look(), moving.simulator.client.number, moving.config.hand
+    for joint, index in enumerate(moving.simulator.world.joints):
         state = bullet.getLinkState(
-            moving.bodies.hand, index, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
+            moving.simulator.world.hand,
+            index,
+            computeLinkVelocity=1,
+            computeForwardKinematics=1,
+            physicsClientId=client,
         )
         np.testing.assert_allclose(s.origins[joint], state[4], atol=1e-6)  # Bullet answers with single precision
         turned = Rotation.from_quat(state[5]).as_matrix()
         np.testing.assert_allclose(s.frames[joint], turned, atol=1e-6)
-    for finger, link in enumerate(tree.tip_links.tolist()):
-        tip = s.origins[link] + s.frames[link] @ tree.tip_centers[finger]
+    for finger, link in enumerate(moving.kinematics.tip_links.tolist()):
+        tip = s.origins[link] + s.frames[link] @ hand.fingertips[finger].center
         np.testing.assert_allclose(s.tips[finger], tip, atol=1e-12)
     torques = bullet.calculateInverseDynamics(
-        moving.bodies.hand, s.angles.tolist(), [0.0] * 12, [0.0] * 12, physicsClientId=client
+        moving.simulator.world.hand, s.angles.tolist(), [0.0] * 12, [0.0] * 12, physicsClientId=client
     )
     np.testing.assert_allclose(s.gravity_torques, torques, atol=1e-9)
 
 
 def test_the_object_is_where_bullet_has_it(moving: Scene) -> None:
-    s, client = moving.look(), moving.client.number
-    position, quaternion = bullet.getBasePositionAndOrientation(moving.bodies.object, client)
-    linear, angular = bullet.getBaseVelocity(moving.bodies.object, client)
+    s, client = moving.look(), moving.simulator.client.number
+    position, quaternion = bullet.getBasePositionAndOrientation(moving.simulator.world.object, client)
+    linear, angular = bullet.getBaseVelocity(moving.simulator.world.object, client)
     np.testing.assert_array_equal(s.position, position)
     np.testing.assert_allclose(s.rotation, Rotation.from_quat(quaternion).as_matrix(), atol=1e-12)
     np.testing.assert_array_equal(s.linear, linear)
@@ -104,10 +87,10 @@ def test_the_object_is_where_bullet_has_it(moving: Scene) -> None:
 
 
 def test_contact_geometry_matches_bullet(moving: Scene) -> None:
-    s, client = moving.look(), moving.client.number
+    s, client = moving.look(), moving.simulator.client.number
     for finger, link in enumerate(_tip_links(moving)):
         rows = bullet.getClosestPoints(
-            moving.bodies.hand, moving.bodies.object, 0.01, linkIndexA=link, physicsClientId=client
+            moving.simulator.world.hand, moving.simulator.world.object, 0.01, linkIndexA=link, physicsClientId=client
         )
         row = min(rows, key=lambda row: row[8])  # the tip's, among the shapes of its link
         np.testing.assert_allclose(s.points[finger], (np.array(row[6]) - s.position) @ s.rotation, atol=1e-6)
@@ -117,12 +100,12 @@ def test_contact_geometry_matches_bullet(moving: Scene) -> None:
 
 
 def test_slip_is_the_sliding_speed_of_tip_and_surface(moving: Scene) -> None:
-    client, normals = moving.client.number, np.empty((4, 3))
+    client, normals = moving.simulator.client.number, np.empty((4, 3))
     moving.step(np.zeros(12))  # the grasp opens: tips and object part and slide
     s = moving.look()
     normals[:] = s.normals @ s.rotation.T
     for finger, link in enumerate(_tip_links(moving)):
-        state = bullet.getLinkState(moving.bodies.hand, link, 1, 1, physicsClientId=client)
+        state = bullet.getLinkState(moving.simulator.world.hand, link, 1, 1, physicsClientId=client)
         tip = np.array(state[6]) + np.cross(state[7], s.touch[finger] - state[0])
         surface = s.linear + np.cross(s.angular, s.touch[finger] - s.position)
         relative = tip - surface
@@ -142,7 +125,6 @@ def test_open_fingers_keep_their_geometry(make_scene: Callable[..., Scene]) -> N
     scene = make_scene(clearance=0.02)
     s = scene.look()
     assert not s.touching.any()
-    assert s.mask[0] == 0.0
     np.testing.assert_array_equal(s.forces, 0.0)
     np.testing.assert_allclose(s.gaps, 0.02, atol=1e-9)
     np.testing.assert_allclose(s.points, scene.config.contact_points, atol=1e-9)
@@ -164,7 +146,6 @@ def test_forces_carry_the_weight(held: Scene) -> None:
     total = s.rotation @ s.forces.sum(axis=0)
     np.testing.assert_allclose(total, -weight, atol=0.01 * np.linalg.norm(weight))
     assert s.touching.all()
-    assert s.mask[0] == 0b1111
     assert s.stray[0] == 0.0
     assert (np.einsum("ni,ni->n", s.forces, s.normals) > 1.0).all()
 
@@ -223,83 +204,117 @@ def test_friction_cone_is_round_and_not_squared(
 
 
 class Reading:
-    """A reading of the server made up by hand: the reference grasp at rest, with contact rows of choice."""
+    """A reading of a simulator made up by hand: the reference grasp at rest, with contacts of choice."""
 
     def __init__(self, scene: Scene) -> None:
         s = scene.look()
-        self.scene, self.links = scene, _tip_links(scene)
+        self.scene, self.links = scene, scene.kinematics.tip_links.tolist()
         self.numbers = np.concatenate([s.angles, s.rates, np.zeros(6), [1.0], np.zeros(6)])
-        self.surface = ObjectDescription().surface
-        self.fingers = scene.finger_of_link
         self.touch = s.touch.copy()
 
-    def row(
-        self, link: int, point: np.ndarray, normal: float, friction: tuple[float, float] = (0.0, 0.0)
-    ) -> np.ndarray:
-        """Bullet's normal +z (on the object), friction directions x and y."""
-        return np.array(
-            [link, *point, normal, 0.0, 0.0, 1.0, friction[0], 1.0, 0.0, 0.0, friction[1], 0.0, 1.0, 0.0], dtype=float
-        )
+    def read(self, *rows: np.ndarray) -> bool:
+        """Whether it is valid."""
+        return self.scene.core.read(np.concatenate([self.numbers, *rows]))
 
     def look(self, *rows: np.ndarray) -> Snapshot:
-        buffer = np.full(snapshot_size(4, 12), 7.0)
-        observe(
-            self.scene.tree_numbers, self.scene.tree_indices, *self.surface, np.array([0.0, -9.81, 0.0]),
-            np.concatenate([self.numbers, *rows]), self.fingers, buffer,
-        )  # fmt: skip
-        return split(buffer, 4, 12)
+        assert self.read(*rows)
+        return Snapshot(**self.scene.core.arrays())
+
+
+def contact(link: int, point: np.ndarray, force: tuple[float, float, float]) -> np.ndarray:
+    """The hand's link, where, and the force on the object."""
+    return np.array([link, *point, *force], dtype=float)
 
 
 @pytest.fixture
 def reading(make_scene: Callable[..., Scene]) -> Reading:
     made = Reading(make_scene())
-    assert len(made.numbers) == 24 + BODY
-    assert len(made.row(0, np.zeros(3), 0.0)) == ROW
+    assert len(made.numbers) == core.reading_size(12, 0)
+    assert len(contact(0, np.zeros(3), (0.0, 0.0, 0.0))) == core.reading_size(12, 1) - core.reading_size(12, 0)
     return made
 
 
 def test_contacts_of_a_tip_add_up(reading: Reading) -> None:
-    """Force on the object = -(normal force * normal + friction * direction), by the order in which bodies are loaded."""
     link, at = reading.links[2], reading.touch[2]
-    s = reading.look(reading.row(link, at, 2.0, (0.5, 0.0)), reading.row(link, at + 1e-4, 1.0, (0.0, -0.25)))
+    s = reading.look(contact(link, at, (-0.5, 0.0, -2.0)), contact(link, at + 1e-4, (0.0, 0.25, -1.0)))
     np.testing.assert_allclose(s.forces[2], [-0.5, 0.25, -3.0])
     np.testing.assert_array_equal(s.forces[[0, 1, 3]], 0.0)
     np.testing.assert_array_equal(s.touching, [0.0, 0.0, 1.0, 0.0])
-    assert s.mask[0] == 0b0100
     assert s.stray[0] == 0.0
-    assert s.valid[0] == 1.0
 
 
 def test_other_parts_of_the_hand_are_stray(reading: Reading) -> None:
-    beside = reading.touch[1] + np.array([0.0, 1.1 * STRAY_DISTANCE, 0.0])  # the tip's link, not its tip
+    beside = reading.touch[1] + np.array([0.0, 5.5e-3, 0.0])  # the tip's link, not its tip: more than 5 mm away
     other = next(link for link in range(12) if link not in reading.links)
-    rows = [reading.row(reading.links[1], beside, 3.0, (4.0, 0.0)), reading.row(other, reading.touch[1], 1.0)]
-    s = reading.look(*rows, reading.row(-1, reading.touch[1], 2.0))  # -1 is the palm
+    rows = [contact(reading.links[1], beside, (4.0, 0.0, 3.0)), contact(other, reading.touch[1], (1.0, 0.0, 0.0))]
+    s = reading.look(*rows, contact(-1, reading.touch[1], (0.0, 0.0, 2.0)))  # -1 is the palm
     assert s.stray[0] == pytest.approx(5.0 + 1.0 + 2.0)
     np.testing.assert_array_equal(s.forces, 0.0)
     assert not s.touching.any()
 
 
 def test_a_contact_without_force_does_not_touch(reading: Reading) -> None:
-    s = reading.look(reading.row(reading.links[0], reading.touch[0], 0.0))
-    assert not s.touching.any()
-    assert s.valid[0] == 1.0
+    assert not reading.look(contact(reading.links[0], reading.touch[0], (0.0, 0.0, 0.0))).touching.any()
 
 
 def test_numbers_that_are_none_are_not_valid(reading: Reading) -> None:
-    assert reading.look().valid[0] == 1.0
+    assert reading.read()
     for place in range(len(reading.numbers)):
         for bad in (np.nan, np.inf, -np.inf):
             kept = reading.numbers[place]
             reading.numbers[place] = bad
-            assert reading.look().valid[0] == 0.0, place
+            assert not reading.read(), place
             reading.numbers[place] = kept
-    for place in range(4, ROW):
-        row = reading.row(reading.links[0], reading.touch[0], 1.0, (0.1, 0.1))
+    for place in range(1, 7):
+        row = contact(reading.links[0], reading.touch[0], (1.0, 0.1, 0.1))
         row[place] = np.nan
-        assert reading.look(row).valid[0] == 0.0, place
+        assert not reading.read(row), place
     reading.numbers[25] = 11.0  # [m]: far away
-    assert reading.look().valid[0] == 0.0
+    assert not reading.read()
+
+
+class TestAnswers:
+    """Bullet's tuples as a reading; the answer of a contact has 14 items."""
+
+    JOINTS = ((0.1, 1.0, (0.0,) * 6, 0.0), (0.2, 2.0, (0.0,) * 6, 0.0))
+    POSE = ((1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))
+    VELOCITY = ((4.0, 5.0, 6.0), (7.0, 8.0, 9.0))
+
+    @staticmethod
+    def contact(link: int) -> tuple[object, ...]:
+        away = (0.0, 0.0, 0.0)
+        across = (0.5, (1.0, 0.0, 0.0), -0.25, (0.0, 1.0, 0.0))
+        return (0, 1, 2, link, -1, away, (0.1, 0.2, 0.3), (0.0, 0.0, 1.0), -1e-5, 2.0, *across)
+
+    @pytest.fixture
+    def answers(self) -> core.Answers:
+        links = [-1, -1, 1, 0]  # of Bullet's links -1, 0, 1, 2
+        return core.Answers(link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], sign=-1.0, first=-1, links=links)
+
+    def test_as_flat_numbers(self, answers: core.Answers) -> None:
+        """Force on the object = -(normal force * normal + friction * direction), by the order in which bodies are loaded."""
+        out = np.empty(40)
+        given = (self.JOINTS, self.POSE, self.VELOCITY, (self.contact(2), self.contact(-1)))
+        count = answers.read(*given, out)
+        assert count == core.reading_size(2, 2)
+        expected = [0.1, 0.2, 1.0, 2.0, *self.POSE[0], *self.POSE[1], *self.VELOCITY[0], *self.VELOCITY[1]]
+        for link in (0.0, -1.0):
+            expected += [link, 0.1, 0.2, 0.3, -0.5, 0.25, -2.0]
+        np.testing.assert_array_equal(out[:count], expected)
+
+    def test_too_little_room_says_how_much_is_needed(self, answers: core.Answers) -> None:
+        out = np.full(20, 7.0)
+        assert answers.read(self.JOINTS, self.POSE, self.VELOCITY, (self.contact(2),), out) == core.reading_size(2, 1)
+        assert (out == 7.0).all()
+
+    @pytest.mark.parametrize("bad", [(), (1,), [(1, 2)], "ab", None])
+    def test_other_things_are_refused(self, answers: core.Answers, bad: object) -> None:
+        good: list[object] = [self.JOINTS, self.POSE, self.VELOCITY, (self.contact(2),)]
+        for place in range(4):
+            if place in (0, 3) and bad == ():
+                continue  # a hand without joints, no contacts
+            with pytest.raises((TypeError, IndexError, SystemError)):
+                answers.read(*good[:place], bad, *good[place + 1 :], np.empty(99))
 
 
 def test_a_link_that_pushes_the_object_is_seen(make_scene: Callable[..., Scene]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env.env import FourFingerGrasp
-from grasp_env.sim import scene as scene_module
+from grasp_env.sim import bullet as engine
 
 _WRITES = ("setJointMotorControlArray", "applyExternalForce", "applyExternalTorque", "stepSimulation")
 _READS = ("getJointStates", "getBasePositionAndOrientation", "getBaseVelocity", "getContactPoints")
@@ -22,12 +22,10 @@ PARTS = {
     "bare_reads": "PyBullet alone: joints, object, contacts",
     "writes": "the former called between other code: caches",
     "reads": "the latter called between other code: caches",
-    "look": "reading: numbers of the calls into an array, snapshot kernel",
+    "look": "reading: numbers of the calls into an array, snapshot",
     "advance": "writing: arguments of the calls",
-    "see": "the controller's view: contact set, estimator",
-    "optimise": "force optimisation: wrench, contacts, start, flow, certificate",
-    "command": "command tick: tangent correction, torques",
-    "follow": "ticks after the first: numbers of the calls, snapshot, tangent correction, torques, in one compiled call",
+    "optimise": "force optimisation: contacts, start, flow, certificate",
+    "tick": "the rest of a control tick: what is seen, the wrench to balance, tangent correction, torques",
     "observe": "observation",
     "info": "info dictionary",
     "step": "the rest: checks, disturbance, reward, loop",
@@ -93,8 +91,8 @@ def breakdown(env: FourFingerGrasp, seed: int, rounds: int, steps: int = 100) ->
 
     whole: Any = env
     action = np.zeros(env.action_space.shape or (), dtype=np.float32)
-    bullet: Any = scene_module.bullet
-    patched: Any = scene_module
+    patched: Any = engine
+    bullet = patched.bullet
     try:
         recorded = record(env, seed, action)
         found: list[tuple[dict[str, int], dict[str, int]]] = []
@@ -106,8 +104,8 @@ def breakdown(env: FourFingerGrasp, seed: int, rounds: int, steps: int = 100) ->
             watch.calibrate()
             scene, loop = whole.scene, whole._loop
             places = (
-                (scene, "look", "look"), (scene, "advance", "advance"), (loop, "see", "see"), (loop, "optimise", "optimise"),
-                (loop, "command", "command"), (loop, "follow", "follow"), (whole, "_observe", "observe"), (whole, "_info", "info"),
+                (scene, "look", "look"), (scene, "advance", "advance"), (loop, "optimise", "optimise"), (loop, "tick", "tick"),
+                (whole, "_observe", "observe"), (whole, "_info", "info"),
             )  # fmt: skip
             env.reset(seed=seed)
             for owner, method, name in places:

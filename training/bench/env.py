@@ -154,8 +154,8 @@ def record(env: FourFingerGrasp, seed: int, action: NDArray[np.float32]) -> Reco
 
 def bare_loop(env: FourFingerGrasp, recorded: Recorded) -> tuple[int, int]:
     """The calls that `Scene.advance` and `Scene.look` make, and nothing else; nanoseconds of writes with steps, of reads."""
-    scene, world = env.scene, env.scene.bodies
-    client, hand, body, joints = scene.client.number, world.hand, world.object, world.joints
+    scene, world = env.scene, env.scene.simulator.world
+    client, hand, body, joints = scene.simulator.client.number, world.hand, world.object, world.joints
     mode, frame, origin = bullet.TORQUE_CONTROL, bullet.LINK_FRAME, (0.0, 0.0, 0.0)
     each = env.config.physics_rate // env.config.control_rate
     clock, writes, reads = time.perf_counter_ns, 0, 0
@@ -296,7 +296,7 @@ def claims(
 
 
 def _pose(env: FourFingerGrasp) -> tuple[Any, ...]:
-    return bullet.getBasePositionAndOrientation(env.scene.bodies.object, env.scene.client.number)
+    return bullet.getBasePositionAndOrientation(env.scene.simulator.world.object, env.scene.simulator.client.number)
 
 
 def _resident() -> float:

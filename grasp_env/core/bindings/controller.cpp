@@ -1,6 +1,7 @@
 // The control loop of a hand.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <grasp/controller.hpp>
@@ -154,6 +155,10 @@ void bind_controller(nb::module_& m) {
              "(N, 3) in the commanded contact frames [N].")
         .def("arrays", &arrays, "Views of what is commanded, by name: overwritten in place.")
         .def("seen", &seen, "Views of what is seen, by name: overwritten in place.")
+        .def_prop_rw(
+            "direct", [](const Controller& c) { return c.sensors.direct; },
+            [](Controller& c, bool value) { c.sensors.direct = value; },
+            "Whether the scene is seen as it is, whatever the settings.")
         .def_prop_ro(
             "exact", [](const Controller& c) { return c.sensors.exact(); }, "Whether the scene is seen as it is.")
         .def_ro("mask", &Controller::mask, "The fingers that count as in contact: 2^i for finger i.")

@@ -2,6 +2,7 @@
 #include "module.hpp"
 
 NB_MODULE(_core, m) {
+    nb::set_leak_warnings(false);  // what a program keeps to its end is no leak
     m.doc() = "The compiled core; `grasp_env.core` is its door.";
     bind_build_info(m);
     bind_record(m);

@@ -46,6 +46,14 @@ int carry(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle 
     return pipeline.carry({p.data(), n.data(), w.data()}, out(force, count, 3).data());
 }
 
+int carry_from(Pipeline& pipeline, nb::handle points, nb::handle normals, nb::handle wrench, nb::handle then, nb::handle frames,
+               nb::handle force) {
+    const int count = pipeline.contacts().count;
+    const Numbers p = in(points, count, 3), n = in(normals, count, 3), w = in(wrench, 6);
+    const double* from = in(then, count, 3).data();
+    return pipeline.carry_from({p.data(), n.data(), w.data()}, from, in(frames, count, 3, 3).data(), out(force, count, 3).data());
+}
+
 nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
     auto& pipeline = nb::cast<Pipeline&>(self);
     auto& held = pipeline.held();
@@ -79,5 +87,7 @@ void bind_pipeline(nb::module_& m) {
              "Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or None into a record; returns the code.")
         .def("carry", &carry, "points"_a, "normals"_a, "wrench"_a, "force"_a,
              "The last optimum carried to contacts and wrench of now, (N, 3); 0: carried, 1: repaired, 2: clipped.")
+        .def("carry_from", &carry_from, "points"_a, "normals"_a, "wrench"_a, "then"_a, "frames"_a, "force"_a,
+             "The same of forces (N, 3) [N] in frames (N, 3, 3) of contacts nearby.")
         .def("arrays", &arrays, "Views of what is held, by name: overwritten in place.");
 }

@@ -129,7 +129,7 @@ public:
     void command() {
         const Snapshot& s = seen();
         std::copy(s.gravity_torques.begin(), s.gravity_torques.end(), torques.begin());
-        before_.swap(force), frames_before_.swap(frames);
+        before_ = force, frames_before_ = frames;  // not swapped: Python looks at them
         std::fill(force.begin(), force.end(), 0.0);
         write_frames();
         std::uint64_t acting = 0;

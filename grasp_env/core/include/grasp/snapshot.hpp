@@ -73,7 +73,7 @@ public:
         for (const Point& a : {body.linear, body.angular, point(body.quaternion)}) total += dot(a, a);
         total += std::abs(body.quaternion[3]);
         for (const ContactRow& row : reading.contacts()) total += dot(row.force, row.force) + dot(row.place, row.place);
-        if (!(total < infinity && size(body.position) < LOST_DISTANCE)) return false;
+        if (!(total < infinity && near(body.position))) return false;
         std::copy(reading.angles(), reading.angles() + tree.joints(), angles.begin());
         std::copy(reading.rates(), reading.rates() + tree.joints(), rates.begin());
         position = body.position, linear = body.linear, angular = body.angular;
@@ -105,7 +105,9 @@ public:
     }
 
 private:
-    static double size(const Point& a) { return std::max({std::abs(a.u), std::abs(a.o), std::abs(a.t)}); }
+    static bool near(const Point& a) {
+        return std::abs(a.u) < LOST_DISTANCE && std::abs(a.o) < LOST_DISTANCE && std::abs(a.t) < LOST_DISTANCE;
+    }
 
     // All that follows from angles, rates and the object's state.
     void place(const Tree& tree, const Surface& surface, const Point& gravity) {

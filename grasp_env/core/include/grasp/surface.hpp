@@ -28,7 +28,7 @@ struct Cuboid {
         }
         const Point way = point - center;
         const double distance = length(way);
-        if (distance * distance > LOST) return {point, (1.0 / distance) * way, distance};
+        if (distance * distance > LOST) return {point, way / distance, distance};
         const double side = std::copysign(1.0, center[axis]);
         point[axis] = side * half[axis], normal[axis] = -side;
         return {point, normal, depth};
@@ -42,7 +42,7 @@ struct Cylinder {
         const Point across{center[0], 0.0, center[2]};
         const double away = length(across), height = std::abs(center[1]), side = std::copysign(1.0, center[1]);
         const double beyond = away - radius, above = height - half;
-        const Point from_axis = away > 0.0 ? (1.0 / away) * across : Point{1.0, 0.0, 0.0}, along{0.0, side, 0.0};
+        const Point from_axis = away > 0.0 ? across / away : Point{1.0, 0.0, 0.0}, along{0.0, side, 0.0};
         const auto at = [&](double r, double h) { return r * from_axis + h * along; };
         if (beyond > 0.0 || above > 0.0) {
             const double out = std::max(beyond, 0.0), up = std::max(above, 0.0), distance = std::sqrt(out * out + up * up);
@@ -62,7 +62,7 @@ struct Capsule {
     Nearest nearest(const Point& center) const {
         const Point axis{0.0, std::min(std::max(center[1], -half), half), 0.0}, arm = center - axis;
         const double away = length(arm);
-        const Point outward = away > 0.0 ? (1.0 / away) * arm : Point{1.0, 0.0, 0.0};
+        const Point outward = away > 0.0 ? arm / away : Point{1.0, 0.0, 0.0};
         return {axis + radius * outward, -outward, away - radius};
     }
 };
@@ -123,7 +123,7 @@ struct Mesh {
             if (&face != above) look(face);
         const double distance = std::sqrt(best);
         const bool edge = !flat && distance > SHARP;
-        return {point, edge ? (1.0 / distance) * (point - center) : -closest->normal, distance};
+        return {point, edge ? (point - center) / distance : -closest->normal, distance};
     }
 };
 

@@ -10,6 +10,7 @@ template <class T> struct Vec3 {
     friend Vec3 operator-(const Vec3& a, const Vec3& b) { return {a.u - b.u, a.o - b.o, a.t - b.t}; }
     friend Vec3 operator-(const Vec3& a) { return {-a.u, -a.o, -a.t}; }
     friend Vec3 operator*(const T& k, const Vec3& a) { return {k * a.u, k * a.o, k * a.t}; }
+    friend Vec3 operator/(const Vec3& a, const T& k) { return {a.u / k, a.o / k, a.t / k}; }
     Vec3& operator+=(const Vec3& b) { return *this = *this + b; }
     Vec3& operator-=(const Vec3& b) { return *this = *this - b; }
     T& operator[](int a) { return a == 0 ? u : a == 1 ? o : t; }

@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_env._check import Array, Wrench
 from grasp_env.config import EnvConfig
-from grasp_env.force import ForceOptimizer, ForceSolution, InitialForceRule, OfflineBasis, Repair
+from grasp_env.force import ForceOptimizer, ForceSolution, InitialForceRule, Repair
 from grasp_env.force.initial import LayeredRule, is_rule
 from grasp_env.force.pipeline import PIPELINE_METHODS, STARTS, ForcePipeline
 from grasp_env.grasp.grasp import Grasp
@@ -19,8 +19,7 @@ class GeneralPipeline:
     """What `ForcePipeline` does, for every method and start rule: slower, with the same attributes.
 
     Attributes:
-        x: (3N,) the last optimum, cone coordinates [N]. frames: (N, 3, 3) its contact frames.
-        basis, basis_frames: (13, 3N), (N, 3, 3) the offline basis of the nominal grasp.
+        core: a pipeline of the core that holds the last optimum, from where the control loop carries it on.
         reference: (3N, 3N - 6) directions of `adjust`, object frame.
     """
 
@@ -30,14 +29,15 @@ class GeneralPipeline:
         self._starts = options["method"] not in ("conic", "linear")
         self.reference = reference_basis(grasp)
         self._repair = Repair(self._optimizer.objective)
-        self.basis = OfflineBasis.of(grasp, self._optimizer.objective).cone_forces.copy()
-        self.basis_frames = grasp.frames.copy()
-        self.x, self.frames = np.zeros(3 * grasp.n_contacts), grasp.frames.copy()
+        weights = {name: options[name] for name in ("force_weight", "barrier_weight")}
+        self._carrier = ForcePipeline(grasp, method="newton", **weights)
+        self.core = self._carrier.core
 
     def reset(self) -> None:
         """Forgets all calls."""
         self._optimizer.previous = None
         self._optimizer.move_to(self.grasp)
+        self._carrier.reset()
 
     def solve(self, points: Array, normals: Array, wrench: Wrench, *, adjust: Array | None = None) -> ForceSolution:
         """See `ForcePipeline.solve`; methods without a start ignore `adjust`."""
@@ -50,8 +50,8 @@ class GeneralPipeline:
             moved = optimizer.start(wrench) + (basis @ adjust).reshape(-1, 3)
             start = self._repair(grasp, wrench, moved)
         solution = optimizer.solve(np.array(wrench), initial=start)
-        self.x[:] = _inside(grasp.to_cone(solution.force))
-        self.frames[:] = grasp.frames
+        self._carrier.x[:] = _inside(grasp.to_cone(solution.force))
+        self._carrier.frames[:] = grasp.frames
         return solution
 
 

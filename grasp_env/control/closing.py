@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._compile import compiled
-from grasp_env.control import ForceLoop
-from grasp_env.control_kernels import rotation_vector
+from grasp_env.control.loop import ForceLoop, critically_damped
 from grasp_env.errors import SimulationError
 from grasp_env.motion import resting_target
 from grasp_env.sim.scene import Scene
-from grasp_env.sim.snapshot import split
 
 CLEARANCE = 0.003
 """[m] between tips and object before the fingers close."""
@@ -30,16 +27,13 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
     """
     loop.begin(scene)
     target, quiet = resting_target(1)[0], 0
-    item, wrench = scene.config.object, np.zeros(6)
-    inertia = np.array(item.inertia_matrix)
+    jig = critically_damped(scene.config.object, _JIG, _JIG)
     for _ in range(round(CLOSING_TIME / loop.dt)):
-        snapshot = scene.look()
-        loop.see(scene.buffer, snapshot, np.zeros(6), scene.gravity, target)
-        torques = loop.reach()
+        torques = loop.reach(scene.gravity, target)
         for _ in range(round(loop.dt / scene.timestep)):
             scene.look()
-            hold_in_jig(scene.buffer, scene.tree_indices, item.mass, inertia, scene.gravity, wrench)
-            scene.advance(torques, wrench.tolist())
+            held = [-part for part in jig.wrench(scene.core, target, scene.gravity)]
+            scene.advance(torques, held)
         arrived = scene.look().touching.all() and np.abs(scene.look().rates).max() < 0.1
         quiet = quiet + 1 if arrived else 0
         if quiet == _QUIET:
@@ -64,18 +58,13 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         SimulationError: the object was lost, or the contact forces do not carry its weight within 1 %.
     """
     loop.reset()
-    loop.settling = True
     target, quiet = resting_target(1)[0], 0
     every = round(loop.config.control_rate / loop.config.agent_rate)
     weight = scene.config.weight
     scale = float(np.linalg.norm(weight))
     error = np.inf
     for tick in range(round(SETTLING_TIME / loop.dt)):
-        snapshot = scene.look()
-        loop.see(scene.buffer, snapshot, np.zeros(6), scene.gravity, target)
-        if tick % every == 0:
-            loop.optimise()
-        torques = loop.command()
+        torques = loop.tick(np.zeros(6), scene.gravity, target, due=tick % every == 0)
         for _ in range(round(loop.dt / scene.timestep)):
             scene.advance(torques, None)
         snapshot = scene.look()
@@ -93,26 +82,3 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         f"{scene.config.object.friction:.3g}: lower friction_margin or friction_error, raise barrier_weight or squeeze, or make "
         "the object lighter"
     )
-
-
-@compiled
-def hold_in_jig(buffer, indices, mass, inertia, gravity, out):
-    """The wrench (6,) that holds the object at its nominal pose while fingers push, object frame.
-
-    Args:
-        buffer, indices: the snapshot and the sizes of the hand.
-        mass: [kg]. inertia: (3, 3) [kg m^2]. gravity: (3,) [m/s^2], world frame.
-        out: (6,) overwritten.
-    """
-    s = split(buffer, indices[1], indices[0])
-    turn, twist = np.empty(3), np.zeros(3)
-    rotation_vector(s.rotation, turn)
-    out[:] = 0.0
-    for k in range(3):
-        force = mass * (-gravity[k] - _JIG**2 * s.position[k] - 2.0 * _JIG * s.linear[k])
-        for q in range(3):
-            out[q] += s.rotation[k, q] * force
-            twist[q] -= s.rotation[k, q] * (_JIG**2 * turn[k] + 2.0 * _JIG * s.angular[k])
-    for k in range(3):
-        for q in range(3):
-            out[3 + k] += inertia[k, q] * twist[q]

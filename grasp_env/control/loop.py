@@ -1,0 +1,314 @@
+"""The force loop: contacts and wrench in, joint torques out, at the control rate; optimised once per agent step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from grasp_env import core
+from grasp_env._check import Array, Indices
+from grasp_env.config import EnvConfig
+from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
+from grasp_env.control.solver import GeneralPipeline, make_pipeline
+from grasp_env.core import Hold
+from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
+from grasp_env.force import ForceSolution, InitialForceRule, Objective, OfflineBasis
+from grasp_env.force.pipeline import ForcePipeline
+from grasp_env.grasp.grasp import Grasp
+from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.scene import Scene
+from grasp_env.sim.snapshot import Snapshot
+
+RELEASE = 2
+"""Control ticks without force after which a finger no longer counts as in contact."""
+REACH_STIFFNESS, REACH_FORCE, REACH_LIMIT = 60.0, 0.3, 1.0
+"""Of a finger that reaches for its place: [N/m], force against the object [N], the most on its way [N]."""
+POSTURE_STIFFNESS, POSTURE_LOSS = 0.01, 0.001
+"""[N m/rad] and [N m s/rad] by which the joints of a redundant hand return to their rest posture."""
+STABLE = 0.3
+"""Most bandwidth times delay: critically damped feedback oscillates from 0.65 on."""
+TIP_MASS = 0.03
+"""[kg] that a reaching fingertip moves, roughly: only sets its damping."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactSet:
+    """What the fingers of one set need, made for the nominal contacts.
+
+    Attributes:
+        fingers: (n,) int64.
+        pipeline: None where these contacts cannot balance every wrench.
+        squeeze: (3n,) an internal force with a total normal force of 1 N, contact frames.
+    """
+
+    fingers: Indices
+    pipeline: ForcePipeline | GeneralPipeline | None
+    squeeze: Array
+
+
+class ForceLoop:
+    """Optimises the contact forces once per agent step and holds the object in between.
+
+    Between two optimisations the optimal force follows the wrench and the contacts by the tangent correction
+    (one 6 x 6 system), so that pose feedback acts at the control rate. Fingers without contact reach for their places; when
+    one slips off or lands the forces are optimised over the contacts that exist.
+
+    Attributes:
+        iterations, trials: of all optimisations since the environment set them to 0.
+        solution: the last optimisation; None before the first, after one that failed, and for controllers without any.
+        closure: whether the contacts of now can balance the wrench.
+        seen: what the controller sees of the scene.
+        wrench: (6,) that the forces balance [N, N m], object frame.
+        force: (N, 3) commanded contact forces [N], contact frames; frames: (N, 3, 3) columns (n, o, t), object frame.
+        friction: that the solver believes in.
+    """
+
+    def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
+        self.config = config
+        self.initial_force = initial_force
+        # a user's rule without a start says so; a named one has none where the grasp is being lost
+        named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
+        self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
+        self.objective = Objective(config.force_weight, config.barrier_weight)
+        self.dt = 1.0 / config.control_rate
+        self._noise: NoiseRows | None = None
+
+    def begin(self, scene: Scene) -> None:
+        """A new object or a new grasp: everything that depends on it."""
+        item, hand = scene.config.object, scene.config.hand
+        self.count = hand.finger_count
+        self.scene = scene
+        self.friction = (
+            item.friction * hand.tip_friction * (1.0 + self.config.friction_error) * self.config.friction_margin
+        )
+        self._core = core.Controller.make(
+            scene.core, control_settings(self.config, item, self.friction), sensor_settings(self.config)
+        )
+        self.settling = True  # until the hand holds the object
+        arrays = self._core.arrays()
+        self.wrench, self.force, self.frames = arrays["wrench"], arrays["force"], arrays["frames"]
+        arrays["home"][:], arrays["goals"][:] = hand.home, scene.config.contact_points
+        arrays["inwards"][:] = scene.config.contact_normals
+        arrays["depths"][:] = self.config.squeeze / self.count / self.config.pd_stiffness
+        self._sets: dict[int, ContactSet] = {}
+        self._noise = None
+        self.reset()
+
+    def reset(self, rng: np.random.Generator | None = None) -> None:
+        """Forgets the episode: the next solve starts as the first ever did.
+
+        Args:
+            rng: where noise is drawn from (one number, whatever the settings); None: the last one goes on.
+        """
+        self.scene.look()
+        self._core.reset()
+        self.seen = Snapshot(**self._core.seen())
+        if rng is not None:
+            noise = np.random.default_rng(int(rng.integers(2**63)))
+            self._noise = None if self._core.exact else NoiseRows(noise, 3 + 3 * self.count)
+        self.solution: ForceSolution | None = None
+        self.closure = True
+        self._adjustment: Array | None = None
+        self.iterations = self.trials = 0
+        for made in self._sets.values():
+            if made.pipeline is not None:
+                made.pipeline.reset()
+
+    @property
+    def settling(self) -> bool:
+        """Whether the hand is still taking over the object, which every controller leaves to the optimised one and exact sensors."""
+        return self._settling
+
+    @settling.setter
+    def settling(self, value: bool) -> None:
+        self._settling = self._core.direct = value
+
+    @property
+    def fingers(self) -> Indices:
+        """(n,) in contact, as far as the controller knows."""
+        return self._set(self._core.mask).fingers
+
+    @property
+    def contact_changes(self) -> int:
+        """How often the set of fingers in contact changed."""
+        return self._core.changes
+
+    @property
+    def repaired(self) -> int:
+        """Control ticks in which the tangent correction left the solver's cones and was repaired."""
+        return self._core.repaired
+
+    @property
+    def peak_torque(self) -> float:
+        """The largest so far [N m]."""
+        return self._core.peak
+
+    def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
+        """How the object is held, by the truth; see `core.Controller.outcome`."""
+        return self._core.outcome(target, error, measured)
+
+    def tick(
+        self,
+        external: Array,
+        gravity: Array,
+        target: Array,
+        due: bool,
+        adjustment: Array | None = None,
+        given: Array | None = None,
+    ) -> list[float]:
+        """One control tick: observes the scene, optimises where that is due or the contacts have changed, and commands.
+
+        Args:
+            external: (6,) external wrench [N, N m], object frame, as a perfect sensor would tell it.
+            gravity: (3,) [m/s^2], world frame, as known.
+            target: (19,) the wanted motion, see `task.Plan`.
+            due: whether the agent's step begins.
+            adjustment: of `optimise`.
+            given: (N, 3) forces to command instead of optimised ones [N], contact frames.
+
+        Returns:
+            Joint torques (M,) [N m].
+        """
+        self.scene.look()
+        self.see(external, gravity, target)
+        if due:
+            self._adjustment = adjustment
+        if due or self._core.changed:
+            # all controllers start from the same grasp: the optimised one closes the hand
+            controller = "optimised" if self._settling else self.config.controller
+            if given is None and controller == "optimised":
+                self.optimise(self._adjustment)
+            else:
+                self._hold(controller, given)
+        return self._core.command()
+
+    def see(self, external: Array, gravity: Array, target: Array) -> None:
+        """What is known at this control tick, as of `tick`, and the wrench to balance."""
+        noise = self._noise
+        self._core.see(external, gravity, target, None if noise is None else noise())
+
+    def optimise(self, adjustment: Array | None = None) -> ForceSolution | None:
+        """The paper's pipeline on the contacts as they are now.
+
+        Args:
+            adjustment: (3N - 6,) null-space coordinates [N] added to the initial force, then repaired; None: none.
+
+        Returns:
+            None where the contacts cannot balance the wrench: `closure` is then False and the last forces are kept, inside the cones.
+
+        Raises:
+            GraspError: a start rule of the user's that does not fit.
+        """
+        self.solution, self._adjustment = None, adjustment  # nothing stale is left when this raises
+        made = self._set(self._core.mask)
+        if made.pipeline is None:
+            self._lose(made)
+            return None
+        points, normals = self.seen.points, self.seen.normals
+        if len(made.fingers) < self.count:
+            points, normals = points[made.fingers], normals[made.fingers]
+            if adjustment is not None:
+                adjustment = self._projected(adjustment, made)
+        try:
+            if adjustment is None and isinstance(made.pipeline, ForcePipeline):
+                self.solution = made.pipeline.solve_ready(points, normals, self.wrench)
+            else:
+                self.solution = made.pipeline.solve(points, normals, self.wrench, adjust=adjustment)
+        except self._lost_closure:
+            self._lose(made)
+            return None
+        self.closure = True
+        self.iterations += self.solution.iterations
+        self.trials += self.solution.trials
+        self._core.give(Hold.optimised, self._core.mask, None)
+        return self.solution
+
+    def rest(self, external: Array, gravity: Array, target: Array) -> None:
+        """What the hand does at rest, before the first tick: contacts, frames, measured forces as the commanded ones."""
+        self.see(external, gravity, target)
+        self._core.rest()
+        self._core.rewind()
+
+    def reach(self, gravity: Array, target: Array) -> list[float]:
+        """Joint torques (M,) [N m] of the next control tick with which all fingers reach for their places."""
+        self.scene.look()
+        self.see(np.zeros(6), gravity, target)
+        self._set(0)
+        self._core.give(Hold.optimised, 0, None)
+        return self._core.command()
+
+    def _hold(self, controller: str, given: Array | None) -> None:
+        """What a controller that does not optimise has the fingers in contact do."""
+        mask = self._core.mask
+        made = self._set(mask)
+        if given is not None:
+            self._core.give(Hold.direct, mask, np.ascontiguousarray(given[made.fingers].reshape(-1)))
+        elif controller == "pd":
+            self._core.give(Hold.place, mask, None)
+        else:
+            self._core.give(Hold.squeeze, mask, self.config.squeeze * made.squeeze)
+
+    def _projected(self, adjustment: Array, made: ContactSet) -> Array | None:
+        """The adjustment of all fingers in the internal forces of those that are left."""
+        everything = self._set((1 << self.count) - 1).pipeline
+        if everything is None or made.pipeline is None:
+            return None
+        forces = (everything.reference @ adjustment).reshape(-1, 3)[made.fingers]
+        return made.pipeline.reference.T @ forces.reshape(-1)
+
+    def _lose(self, made: ContactSet) -> None:
+        """No force closure: the last forces of the fingers in contact, balanced as far as their cones let them."""
+        self.closure = False
+        self._core.give(Hold.lost, self._core.mask, self.force[made.fingers].reshape(-1))
+
+    def _set(self, mask: int) -> ContactSet:
+        made = self._sets.get(mask)
+        if made is None:
+            made = self._sets[mask] = self._make_set([finger for finger in range(self.count) if mask >> finger & 1])
+            self._core.add_set(mask, None if made.pipeline is None else made.pipeline.core)
+        return made
+
+    def _make_set(self, fingers: list[int]) -> ContactSet:
+        index, scene = np.array(fingers, dtype=np.int64), self.scene.config
+        alone = np.tile([1.0 / max(len(fingers), 1), 0.0, 0.0], len(fingers))
+        try:
+            if len(fingers) < 3:
+                raise RankDeficientGraspError(f"{len(fingers)} contacts")
+            points, normals = np.array(scene.contact_points)[index], scene.contact_normals[index]
+            nominal = Grasp.from_contacts(points, normals, self.friction)
+            rest = nominal.to_force(OfflineBasis.of(nominal, self.objective).cone_forces[12])
+        except (RankDeficientGraspError, InfeasibleStartError):
+            return ContactSet(index, None, alone)
+        pipeline = make_pipeline(nominal, self.config, self.initial_force)
+        return ContactSet(index, pipeline, rest.reshape(-1) / float(rest[:, 0].sum()))
+
+
+def control_settings(config: EnvConfig, item: ObjectDescription, friction: float) -> core.ControlSettings:
+    """The controller's belief, the object without its payload, and all gains."""
+    made = core.ControlSettings()
+    made.body = believed_body(config, item)
+    made.friction = friction
+    made.reach = core.Spring(REACH_STIFFNESS, 2.0 * np.sqrt(REACH_STIFFNESS * TIP_MASS), REACH_LIMIT)
+    made.spring = core.Spring(config.pd_stiffness, config.pd_damping, np.inf)
+    made.reach_depth = REACH_FORCE / REACH_STIFFNESS
+    made.posture_gain, made.posture_damping = POSTURE_STIFFNESS, POSTURE_LOSS
+    made.most_change = config.force_rate / config.control_rate
+    made.release = RELEASE
+    return made
+
+
+def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
+    """The object and the pose feedback, critically damped and no faster than the delay of the sensors allows."""
+    late = late_ticks(config) / config.control_rate
+    most = STABLE / late if late > 0.0 else np.inf
+    return critically_damped(item, min(config.position_bandwidth, most), min(config.rotation_bandwidth, most))
+
+
+def critically_damped(item: ObjectDescription, push: float, turn: float) -> core.Body:
+    """An object with pose feedback of two bandwidths [rad/s]."""
+    made = core.Body()
+    made.mass, made.inertia = item.mass, item.inertia_matrix.reshape(-1).tolist()
+    made.position_gain, made.position_damping = item.mass * push**2, 2.0 * item.mass * push
+    made.rotation_gain, made.rotation_damping = turn**2, 2.0 * turn
+    return made

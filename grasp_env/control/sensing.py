@@ -1,0 +1,67 @@
+"""What the controller sees of the scene: late and noisy where asked for, else the scene's own numbers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from grasp_env import core
+from grasp_env._check import Array
+from grasp_env.config import EnvConfig
+
+
+def sensor_settings(config: EnvConfig) -> core.SensorSettings:
+    """The settings of the core's sensors: `sensor_delay`, which the controller knows and makes good, and the noise."""
+    made = core.SensorSettings()
+    made.wrench = getattr(core.WrenchSource, config.wrench)
+    made.tick = 1.0 / config.control_rate
+    made.keep = keep_factor(config.estimator_time, made.tick)
+    made.delay = late_ticks(config)
+    made.wrench_delay = config.wrench_delay
+    made.pose_noise, made.tactile_noise = config.pose_noise, config.tactile_noise
+    return made
+
+
+def late_ticks(config: EnvConfig) -> int:
+    """Whole control ticks by which everything is seen late."""
+    return math.ceil(config.sensor_delay * config.control_rate - 1e-9)
+
+
+def keep_factor(time: float, tick: float) -> float:
+    """The share of its last value that a first-order filter of time constant `time` [s] keeps over `tick` [s].
+
+    Example:
+        >>> keep_factor(0.0, 0.004), keep_factor(0.02, 0.004)
+        (0.0, 0.8187...)
+    """
+    return math.exp(-tick / time) if time > 1e-3 * tick else 0.0
+
+
+class NoiseRows:
+    """Rows of standard normal numbers for the sensors, the same for a seed however many are asked for.
+
+    Args:
+        rng: source; used up in blocks of rows, so give it one of its own.
+        width: numbers per row.
+
+    Example:
+        >>> noise = NoiseRows(np.random.default_rng(0), width=3)
+        >>> noise().shape
+        (3,)
+    """
+
+    _BLOCK = 64
+
+    def __init__(self, rng: np.random.Generator, width: int) -> None:
+        self._rng = rng
+        self._rows = np.empty((self._BLOCK, width))
+        self._next = self._BLOCK
+
+    def __call__(self) -> Array:
+        """The next row (width,): a view, valid until the next call."""
+        if self._next == self._BLOCK:
+            self._rng.standard_normal(out=self._rows)
+            self._next = 0
+        self._next += 1
+        return self._rows[self._next - 1]

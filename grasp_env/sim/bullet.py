@@ -1,0 +1,291 @@
+"""PyBullet behind the `Simulator` boundary: its bodies, every parameter that matters to them, and its conventions."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import tempfile
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from grasp_env import core
+from grasp_env._check import Array
+from grasp_env.errors import SimulationError, UnknownNameError
+from grasp_env.sim.client import Client, bullet
+from grasp_env.sim.config import SceneConfig
+from grasp_env.sim.hand import HandDescription
+from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.simulator import Simulator
+from grasp_env.sim.urdf import hand_urdf
+
+OBJECT_COLOR = (0.86, 0.80, 0.68)
+HAND_FLAGS: int = (
+    bullet.URDF_USE_INERTIA_FROM_FILE
+    | bullet.URDF_USE_SELF_COLLISION
+    | bullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT  # neighbours overlap around their joint
+)
+UNDAMPED = {
+    "linearDamping": 0.0,
+    "angularDamping": 0.0,
+    "jointDamping": 0.0,
+    "restitution": 0.0,
+    "rollingFriction": 0.0,
+    "spinningFriction": 0.0,
+}
+"""Arguments of changeDynamics that undo Bullet's defaults."""
+
+_Z_TO_Y = (-math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # capsules and cylinders of Bullet lie along z
+
+
+class Bullet(Simulator):
+    """A hand around an object in its own PyBullet server; see `Simulator`.
+
+    Args:
+        hand: What is loaded with every object.
+        gui: Open a window; needs a display.
+        visuals: Load the hand's visual shapes, which pictures need; they make loading a new object five times slower.
+
+    Attributes:
+        client: The connection; world: the server's numbers of hand, object and joints, another tuple after each `load`.
+
+    Raises:
+        SimulationError: No display for the window.
+    """
+
+    def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
+        self.client = Client(gui)
+        folder = tempfile.mkdtemp()  # one path for all loads: Bullet keeps every path it has seen
+        self._clean = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self._urdf = os.path.join(folder, "hand.urdf")
+        with open(self._urdf, "w", encoding="utf-8") as file:
+            file.write(hand_urdf(hand if visuals or gui else _invisible(hand)))
+        self._numbers = np.empty(0)
+
+    def load(self, config: SceneConfig, angles: Array) -> None:
+        """See `Simulator`."""
+        client = self.client.number
+        self.world = build_world(client, config, self._urdf, angles)
+        links = [-1] * (bullet.getNumJoints(self.world.hand, physicsClientId=client) + 1)
+        for link, index in enumerate(self.world.joints):
+            links[index + 1] = link  # the palm is -1
+        # friction pushes along both of Bullet's directions, on the hand: it was loaded before the object
+        self._answers = core.Answers(
+            link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], sign=-1.0, first=-1, links=links
+        )
+        self._kept: dict[str, tuple[int, Any]] = {}  # the server that held others was emptied
+        self._resting: Any = None
+
+    def advance(self, torques: list[float], wrench: list[float] | None) -> None:
+        """See `Simulator`."""
+        client, world = self.client.number, self.world
+        bullet.setJointMotorControlArray(
+            world.hand, world.joints, bullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
+        )
+        if wrench is not None:
+            bullet.applyExternalForce(world.object, -1, wrench[:3], (0.0, 0.0, 0.0), bullet.LINK_FRAME, client)
+            bullet.applyExternalTorque(world.object, -1, wrench[3:], bullet.LINK_FRAME, client)
+        bullet.stepSimulation(client)
+        self._resting = None
+
+    def read(self) -> Array:
+        """See `Simulator`."""
+        client, world = self.client.number, self.world
+        joints = bullet.getJointStates(world.hand, world.joints, client)
+        pose = bullet.getBasePositionAndOrientation(world.object, client)
+        velocity = bullet.getBaseVelocity(world.object, client)
+        contacts = self._contacts()
+        count = self._answers.read(joints, pose, velocity, contacts, self._numbers)
+        if count > len(self._numbers):
+            self._numbers = np.empty(2 * count)
+            self._answers.read(joints, pose, velocity, contacts, self._numbers)
+        return self._numbers[:count]
+
+    def set_gravity(self, gravity: Array) -> None:
+        """See `Simulator`."""
+        bullet.setGravity(*gravity.tolist(), physicsClientId=self.client.number)
+
+    def set_object(self, item: ObjectDescription) -> None:
+        """See `Simulator`."""
+        set_dynamics(self.client.number, self.world.object, item)
+
+    def keep(self, name: str) -> None:
+        """See `Simulator`: 1 ms; each kept state takes 97 kB."""
+        client = self.client.number
+        contacts = self._contacts()
+        if name in self._kept:
+            bullet.removeState(self._kept[name][0], physicsClientId=client)
+        self._kept[name] = bullet.saveState(physicsClientId=client), contacts
+        self.reset(name)
+
+    def reset(self, name: str) -> None:
+        """See `Simulator`."""
+        if name not in self._kept:
+            raise UnknownNameError("kept state", name, self._kept)
+        client, world = self.client.number, self.world
+        state, self._resting = self._kept[name]
+        bullet.restoreState(stateId=state, physicsClientId=client)
+        # Bullet restores contacts to the first pair of shapes of two links, not to the one they were of: new collision proxies make
+        # the next step find them anew. Nothing is lost, as its solver starts from no impulses; until then those kept are read
+        bullet.setCollisionFilterPair(world.hand, world.object, -1, -1, 1, physicsClientId=client)
+
+    @contextmanager
+    def object_hidden(self) -> Iterator[None]:
+        """Leaves the object out of pictures while the block runs; its physics stays."""
+        self._show_object(0.0)
+        try:
+            yield
+        finally:
+            self._show_object(1.0)
+
+    def close(self) -> None:
+        """See `Simulator`."""
+        self.client.close()
+        self._clean()
+
+    def _show_object(self, opacity: float) -> None:
+        bullet.changeVisualShape(
+            self.world.object, -1, rgbaColor=(*OBJECT_COLOR, opacity), physicsClientId=self.client.number
+        )
+
+    def _contacts(self) -> Any:
+        """What the server says of the contacts in the last step, after a reset what it said when the state was kept."""
+        if self._resting is not None:
+            return self._resting
+        return bullet.getContactPoints(self.world.hand, self.world.object, physicsClientId=self.client.number)
+
+
+def _invisible(hand: HandDescription) -> HandDescription:
+    """The same hand without visual shapes."""
+    links = tuple(replace(link, visual=()) for link in hand.links)
+    return replace(hand, palm=replace(hand.palm, visual=()), links=links)
+
+
+class World(NamedTuple):
+    """Numbers in one PyBullet server: the hand, the object, and the hand's joints in the order of its description."""
+
+    hand: int
+    object: int
+    joints: tuple[int, ...]
+
+
+def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray) -> World:
+    """Make the hand, then the object, in an emptied server: 3 ms, 17 ms where the URDF has visual shapes.
+
+    The order matters: the signs of the friction forces that Bullet reports depend on it.
+
+    Args:
+        client: Number of the PyBullet connection.
+        config: The scene.
+        urdf: Path of the hand's file; loading the same path again leaks nothing, another path 12 kB.
+        angles: Of the joints at the start [rad], (M,).
+    """
+    bullet.resetSimulation(physicsClientId=client)  # resets gravity and solver iterations too: all is set again here
+    bullet.setPhysicsEngineParameter(
+        fixedTimeStep=1.0 / config.physics_rate,
+        numSubSteps=0,  # with substeps the reported contact forces are a fraction of the true ones
+        numSolverIterations=config.solver_iterations,
+        solverResidualThreshold=0.0,
+        enableConeFriction=1,
+        deterministicOverlappingPairs=1,
+        physicsClientId=client,
+    )
+    bullet.setGravity(*config.gravity, physicsClientId=client)
+    hand = bullet.loadURDF(urdf, useFixedBase=True, flags=HAND_FLAGS, physicsClientId=client)
+    joints = tuple(joint_indices(client, hand, config.hand))
+    for link in range(-1, bullet.getNumJoints(hand, physicsClientId=client)):
+        bullet.changeDynamics(
+            hand, link, lateralFriction=config.hand.tip_friction, physicsClientId=client, **UNDAMPED
+        )  # fmt: skip
+    for joint in joints:
+        # Bullet cuts joint speeds at 100 rad/s before it solves contacts: at 250 Hz a light link then passes on 8 of its 12 N m
+        bullet.changeDynamics(hand, joint, maxJointVelocity=1e5, physicsClientId=client)
+    for joint, angle in zip(joints, angles.tolist(), strict=True):
+        bullet.resetJointState(hand, joint, angle, 0.0, physicsClientId=client)
+    # every joint comes with a velocity motor that holds it: switch it off for torque control
+    bullet.setJointMotorControlArray(
+        hand, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=client
+    )
+    return World(hand, create_body(client, config.object, OBJECT_COLOR), joints)
+
+
+def joint_indices(client: int, body: int, hand: HandDescription) -> list[int]:
+    """PyBullet's index of every joint of the hand, (M,); a link has the index of its joint.
+
+    Raises:
+        SimulationError: The body is not this hand.
+    """
+    count = bullet.getNumJoints(body, physicsClientId=client)
+    names = [bullet.getJointInfo(body, index, physicsClientId=client)[1].decode() for index in range(count)]
+    missing = [name for name in hand.joint_names if name not in names]
+    if missing:
+        raise SimulationError(f"body {body} is not the hand {hand.name!r}: it lacks the joints {', '.join(missing)}")
+    return [names.index(name) for name in hand.joint_names]
+
+
+def create_body(client: int, item: ObjectDescription, color: tuple[float, float, float]) -> int:
+    """Make an object at the origin and return its body number; the hand must be there already.
+
+    Bullet's surface is that of `item.surface`. For cuboid, sphere and capsule its contacts are exact; its search for
+    the nearest point takes corners within a centimetre for one, though: the normal and the distance are off by up to
+    0.04 and 40 um on the round side of a cylinder, 0.006 and 16 um on a mesh of 320 faces.
+
+    Args:
+        client: Number of the PyBullet connection.
+        item: The object.
+        color: Red, green and blue in [0, 1].
+    """
+    solid, look = _shapes(item)
+    shape = bullet.createCollisionShape(**solid, physicsClientId=client)
+    seen = bullet.createVisualShape(**look, rgbaColor=(*color, 1.0), physicsClientId=client)
+    body = bullet.createMultiBody(item.mass, shape, seen, physicsClientId=client)
+    set_dynamics(client, body, item)
+    return body
+
+
+def set_dynamics(client: int, body: int, item: ObjectDescription) -> None:
+    """Give a body the mass, inertia and friction of an object, without damping."""
+    # no frictionAnchor: it holds on to old contact points, and under a changing load the object
+    # crept by 1 mm and the contact forces missed the commanded ones by 0.2 N (1e-6 N without)
+    bullet.changeDynamics(
+        body, -1, mass=item.mass, localInertiaDiagonal=item.moments, lateralFriction=item.friction,
+        collisionMargin=_margin(item), physicsClientId=client, **UNDAMPED,
+    )  # fmt: skip
+
+
+def _margin(item: ObjectDescription) -> float:
+    """Bullet rounds edges by the margin, and puts it around meshes; of spheres and capsules it is the radius."""
+    return 0.5 * item.size[0] if item.shape in ("sphere", "capsule") else 0.0
+
+
+def _shapes(item: ObjectDescription) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Arguments of createCollisionShape and createVisualShape."""
+    if item.shape == "cuboid":
+        sides = {"shapeType": bullet.GEOM_BOX, "halfExtents": [0.5 * side for side in item.size]}
+        return sides, sides
+    if item.shape == "mesh":
+        corners, faces = item.faces
+        # three corners of its own for every face, so that it is drawn flat
+        drawn, normals = item.surface.triangles.reshape(-1, 3), np.repeat(item.surface.normals, 3, axis=0)
+        hull = {"shapeType": bullet.GEOM_MESH, "vertices": corners.tolist()}
+        look = {
+            "shapeType": bullet.GEOM_MESH,
+            "vertices": drawn.tolist(),
+            "indices": list(range(3 * len(faces))),
+            "normals": normals.tolist(),
+        }
+        return hull, look
+    radius = 0.5 * item.size[0]
+    if item.shape == "sphere":
+        ball = {"shapeType": bullet.GEOM_SPHERE, "radius": radius}
+        return ball, ball
+    kind = bullet.GEOM_CYLINDER if item.shape == "cylinder" else bullet.GEOM_CAPSULE
+    length = item.size[1] if item.shape == "cylinder" else item.size[1] - 2.0 * radius
+    solid = {"shapeType": kind, "radius": radius, "height": length, "collisionFrameOrientation": _Z_TO_Y}
+    look = {"shapeType": kind, "radius": radius, "length": length, "visualFrameOrientation": _Z_TO_Y}
+    return solid, look

@@ -1,0 +1,48 @@
+"""Hands and scenes without the rest: in a PyBullet server alone, in the core without a simulator."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+
+import numpy as np
+
+from grasp_env import core
+from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, ObjectDescription, Scene, Snapshot
+from grasp_env.sim.bullet import HAND_FLAGS
+from grasp_env.sim.client import bullet
+from grasp_env.sim.scene import core_surface
+from grasp_env.sim.urdf import hand_urdf
+
+
+def load_hand(client: int, hand: HandDescription) -> int:
+    """Loads a hand, its palm fixed; the body's number."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = os.path.join(folder, "hand.urdf")
+        with open(path, "w", encoding="utf-8") as file:
+            file.write(hand_urdf(hand))
+        return bullet.loadURDF(path, useFixedBase=True, flags=HAND_FLAGS, physicsClientId=client)
+
+
+def links_of_indices(indices: list[int]) -> list[int]:
+    """The number of our link for each of PyBullet's link indices, -1 for the palm and its parts; the last entry answers -1."""
+    links = [-1] * (max(indices) + 2)
+    for link, index in enumerate(indices):
+        links[index] = link
+    return links
+
+
+def scene_alone(item: ObjectDescription | None = None, fingers: int = 4) -> tuple[core.Scene, Snapshot]:
+    """A scene of the core without a simulator, and what it is made to look like: write into the views."""
+    hand = HandDescription.of_fingers(
+        [FingerDescription(f"f{k}", (0.1 * k, 0.2, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)) for k in range(fingers)]
+    )
+    made = core.Scene.make(HandKinematics(hand).tree, core_surface(item or ObjectDescription()), (0.0, -9.81, 0.0))
+    views = Snapshot(**made.arrays())
+    views.rotation[:] = np.eye(3)
+    return made, views
+
+
+def numbers(scene: Scene) -> np.ndarray:
+    """Everything that can be read of a scene now, in one row."""
+    return np.concatenate([part.reshape(-1) for part in scene.look()])
