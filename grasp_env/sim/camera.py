@@ -123,13 +123,12 @@ class Camera:
         image, depth = self._render(shadows=True)
         if opacity < 1.0:  # the renderer knows only drawn and not drawn: blend the two
             with self._bullet.object_hidden():  # what is behind has no shadows: that saves a tenth of the time
-                see_through(image, depth, *self._render(shadows=False), opacity, image)
+                image = see_through(image, depth, *self._render(shadows=False), opacity)
         if factor > 1:
-            split = image.reshape(self.config.height, factor, self.config.width, factor, 3)
+            split = image[..., :3].reshape(self.config.height, factor, self.config.width, factor, 3)
             image = split.mean(axis=(1, 3)).round().astype(np.uint8)
         else:
-            jagged, image = image, np.empty_like(image)
-            smooth_edges(jagged, image)
+            image = smooth_edges(image)
         return image if annotation is None else draw(image, annotation, self.view)
 
     def project(self, points: ArrayLike) -> Array:
@@ -137,12 +136,10 @@ class Camera:
         return self.view.project(points)
 
     def _render(self, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
-        """One picture with background, `supersampling` times the delivered size, uint8, and its depth."""
+        """One picture (H, W, 4) with background, `supersampling` times the delivered size, uint8, and its depth."""
         height, width, _ = self._background.shape
         pixels, depth = self._shoot(self.view, width, height, shadows)
-        image = np.empty_like(self._background)
-        put_background(pixels, depth, self._background, image)
-        return image, depth
+        return put_background(pixels, depth, self._background), depth
 
     def _shoot(self, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
         """Colours (height, width, 4) uint8 and OpenGL depth (height, width) float32 of what is drawn."""

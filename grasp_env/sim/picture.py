@@ -1,10 +1,14 @@
-"""Kernels on rendered pictures: the background, an object that lets what is behind it be seen, smooth edges."""
+"""Rendered pictures, (H, W, 4) uint8: the background, an object that lets what is behind it be seen, smooth edges."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from grasp_env._compile import compiled
+from grasp_env._check import Array
+
+Picture = NDArray[np.uint8]
+Depth = NDArray[np.float32]
 
 BACKGROUND_DEPTH = 0.99999
 """OpenGL depth from which on nothing was drawn; the far plane of `view.py` is that far away."""
@@ -12,99 +16,90 @@ BACKGROUND_DEPTH = 0.99999
 _STEP = 8.0
 """Longest way [pixels] along an edge over which it is smoothed."""
 
+_BRIGHTNESS = np.array([0.299, 0.587, 0.114], np.float32)
+"""Of red, green and blue."""
+
 _CONTRAST = 16.0
 """Differences of brightness, of 255, that are left as they are."""
 
 
-def gradient(width: int, height: int, top: tuple[int, int, int], bottom: tuple[int, int, int]) -> np.ndarray:
-    """A background (height, width, 3) uint8 that changes evenly from the top to the bottom."""
+def gradient(width: int, height: int, top: tuple[int, int, int], bottom: tuple[int, int, int]) -> Picture:
+    """A background that changes evenly from the top to the bottom."""
     part = np.linspace(0.0, 1.0, height)[:, None, None]
-    column = (1.0 - part) * np.array(top) + part * np.array(bottom)
-    return np.ascontiguousarray(np.broadcast_to(column.round().astype(np.uint8), (height, width, 3)))
+    column = (1.0 - part) * np.array([*top, 255]) + part * np.array([*bottom, 255])
+    return np.ascontiguousarray(np.broadcast_to(column.round().astype(np.uint8), (height, width, 4)))
 
 
-@compiled
-def put_background(pixels, depth, background, out):
-    """Writes into out (H, W, 3) the pixels (H, W, 4), and the background (H, W, 3) where nothing was drawn."""
-    height, width = depth.shape
-    for row in range(height):
-        for column in range(width):
-            source = background if depth[row, column] >= BACKGROUND_DEPTH else pixels
-            for k in range(3):
-                out[row, column, k] = source[row, column, k]
+def put_background(pixels: Picture, depth: Depth, background: Picture) -> Picture:
+    """The pixels, and the background where nothing was drawn."""
+    chosen = np.where(depth >= BACKGROUND_DEPTH, _words(background), _words(pixels))
+    return chosen[..., None].view(np.uint8)
 
 
-@compiled
-def see_through(front, front_depth, back, back_depth, opacity, out):
-    """Writes opacity * front + (1 - opacity) * back where their depths (H, W) differ, and front elsewhere.
-
-    All pictures are (H, W, 3) uint8; out may be front.
-    """
-    height, width = front_depth.shape
-    for row in range(height):
-        for column in range(width):
-            weight = opacity if front_depth[row, column] != back_depth[row, column] else 1.0
-            for k in range(3):
-                value = weight * front[row, column, k] + (1.0 - weight) * back[row, column, k]
-                out[row, column, k] = np.uint8(value + 0.5)
+def see_through(front: Picture, front_depth: Depth, back: Picture, back_depth: Depth, opacity: float) -> Picture:
+    """The front, and where their depths differ opacity * front + (1 - opacity) * back."""
+    out, places = front.copy(), np.flatnonzero(front_depth != back_depth)
+    over, under = (image.reshape(-1, 4).take(places, axis=0) for image in (front, back))
+    out.reshape(-1, 4)[places] = (opacity * over + (1.0 - opacity) * under + 0.5).astype(np.uint8)
+    return out
 
 
-@compiled
-def smooth_edges(image, out):
-    """Writes image (H, W, 3) uint8 with stairs at edges blended along the edge.
+def smooth_edges(image: Picture) -> Picture:
+    """The picture, (H, W, 3), with stairs at edges blended along the edge.
 
     The fast approximate anti-aliasing of T. Lottes (FXAA, 2009): the brightness of four neighbours tells the direction
     of an edge; two samples along it (four where they stay within the brightness around) replace the pixel.
     """
     height, width, _ = image.shape
-    bright = np.empty((height, width), np.float32)
-    for row in range(height):
-        for column in range(width):
-            bright[row, column] = (
-                np.float32(0.299) * image[row, column, 0]
-                + np.float32(0.587) * image[row, column, 1]
-                + np.float32(0.114) * image[row, column, 2]
-            )
-    near, far = np.empty(3), np.empty(3)
-    for row in range(height):
-        up, down = max(row - 1, 0), min(row + 1, height - 1)
-        for column in range(width):
-            for k in range(3):
-                out[row, column, k] = image[row, column, k]
-            left, right = max(column - 1, 0), min(column + 1, width - 1)
-            here, nw, ne = bright[row, column], bright[up, left], bright[up, right]
-            sw, se = bright[down, left], bright[down, right]
-            low, high = min(here, nw, ne, sw, se), max(here, nw, ne, sw, se)
-            if high - low < _CONTRAST:
-                continue
-            across = (sw + 2.0 * bright[down, column] + se) - (nw + 2.0 * bright[up, column] + ne)
-            along = (nw + 2.0 * bright[row, left] + sw) - (ne + 2.0 * bright[row, right] + se)
-            scale = 1.0 / (min(abs(across), abs(along)) + max((nw + ne + sw + se) / 32.0, 2.0))
-            x = min(max(across * scale, -_STEP), _STEP)
-            y = min(max(along * scale, -_STEP), _STEP)
-            for k in range(3):
-                near[k] = 0.5 * (
-                    _sample(image, row - y / 6.0, column - x / 6.0, k)
-                    + _sample(image, row + y / 6.0, column + x / 6.0, k)
-                )
-                far[k] = 0.5 * near[k] + 0.25 * (
-                    _sample(image, row - y / 2.0, column - x / 2.0, k)
-                    + _sample(image, row + y / 2.0, column + x / 2.0, k)
-                )
-            level = 0.299 * far[0] + 0.587 * far[1] + 0.114 * far[2]
-            chosen = near if level < low or level > high else far
-            for k in range(3):
-                out[row, column, k] = np.uint8(chosen[k] + 0.5)
+    bright = _BRIGHTNESS[0] * image[..., 0]
+    for k in (1, 2):
+        bright += _BRIGHTNESS[k] * image[..., k]
+    bright = np.pad(bright, 1, mode="edge")
+    here, *corners = (bright[r : r + height, c : c + width] for r, c in ((1, 1), (0, 0), (0, 2), (2, 0), (2, 2)))
+    low, high = here.copy(), here.copy()
+    for corner in corners:
+        np.minimum(low, corner, out=low)
+        np.maximum(high, corner, out=high)
+    places = np.flatnonzero(high - low >= _CONTRAST)  # all that follows is done for these pixels alone
+    row, column = np.divmod(places, width)
+    low, high = low[row, column], high[row, column]
+    nw, ne, sw, se = (corner[row, column] for corner in corners)
+    up, left, right, down = (bright[row + r, column + c].astype(float) for r, c in ((0, 1), (1, 0), (1, 2), (2, 1)))
+    across = (sw + 2.0 * down + se) - (nw + 2.0 * up + ne)
+    along = (nw + 2.0 * left + sw) - (ne + 2.0 * right + se)
+    scale = 1.0 / (np.minimum(np.abs(across), np.abs(along)) + np.maximum((nw + ne + sw + se) / 32.0, 2.0))
+    x, y = np.clip(across * scale, -_STEP, _STEP), np.clip(along * scale, -_STEP, _STEP)
+
+    def both(part: float) -> Array:
+        """The sum of the samples that far along the edge either way."""
+        return _sample(image, row - y / part, column - x / part) + _sample(image, row + y / part, column + x / part)
+
+    near = 0.5 * both(6.0)
+    far = 0.5 * near + 0.25 * both(2.0)
+    level = 0.299 * far[0] + 0.587 * far[1] + 0.114 * far[2]
+    chosen = np.where((level < low) | (level > high), near, far)
+    out = np.ascontiguousarray(image[..., :3])
+    out.reshape(-1, 3)[places] = (chosen[:3] + 0.5).astype(np.uint8).T
+    return out
 
 
-@compiled
-def _sample(image, row, column, k):
-    """Bilinear value of channel k between the pixels, the border continued outside."""
+def _sample(image: Picture, row: Array, column: Array) -> Array:
+    """Bilinear values (4, n) between the pixels, the border continued outside."""
     height, width, _ = image.shape
-    row, column = min(max(row, 0.0), height - 1.0), min(max(column, 0.0), width - 1.0)
-    r, c = int(row), int(column)
-    s, d = min(r + 1, height - 1), min(c + 1, width - 1)
+    row, column = np.clip(row, 0.0, height - 1.0), np.clip(column, 0.0, width - 1.0)
+    r, c = row.astype(np.intp), column.astype(np.intp)
     v, u = row - r, column - c
-    above = (1.0 - u) * image[r, c, k] + u * image[r, d, k]
-    below = (1.0 - u) * image[s, c, k] + u * image[s, d, k]
+    at, words = r * width + c, _words(image).ravel()
+    right, down = np.minimum(c + 1, width - 1) - c, (np.minimum(r + 1, height - 1) - r) * width
+
+    def value(places: NDArray[np.intp]) -> Array:
+        return words.take(places).view(np.uint8).reshape(-1, 4).T.astype(float)
+
+    above = (1.0 - u) * value(at) + u * value(at + right)
+    below = (1.0 - u) * value(at + down) + u * value(at + down + right)
     return (1.0 - v) * above + v * below
+
+
+def _words(image: Picture) -> NDArray[np.uint32]:
+    """A number for each pixel, (H, W): what moves whole pixels is four times as fast."""
+    return image.view(np.uint32)[..., 0]

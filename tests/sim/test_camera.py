@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from oracles import pictures
 
 from grasp_env.errors import InvalidInputError, SimulationError
 from grasp_env.sim import Camera, CameraConfig, Scene, SceneConfig
@@ -209,15 +210,22 @@ def test_backgrounds_and_seeing_through_agree_with_numpy() -> None:
     rng = np.random.default_rng(0)
     pixels = rng.integers(0, 256, (9, 7, 4)).astype(np.uint8)
     depth, other = (np.where(rng.random((9, 7)) < 0.5, 1.0, 0.9).astype(np.float32) for _ in range(2))
-    background, out = gradient(7, 9, (255, 250, 240), (10, 20, 30)), np.empty((9, 7, 3), np.uint8)
-    assert background[0, 3].tolist() == [255, 250, 240]
-    assert background[-1, 3].tolist() == [10, 20, 30]
-    put_background(pixels, depth, background, out)
-    np.testing.assert_array_equal(out, np.where(depth[:, :, None] == 1.0, background, pixels[:, :, :3]))
-    mixed = np.empty_like(out)
-    see_through(out, depth, background, other, 0.6, mixed)
+    background = gradient(7, 9, (255, 250, 240), (10, 20, 30))
+    assert background[0, 3].tolist() == [255, 250, 240, 255]
+    assert background[-1, 3].tolist() == [10, 20, 30, 255]
+    out = put_background(pixels, depth, background)
+    np.testing.assert_array_equal(out, np.where(depth[:, :, None] == 1.0, background, pixels))
+    mixed = see_through(out, depth, background, other, 0.6)
     blend = np.floor(0.6 * out + 0.4 * background + 0.5)
     np.testing.assert_array_equal(mixed, np.where((depth != other)[:, :, None], blend, out))
+
+
+def test_smooth_edges_pixel_by_pixel() -> None:
+    rng = np.random.default_rng(0)
+    steps = np.repeat(np.repeat(rng.integers(0, 256, (8, 6, 4)), 5, axis=0), 4, axis=1)
+    for picture in (steps, steps // 8, rng.integers(0, 256, (30, 21, 4)), np.full((2, 1, 4), 7)):
+        image = picture.astype(np.uint8)
+        np.testing.assert_array_equal(smooth_edges(image), pictures.smooth_edges(image[..., :3]))
 
 
 @pytest.mark.parametrize("angle", [0.1, 0.35, 0.7, 1.2])
@@ -227,9 +235,8 @@ def test_smooth_edges_come_nearer_to_the_true_coverage(angle: float) -> None:
         inside = np.cos(angle) * x[None, :] + np.sin(angle) * x[:, None] > 0.3
         return 255.0 * inside.reshape(64, factor, 64, factor).mean(axis=(1, 3))
 
-    jagged = np.ascontiguousarray(np.repeat(half_plane(1)[:, :, None], 3, axis=2).astype(np.uint8))
-    smooth = np.empty_like(jagged)
-    smooth_edges(jagged, smooth)
+    jagged = np.repeat(half_plane(1)[:, :, None], 4, axis=2).astype(np.uint8)
+    smooth, jagged = smooth_edges(jagged), jagged[..., :3]
     truth = half_plane(16)[:, :, None]
     error = [np.sqrt(np.mean((image[4:-4, 4:-4] - truth[4:-4, 4:-4]) ** 2)) for image in (jagged, smooth)]
     assert error[1] < 0.85 * error[0]
