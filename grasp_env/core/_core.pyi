@@ -539,6 +539,58 @@ class Reach:
         the worst tip of each group misses [m].
         """
 
+class Limb:
+    """A capsule that is fixed to a link."""
+
+    def __init__(self, *, link: int, start: Sequence[float], end: Sequence[float], radius: float, tip: bool) -> None:
+        """
+        link: -1 for the palm; its axis [m] in the link's frame; tip: a fingertip's own sphere.
+        """
+
+class HandLimbs:
+    """The limbs of a hand, and its fingers one by one."""
+
+    @staticmethod
+    def make(tree: Tree, limbs: Sequence[Limb], home: object) -> HandLimbs:
+        """home (M,) [rad]: where the inverse kinematics starts."""
+
+    def clearance(self, surface: Surface, angles: object) -> tuple[float, float]:
+        """
+        Least distances [m] at angles (M,): of the links, without fingertips, from an object; of links and tips from one
+        another.
+        """
+
+    def palm_gap(self, surface: Surface) -> float:
+        """Of the palm from an object [m]."""
+
+class GraspSearch:
+    """A search for contacts with which a hand holds an object."""
+
+    @staticmethod
+    def make(hand: HandLimbs, surface: Surface, *, friction: float, length: float, space: float, loads: object, directions: object) -> GraspSearch:
+        """
+        loads: (L, 6) that the contacts make, (force, moment / length) [N]; directions: (D, 6) to compare them in;
+        length, space between fingers [m].
+        """
+
+    def fill(self, finger: int, rays: object, margins: Sequence[float], most: int) -> int:
+        """
+        Makes the pool of places of a finger anew, and returns their number.
+        rays: (S, 6) where to begin inside the object [m], and what to add to the direction towards the finger.
+        margins: [m] of flat surface, [rad] from joint limits, [m] of clearance.
+        """
+
+    def choose(self, picks: Sequence[Sequence[int]], forces: object, points: object, normals: object) -> int:
+        """
+        The best choice of each round: the total normal force [N] that it needs in the worst case into (R,), points and
+        normals into (R, N, 3); returns how many. picks: random numbers >= 0 per finger, of the choices to begin with.
+        """
+
+    def misses(self, finger: int) -> list[int]:
+        """
+        How many rays ended at an edge, out of reach, with a link at the object.
+        """
+
 class Answers:
     """
     Where the numbers lie in the nested tuples that a simulator answers with.

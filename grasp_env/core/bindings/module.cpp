@@ -19,6 +19,7 @@ NB_MODULE(_core, m) {
     bind_pipeline(m);
     bind_surface(m);
     bind_tree(m);
+    bind_grasping(m);
     bind_scene(m);
     bind_controller(m);
 }

@@ -21,5 +21,6 @@ void bind_pipeline(nb::module_& m);
 void bind_solution(nb::module_& m);
 void bind_surface(nb::module_& m);
 void bind_tree(nb::module_& m);
+void bind_grasping(nb::module_& m);
 void bind_scene(nb::module_& m);
 void bind_controller(nb::module_& m);

@@ -24,5 +24,6 @@ NB_MODULE(_core_test, m) {
     bind_program(m);
     bind_pipeline(m);
     bind_learned(m);
+    bind_grasping(m);
     bind_allocations(m);
 }

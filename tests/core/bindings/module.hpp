@@ -17,4 +17,5 @@ void bind_soft(nb::module_& m);
 void bind_program(nb::module_& m);
 void bind_pipeline(nb::module_& m);
 void bind_learned(nb::module_& m);
+void bind_grasping(nb::module_& m);
 void bind_allocations(nb::module_& m);
