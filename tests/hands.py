@@ -11,7 +11,6 @@ from grasp_env import core
 from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, ObjectDescription, Scene, Snapshot
 from grasp_env.sim.bullet import HAND_FLAGS
 from grasp_env.sim.client import bullet
-from grasp_env.sim.scene import core_surface
 from grasp_env.sim.urdf import hand_urdf
 
 
@@ -37,7 +36,7 @@ def scene_alone(item: ObjectDescription | None = None, fingers: int = 4) -> tupl
     hand = HandDescription.of_fingers(
         [FingerDescription(f"f{k}", (0.1 * k, 0.2, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)) for k in range(fingers)]
     )
-    made = core.Scene.make(HandKinematics(hand).tree, core_surface(item or ObjectDescription()), (0.0, -9.81, 0.0))
+    made = core.Scene.make(HandKinematics(hand).tree, (item or ObjectDescription()).surface, (0.0, -9.81, 0.0))
     views = Snapshot(**made.arrays())
     views.rotation[:] = np.eye(3)
     return made, views

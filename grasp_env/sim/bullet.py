@@ -271,7 +271,7 @@ def _shapes(item: ObjectDescription) -> tuple[dict[str, Any], dict[str, Any]]:
     if item.shape == "mesh":
         corners, faces = item.faces
         # three corners of its own for every face, so that it is drawn flat
-        drawn, normals = item.surface.triangles.reshape(-1, 3), np.repeat(item.surface.normals, 3, axis=0)
+        drawn, normals = corners[faces].reshape(-1, 3), np.repeat(item.face_normals, 3, axis=0)
         hull = {"shapeType": bullet.GEOM_MESH, "vertices": corners.tolist()}
         look = {
             "shapeType": bullet.GEOM_MESH,

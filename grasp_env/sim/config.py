@@ -11,7 +11,6 @@ from grasp_env._check import as_array
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand import HandDescription, Vector3
 from grasp_env.sim.objects import ObjectDescription
-from grasp_env.sim.shapes import nearest
 
 _CUBOID_POINTS: tuple[Vector3, ...] = (
     (0.0, 0.0, -0.05), (0.0, 0.03, 0.05), (-0.03, -0.02, 0.05), (0.03, -0.02, 0.05),
@@ -53,7 +52,7 @@ class SceneConfig:
             self.contact_points, (self.hand.finger_count, 3), "contact_points, one row per finger of the hand"
         )
         object.__setattr__(self, "contact_points", tuple(tuple(row) for row in points.tolist()))
-        off = np.array([self._distance(point) for point in points])
+        off = np.array([self.object.surface.nearest(point)[2] for point in points])
         if np.abs(off).max() > _ON_SURFACE:
             worst = int(np.abs(off).argmax())
             raise InvalidInputError(
@@ -64,11 +63,7 @@ class SceneConfig:
     @property
     def contact_normals(self) -> np.ndarray:
         """Inward unit normals at the contact points, (N, 3), object frame."""
-        normals = np.empty((len(self.contact_points), 3))
-        surface, point = self.object.surface, np.empty(3)
-        for inside, normal in zip(np.array(self.contact_points), normals, strict=True):
-            nearest(surface, inside, point, normal)
-        return normals
+        return np.array([self.object.surface.nearest(point)[1] for point in np.array(self.contact_points)])
 
     @property
     def weight(self) -> np.ndarray:
@@ -84,6 +79,3 @@ class SceneConfig:
         radii = np.array([tip.radius for tip in self.hand.fingertips])
         away = radii + (self.clearance or -_OVERLAP)
         return np.array(self.contact_points) - away[:, None] * self.contact_normals
-
-    def _distance(self, point: np.ndarray) -> float:
-        return nearest(self.object.surface, point, np.empty(3), np.empty(3))

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from grasp_env import core
 from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.presets import paper_cuboid
-from grasp_env.sim.clearance import Limbs, hand_clearance, hand_limbs
-from grasp_env.sim.grasp_places import fill_pool
-from grasp_env.sim.grasp_search import choose
 from grasp_env.sim.hand import HandDescription
-from grasp_env.sim.hand_frames import rotation_matrix
 from grasp_env.sim.kinematics import HandKinematics
-from grasp_env.sim.kinematics_kernels import Tree
+from grasp_env.sim.limbs import hand_limbs
 from grasp_env.sim.objects import ObjectDescription
-from grasp_env.sim.shapes import nearest
 
 FRICTION_MARGIN = 0.85
 """Part of the friction with which a grasp must do."""
@@ -37,7 +32,7 @@ _MARGINS = (
     (0.005, 0.1, 0.003),
     (0.003, 0.02, 0.0015),
     (0.001, 0.0, 0.0005),
-)  # what `fill_pool` keeps; easier each time
+)  # [m] of flat surface, [rad] from joint limits, [m] of clearance that a place keeps; easier each time
 _DIRECTIONS = 120
 
 
@@ -94,7 +89,7 @@ def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike 
     given = as_array(points, (None, 3), "points")
     on, inward = np.empty_like(given), np.empty_like(given)
     for index, point in enumerate(given):
-        distance = nearest(item.surface, point, on[index], inward[index])
+        on[index], inward[index], distance = item.surface.nearest(point)
         if abs(distance) > ON_SURFACE:
             raise InvalidInputError(
                 f"points[{index}]={point.tolist()} must lie on the surface of the {item.shape} of size {item.size}, it "
@@ -106,10 +101,9 @@ def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike 
         lengths = np.linalg.norm(wanted, axis=1)
         if not (lengths > 0.0).all():
             raise InvalidInputError(f"normals={wanted.tolist()} must not be zero; leave them out to use the surface's")
-        there, seen = np.empty(3), np.empty(3)
         for index, unit in enumerate(wanted / lengths[:, None]):
             # on an edge every direction between those of its faces is normal: the way back from outside leads there
-            nearest(item.surface, on[index] - _ASIDE * unit, there, seen)
+            there, seen, _ = item.surface.nearest(on[index] - _ASIDE * unit)
             if np.abs(there - on[index]).max() > 0.01 * _ASIDE or seen @ unit < 0.0:
                 raise InvalidInputError(
                     f"normals[{index}]={wanted[index].tolist()} must be the surface's inward normal "
@@ -124,22 +118,25 @@ class _Search:
 
     def __init__(self, item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator) -> None:
         self.item, self.kinematics, self.rng = item, kinematics, rng
-        self.limbs, self.carried, self.chains = _parts(kinematics)
-        self.fingers = len(self.chains)
-        self.length = 0.5 * float(np.mean(item.extent))
-        size, limbs = (self.fingers, _PLACES), len(self.limbs.links)
-        self.counts = np.zeros(self.fingers, dtype=np.int64)
-        self.points, self.normals = np.empty((*size, 3)), np.empty((*size, 3))
-        self.starts, self.ends = np.empty((*size, limbs, 3)), np.empty((*size, limbs, 3))
-        self.outcome = np.zeros((self.fingers, 3), dtype=np.int64)
+        self.limbs, self.fingers = _limbs(kinematics), kinematics.hand.finger_count
+        length = 0.5 * float(np.mean(item.extent))
+        self.core = core.GraspSearch.make(
+            self.limbs,
+            item.surface,
+            friction=FRICTION_MARGIN * item.friction,
+            length=length,
+            space=_SPACE,
+            loads=_loads(item.mass, length),
+            directions=_spread_directions(),
+        )
 
     def result(self) -> tuple[Array, Array]:
         self._check_palm()
         reason = ""
         for margins in _MARGINS:
-            self._fill(np.array(margins))
-            if not self.counts.all():
-                reason = self._unreached()
+            counts = self._fill(margins)
+            if min(counts) == 0:
+                reason = self._unreached(counts.index(0))
                 continue
             found = self._best(margins[2])
             if found is not None:
@@ -155,66 +152,42 @@ class _Search:
     def _name(self) -> str:
         return f"the {self.item.shape} of {' x '.join(f'{side:.3g}' for side in self.item.extent)} m"
 
-    def _fill(self, margins: Array) -> None:
-        extent = np.array(self.item.extent)
-        for finger, tip in enumerate(self.kinematics.tips(self.kinematics.home)):
-            rays = self.rng.random((_RAYS, 6)) - 0.5
-            rays *= np.concatenate([extent, np.full(3, 2.0 * _SPREAD)])
-            joints = self.chains[finger].joints
-            self.counts[finger] = fill_pool(
-                self.chains[finger].tree, self.limbs, self.item.surface, joints, self.carried[finger],
-                self.kinematics.home[None, joints], tip / max(float(np.linalg.norm(tip)), 1e-9), rays, margins,
-                self.points[finger], self.normals[finger], self.starts[finger], self.ends[finger], self.outcome[finger],
-            )  # fmt: skip
+    def _fill(self, margins: tuple[float, float, float]) -> list[int]:
+        """How many places each finger has."""
+        sides = np.concatenate([self.item.extent, np.full(3, 2.0 * _SPREAD)])
+        return [
+            self.core.fill(finger, (self.rng.random((_RAYS, 6)) - 0.5) * sides, margins, _PLACES)
+            for finger in range(self.fingers)
+        ]
 
     def _best(self, clearance: float) -> tuple[Array, Array] | None:
         """The best choice for which the whole hand has angles, without contact but at the tips."""
-        loads = self._loads()
-        directions = np.zeros((_DIRECTIONS + _ROUNDS * len(loads), 6))
-        directions[:_DIRECTIONS] = _spread_directions()
-        choices, forces = np.zeros((_ROUNDS, self.fingers), dtype=np.int64), np.full(_ROUNDS, np.inf)
         picks = self.rng.integers(0, 1 << 30, (_STARTS, self.fingers))
-        choose(
-            self.limbs, self.carried, self.counts, self.points, self.normals, self.starts, self.ends,
-            FRICTION_MARGIN * self.item.friction, self.length, loads, _SPACE, directions, _DIRECTIONS, picks,
-            choices, forces,
-        )  # fmt: skip
-        row = np.arange(self.fingers)
+        forces, shape = np.full(_ROUNDS, np.inf), (_ROUNDS, self.fingers, 3)
+        points, normals = np.empty(shape), np.empty(shape)
+        self.core.choose(picks.tolist(), forces, points, normals)
         for turn in np.argsort(forces, kind="stable"):
             if forces[turn] > LARGEST_FORCE:
                 return None
-            points, normals = self.points[row, choices[turn]], self.normals[row, choices[turn]]
             try:
-                angles = self.kinematics.solve(points - self.kinematics.tip_radii[:, None] * normals)
+                angles = self.kinematics.solve(points[turn] - self.kinematics.tip_radii[:, None] * normals[turn])
             except InvalidInputError:  # fingers that share joints reach their places one by one only
                 continue
-            away, apart = hand_clearance(_tree(self.kinematics), self.limbs, self.item.surface, angles)
+            away, apart = self.limbs.clearance(self.item.surface, angles)
             if away >= 0.9 * clearance and apart > 0.0:
-                return points, normals
+                return points[turn], normals[turn]
         return None
 
-    def _loads(self) -> Array:
-        """Wrenches that the contacts must make, moments over `length` [N], (14, 6); 0 is inside their convex hull."""
-        weight = np.array([0.0, self.item.mass * _GRAVITY, 0.0, 0.0, 0.0, 0.0])
-        steps = np.concatenate([np.full(3, _PUSH), np.full(3, _TURN / self.length)])
-        return np.concatenate([weight + np.diag(steps), weight - np.diag(steps), [weight, -0.5 * weight]])
-
     def _check_palm(self) -> None:
-        limbs = self.limbs
-        palm = limbs.links < 0
-        gap = np.inf
-        if palm.any():
-            still = Limbs(*(np.ascontiguousarray(part[palm]) for part in limbs))
-            gap, _ = hand_clearance(_tree(self.kinematics), still, self.item.surface, self.kinematics.home)
+        gap = self.limbs.palm_gap(self.item.surface)
         if gap < _MARGINS[-1][2]:
             raise InvalidInputError(
                 f"{self._name} reaches {-1e3 * gap:.1f} mm into the palm of the hand {self.kinematics.hand.name!r}; "
                 "use a smaller object or a palm further away"
             )
 
-    def _unreached(self) -> str:
-        finger = int(self.counts.argmin())
-        edges, far, touching = self.outcome[finger].tolist()
+    def _unreached(self, finger: int) -> str:
+        edges, far, touching = self.core.misses(finger)
         name = self.kinematics.hand.finger_names[finger]
         why = (
             f"of the places tried {far} are out of reach, at {touching} its links touch the object, and {edges} are "
@@ -223,65 +196,21 @@ class _Search:
         return f"finger {name!r} finds no place on it: {why}. Use an object of another size, or move the finger's base"
 
 
+def _loads(mass: float, length: float) -> Array:
+    """Wrenches that the contacts must make, moments over `length` [N], (14, 6); 0 is inside their convex hull."""
+    weight = np.array([0.0, mass * _GRAVITY, 0.0, 0.0, 0.0, 0.0])
+    steps = np.concatenate([np.full(3, _PUSH), np.full(3, _TURN / length)])
+    return np.concatenate([weight + np.diag(steps), weight - np.diag(steps), [weight, -0.5 * weight]])
+
+
 @lru_cache(maxsize=1)
 def _four_finger() -> HandDescription:
     return HandDescription.four_finger()
 
 
-class _Chain(NamedTuple):
-    """The joints that move one finger, and the tree of these alone."""
-
-    joints: NDArray[np.int64]
-    tree: Tree
-
-
 @lru_cache(maxsize=8)
-def _parts(kinematics: HandKinematics) -> tuple[Limbs, NDArray[np.bool_], list[_Chain]]:
-    """The hand's limbs, whether a finger moves a limb, (N, C) bool, and the chain of each finger."""
-    limbs = hand_limbs(kinematics.hand)
-    carried = (limbs.links >= 0) & kinematics.carries[:, limbs.links]
-    return limbs, carried, [_chain(kinematics, finger) for finger in range(len(carried))]
-
-
-def _chain(kinematics: HandKinematics, finger: int) -> _Chain:
-    tree, joints = _tree(kinematics), np.flatnonzero(kinematics.carries[finger])
-    own = slice(finger, finger + 1)
-    chain = Tree(
-        parents=np.arange(len(joints)) - 1,
-        offsets=tree.offsets[joints],
-        rotations=tree.rotations[joints],
-        axes=tree.axes[joints],
-        masses=tree.masses[joints],
-        centers=tree.centers[joints],
-        tip_links=np.array([len(joints) - 1]),
-        tip_centers=tree.tip_centers[own].copy(),
-        tip_radii=tree.tip_radii[own].copy(),
-        lower=tree.lower[joints],
-        upper=tree.upper[joints],
-        torque_limits=tree.torque_limits[joints],
-    )
-    return _Chain(joints.astype(np.int64), chain)
-
-
-@lru_cache(maxsize=8)
-def _tree(kinematics: HandKinematics) -> Tree:
-    """The arrays of the search's kernels."""
-    hand = kinematics.hand
-    numbers = {link.name: index for index, link in enumerate(hand.links)}
-    return Tree(
-        parents=np.array([numbers.get(link.parent, -1) for link in hand.links], dtype=np.int64),
-        offsets=np.array([link.origin for link in hand.links]),
-        rotations=np.array([rotation_matrix(link.rotation) for link in hand.links]),
-        axes=np.array([link.axis for link in hand.links]),
-        masses=np.array([link.mass for link in hand.links]),
-        centers=np.array([link.center for link in hand.links]),
-        tip_links=kinematics.tip_links,
-        tip_centers=np.array([tip.center for tip in hand.fingertips]),
-        tip_radii=kinematics.tip_radii,
-        lower=kinematics.lower,
-        upper=kinematics.upper,
-        torque_limits=kinematics.torque_limits,
-    )
+def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
+    return core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
 
 
 @lru_cache(maxsize=1)

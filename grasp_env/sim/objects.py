@@ -9,15 +9,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from grasp_env import core
 from grasp_env._check import Array, as_array, choice
 from grasp_env._files import as_path
 from grasp_env.errors import InvalidInputError, UnknownNameError, shown
 from grasp_env.sim.hand_check import numbers, positive
 from grasp_env.sim.mesh import Mesh, load_mesh
-from grasp_env.sim.shapes import KINDS, Surface
 
-SHAPES = tuple(KINDS)
-SHAPES_WITHOUT_MESH = tuple(shape for shape in SHAPES if shape != "mesh")
 SMALLEST, LARGEST = 0.001, 1.0
 """[m] that an object measures along each axis."""
 
@@ -28,6 +26,8 @@ _SIZES = {
     "capsule": ("diameter", "total length"),
     "mesh": ("scale",),
 }
+SHAPES = tuple(_SIZES)
+SHAPES_WITHOUT_MESH = tuple(shape for shape in SHAPES if shape != "mesh")
 _DEFAULTS = {
     "cuboid": (0.1, 0.1, 0.1),
     "cylinder": (0.1, 0.1),
@@ -62,8 +62,9 @@ class ObjectDescription:
         >>> can = ObjectDescription("cylinder", (0.066, 0.115), mass=0.35)
         >>> can.extent
         (0.066, 0.115, 0.066)
-        >>> can.surface.numbers
-        array([0.033 , 0.0575, 0.    , 0.    ])
+        >>> point, normal, distance = can.surface.nearest(np.array([0.0, 0.0, 0.05]))
+        >>> point, round(distance, 3)
+        (array([0.   , 0.   , 0.033]), 0.017)
     """
 
     shape: str = "cuboid"
@@ -74,7 +75,7 @@ class ObjectDescription:
     mesh: str | None = None
 
     def __post_init__(self) -> None:
-        choice(self.shape, "shape", KINDS)
+        choice(self.shape, "shape", SHAPES)
         if (self.shape == "mesh") != (self.mesh is not None):
             raise InvalidInputError(
                 f"shape={self.shape!r} with mesh={shown(self.mesh)}: shape 'mesh' needs the path of a mesh file, "
@@ -117,16 +118,15 @@ class ObjectDescription:
         return self.size[0], self.size[-1], self.size[0]
 
     @cached_property
-    def surface(self) -> Surface:
-        """For `shapes.nearest`."""
-        sizes = np.zeros(4)
+    def surface(self) -> core.Surface:
+        """The nearest points of it."""
+        numbers = np.zeros(3)
         if self._mesh is not None:
-            return Surface(KINDS["mesh"], sizes, self._mesh.triangles, self._mesh.normals)
-        half = 0.5 * np.array(self.size)
-        sizes[: len(half)] = half
+            return core.Surface.make(self.shape, numbers, self._mesh.triangles, self._mesh.normals)
+        numbers[: len(self.size)] = 0.5 * np.array(self.size)
         if self.shape == "capsule":
-            sizes[1] -= sizes[0]
-        return Surface(KINDS[self.shape], sizes, np.zeros((0, 3, 3)), np.zeros((0, 3)))
+            numbers[1] -= numbers[0]
+        return core.Surface.make(self.shape, numbers, np.zeros((0, 3, 3)), np.zeros((0, 3)))
 
     @cached_property
     def moments(self) -> tuple[float, float, float]:
@@ -151,14 +151,27 @@ class ObjectDescription:
 
     @property
     def faces(self) -> tuple[Array, NDArray[np.int64]]:
-        """Corners (V, 3) [m] and faces (F, 3) of a mesh, body frame.
+        """Corners (V, 3) [m] and faces (F, 3) of a mesh, body frame, from outside counterclockwise.
 
         Raises:
             InvalidInputError: Another shape.
         """
+        return self._of_mesh.vertices, self._of_mesh.faces
+
+    @property
+    def face_normals(self) -> Array:
+        """Outward unit normals of a mesh's faces, (F, 3); raises as `faces`."""
+        return self._of_mesh.normals
+
+    @property
+    def _of_mesh(self) -> Mesh:
         if self._mesh is None:
             raise InvalidInputError(f"a {self.shape} has no faces; only shape 'mesh' has")
-        return self._mesh.vertices, self._mesh.faces
+        return self._mesh
+
+    def __getstate__(self) -> dict[str, object]:
+        """All but the surface, which cannot be pickled and is made anew."""
+        return {name: value for name, value in self.__dict__.items() if name != "surface"}
 
     def _set(self, **values: object) -> None:
         for name, value in values.items():

@@ -16,7 +16,6 @@ from grasp_env.sim.bullet import Bullet
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.kinematics import HandKinematics
 from grasp_env.sim.objects import ObjectDescription
-from grasp_env.sim.shapes import KINDS
 from grasp_env.sim.simulator import Simulator
 from grasp_env.sim.snapshot import Snapshot
 
@@ -153,7 +152,7 @@ class Scene:
     def _build(self, angles: Array) -> None:
         self.simulator.load(self.config, angles)
         self.gravity = np.array(self.config.gravity, dtype=float)
-        self.core = core.Scene.make(self.kinematics.tree, core_surface(self.config.object), self.config.gravity)
+        self.core = core.Scene.make(self.kinematics.tree, self.config.object.surface, self.config.gravity)
         self._snapshot = Snapshot(**self.core.arrays())
         self._read = False
 
@@ -167,10 +166,3 @@ class Scene:
     def _set_object(self, changed: ObjectDescription) -> None:
         self.config = replace(self.config, object=changed)
         self.simulator.set_object(changed)
-
-
-def core_surface(item: ObjectDescription) -> core.Surface:
-    """Of an object."""
-    kind, numbers, triangles, normals = item.surface
-    names = {number: name for name, number in KINDS.items()}
-    return core.Surface.make(names[kind], numbers[:3].copy(), triangles, normals)

@@ -10,18 +10,17 @@ import pytest
 import trimesh
 from hands import load_hand
 
+from grasp_env import core
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceOptimizer, force_closure
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.presets import paper_cuboid
 from grasp_env.sim import HANDS, HandKinematics
 from grasp_env.sim.bullet import create_body, joint_indices
-from grasp_env.sim.clearance import hand_clearance, hand_limbs, segment_gap, surface_gap
 from grasp_env.sim.client import Client, bullet
-from grasp_env.sim.grasp_points import FRICTION_MARGIN, _tree, check_points, grasp_points
-from grasp_env.sim.grasp_search import least_force
+from grasp_env.sim.grasp_points import FRICTION_MARGIN, check_points, grasp_points
+from grasp_env.sim.limbs import hand_limbs
 from grasp_env.sim.objects import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
-from grasp_env.sim.shapes import nearest
 
 
 @pytest.fixture(scope="module")
@@ -43,10 +42,9 @@ def check(item: ObjectDescription, kinematics: HandKinematics, points: np.ndarra
     on, inward = check_points(item, points, normals)
     np.testing.assert_allclose(points, on, atol=1e-9)
     np.testing.assert_allclose(normals, inward, atol=1e-6)
-    tree = _tree(kinematics)
-    tips = points - tree.tip_radii[:, None] * normals
-    angles = kinematics.solve(tips)
-    away, apart = hand_clearance(tree, hand_limbs(kinematics.hand), item.surface, angles)
+    angles = kinematics.solve(points - kinematics.tip_radii[:, None] * normals)
+    limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
+    away, apart = limbs.clearance(item.surface, angles)
     assert away > 4e-4
     assert apart > 1e-4
     return worst(item, points, normals)
@@ -129,39 +127,6 @@ def test_bullet_sees_no_other_contact(hand: HandKinematics) -> None:
         near = {row[3] for row in bullet.getClosestPoints(body, held, 4e-4, physicsClientId=number)}
         assert near == {joints[link] for link in hand.tip_links}
         client.close()
-
-
-def test_least_force_against_the_conic_solver() -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(30):
-        count = int(rng.integers(3, 7))
-        normals = -rng.normal(size=(count, 3))
-        normals /= np.linalg.norm(normals, axis=1)[:, None]
-        points = -0.05 * normals + 0.005 * rng.normal(size=(count, 3))
-        grasp = Grasp.from_contacts(points, normals, 0.5)
-        wrench = rng.normal(size=6) * ([1.0] * 3 + [0.05] * 3)
-        load, y = -wrench / ([1.0] * 3 + [0.05] * 3), np.empty(6)
-        found = least_force(points, normals, 0.5, 0.05, load, y)
-        if not force_closure(grasp).closed:
-            continue
-        best = ForceOptimizer(grasp, method="conic").solve(wrench).objective
-        assert best * (1.0 - 1e-6) <= found <= 1.03 * best
-
-
-def test_segments_and_surfaces() -> None:
-    rng = np.random.default_rng(3)
-    part = np.linspace(0.0, 1.0, 201)[:, None]
-    item = ObjectDescription("cylinder", (0.08, 0.1))
-    point, normal = np.empty(3), np.empty(3)
-    for _ in range(40):
-        a, b, c, d = rng.normal(size=(4, 3)) * 0.1
-        one, two = a + part * (b - a), c + part * (d - c)
-        brute = np.linalg.norm(one[:, None] - two[None], axis=2).min()
-        assert segment_gap(a, b, c, d) == pytest.approx(brute, abs=3e-3)
-        assert segment_gap(a, b, c, d) <= brute + 1e-12
-        assert segment_gap(a, a, c, c) == pytest.approx(np.linalg.norm(a - c))
-        brute = min(nearest(item.surface, center, point, normal) for center in one)
-        assert surface_gap(item.surface, a, b, np.inf) == pytest.approx(brute, abs=1.5e-3)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from scipy.optimize import minimize
 from grasp_env.sim.bullet import UNDAMPED, create_body, set_dynamics
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.objects import SHAPES, ObjectDescription
-from grasp_env.sim.shapes import nearest
 
 SIZES = {
     "cuboid": (0.1, 0.06, 0.08),
@@ -52,8 +51,8 @@ def centers(count: int, low: float = 0.0, high: float = 0.09) -> np.ndarray:
 
 
 def found(item: ObjectDescription, center: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    point, normal = np.full(3, np.nan), np.full(3, np.nan)
-    return nearest(item.surface, center, point, normal), point, normal
+    point, normal, distance = item.surface.nearest(center)
+    return distance, point, normal
 
 
 def inside(item: ObjectDescription, x: np.ndarray) -> float:
@@ -110,7 +109,8 @@ def test_mesh_against_trimesh(tmp_path: Path, corners: int) -> None:
         away = np.linalg.norm(each - center, axis=1)
         assert abs(distance) == pytest.approx(away.min(), abs=1e-12)
         np.testing.assert_allclose(point, each[away.argmin()], atol=1e-9)
-        heights = np.einsum("fk,fk->f", item.surface.normals, center - item.surface.triangles[:, 0])
+        first, second, third = vertices[faces].transpose(1, 0, 2)
+        heights = np.einsum("fk,fk->f", np.cross(second - first, third - first), center - first)
         assert (distance > 0.0) == bool(heights.max() > 0.0)
 
 
