@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from grasp_env import ranges
-from grasp_env._check import as_array, as_list, as_text, choice, instance, is_a, positive, together, whole
+from grasp_env._check import as_array, as_list, as_text, choice, is_a, positive, together, whole
 from grasp_env._files import as_path
+from grasp_env.disturbance import DISTURBANCES, Disturbance
 from grasp_env.errors import InvalidInputError, UnknownNameError, shown
 from grasp_env.force import METHODS, RULES
 from grasp_env.sim.hand import HANDS, HandDescription
 from grasp_env.sim.objects import SHAPES
-from grasp_env.task import DISTURBANCES, MOTIONS, TASKS, Task
+from grasp_env.task import MOTIONS, TASKS, Task
 
 RANDOM = ("shape", "size", "mass", "friction")
 CONTROLLERS = ("optimised", "constant_squeeze", "pd")
@@ -23,7 +24,8 @@ WRENCHES = ("measured", "estimated", "none")
 _REAL = ranges.Range(-1e9, 1e9)
 """Of any number here; in the units of the settings nothing is larger."""
 _REAL_POSITIVE = ranges.Range(1e-9, 1e9)
-_MOST_TICKS = 10_000_000
+_MOST_TICKS = 1_000_000
+"""Of an episode, which is planned as a whole: 0.7 kB each."""
 _MOST_PIXELS = 8192
 _POSITIVE = {
     "force_weight": ranges.FORCE_WEIGHT, "barrier_weight": ranges.BARRIER_WEIGHT, "tolerance": ranges.TOLERANCE,
@@ -37,6 +39,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "shape": SHAPES, "task": tuple(TASKS), "motion": tuple(MOTIONS), "wrench": WRENCHES, "controller": CONTROLLERS,
     "initial_force": (*RULES, "previous"), "action_mode": ACTION_MODES, "method": METHODS, "disturbance": tuple(DISTURBANCES),
 }  # fmt: skip
+_HINTS = {"disturbance": ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]"}
 _LENGTHS = {"disturbance_value": 6, "gravity": 3}
 _SIGNED = ("friction_error", "disturbance_scale")
 _RANGES = ("size_range", "mass_range", "friction_range")
@@ -60,7 +63,8 @@ class EnvConfig:
         task: "hold", "move", "payload" or "six_directions"; see `grasp_env.task`.
         duration: [s] until truncation; None: the task's own.
         disturbance: the external wrench besides gravity: "none", "constant" (`disturbance_value`), "paper_path" (the paper's
-            W_ext(t)), "random" (Ornstein-Uhlenbeck), "impulses", "tilting_gravity"; None: the task's own.
+            W_ext(t)), "random" (Ornstein-Uhlenbeck), "impulses", "tilting_gravity", or any function f(times, rng, settings)
+            -> (T, 6), see `grasp_env.disturbance.Disturbance`; None: the task's own.
         disturbance_value: [N, N m] of "constant"; the paper's by default.
         disturbance_scale: factor on "constant" and "paper_path"; None: 1 for "constant", 0.1 for "paper_path". W_ext peaks
             at 1 N m about z, which takes 153 N of normal force and 9 N m at the joints; a tenth keeps them near 1 N m,
@@ -118,7 +122,7 @@ class EnvConfig:
     friction_range: tuple[float, float] = (0.3, 0.8)
     task: str = "hold"
     duration: float | None = None
-    disturbance: str | None = None
+    disturbance: str | Disturbance | None = None
     disturbance_value: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
     disturbance_scale: float | None = None
     random_force: float = 0.6
@@ -187,9 +191,10 @@ class EnvConfig:
             if high < low or high % low:
                 raise InvalidInputError(f"{fast} must be a multiple of {slow}, got {high} and {low}")
         for seconds in ("duration", "sensor_delay"):
-            if (getattr(self, seconds) or 0.0) * self.physics_rate > _MOST_TICKS:
+            if (getattr(self, seconds) or 0.0) * self.control_rate > _MOST_TICKS:
                 raise InvalidInputError(
-                    f"{seconds} must be at most {_MOST_TICKS} physics steps, got {getattr(self, seconds)} s"
+                    f"{seconds} must be at most {_MOST_TICKS / self.control_rate:g} s, {_MOST_TICKS} control ticks, got "
+                    f"{getattr(self, seconds)} s: make episodes shorter, or lower control_rate"
                 )
         if self.shape == "mesh" and not self.mesh:
             raise InvalidInputError("shape 'mesh' needs mesh='path of an .obj, .stl, .ply or .off file'")
@@ -203,7 +208,7 @@ class EnvConfig:
             )
         if self.task == "six_directions" and self.disturbance not in (None, "none"):
             raise InvalidInputError(
-                f"task 'six_directions' pushes by itself, got disturbance={self.disturbance!r}: leave it out, or use task 'hold'"
+                f"task 'six_directions' pushes by itself, got disturbance={shown(self.disturbance)}: leave it out, or use task 'hold'"
             )
 
     def _checked(self, name: str, kind: str) -> Any:
@@ -214,11 +219,17 @@ class EnvConfig:
         if name == "hand":
             return value if is_a(value, HandDescription) else choice(value, name, HANDS, ", or give a HandDescription")
         if name in _NAMES:
-            return choice(value, name, _NAMES[name])
+            if name == "disturbance" and as_text(value) is None and callable(value):
+                return value
+            return choice(value, name, _NAMES[name], _HINTS.get(name, ""))
         if name == "mesh":
             return "" if as_text(value) == "" else str(as_path(value, InvalidInputError, name))
         if name == "randomise":
-            named = (value,) if is_a(value, str) else instance(as_list(value), list, name)
+            named = [value] if is_a(value, str) else as_list(value)
+            if named is None:
+                raise InvalidInputError(
+                    f"randomise must be a list of some of {', '.join(RANDOM)}, () for nothing, got {shown(value)}"
+                )
             return tuple(choice(each, name, RANDOM) for each in named)
         if name in _RANGES:
             low, high = as_array(value, (2,), name, _REAL).tolist()
@@ -250,13 +261,6 @@ class EnvConfig:
                 f"{name} must be {'' if name in _SIGNED else '>= 0 and '}up to {_REAL.high:g}, got {shown(value)}"
             )
         return found
-
-    @property
-    def scale(self) -> float:
-        """The factor on the disturbance in force."""
-        if self.disturbance_scale is not None:
-            return self.disturbance_scale
-        return 0.1 if self.disturbance == "paper_path" else 1.0
 
     def resolved(self) -> EnvConfig:
         """A copy in which what is None has its value: the task's own, or the default said above."""

@@ -1,29 +1,116 @@
-"""What disturbs the object over an episode: external wrenches, tilting gravity, pushes; one row per control tick."""
+"""What disturbs the object over an episode: external wrenches, tilting gravity, pushes; one row per control tick.
+
+A disturbance is one function, f(times, rng, settings), whether of `DISTURBANCES` or of a user.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from grasp_env._check import Array
-from grasp_env._compile import compiled
+from grasp_env import ranges
+from grasp_env._check import Array, as_array
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.grasp.wrench import paper_path
 from grasp_env.motion import blend
 
 if TYPE_CHECKING:
     from grasp_env.config import EnvConfig
 
-DISTURBANCES: dict[str, str] = {
-    "none": "nothing besides gravity",
-    "constant": "`disturbance_value`, scaled",
-    "paper_path": "the paper's W_ext(t), scaled",
-    "random": "an Ornstein-Uhlenbeck process per axis, from zero on",
-    "impulses": "half-sine pushes and twists in random directions, with exponential waits between them",
-    "tilting_gravity": "gravity swings about a random horizontal axis, as if the hand were tilted slowly",
+
+@dataclass(frozen=True)
+class Disturbed:
+    """What acts in an episode of T rows; row k acts from control tick k to k + 1.
+
+    Attributes:
+        wrench: (T, 6) external wrench on the object [N, N m], object frame; None: nothing.
+        gravity: (T, 3) [m/s^2], world frame; None: that of the settings.
+    """
+
+    wrench: ArrayLike | None = None
+    gravity: ArrayLike | None = None
+
+
+Disturbance: TypeAlias = "Callable[[Array, np.random.Generator, EnvConfig], ArrayLike | Disturbed]"
+"""f(times, rng, settings) -> (T, 6) wrenches [N, N m] in the object frame, or a `Disturbed`.
+
+times: (T,) [s] of the control ticks; rng: the episode's own generator; settings: of the environment. For a seed to give the same
+disturbance in a longer episode, it draws from rng in an order that does not depend on T.
+"""
+
+
+def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings: EnvConfig) -> tuple[Array, Array]:
+    """(T, 6) external wrench [N, N m], object frame, and (T, 3) gravity [m/s^2], world frame, of a disturbance.
+
+    Raises:
+        InvalidInputError: it returned something else, or what is not finite.
+    """
+    made, rows = rule(times.copy(), rng, settings), len(times)
+    name = f"what the disturbance {getattr(rule, '__name__', None) or shown(rule)} returns"
+    if made is None:
+        raise InvalidInputError(
+            f"{name} must be (T, 6) wrenches [N, N m] or a Disturbed, got None: does it end in a return?"
+        )
+    acts = made if isinstance(made, Disturbed) else Disturbed(made)
+    wrench, gravity = np.zeros((rows, 6)), np.empty((rows, 3))
+    gravity[:] = settings.gravity
+    if acts.wrench is not None:
+        wrench = as_array(acts.wrench, (rows, 6), f"{name} (wrench [N, N m], a row per tick)", ranges.SIZE)
+    if acts.gravity is not None:
+        gravity = as_array(acts.gravity, (rows, 3), f"{name} (gravity [m/s^2], a row per tick)", ranges.SIZE)
+    return wrench, gravity
+
+
+def _none(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Disturbed:
+    """Nothing besides gravity."""
+    return Disturbed()
+
+
+def _constant(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Array:
+    """`disturbance_value`, scaled."""
+    return np.tile(_scale(settings, 1.0) * np.array(settings.disturbance_value), (len(times), 1))
+
+
+def _paper_path(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Array:
+    """The paper's W_ext(t), scaled."""
+    return _scale(settings, 0.1) * paper_path(times)
+
+
+def _random(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Array:
+    """An Ornstein-Uhlenbeck process per axis, from zero on."""
+    deviation = np.repeat([settings.random_force, settings.random_moment], 3)
+    return ornstein_uhlenbeck(rng, len(times), deviation, settings.random_time / (1.0 / settings.control_rate))
+
+
+def _impulses(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Array:
+    """Half-sine pushes and twists in random directions, with exponential waits between them."""
+    return impulses(
+        rng, len(times), 1.0 / settings.control_rate, settings.impulse_force, settings.impulse_moment,
+        settings.impulse_time, settings.impulse_interval,
+    )  # fmt: skip
+
+
+def _tilting_gravity(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Disturbed:
+    """Gravity swings about a random horizontal axis, as if the hand were tilted slowly."""
+    period = max(settings.tilt_period, 1.0 / settings.control_rate)
+    return Disturbed(gravity=tilting_gravity(rng, times, np.array(settings.gravity), settings.tilt_angle, period))
+
+
+DISTURBANCES: dict[str, Disturbance] = {
+    "none": _none,
+    "constant": _constant,
+    "paper_path": _paper_path,
+    "random": _random,
+    "impulses": _impulses,
+    "tilting_gravity": _tilting_gravity,
 }
-"""What `disturbance` may be, and what it does."""
+"""The built-in ones, by name: what each does is its docstring."""
 
 RAMP = 0.05
 """[s] in which a push of "six_directions" changes into the next, at most a quarter of `push_time`."""
@@ -32,25 +119,8 @@ _BLOCK = 64
 """Impulses drawn at a time: fixed, so that a longer episode extends a shorter one."""
 
 
-def external_wrench(kind: str, config: EnvConfig, rng: np.random.Generator, ticks: int) -> Array:
-    """(ticks, 6) external wrench [N, N m], object frame, of a key of `DISTURBANCES`; row k acts from k to k + 1.
-
-    The random kinds draw from `rng` in an order that does not depend on `ticks`.
-    """
-    tick = 1.0 / config.control_rate
-    if kind == "random":
-        deviation = np.repeat([config.random_force, config.random_moment], 3)
-        return ornstein_uhlenbeck(rng, ticks, deviation, config.random_time / tick)
-    if kind == "impulses":
-        return impulses(
-            rng, ticks, tick, config.impulse_force, config.impulse_moment, config.impulse_time, config.impulse_interval
-        )
-    wrench = np.zeros((ticks, 6))
-    if kind == "constant":
-        wrench[:] = config.scale * np.array(config.disturbance_value)
-    elif kind == "paper_path":
-        wrench[:] = config.scale * paper_path(np.arange(ticks) / config.control_rate)
-    return wrench
+def _scale(settings: EnvConfig, own: float) -> float:
+    return own if settings.disturbance_scale is None else settings.disturbance_scale
 
 
 def ornstein_uhlenbeck(rng: np.random.Generator, ticks: int, deviation: Array, time: float) -> Array:
@@ -66,16 +136,10 @@ def ornstein_uhlenbeck(rng: np.random.Generator, ticks: int, deviation: Array, t
     path = rng.standard_normal((ticks, len(deviation)))
     path *= math.sqrt(-math.expm1(-2.0 * decay)) * deviation
     path[0] = 0.0
-    _accumulate(path, math.exp(-decay))
+    keep = math.exp(-decay)
+    for column in path.T:  # a plain loop: scipy's filter does the same, but takes half a second to import
+        column[:] = list(accumulate(column.tolist(), lambda before, drawn: drawn + keep * before))
     return path
-
-
-@compiled
-def _accumulate(path, keep):
-    """path[k] += keep * path[k - 1], in place, row after row."""
-    for k in range(1, len(path)):
-        for j in range(path.shape[1]):
-            path[k, j] += keep * path[k - 1, j]
 
 
 def impulses(

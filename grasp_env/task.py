@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env.disturbance import DISTURBANCES, external_wrench, six_pushes, tilting_gravity
+from grasp_env.disturbance import DISTURBANCES, disturb, six_pushes
 from grasp_env.motion import MOTION_SIZES, MOTIONS, blend, motion_target, resting_target
 
 if TYPE_CHECKING:
@@ -95,23 +95,18 @@ def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
     ticks = round(duration * config.control_rate) + 1
     times = np.arange(ticks) / config.control_rate
     tick = 1.0 / config.control_rate
-    gravity = np.array(config.gravity, dtype=np.float64)
-    falls = np.empty((ticks, 3))
-    falls[:] = gravity
     push, factor, target = np.zeros((ticks, 3)), np.ones(ticks), resting_target(ticks)
     if config.task == "six_directions":
-        wrench = np.zeros((ticks, 6))
+        disturbance = "none"
         push = six_pushes(times, config.push_per_mass * mass, max(config.push_time, tick))
-    else:
-        wrench = external_wrench(disturbance, config, own, ticks)
-        if disturbance == "tilting_gravity":
-            falls = tilting_gravity(own, times, gravity, config.tilt_angle, max(config.tilt_period, tick))
+    rule = DISTURBANCES[disturbance] if isinstance(disturbance, str) else disturbance
+    wrench, gravity = disturb(rule, times, own, config)
     if config.task == "move":
         size = MOTION_SIZES[config.motion] if config.motion_size is None else config.motion_size
         target = motion_target(config.motion, times, size, max(config.motion_period, tick))
     elif config.task == "payload":
         factor += (config.payload_factor - 1.0) * blend((times - config.payload_time) / PAYLOAD_RAMP)[0]
-    return Plan(wrench, push, falls, target, factor)
+    return Plan(wrench, push, gravity, target, factor)
 
 
 def succeeded(task: str, drift: float, tilt: float, failed: bool) -> bool:

@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from grasp_env.disturbance import RAMP, impulses, ornstein_uhlenbeck, six_pushes, tilting_gravity
+from grasp_env.config import EnvConfig
+from grasp_env.disturbance import (
+    DISTURBANCES,
+    RAMP,
+    Disturbed,
+    disturb,
+    impulses,
+    ornstein_uhlenbeck,
+    six_pushes,
+    tilting_gravity,
+)
+from grasp_env.env import FourFingerGrasp
+from grasp_env.errors import InvalidInputError, UnknownNameError
 
 TICK = 0.004
 
@@ -99,3 +111,75 @@ def test_six_pushes_in_order_with_short_ramps():
     short = six_pushes(times, 2.0, 0.1)  # a ramp of 25 ms
     np.testing.assert_allclose(short[round(0.09 / TICK)], [2.0, 0.0, 0.0], atol=1e-12)
     assert np.isfinite(short).all()
+
+
+TIMES = np.arange(501) * TICK
+G = np.array([0.0, -9.81, 0.0])
+
+
+def gust(times: np.ndarray, rng: np.random.Generator, settings: EnvConfig) -> np.ndarray:
+    """A user's own: a push along x from 1 s on, as strong as drawn."""
+    wrench = np.zeros((len(times), 6))
+    wrench[times >= 1.0, 0] = settings.object_mass * rng.uniform(4.0, 5.0)
+    return wrench
+
+
+def test_every_disturbance_but_none_acts_and_says_what_it_does() -> None:
+    for name, rule in DISTURBANCES.items():
+        wrench, gravity = disturb(rule, TIMES, rng(), EnvConfig())
+        assert wrench.shape == (501, 6)
+        assert gravity.shape == (501, 3)
+        assert (wrench.any() or not (gravity == G).all()) == (name != "none")
+        assert rule.__doc__
+
+
+def test_any_function_is_a_disturbance() -> None:
+    wrench, gravity = disturb(gust, TIMES, rng(), EnvConfig(object_mass=0.5))
+    assert not wrench[:250].any()
+    assert (wrench[250:, 0] == 0.5 * rng().uniform(4.0, 5.0)).all()
+    assert (gravity == G).all()
+    wrench, gravity = disturb(
+        lambda t, r, s: Disturbed(gravity=np.outer(np.ones(len(t)), [1, 0, 0])), TIMES, rng(), EnvConfig()
+    )
+    assert not wrench.any()
+    assert (gravity == [1.0, 0.0, 0.0]).all()
+    assert EnvConfig(disturbance=gust).resolved().disturbance is gust
+
+
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (np.zeros((501, 3)), r"gives.*\(501, 6\), got \(501, 3\)"),
+        (np.zeros(6), r"gives.*\(501, 6\), got \(6,\)"),
+        (np.full((501, 6), np.nan), "gives.*finite"),
+        (np.full((501, 6), 1e60), "gives.*within"),
+        ("wind", "gives.*numbers"),
+        (None, "gives.*None.*return"),
+        (Disturbed(gravity=np.zeros((500, 3))), r"gives.*\(501, 3\), got \(500, 3\)"),
+        (Disturbed(gravity=np.full((501, 3), 1e60)), "gives.*within"),
+    ],
+    ids=str,
+)
+def test_what_a_disturbance_returns_is_checked(returned: object, message: str) -> None:
+    def gives(*_: object) -> object:
+        return returned
+
+    with pytest.raises(InvalidInputError, match=message):
+        disturb(gives, TIMES, rng(), EnvConfig())  # type: ignore[arg-type]
+
+
+def test_what_is_no_disturbance() -> None:
+    for given in ("wind", ["none"], 5, np.zeros((501, 6))):
+        with pytest.raises(UnknownNameError, match=r"unknown disturbance.*'none'.*or give a function"):
+            EnvConfig(disturbance=given)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInputError, match="pushes by itself, got disturbance=<function gust"):
+        EnvConfig(task="six_directions", disturbance=gust)
+
+
+def test_a_function_in_the_environment() -> None:
+    env = FourFingerGrasp(disturbance=gust, duration=1.2)
+    env.reset(seed=3)
+    pushes = [env.step(np.zeros(6, np.float32))[4]["wrench"] for _ in range(60)]
+    env.close()
+    difference = pushes[-1] - pushes[0]
+    assert 0.2 * 4.0 - 0.1 < difference[0] < 0.2 * 5.0 + 0.1

@@ -26,7 +26,7 @@ class Settings:
     control_rate: int = 250
     gravity: tuple[float, ...] = (0.0, -9.81, 0.0)
     disturbance_value: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
-    scale: float = 1.0
+    disturbance_scale: float | None = 1.0
     random_force: float = 0.6
     random_moment: float = 0.02
     random_time: float = 0.3
@@ -90,7 +90,7 @@ def test_seeds_differ(disturbance):
 
 
 def test_hold_is_only_its_disturbance():
-    made = plan(disturbance="constant", scale=0.5)
+    made = plan(disturbance="constant", disturbance_scale=0.5)
     np.testing.assert_array_equal(made.wrench, np.tile([0.5, 0.25, -0.3, -0.05, 0.1, 0.0], (1001, 1)))
     np.testing.assert_array_equal(made.gravity, np.tile([0.0, -9.81, 0.0], (1001, 1)))
     np.testing.assert_array_equal(made.target, resting_target(1001))
@@ -109,7 +109,7 @@ def test_paper_path_is_sampled_as_printed():
         0.2 * sin(pi * t), 0.2 * cos(pi * t), sin(0.5 * pi * t) ** 2,
     ]  # fmt: skip
     np.testing.assert_allclose(wrench, np.transpose(printed), rtol=0, atol=1e-15)
-    scaled = plan(disturbance="paper_path", duration=2.0, scale=0.1).wrench
+    scaled = plan(disturbance="paper_path", duration=2.0, disturbance_scale=0.1).wrench
     np.testing.assert_allclose(scaled, 0.1 * paper_path(t), rtol=0, atol=1e-15)
 
 
