@@ -47,6 +47,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     ## Tasks
     `task="hold"` against `disturbance`, "move" along `motion`, "payload" (the mass grows), "six_directions" (pushes of 10 N/kg).
+    A disturbance is a name, or any function f(times, rng, settings) -> (T, 6) wrenches [N, N m], one for each control tick; see
+    `grasp_env.disturbance.Disturbance`.
 
     ## Action space
     By `action_mode`, `Box(-1, 1, float32)`, clipped:
@@ -323,14 +325,17 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         return "closure_lost" if self._open > self.config.max_contact_gap else ""
 
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
-        values, plain = action, type(action) is np.ndarray and action.dtype.kind == "f"
+        values, plain, fault = action, type(action) is np.ndarray and action.dtype.kind == "f", ""
         if not (plain and action.itemsize <= 8):
-            with np.errstate(all="ignore"):  # more than a double holds is infinite
-                values = np.asarray(action, np.float64) if plain else as_array(action, None, "action", finite=False)
+            try:
+                with np.errstate(all="ignore"):  # more than a double holds is infinite
+                    values = np.asarray(action, np.float64) if plain else as_array(action, None, "it", finite=False)
+            except InvalidInputError as error:  # no numbers at all
+                values, fault = np.empty(0), f" ({error})"
         numbers = values.tolist() if values.shape == self._action_shape else ()  # plain: six are too few for numpy
         if not numbers or not all(map(math.isfinite, numbers)):
             raise InvalidInputError(
-                f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {shown(action)}"
+                f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {shown(action)}{fault}"
             )
         return [min(max(number, -1.0), 1.0) for number in numbers]
 

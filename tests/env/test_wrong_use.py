@@ -47,6 +47,10 @@ def obj(path: Path, faces: list[tuple[int, ...]], corners: list[tuple[float, ...
         ({"action_mode": "torque"}, UnknownNameError),
         ({"wrench": "guessed"}, UnknownNameError),
         ({"randomise": ("colour",)}, UnknownNameError),
+        ({"disturbance": ["none"]}, UnknownNameError),
+        ({"disturbance": 5}, UnknownNameError),
+        ({"randomise": None}, InvalidInputError),
+        ({"randomise": 5}, InvalidInputError),
         ({"friction": 0.0}, InvalidInputError),
         ({"friction": -0.4}, InvalidInputError),
         ({"object_mass": float("nan")}, InvalidInputError),
@@ -57,6 +61,8 @@ def obj(path: Path, faces: list[tuple[int, ...]], corners: list[tuple[float, ...
         ({"size_range": (0.1, 0.05)}, InvalidInputError),
         ({"mass_range": (0.0, 0.05)}, InvalidInputError),
         ({"contact_points": ((0.0, 0.0),)}, InvalidInputError),
+        ({"contact_points": 5}, InvalidInputError),
+        ({"contact_points": "here"}, InvalidInputError),
         ({"gravity": (0.0, float("inf"), 0.0)}, InvalidInputError),
         ({"control_rate": 333}, InvalidInputError),
         ({"physics_rate": 100}, InvalidInputError),
@@ -72,6 +78,11 @@ def obj(path: Path, faces: list[tuple[int, ...]], corners: list[tuple[float, ...
         ({"iteration_budget": -1}, InvalidInputError),
         ({"iteration_budget": 2.5}, InvalidInputError),
         ({"duration": 0.0}, InvalidInputError),
+        ({"duration": 1e9}, InvalidInputError),
+        ({"duration": 4001.0}, InvalidInputError),  # a million control ticks, which a plan of 0.7 GB holds
+        ({"sensor_delay": 1e6}, InvalidInputError),
+        ({"position_bandwidth": 1e300}, InvalidInputError),
+        ({"rotation_bandwidth": 1e300}, InvalidInputError),
         ({"friction_error": -1.0}, InvalidInputError),
         ({"config": 3}, InvalidInputError),
         ({"shape": "mesh"}, InvalidInputError),
@@ -157,6 +168,9 @@ def test_a_urdf_without_the_named_links(tmp_path):
     path.write_text(hand_urdf(HandDescription.three_finger()), encoding="utf-8")
     with pytest.raises(InvalidInputError, match=r"no link is called 'thumb_tip'; links are .*thumb_distal"):
         HandDescription.from_urdf(path, ["thumb_tip", "left_distal", "right_distal"])
+    for fingertips in (0, None, [], [0], "thumb_distal", {"thumb_distal": 1.0}, object()):
+        with pytest.raises(InvalidInputError, match=r"fingertips=.* must be a list of one link name or more"):
+            HandDescription.from_urdf(path, fingertips)  # type: ignore[arg-type]
     with pytest.raises(InvalidInputError, match="nowhere"):
         HandDescription.from_urdf(tmp_path / "nowhere.urdf", ["thumb_distal"])
 
@@ -198,7 +212,7 @@ def test_meshes_that_cannot_be_used(tmp_path):
     "action",
     [
         np.array([np.nan, 0, 0, 0, 0, 0]), np.array([0, 0, np.inf, 0, 0, 0]), np.array([0, 0, 0, 0, 0, -np.inf]),
-        np.zeros(5), np.zeros((1, 6)), np.float32(0.0),
+        np.zeros(5), np.zeros((1, 6)), np.float32(0.0), "x", None, {}, [None] * 6, [object()],
     ],
     ids=str,
 )  # fmt: skip
@@ -222,6 +236,9 @@ def test_calls_in_the_wrong_order():
     env.reset(seed=0)
     with pytest.raises(UnknownNameError, match="wrench"):
         env.reset(options={"wrnch": 1})
+    for options in ("x", 5, [("wrench", np.zeros(6))]):
+        with pytest.raises(InvalidInputError, match="options must be a dict"):
+            env.reset(options=options)  # type: ignore[arg-type]
     for wrench in ([1, 2, np.inf, 0, 0, 0], [1, 2], "push", [1e300] * 6):
         with pytest.raises(GraspError, match="wrench"):
             env.reset(options={"wrench": wrench})
