@@ -11,7 +11,7 @@ from grasp_env import ranges
 from grasp_env._check import as_array, as_list, as_text, choice, is_a, positive, together, whole
 from grasp_env._files import as_path
 from grasp_env.disturbance import DISTURBANCES, Disturbance
-from grasp_env.errors import InvalidInputError, UnknownNameError, shown
+from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.force import METHODS, RULES
 from grasp_env.sim.hand import HANDS, HandDescription
 from grasp_env.sim.objects import SHAPES
@@ -282,10 +282,10 @@ class EnvConfig:
         """A copy with some settings replaced.
 
         Raises:
-            UnknownNameError: no setting of that name.
+            UnknownSettingError: no setting of that name.
         """
         known = [item.name for item in fields(self) if item.init]
         for name in settings:
             if name not in known:
-                raise UnknownNameError("setting", name, known)
+                raise UnknownSettingError(name, known)
         return replace(self, **settings)

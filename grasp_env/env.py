@@ -13,6 +13,7 @@ from grasp_env._extras import need
 
 with need("sim"):
     import gymnasium as gym
+    from gymnasium.envs.registration import EnvSpec
     from gymnasium.utils import EzPickle
 
 from grasp_env._check import Array, as_array, as_wrench, choice, instance, is_a, whole
@@ -110,7 +111,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         **settings: single settings of `EnvConfig` to replace.
 
     Raises:
-        UnknownNameError: a setting, task, shape, ... of no such name; the message lists those that exist.
+        UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
+        UnknownSettingError: a keyword that is no setting; also a TypeError.
         InvalidInputError: a value out of range, contacts off the surface or out of reach, a mesh that is not closed and convex.
         SimulationError: the hand cannot hold the object, or a window without a display.
 
@@ -151,7 +153,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self.render_mode = render_mode
         config = self.config
         self._loop = ForceLoop(config, config.initial_force if initial_force is None else initial_force)
-        self._stage: Stage | None = Stage(config, self._loop, render_mode == "human", render_mode is not None)
+        self._stage: Stage | None = self._new_stage()
         hand = self._stage.kinematics.hand
         tips, joints = hand.finger_count, hand.joint_count
         links = {link.name: link for link in hand.links}
@@ -173,15 +175,21 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._camera: Camera | None = None
         self._lines: list[int] = []  # of the window
         self._started = self._ended = False
+        self._spec: EnvSpec | None = None
         self._failure = ""
         self._upright = np.array(config.gravity)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Back to the settled grasp, with a new disturbance, and a new object where asked for; see the class."""
+        """Back to the settled grasp, with a new disturbance, and a new object where asked for; see the class.
+
+        A closed environment opens anew.
+        """
         super().reset(seed=None if seed is None else whole(seed, "seed", 0))
-        stage = self._open_stage()
+        if self._stage is None:
+            self._stage = self._new_stage()
+        stage = self._stage
         scene, constant = stage.scene, None
         for name, value in instance({} if options is None else options, dict, "options").items():
             choice(name, "reset option", ("wrench",))
@@ -271,8 +279,17 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         """The simulation, for cameras and measurements."""
         return self._open_stage().scene
 
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What `gym.make` made it from, with the steps after which an episode is truncated: those of `duration`."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        self._spec = None if spec is None else replace(spec, max_episode_steps=self._step_limit)
+
     def close(self) -> None:
-        """Frees the simulator; twice is fine."""
+        """Frees the simulator; twice is fine, and `reset` opens it anew."""
         if self._stage is not None:
             self._stage.scene.close()
             self._stage = self._camera = None
@@ -398,5 +415,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _open_stage(self) -> Stage:
         if self._stage is None:
-            raise SimulationError("the environment is closed: make a new one")
+            raise SimulationError("the environment is closed: call reset() to open it anew")
         return self._stage
+
+    def _new_stage(self) -> Stage:
+        return Stage(self.config, self._loop, self.render_mode == "human", self.render_mode is not None)

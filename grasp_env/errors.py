@@ -70,6 +70,16 @@ class UnknownNameError(GraspError, KeyError):
         return str(self.args[0])
 
 
+class UnknownSettingError(UnknownNameError, TypeError):
+    """A keyword that is no setting; told as Python tells it of functions, which others' code looks for."""
+
+    def __init__(self, given: str, allowed: Iterable[str] = ()) -> None:
+        """`given`: the keyword; without `allowed` the message itself, as `gymnasium.make` raises a TypeError again."""
+        self.given, self.allowed = given, tuple(allowed)
+        named = f"got an unexpected keyword argument {shown(given)}: settings are {', '.join(map(repr, self.allowed))}"
+        GraspError.__init__(self, named if self.allowed else given)
+
+
 def _told(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> GraspError:
     """An error of that kind as it was."""
     error = kind.__new__(kind, message)
