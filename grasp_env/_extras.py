@@ -11,7 +11,7 @@ from grasp_env.errors import MissingExtraError
 
 EXTRAS = {
     "cli": ("rich", "tyro"),
-    "sim": ("PIL", "gymnasium", "numba", "pybullet", "trimesh"),
+    "sim": ("PIL", "gymnasium", "pybullet", "trimesh"),
     "train": ("stable_baselines3", "tensorboard", "torch"),
     "report": ("PIL", "imageio", "jinja2", "matplotlib"),
     "video": ("imageio_ffmpeg",),

@@ -79,12 +79,12 @@ for statement, extra in {IMPORTS}.items():
         exec(statement)
         print(statement, "works")
     except ImportError as error:
-        name = "numba, pybullet, trimesh" if extra == "sim" else "stable_baselines3, tensorboard, torch"
+        name = "pybullet, trimesh" if extra == "sim" else "stable_baselines3, tensorboard, torch"
         wanted = f'this needs {{name}}: pip install "grasp-force[{{extra}}]"'
         if (type(error).__name__, str(error)) != ("MissingExtraError", wanted):
             print(statement, repr(error))
 """
-    done = _without(("pybullet", "numba", "trimesh", *EXTRAS["train"]), script)  # gym.make needs gymnasium itself
+    done = _without(("pybullet", "trimesh", *EXTRAS["train"]), script)  # gym.make needs gymnasium itself
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
@@ -156,10 +156,10 @@ def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Non
 
 def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     need(*EXTRAS)
-    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(MissingExtraError) as told:
         need("sim", "report")
-    assert str(told.value) == 'this needs numba: pip install "grasp-force[sim]"'
+    assert str(told.value) == 'this needs trimesh: pip install "grasp-force[sim]"'
     assert isinstance(told.value, ImportError)
 
 

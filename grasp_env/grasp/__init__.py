@@ -1,4 +1,4 @@
-"""Contacts, grasps and wrenches, their files and frames. numpy and numba; `advice` also needs scipy."""
+"""Contacts, grasps and wrenches, their files and frames. numpy; `advice` also needs scipy."""
 
 from grasp_env.grasp import presets, wrench
 from grasp_env.grasp.files import load_grasp, save_grasp

@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError, shown
@@ -211,7 +210,7 @@ def principal_rotation(inertia: Array) -> Array:
             rows[2] *= np.linalg.det(rows)
             turned[:] = rows
             turned = _aligned(turned, moments[list(order)], _ROUND * size)
-            found = float(Rotation.from_matrix(turned).magnitude())
+            found = float(np.arccos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0)))
             if found < angle - 1e-9:
                 best, angle = turned.copy(), found
     return best
