@@ -354,6 +354,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             raise InvalidInputError(
                 f"action must be {self._action_shape[0]} finite numbers in [-1, 1], got {shown(action)}{fault}"
             )
+        if min(numbers) >= -1.0 and max(numbers) <= 1.0:
+            return numbers
         return [min(max(number, -1.0), 1.0) for number in numbers]
 
     def _forces(self, numbers: Array) -> Array:
