@@ -8,11 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from reprlib import Repr
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from grasp_env.force.solution import ForceSolution
-
+from typing import Any
 
 _NAME = type.__dict__["__name__"]
 """Of any class, whatever its own class says."""
@@ -98,7 +94,7 @@ class InfeasibleWrenchError(GraspError):
         solution: the `ForceSolution` with status `INFEASIBLE` and, in `certificate`, the separating twist (6,).
     """
 
-    def __init__(self, message: str, solution: ForceSolution | None = None) -> None:
+    def __init__(self, message: str, solution: Any = None) -> None:
         """`message`: "" for one that tells what the solution proves."""
         super().__init__(message)
         self.solution = solution

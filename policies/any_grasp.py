@@ -12,7 +12,7 @@ from policies.checkpoint import FAULTS, Checkpoint, malformed, whole
 from policies.learned import LearnedInitialForce
 
 
-class AnyGraspForce(LearnedInitialForce):
+class AnyGraspForce(LearnedInitialForce, kind="any_grasp"):
     """Starts from the 12-basis' combination, or the previous solution, and takes learned Newton layers.
 
     Invariant to frame, units, order of contacts, omega and lambda by construction (`core/include/grasp/layers.hpp`).

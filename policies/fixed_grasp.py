@@ -21,7 +21,7 @@ MOST_DEGREE = 8
 """Of the polynomials of the friction that weights may be."""
 
 
-class FixedGraspForce(LearnedInitialForce):
+class FixedGraspForce(LearnedInitialForce, kind="fixed_grasp"):
     """Trained on one grasp; where contacts have moved a little, the null space moves along continuously.
 
     The start is the network's force, or the best on the segment from the 12-basis' combination where that has less Phi; balance holds

@@ -27,6 +27,10 @@ MODELS = ("any_grasp", "four_finger")
 OUTSIDE = " (outside its training range)"
 
 
+_KINDS: dict[str, type[LearnedInitialForce]] = {}
+"""What a checkpoint of a kind is loaded as: subclasses enter themselves."""
+
+
 class LearnedInitialForce(ABC):
     """An initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
@@ -53,6 +57,9 @@ class LearnedInitialForce(ABC):
         True
     """
 
+    def __init_subclass__(cls, kind: str) -> None:
+        _KINDS[kind] = cls
+
     def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:
         self.checkpoint = checkpoint
         self.objective = as_objective(objective)
@@ -70,12 +77,8 @@ class LearnedInitialForce(ABC):
         Raises:
             ModelFileError: missing, truncated, changed, of another schema, or not what its kind asks for.
         """
-        from policies.any_grasp import AnyGraspForce
-        from policies.fixed_grasp import FixedGraspForce
-
         checkpoint = Checkpoint.load(path)
-        kinds = {"fixed_grasp": FixedGraspForce, "any_grasp": AnyGraspForce}
-        return kinds[checkpoint.kind](checkpoint, remembers=remembers)
+        return _KINDS[checkpoint.kind](checkpoint, remembers=remembers)
 
     @staticmethod
     def pretrained(name: str = "any_grasp", *, remembers: bool = False) -> LearnedInitialForce:

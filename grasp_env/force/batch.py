@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from grasp_env import core, ranges
 from grasp_env._check import Array, as_array, as_list, as_text, checked_size, choice, is_a, together, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError, shown
+from grasp_env.force.hard_methods import NO_TRACE
 from grasp_env.force.method import CONIC_ITERATIONS, proven
-from grasp_env.force.methods import NO_TRACE
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.force.record import (

@@ -15,10 +15,10 @@ from grasp_env import core
 from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force.basis import OfflineBasis, core_contacts
+from grasp_env.force.hard_methods import NO_TRACE, FallingBack
 from grasp_env.force.initial import CompiledRule, is_rule
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.method import BALANCE_TOLERANCE, Settings, Start, proven, refused_start
-from grasp_env.force.methods import NO_TRACE, FallingBack
 from grasp_env.force.objective import Objective
 from grasp_env.force.record import CODE, INFEASIBLE, REFUSED, record_size
 from grasp_env.force.solution import ForceSolution

@@ -16,8 +16,8 @@ from grasp_env import core
 from grasp_env._check import Array, Wrench
 from grasp_env.errors import InfeasibleStartError, RankDeficientGraspError
 from grasp_env.force.basis import OfflineBasis, core_contacts
+from grasp_env.force.hard_methods import LOOPED, NO_TRACE, FallingBack
 from grasp_env.force.method import Settings, Start
-from grasp_env.force.methods import LOOPED, NO_TRACE, FallingBack
 from grasp_env.force.record import ITERATIONS, REFUSED, record_size
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
