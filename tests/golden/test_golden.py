@@ -24,7 +24,13 @@ SETTLED = (
     "steps that settle within the limits are counted; the search for the deepest force, which they replace, was not"
 )
 FLOOR = "no start named and no force closure: phase one starts, an answer instead of the advice to name it"
+GRASPED = (
+    "of the four random objects the last is held at other contacts: loads with exact zeros leave the grasp search's linear program ties "
+    "that rounding breaks (of 340 objects it moved 9, and 1e-16 N on the loads moves 123); 4.46 N instead of 4.42 N"
+)
 ACCEPTED: dict[str, str] = {
+    "environment: 4 episodes, default": GRASPED,
+    "environment: 4 episodes, newton": GRASPED,
     **{
         f"environment: first tick, {name}": TICK
         for name in (

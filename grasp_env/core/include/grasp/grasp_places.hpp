@@ -143,7 +143,7 @@ struct HandLimbs {
         std::vector<Segment> there;
         for (const Limb& limb : all) {
             const Segment axis = limb.at(posture);
-            if (!limb.tip) away = std::min(away, gap(surface, axis) - limb.radius);
+            if (!limb.tip) away = std::min(away, gap(surface, axis, away + limb.radius) - limb.radius);
             for (std::size_t e = 0; e < there.size(); ++e)
                 if (!neighbours(limb.link, all[e].link))
                     apart = std::min(apart, gap(axis, there[e]) - limb.radius - all[e].radius);
@@ -155,7 +155,7 @@ struct HandLimbs {
     double palm_gap(const Surface& surface) const {
         double least = infinity;
         for (const Limb& limb : all)
-            if (limb.link < 0) least = std::min(least, gap(surface, limb.axis) - limb.radius);
+            if (limb.link < 0) least = std::min(least, gap(surface, limb.axis, least + limb.radius) - limb.radius);
         return least;
     }
 
