@@ -67,7 +67,6 @@ IMPORTS = {
     "import policies.newton_layers": "train",
     "import training.fit": "train",
     "import training.fit_any": "train",
-    "import training.fit_designs": "train",
 }
 
 
@@ -91,7 +90,6 @@ for statement, extra in {IMPORTS}.items():
 COMMANDS = {
     "fit": "train",
     "fit any_grasp": "train",
-    "fit designs": "train",
     "rl": "sim,train,report",
     "rl --compare nowhere": "sim,train,report",
     "evaluate": "sim,report",
@@ -104,7 +102,6 @@ COMMANDS = {
     "bench batch": "report",
     "bench core": "report",
     "bench env": "sim,report",
-    "warmup": "sim,report",
 }
 
 

@@ -33,13 +33,13 @@ def test_make_targets_exist():
 def test_grasp_commands_exist(capsys):
     commands = set(
         re.findall(
-            r"(?:^|`)(grasp (?:solve|fit|rl|evaluate|report|demo|bench|reproduce|warmup)[^`\n]*)", TEXT, re.MULTILINE
+            r"(?:^|`)(grasp (?:solve|fit|rl|evaluate|report|demo|bench|reproduce)[^`\n]*)", TEXT, re.MULTILINE
         )
     )
     assert len(commands) >= 4
     for command in commands:
         words = shlex.split(command)[1:]
-        kinds = words[1:2] if words[1:2] in (["four_finger"], ["any_grasp"], ["designs"]) else []
+        kinds = words[1:2] if words[1:2] in (["four_finger"], ["any_grasp"]) else []
         with pytest.raises(SystemExit) as stopped:
             main([words[0], *kinds, "--help"])
         assert stopped.value.code == 0

@@ -1,9 +1,8 @@
-"""A picture or a video of the hand, without a display; and the warm-up of all compiled kernels."""
+"""A picture or a video of the hand, without a display."""
 
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from itertools import count
@@ -19,10 +18,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
-from grasp_env.force import ForceLimits, InitialForceRule, initial_rule, optimize_force, optimize_forces
-from grasp_env.force.initial import RULES
-from grasp_env.grasp import presets
-from policies import LearnedInitialForce, Policy, ZeroPolicy
+from grasp_env.force import InitialForceRule
+from policies import Policy, ZeroPolicy
 
 SUFFIXES = (".png", ".mp4", ".gif", ".webp")
 FRAME_RATE = 25
@@ -126,24 +123,3 @@ def _finished_or_absent(out: Path) -> Iterator[Path]:
         os.replace(temporary, out)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def warm_up() -> float:
-    """Compiles and caches every kernel by calling each once; returns the seconds it took."""
-    started = time.perf_counter()
-    grasp, wrench = presets.paper_cuboid(), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
-    for name in RULES:
-        optimize_force(grasp, wrench, initial=initial_rule(name))
-    first = optimize_force(grasp, wrench, initial=LearnedInitialForce.pretrained(), method="newton")
-    optimize_force(grasp, wrench, initial=first)
-    optimize_force(presets.five_finger_cuboid(), wrench)  # the flow's other form
-    for method in ("newton", "conic"):
-        optimize_force(grasp, wrench, method=method)
-        optimize_force(grasp, wrench, method=method, limits=ForceLimits(max_normal=100.0))
-        optimize_forces(grasp, wrench[None], method=method)
-    env = gym.make("grasp_env:FourFingerGrasp-v0", render_mode="rgb_array")
-    env.reset(seed=0)
-    env.step(np.zeros(env.action_space.shape or (), dtype=np.float32))
-    env.render()
-    env.close()
-    return time.perf_counter() - started

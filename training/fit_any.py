@@ -42,20 +42,17 @@ class StartsTask:
         module: (problems, start) -> the forces after each layer.
         config: of the batches and the loss.
         train, held_out: samples.
-        from_basis: share of a batch that starts from the 12-basis; the rest from carried previous solutions.
     """
 
-    def __init__(
-        self, module: nn.Module, config: AnyFitConfig, train: Pool, held_out: Pool, from_basis: float = FROM_BASIS
-    ) -> None:
+    def __init__(self, module: nn.Module, config: AnyFitConfig, train: Pool, held_out: Pool) -> None:
         self.module, self.phases = module, (1.0,)
-        self._config, self._train, self._held_out, self._from_basis = config, train, held_out, from_basis
+        self._config, self._train, self._held_out = config, train, held_out
 
     def loss(self, rng: np.random.Generator, phase: int) -> Tensor:
         """See `fit_loop.Task`."""
         size = self._config.batch_size
         samples = torch.from_numpy(rng.integers(0, len(self._train), size))
-        basis = torch.from_numpy(rng.random(size) < self._from_basis)[:, None, None]
+        basis = torch.from_numpy(rng.random(size) < FROM_BASIS)[:, None, None]
         starts = self._train.starts
         x = torch.where(basis, starts["basis"][samples], starts["carried"][samples])
         problems, least = self._train.problems(samples), self._train.least[samples]
@@ -163,7 +160,7 @@ def _card(
         "cpu_seconds": round(now.cpu_seconds, 1),
         "time": made["time"],
         "machine": made["machine"] | {"torch threads": 1, "gpu": False},
-        "versions": {name: made["versions"][name] for name in ("torch", "numpy", "numba")},
+        "versions": {name: made["versions"][name] for name in ("torch", "numpy")},
         "held_out_gap": {
             start: {
                 "percentiles": PERCENTILES,

@@ -1,4 +1,4 @@
-"""Grasp forces of a simulated four-finger hand: solve, fit, rl, evaluate, report, reproduce, bench, demo, warmup."""
+"""Grasp forces of a simulated four-finger hand: solve, fit, rl, evaluate, report, reproduce, bench, demo."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from training.commands.report import Report
 from training.commands.reproduce import Reproduce
 from training.commands.rl import RL
 from training.commands.solve import Solve
-from training.commands.warmup import Warmup
 
 Command = (
     Annotated[Solve, tyro.conf.subcommand("solve")]
@@ -26,7 +25,6 @@ Command = (
     | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
-    | Annotated[Warmup, tyro.conf.subcommand("warmup")]
 )
 
 

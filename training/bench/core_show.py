@@ -28,7 +28,7 @@ def show_core(result: dict[str, Any], console: Console) -> None:
         for row in result["starts"]:
             table.add_row(
                 row["method"], row["side"], f"{row['median_s']:.2f}", f"{row['min_s']:.2f}", f"{row['max_s']:.2f}",
-                f"{row['import_median_s']:.2f}", ", ".join(row["loaded"]) or "none of numba, scipy, torch",
+                f"{row['import_median_s']:.2f}", ", ".join(row["loaded"]) or "neither scipy nor torch",
             )  # fmt: skip
         console.print(table)
     for row in result["rows"]:

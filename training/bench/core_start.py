@@ -6,7 +6,7 @@ import json
 import sys
 import time
 
-HEAVY = ("numba", "scipy", "torch")
+HEAVY = ("scipy", "torch")
 
 
 def first_solve(method: str) -> None:

@@ -76,26 +76,6 @@ class AnyGrasp(AnyFitConfig):
 
 
 @dataclass(frozen=True)
-class Designs(AnyFitConfig):
-    """Compare designs of a start for any grasp: the same data, loss and time for each, four contacts. A table is saved.
-
-    Attributes:
-        seconds: processor time for each design's optimisation steps.
-        out: folder of designs.json and designs.md; designs that are already in it are not trained again.
-    """
-
-    seconds: float = 120.0
-    out: Path = Path("runs/designs")
-
-    def execute(self) -> None:
-        """Runs it; raises the errors of the project."""
-        from training.fit_designs import compare, table
-
-        settings = AnyFitConfig(**{name: getattr(self, name) for name in AnyFitConfig.__dataclass_fields__})
-        Console(soft_wrap=True).print(table(compare(settings, self.out, True)), highlight=False)
-
-
-@dataclass(frozen=True)
 class Fit:
     """Train a model of the initial force, and save it with its model card.
 
@@ -105,8 +85,7 @@ class Fit:
 
     model: Annotated[
         Annotated[FourFinger, tyro.conf.subcommand("four_finger")]
-        | Annotated[AnyGrasp, tyro.conf.subcommand("any_grasp")]
-        | Annotated[Designs, tyro.conf.subcommand("designs")],
+        | Annotated[AnyGrasp, tyro.conf.subcommand("any_grasp")],
         tyro.conf.arg(name=""),
     ] = field(default_factory=FourFinger)
 
