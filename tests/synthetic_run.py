@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from training.cases import SETS
-from training.metrics import BUDGETS, LEVELS, METHODS
-from training.rollouts import SCENARIOS
+from training.cases.sets import SETS
+from training.cases.starts import LABELS, LEARNED
 from training.runs import Run
-from training.starts import LABELS, LEARNED
+from training.trials.metrics import BUDGETS, LEVELS, METHODS
+from training.trials.rollouts import SCENARIOS
 
 SPEED = {"single_value": 60.0, "lagrange": 50.0, "linear_combination": 40.0, "learned_fixed": 0.5, "learned_any": 3.0}
 CASES = 30

@@ -65,8 +65,8 @@ IMPORTS = {
     "import gymnasium; gymnasium.make('grasp_env:FourFingerGrasp-v0')": "sim",
     "import policies.network": "train",
     "import policies.newton_layers": "train",
-    "import training.fit": "train",
-    "import training.fit_any": "train",
+    "import training.fit.four_finger": "train",
+    "import training.fit.any_grasp": "train",
 }
 
 
@@ -144,7 +144,7 @@ def test_help_needs_no_extra_but_its_own() -> None:
 
 
 def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from training.demo import record
+    from training.demo.record import record
 
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingExtraError, match=r'this needs imageio_ffmpeg: pip install "grasp-force\[video\]"'):

@@ -84,6 +84,66 @@ def test_the_core_is_below_everything_else() -> None:
         assert _roots(path) <= SOLVER | set(sys.stdlib_module_names), path
 
 
+ROOMS: dict[str, set[str]] = {
+    "runs": set(),
+    "peers": set(),
+    "data": {"runs"},
+    "demo": {"runs", "data"},
+    "cases": {"runs", "data"},
+    "fit": {"runs", "data", "cases"},
+    "trials": {"runs", "data", "demo", "cases", "fit"},
+    "report": {"runs", "data", "demo", "cases", "trials"},
+    "rl": {"runs", "data", "report"},
+    "study": {"runs", "cases", "trials", "report"},
+    "bench": {"runs", "data", "peers", "report"},
+    "commands": {"runs", "demo", "fit", "trials", "report", "rl", "study", "bench"},
+}
+"""The rooms of `training`, the lowest first, and those that each may look into: runs <- data <- cases <- trials <- report <- commands."""
+
+
+def _modules(package: str) -> dict[str, Path]:
+    """The files of a package by their names as modules."""
+    found = {path.relative_to(ROOT).with_suffix("").parts: path for path in _files(package)}
+    return {".".join(parts[:-1] if parts[-1] == "__init__" else parts): path for parts, path in found.items()}
+
+
+def _arrows(package: str) -> dict[str, set[str]]:
+    """Which modules of a package each of its modules imports, in functions too; `from room import module` means the module."""
+    modules = _modules(package)
+    out = {}
+    for name, path in modules.items():
+        asked = _imports(path) & set(modules)
+        deeper = {one for one in asked if any(other.startswith(f"{one}.") for other in asked)}
+        direct = {str(node.module) for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.ImportFrom)
+                  and any(f"{node.module}.{alias.name}" not in modules for alias in node.names)}  # fmt: skip
+        out[name] = asked - (deeper - direct) - {name}
+    return out
+
+
+def test_training_has_rooms_and_they_look_one_way() -> None:
+    order = list(ROOMS)
+    for room, below in ROOMS.items():
+        assert {order.index(other) < order.index(room) for other in below} <= {True}, room
+    found = {room: set[str]() for room in ROOMS}
+    for name, targets in _arrows("training").items():
+        room = name.split(".")[1] if name.count(".") else ""
+        if room in ("", "__main__", "cli"):  # the door
+            continue
+        assert room in ROOMS, f"{name} lies in no room"
+        found[room] |= {target.split(".")[1] for target in targets if target.count(".")} - {room}
+    assert {room: others - ROOMS[room] for room, others in found.items() if others - ROOMS[room]} == {}
+    assert found == ROOMS, "an arrow that nothing needs any more"
+
+
+@pytest.mark.parametrize("package", ["training"])
+def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
+    left = _arrows(package)
+    while free := [name for name, targets in left.items() if not targets & set(left)]:
+        for name in free:
+            del left[name]
+    assert left == {}
+
+
 def test_pybullet_is_imported_in_one_file() -> None:
     users = {str(path.relative_to(ROOT)) for part in ("grasp_env", "policies", "training") for path in _files(part)
              if _roots(path) & {"pybullet", "pybullet_data", "pybullet_utils"}}  # fmt: skip

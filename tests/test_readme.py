@@ -32,9 +32,7 @@ def test_make_targets_exist():
 
 def test_grasp_commands_exist(capsys):
     commands = set(
-        re.findall(
-            r"(?:^|`)(grasp (?:solve|fit|rl|evaluate|report|demo|bench|reproduce)[^`\n]*)", TEXT, re.MULTILINE
-        )
+        re.findall(r"(?:^|`)(grasp (?:solve|fit|rl|evaluate|report|demo|bench|reproduce)[^`\n]*)", TEXT, re.MULTILINE)
     )
     assert len(commands) >= 4
     for command in commands:

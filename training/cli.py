@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         need("cli")
-        from training.program import parsed
+        from training.commands.program import parsed
 
         parsed(arguments).execute()
     except GraspError as error:

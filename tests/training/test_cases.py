@@ -10,11 +10,11 @@ import pytest
 from grasp_env.force import Objective, phase_one
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
-from training.cases import GROUPS, SETS, directions, fixed_cases
-from training.cases_grasps import DISPLACEMENT, FRICTIONS, closed_grasp, grasp_cases
-from training.cases_recorded import IMPACT, record, recorded_cases, without
-from training.starts import carried, near_fixed
-from training.trials import cases_of
+from training.cases.grasps import DISPLACEMENT, FRICTIONS, closed_grasp, grasp_cases
+from training.cases.recorded import IMPACT, record, recorded_cases, without
+from training.cases.sets import GROUPS, SETS, directions, fixed_cases
+from training.cases.starts import carried, near_fixed
+from training.trials.compare import cases_of
 
 RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from grasp_env.errors import InvalidInputError
-from training.demo import record
+from training.demo.record import record
 
 ENV = "test_demo/Squares-v0"
 

@@ -10,12 +10,14 @@ import pytest
 from rich.console import Console
 
 from grasp_env.errors import InvalidInputError
-from training import env_evaluation
 from training.cli import main
-from training.env_evaluation import EnvEvaluateConfig, evaluate_env
-from training.env_metrics import cell_metrics, choose, env_metrics, failures, paired
-from training.env_report import build_env_report
-from training.env_trials import (
+from training.report.holds import build_env_report
+from training.runs import Run
+from training.runs.statistics import mean_interval, wilson
+from training.trials import hold_rates as env_evaluation
+from training.trials.hold_metrics import cell_metrics, choose, env_metrics, failures, paired
+from training.trials.hold_rates import evaluate_env
+from training.trials.holds import (
     _NUMBERS,
     CONTROLLERS,
     NO_START,
@@ -26,8 +28,7 @@ from training.env_trials import (
     plan,
     run_trial,
 )
-from training.runs import Run
-from training.statistics import mean_interval, wilson
+from training.trials.settings import EnvEvaluateConfig
 
 SHAPES = ("cuboid", "cylinder", "sphere", "capsule")
 
@@ -170,7 +171,7 @@ def test_report_shows_everything(report):
 
 
 def test_report_rebuilds_without_simulating(report, monkeypatch, capsys):
-    monkeypatch.setattr("training.env_trials.FourFingerGrasp", None)
+    monkeypatch.setattr("training.trials.holds.FourFingerGrasp", None)
     before = report.read_json("metrics.json")
     report.path("report.html").unlink()
     assert main(["report", str(report.folder)]) == 0
@@ -202,7 +203,7 @@ def test_a_grasp_that_does_not_settle_is_counted():
 def test_workers_do_not_matter_and_an_interrupted_run_goes_on(tmp_path, monkeypatch):
     def run(name: str, workers: int, cells: list[Cell]) -> Run:
         config = EnvEvaluateConfig(out=str(tmp_path), name=name, workers=workers)
-        evaluate_env(config, Console(quiet=True), cells)
+        build_env_report(evaluate_env(config, Console(quiet=True), cells))
         return Run(tmp_path / name)
 
     cells = [Cell("objects", "paper", 5, SHORT), Cell("objects", "pd", 2, {**SHORT, "controller": "pd"})]

@@ -11,18 +11,19 @@ import pytest
 from rich.console import Console
 
 from grasp_env.errors import InvalidInputError
-from training import evaluate as evaluate_module
-from training.cases import SETS
-from training.claims import claims, wins
+from training.cases.sets import SETS
+from training.cases.starts import LABELS, LEARNED
 from training.cli import main
-from training.evaluate import evaluate, plan
-from training.metrics import metrics_of
-from training.report import number
-from training.rollouts import SCENARIOS
+from training.fit.settings import FitConfig
+from training.report.pages import number
 from training.runs import Run
-from training.settings import EvaluateConfig, FitConfig
-from training.starts import LABELS, LEARNED
-from training.statistics import ratio_interval, summary
+from training.runs.statistics import ratio_interval, summary
+from training.trials import comparison as evaluate_module
+from training.trials.claims import claims, wins
+from training.trials.comparison import evaluate, plan
+from training.trials.metrics import metrics_of
+from training.trials.rollouts import SCENARIOS
+from training.trials.settings import EvaluateConfig
 
 SMALL: dict[str, Any] = {"wrenches": 6, "timed": 4, "repeats": 2, "guarded": 60, "paths": 1, "episodes": 1, "steps": 10}
 
@@ -31,16 +32,9 @@ SMALL: dict[str, Any] = {"wrenches": 6, "timed": 4, "repeats": 2, "guarded": 60,
 def run(tmp_path_factory) -> Run:
     out = tmp_path_factory.mktemp("runs")
     fit = FitConfig(steps=200, samples=8192, hidden=(32, 32), batch_size=512, threads=1)
-    with pytest.MonkeyPatch.context() as patch:  # the pages have tests of their own
-        patch.setattr(evaluate_module, "build_report", _metrics_only)
-        evaluate(EvaluateConfig(out=str(out), name="small", fit=fit, **SMALL), Console(quiet=True))
+    found = evaluate(EvaluateConfig(out=str(out), name="small", fit=fit, **SMALL), Console(quiet=True))
+    found.write_json("metrics.json", metrics_of(found))  # the pages have tests of their own
     return Run.open(out / "small", "metrics.json")
-
-
-def _metrics_only(run: Run) -> dict[str, Any]:
-    metrics = metrics_of(run)
-    run.write_json("metrics.json", metrics)
-    return metrics
 
 
 @pytest.fixture

@@ -23,15 +23,15 @@ from policies.features import N_FEATURES, Features
 from policies.fixed_grasp import FixedGraspForce
 from policies.network import Network, activation
 from policies.newton_layers import phi
-from training import fit_any as fit_any_module
-from training.any_dataset import UNIT, make_pool
 from training.cli import main
-from training.dataset import label, sample
-from training.fit import fit
-from training.fit_any import fit_any
-from training.fit_loop import optimise
-from training.random_grasps import random_grasps
-from training.settings import AnyFitConfig, FitConfig
+from training.data.any_grasp import UNIT, make_pool
+from training.data.grasps import random_grasps
+from training.data.one_grasp import label, sample
+from training.fit import any_grasp as fit_any_module
+from training.fit.any_grasp import fit_any
+from training.fit.four_finger import fit
+from training.fit.loop import optimise
+from training.fit.settings import AnyFitConfig, FitConfig
 
 FIXED: dict[str, Any] = {"steps": 40, "samples": 4096, "hidden": (16,), "batch_size": 256}
 ANY: dict[str, Any] = {
@@ -48,7 +48,7 @@ ANY: dict[str, Any] = {
 @pytest.fixture
 def small_scores(monkeypatch):
     """Scores on fewer wrenches."""
-    monkeypatch.setattr("training.fit.HELD_OUT", 100)
+    monkeypatch.setattr("training.fit.four_finger.HELD_OUT", 100)
 
 
 def test_labels_are_optima_and_the_metric_is_the_gap():
@@ -159,7 +159,9 @@ def test_layers_learn_more_than_newton_steps():
 @pytest.mark.parametrize(("run", "settings"), [(fit, FitConfig(**FIXED)), (fit_any, AnyFitConfig(**ANY))])
 def test_the_same_bits_also_after_an_interrupt(run, settings, tmp_path, monkeypatch, small_scores):
     whole = _checkpoint(run(settings))
-    module, name = ("training.fit", "NetworkTask") if run is fit else ("training.fit_any", "StartsTask")
+    module, name = (
+        ("training.fit.four_finger", "NetworkTask") if run is fit else ("training.fit.any_grasp", "StartsTask")
+    )
     task = getattr(__import__(module, fromlist=[name]), name)
     real, calls = task.loss, []
 
@@ -217,8 +219,8 @@ def _interrupt_at_once(task, plan):
 
 def test_no_room_and_no_permission_are_said_before_work(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr("training.fit.label", _no_work)
-    monkeypatch.setattr("training.fit_any.make_pool", _no_work)
+    monkeypatch.setattr("training.fit.four_finger.label", _no_work)
+    monkeypatch.setattr("training.fit.any_grasp.make_pool", _no_work)
     for model in ("four_finger", "any_grasp"):
         assert main(["fit", model, "--out", str(tmp_path / "file" / "model")]) == 2
         assert "choose another --out" in capsys.readouterr().err

@@ -18,20 +18,20 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 import policies.agent_files
-import training.rl
-import training.rl_checkpoint
+import training.rl.checkpoint
+import training.rl.train
 from grasp_env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError, ModelFileError
 from policies import ZeroPolicy
 from policies.agent import TrainedAgent
 from policies.agent_files import checkpoints, find_checkpoint, read_meta
 from training.cli import main
-from training.rl import train, train_seed
-from training.rl_agent import build
-from training.rl_env import first_seed, make_envs
-from training.rl_score import score
-from training.rl_settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
-from training.rollouts import roll_out
+from training.rl.agent import build
+from training.rl.envs import first_seed, make_envs
+from training.rl.score import score
+from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
+from training.rl.train import train, train_seed
+from training.trials.rollouts import roll_out
 
 TINY: dict[str, Any] = {
     "steps": 96, "envs": 2, "episodes": 2, "curve_points": 1, "curve_episodes": 1, "rollout": 48, "warmup": 32,
@@ -74,8 +74,8 @@ def test_a_run_leaves_a_report_and_no_pickle(ppo):
 
 
 def test_sources_pickle_nothing():
-    root = Path(training.rl.__file__).parent
-    for path in (*root.glob("rl*.py"), root / "commands/rl.py", *root.parent.glob("policies/agent*.py")):
+    root = Path(training.rl.train.__file__).parent
+    for path in (*root.glob("*.py"), *root.parents[1].glob("policies/agent*.py")):
         source = path.read_text()
         assert not re.search(
             r"import pickle|torch\.(save|load)\(|allow_pickle=True|(PPO|SAC|VecNormalize)\.load", source
@@ -89,7 +89,7 @@ def test_training_begins_at_the_paper(algorithm):
     agent = build(config, envs, 0)
     envs.seed(0)
     envs.reset()
-    mine = score(training.rl._Live(agent, envs), config.env_settings, range(5, 7))
+    mine = score(training.rl.train._Live(agent, envs), config.env_settings, range(5, 7))
     paper = score(ZeroPolicy(), config.env_settings, range(5, 7))
     assert mine["mean_iterations"] == pytest.approx(paper["mean_iterations"], rel=0.05)
     shaken = agent.predict(np.zeros((500, 83), dtype=np.float32), deterministic=False)[0]
@@ -103,7 +103,7 @@ def test_the_agent_is_stable_baselines3s_and_is_scored_by_the_same_evaluator(ppo
         config = RLConfig(**TINY, algorithm=algorithm).resolved()  # type: ignore[arg-type]
         envs = make_envs(config.env_settings, config.envs, config.gamma)
         theirs = build(config, envs, 1)
-        training.rl_checkpoint.resume(folder / "seed-0", theirs, envs, config, 0)
+        training.rl.checkpoint.resume(folder / "seed-0", theirs, envs, config, 0)
         envs.training = False
         seen = envs.reset()
         raw: Any = envs.get_original_obs()
@@ -176,7 +176,10 @@ def test_runs_are_compared_in_one_report(ppo, sac, tmp_path, capsys):
 
 
 def test_an_interrupt_leaves_a_whole_checkpoint_to_go_on_from(tmp_path, monkeypatch, capsys):
-    real, handler = training.rl.score, signal.getsignal(signal.SIGINT)  # ignored, where a background job runs the tests
+    real, handler = (
+        training.rl.train.score,
+        signal.getsignal(signal.SIGINT),
+    )  # ignored, where a background job runs the tests
 
     def interrupted(*arguments: Any) -> Any:
         signal.raise_signal(signal.SIGINT)
@@ -184,7 +187,7 @@ def test_an_interrupt_leaves_a_whole_checkpoint_to_go_on_from(tmp_path, monkeypa
 
     arguments = ["rl", "--out", str(tmp_path / "cut"), "--envs", "2", "--rollout", "48", "--episodes", "1"]
     arguments += ["--curve-episodes", "1", "--curve-points", "1", "--steps"]
-    monkeypatch.setattr(training.rl, "score", interrupted)
+    monkeypatch.setattr(training.rl.train, "score", interrupted)
     assert main([*arguments, "96"]) == 130
     monkeypatch.undo()
     assert read_meta(find_checkpoint(tmp_path / "cut/seed-0"))["steps"] == 0
@@ -261,7 +264,7 @@ def test_no_room_and_no_folder_are_said_before_work(tmp_path, monkeypatch):
     with pytest.raises(InvalidInputError, match="cannot write to"):
         train(RLConfig(**TINY), tmp_path / "file" / "run")
     usage = namedtuple("usage", "total used free")
-    monkeypatch.setattr(training.rl_checkpoint.shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 10**6, 10**6))
+    monkeypatch.setattr(training.rl.checkpoint.shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 10**6, 10**6))
     with pytest.raises(InvalidInputError, match="1 MB free, this training needs up to"):
         train(RLConfig(**TINY), tmp_path / "full")
 

@@ -11,10 +11,10 @@ from grasp_env.force import Objective
 from grasp_env.force.step_size import FixedStep
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import PAPER_CONSTANT, sample_ball
-from training import study
-from training.reproduce import reproduce
 from training.runs import Run
-from training.study import FORMS, operations
+from training.study import study
+from training.study.reproduce import reproduce
+from training.study.study import FORMS, operations
 
 
 def test_rates_are_the_predicted_ones() -> None:

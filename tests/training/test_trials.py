@@ -9,14 +9,14 @@ from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Status
 from grasp_env.grasp import presets, wrench
 from policies import LearnedInitialForce
-from training.cases import fixed_cases
-from training.cases_grasps import closed_grasp
-from training.metrics import censored, spread, start_metrics
-from training.starts import LEARNED, SHIPPED, DoesNotApply, load_models, make_starts, near_fixed
-from training.trials import BUDGETS, LEVELS, LIMIT, METHODS, STATUS, cases_of, compare, starts_in
-from training.trials_guarantee import guarantee, never_worse, values, worse
-from training.trials_path import POINTS, continuity
-from training.trials_timing import optimizers, time_calls
+from training.cases.grasps import closed_grasp
+from training.cases.sets import fixed_cases
+from training.cases.starts import LEARNED, SHIPPED, DoesNotApply, load_models, make_starts, near_fixed
+from training.trials.compare import BUDGETS, LEVELS, LIMIT, METHODS, STATUS, cases_of, compare, starts_in
+from training.trials.continuity import POINTS, continuity
+from training.trials.guarantee import guarantee, never_worse, values, worse
+from training.trials.metrics import censored, spread, start_metrics
+from training.trials.timing import optimizers, time_calls
 
 PHI = Objective()
 

@@ -12,7 +12,7 @@ from grasp_env.force import ForceOptimizer
 from grasp_env.force.record import ITERATIONS, record_size
 from training.bench.grasps import problems
 from training.bench.timing import compiled_times
-from training.figures import new_figure
+from training.report.style import new_figure
 from training.runs import provenance
 
 SIZES = (3, 4, 5, 8, 12, 16, 24, 32, 48, 64, 80, 100)

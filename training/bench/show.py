@@ -13,7 +13,7 @@ from grasp_env._files import read_json
 from grasp_env.errors import InvalidInputError, shown
 from training.bench.core_show import show_core
 from training.bench.scaling import scaling_figure
-from training.figures import close
+from training.report.style import close
 from training.runs import Run
 
 

@@ -42,7 +42,7 @@ class Demo:
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         need("sim", "report")
-        from training.demo import record
+        from training.demo.record import record
 
         disturbance = self.disturbance or ("paper_path" if self.task == "hold" else None)
         record(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -9,7 +10,7 @@ import tyro
 
 from grasp_env._extras import need
 from training.commands.claims import print_claims
-from training.settings import EvaluateConfig
+from training.trials.settings import EnvEvaluateConfig, EvaluateConfig
 
 
 @dataclass(frozen=True)
@@ -32,14 +33,16 @@ class Evaluate(EvaluateConfig):
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         need("sim", "report")
-        kind: Any = EvaluateConfig
-        if self.what == "env":
-            from training.env_evaluation import EnvEvaluateConfig, evaluate_env
+        from training.report.build import build_report, report_path
+        from training.trials.comparison import evaluate
+        from training.trials.hold_rates import evaluate_env
 
-            kind, run = EnvEvaluateConfig, evaluate_env
-        else:
-            from training.evaluate import evaluate as run
+        kind: Any = EnvEvaluateConfig if self.what == "env" else EvaluateConfig
+        measure: Any = evaluate_env if self.what == "env" else evaluate
         settings = {name: getattr(self, name) for name in kind.__dataclass_fields__}
         if not self.episodes:
             del settings["episodes"]
-        print_claims(run(kind(**settings)))
+        run = measure(kind(**settings))
+        metrics = build_report(run)
+        sys.stderr.write(f"report: {report_path(run)}\n")
+        print_claims(metrics)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
-from training.settings import AnyFitConfig, FitConfig
+from training.fit.settings import AnyFitConfig, FitConfig
 
 if TYPE_CHECKING:
     from policies.checkpoint import Checkpoint
@@ -33,7 +33,7 @@ class FourFinger(FitConfig):
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
-        from training.fit import fit
+        from training.fit.four_finger import fit
 
         settings = FitConfig(**{name: getattr(self, name) for name in FitConfig.__dataclass_fields__})
         checkpoint = fit(settings, True, _command(), self.out, self.resume).checkpoint
@@ -63,7 +63,7 @@ class AnyGrasp(AnyFitConfig):
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
-        from training.fit_any import fit_any
+        from training.fit.any_grasp import fit_any
 
         settings = AnyFitConfig(**{name: getattr(self, name) for name in AnyFitConfig.__dataclass_fields__})
         checkpoint = fit_any(settings, True, _command(), self.out, self.resume)
@@ -125,7 +125,7 @@ def _quick(quick: bool) -> str:
 
 def _save(checkpoint: Checkpoint, out: Path) -> Path:
     """Saves the finished model; the state of its training is no longer needed."""
-    from training.fit_state import StateFile
+    from training.fit.state import StateFile
 
     path = checkpoint.save(out)
     StateFile(out, {}).remove()

@@ -25,12 +25,10 @@ class Report:
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         need("report")
-        from training.env_report import build_env_report
-        from training.report import build_report, report_path
+        from training.report.build import build_report, report_path
         from training.runs import Run, understood
 
         run = Run.open(self.run, "run.json")
         with understood(run.folder, "run `grasp evaluate` again"):
-            build = build_env_report if run.read_json("run.json").get("kind") == "env" else build_report
-            print_claims(build(run))
+            print_claims(build_report(run))
         Console().print(str(report_path(run)), highlight=False)

@@ -26,7 +26,7 @@ class Reproduce:
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         need("report")
-        from training.reproduce import reproduce
+        from training.study.reproduce import reproduce
 
         metrics = reproduce(self.out, self.quick, sys.stderr.isatty())
         Console().print(str(Path(metrics["folder"]) / "report.md"), highlight=False)

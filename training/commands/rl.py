@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from grasp_env._extras import need
-from training.rl_settings import RLConfig
+from training.rl.settings import RLConfig
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class RL(RLConfig):
 
         if self.compare:
             need("sim", "train", "report")
-            from training.rl_evaluate import evaluate_runs
+            from training.rl.evaluate import evaluate_runs
 
             runs = [Run.open(folder, "run.json").folder for folder in self.compare]
             evaluate_runs(runs, Run.create(self.out.parent, self.out.name).folder, config.episodes, config.quick)
         else:
-            from training.rl import train
+            from training.rl.train import train
 
             train(config, self.out, self.resume)

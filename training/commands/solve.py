@@ -14,7 +14,7 @@ from grasp_env.force import ForceLimits, optimize_force
 from grasp_env.grasp import load_grasp, presets
 from grasp_env.grasp.advice import advise
 from training.commands.rules import rule
-from training.solution import print_solution
+from training.commands.solution import print_solution
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""What the evaluation asks, and every start that answers."""

@@ -1,0 +1,180 @@
+"""The optimisation loop of every model: warm-up and cosine, a held-out curve, saved states, orderly interrupts."""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+from typing import Protocol
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+from torch import Tensor, nn
+
+from training.fit.state import Progress, StateFile
+
+MARKS = 20
+"""Scores on held-out data, and saved states, per training."""
+WARM = 0.03
+"""Share of the training over which the learning rate rises."""
+CLIP = 5.0
+"""Largest norm of a gradient."""
+
+
+class Task(Protocol):
+    """What is trained."""
+
+    @property
+    def module(self) -> nn.Module:
+        """Its weights are optimised."""
+        ...
+
+    @property
+    def phases(self) -> tuple[float, ...]:
+        """Learning rates of the phases, one after another, in parts of the plan's."""
+        ...
+
+    def loss(self, rng: np.random.Generator, phase: int) -> Tensor:
+        """Of a batch drawn with `rng`."""
+        ...
+
+    def score(self) -> list[float]:
+        """Held-out numbers, one row of the curve."""
+        ...
+
+    def note(self, row: list[float]) -> str:
+        """A row in words."""
+        ...
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How long and how.
+
+    Attributes:
+        seconds: time for the optimisation steps.
+        steps: a number of steps instead; 0: time decides.
+        learning_rate: peak.
+        optimiser: (parameters, lr) -> Adam or `Soap`.
+        seed: of the batches.
+        state: where the training is saved; None: nowhere.
+        resume: go on from there.
+        cpu: count seconds of processor time: fair where other programs share the cores.
+        words: what it is called where its scores are told on stderr (a bar on terminals, else lines); empty: nowhere.
+    """
+
+    seconds: float
+    steps: int
+    learning_rate: float
+    optimiser: Callable[..., torch.optim.Optimizer]
+    seed: int
+    state: StateFile | None = None
+    resume: bool = False
+    words: str = ""
+    cpu: bool = False
+
+    def done(self, now: Progress) -> float:
+        """0 to 1 (and beyond)."""
+        if self.steps:
+            return now.step / self.steps
+        return (now.cpu_seconds if self.cpu else now.seconds) / self.seconds
+
+
+def optimise(task: Task, plan: Plan) -> Progress:
+    """Trains `task.module`; with `plan.steps` the result is the same bit by bit, also after an interrupt and resume.
+
+    Returns:
+        Steps, seconds and the curve: rows (step, seconds, *score).
+
+    Raises:
+        KeyboardInterrupt: after an interrupt or SIGTERM; the training as it was then is saved.
+    """
+    rng = np.random.default_rng([plan.seed, 2])
+    optimiser = plan.optimiser(task.module.parameters(), lr=plan.learning_rate)
+    now, mark = Progress(), 0.0
+    if plan.state is not None and plan.resume:
+        now = plan.state.restore(task.module, optimiser, rng)
+        mark = _next_mark(plan.done(now))
+    since = now.seconds - time.perf_counter(), now.cpu_seconds - time.process_time()
+    with _interruptible() as interrupted, _telling(task, plan) as tell:
+        while True:
+            done = plan.done(now)
+            if done >= min(mark, 1.0):
+                row = task.score()
+                now.curve.append([float(now.step), round(now.seconds, 2), *row])
+                mark = _next_mark(done)
+                tell(now, row)
+                if plan.state is not None and done > 0.0:
+                    plan.state.save(task.module, optimiser, rng, now)
+            if done >= 1.0:
+                return now
+            if interrupted():
+                if plan.state is not None:
+                    plan.state.save(task.module, optimiser, rng, now)
+                    sys.stderr.write(f"saved {plan.state.path}: the same command with --resume goes on from there\n")
+                raise KeyboardInterrupt
+            phase = min(int(done * len(task.phases)), len(task.phases) - 1)
+            for group in optimiser.param_groups:
+                group["lr"] = plan.learning_rate * task.phases[phase] * _schedule(done * len(task.phases) - phase)
+            loss = task.loss(rng, phase)
+            optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(task.module.parameters(), CLIP)
+            optimiser.step()
+            now.step += 1
+            now.seconds, now.cpu_seconds = since[0] + time.perf_counter(), since[1] + time.process_time()
+
+
+def _schedule(done: float) -> float:
+    """Warm-up, then a cosine to zero."""
+    return done / WARM + 1e-3 if done < WARM else 0.5 * (1.0 + math.cos(math.pi * (done - WARM) / (1.0 - WARM))) + 1e-4
+
+
+def _next_mark(done: float) -> float:
+    return (math.floor(done * MARKS + 1e-9) + 1) / MARKS
+
+
+@contextmanager
+def _telling(task: Task, plan: Plan) -> Iterator[Callable[[Progress, list[float]], None]]:
+    console = Console(stderr=True)
+    columns = TextColumn(plan.words), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn()
+    with Bar(*columns, console=console, disable=not (plan.words and console.is_terminal)) as bar:
+        shown = bar.add_task(plan.words, total=1.0, note="")
+
+        def tell(now: Progress, row: list[float]) -> None:
+            bar.update(shown, completed=min(1.0, plan.done(now)), note=task.note(row))
+            if plan.words and not console.is_terminal:
+                sys.stderr.write(f"{plan.words}: step {now.step}, {now.seconds:.0f} s: {task.note(row)}\n")
+
+        yield tell
+
+
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], bool]]:
+    """Whether SIGINT or SIGTERM came: a step ends first; a second one interrupts at once."""
+    came: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        if came:
+            raise KeyboardInterrupt
+        came.append(number)
+
+    kept = {}
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            kept[number] = signal.signal(number, note)
+    except ValueError:  # not the main thread: nobody interrupts it
+        pass
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)

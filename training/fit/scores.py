@@ -1,0 +1,64 @@
+"""What a network of one grasp is worth on held-out wrenches: its gap, the Newton steps and the flow's iterations that are left."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from grasp_env.force import ForceOptimizer
+from grasp_env.grasp import Grasp
+from policies.fixed_grasp import FixedGraspForce
+from training.cases.starts import TOLERANCE, NetworkAlone, newton_optimizer, phi_options
+
+MOST = 4
+"""Newton steps that are counted one by one; more are counted together."""
+EXACT = 1e-10
+"""Relative gap of the optima."""
+
+
+def scores(
+    model: FixedGraspForce, grasp: Grasp, wrenches: np.ndarray, frictions: np.ndarray, flow: bool = False
+) -> dict[str, Any]:
+    """Summaries over wrenches (B, 6) on a grasp with frictions (B,), each through the model as it is used.
+
+    Args:
+        model: whose network is looked at alone.
+        grasp: its friction is replaced.
+        wrenches: (B, 6) [N, N m].
+        frictions: (B,).
+        flow: run the reduced flow, too.
+
+    Returns:
+        "gap" of the force before any step; "outside the cones": share, before the repair; "newton steps" to a certified 1e-4: shares
+        that need 0, 1, ... and more; "flow iterations" to 1e-4.
+    """
+    alone = NetworkAlone(model)
+    rows: list[tuple[float, bool, int, int]] = []
+    for friction, chosen in groupby(range(len(wrenches)), key=lambda k: float(frictions[k])):
+        here = grasp.with_friction(friction)
+        exact, newton = (newton_optimizer(here, model.objective, gap) for gap in (EXACT, TOLERANCE))
+        reduced = ForceOptimizer(here, tolerance=TOLERANCE, **phi_options(model.objective))
+        for wrench in wrenches[list(chosen)]:
+            raw, start = model.raw(here, wrench), alone(here, wrench)
+            gap = model.objective.value(here.to_cone(start)) / exact.solve(wrench).objective - 1.0
+            left = reduced.solve(wrench, initial=start).iterations if flow else 0
+            taken = newton.solve(wrench, initial=start).iterations
+            rows.append((max(0.0, gap), here.cone_margin(raw) <= 0.0, taken, left))
+    gaps, outside, steps, iterations = np.array(rows).T
+    told = {
+        "wrenches": len(rows),
+        "gap": _summary(gaps),
+        "outside the cones": float(outside.mean()),
+        "newton steps": {
+            f"{k}{' or more' if k == MOST else ''}": float((np.minimum(steps, MOST) == k).mean())
+            for k in range(MOST + 1)
+        },
+    }
+    return told | ({"flow iterations": _summary(iterations)} if flow else {})
+
+
+def _summary(values: np.ndarray) -> dict[str, float]:
+    found = np.quantile(values, [0.5, 0.9, 0.99, 1.0])
+    return {name: float(f"{value:.4g}") for name, value in zip(("median", "p90", "p99", "max"), found, strict=True)}

@@ -1,0 +1,1 @@
+"""Pages made of saved trials; nothing is solved here."""

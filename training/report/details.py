@@ -1,0 +1,249 @@
+"""The middle of a report: every set in full, Newton beside the reduced flow, microseconds, feasibility, continuity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from training.report.model import Fold, Picture, Section, Table, at, number, percent, present
+from training.report.starts import MAIN, label, matrix, pair, set_label, short, steps
+
+
+def sets_section(metrics: dict[str, Any]) -> Section:
+    """Everything measured, a folded part per set."""
+    notes = (
+        "Cases: those a start applies to. No start: it has no strictly feasible force there (counted, in no percentile). Not "
+        "done: 1e-4 was not reached in 5000 iterations (in the percentiles as more than 5000). In brackets a 95 % bootstrap "
+        "interval of the median.",
+    )
+    folds = [_set_fold(metrics, name) for name in metrics.get("sets", {})]
+    return Section("sets", "Set by set", notes, present(folds))
+
+
+def _set_fold(metrics: dict[str, Any], name: str) -> Fold:
+    flow, newton = (at(metrics, "starts", method, name) or {} for method in ("reduced_flow", "newton"))
+    entry = metrics["sets"][name]
+    blocks = present(
+        [_iterations(flow, "Reduced flow"), _levels(flow, "Reduced flow"), _budgets(flow), _iterations(newton, "Newton"),
+         _levels(newton, "Newton"), _events(metrics, name)]
+    )  # fmt: skip
+    contacts = "/".join(str(count) for count in entry.get("contacts") or ())
+    summary = f"{set_label(metrics, name)} (cases: {number(entry.get('cases'))}, N = {contacts or '–'})"
+    return Fold(summary, blocks, [f"The previous solution: {note}." for note in [entry.get("note")] if note])
+
+
+def _iterations(rows: dict[str, Any], method: str) -> Table:
+    columns = (
+        "start", "cases", "n/a", "no start", "not done", "median", "p95", "p99", "max", "starting gap, median", "p99",
+    )  # fmt: skip
+    out = [
+        [label(key), number(at(row, "cases")), number(at(row, "not_applicable")), number(at(row, "no_start")),
+         number(at(row, "not_converged")), _interval(at(row, "iterations")),
+         *(steps(at(row, "iterations", part)) for part in ("p95", "p99", "max")),
+         *(number(at(row, "start_gap", part), 2) for part in ("median", "p99"))]
+        for key, row in rows.items()
+        if at(row, "cases")
+    ]  # fmt: skip
+    return Table(f"{method}: iterations to a relative gap of 1e-4", columns, out)
+
+
+def _interval(row: dict[str, Any] | None) -> str:
+    text, low, high = (steps(at(row, key)) for key in ("median", "median_low", "median_high"))
+    return text if low == high else f"{text} [{low}, {high}]"
+
+
+def _levels(rows: dict[str, Any], method: str) -> Table:
+    levels = list(dict.fromkeys(level for row in rows.values() for level in at(row, "iterations_to") or {}))
+    out = [
+        [label(key), *(pair(at(row, "iterations_to", level)) for level in levels)]
+        for key, row in rows.items()
+        if at(row, "cases")
+    ]
+    return Table(f"{method}: iterations to each gap, median / p99", ("start", *levels), out if levels else [])
+
+
+def _budgets(rows: dict[str, Any]) -> Table:
+    budgets = list(dict.fromkeys(count for row in rows.values() for count in at(row, "gap_after") or {}))
+
+    def text(row: dict[str, Any], count: str) -> str:
+        median, p95 = (at(row, "gap_after", count, part) for part in ("median", "p95"))
+        return "–" if median is None else f"{number(median, 2)} / {number(p95, 2)}"
+
+    out = [[label(key), *(text(row, count) for count in budgets)] for key, row in rows.items() if at(row, "cases")]
+    caption = "Reduced flow: relative gap left after so many iterations, median / p95"
+    return Table(caption, ("start", *budgets), out if budgets else [])
+
+
+def _events(metrics: dict[str, Any], name: str) -> Table:
+    events = at(metrics, "events", name) or {}
+    used = [key for key in MAIN if any(key in rows for rows in events.values())]
+    out = []
+    for event, rows in events.items():
+        count = max((at(row, "cases") or 0 for row in rows.values()), default=0)
+        out.append([event or "(none)", number(count), *(pair(at(rows, key, "iterations")) for key in used)])
+    caption = "Reduced flow by event: iterations to 1e-4, median / p99"
+    return Table(caption, ("event", "cases", *(short(key) for key in used)), out)
+
+
+def newton_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
+    """Newton beside the reduced flow: iterations on the held-out ball, then set by set."""
+    flow, newton = (at(metrics, "starts", method, "ball") or {} for method in ("reduced_flow", "newton"))
+    out = []
+    for key in flow:
+        micro = [at(metrics, "timing", "total", method, key, "best") for method in ("reduced_flow", "newton")]
+        counts = [pair(at(rows, key, "iterations")) for rows in (flow, newton)]
+        if set(counts) != {"–"}:
+            out.append([label(key), *counts, *(_micro(row) for row in micro)])
+    columns = ("start", "reduced flow, iterations", "Newton, iterations", "reduced flow [µs]", "Newton [µs]")
+    table = Table("Held-out ball, to a relative gap of 1e-4: median / p99", columns, out)
+    notes = (
+        "A Newton step costs more than a step of the flow and gains more: a good start saves the flow many steps and Newton "
+        "few. Microseconds are whole public Python calls on the fixed grasp.",
+    )
+    sets = matrix(metrics, "newton", MAIN, "Newton: iterations to 1e-4, median / p99")
+    return Section("newton", "Newton beside the reduced flow", notes, present([table, sets, *pictures]))
+
+
+def _micro(row: dict[str, Any] | None) -> str:
+    median, p99 = at(row, "median"), at(row, "p99")
+    return "–" if median is None else f"{number(median)} / {number(p99)}"
+
+
+def timing_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
+    """Microseconds: the start alone, the whole call, the offline basis and what training costs."""
+    timing = metrics.get("timing") or {}
+    starts = list(timing.get("start") or {})
+    base = at(timing, "total", "reduced_flow", "linear_combination", "best", "median")
+
+    def table(caption: str, kind: str) -> Table:
+        out = []
+        for key in starts:
+            total = at(timing, "total", "reduced_flow", key, kind)
+            part = at(total, "median")
+            ratio = number(part / base, 2) if part is not None and base and kind == "best" else "–"
+            rows = at(timing, "start", key, kind), total, at(timing, "total", "newton", key, kind)
+            cells = [number(at(row, column)) for row in rows for column in ("median", "p99")]
+            out.append([label(key), *cells[:4], *([ratio] if kind == "best" else []), *cells[4:]])
+        ratios = ["of the 12-basis's"] if kind == "best" else []
+        columns = ["start", "start alone", "p99", "with the flow", "p99", *ratios, "with Newton", "p99"]
+        return Table(caption, columns, out)
+
+    notes = (
+        "Public Python calls on this machine, one thread, compiled kernels warm, warm-up not counted, one start "
+        "at a time in blocks that take turns, as in a loop that does nothing else, on "
+        f"every wrench ({number(timing.get('wrenches'))} of the held-out ball, fixed grasp). “Start alone” includes inference "
+        "and repair; “with …” is the whole call to a certified gap of 1e-4; where the solver has the start compiled, as the "
+        "12-basis, it never returns to Python in between and can be shorter than the start alone. Best of "
+        f"{number(timing.get('repeats'))} repeats per wrench; all repeats are in the folded table.",
+    )
+    blocks = present([
+        table("Microseconds per call: median, then p99", "best"), *pictures, _break_even(metrics),
+        Fold("Every repeat counted", present([table("Microseconds per call, all repeats", "raw")])),
+    ])  # fmt: skip
+    return Section("time", "Microseconds, training time and break-even", notes, blocks)
+
+
+def _break_even(metrics: dict[str, Any]) -> Table:
+    out = []
+    for key, row in (metrics.get("break_even") or {}).items():
+        calls = at(row, "calls")
+        never = "never" if (at(row, "saved_us") or 0.0) <= 0.0 and at(row, "saved_us") is not None else "–"
+        out.append([
+            label(key), number(at(row, "training_seconds")), number(at(row, "saved_us")),
+            number(at(row, "basis_offline_us")), never if calls is None else number(calls),
+        ])  # fmt: skip
+    columns = (
+        "start", "training [s]", "saved per call [µs]", "the 12-basis's own offline work [µs]", "calls until it has paid",
+    )  # fmt: skip
+    return Table(
+        "Training time, and after how many calls it is won back against the 12-basis (reduced flow)", columns, out
+    )
+
+
+def feasibility_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
+    """What networks say before and after the repair, the guarantee, and how continuous the starts are."""
+    notes = (
+        "Raw: what the network says. Every start that is handed out is strictly inside the cones and balanced: the repair moves "
+        "along the segment to a classical start and keeps the better in Phi. Lower Phi does not always mean fewer steps of the "
+        "flow: the guarantee is about Phi.",
+        "Continuity: force change per wrench change |df| / |dw| (moments / 0.05 m) along straight paths that cross sign changes of "
+        "wrench components, where the 12-basis has kinks. Kink: change of that slope from one step to the next, which does not "
+        "shrink with the step where a start has a kink. Jump: |df| across a step 100 times finer at the steepest place; it goes to "
+        "zero where the start is continuous.",
+    )
+    summary, full = _raw(metrics)
+    blocks = present(
+        [
+            summary,
+            _guarantee(metrics),
+            _continuity(metrics),
+            *pictures,
+            Fold("Raw and repaired, every set", present([full])),
+        ]
+    )
+    return Section("feasibility", "Feasibility, guarantee, continuity", notes, blocks)
+
+
+def _raw(metrics: dict[str, Any]) -> tuple[Table, Table]:
+    """Over all sets, and set by set."""
+    by_start: dict[str, list[tuple[str, dict[str, Any]]]] = {}
+    for name, rows in (at(metrics, "starts", "reduced_flow") or {}).items():
+        for key, row in rows.items():
+            if at(row, "cases"):
+                by_start.setdefault(key, []).append((name, row))
+    columns = (
+        "raw inside the cones", "raw gap, median", "raw imbalance, max", "margin, least", "imbalance, max", "worse than the 12-basis",
+    )  # fmt: skip
+    short_rows, full = [], []
+    for key, rows in by_start.items():
+        values = {part: [at(row, *part) for _, row in rows if at(row, *part) is not None] for part in _PARTS}
+        inside = values["raw", "inside"]
+        worse, total = sum(values["worse_than_basis", "count"]), sum(values["worse_than_basis", "of"])
+        short_rows.append([
+            label(key), f"{percent(min(inside))} to {percent(max(inside))}" if inside else "–",
+            number(max(values["raw", "residual_max"], default=None), 2), number(min(values["margin_min",], default=None), 2),
+            number(max(values["residual_max",], default=None), 2), f"{worse} of {total}" if total else "–",
+        ])  # fmt: skip
+        for name, row in rows:
+            if at(row, "raw"):
+                of = at(row, "worse_than_basis")
+                full.append([
+                    set_label(metrics, name), label(key), percent(at(row, "raw", "inside")), number(at(row, "raw", "gap", "median"), 2),
+                    number(at(row, "raw", "residual_max"), 2), number(at(row, "margin_min"), 2), number(at(row, "residual_max"), 2),
+                    f"{of['count']} of {of['of']}" if of else "–",
+                ])  # fmt: skip
+    brief = ("start", "raw inside the cones, by set", *columns[2:])
+    note = "margin and imbalance relative to the largest force"
+    return (
+        Table(f"Feasibility of every start over all sets ({note})", brief, short_rows),
+        Table(f"Raw and repaired, set by set ({note})", ("cases", "start", *columns), full, words=2),
+    )
+
+
+_PARTS = (
+    ("raw", "inside"), ("raw", "residual_max"), ("margin_min",), ("residual_max",), ("worse_than_basis", "count"),
+    ("worse_than_basis", "of"),
+)  # fmt: skip
+
+
+def _guarantee(metrics: dict[str, Any]) -> Table:
+    out = []
+    for key, row in (metrics.get("guarantee") or {}).items():
+        low, high = at(row, "magnitudes") or (None, None)
+        parts = [("all", row), *(at(row, "grasps") or {}).items()]
+        for name, part in parts if len(parts) > 2 else parts[:1]:
+            size = f"{number(low)} to {number(high)}" if name == "all" else ""
+            name = label(key) if name == "all" else f"… {name.replace('_', ' ')}"
+            counts = number(at(part, "n")), number(at(part, "worse")), number(at(part, "excess_max"), 2)
+            out.append([name, *counts, size])
+    columns = ("start", "wrenches", "worse in Phi", "largest excess of Phi", "magnitudes [N]")
+    return Table("Never worse in Phi than the 12-basis: random wrenches over six decades", columns, out)
+
+
+def _continuity(metrics: dict[str, Any]) -> Table:
+    out = [
+        [label(key) if key != "optimum" else "optimum", *(number(at(row, "slope", part)) for part in ("median", "p99", "max")),
+         *(number(at(row, "kink", part)) for part in ("p99", "max")), number(at(row, "jump_max"), 2)]
+        for key, row in (metrics.get("continuity") or {}).items()
+    ]  # fmt: skip
+    columns = ("start", "slope, median", "p99", "max", "kink, p99", "max", "jump, max [N]")
+    return Table("Continuity of the start along straight wrench paths", columns, out)

@@ -1,0 +1,96 @@
+"""The end of a report: the models, every caveat, machine and versions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from training.report.model import Fold, Picture, Section, Table, at, flat, number, present
+from training.report.starts import label
+from training.trials.claims import training_seconds
+
+
+def models_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
+    """A line per model, its card folded below."""
+    models = {key: card for key, card in (at(metrics, "run", "models") or {}).items() if isinstance(card, dict)}
+    rows = [
+        [label(key), str(card.get("limits") or "–"), number(card.get("bytes")), number(at(card, "optimisation_steps")),
+         number(training_seconds(card)), *(number(at(card, "held_out_gap", "ball", "gap", part), 2) for part in ("median", "p99")),
+         _range(card)]
+        for key, card in models.items()
+    ]  # fmt: skip
+    columns = (
+        "model",
+        "limits",
+        "bytes",
+        "steps",
+        "training [s of a core]",
+        "held-out gap, median",
+        "p99",
+        "wrench [N]",
+    )
+    total = sum(card.get("bytes") or 0 for card in models.values())
+    caption = f"Models of this run ({number(total / 1e6)} MB together; gaps of the network alone, standard ball, friction varied)"
+    cards = [
+        Fold(
+            f"Model card: {label(key)}",
+            [Table("As saved with the model", ("", "value"), [[*line] for line in flat(card)], words=2)],
+        )
+        for key, card in models.items()
+    ]
+    return Section("models", "The models", (), present([Table(caption, columns, rows, words=2), *pictures, *cards]))
+
+
+def _range(card: dict[str, Any]) -> str:
+    """Magnitudes of the training wrenches."""
+    low, high = at(card, "config", "low"), at(card, "config", "high")
+    return "–" if low is None else f"{number(low)} to {number(high)}"
+
+
+def caveats_section(metrics: dict[str, Any]) -> Section:
+    """What the numbers do not say."""
+    quick = at(metrics, "run", "quick")
+    items = [
+        "This is a quick run: few cases, wide intervals, p99 near the maximum. Do not quote its numbers." if quick else "",
+        "Table I of the paper cannot be reproduced (its contacts, weights and step size are not printed); it is no acceptance test.",
+        "The previous solution cannot help on a cold start (there is none), after a large jump of the wrench (it is far), or for "
+        "other contacts (its forces belong to contacts that are gone). On smooth paths with the tangent correction it needs 0 "
+        "iterations: there nothing is left to learn, and a learned start can only tie.",
+        "On independent draws the “previous” starts come from an unrelated wrench: a jump, not what a control loop meets at every tick.",
+        "The any-grasp model, the tangent-corrected previous and nearest solutions and whatever is called “Newton” take second-order "
+        "steps before the flow begins; the network of the fixed grasp, single value, Lagrange, the plain 12-basis and the G⁺ variants do not. "
+        "The 12-basis and the network after as many Newton steps are there so that those are not counted as what was learned.",
+        "The any-grasp model is a few learned layers, each about as much work as a Newton step: its 0 iterations of the flow are not "
+        "free. Compare microseconds, and the columns of Newton.",
+        "A start of lower Phi does not always need fewer steps: the flow follows the projected gradient, and a little gap along a "
+        "badly conditioned direction takes longer than a larger one along a good direction.",
+        "The 12-basis is recomputed for every grasp of the sets with other contacts; its offline work is not in its microseconds, "
+        "but beside them.",
+        "Iterations are counted to a gap against a Newton optimum; the microseconds are of calls that stop by their own certified "
+        "gap, as a user's do.",
+        "A start that does not exist or does not apply is counted, and in no percentile; compare starts on the same cases only.",
+        "Microseconds are of this machine at that time, from Python; best of the repeats leaves out what other processes took.",
+        "The fixed-grasp model and the stored solutions apply where all contacts are near those of their grasp; the rest is counted (‡).",
+        "In the simulation contacts are rigid and the model is exact: the hand holds better than a real one would.",
+        "One objective (one ω and λ) unless a table says otherwise; where the barrier is weaker the flow takes longer from every start.",
+    ]  # fmt: skip
+    return Section("caveats", "Caveats", (), (), [text for text in items if text])
+
+
+def provenance_section(metrics: dict[str, Any]) -> Section:
+    """Machine, versions, command and times."""
+    run = metrics["run"]
+    machine, versions = at(run, "machine") or {}, at(run, "versions") or {}
+    rule = at(run, "step_rule") or {}
+    force, barrier = number(run.get("force_weight")), number(run.get("barrier_weight"))
+    rows = [
+        ["machine", f"{machine.get('processor', '–')}, {number(machine.get('cores'))} cores, {machine.get('system', '–')}"],
+        ["versions", ", ".join([f"Python {machine.get('python', '–')}", *(f"{name} {text}" for name, text in versions.items())])],
+        ["commit", str(run.get("commit", "–"))],
+        ["when", str(run.get("time", "–"))],
+        ["command", str(run.get("command", "–"))],
+        ["objective", f"ω = {force}, λ = {barrier} N², friction {number(run.get('friction'))}"],
+        ["step rule, the same for all", ", ".join(f"{name} {text}" for name, text in flat(rule)) or "–"],
+        ["settings", ", ".join(f"{name} {text}" for name, text in flat(at(run, "config") or {}) if name != "out") or "–"],
+        ["seconds", ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in flat(at(run, "seconds") or {})) or "–"],
+    ]  # fmt: skip
+    return Section("provenance", "Machine and versions", (), [Table("How this was made", ("", "value"), rows, words=2)])

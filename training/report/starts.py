@@ -1,0 +1,191 @@
+"""First of a report: the claims, and where each start wins."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from training.cases.sets import GROUPS
+from training.cases.starts import LABELS, SHORT
+from training.report.model import Cell, Fold, Section, Table, at, number, percent, present
+from training.trials.metrics import LIMIT
+
+MAIN = (
+    "linear_combination", "basis_newton", "previous_tangent", "nearest_tangent", "network", "learned_fixed", "learned_any",
+    "learned_previous", "learned_fitted",
+)  # fmt: skip
+"""Starts of the tables and figures that cannot show all."""
+STEPPED = ("linear_combination", "basis_tangent", "basis_newton_2", "network", "network_newton_1", "network_newton_2")
+"""The 12-basis and the network of the fixed grasp, each after no, one and two plain Newton steps."""
+FEW = 0.01
+"""Part of the cases that may lack a start before the start is no candidate for the best: the p99 would leave them out."""
+
+
+def label(start: str) -> str:
+    """What a start is called in tables; of one that this version does not know, its key."""
+    return pretty(LABELS.get(start, start.replace("_", " ")))
+
+
+def short(start: str) -> str:
+    """What a start is called in headings and legends."""
+    return pretty(SHORT.get(start, start.replace("_", " ")))
+
+
+def pretty(text: str) -> str:
+    """Signs instead of what is typed for them.
+
+    Example:
+        >>> pretty("G^+, force <= 2 N")
+        'G⁺, force ≤ 2 N'
+    """
+    return text.replace("G^+", "G⁺").replace("<=", "≤")
+
+
+def set_label(metrics: dict[str, Any], name: str) -> str:
+    """What a set of cases is called."""
+    return pretty(at(metrics, "sets", name, "label") or name)
+
+
+def steps(value: float | None) -> str:
+    """Iterations; beyond the limit they never reached the level.
+
+    Example:
+        >>> steps(3.0), steps(2.71), steps(40.4), steps(5001.0), steps(None)
+        ('3', '2.7', '40', '> 5000', '–')
+    """
+    if value is None:
+        return number(value)
+    return f"> {LIMIT}" if value > LIMIT else number(round(value, 1 if value < 10 else 0))
+
+
+def pair(row: dict[str, Any] | None) -> str:
+    """Median / p99 of iterations; a dash where there are none."""
+    if at(row, "median") is None:
+        return "–"
+    return f"{steps(at(row, 'median'))} / {steps(at(row, 'p99'))}"
+
+
+def claims_section(metrics: dict[str, Any]) -> Section:
+    """What was asked, what was measured; missed first, then not measured, then met."""
+    verdicts = {False: Cell("NO", "bad"), None: Cell("not measured", "open"), True: Cell("yes", "good")}
+    claims = sorted(metrics.get("claims", []), key=lambda row: (False, None, True).index(row["met"]))
+    counts = {verdict: sum(row["met"] is verdict for row in claims) for verdict in verdicts}
+    text = f"{counts[True]} of {len(claims)} met, {counts[False]} missed, {counts[None]} not measured in this run."
+    rows = [[verdicts[row["met"]], pretty(row["claim"]), pretty(row["asked"]), row["measured"]] for row in claims]
+    table = Table("Claims, the missed ones first", ("met", "claim", "asked", "measured"), rows, words=4)
+    return Section("claims", "Claims", (text,), present([table]))
+
+
+def wins_section(metrics: dict[str, Any]) -> Section:
+    """Set by set: which start needs the fewest iterations."""
+    notes = (
+        "Iterations (accepted steps) to a relative gap of 1e-4 in Phi, median / p99; ★ marks the best of a row, by the median, "
+        "then by the p99. † the start does not exist on more than 1 % of these cases (they are in no percentile), ‡ it "
+        "does not apply to a part of them: neither can be the best. A dash: it does not apply there at all, or was not measured.",
+        "On cases that follow each other smoothly the previous solution with the tangent correction is hard to beat: there a "
+        "learned start can only tie. Where it is far (jumps), or belongs to other contacts, or does not exist (a cold start), "
+        "the others are compared.",
+    )
+    main = matrix(metrics, "reduced_flow", MAIN, "Reduced flow: iterations to 1e-4, median / p99")
+    everything = [
+        matrix(metrics, "reduced_flow", tuple(LABELS), title, group)
+        for group, title in _groups(metrics).items()
+    ]  # fmt: skip
+    blocks = present([main, _winners(metrics), Fold("All starts, one table per kind of case", present(everything))])
+    return Section("wins", "Where each start wins", notes, blocks)
+
+
+def matrix(
+    metrics: dict[str, Any], method: str, starts: tuple[str, ...], caption: str, group: str | None = None
+) -> Table:
+    """A row per set, a column per start, the best of each row marked; starts that no set has are left out."""
+    sets = {
+        name: rows
+        for name, rows in (at(metrics, "starts", method) or {}).items()
+        if group is None or at(metrics, "sets", name, "group") == group
+    }
+    used = [key for key in starts if any(at(rows, key, "iterations", "median") is not None for rows in sets.values())]
+    out = []
+    for name, rows in sets.items():
+        ranks = {key: _rank(at(rows, key)) for key in used}
+        least = min((rank for rank in ranks.values() if rank is not None), default=None)
+        cells = [Cell(_marked(at(rows, key)), "best" if least and ranks[key] == least else "") for key in used]
+        out.append([set_label(metrics, name), *cells])
+    return Table(caption, ("cases", *(short(key) for key in used)), out if used else [])
+
+
+def network_section(metrics: dict[str, Any]) -> Section:
+    """The network alone beside the 12-basis, both also after the same number of plain Newton steps."""
+    rows, timing = at(metrics, "starts", "reduced_flow", "ball"), metrics.get("timing") or {}
+    out = []
+    for key in STEPPED:
+        row = at(rows, key)
+        if at(row, "iterations", "median") is None:
+            continue
+        times = (
+            at(timing, "start", key, "best"),
+            *(at(timing, "total", method, key, "best") for method in ("reduced_flow", "newton")),
+        )
+        gap = at(row, "start_gap")
+        out.append([
+            label(key), pair(at(row, "iterations")), f"{number(at(gap, 'median'), 2)} / {number(at(gap, 'p99'), 2)}",
+            *(f"{number(at(time, 'median'))} / {number(at(time, 'p99'))}" for time in times),
+        ])  # fmt: skip
+    raw = at(rows, "learned_fixed", "raw", "inside")
+    notes = (
+        "No Newton step, learned or not, helps the network here; it is put back towards the 12-basis's combination only where it lies "
+        f"outside the cones: inside before that {percent(raw)} of these cases. A start after k Newton steps stands beside "
+        "the 12-basis after as many, each step as long as lowers Phi most: what the steps do is not what was learned.",
+    )
+    columns = (
+        "start", "flow, iterations", "gap at the start", "start alone [µs]", "with the flow [µs]", "with Newton [µs]",
+    )  # fmt: skip
+    table = Table("Held-out ball, to a relative gap of 1e-4, median / p99", columns, out)
+    return Section("network", "The network alone", notes, present([table]))
+
+
+def _groups(metrics: dict[str, Any]) -> dict[str, str]:
+    """The kinds of cases that this run has, in order, with their headings."""
+    kinds = {at(entry, "group") for entry in metrics.get("sets", {}).values()}
+    return {group: GROUPS[group] for group in GROUPS if group in kinds}
+
+
+def _missing(row: dict[str, Any] | None) -> tuple[float, float]:
+    """Parts of the cases without a start, and to which it does not apply."""
+    cases, absent, skipped = (at(row, key) or 0 for key in ("cases", "no_start", "not_applicable"))
+    return absent / max(cases, 1), skipped / max(cases + skipped, 1)
+
+
+def _rank(row: dict[str, Any] | None) -> tuple[float, float] | None:
+    """Less is better; None: no candidate."""
+    iterations = at(row, "iterations")
+    if at(iterations, "median") is None or max(_missing(row)) > FEW + 0.04 * (_missing(row)[0] == 0):
+        return None
+    return iterations["median"], iterations["p99"]
+
+
+def _marked(row: dict[str, Any] | None) -> str:
+    text = pair(at(row, "iterations"))
+    absent, skipped = _missing(row)
+    return text if text == "–" else text + "†" * (absent > FEW) + "‡" * (skipped > 5 * FEW)
+
+
+def _winners(metrics: dict[str, Any]) -> Table:
+    rows = [
+        [
+            pretty(row.get("label") or row["set"]),
+            pair(row.get("basis")),
+            pair(row.get("previous")),
+            pair(row.get("learned")),
+            short(at(row, "learned", "start") or "–"),
+            {"learned": "learned", "previous": "previous", "basis": "12-basis + Newton"}.get(
+                row["winner"], row["winner"] or "–"
+            ),
+        ]
+        for row in metrics.get("wins", [])
+    ]
+    columns = ("cases", "12-basis, best control", "previous solution", "best learned", "which", "fewest iterations")
+    title = (
+        "Learned against the previous solution and the 12-basis, each at its best: the 12-basis with up to four Newton steps that "
+        "are not counted, as the learned layers are not; tie: within one iteration"
+    )
+    return Table(title, columns, rows)

@@ -1,0 +1,1 @@
+"""Reinforcement learning on FourFingerGrasp-v0."""

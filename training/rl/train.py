@@ -1,0 +1,232 @@
+"""`grasp rl`: train agents, one seed after another, with checkpoints that a later call goes on from."""
+
+from __future__ import annotations
+
+import signal
+import time
+from dataclasses import asdict
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+from grasp_env._extras import need
+
+with need("sim", "train", "report"):
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from stable_baselines3 import PPO, SAC
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.logger import configure
+    from stable_baselines3.common.vec_env import VecNormalize
+
+from grasp_env.errors import InvalidInputError, ModelFileError
+from policies.agent_files import checkpoints, find_checkpoint, read_meta
+from training.rl import checkpoint as rl_checkpoint
+from training.rl.agent import build
+from training.rl.envs import first_seed, make_envs
+from training.rl.evaluate import evaluate_runs
+from training.rl.score import score
+from training.rl.settings import CURVE_SEED, RLConfig
+from training.runs import Run, provenance, understood
+
+
+def train(config: RLConfig, out: Path, resume: bool = False, console: Console | None = None) -> dict[str, Any]:
+    """Trains every seed, scores the agents beside the paper, and returns the metrics; all lies in `out`.
+
+    Args:
+        config: the settings.
+        out: folder of the run.
+        resume: go on from the last whole checkpoint of each seed.
+        console: for the progress; None: stderr.
+
+    Raises:
+        InvalidInputError: the folder cannot be written, holds another or a finished run, or its disk is too full.
+        ModelFileError: a checkpoint to go on from that is damaged.
+        KeyboardInterrupt: interrupted; the last update's checkpoint is saved.
+    """
+    console = console or Console(stderr=True)
+    config = config.resolved()
+    folders = {seed: out / f"seed-{seed}" for seed in config.seeds}
+    begun = [folder for folder in folders.values() if checkpoints(folder / rl_checkpoint.FOLDER)]
+    if resume:
+        for seed, folder in folders.items():
+            if folder in begun:
+                rl_checkpoint.check_settings(folder, config, seed)
+    finished = out / "run.json"
+    if resume and finished.is_file():
+        with understood(out, "choose another --out"):
+            done = Run(out).read_json("run.json")["config"]
+            complete = config.steps <= done["steps"] and set(config.seeds) <= set(done["seeds"])
+        if complete:
+            console.print(f"{out} is finished, {done['steps']} steps: nothing is left to train; more --steps go on")
+            return Run(out).read_json("rl.json")
+        finished.unlink()
+    run = Run.create(out.parent, out.name)
+    if begun and not resume:
+        raise InvalidInputError(f"{begun[0]} holds an unfinished training: add --resume, or choose another --out")
+    if resume and not begun:
+        raise ModelFileError(f"{out} holds no checkpoint of seeds {config.seeds}: leave --resume out")
+    rl_checkpoint.check_space(out, config)
+    run.write_json("config.json", {**asdict(config), "env_settings": config.env_settings})
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(),
+        console=console, disable=not console.is_terminal,
+    )  # fmt: skip
+    with bar:
+        for seed, folder in folders.items():
+            train_seed(config, folder, seed, folder in begun, bar)
+    report = evaluate_runs([out], out, config.episodes, config.quick, console)
+    run.write_json("run.json", {"kind": "rl", **provenance(), "config": asdict(config)})
+    return report
+
+
+def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Progress | None = None) -> Path:
+    """Trains one agent to `config.steps`, or on from its checkpoint.
+
+    Args:
+        config: resolved.
+        folder: receives checkpoints and TensorBoard events.
+        seed: of the training.
+        resume: whether `folder` holds a checkpoint to go on from.
+        bar: shows the steps; None: nothing is shown.
+
+    Returns:
+        The last checkpoint.
+    """
+    if resume and read_meta(find_checkpoint(folder))["steps"] >= config.steps:
+        return find_checkpoint(folder)
+    envs = make_envs(config.env_settings, config.envs, config.gamma)
+    try:
+        agent = build(config, envs, seed)
+        envs.seed(first_seed(seed, 0))  # stable-baselines3 seeded them with its own
+        facts: dict[str, Any] = {"seconds": 0.0, "cpu_seconds": 0.0, "curve": []}
+        if resume:
+            meta = rl_checkpoint.resume(folder, agent, envs, config, seed)
+            facts = {name: meta[name] for name in facts}
+        logger = configure(str(folder / "tensorboard"), ["tensorboard"])
+        agent.set_logger(logger)
+        watch = _Watch(config, folder, seed, agent, envs, facts, bar)
+        try:
+            agent.learn(config.steps - agent.num_timesteps, watch, log_interval=10, reset_num_timesteps=False)
+            return watch.finish()
+        finally:
+            watch.release()
+            logger.close()
+    finally:
+        envs.close()
+
+
+class _Live:
+    """The agent in training as a deterministic `Policy` on raw observations."""
+
+    def __init__(self, agent: PPO | SAC, envs: VecNormalize) -> None:
+        self._agent, self._envs = agent, envs
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[np.ndarray, Any]:
+        seen = self._envs.normalize_obs(np.asarray(observation))
+        return self._agent.predict(seen, deterministic=deterministic)[0], state  # type: ignore[arg-type]
+
+
+class _Watch(BaseCallback):
+    """Between two updates: a score for the learning curve, a checkpoint, the end where an interrupt asked for it."""
+
+    def __init__(
+        self, config: RLConfig, folder: Path, seed: int, agent: PPO | SAC, envs: VecNormalize, facts: dict[str, Any],
+        bar: Progress | None,
+    ) -> None:  # fmt: skip
+        super().__init__()
+        self._config, self._folder, self._seed, self._agent, self._envs = config, folder, seed, agent, envs
+        self._facts, self._bar = facts, bar
+        self._spent = np.array([facts["seconds"], facts["cpu_seconds"]])
+        self._mark = _clock()
+        self._saved = agent.num_timesteps
+        self._interrupted, self._before = False, None
+        label = f"{config.algorithm} {config.action} seed {seed}"
+        self._task = bar.add_task(label, total=config.steps, completed=agent.num_timesteps) if bar else None
+
+    def finish(self) -> Path:
+        """The last score and checkpoint."""
+        self._score()
+        path = self._save()
+        if self._interrupted:
+            raise KeyboardInterrupt
+        return path
+
+    def release(self) -> None:
+        """Gives the interrupt back to whoever had it."""
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+            self._before = None
+
+    def _on_training_start(self) -> None:
+        try:
+            self._before = signal.signal(signal.SIGINT, self._interrupt)
+        except ValueError:  # not the main thread: nobody interrupts it
+            self._before = None
+
+    def _on_rollout_start(self) -> None:
+        curve, steps = self._facts["curve"], self.num_timesteps
+        if not curve or steps - curve[-1]["steps"] >= self._config.steps / self._config.curve_points:
+            self._score()
+        if self._interrupted or steps - self._saved >= self._config.checkpoint_every:
+            self._save()
+        if self._interrupted:
+            raise KeyboardInterrupt
+
+    def _on_step(self) -> bool:
+        for info in self.locals["infos"]:
+            self.logger.record_mean("rollout/iterations", float(info["iterations"]))
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=min(self.num_timesteps, self._config.steps))
+        return True
+
+    def _score(self) -> None:
+        curve = self._facts["curve"]
+        if curve and curve[-1]["steps"] == self.num_timesteps:
+            return
+        self._tick()
+        seeds = range(CURVE_SEED, CURVE_SEED + self._config.curve_episodes)
+        told = score(_Live(self._agent, self._envs), self._config.env_settings, seeds)
+        point = {
+            "iterations": float(told["iterations"].mean()),
+            "median_iterations": float(np.median(told["iterations"])),
+            "return": float(told["return"].mean()),
+            "length": float(told["steps"].mean()),
+            "held": float(told["held"].mean()),
+        }
+        for name, value in point.items():
+            self.logger.record(f"score/{name}", value)
+        curve.append({"steps": self.num_timesteps, "seconds": round(float(self._spent[0]), 2), **point})
+        self._mark = _clock()  # scores are not training time
+
+    def _save(self) -> Path:
+        self._saved = self.num_timesteps
+        self._tick()
+        self._facts["seconds"], self._facts["cpu_seconds"] = self._spent.round(2).tolist()
+        return rl_checkpoint.save(self._folder, self._agent, self._envs, self._config, self._seed, self._facts)
+
+    def _tick(self) -> None:
+        now = _clock()
+        self._spent += now - self._mark
+        self._mark = now
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        if self._interrupted:  # again: at once, the last checkpoint is whole
+            raise KeyboardInterrupt
+        self._interrupted = True
+
+
+def _clock() -> np.ndarray:
+    """(wall, processor) [s]: where programs share the cores, the second says what training costs."""
+    return np.array([time.perf_counter(), time.process_time()])

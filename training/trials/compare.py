@@ -1,0 +1,235 @@
+"""Trials: every start on every case by every method, one run each; no statistics, no pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from grasp_env._check import Array, ContactForces
+from grasp_env.errors import InfeasibleStartError
+from grasp_env.force import ForceOptimizer, Objective
+from grasp_env.grasp import Grasp
+from policies import LearnedInitialForce
+from training.cases.sets import SETS, Case, Problem, fixed_cases
+from training.cases.starts import TOLERANCE, DoesNotApply, Start, carried, newton_optimizer, phi_options
+
+METHODS = ("reduced_flow", "newton")
+LEVELS = {"reduced_flow": tuple(10.0**-k for k in range(1, 7)), "newton": tuple(10.0**-k for k in range(1, 9))}
+"""Relative gaps to the optimum whose first iteration is noted; a run ends at the last."""
+BUDGETS = (0, 1, 2, 5, 10, 20)
+"""Iterations after which the gap is noted."""
+LIMIT = 5000
+"""Most iterations of a run."""
+OPTIMUM = 1e-10
+"""Relative certified gap of the optima that gaps are taken to."""
+STATUS = ("optimal", "iteration_limit", "stalled", "no_start", "not_applicable")
+NO_START, NOT_APPLICABLE = 3, 4
+TRACED, TRACE = 60, 300
+"""Cases of a set whose gaps are kept, and iterations."""
+FORCES_KEPT = ("constant", "paper_path", "smooth")
+"""Sets whose starts are kept themselves."""
+_AT = 3
+"""Position of `TOLERANCE` in `LEVELS`."""
+
+Trials = dict[str, np.ndarray]
+
+
+def cases_of(name: str, count: int, seed: int) -> list[Case]:
+    """The cases of a set of `SETS`, about `count` times its share."""
+    info = SETS[name]
+    wanted = max(2, round(count * info.share))
+    if info.grasp == "fixed":
+        return fixed_cases(name, wanted, seed)
+    if info.grasp == "recorded":
+        from training.cases.recorded import recorded_cases  # the simulator is loaded where it is needed
+
+        return recorded_cases(name, wanted, seed)
+    from training.cases.grasps import grasp_cases
+
+    return grasp_cases(name, wanted, seed)
+
+
+class Solver:
+    """The optimizers of a grasp, remembered while cases stay on it."""
+
+    def __init__(self, objective: Objective) -> None:
+        self.objective = objective
+        self._made: dict[Grasp, dict[str, ForceOptimizer]] = {}
+        self._last: tuple[Problem, ContactForces, float] | None = None
+
+    def optimum(self, grasp: Grasp, load: Array) -> tuple[ContactForces, float]:
+        """The force (N, 3) of least Phi, and that Phi."""
+        if self._last is None or self._last[0][0] is not grasp or not np.array_equal(self._last[0][1], load):
+            solution = self._of(grasp)["optimum"].solve(load).raise_for_status()
+            self._last = (grasp, load), solution.force, solution.objective
+        return self._last[1], self._last[2]
+
+    def gaps(self, method: str, grasp: Grasp, load: Array, start: ContactForces, optimum: float) -> tuple[Array, int]:
+        """The relative gap of every iterate (k,) and the code of how the run ended."""
+        solution = self._of(grasp)[method].solve(load, initial=start, optimum=optimum, trace=True)
+        values = np.maximum(solution.objective_trace / optimum - 1.0, 0.0)
+        return values, STATUS.index(solution.status.value)
+
+    def _of(self, grasp: Grasp) -> dict[str, ForceOptimizer]:
+        if grasp not in self._made:
+            while len(self._made) > 3:
+                del self._made[next(iter(self._made))]
+            self._made[grasp] = {"optimum": newton_optimizer(grasp, self.objective, OPTIMUM)} | {
+                method: ForceOptimizer(
+                    grasp,
+                    method=method,
+                    tolerance=LEVELS[method][-1],
+                    max_iterations=LIMIT,
+                    **phi_options(self.objective),
+                )
+                for method in METHODS
+            }
+        return self._made[grasp]
+
+
+def compare(
+    name: str,
+    cases: list[Case],
+    starts: dict[str, Start],
+    models: dict[str, LearnedInitialForce],
+    objective: Objective,
+    tick: Callable[[int], None] = lambda done: None,
+) -> Trials:
+    """Runs both methods from every start on every case.
+
+    Args:
+        name: of the set: decides whether the starts are kept.
+        cases: what to solve.
+        starts: see `starts.make_starts`.
+        models: those whose raw output is looked at, too.
+        objective: Phi.
+        tick: told of the cases done since the last time.
+
+    Returns:
+        The arrays of a trials file, n cases, M the most contacts of one; beyond a case's own contacts, and where there is no start, nan:
+        "case/n_contacts", "/group", "/event" (n,), "/wrench" (n, 6), "/positions", "/normals" (n, M, 3), "/friction" (n, M),
+        "/before" (n, M, 3) the previous optimum in the case's contact frames; "optimum/force" (n, M, 3), "/objective" (n,).
+        Per start "<start>/gap" (n,) of Phi, "/margin" and "/residual" (n,) over its largest component, of models the same "raw_..."
+        before the repair, and "/force" (n, M, 3) in the sets of `FORCES_KEPT`.
+        Per method and start "<method>/<start>/status" (n,) at a gap of 1e-4, a position in `STATUS`; "/iterations" (n,) to 1e-4 and
+        "/iterations_to" (n, levels), -1: never; "/gap_after" (n, budgets), a run that has ended keeps its last gap; of the flow
+        "/trace" (TRACED, TRACE + 1) gaps of the iterates.
+    """
+    most, solver = max(case.grasp.n_contacts for case in cases), Solver(objective)
+    out = _blank(cases, most, name, starts, models)
+    for k, case in enumerate(cases):
+        grasp, load, count = case.grasp, case.wrench, case.grasp.n_contacts
+        before = None
+        if case.before is not None:
+            before = carried(case.before[0], solver.optimum(*case.before)[0], grasp, objective)
+            out["case/before"][k, :count] = before
+        best_force, best = solver.optimum(grasp, load)
+        out["optimum/force"][k, :count], out["optimum/objective"][k] = best_force, best
+        for key, start in starts.items():
+            try:
+                force = start(grasp, load, before)
+            except DoesNotApply:
+                _code(out, key, k, NOT_APPLICABLE)
+                continue
+            except InfeasibleStartError:
+                _code(out, key, k, NO_START)
+                continue
+            _start_row(out, key, k, grasp, load, force, best, objective)
+            if key in models:
+                raw = models[key].raw(grasp, load)
+                out[f"{key}/raw_margin"][k], out[f"{key}/raw_residual"][k], out[f"{key}/raw_gap"][k] = quality(
+                    grasp, load, raw, best, objective
+                )
+            for method in METHODS:
+                try:
+                    gaps, code = solver.gaps(method, grasp, load, force, best)
+                except InfeasibleStartError:  # out of balance by more than rounding: no start of this method
+                    out[f"{method}/{key}/status"][k] = NO_START
+                    continue
+                _run_row(out, f"{method}/{key}", k, gaps, code, LEVELS[method])
+                if method == METHODS[0] and k < TRACED:
+                    short = gaps[: TRACE + 1]
+                    out[f"{method}/{key}/trace"][k, : len(short)] = short
+                    out[f"{method}/{key}/trace"][k, len(short) :] = short[-1]
+        tick(1)
+    return out
+
+
+def quality(
+    grasp: Grasp, load: Array, force: ContactForces, best: float, objective: Objective
+) -> tuple[float, float, float]:
+    """Cone margin and balance residual of a force over its largest component, and its gap (inf outside the cones)."""
+    size = max(float(np.abs(force).max()), 1e-300)
+    gap = objective.value(grasp.to_cone(force)) / best - 1.0
+    return grasp.cone_margin(force) / size, grasp.residual(force, load) / size, max(0.0, gap)
+
+
+def _start_row(
+    out: Trials, key: str, k: int, grasp: Grasp, load: Array, force: ContactForces, best: float, objective: Objective
+) -> None:
+    out[f"{key}/margin"][k], out[f"{key}/residual"][k], out[f"{key}/gap"][k] = quality(
+        grasp, load, force, best, objective
+    )
+    if f"{key}/force" in out:
+        out[f"{key}/force"][k, : grasp.n_contacts] = force
+
+
+def _run_row(out: Trials, base: str, k: int, gaps: Array, code: int, levels: tuple[float, ...]) -> None:
+    first = np.array([int(np.argmax(gaps <= level)) if gaps[-1] <= level else -1 for level in levels])
+    out[f"{base}/iterations_to"][k] = first
+    out[f"{base}/iterations"][k] = first[_AT]
+    out[f"{base}/status"][k] = 0 if first[_AT] >= 0 else max(code, 1)
+    out[f"{base}/gap_after"][k] = [gaps[min(budget, len(gaps) - 1)] for budget in BUDGETS]
+
+
+def _code(out: Trials, key: str, k: int, code: int) -> None:
+    for method in METHODS:
+        out[f"{method}/{key}/status"][k] = code
+
+
+def _blank(
+    cases: list[Case], most: int, name: str, starts: dict[str, Start], models: dict[str, LearnedInitialForce]
+) -> Trials:
+    """All arrays, with what is known of the cases; the rest -1 or nan."""
+    count = len(cases)
+
+    def empty(*shape: int) -> Array:
+        return np.full((count, *shape), np.nan)
+
+    out: Trials = {
+        "case/n_contacts": np.array([case.grasp.n_contacts for case in cases]),
+        "case/wrench": np.array([case.wrench for case in cases]),
+        "case/group": np.array([case.group for case in cases]),
+        "case/event": np.array([case.event for case in cases]),
+        "case/before": empty(most, 3),
+        "optimum/force": empty(most, 3),
+        "optimum/objective": empty(),
+    }
+    for column in ("positions", "normals", "friction"):
+        out[f"case/{column}"] = empty(most, 3) if column != "friction" else empty(most)
+        for k, case in enumerate(cases):
+            out[f"case/{column}"][k, : case.grasp.n_contacts] = getattr(case.grasp, column)
+    for key in starts:
+        for column in ("gap", "margin", "residual", *(_RAW if key in models else ())):
+            out[f"{key}/{column}"] = empty()
+        if name in FORCES_KEPT:
+            out[f"{key}/force"] = empty(most, 3)
+        for method in METHODS:
+            out[f"{method}/{key}/status"] = np.full(count, NOT_APPLICABLE, np.int8)
+            out[f"{method}/{key}/iterations"] = np.full(count, -1)
+            out[f"{method}/{key}/iterations_to"] = np.full((count, len(LEVELS[method])), -1)
+            out[f"{method}/{key}/gap_after"] = empty(len(BUDGETS))
+        out[f"{METHODS[0]}/{key}/trace"] = np.full((min(count, TRACED), TRACE + 1), np.nan, np.float32)
+    return out
+
+
+_RAW = ("raw_margin", "raw_residual", "raw_gap")
+
+
+def starts_in(trials: Trials) -> Iterator[str]:
+    """The starts that a trials file holds."""
+    return (name.split("/")[1] for name in trials if name.startswith(f"{METHODS[0]}/") and name.endswith("/status"))
+
+
+assert LEVELS["reduced_flow"][_AT] == TOLERANCE
