@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from training.cases.sets import SETS
-from training.cases.starts import LABELS, LEARNED
+from training.cases.set_table import SETS
+from training.cases.start_table import LABELS, LEARNED
 from training.runs import Run
-from training.trials.metrics import BUDGETS, LEVELS, METHODS
-from training.trials.rollouts import SCENARIOS
+from training.trials.arrays import BUDGETS, LEVELS, METHODS, SCENARIOS
 
 SPEED = {"single_value": 60.0, "lagrange": 50.0, "linear_combination": 40.0, "learned_fixed": 0.5, "learned_any": 3.0}
 CASES = 30

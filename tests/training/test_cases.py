@@ -12,7 +12,8 @@ from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
 from training.cases.grasps import DISPLACEMENT, FRICTIONS, closed_grasp, grasp_cases
 from training.cases.recorded import IMPACT, record, recorded_cases, without
-from training.cases.sets import GROUPS, SETS, directions, fixed_cases
+from training.cases.set_table import GROUPS, SETS
+from training.cases.sets import directions, fixed_cases
 from training.cases.starts import carried, near_fixed
 from training.trials.compare import cases_of
 

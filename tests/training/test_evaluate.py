@@ -11,18 +11,18 @@ import pytest
 from rich.console import Console
 
 from grasp_env.errors import InvalidInputError
-from training.cases.sets import SETS
-from training.cases.starts import LABELS, LEARNED
+from training.cases.set_table import SETS
+from training.cases.start_table import LABELS, LEARNED
 from training.cli import main
 from training.fit.settings import FitConfig
 from training.report.pages import number
 from training.runs import Run
 from training.runs.statistics import ratio_interval, summary
 from training.trials import comparison as evaluate_module
+from training.trials.arrays import SCENARIOS
 from training.trials.claims import claims, wins
 from training.trials.comparison import evaluate, plan
 from training.trials.metrics import metrics_of
-from training.trials.rollouts import SCENARIOS
 from training.trials.settings import EvaluateConfig
 
 SMALL: dict[str, Any] = {"wrenches": 6, "timed": 4, "repeats": 2, "guarded": 60, "paths": 1, "episodes": 1, "steps": 10}

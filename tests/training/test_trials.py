@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from grasp_env.errors import InfeasibleStartError
+from grasp_env.errors import InfeasibleStartError, InvalidInputError
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Status
 from grasp_env.grasp import presets, wrench
 from policies import LearnedInitialForce
 from training.cases.grasps import closed_grasp
 from training.cases.sets import fixed_cases
-from training.cases.starts import LEARNED, SHIPPED, DoesNotApply, load_models, make_starts, near_fixed
-from training.trials.compare import BUDGETS, LEVELS, LIMIT, METHODS, STATUS, cases_of, compare, starts_in
+from training.cases.start_table import LEARNED, SHIPPED, STARTS, How, Row, Stepped, check
+from training.cases.starts import BUILDERS, DoesNotApply, load_models, make_starts, near_fixed
+from training.trials.arrays import BUDGETS, LEVELS, LIMIT, METHODS, STATUS, starts_in, worse
+from training.trials.compare import cases_of, compare
 from training.trials.continuity import POINTS, continuity
-from training.trials.guarantee import guarantee, never_worse, values, worse
+from training.trials.guarantee import guarantee, never_worse, values
 from training.trials.metrics import censored, spread, start_metrics
 from training.trials.timing import optimizers, time_calls
 
@@ -38,7 +42,44 @@ def ball(models, starts):
 
 
 def test_all_starts_are_there(ball, starts):
-    assert set(starts_in(ball[1])) == set(starts)
+    assert set(starts_in(ball[1])) == set(starts) == set(STARTS) - {"learned_fitted"}
+    assert set(BUILDERS) == set(How.__args__)
+
+
+def test_a_row_is_all_that_a_start_needs(monkeypatch, models):
+    """It is tried, timed and drawn; a row that is not whole is refused when the table is read."""
+    row = Row("three corrections", "three", ("#101010", "#e0e0e0"), Stepped("lagrange", 3))
+    check({**STARTS, "new": row})
+    monkeypatch.setitem(STARTS, "new", row)
+    starts = make_starts(PHI, models)
+    cases = cases_of("ball", 2, 0)
+    trials = compare("ball", cases, {"new": starts["new"]}, models, PHI)
+    assert start_metrics(trials, "reduced_flow")["new"]["cases"] == 2
+    loop = optimizers(presets.paper_cuboid(), "newton", {"new": starts["new"]}, PHI)["new"]
+    expected = starts["new"](presets.paper_cuboid(), cases[0].wrench, None)
+    np.testing.assert_allclose(loop.solve(cases[0].wrench).initial_force, expected, atol=1e-9)
+    grey = STARTS["lagrange"].colours
+    for wrong, message in (
+        (replace(row, label=""), "needs a label"),
+        (replace(row, short=""), "needs a label"),
+        (replace(row, colours=("#101010", grey[1])), "colours #rrggbb that no other has"),
+        (replace(row, colours=("#101010", "")), "two colours"),
+        (replace(row, how=Stepped("nobody", 3)), "made of nobody"),
+    ):
+        with pytest.raises(InvalidInputError, match=message):
+            check({**STARTS, "new": wrong})
+
+
+@pytest.mark.parametrize("key", STARTS)
+def test_a_starts_colours_are_seen_on_both_pages(key):
+    def light(colour: str) -> float:
+        parts = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    on_white, on_dark = STARTS[key].colours
+    assert 1.05 / (light(on_white) + 0.05) >= 2.9  # WCAG asks 3 of graphics
+    assert (light(on_dark) + 0.05) / (light("#15171a") + 0.05) >= 3.0
 
 
 def test_trials_agree_with_single_runs(ball, starts):
@@ -143,11 +184,11 @@ def test_near_fixed():
     assert not near_fixed(presets.five_finger_cuboid())
 
 
-def test_whole_calls_start_where_the_starts_say(models, starts):
+def test_whole_calls_start_where_the_starts_say(starts):
     """What is timed is what is compared; a compiled model may leave out layers that its certificate does not ask for."""
     grasp, (first, second) = presets.paper_cuboid(), wrench.sample_ball(np.random.default_rng(5), 2)
     paper = PHI.value(grasp.to_cone(starts["linear_combination"](grasp, second, None)))
-    for key, loop in optimizers(grasp, "reduced_flow", starts, models, PHI).items():
+    for key, loop in optimizers(grasp, "reduced_flow", starts, PHI).items():
         before = loop.solve(first).force
         solution = loop.solve(second)
         assert solution.status is Status.OPTIMAL

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,77 +23,20 @@ from grasp_env.force import (
 )
 from grasp_env.force.basis import starter
 from grasp_env.force.record import FORCE, record_size
-from grasp_env.force.repair import CORRECTIONS, Correction, carry_over
+from grasp_env.force.repair import Correction, carry_over
 from grasp_env.grasp import Grasp, presets, wrench
 from grasp_env.grasp.wrench import MAGNITUDE_LENGTH
 from policies import LearnedInitialForce
+from training.cases import start_table as table
 from training.cases.sets import HELD_OUT
+from training.cases.start_table import MODELS, SHIPPED, STARTS
 
-TOLERANCE = 1e-4
 Start = Callable[[Grasp, Wrench, "ContactForces | None"], ContactForces]
 """(grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3) [N]."""
 
-LABELS = {
-    "single_value": "single value",
-    "lagrange": "Lagrange",
-    "linear_combination_printed": "12-basis, as printed",
-    "linear_combination": "12-basis (the paper, fixed at w = 0)",
-    "basis_tangent": "12-basis, one Newton correction",
-    "basis_newton_2": "12-basis, two Newton corrections",
-    "basis_newton": "12-basis, four Newton corrections",
-    "previous_pseudoinverse": "previous solution, G^+",
-    "previous_tangent": "previous solution, tangent",
-    "nearest_pseudoinverse": "nearest of 10,000 stored, G^+",
-    "nearest_tangent": "nearest of 10,000 stored, tangent",
-    "network": "network alone, fixed grasp",
-    "network_newton_1": "network, one Newton step",
-    "network_newton_2": "network, two Newton steps",
-    "learned_fixed": "learned, fixed grasp",
-    "learned_any": "learned, any grasp",
-    "learned_previous": "learned, with the previous solution",
-    "learned_fitted": "learned, fitted in this run",
-}
-"""Every start, in the order of the tables."""
-SHORT = {
-    "single_value": "single value",
-    "lagrange": "Lagrange",
-    "linear_combination_printed": "12-basis, printed",
-    "linear_combination": "12-basis",
-    "basis_tangent": "12-basis + Newton",
-    "basis_newton_2": "12-basis + 2 Newton",
-    "basis_newton": "12-basis + 4 Newton",
-    "previous_pseudoinverse": "previous, G^+",
-    "previous_tangent": "previous, tangent",
-    "nearest_pseudoinverse": "nearest, G^+",
-    "nearest_tangent": "nearest, tangent",
-    "network": "network alone",
-    "network_newton_1": "network + Newton",
-    "network_newton_2": "network + 2 Newton",
-    "learned_fixed": "learned, fixed",
-    "learned_any": "learned, any",
-    "learned_previous": "learned + previous",
-    "learned_fitted": "learned, fitted",
-}
-"""For legends."""
-LEARNED = ("learned_fixed", "learned_any", "learned_previous", "learned_fitted")
-MODELS = ("learned_fixed", "learned_any", "learned_fitted")
-"""The learned starts that are a saved model."""
-SHIPPED = {"learned_fixed": "four_finger", "learned_any": "any_grasp"}
-"""Their names in the package."""
-COLD = tuple(key for key in LABELS if not key.startswith("previous") and key != "learned_previous")
-"""The starts that no previous solution helps."""
 STORED = 10_000
 STORED_RANGE = (0.1, 20.0)
 """[N] magnitudes of the stored solutions: those that the fixed-grasp model is trained on."""
-NEWTON_STEPS = {
-    "basis_tangent": ("linear_combination", 1),
-    "basis_newton_2": ("linear_combination", 2),
-    "basis_newton": ("linear_combination", 4),
-    "network_newton_1": ("network", 1),
-    "network_newton_2": ("network", 2),
-}
-"""Starts that are another start after plain Newton steps: four are the control of the any-grasp model's layers, one and two of the
-network alone and the 12-basis stand beside each other."""
 KEPT = 0.95
 """Part of the way from the 12-basis to the cones at which a network's force outside them is put."""
 NEAR_PLACE, NEAR_NORMAL = 0.02, 0.95
@@ -110,70 +55,125 @@ def load_models(fitted: str | Path | None = None) -> dict[str, LearnedInitialFor
     """
     models = {key: LearnedInitialForce.pretrained(name) for key, name in SHIPPED.items()}
     if fitted is not None:
-        models["learned_fitted"] = LearnedInitialForce.load(fitted)
+        (key,) = set(MODELS) - set(SHIPPED)
+        models[key] = LearnedInitialForce.load(fitted)
     return models
 
 
-def make_starts(objective: Objective, models: dict[str, LearnedInitialForce]) -> dict[str, Start]:
-    """Every start by its key in `LABELS`.
+@dataclass(frozen=True)
+class Made:
+    """A start that has been made.
 
-    Args:
-        objective: Phi.
-        models: see `load_models`; none: the classical starts alone.
+    Attributes:
+        start: it, for trials.
+        options: `ForceOptimizer`'s, with which a control loop has it: what is timed.
+        rule: it, where it looks at no previous solution.
     """
-    starts: dict[str, Start] = {}
-    for name in ("single_value", "lagrange", "linear_combination_printed", "linear_combination"):
-        starts[name] = memoryless(initial_rule(name, objective))
-    for correction in CORRECTIONS:
-        starts[f"previous_{correction}"] = previous(objective, correction)
-    stored = Stored(objective)
-    for correction in CORRECTIONS:
-        starts[f"nearest_{correction}"] = memoryless(Nearest(stored, correction))
-    for key, model in models.items():
-        starts[key] = memoryless(model if key == "learned_any" else OnFixedGrasp(model))
-    starts |= {key: memoryless(rule) for key, rule in stepped(objective, models).items()}
-    if "learned_fixed" in models:
-        starts["learned_previous"] = with_memory(models, objective)
-    return {key: starts[key] for key in LABELS if key in starts}
+
+    start: Start
+    options: dict[str, Any]
+    rule: InitialForceRule | None = None
+
+    def __call__(self, grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
+        """The force (N, 3) [N]."""
+        return self.start(grasp, load, before)
+
+    @classmethod
+    def of(cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None) -> Made:
+        """Of a rule that does not look at the previous solution; a control loop may have it by a name, or unguarded."""
+        return cls(lambda grasp, load, before: rule(grasp, load), {"initial": timed or rule}, rule)
 
 
-def memoryless(rule: InitialForceRule) -> Start:
-    """A start that does not look at the previous solution."""
-    return lambda grasp, load, before: rule(grasp, load)
+class Workshop:
+    """What starts are made of: Phi, the saved models, and the starts made so far."""
+
+    def __init__(self, objective: Objective, models: dict[str, LearnedInitialForce]) -> None:
+        self.objective, self.models = objective, models
+        self.made: dict[str, Made] = {}
+
+    @functools.cached_property
+    def stored(self) -> Stored:
+        """Solved once for all that look a solution up."""
+        return Stored(self.objective)
 
 
-def previous(objective: Objective, correction: Correction) -> Start:
-    """The previous optimum, corrected to the new balance and repaired."""
+def _named(shop: Workshop, key: str, how: table.Named) -> Made:
+    return Made.of(initial_rule(how.name, shop.objective), how.name)
+
+
+def _previous(shop: Workshop, key: str, how: table.Previous) -> Made:
+    correction: Any = how.correction
 
     def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
         if before is None:
             raise DoesNotApply
-        return carry_over(grasp, load, before, objective, correction)
+        return carry_over(grasp, load, before, shop.objective, correction)
 
-    return start
+    return Made(start, {"initial": "previous", "correction": correction})
 
 
-def with_memory(models: dict[str, LearnedInitialForce], objective: Objective) -> Start:
-    """The learned start that also knows the previous solution: of any grasp where there is such a model, else of the fixed one."""
-    model = remembering(memory_model(models))
-    everywhere = "learned_any" in models
+def _nearest(shop: Workshop, key: str, how: table.Nearest) -> Made:
+    correction: Any = how.correction
+    return Made.of(Nearest(shop.stored, correction))
+
+
+def everywhere(model: LearnedInitialForce) -> bool:
+    """Whether a model knows other grasps than the fixed one."""
+    return model.checkpoint.kind == "any_grasp"
+
+
+def _model(shop: Workshop, key: str, how: table.Model) -> Made | None:
+    model = shop.models.get(key)
+    return model and Made.of(model if everywhere(model) else OnFixedGrasp(model), model)
+
+
+def _alone(shop: Workshop, key: str, how: table.Alone) -> Made | None:
+    model = shop.models.get(how.model)
+    return model and Made.of(OnFixedGrasp(NetworkAlone(model)))
+
+
+def _stepped(shop: Workshop, key: str, how: table.Stepped) -> Made | None:
+    other = shop.made.get(how.start)
+    if other is None or other.rule is None:
+        return None
+    return Made.of(NewtonSteps(other.rule, shop.objective, how.steps))
+
+
+def _remembering(shop: Workshop, key: str, how: table.Remembering) -> Made | None:
+    known = [name for name in how.models if name in shop.models]
+    if not known:
+        return None
+    model = shop.models[known[0]]
+    model = type(model)(model.checkpoint, model.objective, True)
 
     def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
-        if not everywhere and not near_fixed(grasp):
+        if not everywhere(model) and not near_fixed(grasp):
             raise DoesNotApply
-        return model.start(grasp, load, objective, None if before is None else as_solution(before))[1]
+        return model.start(grasp, load, shop.objective, None if before is None else as_solution(before))[1]
 
-    return start
-
-
-def memory_model(models: dict[str, LearnedInitialForce]) -> LearnedInitialForce:
-    """The model behind "learned_previous"."""
-    return models.get("learned_any", models["learned_fixed"])
+    return Made(start, {"initial": model})
 
 
-def remembering(model: LearnedInitialForce) -> LearnedInitialForce:
-    """The same model, which also starts from the previous solution where that has less Phi."""
-    return type(model)(model.checkpoint, model.objective, True)
+BUILDERS: dict[type, Callable[[Workshop, str, Any], Made | None]] = {
+    table.Named: _named, table.Previous: _previous, table.Nearest: _nearest, table.Model: _model, table.Alone: _alone,
+    table.Stepped: _stepped, table.Remembering: _remembering,
+}  # fmt: skip
+"""By the class of a row's `how`: the start, None where its model is not there."""
+
+
+def make_starts(objective: Objective, models: dict[str, LearnedInitialForce]) -> dict[str, Made]:
+    """Every start of `STARTS`, in its order.
+
+    Args:
+        objective: Phi.
+        models: see `load_models`; starts of those that are not there are left out.
+    """
+    shop = Workshop(objective, models)
+    for key, row in STARTS.items():
+        made = BUILDERS[type(row.how)](shop, key, row.how)
+        if made is not None:
+            shop.made[key] = made
+    return shop.made
 
 
 def as_solution(force: ContactForces) -> ForceSolution:
@@ -181,16 +181,6 @@ def as_solution(force: ContactForces) -> ForceSolution:
     record = np.zeros(record_size(len(force)))
     record[FORCE : FORCE + force.size] = force.reshape(-1)
     return ForceSolution(record, "carried", "previous")
-
-
-def stepped(objective: Objective, models: dict[str, LearnedInitialForce]) -> dict[str, InitialForceRule]:
-    """The network of the fixed grasp alone, if there is one, and the starts of `NEWTON_STEPS`, by key."""
-    alone: dict[str, InitialForceRule] = {}
-    if "learned_fixed" in models:
-        alone["network"] = OnFixedGrasp(NetworkAlone(models["learned_fixed"]))
-    rules = {"linear_combination": initial_rule("linear_combination", objective), **alone}
-    taken = {key: NewtonSteps(rules[rule], objective, n) for key, (rule, n) in NEWTON_STEPS.items() if rule in rules}
-    return {**alone, **taken}
 
 
 class NetworkAlone:

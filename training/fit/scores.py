@@ -10,7 +10,8 @@ import numpy as np
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
 from policies.fixed_grasp import FixedGraspForce
-from training.cases.starts import TOLERANCE, NetworkAlone, newton_optimizer, phi_options
+from training.cases.set_table import TOLERANCE
+from training.cases.starts import NetworkAlone, newton_optimizer, phi_options
 
 MOST = 4
 """Newton steps that are counted one by one; more are counted together."""

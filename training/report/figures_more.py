@@ -8,11 +8,10 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from grasp_env.grasp.wrench import paper_path
-from training.cases.starts import LABELS
+from training.cases.start_table import LABELS
 from training.report.starts import short
 from training.report.style import INK, WIDTH, Drawing, colour, decades, entry, new_figure
-from training.trials.metrics import Trials
-from training.trials.rollouts import SCENARIO_LABELS
+from training.trials.arrays import SCENARIO_LABELS, Trials
 
 FINGERS = ("thumb", "middle finger", "left finger", "right finger")
 _CURVE = ("finger_1", "finger_2", "finger_0")

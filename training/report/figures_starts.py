@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from training.cases.starts import LABELS, TOLERANCE
+from training.cases.set_table import TOLERANCE
+from training.cases.start_table import LABELS
 from training.report.starts import MAIN, short
 from training.report.style import INK, WIDTH, Drawing, decades, entry, line_style, new_figure
-from training.trials.metrics import BUDGETS, Trials
+from training.trials.arrays import BUDGETS, Trials
 
 FLOOR = 1e-7
 """Gaps below are drawn there."""

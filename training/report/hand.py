@@ -6,7 +6,7 @@ from typing import Any
 
 from training.report.model import Fold, Picture, Section, Table, at, number, present
 from training.report.starts import label, steps
-from training.trials.rollouts import SCENARIO_LABELS
+from training.trials.arrays import SCENARIO_LABELS
 
 
 def paper_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:

@@ -6,7 +6,7 @@ import base64
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from training.cases.starts import LABELS
+from training.cases.start_table import LABELS
 from training.demo.loops import ANIMATIONS, STILL, still_of
 from training.report import figures_more as more
 from training.report import figures_starts as starts
@@ -15,7 +15,7 @@ from training.report.rl import learning_curves
 from training.report.starts import label, set_label, short
 from training.report.style import Drawing, close, standalone, svg
 from training.runs import Run
-from training.trials.metrics import Trials
+from training.trials.arrays import Trials
 
 _FANS = ("ball", "jump_50", "random_4", "rollout_changes")
 _ECDFS = ("ball", "smooth", "jump_50", "friction", "random_4", "rollout_changes")

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from training.cases.sets import GROUPS
-from training.cases.starts import LABELS, SHORT
+from training.cases.set_table import GROUPS
+from training.cases.start_table import LABELS, MAIN, SHORT
 from training.report.model import Cell, Fold, Section, Table, at, number, percent, present
-from training.trials.metrics import LIMIT
+from training.trials.arrays import LIMIT
 
-MAIN = (
-    "linear_combination", "basis_newton", "previous_tangent", "nearest_tangent", "network", "learned_fixed", "learned_any",
-    "learned_previous", "learned_fitted",
-)  # fmt: skip
-"""Starts of the tables and figures that cannot show all."""
 STEPPED = ("linear_combination", "basis_tangent", "basis_newton_2", "network", "network_newton_1", "network_newton_2")
 """The 12-basis and the network of the fixed grasp, each after no, one and two plain Newton steps."""
 FEW = 0.01

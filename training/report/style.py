@@ -14,22 +14,11 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from training.cases.start_table import STARTS
+
 INK, LINE = "#000000", "#d5d8dd"
 THEME: dict[str, tuple[str, str]] = {
-    "single_value": ("#767677", "#a4a4a5"),
-    "lagrange": ("#93651d", "#d3a04f"),
-    "linear_combination_printed": ("#3f87c9", "#8cc4f5"),
-    "linear_combination": ("#1f5fa8", "#4f9df0"),
-    "basis_tangent": ("#0e7c86", "#4fd0dc"),
-    "previous_pseudoinverse": ("#549354", "#a5d8a0"),
-    "previous_tangent": ("#1e7a3e", "#4fc47a"),
-    "nearest_pseudoinverse": ("#9273c4", "#c9b5f2"),
-    "nearest_tangent": ("#6a3fa0", "#a985e8"),
-    "network": ("#7d3c98", "#d7a6ee"),
-    "learned_fixed": ("#b3261e", "#ff7468"),
-    "learned_any": ("#d1500a", "#ffa05c"),
-    "learned_previous": ("#c2187a", "#ff80c4"),
-    "learned_fitted": ("#8a5a44", "#d9a58c"),
+    **{key: row.colours for key, row in STARTS.items()},
     "finger_0": ("#b3261f", "#ff7469"),
     "finger_1": ("#1f5fa9", "#4f9df1"),
     "finger_2": ("#946300", "#e0b040"),
@@ -40,15 +29,7 @@ THEME: dict[str, tuple[str, str]] = {
 }
 """Colours on a light and on a dark page, each used once: the SVG has them as CSS variables --c-<name>."""
 COLOURS = {name: light for name, (light, _) in THEME.items()}
-DASHED = frozenset(
-    {
-        "linear_combination_printed",
-        "previous_pseudoinverse",
-        "nearest_pseudoinverse",
-        "learned_previous",
-        "learned_fitted",
-    }
-)
+DASHED = frozenset(key for key, row in STARTS.items() if row.dashed)
 WIDTH = 4.6
 """[in] of a figure: 331 points, so that its text is 10 pixels high on a phone of 360 and 13 in a column of a page."""
 _STYLE: Any = {

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from training.cases.sets import SETS
-from training.cases.starts import COLD, LABELS, TOLERANCE
-from training.trials.compare import LIMIT
-from training.trials.rollouts import HOLD_SCENARIOS
+from training.cases.set_table import SETS, TOLERANCE
+from training.cases.start_table import COLD, LABELS
+from training.trials.arrays import HOLD_SCENARIOS, LIMIT
 
 DRIFT_LIMIT = 1.0
 """[mm] the hold criterion."""

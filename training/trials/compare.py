@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -11,28 +11,26 @@ from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import ForceOptimizer, Objective
 from grasp_env.grasp import Grasp
 from policies import LearnedInitialForce
-from training.cases.sets import SETS, Case, Problem, fixed_cases
-from training.cases.starts import TOLERANCE, DoesNotApply, Start, carried, newton_optimizer, phi_options
+from training.cases.set_table import SETS
+from training.cases.sets import Case, Problem, fixed_cases
+from training.cases.starts import DoesNotApply, Start, carried, newton_optimizer, phi_options
+from training.trials.arrays import (
+    AT,
+    BUDGETS,
+    FORCES_KEPT,
+    LEVELS,
+    LIMIT,
+    METHODS,
+    NO_START,
+    NOT_APPLICABLE,
+    STATUS,
+    TRACE,
+    TRACED,
+    Trials,
+)
 
-METHODS = ("reduced_flow", "newton")
-LEVELS = {"reduced_flow": tuple(10.0**-k for k in range(1, 7)), "newton": tuple(10.0**-k for k in range(1, 9))}
-"""Relative gaps to the optimum whose first iteration is noted; a run ends at the last."""
-BUDGETS = (0, 1, 2, 5, 10, 20)
-"""Iterations after which the gap is noted."""
-LIMIT = 5000
-"""Most iterations of a run."""
 OPTIMUM = 1e-10
 """Relative certified gap of the optima that gaps are taken to."""
-STATUS = ("optimal", "iteration_limit", "stalled", "no_start", "not_applicable")
-NO_START, NOT_APPLICABLE = 3, 4
-TRACED, TRACE = 60, 300
-"""Cases of a set whose gaps are kept, and iterations."""
-FORCES_KEPT = ("constant", "paper_path", "smooth")
-"""Sets whose starts are kept themselves."""
-_AT = 3
-"""Position of `TOLERANCE` in `LEVELS`."""
-
-Trials = dict[str, np.ndarray]
 
 
 def cases_of(name: str, count: int, seed: int) -> list[Case]:
@@ -178,8 +176,8 @@ def _start_row(
 def _run_row(out: Trials, base: str, k: int, gaps: Array, code: int, levels: tuple[float, ...]) -> None:
     first = np.array([int(np.argmax(gaps <= level)) if gaps[-1] <= level else -1 for level in levels])
     out[f"{base}/iterations_to"][k] = first
-    out[f"{base}/iterations"][k] = first[_AT]
-    out[f"{base}/status"][k] = 0 if first[_AT] >= 0 else max(code, 1)
+    out[f"{base}/iterations"][k] = first[AT]
+    out[f"{base}/status"][k] = 0 if first[AT] >= 0 else max(code, 1)
     out[f"{base}/gap_after"][k] = [gaps[min(budget, len(gaps) - 1)] for budget in BUDGETS]
 
 
@@ -225,11 +223,3 @@ def _blank(
 
 
 _RAW = ("raw_margin", "raw_residual", "raw_gap")
-
-
-def starts_in(trials: Trials) -> Iterator[str]:
-    """The starts that a trials file holds."""
-    return (name.split("/")[1] for name in trials if name.startswith(f"{METHODS[0]}/") and name.endswith("/status"))
-
-
-assert LEVELS["reduced_flow"][_AT] == TOLERANCE

@@ -18,15 +18,18 @@ from grasp_env.force import AdaptiveStep, Objective
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce
 from policies.learned import PRETRAINED
-from training.cases.sets import SETS, fixed_cases
-from training.cases.starts import SHIPPED, Start, load_models, make_starts
+from training.cases.set_table import SETS
+from training.cases.sets import fixed_cases
+from training.cases.start_table import SHIPPED
+from training.cases.starts import Start, load_models, make_starts
 from training.demo.loops import record_animations
 from training.runs import Run, provenance
 from training.runs.workers import begin, one_thread, pool
-from training.trials.compare import Trials, cases_of, compare
+from training.trials.arrays import SCENARIOS, Trials
+from training.trials.compare import cases_of, compare
 from training.trials.continuity import continuity
 from training.trials.guarantee import guarantee
-from training.trials.rollouts import SCENARIOS, roll_out_scenario
+from training.trials.rollouts import roll_out_scenario
 from training.trials.settings import EvaluateConfig
 from training.trials.timing import time_calls
 

@@ -10,7 +10,8 @@ from grasp_env.force import ForceOptimizer, Objective
 from grasp_env.grasp import Grasp, presets, wrench
 from training.cases.sets import HELD_OUT
 from training.cases.starts import DoesNotApply, Start, newton_optimizer, scaled
-from training.trials.compare import OPTIMUM, Trials
+from training.trials.arrays import Trials
+from training.trials.compare import OPTIMUM
 
 POINTS = 401
 """Of a path."""

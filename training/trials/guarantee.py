@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from grasp_env._check import Array
 from grasp_env.errors import InfeasibleStartError
@@ -13,13 +12,9 @@ from grasp_env.grasp.wrench import magnitude, sample_magnitudes
 from policies import LearnedInitialForce
 from training.cases.grasps import closed_grasp
 from training.cases.sets import HELD_OUT
-from training.cases.starts import MODELS
-from training.trials.compare import Trials
+from training.cases.start_table import MODELS
+from training.trials.arrays import MAGNITUDES, Trials
 
-MAGNITUDES = (1e-3, 1e3)
-"""[N] least and largest |(force, moment / 0.05 m)|, drawn log-uniformly."""
-ROUNDING = 1e-10
-"""Relative excess of Phi that two ways to sum it make."""
 RANDOM_GRASPS = {"random_4": 4, "random_3": 3, "random_5": 5}
 _GRASPS_EACH = 10
 
@@ -89,8 +84,3 @@ def guarantee(models: dict[str, LearnedInitialForce], count: int, seed: int) -> 
             out[f"{key}/{name}/excess"] = np.concatenate([part[0] for part in parts])
             out[f"{key}/{name}/magnitude"] = np.concatenate([part[1] for part in parts])
     return out
-
-
-def worse(excess: Array) -> NDArray[np.bool_]:
-    """(n,) whether a start is worse than the basis's, or missing."""
-    return ~(excess <= ROUNDING)

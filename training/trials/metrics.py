@@ -8,13 +8,22 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.grasp.wrench import PAPER_CONSTANT
-from training.cases.sets import SETS
-from training.cases.starts import LABELS, LEARNED, MODELS
+from training.cases.set_table import SETS
+from training.cases.start_table import LABELS, LEARNED, MODELS
 from training.runs import Run
+from training.trials.arrays import (
+    BUDGETS,
+    LEVELS,
+    LIMIT,
+    MAGNITUDES,
+    METHODS,
+    NO_START,
+    NOT_APPLICABLE,
+    SCENARIOS,
+    Trials,
+    worse,
+)
 from training.trials.claims import claims, training_seconds, wins
-from training.trials.compare import BUDGETS, LEVELS, LIMIT, METHODS, NO_START, NOT_APPLICABLE, Trials
-from training.trials.guarantee import MAGNITUDES, worse
-from training.trials.rollouts import SCENARIOS
 
 BASIS = "linear_combination"
 PAPER_TABLE: dict[str, dict[str, Any]] = {

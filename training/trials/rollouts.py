@@ -9,27 +9,8 @@ import numpy as np
 
 from grasp_env.force import InitialForceRule, Objective
 from policies.controllers import Policy, ZeroPolicy
+from training.trials.arrays import RANDOM_SCENARIOS, SCENARIOS
 
-SCENARIOS: dict[str, dict[str, Any]] = {
-    "gravity": {"disturbance": "none"},
-    "constant": {"disturbance": "constant"},
-    "paper_path": {"disturbance": "paper_path"},
-    "random": {"disturbance": "random"},
-    "late": {"disturbance": "random", "wrench_delay": 1},
-    "unknown": {"disturbance": "random", "wrench": "none"},
-    "impulses": {"disturbance": "impulses", "randomise": ("shape", "size", "mass", "friction")},
-}
-SCENARIO_LABELS = {
-    "gravity": "gravity alone",
-    "constant": "gravity + the paper's constant wrench",
-    "paper_path": "gravity + W_ext(t) x 0.1",
-    "random": "gravity + random wrench (Ornstein-Uhlenbeck, 0.6 N / 0.02 N m per axis)",
-    "late": "the same random wrench, told to the controller 4 ms late",
-    "unknown": "the same random wrench, not told to the controller: pose feedback alone",
-    "impulses": "gravity + impacts (half sines of 5 N / 0.1 N m, 0.05 s) on random objects",
-}
-HOLD_SCENARIOS = ("gravity", "constant", "paper_path")
-RANDOM_SCENARIOS = ("random", "late", "unknown", "impulses")
 _SCALARS = (
     "iterations", "trials", "drift", "tilt", "slip", "slip_distance", "force_error", "peak_torque", "time",
     "optimality_gap",

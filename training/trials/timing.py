@@ -11,23 +11,13 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InfeasibleStartError
-from grasp_env.force import ForceOptimizer, InitialForceRule, Objective, OfflineBasis
-from grasp_env.force.repair import Correction
+from grasp_env.force import ForceOptimizer, Objective, OfflineBasis
 from grasp_env.grasp import Grasp, presets
 from policies import LearnedInitialForce
 from training.cases.grasps import closed_grasp
 from training.cases.sets import HELD_OUT
-from training.cases.starts import (
-    Nearest,
-    Start,
-    Stored,
-    make_starts,
-    memory_model,
-    phi_options,
-    remembering,
-    stepped,
-)
-from training.trials.compare import METHODS, Trials
+from training.cases.starts import Made, make_starts, phi_options
+from training.trials.arrays import METHODS, Trials
 
 WARM_UP = 20
 """Calls of every kind that are not counted."""
@@ -35,29 +25,10 @@ BASES = 20
 """Random grasps whose offline basis is timed."""
 
 
-def optimizers(
-    grasp: Grasp, method: str, starts: dict[str, Start], models: dict[str, LearnedInitialForce], objective: Objective
-) -> dict[str, ForceOptimizer]:
+def optimizers(grasp: Grasp, method: str, starts: dict[str, Made], objective: Objective) -> dict[str, ForceOptimizer]:
     """One optimizer per start, as a control loop would make it once."""
-    stored, rules = Stored(objective), stepped(objective, models)
-    made: dict[str, ForceOptimizer] = {}
-    for key in starts:
-        initial: str | InitialForceRule = key
-        correction: Correction = "pseudoinverse" if key.endswith("pseudoinverse") else "tangent"
-        if key.startswith("previous"):
-            initial = "previous"
-        elif key.startswith("nearest"):
-            initial = Nearest(stored, correction)
-        elif key in rules:
-            initial = rules[key]
-        elif key == "learned_previous":
-            initial = remembering(memory_model(models))
-        elif key in models:
-            initial = models[key]
-        made[key] = ForceOptimizer(
-            grasp, method=method, initial=initial, correction=correction, **phi_options(objective)
-        )
-    return made
+    phi = phi_options(objective)
+    return {key: ForceOptimizer(grasp, method=method, **made.options, **phi) for key, made in starts.items()}
 
 
 def time_calls(
@@ -84,7 +55,7 @@ def time_calls(
     """
     grasp, count = presets.paper_cuboid(), len(wrenches)
     starts = make_starts(objective, models)
-    loops = {method: optimizers(grasp, method, starts, models, objective) for method in METHODS}
+    loops = {method: optimizers(grasp, method, starts, objective) for method in METHODS}
     out = {f"{key}/start_us": np.full((repeats, count), np.nan) for key in starts}
     out |= {f"{method}/{key}/total_us": np.full((repeats, count), np.nan) for method in METHODS for key in starts}
     newton = ForceOptimizer(grasp, method="newton", **phi_options(objective))
