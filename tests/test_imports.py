@@ -144,6 +144,24 @@ def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
     assert left == {}
 
 
+def test_metrics_import_numpy_only() -> None:
+    """Numbers are made of saved arrays: neither solver, simulator, networks nor pictures are loaded for them."""
+    script = """
+import sys
+for name in ("scipy", "torch", "gymnasium", "pybullet", "matplotlib", "safetensors", "rich"):
+    sys.modules[name] = None
+import training.trials.metrics, training.trials.hold_metrics
+print(*sorted(sys.modules))
+"""
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=120, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert not {
+        name
+        for name in done.stdout.split()
+        if name.startswith(("grasp_env.force", "grasp_env.grasp", "grasp_env.sim", "policies"))
+    }
+
+
 def test_pybullet_is_imported_in_one_file() -> None:
     users = {str(path.relative_to(ROOT)) for part in ("grasp_env", "policies", "training") for path in _files(part)
              if _roots(path) & {"pybullet", "pybullet_data", "pybullet_utils"}}  # fmt: skip

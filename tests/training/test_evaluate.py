@@ -15,9 +15,9 @@ from training.cases.set_table import SETS
 from training.cases.start_table import LABELS, LEARNED
 from training.cli import main
 from training.fit.settings import FitConfig
-from training.report.pages import number
 from training.runs import Run
-from training.runs.statistics import ratio_interval, summary
+from training.runs.statistics import ratio_interval, spread
+from training.runs.words import number
 from training.trials import comparison as evaluate_module
 from training.trials.arrays import SCENARIOS
 from training.trials.claims import claims, wins
@@ -224,10 +224,10 @@ def test_settings_are_checked():
 
 def test_summary_and_ratio():
     values = np.concatenate([np.zeros(50), np.ones(50)])
-    got = summary(values)
+    got = spread(values)
     assert (got["n"], got["max"], got["p95"]) == (100, 1.0, 1.0)
     assert got["median_low"] <= got["median"] <= got["median_high"]
-    assert summary(np.empty(0))["median"] is None
+    assert spread(np.empty(0))["median"] is None
     ratio, low, high = ratio_interval(np.full(30, 2.0), np.full(30, 8.0))
     assert ratio == low == high == 0.25
     assert number(None) == "–"

@@ -15,11 +15,12 @@ from training.cases.grasps import closed_grasp
 from training.cases.sets import fixed_cases
 from training.cases.start_table import LEARNED, SHIPPED, STARTS, How, Row, Stepped, check
 from training.cases.starts import BUILDERS, DoesNotApply, load_models, make_starts, near_fixed
+from training.runs.statistics import spread
 from training.trials.arrays import BUDGETS, LEVELS, LIMIT, METHODS, STATUS, starts_in, worse
 from training.trials.compare import cases_of, compare
 from training.trials.continuity import POINTS, continuity
 from training.trials.guarantee import guarantee, never_worse, values
-from training.trials.metrics import censored, spread, start_metrics
+from training.trials.metrics import censored, start_metrics
 from training.trials.timing import optimizers, time_calls
 
 PHI = Objective()

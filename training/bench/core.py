@@ -12,9 +12,9 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
-from training.bench.core_claims import asked_of, claims
 from training.bench.core_sides import Checkout, Side, first_solve
 from training.runs import provenance
+from training.runs.claims import bounded
 
 SIZES = (3, 4, 5, 8, 16, 50)
 ROWS = {
@@ -34,6 +34,10 @@ ROWS = {
     "max": "least largest normal force, ForceOptimizer(method='conic', criterion='max').solve to 1e-6",
 }
 """What is timed, see `core_worker.ROWS`; after each solve from Python `.force` and `.status` are read."""
+SLOWER = 1.05
+"""Most time of a row, in parts of the baseline's."""
+START_S = 0.5
+"""Most seconds from the start of a process to its first force."""
 STARTED = ("newton", "conic", "reduced_flow", "full_flow")
 
 
@@ -50,7 +54,7 @@ def core(
         rounds, passes: a problem's time is the best of rounds * passes calls.
         seed: of the problems.
         baseline: another checkout with its own .venv; None: only this one is timed.
-        start: first solves of so many new processes per method and side, nothing cached; 0: none.
+        start: first solves of so many new processes per method and side; 0: none.
         rows: those of `ROWS` to time.
         tick: told what runs.
 
@@ -112,12 +116,7 @@ def _turn(sides: dict[str, Side], missing: dict[str, str], count: int, key: str,
 
 def _row(key: str, count: int, best: dict[str, Array], answers: dict[str, Array]) -> dict[str, Any]:
     """Medians and p99 [us] of both sides, their ratios, failures, and how far the objectives differ, relative."""
-    row: dict[str, Any] = {
-        "method": key,
-        "contacts": count,
-        "problems": len(best["now"]),
-        "asked": asked_of(key, count),
-    }
+    row: dict[str, Any] = {"method": key, "contacts": count, "problems": len(best["now"])}
     for name in best:
         prefix = "" if name == "now" else f"{name}_"
         row[f"{prefix}p50_us"] = 1e6 * float(np.median(best[name]))
@@ -148,3 +147,18 @@ def _starts(checkouts: dict[str, Checkout], number: int, tick: Callable[[str], N
                 "loaded": runs[-1]["loaded"],
             })  # fmt: skip
     return out
+
+
+def claims(rows: list[dict[str, Any]], starts: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """No row slower than the baseline's, by the worst of its numbers of contacts; first solves in time."""
+    out = []
+    for key in dict.fromkeys(row["method"] for row in rows if "ratio_p50" in row):
+        worst = max((row for row in rows if row["method"] == key), key=lambda row: row["ratio_p50"])
+        said = f" (N = {worst['contacts']}, the worst)"
+        out.append(
+            bounded(f"{key}: time over the baseline's, medians", "at most", SLOWER, worst["ratio_p50"], said=said)
+        )
+    return out + [
+        bounded(f"first solve of a new process, {row['method']}", "at most", START_S, row["median_s"], "s")
+        for row in starts if row["side"] == "now"
+    ]  # fmt: skip

@@ -46,7 +46,7 @@ class Checkout:
                 raise InvalidInputError(f"baseline {path} is not {what}, there is no {needed}{mend}")
         return cls(root, python)
 
-    def start(self, script: str, *arguments: str, stderr: Any, cache: str | None = None) -> subprocess.Popen[str]:
+    def start(self, script: str, *arguments: str, stderr: Any) -> subprocess.Popen[str]:
         """A process on this benchmark's core with the root as working directory and `script`'s source as its program."""
         kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
         source = _HERE.with_name(script).read_text(encoding="utf-8")
@@ -54,7 +54,7 @@ class Checkout:
             return subprocess.Popen(
                 [str(self.python), "-c", source, *arguments],
                 cwd=self.root,
-                env=kept if cache is None else {**kept, "NUMBA_CACHE_DIR": cache},
+                env=kept,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=stderr,
@@ -123,15 +123,14 @@ class Side:
 
 
 def first_solve(checkout: Checkout, method: str) -> dict[str, Any]:
-    """{"seconds" from the process's start to the force, "import_seconds" of them, "loaded"} with nothing of numba's cached.
+    """{"seconds" from the process's start to the force, "import_seconds" of them, "loaded"}.
 
     Raises:
         GraspError: the process ended otherwise.
     """
-    with tempfile.TemporaryDirectory() as cache:
-        begin = time.monotonic()  # of one clock with the child's
-        with checkout.start("core_start.py", method, stderr=subprocess.PIPE, cache=cache) as process:
-            out, said = process.communicate()
+    begin = time.monotonic()  # of one clock with the child's
+    with checkout.start("core_start.py", method, stderr=subprocess.PIPE) as process:
+        out, said = process.communicate()
     if process.returncode:
         raise _ended(checkout, said)
     found = json.loads(out)

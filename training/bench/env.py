@@ -21,6 +21,7 @@ from grasp_env.sim.client import bullet
 from policies import LearnedInitialForce
 from training.bench.breakdown import breakdown
 from training.runs import provenance
+from training.runs.claims import bounded
 
 ROWS: dict[str, dict[str, Any]] = {
     "the paper's": {},
@@ -249,50 +250,17 @@ def claims(
     """What was asked of speed and memory, what was measured, and whether that is enough."""
     first, times, weights = rows[0], {row["reset"]: row for row in resets}, {row["resets"]: row for row in memory}
     same = max(times["same object"]["median_ms"], times["same shape, new mass and friction"]["median_ms"])
-    values = (
-        (
-            "agent steps per second on one core, paper's pipeline, best episode",
-            "at least",
-            ASKED["per_second"],
-            first["per_second"],
-            "",
-        ),
-        (
-            "cost of a step over the bare PyBullet calls, median of pairs",
-            "at most",
-            ASKED["ratio"],
-            first["ratio_median"],
-            "",
-        ),
-        ("reset, same object shape, median", "below", ASKED["same_ms"], same, " ms"),
-        ("reset, new object shape, median", "below", ASKED["new_ms"], times["new shape"]["median_ms"], " ms"),
-        ("memory per environment", "below", ASKED["mib"], max(row["per_env_mib"] for row in memory), " MiB"),
-        (
-            "growth over the resets, same object",
-            "below",
-            ASKED["growth_mib"],
-            weights["same object"]["growth_mib"],
-            " MiB",
-        ),
-        (
-            "growth over the resets, new shapes",
-            "below",
-            ASKED["growth_mib"],
-            weights["new shapes"]["growth_mib"],
-            " MiB",
-        ),
-    )
+    heaviest = max(row["per_env_mib"] for row in memory)
+    growth = [bounded(f"growth over the resets, {name}", "below", ASKED["growth_mib"], weights[name]["growth_mib"], "MiB")
+              for name in ("same object", "new shapes")]  # fmt: skip
     return [
-        {
-            "claim": text,
-            "asked": f"{word} {asked:g}{unit}",
-            "measured": f"{value:.4g}{unit}",
-            "met": bool(
-                value >= asked if word == "at least" else value <= asked if word == "at most" else value < asked
-            ),
-        }
-        for text, word, asked, value, unit in values
-    ]
+        bounded("agent steps per second on one core, paper's pipeline, best episode", "at least", ASKED["per_second"], first["per_second"]),
+        bounded("cost of a step over the bare PyBullet calls, median of pairs", "at most", ASKED["ratio"], first["ratio_median"]),
+        bounded("reset, same object shape, median", "below", ASKED["same_ms"], same, "ms"),
+        bounded("reset, new object shape, median", "below", ASKED["new_ms"], times["new shape"]["median_ms"], "ms"),
+        bounded("memory per environment", "below", ASKED["mib"], heaviest, "MiB"),
+        *growth,
+    ]  # fmt: skip
 
 
 def _pose(env: FourFingerGrasp) -> tuple[Any, ...]:

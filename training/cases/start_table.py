@@ -166,11 +166,14 @@ def check(rows: dict[str, Row]) -> None:
         ]
         if wrong or len(row.colours) != 2:
             raise InvalidInputError(f"the start {key} needs two colours #rrggbb that no other has, got {row.colours}")
-        how = row.how
-        of = (how.start,) if isinstance(how, Stepped) else (how.model,) if isinstance(how, Alone) else ()
-        of += how.models if isinstance(how, Remembering) else ()
-        if missing := [other for other in of if other not in list(rows)[: list(rows).index(key)]]:
-            raise InvalidInputError(f"the start {key} is made of {missing[0]}, which is no start before it")
+        how, before = row.how, list(rows)[: list(rows).index(key)]
+        of = (how.model,) if isinstance(how, Alone) else how.models if isinstance(how, Remembering) else ()
+        missing = [other for other in of if other not in rows or not isinstance(rows[other].how, Model)]
+        missing += [how.start] if isinstance(how, Stepped) and how.start not in before else []
+        if missing:
+            raise InvalidInputError(
+                f"the start {key} is made of {missing[0]}, which is no model, or no start before it"
+            )
 
 
 check(STARTS)

@@ -30,8 +30,7 @@ class Bench:
         quick: of env and core: a small version, about 20 s; its numbers are rough.
         baseline: of core: folder of another checkout with its own .venv (git worktree add PATH COMMIT; make -C PATH install);
             without it only this one is timed.
-        start: of core: also the first solve of so many new processes per method and side, on empty caches: a side that
-            compiles then takes about a minute for each.
+        start: of core: also the first solve of so many new processes per method and side.
         seed: of the problems.
         out: folder for the JSON, figures and generated C code.
         compare: an earlier JSON of the same kind to set beside.

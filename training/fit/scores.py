@@ -12,6 +12,7 @@ from grasp_env.grasp import Grasp
 from policies.fixed_grasp import FixedGraspForce
 from training.cases.set_table import TOLERANCE
 from training.cases.starts import NetworkAlone, newton_optimizer, phi_options
+from training.runs.statistics import spread
 
 MOST = 4
 """Newton steps that are counted one by one; more are counted together."""
@@ -50,16 +51,11 @@ def scores(
     gaps, outside, steps, iterations = np.array(rows).T
     told = {
         "wrenches": len(rows),
-        "gap": _summary(gaps),
+        "gap": spread(gaps),
         "outside the cones": float(outside.mean()),
         "newton steps": {
             f"{k}{' or more' if k == MOST else ''}": float((np.minimum(steps, MOST) == k).mean())
             for k in range(MOST + 1)
         },
     }
-    return told | ({"flow iterations": _summary(iterations)} if flow else {})
-
-
-def _summary(values: np.ndarray) -> dict[str, float]:
-    found = np.quantile(values, [0.5, 0.9, 0.99, 1.0])
-    return {name: float(f"{value:.4g}") for name, value in zip(("median", "p90", "p99", "max"), found, strict=True)}
+    return told | ({"flow iterations": spread(iterations)} if flow else {})

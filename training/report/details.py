@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from training.report.model import Fold, Picture, Section, Table, at, number, percent, present
+from training.report.model import Fold, Picture, Section, Table, at, present
 from training.report.starts import MAIN, label, matrix, pair, set_label, short, steps
+from training.runs.words import number, percent
 
 
 def sets_section(metrics: dict[str, Any]) -> Section:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from training.report.model import Fold, Picture, Section, Table, at, number, present
+from training.report.model import Fold, Picture, Section, Table, at, present
 from training.report.starts import label, steps
+from training.runs.words import number
 from training.trials.arrays import SCENARIO_LABELS
 
 

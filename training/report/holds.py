@@ -9,9 +9,10 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from training.report import hold_figures as env_figures
-from training.report.pages import number, render
+from training.report.pages import render
 from training.report.style import close
 from training.runs import Run
+from training.runs.words import number
 from training.trials.hold_metrics import SAME_RULE, env_metrics, interval_text
 from training.trials.holds import BASELINES, CONTROLLER_LABELS, CURVES, ERRORS, SCENARIO_LABELS
 

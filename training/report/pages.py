@@ -10,12 +10,13 @@ from grasp_env.errors import InvalidInputError
 from training.report.details import feasibility_section, newton_section, sets_section, timing_section
 from training.report.facts import caveats_section, models_section, provenance_section
 from training.report.hand import hand_section, paper_section
-from training.report.model import Fold, Picture, Section, Table, number, percent
+from training.report.model import Fold, Picture, Section, Table
 from training.report.pictures import draw_all, loops
 from training.report.rl import rl_section
 from training.report.starts import claims_section, network_section, wins_section
 from training.report.style import variables
 from training.runs import Run
+from training.runs.words import number, percent
 from training.trials.metrics import metrics_of
 
 __all__ = ["build_report", "number", "render", "write_pages"]

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
-from training.report.model import Fold, Picture, Section, Table, at, flat, number, percent, present
+from training.report.model import Fold, Picture, Section, Table, at, flat, present
 from training.report.style import INK, WIDTH, Drawing, colour, entry, new_figure
+from training.runs.words import number, percent
 
 _COLOURS = {
     "ppo/initial_force": "linear_combination",

@@ -6,7 +6,9 @@ from typing import Any
 
 from training.cases.set_table import GROUPS
 from training.cases.start_table import LABELS, MAIN, SHORT
-from training.report.model import Cell, Fold, Section, Table, at, number, percent, present
+from training.report.model import Cell, Fold, Section, Table, at, present
+from training.runs.claims import ranked
+from training.runs.words import number, percent
 from training.trials.arrays import LIMIT
 
 STEPPED = ("linear_combination", "basis_tangent", "basis_newton_2", "network", "network_newton_1", "network_newton_2")
@@ -62,7 +64,7 @@ def pair(row: dict[str, Any] | None) -> str:
 def claims_section(metrics: dict[str, Any]) -> Section:
     """What was asked, what was measured; missed first, then not measured, then met."""
     verdicts = {False: Cell("NO", "bad"), None: Cell("not measured", "open"), True: Cell("yes", "good")}
-    claims = sorted(metrics.get("claims", []), key=lambda row: (False, None, True).index(row["met"]))
+    claims = ranked(metrics.get("claims", []))
     counts = {verdict: sum(row["met"] is verdict for row in claims) for verdict in verdicts}
     text = f"{counts[True]} of {len(claims)} met, {counts[False]} missed, {counts[None]} not measured in this run."
     rows = [[verdicts[row["met"]], pretty(row["claim"]), pretty(row["asked"]), row["measured"]] for row in claims]

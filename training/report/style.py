@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from training.cases.start_table import STARTS
+from training.runs.words import small
 
 INK, LINE = "#000000", "#d5d8dd"
 THEME: dict[str, tuple[str, str]] = {
@@ -99,24 +100,12 @@ def entry(label: str, name: str) -> tuple[str, str, bool]:
     return label, name if name in THEME or name == "ink" else "other_1", name in DASHED
 
 
-def level_text(value: float, _: object = None) -> str:
-    """A tick of a logarithmic axis.
-
-    Example:
-        >>> level_text(1e-4), level_text(100.0), level_text(0.1)
-        ('1e-4', '100', '0.1')
-    """
-    if value <= 0:
-        return "0"
-    return f"{value:g}" if 0.05 < value < 1e5 else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
-
-
 def decades(axis: Any) -> None:
     """Labels a logarithmic axis (axes.xaxis or axes.yaxis) at its decades, a short one at 1, 2, 5 too, without mathematics."""
     low, high = sorted(axis.get_view_interval())
     if low > 0 and high < 200 * low:
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(level_text)
+    axis.set_major_formatter(lambda value, place: small(value))
     axis.set_minor_locator(NullLocator())
 
 

@@ -17,7 +17,7 @@ from training.rl.report import write_report
 from training.rl.score import score
 from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.runs import Run, provenance
-from training.runs.statistics import iqm_interval, mean_interval, ratio_interval, summary, wilson
+from training.runs.statistics import iqm_interval, mean_interval, ratio_interval, spread, wilson
 
 PAPER = "zero"
 BASELINES = {
@@ -125,7 +125,7 @@ def _row(several: list[dict[str, np.ndarray]], paper: dict[str, np.ndarray]) -> 
         "held_rate": float(held.mean()),
         "held_low": low,
         "held_high": high,
-        "iterations": summary(iterations),
+        "iterations": spread(iterations),
         "iterations_per_seed": [float(np.median(one["iterations"])) for one in several],
         "iterations_against_paper": dict(
             zip(("ratio", "low", "high"), ratio_interval(mine, paper["mean_iterations"]), strict=True)

@@ -20,8 +20,8 @@ from grasp_env.force import Objective
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import PAPER_CONSTANT, sample_ball
 from training.cases.starts import make_starts
-from training.report.pages import number
 from training.runs import Run, default_name, provenance
+from training.runs.words import number
 from training.study import study
 from training.trials.compare import cases_of, compare
 from training.trials.metrics import table_one

@@ -28,7 +28,7 @@ from grasp_env.force.step_size import (
     StepRule,
 )
 from grasp_env.grasp import Grasp, wrench
-from training.runs.statistics import summary
+from training.runs.statistics import spread
 
 TOLERANCE = 1e-4
 OMEGAS = (0.5, 1.0, 2.0)
@@ -163,14 +163,14 @@ def weights_study(grasp: Grasp, wrenches: Array, tick: Callable[[], None]) -> li
             cases = Cases(grasp, Objective(omega, lam), wrenches)
             fixed = cases.tuned_step()
             excess = cases.forces[:, :, 0].sum(axis=1) / least - 1.0
-            row: dict[str, Any] = {"omega": omega, "lambda": lam, "fixed_step": fixed, "excess": summary(excess)}
+            row: dict[str, Any] = {"omega": omega, "lambda": lam, "fixed_step": fixed, "excess": spread(excess)}
             row["rules"] = {}
             for key, rule in rules(fixed).items():
                 steps, trials = cases.iterations(rule)
                 done = np.isfinite(steps)
                 row["rules"][key] = {
-                    "iterations": summary(steps[done]),
-                    "trials": summary(trials[done]),
+                    "iterations": spread(steps[done]),
+                    "trials": spread(trials[done]),
                     "not_converged": int((~done).sum()),
                 }
             rows.append(row)
@@ -181,7 +181,7 @@ def weights_study(grasp: Grasp, wrenches: Array, tick: Callable[[], None]) -> li
 def rule_times(grasp: Grasp, wrenches: Array) -> dict[str, Any]:
     """Microseconds of a compiled call from the 12-basis to a certified gap of 1e-4, per rule, lambda 0.01."""
     cases = Cases(grasp, Objective(1.0, 0.01), wrenches)
-    return {key: summary(cases.microseconds(rule)) for key, rule in rules(cases.tuned_step()).items()}
+    return {key: spread(cases.microseconds(rule)) for key, rule in rules(cases.tuned_step()).items()}
 
 
 def spectrum(grasp: Grasp, objective: Objective, x: Array) -> tuple[float, float]:
@@ -329,7 +329,7 @@ def path_study(grasp: Grasp, fine: float, tick: Callable[[], None]) -> dict[str,
     out: dict[str, Any] = {"fine": fine, "coarse": 10.0 * fine, "time": times, "forces": forces, "methods": {}}
     for key, values in forces.items():
         out["methods"][key] = {
-            "excess": summary(values[:, :, 0].sum(axis=1) / least - 1.0),
+            "excess": spread(values[:, :, 0].sum(axis=1) / least - 1.0),
             "jump": [_largest(np.diff(part, axis=0)) for part in (values[::10], values)],
             "kink": [
                 _largest(np.diff(part, n=2, axis=0)) / step

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from training.cases.set_table import SETS, TOLERANCE
-from training.cases.start_table import COLD, LABELS
+from training.cases.start_table import COLD, LABELS, LEARNED, SHIPPED
+from training.runs.claims import Claim, claim
+from training.runs.words import small
 from training.trials.arrays import HOLD_SCENARIOS, LIMIT
 
 DRIFT_LIMIT = 1.0
@@ -23,19 +26,21 @@ FASTER = {"median": 0.85, "p99": 0.95}
 SMALLEST_SHARE = 0.5
 """Of a set's cases that a start must apply to, to speak for the set."""
 MODEL_BYTES, TRAINING_SECONDS = 2_000_000, 900.0
+COLD_LIMITS: dict[str, float] = {"median": 4, "p99": 25}
+"""Iterations of the any-grasp model where the previous solution is far, of another grasp, or not there."""
+SMOOTH_LIMITS: dict[str, float] = {"median": 0, "p99": 7}
+"""Of the model with the previous solution, on smooth paths."""
+FEWER, START_GAP = 4, 0.005
+"""On random grasps: how many times fewer iterations than from the basis, and the median gap at the start."""
+BALANCE = 1e-9
+"""Largest imbalance of a start, in parts of its largest force."""
 Metrics = dict[str, Any]
-Claim = dict[str, Any]
 
 
 def claims(metrics: Metrics) -> list[Claim]:
-    """All claims; "met" is None where this run did not measure one.
-
-    "kind" is "target" (a number that the project asks of itself), "guarantee" (true by construction, checked) or "reference" (a
-    number measured before, which this run should find again).
-    """
-    out = [*_fixed(metrics), *_cold(metrics), *_smooth(metrics), *_any(metrics), *_time(metrics)]
-    out += [*_fastest(metrics), *_models(metrics)]
-    return [*out, *_guarantees(metrics), *_holds(metrics), *_references(metrics)]
+    """All claims."""
+    parts = (_fixed, _cold, _smooth, _any, _time, _fastest, _models, _guarantees, _holds, _references)
+    return [row for part in parts for row in part(metrics)]
 
 
 def wins(metrics: Metrics) -> list[dict[str, Any]]:
@@ -87,12 +92,6 @@ def _row(metrics: Metrics, name: str, key: str | None) -> dict[str, Any] | None:
     return rows[key] if key is not None and _applies(rows, key) else None
 
 
-def _claim(claim: str, asked: str, measured: str | None, met: bool | None, kind: str = "target") -> Claim:
-    if measured is None:
-        measured, met = "not measured in this run", None
-    return {"kind": kind, "claim": claim, "asked": asked, "measured": measured, "met": met}
-
-
 def _said(row: dict[str, Any], *names: str) -> str:
     """Iterations in words, with what did not work."""
     steps = row["iterations"]
@@ -108,154 +107,122 @@ def _count(value: float | None) -> str:
 
 
 def _judged(
-    claim: str, asked: str, row: dict[str, Any] | None, limits: dict[str, float], kind: str = "target"
+    text: str,
+    row: dict[str, Any] | None,
+    limits: dict[str, float],
+    *,
+    more: str = "",
+    said: str = "",
+    also: bool = True,
 ) -> Claim:
-    """The claim that iterations stay within limits; every case must have a start."""
+    """The claim that iterations stay within limits, and that every case has a start.
+
+    Args:
+        text: what is claimed.
+        row: of the start; None: not measured.
+        limits: largest iterations by percentile.
+        more: what else is asked, in words.
+        said: what else was measured.
+        also: whether that is enough.
+    """
+    asked = ", ".join(f"{name} <= {limit:g}" if limit else f"{name} 0" for name, limit in limits.items())
     if row is None:
-        return _claim(claim, asked, None, None, kind)
-    met = row["no_start"] == 0 and _within(row, limits)
-    return _claim(claim, asked, _said(row, *limits), met, kind)
-
-
-def _within(row: dict[str, Any], limits: dict[str, float]) -> bool:
-    return all(row["iterations"]["n"] and row["iterations"][name] <= limit for name, limit in limits.items())
+        return claim(text, asked + more, None, None)
+    within = all(row["iterations"]["n"] and row["iterations"][name] <= limit for name, limit in limits.items())
+    return claim(text, asked + more, _said(row, *limits) + said, row["no_start"] == 0 and within and also)
 
 
 def _below(ours: float, theirs: float) -> bool:
     return ours < theirs or ours == theirs == 0
 
 
-def _fixed(metrics: Metrics) -> list[Claim]:
+def _fixed(metrics: Metrics) -> Iterator[Claim]:
     """What the network of the fixed grasp is worth before any Newton step: what the project was made for."""
-    out = []
     for key in (NETWORK, "learned_fitted"):
         row, paper = _row(metrics, "ball", key), _row(metrics, "ball", BASIS)
-        if row is None and key == "learned_fitted":
-            continue
-        said = met = None
-        if row is not None:
-            said, met = (
-                _said(row, "median", "p99"),
-                row["no_start"] == 0 and _within(row, ALONE) and row["margin_min"] > 0,
-            )
-            said += f"; margin {row['margin_min']:.2g}" + (
-                f"; 12-basis: {_said(paper, 'median', 'p99')}" if paper else ""
-            )
-        text = f"{LABELS[key]}: iterations of the flow to {TOLERANCE:g}, held-out ball"
-        out.append(
-            _claim(text, f"median <= {ALONE['median']}, p99 <= {ALONE['p99']}, every start inside the cones", said, met)
-        )
-    return out
+        if row is not None or key == NETWORK:
+            text = f"{LABELS[key]}: iterations of the flow to {TOLERANCE:g}, held-out ball"
+            said, inside = "", row is not None and row["margin_min"] > 0
+            if row is not None:
+                basis = f"; 12-basis: {_said(paper, 'median', 'p99')}" if paper else ""
+                said = f"; margin {row['margin_min']:.2g}{basis}"
+            yield _judged(text, row, ALONE, more=", every start inside the cones", said=said, also=inside)
 
 
-def _cold(metrics: Metrics) -> list[Claim]:
-    out = []
+def _cold(metrics: Metrics) -> Iterator[Claim]:
     for name in ("jump_50", "rollout_cold", "rollout_impulses", "rollout_fixed", "rollout_changes"):
         row, before = _row(metrics, name, ANY), _row(metrics, name, PREVIOUS)
-        said = met = None
-        if row is not None:
-            said, met = _said(row, "median", "p99"), row["no_start"] == 0 and _within(row, {"median": 4, "p99": 25})
-            if before is not None and before["iterations"]["n"]:
-                said += f"; previous solution: {_said(before, 'median', 'p99')}"
-                met = met and all(_below(row["iterations"][q], before["iterations"][q]) for q in ("median", "p99"))
-        out.append(
-            _claim(
-                f"{LABELS[ANY]}: {SETS[name].label}",
-                "median <= 4, p99 <= 25" + (", both below the previous solution's" if name != "rollout_cold" else ""),
-                said,
-                met,
-            )
-        )
-    return out
+        said, also = "", True
+        if row is not None and before is not None and before["iterations"]["n"]:
+            said = f"; previous solution: {_said(before, 'median', 'p99')}"
+            also = all(_below(row["iterations"][q], before["iterations"][q]) for q in ("median", "p99"))
+        more = "" if name == "rollout_cold" else ", both below the previous solution's"
+        yield _judged(f"{LABELS[ANY]}: {SETS[name].label}", row, COLD_LIMITS, more=more, said=said, also=also)
 
 
-def _smooth(metrics: Metrics) -> list[Claim]:
-    return [
-        _judged(
-            f"{LABELS['learned_previous']}: {SETS[name].label}",
-            "median 0, p99 <= 7",
-            _row(metrics, name, "learned_previous"),
-            {"median": 0, "p99": 7},
-        )
-        for name in ("smooth", "trajectories", "rollout_moving")
-    ]
+def _smooth(metrics: Metrics) -> Iterator[Claim]:
+    for name in ("smooth", "trajectories", "rollout_moving"):
+        text = f"{LABELS['learned_previous']}: {SETS[name].label}"
+        yield _judged(text, _row(metrics, name, "learned_previous"), SMOOTH_LIMITS)
 
 
-def _any(metrics: Metrics) -> list[Claim]:
-    out = []
+def _any(metrics: Metrics) -> Iterator[Claim]:
     for name in ("random_4", "random_3", "random_5"):
-        row, paper = _row(metrics, name, "learned_any"), _row(metrics, name, BASIS)
+        row, paper = _row(metrics, name, ANY), _row(metrics, name, BASIS)
         said = met = None
         if row is not None and paper is not None:
             ours, theirs = row["iterations"]["median"], paper["iterations"]["median"]
             gap, worse = row["start_gap"]["median"], row["worse_than_basis"]
             said = f"{_count(ours)} against {_count(theirs)}, starting gap {100 * gap:.3g} %, worse in {worse['count']} of {worse['of']}"
-            met = row["no_start"] == 0 and ours <= theirs / 4 and gap <= 0.005 and worse["count"] == 0
-        out.append(
-            _claim(
-                f"{LABELS['learned_any']}: {SETS[name].label}, against the basis recomputed for each",
-                "median <= 1/4 of the basis's, starting gap <= 0.5 % in the median, never worse",
-                said,
-                met,
-            )
-        )
-    return out
+            met = row["no_start"] == 0 and ours <= theirs / FEWER and gap <= START_GAP and worse["count"] == 0
+        asked = f"median <= 1/{FEWER} of the basis's, starting gap <= {100 * START_GAP:g} % in the median, never worse"
+        yield claim(f"{LABELS[ANY]}: {SETS[name].label}, against the basis recomputed for each", asked, said, met)
 
 
-def _time(metrics: Metrics) -> list[Claim]:
+def _time(metrics: Metrics) -> Iterator[Claim]:
     total = metrics["timing"]["total"][FLOW]
     ours, paper = total.get("learned_fixed"), total[BASIS]
-    text = met = None
+    said = met = None
     if ours is not None:
         a, b = ours["best"], paper["best"]
-        text = f"p50 {a['median']:.3g} against {b['median']:.3g} us, p99 {a['p99']:.3g} against {b['p99']:.3g} us"
+        said = f"p50 {a['median']:.3g} against {b['median']:.3g} us, p99 {a['p99']:.3g} against {b['p99']:.3g} us"
         met = a["median"] <= 0.5 * b["median"] and a["p99"] < b["p99"]
-    return [
-        _claim(
-            "inference, repair and flow to 1e-4, fixed grasp, whole public call, same run",
-            "p50 at most half of the 12-basis's, p99 lower",
-            text,
-            met,
-        )
-    ]
+    text = f"inference, repair and flow to {small(TOLERANCE)}, fixed grasp, whole public call, same run"
+    yield claim(text, "p50 at most half of the 12-basis's, p99 lower", said, met)
 
 
-def _fastest(metrics: Metrics) -> list[Claim]:
+def _fastest(metrics: Metrics) -> Iterator[Claim]:
     """Who is the fastest to a certified solve without a previous solution, whoever it is, and what the network has to do with it."""
     totals = metrics["timing"]["total"]
     rows = {(m, key): row["best"] for m in totals for key, row in totals[m].items() if key in COLD and row["best"]["n"]}
     ours, paper = (rows.get(("newton", key)) for key in ("learned_fixed", BASIS))
-    text = met = None
+    said = met = None
     if ours is not None and paper is not None:
         first = min(rows, key=lambda who: (rows[who]["median"], rows[who]["p99"]))
-        told = [
+        said = "winner: " + "; ".join(
             f"{LABELS[key]}, {METHOD_NAMES[method]}: p50 {rows[method, key]['median']:.3g}, p99 {rows[method, key]['p99']:.3g} us"
             for method, key in dict.fromkeys((first, ("newton", "learned_fixed"), ("newton", BASIS)))
-        ]
-        text = "winner: " + "; ".join(told)
-        met = all(ours[q] <= factor * paper[q] for q, factor in FASTER.items())
-    return [
-        _claim(
-            "fastest certified solve from cold (no previous solution), fixed grasp, whole public call, same run",
-            "the winner named; Newton from the network p50 <= 0.85, p99 <= 0.95 of Newton's from the 12-basis",
-            text,
-            met,
         )
-    ]
+        met = all(ours[q] <= factor * paper[q] for q, factor in FASTER.items())
+    text = "fastest certified solve from cold (no previous solution), fixed grasp, whole public call, same run"
+    asked = f"the winner named; Newton from the network p50 <= {FASTER['median']:g}, p99 <= {FASTER['p99']:g} of Newton's from the 12-basis"
+    yield claim(text, asked, said, met)
 
 
-def _models(metrics: Metrics) -> list[Claim]:
-    out = []
+def _models(metrics: Metrics) -> Iterator[Claim]:
     models = metrics["run"]["models"]
     for key in ("learned_fixed", "learned_fitted"):
         if key in models:
             seconds = training_seconds(models[key])
             said = None if seconds is None else f"{seconds:.0f} s"
             met = None if seconds is None else seconds <= TRAINING_SECONDS
-            out.append(_claim(f"{LABELS[key]}: processor time of training", "at most 15 minutes", said, met))
-    size = sum(models[key].get("bytes", 0) for key in ("learned_fixed", "learned_any") if key in models)
-    out.append(_claim("shipped models together", "below 2 MB", f"{size / 1e6:.2f} MB", size < MODEL_BYTES))
-    return out
+            yield claim(
+                f"{LABELS[key]}: processor time of training", f"at most {TRAINING_SECONDS / 60:g} minutes", said, met
+            )
+    size = sum(models[key].get("bytes", 0) for key in SHIPPED if key in models)
+    yield claim(
+        "shipped models together", f"below {MODEL_BYTES / 1e6:g} MB", f"{size / 1e6:.2f} MB", size < MODEL_BYTES
+    )
 
 
 def training_seconds(card: dict[str, Any]) -> float | None:
@@ -268,40 +235,27 @@ def training_seconds(card: dict[str, Any]) -> float | None:
     return card.get("cpu_seconds", card.get("seconds"))
 
 
-def _guarantees(metrics: Metrics) -> list[Claim]:
-    out = []
+def _guarantees(metrics: Metrics) -> Iterator[Claim]:
     for key, row in metrics["guarantee"].items():
         low, high = row["magnitudes"]
-        out.append(
-            _claim(
-                f"{LABELS[key]}: starts worse in Phi than the 12-basis's, wrenches of {low:g} to {high:g} N",
-                "0",
-                f"{row['worse']} of {row['n']}",
-                row["worse"] == 0,
-                "guarantee",
-            )
-        )
-    for key in ("learned_fixed", "learned_any", "learned_previous", "learned_fitted"):
+        text = f"{LABELS[key]}: starts worse in Phi than the 12-basis's, wrenches of {low:g} to {high:g} N"
+        yield claim(text, "0", f"{row['worse']} of {row['n']}", row["worse"] == 0, "guarantee")
+    for key in LEARNED:
         rows = [rows[key] for rows in metrics["starts"][FLOW].values() if key in rows and rows[key]["cases"]]
         if rows:
-            worse = sum(row["worse_than_basis"]["count"] for row in rows)
-            total = sum(row["worse_than_basis"]["of"] for row in rows)
+            worse, total = (sum(row["worse_than_basis"][part] for row in rows) for part in ("count", "of"))
             margin = min(row["margin_min"] for row in rows if row["margin_min"] is not None)
             balance = max(row["residual_max"] for row in rows if row["residual_max"] is not None)
-            out.append(
-                _claim(
-                    f"{LABELS[key]}: strictly feasible, balanced and never worse than the 12-basis, all sets",
-                    "margin > 0, balance to 1e-9 of the largest force, 0 worse",
-                    f"margin {margin:.2g}, balance {balance:.1e}, {worse} of {total} worse",
-                    margin > 0.0 and balance <= 1e-9 and worse == 0,
-                    "guarantee",
-                )
+            yield claim(
+                f"{LABELS[key]}: strictly feasible, balanced and never worse than the 12-basis, all sets",
+                f"margin > 0, balance to {small(BALANCE)} of the largest force, 0 worse",
+                f"margin {margin:.2g}, balance {balance:.1e}, {worse} of {total} worse",
+                margin > 0.0 and balance <= BALANCE and worse == 0,
+                "guarantee",
             )
-    return out
 
 
-def _holds(metrics: Metrics) -> list[Claim]:
-    out = []
+def _holds(metrics: Metrics) -> Iterator[Claim]:
     for scenario in HOLD_SCENARIOS:
         row = metrics["rollouts"].get(scenario, {}).get(BASIS)
         said = met = None
@@ -309,28 +263,19 @@ def _holds(metrics: Metrics) -> list[Claim]:
             kept = "kept" if row["contact_always"] else "lost"
             said = f"drift {row['max_drift_mm']:.2g} mm, contacts {kept}"
             met = row["held"] == row["episodes"] and row["contact_always"] and row["max_drift_mm"] < DRIFT_LIMIT
-        out.append(
-            _claim(
-                f"the paper's pipeline holds the cuboid, scenario {scenario}",
-                "drift below 1 mm, no contact lost",
-                said,
-                met,
-            )
-        )
-    return out
+        text = f"the paper's pipeline holds the cuboid, scenario {scenario}"
+        yield claim(text, f"drift below {DRIFT_LIMIT:g} mm, no contact lost", said, met)
 
 
-def _references(metrics: Metrics) -> list[Claim]:
+def _references(metrics: Metrics) -> Iterator[Claim]:
     """Numbers measured before, on the same definitions: this run should come near them."""
     known = (
         ("12-basis, held-out ball", "ball", BASIS, {"median": (32.0, 52.0), "p90": (80.0, 140.0)}, "median 42, p90 110"),
         ("previous solution, G^+, 3 % per step", "smooth", "previous_pseudoinverse", {"median": (1, 7), "p99": (17, 51)}, "median 4, p99 34"),
         ("previous solution, tangent, 3 % per step", "smooth", PREVIOUS, {"median": (0, 0), "p99": (0, 14)}, "median 0, p99 7"),
     )  # fmt: skip
-    out = []
     for text, name, key, ranges, before in known:
         row = _row(metrics, name, key)
         said = None if row is None else _said(row, *ranges)
         met = row and all(low <= row["iterations"][q] <= high for q, (low, high) in ranges.items())
-        out.append(_claim(f"{text}, as measured before", f"about {before}", said, bool(met), "reference"))
-    return out
+        yield claim(f"{text}, as measured before", f"about {before}", said, bool(met), "reference")

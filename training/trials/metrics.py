@@ -1,16 +1,19 @@
-"""Numbers of a report from saved trials: pure functions, nothing is solved here."""
+"""Numbers of a report from saved trials: pure functions of arrays, numpy only, nothing is solved here.
+
+A new number of a start is a function and its line in `PER_START`, a new part of the report's numbers one in `METRICS`.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from grasp_env._check import Array
-from grasp_env.grasp.wrench import PAPER_CONSTANT
 from training.cases.set_table import SETS
-from training.cases.start_table import LABELS, LEARNED, MODELS
-from training.runs import Run
+from training.cases.start_table import LEARNED, MODELS
+from training.runs.statistics import spread
 from training.trials.arrays import (
     BUDGETS,
     LEVELS,
@@ -21,9 +24,13 @@ from training.trials.arrays import (
     NOT_APPLICABLE,
     SCENARIOS,
     Trials,
+    starts_in,
     worse,
 )
 from training.trials.claims import claims, training_seconds, wins
+
+if TYPE_CHECKING:
+    from training.runs import Run
 
 BASIS = "linear_combination"
 PAPER_TABLE: dict[str, dict[str, Any]] = {
@@ -35,24 +42,25 @@ PAPER_TABLE: dict[str, dict[str, Any]] = {
 """Table I and the steps quoted below it."""
 
 
+class Saved:
+    """What a run has saved, each file read once."""
+
+    def __init__(self, run: Run) -> None:
+        self.run, self.about = run, run.read_json("run.json")
+        self.trials = {
+            name: run.read_arrays(f"trials/{name}.npz") for name in SETS if run.path(f"trials/{name}.npz").is_file()
+        }
+
+    @cached_property
+    def timing(self) -> Trials:
+        """Microseconds, see `timing.time_calls`."""
+        return self.run.read_arrays("timing.npz")
+
+
 def metrics_of(run: Run) -> dict[str, Any]:
     """Everything that a report says, from the files of a run."""
-    trials = {name: run.read_arrays(f"trials/{name}.npz") for name in SETS if run.path(f"trials/{name}.npz").is_file()}
-    about, timing = run.read_json("run.json"), run.read_arrays("timing.npz")
-    metrics: dict[str, Any] = {
-        "run": about,
-        "sets": {name: set_metrics(name, arrays) for name, arrays in trials.items()},
-        "starts": {
-            method: {name: start_metrics(arrays, method) for name, arrays in trials.items()} for method in METHODS
-        },
-        "events": {name: found for name, arrays in trials.items() if (found := event_metrics(name, arrays))},
-        "timing": timing_metrics(timing),
-        "table_one": table_one(trials["constant"]),
-        "continuity": continuity_metrics(run.read_arrays("continuity.npz")),
-        "guarantee": guarantee_metrics(run.read_arrays("guarantee.npz")),
-        "rollouts": rollout_metrics(run.read_arrays("rollouts.npz")),
-    }
-    metrics["break_even"] = break_even(timing, about["models"])
+    saved = Saved(run)
+    metrics: dict[str, Any] = {name: metric(saved) for name, metric in METRICS.items()}
     metrics["wins"] = wins(metrics)
     metrics["claims"] = claims(metrics)
     return metrics
@@ -66,35 +74,30 @@ def set_metrics(name: str, trials: Trials) -> dict[str, Any]:
     return {"label": info.label, "group": info.group, "cases": count, "contacts": contacts, "note": info.note}
 
 
-def start_metrics(trials: Trials, method: str) -> dict[str, Any]:
-    """Per start: iterations, gaps, feasibility, and what did not work."""
-    out: dict[str, Any] = {}
-    for key in LABELS:
-        if f"{method}/{key}/status" not in trials:
-            continue
-        base = f"{method}/{key}"
-        status = trials[f"{base}/status"]
-        exists = status < NO_START
-        reached = trials[f"{base}/iterations_to"][exists]
-        after = trials[f"{base}/gap_after"][exists]
-        out[key] = {
-            "cases": int((status != NOT_APPLICABLE).sum()),
-            "not_applicable": int((status == NOT_APPLICABLE).sum()),
-            "no_start": int((status == NO_START).sum()),
-            "not_converged": int(((status == 1) | (status == 2)).sum()),
-            "iterations": spread(censored(trials[f"{base}/iterations"][exists])),
-            "start_gap": spread(trials[f"{key}/gap"][exists]),
-            "iterations_to": {
-                f"1e-{k + 1}": {**_points(censored(reached[:, k])), "unreached": int((reached[:, k] < 0).sum())}
-                for k in range(len(LEVELS[method]))
-            },
-            "gap_after": {str(budget): _points(after[:, k]) for k, budget in enumerate(BUDGETS)},
-            "margin_min": _extreme(trials[f"{key}/margin"], np.nanmin),
-            "residual_max": _extreme(trials[f"{key}/residual"], np.nanmax),
-            "raw": raw_metrics(trials, key) if f"{key}/raw_gap" in trials else None,
-            "worse_than_basis": worse_than_basis(trials, key) if key in LEARNED else None,
-        }
-    return out
+class Column:
+    """What a trials file holds of one start by one method; `exists` says where there is a start at all."""
+
+    def __init__(self, trials: Trials, method: str, key: str) -> None:
+        self.trials, self.method, self.key = trials, method, key
+        self.status = trials[f"{method}/{key}/status"]
+        self.exists = self.status < NO_START
+
+    def run(self, name: str) -> np.ndarray:
+        """Of the runs from this start, where there are some."""
+        return self.trials[f"{self.method}/{self.key}/{name}"][self.exists]
+
+    def start(self, name: str) -> np.ndarray:
+        """Of the start itself, nan where there is none."""
+        return self.trials[f"{self.key}/{name}"]
+
+
+def iterations_to(column: Column) -> dict[str, Any]:
+    """Iterations to every gap of `LEVELS`, and how many runs never got there."""
+    reached = column.run("iterations_to")
+    return {
+        f"1e-{k + 1}": {**spread(censored(reached[:, k])), "unreached": int((reached[:, k] < 0).sum())}
+        for k in range(len(LEVELS[column.method]))
+    }
 
 
 def raw_metrics(trials: Trials, key: str) -> dict[str, Any] | None:
@@ -119,33 +122,50 @@ def worse_than_basis(trials: Trials, key: str) -> dict[str, int]:
     return {"count": int(worse(ratio).sum()), "of": int(both.sum())}
 
 
+PER_START: dict[str, Callable[[Column], Any]] = {
+    "cases": lambda column: int((column.status != NOT_APPLICABLE).sum()),
+    "not_applicable": lambda column: int((column.status == NOT_APPLICABLE).sum()),
+    "no_start": lambda column: int((column.status == NO_START).sum()),
+    "not_converged": lambda column: int(((column.status == 1) | (column.status == 2)).sum()),
+    "iterations": lambda column: spread(censored(column.run("iterations"))),
+    "start_gap": lambda column: spread(column.start("gap")[column.exists]),
+    "iterations_to": iterations_to,
+    "gap_after": lambda column: {
+        str(n): spread(rows) for n, rows in zip(BUDGETS, column.run("gap_after").T, strict=True)
+    },
+    "margin_min": lambda column: _extreme(column.start("margin"), np.nanmin),
+    "residual_max": lambda column: _extreme(column.start("residual"), np.nanmax),
+    "raw": lambda column: raw_metrics(column.trials, column.key) if f"{column.key}/raw_gap" in column.trials else None,
+    "worse_than_basis": lambda column: worse_than_basis(column.trials, column.key) if column.key in LEARNED else None,
+}
+"""Of every start, by every method, on every set."""
+
+
+def start_metrics(trials: Trials, method: str) -> dict[str, Any]:
+    """Per start: iterations, gaps, feasibility, and what did not work."""
+    columns = {key: Column(trials, method, key) for key in starts_in(trials, method)}
+    return {key: {name: metric(column) for name, metric in PER_START.items()} for key, column in columns.items()}
+
+
 def event_metrics(name: str, trials: Trials) -> dict[str, Any]:
     """Iterations of the flow per event of a set and start; empty where a set has no events."""
     events = trials["case/event"]
     if name == "directions" or not (events != "").any():
         return {}
-    out: dict[str, Any] = {}
+    shown, out = ("cases", "no_start", "iterations"), {}
     for event in np.unique(events).tolist():
         chosen = {column: values[events == event] for column, values in trials.items() if len(values) == len(events)}
-        rows = {}
-        for key in LABELS:
-            if f"{METHODS[0]}/{key}/status" in chosen:
-                status = chosen[f"{METHODS[0]}/{key}/status"]
-                rows[key] = {
-                    "cases": int((status != NOT_APPLICABLE).sum()),
-                    "no_start": int((status == NO_START).sum()),
-                    "iterations": spread(censored(chosen[f"{METHODS[0]}/{key}/iterations"][status < NO_START])),
-                }
-        out[event] = rows
+        columns = {key: Column(chosen, METHODS[0], key) for key in starts_in(chosen)}
+        out[event] = {key: {part: PER_START[part](column) for part in shown} for key, column in columns.items()}
     return out
 
 
 def timing_metrics(timing: Trials) -> dict[str, Any]:
     """Microseconds of the start alone and of the whole call: best of the repeats per wrench, and all of them."""
-    keys = [key for key in LABELS if f"{key}/start_us" in timing]
+    keys = [name.split("/")[0] for name in timing if name.endswith("/start_us")]
     repeats, count = timing[f"{keys[0]}/start_us"].shape
 
-    def both(values: Array) -> dict[str, Any]:
+    def both(values: np.ndarray) -> dict[str, Any]:
         some = np.isfinite(values).any(axis=0)
         return {"best": spread(np.nanmin(values[:, some], axis=0)), "raw": spread(values[np.isfinite(values)])}
 
@@ -189,20 +209,19 @@ def table_one(trials: Trials) -> dict[str, Any]:
         rows[key]["balance"] = float(normals[0] - normals[1:].sum())
         rows[key]["paper"] = {**paper, "sum": round(sum(paper["normals"]), 2)}
         rows[key]["paper"]["balance"] = round(paper["normals"][0] - sum(paper["normals"][1:]), 2)
-    return {"wrench": list(PAPER_CONSTANT), "rows": rows}
+    return {"wrench": trials["case/wrench"][0].tolist(), "rows": rows}
 
 
 def continuity_metrics(paths: Trials) -> dict[str, Any]:
     """Slopes, kinks and the largest jump of every start, and of the optimum."""
     out: dict[str, Any] = {}
-    for key in ("optimum", *LABELS):
-        if f"{key}/slope" in paths:
-            slope, kink = (paths[f"{key}/{column}"] for column in ("slope", "kink"))
-            out[key] = {
-                "slope": spread(slope[np.isfinite(slope)]),
-                "kink": spread(kink[np.isfinite(kink)]),
-                "jump_max": _extreme(paths[f"{key}/jump"], np.nanmax),
-            }
+    for key in (name.split("/")[0] for name in paths if name.endswith("/slope")):
+        slope, kink = (paths[f"{key}/{column}"] for column in ("slope", "kink"))
+        out[key] = {
+            "slope": spread(slope[np.isfinite(slope)]),
+            "kink": spread(kink[np.isfinite(kink)]),
+            "jump_max": _extreme(paths[f"{key}/jump"], np.nanmax),
+        }
     return out
 
 
@@ -231,10 +250,10 @@ def guarantee_metrics(trials: Trials) -> dict[str, Any]:
 def rollout_metrics(rollouts: Trials) -> dict[str, Any]:
     """Per scenario and start over its episodes: held, drift, slip, force error, iterations."""
     out: dict[str, Any] = {}
-    keys = {tuple(name.split("/")[:3]) for name in rollouts}
+    keys = dict.fromkeys(tuple(name.split("/")[:3]) for name in rollouts)
     for scenario in SCENARIOS:
         out[scenario] = {}
-        starts = [key for key in LABELS if any(name[:2] == (scenario, key) for name in keys)]
+        starts = dict.fromkeys(key for found, key, _ in keys if found == scenario)
         for start in starts:
             episodes = sorted((e for s, k, e in keys if (s, k) == (scenario, start)), key=int)
             pick = [{c: rollouts[f"{scenario}/{start}/{e}/{c}"] for c in _COLUMNS} for e in episodes]
@@ -265,7 +284,7 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def censored(iterations: Array) -> Array:
+def censored(iterations: np.ndarray) -> np.ndarray:
     """Iterations as numbers that can be ranked: a level never reached counts as `LIMIT` + 1.
 
     Example:
@@ -275,38 +294,25 @@ def censored(iterations: Array) -> Array:
     return np.where(iterations < 0, LIMIT + 1, iterations)
 
 
-def spread(values: Array) -> dict[str, Any]:
-    """Median with a 95 % interval, p90, p95, p99 and maximum of finite values (n,).
-
-    The interval is between order statistics, free of any distribution: what a bootstrap of the median comes to.
-
-    Example:
-        >>> row = spread(np.arange(101.0))
-        >>> row["median"], row["median_low"], row["median_high"], row["p99"]
-        (50.0, 40.0, 60.0, 99.0)
-    """
-    names = ("median", "p90", "p95", "p99", "max")
-    if values.size == 0:
-        return {"n": 0, **dict.fromkeys((*names, "median_low", "median_high"))}
-    order = np.sort(values.astype(np.float64))
-    half, centre = 0.98 * np.sqrt(order.size), 0.5 * (order.size - 1)
-    low, high = int(np.floor(centre - half + 0.5)), int(np.ceil(centre + half - 0.5))
-    points = np.percentile(order, [50, 90, 95, 99, 100])
-    return {
-        "n": int(order.size),
-        **{name: float(point) for name, point in zip(names, points, strict=True)},
-        "median_low": float(order[max(low, 0)]),
-        "median_high": float(order[min(high, order.size - 1)]),
-    }
-
-
-def _points(values: Array) -> dict[str, float | None]:
-    if values.size == 0:
-        return {"median": None, "p95": None, "p99": None}
-    median, p95, p99 = np.percentile(values, [50, 95, 99])
-    return {"median": float(median), "p95": float(p95), "p99": float(p99)}
-
-
-def _extreme(values: Array, kind: Any) -> float | None:
+def _extreme(values: np.ndarray, kind: Any) -> float | None:
     finite = values[np.isfinite(values)]
     return float(kind(finite)) if finite.size else None
+
+
+METRICS: dict[str, Callable[[Saved], Any]] = {
+    "run": lambda saved: saved.about,
+    "sets": lambda saved: {name: set_metrics(name, trials) for name, trials in saved.trials.items()},
+    "starts": lambda saved: {
+        method: {name: start_metrics(trials, method) for name, trials in saved.trials.items()} for method in METHODS
+    },
+    "events": lambda saved: {
+        name: found for name, trials in saved.trials.items() if (found := event_metrics(name, trials))
+    },
+    "timing": lambda saved: timing_metrics(saved.timing),
+    "table_one": lambda saved: table_one(saved.trials["constant"]),
+    "continuity": lambda saved: continuity_metrics(saved.run.read_arrays("continuity.npz")),
+    "guarantee": lambda saved: guarantee_metrics(saved.run.read_arrays("guarantee.npz")),
+    "rollouts": lambda saved: rollout_metrics(saved.run.read_arrays("rollouts.npz")),
+    "break_even": lambda saved: break_even(saved.timing, saved.about["models"]),
+}
+"""The parts of metrics.json; wins and claims are made of them."""
