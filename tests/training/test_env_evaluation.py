@@ -16,18 +16,9 @@ from training.runs import Run
 from training.runs.statistics import mean_interval, wilson
 from training.trials import hold_rates as env_evaluation
 from training.trials.hold_metrics import cell_metrics, choose, env_metrics, failures, paired
+from training.trials.hold_plan import CONTROLLERS, NO_START, SCENARIO_LABELS, Cell, plan
 from training.trials.hold_rates import evaluate_env
-from training.trials.holds import (
-    _NUMBERS,
-    CONTROLLERS,
-    NO_START,
-    SCENARIO_LABELS,
-    Cell,
-    cell_json,
-    columns,
-    plan,
-    run_trial,
-)
+from training.trials.holds import _NUMBERS, cell_json, columns, run_trial
 from training.trials.settings import EnvEvaluateConfig
 
 SHAPES = ("cuboid", "cylinder", "sphere", "capsule")

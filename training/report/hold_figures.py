@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from training.report.style import new_figure
 from training.trials.hold_metrics import ASKED_RATE, Trials
-from training.trials.holds import CONTROLLER_LABELS, SCENARIO_LABELS
+from training.trials.hold_plan import CONTROLLER_LABELS, SCENARIO_LABELS
 
 COLOURS = {"paper": "#1f5fa8", "estimated": "#2e8b57", "constant_squeeze": "#c08a3e", "pd": "#b3261e"}
 _SHAPE_COLOURS = {"cuboid": "#1f5fa8", "cylinder": "#2e8b57", "sphere": "#b3261e", "capsule": "#c08a3e"}

@@ -14,7 +14,7 @@ from training.report.style import close
 from training.runs import Run
 from training.runs.words import number
 from training.trials.hold_metrics import SAME_RULE, env_metrics, interval_text
-from training.trials.holds import BASELINES, CONTROLLER_LABELS, CURVES, ERRORS, SCENARIO_LABELS
+from training.trials.hold_plan import BASELINES, CONTROLLER_LABELS, CURVES, ERRORS, SCENARIO_LABELS
 
 FIGURES = {
     "rate_against_squeeze.png": "Hold rate against the squeeze it costs; the number beside a point is its "

@@ -2,51 +2,73 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
+from training.runs.claims import Claim, claim
 from training.runs.statistics import mean_interval, wilson
-from training.trials.holds import BASELINES, CONTROLLER_LABELS, CONTROLLERS, CURVES, NO_START, SCENARIO_LABELS
+from training.trials.arrays import Trials
+from training.trials.hold_plan import (
+    BASELINES,
+    CONTROLLER_LABELS,
+    CONTROLLERS,
+    CURVES,
+    NO_START,
+    RANDOM_WRENCH,
+    SCENARIO_LABELS,
+)
 
-Trials = dict[str, np.ndarray]
 ASKED_RATE = 0.99
 ASKED_DRIFT = 1e-3
 """[m] mean of the largest drift, random cuboids."""
 PATH_DRIFT = 1e-4
 """[m] under W_ext(t) x 0.25."""
 MARGIN_RULE = (
-    "the largest friction margin, which is the least squeeze, that holds at least 99 % of the episodes; where "
+    f"the largest friction margin, which is the least squeeze, that holds at least {100 * ASKED_RATE:g} % of the episodes; where "
     "none does, the one that holds most (of equals the largest)"
 )
-SAME_RULE = "the least squeeze that holds at least 99 %; where none does, the one that holds most (of equals the least)"
+SAME_RULE = f"the least squeeze that holds at least {100 * ASKED_RATE:g} %; where none does, the one that holds most (of equals the least)"
+
+
+class Episodes:
+    """The trials of a cell: which were held, which started at all."""
+
+    def __init__(self, trials: Trials) -> None:
+        self.trials, self.held = trials, trials["held"].astype(bool)
+        self.started = trials["failure"] != NO_START
+
+    def of(self, name: str, which: np.ndarray, factor: float = 1.0) -> np.ndarray:
+        """A column of some of them."""
+        return factor * self.trials[name][which]
+
+
+CELL_METRICS: dict[str, Callable[[Episodes], Any]] = {
+    "episodes": lambda cell: len(cell.held),
+    "held": lambda cell: int(cell.held.sum()),
+    "rate": lambda cell: float(cell.held.mean()),
+    "rate_low": lambda cell: wilson(int(cell.held.sum()), len(cell.held))[0],
+    "rate_high": lambda cell: wilson(int(cell.held.sum()), len(cell.held))[1],
+    "started": lambda cell: int(cell.started.sum()),
+    "failures": lambda cell: _counted(_causes(cell.trials)[~cell.held]),
+    "unreachable": lambda cell: int(cell.trials["redrawn"].sum()),
+    "max_drift_mm": lambda cell: mean_interval(cell.of("max_drift", cell.held, 1e3)),
+    "mean_drift_mm": lambda cell: mean_interval(cell.of("mean_drift", cell.held, 1e3)),
+    "largest_drift_mm": lambda cell: float(cell.of("max_drift", cell.held, 1e3).max(initial=0.0)),
+    "max_tilt_deg": lambda cell: mean_interval(np.degrees(cell.of("max_tilt", cell.held))),
+    "slip_mm": lambda cell: mean_interval(cell.of("slip_distance", cell.held, 1e3)),
+    "normal_force": lambda cell: mean_interval(cell.of("normal_force", cell.started)),
+    "peak_torque": lambda cell: float(cell.of("peak_torque", cell.started).max(initial=0.0)),
+    "peak_torque_mean": lambda cell: mean_interval(cell.of("peak_torque", cell.started)),
+    "iterations": lambda cell: mean_interval(cell.of("iterations", cell.started)),
+}
+"""Of every cell: drift, tilt and slip of the episodes that were held, squeeze, torque and iterations of those that started."""
 
 
 def cell_metrics(trials: Trials) -> dict[str, Any]:
-    """Rate with its Wilson interval; drift, squeeze and torque of the episodes that started; failures by cause."""
-    held, failure = trials["held"].astype(bool), trials["failure"]
-    started = failure != NO_START
-    low, high = wilson(int(held.sum()), len(held))
-    causes, counts = np.unique(_causes(trials)[~held], return_counts=True)
-    return {
-        "episodes": len(held),
-        "held": int(held.sum()),
-        "rate": float(held.mean()),
-        "rate_low": low,
-        "rate_high": high,
-        "started": int(started.sum()),
-        "failures": dict(zip(causes.tolist(), counts.tolist(), strict=True)),
-        "unreachable": int(trials["redrawn"].sum()),
-        "max_drift_mm": mean_interval(1e3 * trials["max_drift"][held]),
-        "mean_drift_mm": mean_interval(1e3 * trials["mean_drift"][held]),
-        "largest_drift_mm": float(1e3 * trials["max_drift"][held].max(initial=0.0)),
-        "max_tilt_deg": mean_interval(np.degrees(trials["max_tilt"][held])),
-        "slip_mm": mean_interval(1e3 * trials["slip_distance"][held]),
-        "normal_force": mean_interval(trials["normal_force"][started]),
-        "peak_torque": float(trials["peak_torque"][started].max(initial=0.0)),
-        "peak_torque_mean": mean_interval(trials["peak_torque"][started]),
-        "iterations": mean_interval(trials["iterations"][started]),
-    }
+    """All of `CELL_METRICS`."""
+    return {name: metric(Episodes(trials)) for name, metric in CELL_METRICS.items()}
 
 
 def shape_metrics(trials: Trials) -> dict[str, dict[str, Any]]:
@@ -141,54 +163,42 @@ def env_metrics(cells: list[dict[str, Any]], trials: dict[str, Trials]) -> dict[
         "margin_rule": MARGIN_RULE,
         "failures": [row for cell in cells for row in failures(cell["name"], trials[cell["name"]])],
     }
-    metrics["claims"] = claims(named, metrics["shapes"], chosen)
+    metrics["claims"] = list(claims(named, metrics["shapes"], chosen))
     return metrics
 
 
 def claims(
-    named: dict[str, dict[str, Any]],
-    shapes: dict[str, Any],
-    chosen: dict[str, dict[str, dict[str, Any]]],
-) -> list[dict[str, Any]]:
+    named: dict[str, dict[str, Any]], shapes: dict[str, Any], chosen: dict[str, dict[str, dict[str, Any]]]
+) -> Iterator[Claim]:
     """What was asked for, what was measured, and whether that is enough."""
-    out = []
-    for name, text in (
-        (
-            "objects/paper",
-            "the paper's pipeline holds random objects against a random wrench (2 N, 0.06 N m per axis) for 4 s",
-        ),
-        ("six_directions/paper", "the paper's pipeline holds random objects in six_directions"),
-    ):
+    force, moment, seconds = (RANDOM_WRENCH[name] for name in ("random_force", "random_moment", "duration"))
+    against = f"against a random wrench ({force:g} N, {moment:g} N m per axis) for {seconds:g} s"
+    for name, text in (("objects/paper", against), ("six_directions/paper", "in six_directions")):
         if name in named:
-            row = named[name]
-            out.append(_claim(text, "at least 99 % of episodes", rate_text(row), row["rate"] >= ASKED_RATE))
+            row, asked = named[name], f"at least {100 * ASKED_RATE:g} % of episodes"
+            yield claim(
+                f"the paper's pipeline holds random objects {text}", asked, rate_text(row), row["rate"] >= ASKED_RATE
+            )
     if "cuboid" in shapes.get("paper", {}):
         drift = shapes["paper"]["cuboid"]["max_drift_mm"]
-        met = drift["mean"] is not None and drift["mean"] < 1e3 * ASKED_DRIFT
         text = "mean over the random cuboids that were held of an episode's largest drift"
-        out.append(_claim(text, "below 1 mm", interval_text(drift, "mm"), met))
+        met = drift["mean"] is not None and drift["mean"] < 1e3 * ASKED_DRIFT
+        yield claim(text, f"below {1e3 * ASKED_DRIFT:g} mm", interval_text(drift, "mm"), met)
     if "path_0.25/paper" in named:
         row = named["path_0.25/paper"]
         met = row["held"] == row["episodes"] and row["largest_drift_mm"] < 1e3 * PATH_DRIFT
         measured = f"{'held' if row['held'] else 'lost'}, {row['largest_drift_mm']:.2g} mm, torque up to {row['peak_torque']:.2g} N m"
-        out.append(_claim("W_ext(t) x 0.25 on the 0.1 m cuboid", "held, drift below 0.1 mm", measured, met))
+        yield claim("W_ext(t) x 0.25 on the 0.1 m cuboid", f"held, drift below {1e3 * PATH_DRIFT:g} mm", measured, met)
     for scenario, rows in chosen.items():
-        best = rows.get("paper")
-        if best is None:
-            continue
-        label = SCENARIO_LABELS[scenario]
-        for key in BASELINES:
-            other = rows.get(key)
-            if other is None:
-                continue
+        for key in [key for key in BASELINES if key in rows and "paper" in rows]:
+            best, other = rows["paper"], rows[key]
             text = (
-                f"{label}: the paper's pipeline with friction margin {best['swept']:g}, chosen from its curve, against "
-                f"{CONTROLLER_LABELS[key]} at its own choice of {other['swept']:g} N"
+                f"{SCENARIO_LABELS[scenario]}: the paper's pipeline with friction margin {best['swept']:g}, chosen from its curve, "
+                f"against {CONTROLLER_LABELS[key]} at its own choice of {other['swept']:g} N"
             )
-            asked = "a higher rate, or the same with less squeeze"
             better = (best["rate"], -_mean(best)) > (other["rate"], -_mean(other))
-            out.append(_claim(text, asked, f"{_with_force(best)}; against {_with_force(other)}", better))
-    return out
+            measured = f"{_with_force(best)}; against {_with_force(other)}"
+            yield claim(text, "a higher rate, or the same with less squeeze", measured, better)
 
 
 def rate_text(row: dict[str, Any]) -> str:
@@ -214,8 +224,9 @@ def _mean(row: dict[str, Any]) -> float:
     return np.inf if row["normal_force"]["mean"] is None else row["normal_force"]["mean"]
 
 
-def _claim(text: str, asked: str, measured: str, met: bool) -> dict[str, Any]:
-    return {"claim": text, "asked": asked, "measured": measured, "met": bool(met)}
+def _counted(words: np.ndarray) -> dict[str, int]:
+    names, counts = np.unique(words, return_counts=True)
+    return dict(zip(names.tolist(), counts.tolist(), strict=True))
 
 
 def _pick(trials: Trials, which: np.ndarray) -> Trials:

@@ -13,7 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from training.runs import Run, default_name, provenance
 from training.runs.workers import begin, one_thread, pool
-from training.trials.holds import Cell, cell_json, columns, plan, run_chunk
+from training.trials.hold_plan import Cell, plan
+from training.trials.holds import cell_json, columns, run_chunk
 from training.trials.settings import EnvEvaluateConfig
 
 CHUNK = 4
