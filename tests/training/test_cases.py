@@ -10,11 +10,12 @@ import pytest
 from grasp_env.force import Objective, phase_one
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
-from training.cases.grasps import DISPLACEMENT, FRICTIONS, closed_grasp, grasp_cases
+from training.cases.grasps import DISPLACEMENT, FRICTIONS, grasp_cases
 from training.cases.recorded import IMPACT, record, recorded_cases, without
 from training.cases.set_table import GROUPS, SETS
 from training.cases.sets import directions, fixed_cases
 from training.cases.starts import carried, near_fixed
+from training.data.grasps import EVALUATION
 from training.trials.compare import cases_of
 
 RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
@@ -74,7 +75,7 @@ def test_near_grasps_are_near_and_random_ones_close():
         assert 0.0 < np.linalg.norm(moved, axis=1).max() <= DISPLACEMENT
         assert near_fixed(case.grasp)
     for count in (3, 4, 5):
-        grasp = closed_grasp(np.random.default_rng(count), count)
+        grasp = EVALUATION.closed(np.random.default_rng(count), count)
         assert grasp.n_contacts == count
         assert phase_one(grasp, np.zeros(6)).margin > 0.0
         assert not near_fixed(grasp)

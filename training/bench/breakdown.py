@@ -14,6 +14,7 @@ import numpy as np
 
 from grasp_env.env import FourFingerGrasp
 from grasp_env.sim import bullet as engine
+from training.bench.bare import STEPS, bare_loop, record
 
 _WRITES = ("setJointMotorControlArray", "applyExternalForce", "applyExternalTorque", "stepSimulation")
 _READS = ("getJointStates", "getBasePositionAndOrientation", "getBaseVelocity", "getContactPoints")
@@ -81,20 +82,18 @@ class TimedModule:
         return getattr(self._module, name)
 
 
-def breakdown(env: FourFingerGrasp, seed: int, rounds: int, steps: int = 100) -> list[dict[str, Any]]:
+def breakdown(env: FourFingerGrasp, seed: int, rounds: int) -> list[dict[str, Any]]:
     """Microseconds per agent step of each piece, best of `rounds` episodes, and of as many bare loops; closes `env`.
 
     Returns:
         [{part, what, us, calls, share}], the bare PyBullet calls first; `calls` is per agent step.
     """
-    from training.bench.env import bare_loop, record
-
     whole: Any = env
     action = np.zeros(env.action_space.shape or (), dtype=np.float32)
     patched: Any = engine
     bullet = patched.bullet
     try:
-        recorded = record(env, seed, action)
+        recorded = record(env, seed)
         found: list[tuple[dict[str, int], dict[str, int]]] = []
         alone: list[tuple[int, int]] = []
         for _ in range(rounds + 1):
@@ -113,7 +112,7 @@ def breakdown(env: FourFingerGrasp, seed: int, rounds: int, steps: int = 100) ->
             patched.bullet = TimedModule(TimedModule(bullet, watch, "reads", _READS), watch, "writes", _WRITES)
             try:
                 step = watch.around("step", env.step)
-                for _ in range(steps):
+                for _ in range(STEPS):
                     step(action)
             finally:
                 patched.bullet = bullet
@@ -128,7 +127,7 @@ def breakdown(env: FourFingerGrasp, seed: int, rounds: int, steps: int = 100) ->
         total = sum(spent.values())
         return [
             {
-                "part": name, "what": what, "us": 1e-3 * spent[name] / steps, "calls": calls.get(name, 0) / steps,
+                "part": name, "what": what, "us": 1e-3 * spent[name] / STEPS, "calls": calls.get(name, 0) / STEPS,
                 "share": spent[name] / total,
             }
             for name, what in PARTS.items()

@@ -13,12 +13,12 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from grasp_env.env import FourFingerGrasp
 from grasp_env.errors import SimulationError
 from grasp_env.sim.client import bullet
 from policies import LearnedInitialForce
+from training.bench.bare import STEPS, bare_loop, record
 from training.bench.breakdown import breakdown
 from training.runs import provenance
 from training.runs.claims import bounded
@@ -33,7 +33,6 @@ ROWS: dict[str, dict[str, Any]] = {
     "PD only": {"controller": "pd"},
 }
 NEW_OBJECT = ("shape", "size", "mass", "friction")
-_STEPS = 100
 ASKED = {"per_second": 1000.0, "ratio": 1.25, "same_ms": 5.0, "new_ms": 40.0, "mib": 60.0, "growth_mib": 1.0}
 
 
@@ -102,12 +101,12 @@ def steps_beside_bare(settings: dict[str, Any], seed: int, rounds: int, wrapped:
     try:
         inner: FourFingerGrasp = env.unwrapped
         action = np.zeros(env.action_space.shape, dtype=np.float32)
-        recorded = record(inner, seed, action)
+        recorded = record(inner, seed)
         ours, bare = [], []
         for turn in range(rounds + 1):
             env.reset(seed=seed)
             begin = time.perf_counter_ns()
-            for _ in range(_STEPS):
+            for _ in range(STEPS):
                 env.step(action)
             taken = time.perf_counter_ns() - begin
             pose = _pose(inner)
@@ -118,8 +117,8 @@ def steps_beside_bare(settings: dict[str, Any], seed: int, rounds: int, wrapped:
                     "the bare loop went another way than the environment: the comparison would not be fair"
                 )
             if turn:  # the first is warm-up
-                ours.append(1e-3 * taken / _STEPS)
-                bare.append(1e-3 * alone / _STEPS)
+                ours.append(1e-3 * taken / STEPS)
+                bare.append(1e-3 * alone / STEPS)
         best, best_bare = min(ours), min(bare)
         return {
             "per_second": 1e6 / best, "us": best, "us_median": float(np.median(ours)), "bare_us": best_bare,
@@ -128,55 +127,6 @@ def steps_beside_bare(settings: dict[str, Any], seed: int, rounds: int, wrapped:
         }  # fmt: skip
     finally:
         env.close()
-
-
-Recorded = list[tuple[list[float], list[float] | None]]
-
-
-def record(env: FourFingerGrasp, seed: int, action: NDArray[np.float32]) -> Recorded:
-    """Torques and wrench of every physics step of the first `_STEPS` agent steps."""
-    env.reset(seed=seed)
-    scene: Any = env.scene
-    out: Recorded = []
-    advance = scene.advance
-
-    def keep(torques: list[float], wrench: list[float] | None) -> None:
-        out.append((list(torques), wrench))
-        advance(torques, wrench)
-
-    scene.advance = keep
-    try:
-        for _ in range(_STEPS):
-            env.step(action)
-    finally:
-        del scene.advance
-    return out
-
-
-def bare_loop(env: FourFingerGrasp, recorded: Recorded) -> tuple[int, int]:
-    """The calls that `Scene.advance` and `Scene.look` make, and nothing else; nanoseconds of writes with steps, of reads."""
-    scene, world = env.scene, env.scene.simulator.world
-    client, hand, body, joints = scene.simulator.client.number, world.hand, world.object, world.joints
-    mode, frame, origin = bullet.TORQUE_CONTROL, bullet.LINK_FRAME, (0.0, 0.0, 0.0)
-    each = env.config.physics_rate // env.config.control_rate
-    clock, writes, reads = time.perf_counter_ns, 0, 0
-    for k, (torques, wrench) in enumerate(recorded):
-        begin = clock()
-        bullet.setJointMotorControlArray(hand, joints, mode, forces=torques, physicsClientId=client)
-        if wrench is not None:
-            bullet.applyExternalForce(body, -1, wrench[:3], origin, frame, client)
-            bullet.applyExternalTorque(body, -1, wrench[3:], frame, client)
-        bullet.stepSimulation(client)
-        middle = clock()
-        if (k + 1) % each == 0:
-            bullet.getJointStates(hand, joints, client)
-            bullet.getBasePositionAndOrientation(body, client)
-            bullet.getBaseVelocity(body, client)
-            bullet.getContactPoints(hand, body, physicsClientId=client)
-        end = clock()
-        writes += middle - begin
-        reads += end - middle
-    return writes, reads
 
 
 def reset_times(settings: dict[str, Any], seed: int, count: int) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
@@ -14,8 +15,9 @@ from grasp_env.errors import GraspError
 from grasp_env.force import LinearCombination
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
-from training.cases.grasps import closes, displaced
 from training.cases.sets import Case, Problem, generator
+from training.data.episodes import episode
+from training.data.grasps import EVALUATION, slid
 
 HANDS = ("three_finger", "four_finger", "five_finger")
 STEPS = 100
@@ -68,15 +70,11 @@ def record(
             duration=STEPS / 50,
             **(settings or RANDOM_OBJECTS),
         )
-        nothing = np.zeros(env.action_space.shape or (1,), dtype=np.float32)
         try:
             for k in range(place, episodes, len(hands)):
-                env.reset(seed=seeds[k])
-                recorder.problems = found[k]
-                for _ in range(steps):
-                    _, _, terminated, truncated, _ = env.step(nothing)
-                    if terminated or truncated:
-                        break
+                running = episode(env, seeds[k], most=steps)
+                recorder.problems = found[k]  # what closing the fingers asked is none of them
+                deque(running, maxlen=0)
         finally:
             env.close()
     return found
@@ -122,8 +120,8 @@ def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int)
             cases.append(Case(*now, (fewer_before, old[1]), group, "landed"))
             break
     try:
-        slipped = displaced(rng, now[0], *SLIP, only=int(rng.integers(count)))
-        if closes(slipped):
+        slipped = slid(rng, now[0], *SLIP, only=int(rng.integers(count)))
+        if EVALUATION.closes(slipped):
             cases.append(Case(slipped, now[1], old, group, "slipped"))
     except GraspError:
         pass
@@ -137,7 +135,7 @@ def without(grasp: Grasp, finger: int) -> Grasp | None:
         return None
     try:
         rest = Grasp.from_contacts(grasp.positions[keep], grasp.normals[keep], grasp.friction[keep])
-        return rest if closes(rest) else None
+        return rest if EVALUATION.closes(rest) else None
     except GraspError:
         return None
 

@@ -17,7 +17,7 @@ from grasp_env.force.basis import core_contacts
 from grasp_env.force.record import BOUND, FORCE, OBJECTIVE, record_size
 from grasp_env.grasp import Grasp
 from policies.newton_layers import Problems
-from training.data.grasps import closed, displaced, random_grasps
+from training.data.grasps import basis_of, random_grasps, shaken
 
 OBJECTIVE_LEARNED = Objective()
 UNIT = float(np.sqrt(OBJECTIVE_LEARNED.weights(1)[0, 1] / OBJECTIVE_LEARNED.weights(1)[0, 0]))
@@ -149,8 +149,8 @@ def _with_twins(
     while len(made) < count:
         pair = random_grasps(rng, 1, OBJECTIVE_LEARNED, contacts)
         if rng.random() < TWINS and len(made) + 1 < count:
-            twin = displaced(rng, pair[0][0], 0.008, 0.15)
-            basis = closed(twin, OBJECTIVE_LEARNED)
+            twin = shaken(rng, pair[0][0], 0.008, 0.15)
+            basis = basis_of(twin, OBJECTIVE_LEARNED)
             pair += [(twin, basis)] if basis is not None else []
         here = len(made)
         made += pair

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Generator, Iterator
 from contextlib import closing, contextmanager, suppress
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import InitialForceRule
-from policies import Policy, ZeroPolicy
+from policies import Policy
+from training.data.episodes import episode
 
 SUFFIXES = (".png", ".mp4", ".gif", ".webp")
 FRAME_RATE = 25
@@ -71,7 +71,6 @@ def record(
 def _frames(env: gym.Env[Any, Any], seed: int, policy: Policy | None, only_last: bool) -> Generator[np.ndarray]:
     """The pictures of one episode; a bar on a terminal shows how far it is."""
     rate = int(env.metadata["render_fps"])
-    policy = policy or ZeroPolicy(int(np.prod(env.action_space.shape or (0,))))
     every = max(1, round(rate / FRAME_RATE))
     duration = getattr(getattr(env.unwrapped, "config", None), "duration", None)
     steps = None if duration is None else max(1, round(duration * rate))
@@ -79,15 +78,10 @@ def _frames(env: gym.Env[Any, Any], seed: int, policy: Policy | None, only_last:
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("recording", total=steps)
-        observation, _ = env.reset(seed=seed)
-        for step in count():
-            observation, _, terminated, truncated, _ = env.step(policy.predict(observation)[0])
-            last = terminated or truncated
-            if last or (step % every == 0 and not only_last):
+        for place, step in enumerate(episode(env, seed, policy)):
+            if step.last or (place % every == 0 and not only_last):
                 yield np.asarray(env.render())
             progress.advance(task)
-            if last:
-                return
 
 
 def _write(path: Path, frames: Iterator[np.ndarray]) -> None:

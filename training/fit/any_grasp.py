@@ -18,7 +18,7 @@ from policies.checkpoint import Checkpoint
 from policies.newton_layers import NewtonLayers, newton_step, phi
 from training.data import any_grasp as any_dataset
 from training.data.any_grasp import Pool, make_pool
-from training.data.grasps import FRICTION
+from training.data.grasps import TRAINING
 from training.fit.loop import Plan, optimise
 from training.fit.settings import AnyFitConfig
 from training.fit.soap import Soap
@@ -136,7 +136,7 @@ def fit_any(
         numbers={"layers": config.layers, "width": config.width},
         ranges={
             "magnitude": (any_dataset.TINY[0] / any_dataset.UNIT, any_dataset.MAGNITUDES[1] / any_dataset.UNIT),
-            "friction": FRICTION,
+            "friction": TRAINING.friction,
             "contacts": (3, any_dataset.MOST_CONTACTS),
         },
         card=_card(config, command, now, module, train, held_out),

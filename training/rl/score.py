@@ -10,6 +10,7 @@ import numpy as np
 from grasp_env.force import InitialForceRule
 from policies.agent_files import ENV_ID
 from policies.controllers import Policy
+from training.data.episodes import episode
 
 
 def score(
@@ -36,22 +37,15 @@ def score(
     iterations: list[int] = []
     try:
         for seed in seeds:
-            observation, info = env.reset(seed=seed)
-            done, total, squeeze, drift, spent = False, 0.0, 0.0, 0.0, []
-            while not done:
-                action, _ = policy.predict(observation, deterministic=True)
-                observation, reward, terminated, truncated, info = env.step(action)
-                done = terminated or truncated
-                total += float(reward)
-                squeeze += float(info["commanded_force"][:, 0].sum())
-                drift = max(drift, float(info["drift"]))
-                spent.append(int(info["iterations"]))
-            held = bool(info["is_success"]) and not info["failure"]
-            steps = len(spent)
-            rows.append((float(held), float(steps), total, sum(spent) / steps, squeeze / steps, drift))
+            steps = list(episode(env, seed, policy))
+            infos, spent = [step.info for step in steps], [int(step.info["iterations"]) for step in steps]
+            squeeze = [float(info["commanded_force"][:, 0].sum()) for info in infos]
+            held = bool(infos[-1]["is_success"]) and not infos[-1]["failure"]
+            total, drift = sum(step.reward for step in steps), max(float(info["drift"]) for info in infos)
+            rows.append((held, len(steps), total, sum(spent) / len(steps), sum(squeeze) / len(steps), drift))
             iterations += spent
     finally:
         env.close()
     names = ("held", "steps", "return", "mean_iterations", "squeeze", "drift")
-    out = dict(zip(names, np.array(rows).T, strict=True))
+    out = dict(zip(names, np.array(rows, dtype=float).T, strict=True))
     return {**out, "iterations": np.array(iterations)}

@@ -10,9 +10,9 @@ from grasp_env.force import InitialForceRule, Objective, OfflineBasis
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.wrench import magnitude, sample_magnitudes
 from policies import LearnedInitialForce
-from training.cases.grasps import closed_grasp
 from training.cases.sets import HELD_OUT
 from training.cases.start_table import MODELS
+from training.data.grasps import EVALUATION
 from training.trials.arrays import MAGNITUDES, Trials
 
 RANDOM_GRASPS = {"random_4": 4, "random_3": 3, "random_5": 5}
@@ -75,7 +75,9 @@ def guarantee(models: dict[str, LearnedInitialForce], count: int, seed: int) -> 
         sets: dict[str, list[Grasp]] = {"fixed": [presets.paper_cuboid()]}
         if key == "learned_any":
             rng = np.random.default_rng([HELD_OUT, seed, 1 << 23])
-            sets |= {name: [closed_grasp(rng, n) for _ in range(_GRASPS_EACH)] for name, n in RANDOM_GRASPS.items()}
+            sets |= {
+                name: [EVALUATION.closed(rng, n) for _ in range(_GRASPS_EACH)] for name, n in RANDOM_GRASPS.items()
+            }
         for name, grasps in sets.items():
             parts = [
                 never_worse(model, grasp, max(1, count // len(grasps)), [HELD_OUT, seed, MODELS.index(key), k])

@@ -15,6 +15,7 @@ from grasp_env.sim import HandKinematics, ObjectDescription
 from grasp_env.sim.grasp_points import grasp_points
 from grasp_env.sim.hand import HANDS
 from grasp_env.sim.objects import random_object
+from training.data.episodes import episode
 from training.trials.hold_plan import NO_START, Cell
 
 _REDRAWS = 100
@@ -56,16 +57,8 @@ def run_trial(settings: dict[str, Any], random_objects: bool, seed: int) -> dict
     except GraspError as error:
         return {**row, **_summary([], NO_START, str(error))}
     try:
-        _, info = env.reset(seed=seed)
-        row.update(_object_columns(config, info))
-        nothing = np.zeros(env.action_space.shape or (1,), dtype=np.float32)
-        steps: list[dict[str, Any]] = []
-        done = False
-        while not done:
-            _, _, terminated, truncated, info = env.step(nothing)
-            steps.append(info)
-            done = terminated or truncated
-        return {**row, **_summary(steps, str(info["failure"]), "")}
+        infos = [step.info for step in episode(env, seed)]
+        return {**row, **_object_columns(config, infos[0]), **_summary(infos, str(infos[-1]["failure"]), "")}
     finally:
         env.close()
 

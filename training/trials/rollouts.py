@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 
 from grasp_env.force import InitialForceRule, Objective
-from policies.controllers import Policy, ZeroPolicy
+from policies.controllers import Policy
+from training.data.episodes import episode
 from training.trials.arrays import RANDOM_SCENARIOS, SCENARIOS
 
 _SCALARS = (
@@ -49,19 +48,10 @@ def roll_out(
         **SCENARIOS[scenario],
     )
     try:
-        policy = policy or ZeroPolicy()
-        observation, info = env.reset(seed=seed)
-        rows: list[dict[str, Any]] = []
-        rewards = []
-        done = False
-        while not done:
-            action, _ = policy.predict(observation, deterministic=True)
-            observation, reward, terminated, truncated, info = env.step(action)
-            rows.append(info)
-            rewards.append(float(reward))
-            done = terminated or truncated
-        out = {name: np.array([row[name] for row in rows]) for name in (*_SCALARS, *_ARRAYS)}
-        return {**out, "reward": np.array(rewards), "failure": np.array(info["failure"])}
+        steps_taken = list(episode(env, seed, policy))
+        out = {name: np.array([step.info[name] for step in steps_taken]) for name in (*_SCALARS, *_ARRAYS)}
+        rewards, failure = [step.reward for step in steps_taken], steps_taken[-1].info["failure"]
+        return {**out, "reward": np.array(rewards), "failure": np.array(failure)}
     finally:
         env.close()
 
@@ -80,8 +70,8 @@ def roll_out_scenario(
         "<scenario>/<start>/<episode>/<column>" arrays.
     """
     out: dict[str, np.ndarray] = {}
-    for episode in range(episodes if scenario in RANDOM_SCENARIOS else 1):
+    for k in range(episodes if scenario in RANDOM_SCENARIOS else 1):
         for key, rule in rules.items():
-            rows = roll_out(scenario, rule, seed + episode, steps, objective=objective)
-            out.update({f"{scenario}/{key}/{episode}/{column}": value for column, value in rows.items()})
+            rows = roll_out(scenario, rule, seed + k, steps, objective=objective)
+            out.update({f"{scenario}/{key}/{k}/{column}": value for column, value in rows.items()})
     return out

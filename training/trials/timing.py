@@ -14,9 +14,9 @@ from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import ForceOptimizer, Objective, OfflineBasis
 from grasp_env.grasp import Grasp, presets
 from policies import LearnedInitialForce
-from training.cases.grasps import closed_grasp
 from training.cases.sets import HELD_OUT
 from training.cases.starts import Made, make_starts, phi_options
+from training.data.grasps import EVALUATION
 from training.trials.arrays import METHODS, Trials
 
 WARM_UP = 20
@@ -96,7 +96,7 @@ def time_calls(
 def time_bases(objective: Objective) -> Array:
     """(1 + BASES,) microseconds of the offline basis: of the fixed grasp, and of random ones of four contacts."""
     rng = np.random.default_rng([HELD_OUT, 1 << 21])
-    grasps = [presets.paper_cuboid(), *(closed_grasp(rng, 4) for _ in range(BASES))]
+    grasps = [presets.paper_cuboid(), *(EVALUATION.closed(rng, 4) for _ in range(BASES))]
     times = []
     for grasp in grasps:
         best = np.inf
