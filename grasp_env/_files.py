@@ -1,7 +1,8 @@
-"""How a file that a user names is read: regular files and pipes only, up to a size, never waiting for ever."""
+"""How a file that a user names is read (regular files and pipes only, up to a size, never waiting for ever) and written whole."""
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import os
@@ -9,7 +10,8 @@ import select
 import stat
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +136,30 @@ def unpacked(blob: bytes, most: int = WEIGHTS) -> dict[str, np.ndarray]:
     # what an entry says of its size it cannot exceed; what its array says of its own size is read against that
     with np.load(io.BytesIO(blob), allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A hidden name beside `path` to write to: it becomes `path` where the block ends, and is removed where the block raises."""
+    temporary = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def digest(*parts: bytes) -> str:
+    """The sha256 of bytes, one after another, in hexadecimal.
+
+    Example:
+        >>> digest(b"gra", b"sp") == digest(b"grasp")
+        True
+    """
+    made = hashlib.sha256()
+    for part in parts:
+        made.update(part)
+    return made.hexdigest()
 
 
 def as_path(path: Any, error: type[GraspError], what: str) -> Path:

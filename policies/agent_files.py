@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import os
@@ -14,9 +13,10 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from grasp_env._files import WEIGHTS, as_path, parsed, read_bytes, unpacked
+from grasp_env._files import WEIGHTS, as_path, digest, parsed, read_bytes, unpacked
 from grasp_env.errors import ModelFileError
 from grasp_env.observation import bounds
+from policies.checkpoint import signature
 
 SCHEMA = "grasp-force/rl-agent/1"
 ENV_ID = "FourFingerGrasp-v0"
@@ -56,10 +56,10 @@ def write_checkpoint(
         blobs |= {f"{stem}.npz": lambda values=values: _npz(values) for stem, values in arrays.items()}
         for name, make in blobs.items():
             blob = make()
-            hashes[name] = hashlib.sha256(blob).hexdigest()
+            hashes[name] = digest(blob)
             (hidden / name).write_bytes(blob)
         body = {"schema": SCHEMA, "env_id": ENV_ID, **meta, "steps": steps, "files": hashes}
-        text = json.dumps({**body, "sha256": _digest(body)}, indent=2, allow_nan=False)
+        text = json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False)
         (hidden / META).write_text(text + "\n", encoding="utf-8")
         if folder.exists():  # the same steps once more: the files may differ, the newer ones stay
             os.replace(folder, hidden.with_suffix(".old"))
@@ -129,7 +129,7 @@ def read_meta(folder: Path) -> dict[str, Any]:
             f"agent {file} gives {meta.get('action_size')!r} numbers as {meta.get('action')!r}; known: {ACTION_SIZES}"
         )
     body = {name: value for name, value in meta.items() if name != "sha256"}
-    if meta.get("sha256") != _digest(body):
+    if meta.get("sha256") != signature(body):
         raise ModelFileError(f"agent {file} does not match its own sha256, it was changed: {_AGAIN}")
     return meta
 
@@ -158,7 +158,7 @@ def _checked(folder: Path, meta: dict[str, Any], name: str) -> bytes:
     except OSError as error:
         raise ModelFileError(f"agent file {folder / name}: {error.strerror}; {_AGAIN}") from None
     files = meta.get("files")
-    if not isinstance(files, dict) or hashlib.sha256(blob).hexdigest() != files.get(name):
+    if not isinstance(files, dict) or digest(blob) != files.get(name):
         raise ModelFileError(f"agent file {folder / name} does not match its sha256: truncated or changed; {_AGAIN}")
     return blob
 
@@ -167,7 +167,3 @@ def _npz(values: dict[str, np.ndarray]) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, **values)  # type: ignore[arg-type]
     return buffer.getvalue()
-
-
-def _digest(body: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()

@@ -5,10 +5,8 @@ A file may come from anywhere: what is read, and what its numbers ask for, is bo
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-import os
 import stat
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +16,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from grasp_env._files import as_path
+from grasp_env._files import as_path, digest, replacing
 from grasp_env.errors import ModelFileError, shown
 
 SCHEMA = "grasp-force/initial-force/3"
@@ -58,12 +56,12 @@ class Checkpoint:
         body = {
             "schema": SCHEMA,
             "kind": self.kind,
-            "weights": hashlib.sha256(blob).hexdigest(),
+            "weights": digest(blob),
             "numbers": self.numbers,
             "ranges": {name: list(pair) for name, pair in self.ranges.items()},
             "card": self.card,
         }
-        text = (json.dumps({**body, "sha256": _digest(body)}, indent=2, allow_nan=False) + "\n").encode()
+        text = (json.dumps({**body, "sha256": signature(body)}, indent=2, allow_nan=False) + "\n").encode()
         replace(_file(stem, ".safetensors"), blob)
         replace(_file(stem, ".json"), text)
         return _file(stem, ".safetensors")
@@ -83,7 +81,7 @@ class Checkpoint:
         meta = _read_meta(_file(stem, ".json"))
         file = _file(stem, ".safetensors")
         blob = _read(file, MOST_WEIGHTS)
-        if hashlib.sha256(blob).hexdigest() != meta.get("weights"):
+        if digest(blob) != meta.get("weights"):
             raise ModelFileError(
                 f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; {_AGAIN}"
             )
@@ -153,9 +151,9 @@ def _pair(value: Any) -> tuple[float, float]:
     return low, high
 
 
-def _digest(body: dict[str, Any]) -> str:
+def signature(body: dict[str, Any]) -> str:
     """Of all that a description says."""
-    return hashlib.sha256(json.dumps(body, sort_keys=True, allow_nan=False).encode()).hexdigest()
+    return digest(json.dumps(body, sort_keys=True, allow_nan=False).encode())
 
 
 def _stem(path: str | Path) -> Path:
@@ -195,7 +193,7 @@ def _read_meta(file: Path) -> dict[str, Any]:
             raise ModelFileError(
                 f"model description {file} has schema {shown(schema)}, this version reads {SCHEMA!r}: train anew with `grasp fit`"
             )
-        right = meta.pop("sha256", None) == _digest(meta)
+        right = meta.pop("sha256", None) == signature(meta)
     except ModelFileError:
         raise
     except FAULTS as error:
@@ -211,10 +209,6 @@ def _refuse(constant: str) -> float:
 
 
 def replace(file: Path, data: bytes) -> None:
-    """Writes a file under a temporary name first."""
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
+    """Writes a file whole or not at all."""
+    with replacing(file) as temporary:
         temporary.write_bytes(data)
-        os.replace(temporary, file)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -10,13 +10,12 @@ A file by hand needs three keys; the others have the defaults of `Grasp.from_con
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from grasp_env._files import as_path, read_json
+from grasp_env._files import as_path, read_json, replacing
 from grasp_env.errors import GraspError, GraspFileError, shown
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -55,14 +54,10 @@ def save_grasp(grasp: Grasp, path: str | Path) -> Path:
     """
     file = as_path(path, GraspFileError, "a grasp's file")
     lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in _described(as_grasp(grasp)).items()]
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        try:
+        with replacing(file) as temporary:
             temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
-            os.replace(temporary, file)
-        finally:
-            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise GraspFileError(f"cannot write grasp file {file}: {error.strerror}; choose another path") from error
     return file

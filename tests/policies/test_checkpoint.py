@@ -15,7 +15,7 @@ import pytest
 from grasp_env.errors import ModelFileError
 from grasp_env.grasp import presets, wrench
 from policies import LearnedInitialForce
-from policies.checkpoint import MOST_TEXT, MOST_WEIGHTS, _digest
+from policies.checkpoint import MOST_TEXT, MOST_WEIGHTS, signature
 from policies.learned import MODELS, PRETRAINED
 
 
@@ -31,7 +31,7 @@ def edit(stem, sign=True, **changes):
     path = stem.with_suffix(".json")
     body = {**json.loads(path.read_text()), **changes}
     said = body.pop("sha256")
-    path.write_text(json.dumps({**body, "sha256": _digest(body) if sign else said}))
+    path.write_text(json.dumps({**body, "sha256": signature(body) if sign else said}))
 
 
 def of(stem) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 import policies.agent_files
+import policies.checkpoint
 import training.rl.checkpoint
 import training.rl.train
 from grasp_env.env import FourFingerGrasp
@@ -103,7 +104,7 @@ def test_the_agent_is_stable_baselines3s_and_is_scored_by_the_same_evaluator(ppo
         config = RLConfig(**TINY, algorithm=algorithm).resolved()  # type: ignore[arg-type]
         envs = make_envs(config.env_settings, config.envs, config.gamma)
         theirs = build(config, envs, 1)
-        training.rl.checkpoint.resume(folder / "seed-0", theirs, envs, config, 0)
+        training.rl.checkpoint.Training(folder / "seed-0", config, 0, theirs, envs).resume()
         envs.training = False
         seen = envs.reset()
         raw: Any = envs.get_original_obs()
@@ -202,7 +203,7 @@ def _meta(folder: Path, **changes: Any) -> None:
     """Changes agent.json and signs it anew, as a forger would."""
     meta = {**json.loads((folder / "agent.json").read_text()), **changes}
     body = {name: value for name, value in meta.items() if name != "sha256"}
-    (folder / "agent.json").write_text(json.dumps({**body, "sha256": policies.agent_files._digest(body)}))
+    (folder / "agent.json").write_text(json.dumps({**body, "sha256": policies.checkpoint.signature(body)}))
 
 
 def _pickled(folder: Path) -> None:

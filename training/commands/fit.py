@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
 
 from training.fit.settings import AnyFitConfig, FitConfig
+from training.runs.interrupts import interruptible
 
 if TYPE_CHECKING:
     from policies.checkpoint import Checkpoint
@@ -91,11 +90,8 @@ class Fit:
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
-        before = signal.signal(signal.SIGTERM, _terminated)
-        try:
+        with interruptible(orderly=False):  # until the training itself takes them
             self.model.execute()
-        finally:
-            signal.signal(signal.SIGTERM, before)
 
 
 def spelled_out(arguments: Sequence[str] | None) -> list[str]:
@@ -109,10 +105,6 @@ def spelled_out(arguments: Sequence[str] | None) -> list[str]:
     if words[:1] == ["fit"] and words[1:2] and words[1].startswith("--") and words[1] != "--help":
         words.insert(1, "four_finger")
     return words
-
-
-def _terminated(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _command() -> str:

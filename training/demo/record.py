@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Generator, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from grasp_env._extras import need
+from grasp_env._files import replacing
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import InitialForceRule
 from policies import Policy
@@ -62,7 +62,7 @@ def record(
         settings["duration"] = seconds
     if not out.absolute().parent.is_dir():
         raise InvalidInputError(f"the folder {out.absolute().parent} does not exist: make it first")
-    with _finished_or_absent(out) as temporary:
+    with replacing(out) as temporary:
         env = gym.make(env_id, render_mode="rgb_array", initial_force=initial_force, **settings)
         with closing(env), closing(_frames(env, seed, policy, out.suffix == ".png")) as frames:
             _write(temporary, frames)
@@ -106,14 +106,3 @@ def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
             writer.close()
         raise
     writer.close()
-
-
-@contextmanager
-def _finished_or_absent(out: Path) -> Iterator[Path]:
-    """A name beside `out` to write to, which becomes `out` if the block ends and is removed if it raises."""
-    temporary = out.with_name(f".{os.getpid()}.{out.name}")
-    try:
-        yield temporary
-        os.replace(temporary, out)
-    finally:
-        temporary.unlink(missing_ok=True)

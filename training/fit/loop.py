@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from types import FrameType
 from typing import Protocol
 
 import numpy as np
@@ -20,6 +18,7 @@ from rich.progress import Progress as Bar
 from torch import Tensor, nn
 
 from training.fit.state import Progress, StateFile
+from training.runs.interrupts import interruptible
 
 MARKS = 20
 """Scores on held-out data, and saved states, per training."""
@@ -104,7 +103,7 @@ def optimise(task: Task, plan: Plan) -> Progress:
         now = plan.state.restore(task.module, optimiser, rng)
         mark = _next_mark(plan.done(now))
     since = now.seconds - time.perf_counter(), now.cpu_seconds - time.process_time()
-    with _interruptible() as interrupted, _telling(task, plan) as tell:
+    with interruptible() as interrupted, _telling(task, plan) as tell:
         while True:
             done = plan.done(now)
             if done >= min(mark, 1.0):
@@ -155,26 +154,3 @@ def _telling(task: Task, plan: Plan) -> Iterator[Callable[[Progress, list[float]
                 sys.stderr.write(f"{plan.words}: step {now.step}, {now.seconds:.0f} s: {task.note(row)}\n")
 
         yield tell
-
-
-@contextmanager
-def _interruptible() -> Iterator[Callable[[], bool]]:
-    """Whether SIGINT or SIGTERM came: a step ends first; a second one interrupts at once."""
-    came: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        if came:
-            raise KeyboardInterrupt
-        came.append(number)
-
-    kept = {}
-    try:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            kept[number] = signal.signal(number, note)
-    except ValueError:  # not the main thread: nobody interrupts it
-        pass
-    try:
-        yield lambda: bool(came)
-    finally:
-        for number, handler in kept.items():
-            signal.signal(number, handler)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-import os
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 from torch import nn
 
+from grasp_env._files import digest, replacing
 from grasp_env.errors import InvalidInputError, ModelFileError
 from training.runs import Run
 
@@ -100,16 +99,13 @@ class StateFile:
             "rng": rng.bit_generator.state,
             "sha256": _digest(tensors),
         }
-        temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")
         try:
-            temporary.write_bytes(save(tensors, {"training": json.dumps(meta)}))
-            os.replace(temporary, self.path)
+            with replacing(self.path) as temporary:
+                temporary.write_bytes(save(tensors, {"training": json.dumps(meta)}))
         except OSError as error:
             raise InvalidInputError(
                 f"cannot write {self.path} ({error.strerror}): the last state is still whole"
             ) from None
-        finally:
-            temporary.unlink(missing_ok=True)
 
     def restore(self, module: nn.Module, optimiser: torch.optim.Optimizer, rng: np.random.Generator) -> Progress:
         """Puts the saved weights, moments and random numbers back.
@@ -166,7 +162,4 @@ class StateFile:
 
 
 def _digest(tensors: dict[str, np.ndarray]) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(tensors):
-        digest.update(name.encode() + tensors[name].tobytes())
-    return digest.hexdigest()
+    return digest(*(name.encode() + tensors[name].tobytes() for name in sorted(tensors)))

@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import tempfile
-from hashlib import sha256
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 from scipy import sparse
 
 from grasp_env._check import Array, Wrench
+from grasp_env._files import digest
 from training.peers.problem import WARM_UP, dual_form
 
 OURS = Path(__file__).with_name("generated.c")
@@ -95,7 +95,7 @@ def library(count: int, folder: Path, flags: tuple[str, ...] = PLAIN) -> Path:
     command = compiler()
     if command is None:
         raise RuntimeError(refusal(flags))
-    key = sha256("\0".join([version("qocogen"), command, *flags, OURS.read_text()]).encode()).hexdigest()[:12]
+    key = digest("\0".join([version("qocogen"), command, *flags, OURS.read_text()]).encode())[:12]
     path = folder / f"qocogen_{count}_{key}.so"
     if path.exists():
         return path

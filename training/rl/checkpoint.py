@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -32,54 +32,70 @@ _SPARE = 50_000_000
 """[bytes] of weights, logs and figures, besides the replay buffers."""
 
 
-def save(
-    folder: Path, agent: PPO | SAC, envs: VecNormalize, config: RLConfig, seed: int, facts: dict[str, Any]
-) -> Path:
-    """Writes a whole checkpoint under `<folder>/checkpoints`.
+@dataclass
+class Training:
+    """One agent in training.
 
-    Args:
-        folder: of this seed.
-        agent, envs: what is saved.
+    Attributes:
+        folder: of its seed: checkpoints and TensorBoard events.
         config: resolved.
         seed: of this training.
-        facts: "seconds" and "cpu_seconds" spent and the "curve" so far.
+        agent: as `agent.build` makes it.
+        envs: what it sees.
+        seconds, cpu_seconds: spent on training.
+        curve: of held-out scores so far.
     """
-    meta = {
-        "algorithm": config.algorithm,
-        "action": config.action,
-        "observation_size": OBSERVATION_SIZE,
-        "action_size": ACTION_SIZES[config.action],
-        "seed": seed,
-        "config": asdict(config),
-        "env_settings": config.env_settings,
-        "provenance": provenance(),
-        **facts,
-    }
-    return write_checkpoint(folder / FOLDER, agent.num_timesteps, meta, tensors(agent), arrays(agent, envs))
+
+    folder: Path
+    config: RLConfig
+    seed: int
+    agent: PPO | SAC
+    envs: VecNormalize
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    curve: list[dict[str, Any]] = field(default_factory=list)
+
+    def save(self) -> Path:
+        """Writes a whole checkpoint under `<folder>/checkpoints`."""
+        agent, config = self.agent, self.config
+        meta = {
+            "algorithm": config.algorithm,
+            "action": config.action,
+            "observation_size": OBSERVATION_SIZE,
+            "action_size": ACTION_SIZES[config.action],
+            "seed": self.seed,
+            "config": asdict(config),
+            "env_settings": config.env_settings,
+            "provenance": provenance(),
+            **{name: getattr(self, name) for name in _FACTS},
+        }
+        return write_checkpoint(
+            self.folder / FOLDER, agent.num_timesteps, meta, tensors(agent), arrays(agent, self.envs)
+        )
+
+    def resume(self) -> None:
+        """Restores the newest checkpoint of the folder; episodes start anew, from seeds not used before.
+
+        Raises:
+            ModelFileError: no whole checkpoint, or one that does not fit.
+            InvalidInputError: it was trained with other settings.
+        """
+        found = find_checkpoint(self.folder)
+        meta = check_settings(self.folder, self.config, self.seed)
+        saved = {stem: read_tensors(found, meta, stem) for stem in ("policy", "optimiser")}
+        stems = ("normaliser", "state", *(("replay",) if self.config.algorithm == "sac" else ()))
+        saved |= {stem: read_arrays(found, meta, stem) for stem in stems}
+        restore(self.agent, self.envs, saved, first_seed(self.seed, meta["steps"]))
+        self.envs.seed(first_seed(self.seed, meta["steps"]))
+        for name in _FACTS:
+            setattr(self, name, meta[name])
 
 
-def resume(folder: Path, agent: PPO | SAC, envs: VecNormalize, config: RLConfig, seed: int) -> dict[str, Any]:
-    """Restores the newest checkpoint of `folder`; episodes start anew, from seeds not used before.
-
-    Returns:
-        What the checkpoint says of itself.
-
-    Raises:
-        ModelFileError: no whole checkpoint, or one that does not fit.
-        InvalidInputError: it was trained with other settings.
-    """
-    found = find_checkpoint(folder)
-    meta = check_settings(folder, config, seed)
-    saved = {stem: read_tensors(found, meta, stem) for stem in ("policy", "optimiser")}
-    stems = ("normaliser", "state", *(("replay",) if config.algorithm == "sac" else ()))
-    saved |= {stem: read_arrays(found, meta, stem) for stem in stems}
-    restore(agent, envs, saved, first_seed(seed, meta["steps"]))
-    envs.seed(first_seed(seed, meta["steps"]))
-    return meta
+_FACTS = ("seconds", "cpu_seconds", "curve")
 
 
 def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
-    """What the newest checkpoint of `folder` says of itself; raises as `resume` does, before anything is changed."""
+    """What the newest checkpoint of `folder` says of itself; raises as `Training.resume` does, before anything is changed."""
     found = find_checkpoint(folder)
     meta = read_meta(found)
     now = {**asdict(config), "env_settings": config.env_settings}

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import signal
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -30,13 +29,14 @@ with need("sim", "train", "report"):
 
 from grasp_env.errors import InvalidInputError, ModelFileError
 from policies.agent_files import checkpoints, find_checkpoint, read_meta
-from training.rl import checkpoint as rl_checkpoint
 from training.rl.agent import build
+from training.rl.checkpoint import FOLDER, Training, check_settings, check_space
 from training.rl.envs import first_seed, make_envs
 from training.rl.evaluate import evaluate_runs
 from training.rl.score import score
 from training.rl.settings import CURVE_SEED, RLConfig
 from training.runs import Run, provenance, understood
+from training.runs.interrupts import interruptible
 
 
 def train(config: RLConfig, out: Path, resume: bool = False, console: Console | None = None) -> dict[str, Any]:
@@ -56,11 +56,11 @@ def train(config: RLConfig, out: Path, resume: bool = False, console: Console | 
     console = console or Console(stderr=True)
     config = config.resolved()
     folders = {seed: out / f"seed-{seed}" for seed in config.seeds}
-    begun = [folder for folder in folders.values() if checkpoints(folder / rl_checkpoint.FOLDER)]
+    begun = [folder for folder in folders.values() if checkpoints(folder / FOLDER)]
     if resume:
         for seed, folder in folders.items():
             if folder in begun:
-                rl_checkpoint.check_settings(folder, config, seed)
+                check_settings(folder, config, seed)
     finished = out / "run.json"
     if resume and finished.is_file():
         with understood(out, "choose another --out"):
@@ -75,7 +75,7 @@ def train(config: RLConfig, out: Path, resume: bool = False, console: Console | 
         raise InvalidInputError(f"{begun[0]} holds an unfinished training: add --resume, or choose another --out")
     if resume and not begun:
         raise ModelFileError(f"{out} holds no checkpoint of seeds {config.seeds}: leave --resume out")
-    rl_checkpoint.check_space(out, config)
+    check_space(out, config)
     run.write_json("config.json", {**asdict(config), "env_settings": config.env_settings})
     bar = Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(),
@@ -106,20 +106,19 @@ def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Pro
         return find_checkpoint(folder)
     envs = make_envs(config.env_settings, config.envs, config.gamma)
     try:
-        agent = build(config, envs, seed)
+        training = Training(folder, config, seed, build(config, envs, seed), envs)
         envs.seed(first_seed(seed, 0))  # stable-baselines3 seeded them with its own
-        facts: dict[str, Any] = {"seconds": 0.0, "cpu_seconds": 0.0, "curve": []}
         if resume:
-            meta = rl_checkpoint.resume(folder, agent, envs, config, seed)
-            facts = {name: meta[name] for name in facts}
+            training.resume()
         logger = configure(str(folder / "tensorboard"), ["tensorboard"])
+        agent = training.agent
         agent.set_logger(logger)
-        watch = _Watch(config, folder, seed, agent, envs, facts, bar)
         try:
-            agent.learn(config.steps - agent.num_timesteps, watch, log_interval=10, reset_num_timesteps=False)
-            return watch.finish()
+            with interruptible() as interrupted:
+                watch = _Watch(training, interrupted, bar)
+                agent.learn(config.steps - agent.num_timesteps, watch, log_interval=10, reset_num_timesteps=False)
+                return watch.finish()
         finally:
-            watch.release()
             logger.close()
     finally:
         envs.close()
@@ -141,63 +140,46 @@ class _Live:
 class _Watch(BaseCallback):
     """Between two updates: a score for the learning curve, a checkpoint, the end where an interrupt asked for it."""
 
-    def __init__(
-        self, config: RLConfig, folder: Path, seed: int, agent: PPO | SAC, envs: VecNormalize, facts: dict[str, Any],
-        bar: Progress | None,
-    ) -> None:  # fmt: skip
+    def __init__(self, training: Training, interrupted: Callable[[], bool], bar: Progress | None) -> None:
         super().__init__()
-        self._config, self._folder, self._seed, self._agent, self._envs = config, folder, seed, agent, envs
-        self._facts, self._bar = facts, bar
-        self._spent = np.array([facts["seconds"], facts["cpu_seconds"]])
-        self._mark = _clock()
-        self._saved = agent.num_timesteps
-        self._interrupted, self._before = False, None
-        label = f"{config.algorithm} {config.action} seed {seed}"
-        self._task = bar.add_task(label, total=config.steps, completed=agent.num_timesteps) if bar else None
+        self._training, self._interrupted, self._bar = training, interrupted, bar
+        config, done = training.config, training.agent.num_timesteps
+        self._spent = np.array([training.seconds, training.cpu_seconds])
+        self._mark, self._saved = _clock(), done
+        label = f"{config.algorithm} {config.action} seed {training.seed}"
+        self._task = bar.add_task(label, total=config.steps, completed=done) if bar else None
 
     def finish(self) -> Path:
         """The last score and checkpoint."""
         self._score()
         path = self._save()
-        if self._interrupted:
+        if self._interrupted():
             raise KeyboardInterrupt
         return path
 
-    def release(self) -> None:
-        """Gives the interrupt back to whoever had it."""
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
-            self._before = None
-
-    def _on_training_start(self) -> None:
-        try:
-            self._before = signal.signal(signal.SIGINT, self._interrupt)
-        except ValueError:  # not the main thread: nobody interrupts it
-            self._before = None
-
     def _on_rollout_start(self) -> None:
-        curve, steps = self._facts["curve"], self.num_timesteps
-        if not curve or steps - curve[-1]["steps"] >= self._config.steps / self._config.curve_points:
+        config, curve, steps = self._training.config, self._training.curve, self.num_timesteps
+        if not curve or steps - curve[-1]["steps"] >= config.steps / config.curve_points:
             self._score()
-        if self._interrupted or steps - self._saved >= self._config.checkpoint_every:
+        if self._interrupted() or steps - self._saved >= config.checkpoint_every:
             self._save()
-        if self._interrupted:
+        if self._interrupted():
             raise KeyboardInterrupt
 
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
             self.logger.record_mean("rollout/iterations", float(info["iterations"]))
         if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=min(self.num_timesteps, self._config.steps))
+            self._bar.update(self._task, completed=min(self.num_timesteps, self._training.config.steps))
         return True
 
     def _score(self) -> None:
-        curve = self._facts["curve"]
-        if curve and curve[-1]["steps"] == self.num_timesteps:
+        training = self._training
+        if training.curve and training.curve[-1]["steps"] == self.num_timesteps:
             return
         self._tick()
-        seeds = range(CURVE_SEED, CURVE_SEED + self._config.curve_episodes)
-        told = score(_Live(self._agent, self._envs), self._config.env_settings, seeds)
+        seeds = range(CURVE_SEED, CURVE_SEED + training.config.curve_episodes)
+        told = score(_Live(training.agent, training.envs), training.config.env_settings, seeds)
         point = {
             "iterations": float(told["iterations"].mean()),
             "median_iterations": float(np.median(told["iterations"])),
@@ -207,24 +189,19 @@ class _Watch(BaseCallback):
         }
         for name, value in point.items():
             self.logger.record(f"score/{name}", value)
-        curve.append({"steps": self.num_timesteps, "seconds": round(float(self._spent[0]), 2), **point})
+        training.curve.append({"steps": self.num_timesteps, "seconds": round(float(self._spent[0]), 2), **point})
         self._mark = _clock()  # scores are not training time
 
     def _save(self) -> Path:
         self._saved = self.num_timesteps
         self._tick()
-        self._facts["seconds"], self._facts["cpu_seconds"] = self._spent.round(2).tolist()
-        return rl_checkpoint.save(self._folder, self._agent, self._envs, self._config, self._seed, self._facts)
+        self._training.seconds, self._training.cpu_seconds = self._spent.round(2).tolist()
+        return self._training.save()
 
     def _tick(self) -> None:
         now = _clock()
         self._spent += now - self._mark
         self._mark = now
-
-    def _interrupt(self, number: int, frame: FrameType | None) -> None:
-        if self._interrupted:  # again: at once, the last checkpoint is whole
-            raise KeyboardInterrupt
-        self._interrupted = True
 
 
 def _clock() -> np.ndarray:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._files import WEIGHTS, parsed, read_json, unpacked
+from grasp_env._files import WEIGHTS, parsed, read_json, replacing, unpacked
 from grasp_env.errors import GraspError, InvalidInputError
 
 _PACKAGES = ("numpy", "scipy", "torch", "gymnasium", "stable-baselines3", "pybullet")
@@ -68,12 +68,8 @@ class Run:
     def write(self, name: str, writer: Callable[[Path], object]) -> Path:
         """Calls writer(temporary path), then renames: an interrupted write leaves no half file."""
         path = self.path(name)
-        temporary = path.with_name(f".{os.getpid()}.{path.name}")
-        try:
+        with replacing(path) as temporary:
             writer(temporary)
-            os.replace(temporary, path)
-        finally:
-            temporary.unlink(missing_ok=True)
         return path
 
     def write_text(self, name: str, text: str) -> Path:
