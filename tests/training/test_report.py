@@ -15,9 +15,10 @@ from browser import Browser, browser, find_browser
 from synthetic_run import synthetic_run
 
 from grasp_env.errors import InvalidInputError
+from training.report.common import claims_section
+from training.report.comparison import build_report, write_pages
 from training.report.model import Table
-from training.report.pages import build_report, write_pages
-from training.report.starts import STEPPED, claims_section, label, matrix, network_section, pair
+from training.report.starts import STEPPED, label, matrix, network_section, pair
 from training.report.style import THEME
 from training.runs import Run
 
@@ -162,7 +163,7 @@ def test_what_a_run_lacks_is_left_out_or_a_dash(made, tmp_path):
 
 def test_report_is_metrics_then_pages(made, tmp_path, monkeypatch):
     _, metrics = made
-    monkeypatch.setattr("training.report.pages.metrics_of", lambda run: {**metrics, "sets": {}})
+    monkeypatch.setattr("training.report.comparison.metrics_of", lambda run: {**metrics, "sets": {}})
     assert build_report(Run(tmp_path))["claims"] == metrics["claims"]
     first = (tmp_path / "report.html").read_bytes()
     assert Run(tmp_path).read_json("metrics.json")["claims"] == metrics["claims"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from training.report import holds, pages
+from training.report.comparison import build_report as build_comparison
+from training.report.holds import build_env_report
 from training.runs import Run
 
 
@@ -16,7 +17,7 @@ def build_report(run: Run) -> dict[str, Any]:
         InvalidInputError: the run is of an older version.
     """
     env = run.read_json("run.json").get("kind") == "env"
-    return holds.build_env_report(run) if env else pages.build_report(run)
+    return build_env_report(run) if env else build_comparison(run)
 
 
 def report_path(run: Run) -> Path:

@@ -85,7 +85,7 @@ def _events(metrics: dict[str, Any], name: str) -> Table:
     return Table(caption, ("event", "cases", *(short(key) for key in used)), out)
 
 
-def newton_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
+def newton_section(metrics: dict[str, Any]) -> Section:
     """Newton beside the reduced flow: iterations on the held-out ball, then set by set."""
     flow, newton = (at(metrics, "starts", method, "ball") or {} for method in ("reduced_flow", "newton"))
     out = []
@@ -101,7 +101,7 @@ def newton_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
         "few. Microseconds are whole public Python calls on the fixed grasp.",
     )
     sets = matrix(metrics, "newton", MAIN, "Newton: iterations to 1e-4, median / p99")
-    return Section("newton", "Newton beside the reduced flow", notes, present([table, sets, *pictures]))
+    return Section("newton", "Newton beside the reduced flow", notes, present([table, sets]))
 
 
 def _micro(row: dict[str, Any] | None) -> str:

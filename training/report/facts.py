@@ -1,4 +1,4 @@
-"""The end of a report: the models, every caveat, machine and versions."""
+"""The end of a comparison: the models, every caveat."""
 
 from __future__ import annotations
 
@@ -75,23 +75,3 @@ def caveats_section(metrics: dict[str, Any]) -> Section:
         "One objective (one ω and λ) unless a table says otherwise; where the barrier is weaker the flow takes longer from every start.",
     ]  # fmt: skip
     return Section("caveats", "Caveats", (), (), [text for text in items if text])
-
-
-def provenance_section(metrics: dict[str, Any]) -> Section:
-    """Machine, versions, command and times."""
-    run = metrics["run"]
-    machine, versions = at(run, "machine") or {}, at(run, "versions") or {}
-    rule = at(run, "step_rule") or {}
-    force, barrier = number(run.get("force_weight")), number(run.get("barrier_weight"))
-    rows = [
-        ["machine", f"{machine.get('processor', '–')}, {number(machine.get('cores'))} cores, {machine.get('system', '–')}"],
-        ["versions", ", ".join([f"Python {machine.get('python', '–')}", *(f"{name} {text}" for name, text in versions.items())])],
-        ["commit", str(run.get("commit", "–"))],
-        ["when", str(run.get("time", "–"))],
-        ["command", str(run.get("command", "–"))],
-        ["objective", f"ω = {force}, λ = {barrier} N², friction {number(run.get('friction'))}"],
-        ["step rule, the same for all", ", ".join(f"{name} {text}" for name, text in flat(rule)) or "–"],
-        ["settings", ", ".join(f"{name} {text}" for name, text in flat(at(run, "config") or {}) if name != "out") or "–"],
-        ["seconds", ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in flat(at(run, "seconds") or {})) or "–"],
-    ]  # fmt: skip
-    return Section("provenance", "Machine and versions", (), [Table("How this was made", ("", "value"), rows, words=2)])

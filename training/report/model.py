@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -57,7 +58,7 @@ class Picture:
         alt: what it shows, for those who do not see it.
         legend: (label, colour variable, dashed) of every line.
         svg: for the page; empty: `sources` has it.
-        file: name in figures/ that the markdown shows.
+        file: that the markdown shows, from the page on.
         sources: data URIs of a picture that moves: "moving", "still".
     """
 
@@ -97,6 +98,11 @@ class Section:
     notes: Sequence[str] = ()
     blocks: Sequence[Table | Picture | Fold] = ()
     items: Sequence[str] = ()
+
+
+def data_uri(data: bytes, kind: str) -> str:
+    """A picture of that kind (png, webp, jpeg) as text in a page."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def at(tree: Any, *keys: str) -> Any:

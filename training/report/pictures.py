@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -10,7 +9,7 @@ from training.cases.start_table import LABELS
 from training.demo.loops import ANIMATIONS, STILL, still_of
 from training.report import figures_more as more
 from training.report import figures_starts as starts
-from training.report.model import Picture, at
+from training.report.model import Picture, at, data_uri
 from training.report.rl import learning_curves
 from training.report.starts import label, set_label, short
 from training.report.style import Drawing, close, standalone, svg
@@ -40,7 +39,7 @@ def draw_all(run: Run, metrics: dict[str, Any], results: dict[str, Any] | None) 
         page = svg(drawing, name, alt)
         close(drawing.figure)
         run.write_text(f"figures/{name}.svg", standalone(page, drawing.legend))
-        pictures.append(Picture(name, title, caption, alt, drawing.legend, page, f"{name}.svg"))
+        pictures.append(Picture(name, title, caption, alt, drawing.legend, page, f"figures/{name}.svg"))
     return pictures
 
 
@@ -52,19 +51,19 @@ def loops(run: Run) -> list[Picture]:
         file = run.path(f"figures/{name}")
         if file.is_file():
             data = file.read_bytes()
-            sources = {"moving": _uri(data, "webp"), "still": _uri(still_of(data), "jpeg")}
+            sources = {"moving": data_uri(data, "webp"), "still": data_uri(still_of(data), "jpeg")}
             alt = f"Animation of the hand holding a cuboid under a random wrench, forces optimised {what}."
-            out.append(Picture(name.split(".")[0], f"The hand, forces {what}", text, alt, file=name, sources=sources))
+            out.append(
+                Picture(
+                    name.split(".")[0], f"The hand, forces {what}", text, alt, file=f"figures/{name}", sources=sources
+                )
+            )
     still = run.path(f"figures/{STILL}")
     if not out and still.is_file():
-        source = {"still": _uri(still_of(still.read_bytes()), "jpeg")}
+        source = {"still": data_uri(still_of(still.read_bytes()), "jpeg")}
         alt = "The simulated four-finger hand holding a cuboid."
-        out.append(Picture("hand", "The simulated hand", "", alt, file=STILL, sources=source))
+        out.append(Picture("hand", "The simulated hand", "", alt, file=f"figures/{STILL}", sources=source))
     return out
-
-
-def _uri(data: bytes, kind: str) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:

@@ -1,4 +1,4 @@
-"""First of a report: the claims, and where each start wins."""
+"""First of a comparison: where each start wins; what starts and sets are called."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Any
 
 from training.cases.set_table import GROUPS
 from training.cases.start_table import LABELS, MAIN, SHORT
+from training.report.common import pretty
 from training.report.model import Cell, Fold, Section, Table, at, present
-from training.runs.claims import ranked
 from training.runs.words import number, percent
 from training.trials.arrays import LIMIT
 
@@ -25,16 +25,6 @@ def label(start: str) -> str:
 def short(start: str) -> str:
     """What a start is called in headings and legends."""
     return pretty(SHORT.get(start, start.replace("_", " ")))
-
-
-def pretty(text: str) -> str:
-    """Signs instead of what is typed for them.
-
-    Example:
-        >>> pretty("G^+, force <= 2 N")
-        'G⁺, force ≤ 2 N'
-    """
-    return text.replace("G^+", "G⁺").replace("<=", "≤")
 
 
 def set_label(metrics: dict[str, Any], name: str) -> str:
@@ -59,17 +49,6 @@ def pair(row: dict[str, Any] | None) -> str:
     if at(row, "median") is None:
         return "–"
     return f"{steps(at(row, 'median'))} / {steps(at(row, 'p99'))}"
-
-
-def claims_section(metrics: dict[str, Any]) -> Section:
-    """What was asked, what was measured; missed first, then not measured, then met."""
-    verdicts = {False: Cell("NO", "bad"), None: Cell("not measured", "open"), True: Cell("yes", "good")}
-    claims = ranked(metrics.get("claims", []))
-    counts = {verdict: sum(row["met"] is verdict for row in claims) for verdict in verdicts}
-    text = f"{counts[True]} of {len(claims)} met, {counts[False]} missed, {counts[None]} not measured in this run."
-    rows = [[verdicts[row["met"]], pretty(row["claim"]), pretty(row["asked"]), row["measured"]] for row in claims]
-    table = Table("Claims, the missed ones first", ("met", "claim", "asked", "measured"), rows, words=4)
-    return Section("claims", "Claims", (text,), present([table]))
 
 
 def wins_section(metrics: dict[str, Any]) -> Section:

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from training.runs import Run, default_name, provenance
 from training.runs.workers import begin, one_thread, pool
 from training.trials.hold_plan import Cell, plan
-from training.trials.holds import cell_json, columns, run_chunk
+from training.trials.holds import cell_json, columns, run_chunk, torque_limit
 from training.trials.settings import EnvEvaluateConfig
 
 CHUNK = 4
@@ -51,7 +51,13 @@ def evaluate_env(config: EnvEvaluateConfig, console: Console | None = None, cell
 
         roll_out_cells(run, missing, config.seed, config.workers or os.cpu_count() or 1, advance)
     settings = {key: value for key, value in asdict(config).items() if key != "name"}
-    facts = {"kind": "env", **provenance(), **begun, "config": {**settings, "name": run.folder.name}}
+    facts = {
+        "kind": "env",
+        **provenance(),
+        **begun,
+        "torque_limit": torque_limit(),
+        "config": {**settings, "name": run.folder.name},
+    }
     run.write_json("run.json", facts)
     return run
 

@@ -63,6 +63,11 @@ def run_trial(settings: dict[str, Any], random_objects: bool, seed: int) -> dict
         env.close()
 
 
+def torque_limit() -> float:
+    """The least that a joint of the hand of these episodes can give [N m]."""
+    return float(HANDS["four_finger"]().torque_limits.min())
+
+
 def run_chunk(cell: dict[str, Any], seeds: list[int]) -> list[dict[str, Any]]:
     """The trials of some seeds, for a worker process."""
     return [run_trial(cell["settings"], cell["random_objects"], seed) for seed in seeds]
