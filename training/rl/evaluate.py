@@ -13,7 +13,7 @@ from grasp_env.errors import InvalidInputError
 from policies import LearnedInitialForce, ZeroPolicy
 from policies.agent import TrainedAgent
 from policies.agent_files import ACTION_SIZES
-from training.rl.report import write_report
+from training.report.rl import write_report
 from training.rl.score import score
 from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.runs import Run, provenance

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
-
-matplotlib.use("Agg")
-from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.progress import Progress
 
 from grasp_env.force import Objective
 from grasp_env.grasp import presets
-from grasp_env.grasp.wrench import PAPER_CONSTANT, sample_ball
+from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS, PAPER_CONSTANT, sample_ball
 from training.cases.starts import make_starts
+from training.report.common import provenance_section
+from training.report.model import Picture, Section, Table
+from training.report.pages import png, write_page
+from training.report.style import new_figure
 from training.runs import Run, default_name, provenance
-from training.runs.words import number
+from training.runs.words import number, small
 from training.study import study
 from training.trials.compare import cases_of, compare
 from training.trials.metrics import table_one
@@ -76,16 +76,16 @@ def reproduce(out: Path, quick: bool = False, progress: bool = True) -> dict[str
     for name, path in paths.items():
         run.write_arrays(f"path_{name}.npz", {"time": path["time"], **path["forces"]})
     figures = {
-        "weights.png": weights_figure(weights),
-        "rates.png": rates_figure(rates),
-        "costs.png": costs_figure(costs),
-        **{f"path_{name}.png": path_figure(path) for name, path in paths.items()},
+        "weights": (weights_figure(weights), "Iterations, and force above the least, against lambda"),
+        "rates": (rates_figure(rates), "Convergence of every step rule"),
+        "costs": (costs_figure(costs), "Time against multiplications"),
+        **{
+            f"path_{name}": (path_figure(path), f"Normal forces along W_ext(t), {name}") for name, path in paths.items()
+        },
     }
-    for name, figure in figures.items():
-        run.write(f"figures/{name}", lambda file, figure=figure: figure.savefig(file, format="png", dpi=130))
-        plt.close(figure)
+    pictures = {name: png(run, f"figures/{name}.png", figure, title, "") for name, (figure, title) in figures.items()}
     run.write_json("metrics.json", metrics)
-    run.write_text("report.md", "\n".join(report(metrics)) + "\n")
+    write_page(run, "What the paper leaves open", quick, sections(metrics, pictures))
     run.write_json("run.json", {**metrics["run"], "quick": quick})
     return metrics
 
@@ -100,7 +100,7 @@ def weights_figure(rows: list[dict[str, Any]]) -> Figure:
     """Iterations per rule and force excess against lambda, omega = 1."""
     rows = [row for row in rows if row["omega"] == 1.0]
     lambdas = [row["lambda"] for row in rows]
-    figure, (left, right) = _panels(2, 10.5, 4.2)
+    figure, (left, right) = new_figure(10.5, 4.2, columns=2)
     for (key, label), colour in zip(study.RULE_LABELS.items(), COLOURS, strict=True):
         medians = [row["rules"][key]["iterations"]["median"] for row in rows]
         left.plot(lambdas, medians, color=colour, marker="o", markersize=3, label=label)
@@ -118,7 +118,7 @@ def weights_figure(rows: list[dict[str, Any]]) -> Figure:
 
 def rates_figure(rates: dict[str, Any]) -> Figure:
     """Gap against iterations per rule, with the predicted rate."""
-    figure, (axes,) = _panels(1, 8.0, 4.4)
+    figure, axes = new_figure(8.0, 4.4)
     longest = 0
     for (key, label), colour in zip(study.RULE_LABELS.items(), COLOURS, strict=True):
         gaps = rates["gaps"][key]
@@ -135,7 +135,7 @@ def rates_figure(rates: dict[str, Any]) -> Figure:
 
 def costs_figure(rows: list[dict[str, Any]]) -> Figure:
     """Measured time against counted multiplications of every form."""
-    figure, panels = _panels(2, 10.5, 4.2)
+    figure, panels = new_figure(10.5, 4.2, columns=2)
     marks = {3: "v", 4: "o", 5: "s"}
     for panel, column in zip(panels, ("product_ns", "iteration_ns"), strict=True):
         for form, colour in zip(study.FORMS, (COLOURS[0], COLOURS[1], COLOURS[2]), strict=True):
@@ -153,7 +153,9 @@ def costs_figure(rows: list[dict[str, Any]]) -> Figure:
 def path_figure(path: dict[str, Any]) -> Figure:
     """Normal forces of every finger along W_ext(t): linear program, exact cones, Phi."""
     count = path["forces"]["phi"].shape[1]
-    figure, panels = _panels(2 * ((count + 1) // 2), 8.4, 2.4 * ((count + 1) // 2) + 0.8, columns=2)
+    rows = (count + 1) // 2
+    figure, grid = new_figure(8.4, 2.4 * rows + 0.8, rows, 2)
+    panels = list(np.ravel(grid))
     styles = {"conic": ("-", "black", 2.2), "phi": ("-", COLOURS[3], 1.1), "linear": ("--", COLOURS[7], 1.1)}
     for finger, panel in enumerate(panels[:count]):
         for key, (style, colour, width) in styles.items():
@@ -168,170 +170,132 @@ def path_figure(path: dict[str, Any]) -> Figure:
     return figure
 
 
-def report(metrics: dict[str, Any]) -> Iterator[str]:
-    """The lines of report.md."""
-    run, rates = metrics["run"], metrics["rates"]
-    yield "# What the paper leaves open\n"
-    if metrics["quick"]:
-        yield "**QUICK RUN: few wrenches and repetitions. Do not quote.**\n"
-    yield f"{run['machine']['processor']}, {run['machine']['cores']} cores; commit {run['commit']}; {run['time']}.\n"
-    yield (
+def sections(metrics: dict[str, Any], pictures: dict[str, Picture]) -> list[Section]:
+    """The report, of what `reproduce` saves."""
+    notes = (
         "The paper prints neither omega and lambda of Phi = omega tr P + lambda tr P^-1 nor the step size. Here: "
-        f"{metrics['wrenches']} held-out wrenches (force up to 2 N, moment up to 0.05 N m), the reference grasp, every "
-        "flow from the 12-basis to a relative gap of 1e-4. Iterations: median (p95).\n"
+        f"{metrics['wrenches']} held-out wrenches (force up to {FORCE_RADIUS:g} N, moment up to {MOMENT_RADIUS:g} N m), the reference "
+        f"grasp, every flow from the 12-basis to a relative gap of {small(study.TOLERANCE)}. Iterations: median (p95).",
+        "Excess: total normal force at the optimum of Phi above the least one of the exact cones (conic interior point). Only lambda / "
+        "omega matters: omega scales Phi, the iterates are the same in steps of 1 / omega. A larger lambda / omega buys distance from "
+        "the cones with squeeze, and well-conditioned steps with it. 'Fixed, tuned' is the longest constant step that is never halved "
+        "on twenty of the wrenches: knowledge that no controller has.",
     )
-    yield "## Weights and step rules\n"
-    yield from _table(
-        ["omega", "lambda [N^2]", "excess force, median (p95)", *study.RULE_LABELS.values()],
-        (
-            [
-                number(row["omega"]),
-                number(row["lambda"]),
-                f"{100 * row['excess']['median']:.1f} % ({100 * row['excess']['p95']:.1f} %)",
-                *(_steps(row["rules"][key]) for key in study.RULE_LABELS),
-            ]
+    weights = Table(
+        "Weights and step rules", ("omega", "lambda [N^2]", "excess force, median (p95)", *study.RULE_LABELS.values()),
+        [
+            [number(row["omega"]), number(row["lambda"]), f"{percent_of(row['excess'], 'median')} ({percent_of(row['excess'], 'p95')})",
+             *(_steps(row["rules"][key]) for key in study.RULE_LABELS)]
             for row in metrics["weights"]
-        ),
-    )
-    yield (
-        "\nExcess: total normal force at the optimum of Phi above the least one of the exact cones (conic interior point). "
-        "Only lambda / omega matters: omega scales Phi, the iterates are the same in steps of 1 / omega. A larger lambda / omega "
-        "buys distance from the cones with squeeze, and well-conditioned steps with it. 'Fixed, tuned' is the longest constant "
-        "step that is never halved on twenty of the wrenches: knowledge that no controller has.\n"
-    )
-    yield "![Weights](figures/weights.png)\n"
-    yield "Microseconds of one compiled call, 12-basis to a certified gap of 1e-4, lambda 0.01:\n"
-    yield from _table(
-        ["rule", "median", "p95", "p99"],
-        (
-            [study.RULE_LABELS[key], number(row["median"]), number(row["p95"]), number(row["p99"])]
+        ], words=0,
+    )  # fmt: skip
+    times = Table(
+        f"Microseconds of one compiled call, 12-basis to a certified gap of {small(study.TOLERANCE)}, lambda {study.LAMBDA:g}",
+        ("rule", "median", "p95", "p99"),
+        [
+            [study.RULE_LABELS[key], *(number(row[part]) for part in ("median", "p95", "p99"))]
             for key, row in metrics["times"].items()
-        ),
+        ],
     )
-    yield "\n## Exponential rate\n"
-    yield (
-        f"The paper's constant wrench, lambda 0.01. On ker G, in the metric of P, the Hessian of Phi at the optimum has "
+    return [
+        Section("weights", "Weights and step rules", notes, [weights, pictures["weights"], times]),
+        _rates(metrics["rates"], pictures["rates"]),
+        _costs(metrics["costs"], pictures["costs"]),
+        _paper(metrics["table_one"]),
+        _paths(metrics["paths"], pictures),
+        provenance_section(metrics["run"]),
+    ]
+
+
+def _rates(rates: dict[str, Any], picture: Picture) -> Section:
+    forms = ", ".join(f"{form} {difference:.0e}" for form, difference in rates["forms"].items())
+    notes = (
+        f"The paper's constant wrench, lambda {study.LAMBDA:g}. On ker G, in the metric of P, the Hessian of Phi at the optimum has "
         f"eigenvalues {number(rates['least_eigenvalue'])} to {number(rates['largest_eigenvalue'])}: condition number "
-        f"{number(rates['condition'])}. Factor of the gap per iteration, fitted between 1e-3 and 1e-9; predicted "
-        f"(1 - alpha m)^2 for the constant step alpha = {number(rates['fixed_step'])} = 2 / (L + m), at worst "
-        "((kappa - 1) / (kappa + 1))^2 for the exact line search.\n"
+        f"{number(rates['condition'])}. Factor of the gap per iteration, fitted between 1e-3 and 1e-9; predicted (1 - alpha m)^2 for "
+        f"the constant step alpha = {number(rates['fixed_step'])} = 2 / (L + m), at worst ((kappa - 1) / (kappa + 1))^2 for the exact "
+        "line search.",
+        f"Forms of the flow, largest relative difference of Phi over 40 adaptive iterations (rounding): {forms}.",
     )
-    yield from _table(
-        ["rule", "fitted", "predicted"],
-        (
-            [
-                "fixed, 2 / (L + m)" if key == "fixed" else study.RULE_LABELS[key],
-                number(row["fitted"]),
-                number(row["predicted"]),
-            ]
-            for key, row in rates["rates"].items()
-        ),
-    )
-    yield "\n![Rates](figures/rates.png)\n"
-    yield "Forms of the flow, largest relative difference of Phi over 40 adaptive iterations (rounding): " + ", ".join(
-        f"{form} {difference:.0e}" for form, difference in rates["forms"].items()
-    )
-    yield "\n## Operation counts and time\n"
-    yield from _table(
-        ["contacts", "form", "multiplications", "product step [ns]", "times faster than full", "iteration [ns]"],
-        (
-            [
-                str(row["contacts"]),
-                row["form"],
-                str(row["operations"]),
-                number(row["product_ns"]),
-                number(row["speed_up"]),
-                number(row["iteration_ns"]),
-            ]
-            for row in metrics["costs"]
-        ),
-    )
-    yield (
-        "\nAll forms compiled with the same options, medians of calls that take turns; the dense full flow is bound by "
-        "memory, the small ones by latency, so times differ less than counts.\n"
-    )
-    yield "![Costs](figures/costs.png)\n"
-    yield from _table_one_lines(metrics["table_one"])
-    yield from _path_lines(metrics["paths"])
+    rows = [
+        [
+            "fixed, 2 / (L + m)" if key == "fixed" else study.RULE_LABELS[key],
+            number(row["fitted"]),
+            number(row["predicted"]),
+        ]
+        for key, row in rates["rates"].items()
+    ]
+    return Section("rates", "Exponential rate", notes, [Table("Rates", ("rule", "fitted", "predicted"), rows), picture])
 
 
-def _table_one_lines(table: dict[str, Any]) -> Iterator[str]:
-    yield "## The constant wrench, beside the paper's Table I\n"
-    yield f"Normal forces in N for w = {table['wrench']}, lambda 0.01; paper's numbers in brackets.\n"
-    yield from _table(
-        ["start", "1", "2", "3", "4", "sum", "1 - (2 + 3 + 4)", "steps"],
-        (
-            [
-                key.replace("_", " "),
-                *(
-                    f"{ours:.2f} ({theirs})"
-                    for ours, theirs in zip(row["normals"], row["paper"]["normals"], strict=True)
-                ),
-                f"{row['sum']:.2f} ({row['paper']['sum']})",
-                f"{row['balance']:.2f} ({row['paper']['balance']})",
-                f"{number(row['steps'])} ({number(row['paper']['steps'])})",
-            ]
-            for key, row in table["rows"].items()
-        ),
+def _costs(costs: list[dict[str, Any]], picture: Picture) -> Section:
+    rows = [
+        [
+            row["form"],
+            str(row["contacts"]),
+            str(row["operations"]),
+            *(number(row[part]) for part in ("product_ns", "speed_up", "iteration_ns")),
+        ]
+        for row in costs
+    ]
+    columns = ("form", "contacts", "multiplications", "product step [ns]", "times faster than full", "iteration [ns]")
+    note = (
+        "All forms compiled with the same options, medians of calls that take turns; the dense full flow is bound by memory, the "
+        "small ones by latency, so times differ less than counts."
     )
-    yield (
-        "\nNo acceptance test: contact positions, weights, step size and two of the three starts are not printed. What can be "
-        "compared is the balance 0.6, the order of the starts, and ratios.\n"
+    return Section(
+        "costs", "Operation counts and time", (note,), [Table("Counted and measured", columns, rows), picture]
     )
 
 
-def _path_lines(paths: dict[str, Any]) -> Iterator[str]:
-    yield "## Linear program beside the continuous forces, along W_ext(t)\n"
+def _paper(table: dict[str, Any]) -> Section:
+    rows = []
+    for key, row in table["rows"].items():
+        paper = row["paper"]
+        normals = [f"{ours:.2f} ({theirs})" for ours, theirs in zip(row["normals"], paper["normals"], strict=True)]
+        sums = [f"{row[part]:.2f} ({paper[part]})" for part in ("sum", "balance")]
+        rows.append([key.replace("_", " "), *normals, *sums, f"{number(row['steps'])} ({number(paper['steps'])})"])
+    columns = ("start", "1", "2", "3", "4", "sum", "1 - (2 + 3 + 4)", "steps")
+    caption = f"Normal forces in N for w = {table['wrench']}, lambda {study.LAMBDA:g}; the paper's in brackets"
+    note = (
+        "No acceptance test: contact positions, weights, step size and two of the three starts are not printed. What can be compared "
+        "is the balance 0.6, the order of the starts, and ratios."
+    )
+    return Section("paper", "The constant wrench, beside the paper's Table I", (note,), [Table(caption, columns, rows)])
+
+
+def _paths(paths: dict[str, Any], pictures: dict[str, Picture]) -> Section:
     first = next(iter(paths.values()))
     coarse, fine = 1e3 * first["coarse"], 1e3 * first["fine"]
-    yield from _table(
-        [
-            "grasp",
-            "method",
-            "excess force, median (max)",
-            f"largest change in {coarse:g} ms [N]",
-            f"in {fine:g} ms",
-            f"change of rate, {coarse:g} ms [N/s]",
-            f"{fine:g} ms",
-        ],
-        (
-            [
-                name.replace("_", " "),
-                METHOD_LABELS[key],
-                f"{100 * max(0.0, row['excess']['median']):.2f} % ({100 * row['excess']['max']:.2f} %)",
-                *(number(value) for value in (*row["jump"], *row["kink"])),
-            ]
-            for name, path in paths.items()
-            for key, row in path["methods"].items()
-        ),
+    columns = (
+        "grasp", "method", "excess force, median (max)", f"largest change in {coarse:g} ms [N]", f"in {fine:g} ms",
+        f"change of rate, {coarse:g} ms [N/s]", f"{fine:g} ms",
+    )  # fmt: skip
+    rows = [
+        [name.replace("_", " "), METHOD_LABELS[key],
+         f"{100 * max(0.0, row['excess']['median']):.2f} % ({100 * row['excess']['max']:.2f} %)",
+         *(number(value) for value in (*row["jump"], *row["kink"]))]
+        for name, path in paths.items() for key, row in path["methods"].items()
+    ]  # fmt: skip
+    note = (
+        "A change that is ten times less between samples ten times closer is continuous, one that stays or falls less is a jump; a "
+        "change of rate that stays or grows is a kink. Where the least force is not unique (five fingers) the exact minimum may jump "
+        "too; the optimum of Phi is unique and smooth."
     )
-    yield (
-        "\nA change that is ten times less between samples ten times closer is continuous, one that stays or falls less is a "
-        "jump; a change of rate that stays or grows is a kink. Where the least force is not unique (five fingers) the exact "
-        "minimum may jump too; the optimum of Phi is unique and smooth.\n"
+    title = "Linear program beside the continuous forces, along W_ext(t)"
+    return Section(
+        "paths", title, (note,), [Table(title, columns, rows, words=2), *(pictures[f"path_{name}"] for name in paths)]
     )
-    yield from (f"![{name}](figures/path_{name}.png)" for name in paths)
+
+
+def percent_of(row: dict[str, Any], part: str) -> str:
+    """A share of a summary in percent."""
+    return f"{100 * row[part]:.1f} %"
 
 
 def _steps(row: dict[str, Any]) -> str:
     steps, missing = row["iterations"], row["not_converged"]
     return f"{number(steps['median'])} ({number(steps['p95'])})" + (f", {missing} not done" if missing else "")
-
-
-def _table(head: list[str], rows: Iterable[list[str]]) -> Iterator[str]:
-    yield "| " + " | ".join(head) + " |"
-    yield "|---" * len(head) + "|"
-    for row in rows:
-        yield "| " + " | ".join(row) + " |"
-
-
-def _panels(count: int, width: float, height: float, columns: int | None = None) -> tuple[Figure, list[Any]]:
-    columns = columns or count
-    figure, axes = plt.subplots(count // columns, columns, figsize=(width, height), layout="constrained", squeeze=False)
-    for axis in axes.ravel():
-        axis.spines[["top", "right"]].set_visible(False)
-        axis.grid(alpha=0.25)
-    return figure, list(axes.ravel())
 
 
 @contextmanager

@@ -28,9 +28,11 @@ from grasp_env.force.step_size import (
     StepRule,
 )
 from grasp_env.grasp import Grasp, wrench
+from training.cases.set_table import TOLERANCE
 from training.runs.statistics import spread
 
-TOLERANCE = 1e-4
+LAMBDA = 0.01
+"""[N^2] of Phi wherever it is not what is studied."""
 OMEGAS = (0.5, 1.0, 2.0)
 LAMBDAS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 FIXED_SIZES = tuple(float(size) for size in 10.0 ** np.arange(0.5, -4.6, -0.125))
@@ -180,7 +182,7 @@ def weights_study(grasp: Grasp, wrenches: Array, tick: Callable[[], None]) -> li
 
 def rule_times(grasp: Grasp, wrenches: Array) -> dict[str, Any]:
     """Microseconds of a compiled call from the 12-basis to a certified gap of 1e-4, per rule, lambda 0.01."""
-    cases = Cases(grasp, Objective(1.0, 0.01), wrenches)
+    cases = Cases(grasp, Objective(1.0, LAMBDA), wrenches)
     return {key: spread(cases.microseconds(rule)) for key, rule in rules(cases.tuned_step()).items()}
 
 
@@ -203,7 +205,7 @@ def rate_study(grasp: Grasp, load: Array) -> dict[str, Any]:
     number of the projected Hessian at the optimum: (1 - alpha m)^2 for a constant step alpha < 2 / (L + m), at worst
     ((kappa - 1) / (kappa + 1))^2 for the exact line search. The other rules have no such formula.
     """
-    objective = Objective(1.0, 0.01)
+    objective = Objective(1.0, LAMBDA)
     cases = Cases(grasp, objective, load[None])
     least, largest = spectrum(grasp, objective, grasp.to_cone(cases.forces[0]))
     kappa = largest / least
@@ -252,7 +254,7 @@ def cost_study(grasps: dict[str, Grasp], repeats: int) -> list[dict[str, Any]]:
     load = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
     for name, grasp in grasps.items():
         times: dict[str, list[tuple[float, float]]] = {form: [] for form in FORMS}
-        cases = {form: Cases(grasp, Objective(1.0, 0.01), load[None], form) for form in FORMS}
+        cases = {form: Cases(grasp, Objective(1.0, LAMBDA), load[None], form) for form in FORMS}
         for _ in range(repeats):
             for form in FORMS:
                 times[form].append((_product_time(cases[form]), _iteration_time(cases[form])))
