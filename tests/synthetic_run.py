@@ -11,6 +11,7 @@ from PIL import Image
 from training.cases.set_table import SETS
 from training.cases.start_table import LABELS, LEARNED
 from training.runs import Run
+from training.runs.statistics import spread
 from training.trials.arrays import BUDGETS, LEVELS, METHODS, SCENARIOS
 
 SPEED = {"single_value": 60.0, "lagrange": 50.0, "linear_combination": 40.0, "learned_fixed": 0.5, "learned_any": 3.0}
@@ -52,7 +53,7 @@ def synthetic_run(folder: Path, seed: int = 0) -> tuple[Run, dict[str, Any]]:
         },
         "table_one": _table_one(),
         "continuity": {
-            key: {"slope": summary(rng.lognormal(0, 0.3, 50)), "kink": summary(rng.lognormal(-3, 1, 50)), "jump_max": 1e-4}
+            key: {"slope": spread(rng.lognormal(0, 0.3, 50)), "kink": spread(rng.lognormal(-3, 1, 50)), "jump_max": 1e-4}
             for key in (*LABELS, "optimum")
         },
         "guarantee": {
@@ -65,7 +66,7 @@ def synthetic_run(folder: Path, seed: int = 0) -> tuple[Run, dict[str, Any]]:
         },
         "rollouts": {"constant": {"linear_combination": {
             "episodes": 1, "held": 1, "failures": [], "max_drift_mm": 0.1, "max_tilt_deg": 0.02, "max_slip_distance_mm": 0.0,
-            "force_error_p95": 0.1, "total_normal_force_mean": 9.4, "peak_torque": 0.8, "iterations": summary(np.arange(30.0)),
+            "force_error_p95": 0.1, "total_normal_force_mean": 9.4, "peak_torque": 0.8, "iterations": spread(np.arange(30.0)),
         }}},
         "wins": [{
             "set": "jump_50", "label": SETS["jump_50"].label, "previous": {"median": 9.0, "p99": 40.0},
@@ -79,15 +80,6 @@ def synthetic_run(folder: Path, seed: int = 0) -> tuple[Run, dict[str, Any]]:
         ],
     }  # fmt: skip
     return run, metrics
-
-
-def summary(values: np.ndarray) -> dict[str, Any]:
-    """What metrics hold of values (n,); the interval is made up."""
-    if not values.size:
-        return {"n": 0, **dict.fromkeys(("median", "median_low", "median_high", "p90", "p95", "p99", "max"))}
-    p50, p90, p95, p99, most = (float(value) for value in np.percentile(values, [50, 90, 95, 99, 100]))
-    ends = {"median_low": 0.9 * p50, "median_high": 1.1 * p50}
-    return {"n": int(values.size), "median": p50, **ends, "p90": p90, "p95": p95, "p99": p99, "max": most}
 
 
 def _trials(rng: np.random.Generator, name: str) -> dict[str, np.ndarray]:
@@ -123,17 +115,17 @@ def _row(trials: dict[str, np.ndarray], method: str, key: str) -> dict[str, Any]
     learned = key in LEARNED
     return {
         "cases": int(pick.sum()), "not_applicable": int((status == 4).sum()), "no_start": 0, "not_converged": 0,
-        "iterations": summary(counts), "start_gap": summary(trials[f"{key}/gap"][pick]),
-        "iterations_to": {f"{level:.0e}".replace("e-0", "e-"): {**summary(to[:, k]), "unreached": 0} for k, level in enumerate(LEVELS[method])},
-        "gap_after": {str(count): summary(after[:, k]) for k, count in enumerate(BUDGETS)},
+        "iterations": spread(counts), "start_gap": spread(trials[f"{key}/gap"][pick]),
+        "iterations_to": {f"{level:.0e}".replace("e-0", "e-"): {**spread(to[:, k]), "unreached": 0} for k, level in enumerate(LEVELS[method])},
+        "gap_after": {str(count): spread(after[:, k]) for k, count in enumerate(BUDGETS)},
         "margin_min": 1e-3, "residual_max": 1e-15,
-        "raw": {"inside": 0.97, "margin_min": -0.01, "residual_max": 1e-15, "gap": summary(trials[f"{key}/gap"][pick])} if learned else None,
+        "raw": {"inside": 0.97, "margin_min": -0.01, "residual_max": 1e-15, "gap": spread(trials[f"{key}/gap"][pick])} if learned else None,
         "worse_than_basis": {"count": 0, "of": int(pick.sum())} if learned else None,
     }  # fmt: skip
 
 
 def _both(values: np.ndarray) -> dict[str, Any]:
-    return {"best": summary(values.min(axis=0)), "raw": summary(values.ravel())}
+    return {"best": spread(values.min(axis=0)), "raw": spread(values.ravel())}
 
 
 def _timing(rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -178,7 +170,7 @@ def _facts() -> dict[str, Any]:
 def _learning() -> dict[str, Any]:
     mean, ratio = {"n": 9, "mean": 9.0, "low": 8.0, "high": 10.0}, {"ratio": 0.8, "low": 0.7, "high": 0.9}
     row = {
-        "seeds": 3, "held": 29, "episodes": 30, "held_low": 0.9, "held_high": 1.0, "iterations": summary(np.arange(30.0)),
+        "seeds": 3, "held": 29, "episodes": 30, "held_low": 0.9, "held_high": 1.0, "iterations": spread(np.arange(30.0)),
         "iterations_against_paper": ratio, "squeeze": mean, "drift_mm": mean, "return": {"iqm": -3.0, "low": -4.0, "high": -2.0},
     }  # fmt: skip
     curve = [

@@ -7,16 +7,21 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from grasp_env.config import EnvConfig
 from grasp_env.force import Objective, phase_one
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
 from training.cases.grasps import DISPLACEMENT, FRICTIONS, grasp_cases
-from training.cases.recorded import IMPACT, record, recorded_cases, without
+from training.cases.recorded import IMPACT, SLIP, record, recorded_cases, without
 from training.cases.set_table import GROUPS, SETS
-from training.cases.sets import directions, fixed_cases
-from training.cases.starts import carried, near_fixed
+from training.cases.sets import DIRECTION_SIZES, directions, fixed_cases
+from training.cases.start_table import STARTS
+from training.cases.starts import STORED, carried, near_fixed
 from training.data.grasps import EVALUATION
+from training.trials import hold_plan
+from training.trials.arrays import MAGNITUDES, SCENARIO_LABELS, SCENARIOS
 from training.trials.compare import cases_of
+from training.trials.continuity import FINER
 
 RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
 
@@ -128,3 +133,30 @@ def test_too_few_fingers_are_no_grasp():
     rest = without(presets.five_finger_cuboid(), 1)
     assert rest is not None
     assert rest.n_contacts == 4
+
+
+def test_what_sets_scenarios_and_starts_are_called_is_what_is_done():
+    """Their labels are texts of tables that import nothing: the numbers in them are held against the code here."""
+    labels = {name: info.label for name, info in SETS.items()}
+    ball = f"force <= {FORCE_RADIUS:g} N, moment <= {MOMENT_RADIUS:g} N m"
+    forces, moments = ([size * unit for size in DIRECTION_SIZES] for unit in (1.0, MOMENT_RADIUS))
+    few = ["{:g}, {:g} and {:g}".format(*sizes) for sizes in (FRICTIONS, forces, moments)]
+    moved = f"slipped {1e3 * SLIP[0]:g} to {1e3 * SLIP[1]:g} mm"
+    for name, part in (
+        ("ball", ball), ("friction", few[0]), ("positions", f"up to {1e3 * DISPLACEMENT:g} mm"), ("rollout_changes", moved),
+        ("directions", f"{len(directions())} directions"), ("directions", f"of {few[1]} N or {few[2]} N m"),
+    ):  # fmt: skip
+        assert part in labels[name], (name, part)
+    assert IMPACT == 0.25  # "a quarter of the ball's radius"
+    assert all(f"{STORED:,} stored" in STARTS[f"nearest_{kind}"].label for kind in ("tangent", "pseudoinverse"))
+    config = EnvConfig(disturbance="paper_path")
+    for name, part in (
+        ("paper_path", f"x {config.scale:g}"), ("random", f"{config.random_force:g} N / {config.random_moment:g} N m"),
+        ("late", f"{1e3 * SCENARIOS['late']['wrench_delay'] / config.control_rate:g} ms late"),
+        ("impulses", f"{config.impulse_force:g} N / {config.impulse_moment:g} N m, {config.impulse_time:g} s"),
+    ):  # fmt: skip
+        assert part in SCENARIO_LABELS[name], (name, part)
+    pushes = hold_plan.SCENARIO_LABELS["six_directions"]
+    assert f"six pushes of {config.push_per_mass:g} N/kg, {config.push_time:g} s each" in pushes
+    assert FINER == 100
+    assert np.log10(MAGNITUDES[1] / MAGNITUDES[0]) == 6.0  # "six decades"

@@ -200,19 +200,19 @@ def test_workers_do_not_matter_and_an_interrupted_run_goes_on(tmp_path, monkeypa
     cells = [Cell("objects", "paper", 5, SHORT), Cell("objects", "pd", 2, {**SHORT, "controller": "pd"})]
     one = run("one", 1, cells)
 
-    real = env_evaluation.roll_out_cells
+    real = env_evaluation.run_jobs
 
-    def stopped(here: Run, missing: list[Cell], *rest: Any) -> None:
-        real(here, missing[:1], *rest)
+    def stopped(here: Run, jobs: list[Any], workers: int) -> Any:
+        yield from real(here, jobs[:1], workers)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(env_evaluation, "roll_out_cells", stopped)
+    monkeypatch.setattr(env_evaluation, "run_jobs", stopped)
     with pytest.raises(KeyboardInterrupt):
         run("two", 2, cells)
     assert (tmp_path / "two/trials/objects/paper.npz").is_file()
     assert not (tmp_path / "two/run.json").exists()
     written = (tmp_path / "two/trials/objects/paper.npz").stat().st_mtime_ns
-    monkeypatch.setattr(env_evaluation, "roll_out_cells", real)
+    monkeypatch.setattr(env_evaluation, "run_jobs", real)
     with pytest.raises(InvalidInputError, match="begun with other"):
         run("two", 2, cells[:1])
     two = run("two", 2, cells)

@@ -196,8 +196,8 @@ def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
         evaluate(EvaluateConfig(out=str(tmp_path), name="half", **{**SMALL, "wrenches": 7}), Console(quiet=True))
     asked = []
 
-    def stop(run, jobs, config, fitted):
-        asked.extend(jobs)
+    def stop(run, jobs, workers):
+        asked.extend(job.name for job in jobs)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(evaluate_module, "run_jobs", stop)
@@ -205,7 +205,7 @@ def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
         evaluate(wanted, Console(quiet=True))
     assert set(asked) == {job for job in plan() if not job.startswith("trials/")} | {"trials/constant"}
     assert half.read_json("plan.json") == plan_before
-    again, _ = evaluate_module.work("trials/constant", wanted, half.path(evaluate_module.MODEL))
+    again = evaluate_module.work("trials/constant", wanted, half.path(evaluate_module.MODEL))
     first = run.read_arrays("trials/constant.npz")
     assert again.keys() == first.keys()
     for name, array in first.items():

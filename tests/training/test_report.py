@@ -15,9 +15,8 @@ from browser import Browser, browser, find_browser
 from synthetic_run import synthetic_run
 
 from grasp_env.errors import InvalidInputError
-from training.report.common import claims_section
 from training.report.comparison import build_report, write_pages
-from training.report.model import Table
+from training.report.page import Table, claims_section
 from training.report.starts import STEPPED, label, matrix, network_section, pair
 from training.report.style import THEME
 from training.runs import Run

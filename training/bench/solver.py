@@ -18,7 +18,8 @@ from grasp_env.force.record import CODE, FORCE, record_size
 from grasp_env.grasp import Grasp
 from training import peers
 from training.bench.grasps import problems
-from training.bench.timing import compiled_times, python_times
+from training.bench.timing import compiled_times
+from training.peers.problem import best_times
 from training.runs import provenance
 
 SIZES = (3, 4, 5, 8, 16, 50)
@@ -172,7 +173,7 @@ def _ours(grasp: Grasp, loads: Array) -> dict[str, tuple[Callable[[int], Array],
             return compiled_times(optimizer, loads, passes, records)
 
         def python(passes: int, optimizer: ForceOptimizer = optimizer) -> Array:
-            return python_times(optimizer.solve, loads, passes)
+            return best_times(optimizer.solve, loads, passes)
 
         def answers(optimizer: ForceOptimizer = optimizer) -> Array:
             return np.array([_cone(grasp, optimizer.solve(w)._record) for w in loads])

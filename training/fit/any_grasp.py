@@ -24,6 +24,7 @@ from training.fit.settings import AnyFitConfig
 from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
 from training.runs import provenance
+from training.runs.words import small
 
 HELD_OUT_SEED = 77_777
 """Of the held-out grasps: the same for every training, so that seeds can be compared."""
@@ -151,7 +152,7 @@ def _card(
         "what": "learned Newton layers: initial grasp force for any contacts, from the 12-basis or the previous solution",
         "quick": config.quick,
         "data": f"{config.grasps} random grasps of 3 to 5 contacts with force closure, {len(train)} wrenches, labelled by "
-        f"Newton to a relative gap of {any_dataset.LABEL_GAP:g} ({train.refused} dropped); {len(held_out)} wrenches on "
+        f"Newton to a relative gap of {small(any_dataset.LABEL_GAP)} ({train.refused} dropped); {len(held_out)} wrenches on "
         f"{config.held_out // 4} other grasps held out",
         "command": command,
         "config": asdict(config),

@@ -16,18 +16,19 @@ with need("train"):
 
 from grasp_env.force import Objective
 from grasp_env.grasp import Grasp, presets, reference_basis
-from grasp_env.grasp.wrench import sample_ball
+from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS, sample_ball
 from policies.checkpoint import Checkpoint
 from policies.features import N_FEATURES, Features
 from policies.fixed_grasp import FixedGraspForce
 from policies.network import Network
-from training.data.one_grasp import Dataset, label, sample
+from training.data.one_grasp import BALL, LABEL_GAP, Dataset, label, sample
 from training.fit.loop import Plan, optimise
 from training.fit.scores import scores
 from training.fit.settings import FitConfig
 from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
 from training.runs import provenance
+from training.runs.words import small
 
 FRICTIONS, AT_ONCE = 256, 16
 """Different frictions in the data, and in a batch: each has weights of its own."""
@@ -178,8 +179,8 @@ def _card(config: FitConfig, grasp: Grasp, command: str, now: Progress) -> dict[
         "what": "initial grasp force of one grasp, from wrench and friction",
         "quick": config.quick,
         "grasp": {"preset": config.preset, "positions": grasp.positions.tolist(), "normals": grasp.normals.tolist()},
-        "data": f"{config.samples} generated wrenches, half of them from the standard ball (force 2 N, moment 0.05 N m), labelled by "
-        "Newton to a relative gap of 1e-10; others held out",
+        "data": f"{config.samples} generated wrenches, {100 * BALL:g} % of them from the standard ball (force {FORCE_RADIUS:g} N, moment "
+        f"{MOMENT_RADIUS:g} N m), labelled by Newton to a relative gap of {small(LABEL_GAP)}; others held out",
         "command": command,
         "config": asdict(config),
         "optimisation_steps": now.step,

@@ -100,7 +100,7 @@ def dual_form(cone_matrix: Array, cost: Array) -> tuple[sparse.csc_matrix, Array
     return sparse.csc_matrix(cone_matrix.T), bound
 
 
-def best_times(solve: Callable[[Wrench], Array], wrenches: Array, repeats: int) -> Array:
+def best_times(solve: Callable[[Wrench], object], wrenches: Array, repeats: int) -> Array:
     """Seconds (M,) per wrench (M, 6) of one Python call: new wrench in, forces out as an array.
 
     The best of `repeats` passes over all wrenches: a pass, unlike the same wrench again and again, leaves nothing of

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from grasp_env.errors import InvalidInputError
-from training.report.common import claims_section, provenance_section
 from training.report.details import feasibility_section, newton_section, sets_section, timing_section
 from training.report.facts import caveats_section, models_section
 from training.report.hand import hand_section, paper_section
-from training.report.model import Picture, Section
-from training.report.pages import write_page
+from training.report.page import Picture, Section, claims_section, provenance_section, write_page
 from training.report.pictures import draw_all, loops
 from training.report.rl import rl_section
 from training.report.starts import network_section, wins_section

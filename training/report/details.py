@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from training.report.model import Fold, Picture, Section, Table, at, present
+from training.cases.set_table import TOLERANCE
+from training.report.page import Fold, Picture, Section, Table, at, present
 from training.report.starts import MAIN, label, matrix, pair, set_label, short, steps
-from training.runs.words import number, percent
+from training.runs.words import number, percent, small
+from training.trials.arrays import LIMIT
 
 
 def sets_section(metrics: dict[str, Any]) -> Section:
     """Everything measured, a folded part per set."""
     notes = (
-        "Cases: those a start applies to. No start: it has no strictly feasible force there (counted, in no percentile). Not "
-        "done: 1e-4 was not reached in 5000 iterations (in the percentiles as more than 5000). In brackets a 95 % bootstrap "
-        "interval of the median.",
+        "Cases: those a start applies to. No start: it has no strictly feasible force there (counted, in no percentile). Not done: "
+        f"{small(TOLERANCE)} was not reached in {LIMIT} iterations (in the percentiles as more than {LIMIT}). In brackets a 95 % "
+        "interval of the median, between order statistics.",
     )
     folds = [_set_fold(metrics, name) for name in metrics.get("sets", {})]
     return Section("sets", "Set by set", notes, present(folds))
@@ -44,7 +46,7 @@ def _iterations(rows: dict[str, Any], method: str) -> Table:
         for key, row in rows.items()
         if at(row, "cases")
     ]  # fmt: skip
-    return Table(f"{method}: iterations to a relative gap of 1e-4", columns, out)
+    return Table(f"{method}: iterations to a relative gap of {small(TOLERANCE)}", columns, out)
 
 
 def _interval(row: dict[str, Any] | None) -> str:
@@ -81,7 +83,7 @@ def _events(metrics: dict[str, Any], name: str) -> Table:
     for event, rows in events.items():
         count = max((at(row, "cases") or 0 for row in rows.values()), default=0)
         out.append([event or "(none)", number(count), *(pair(at(rows, key, "iterations")) for key in used)])
-    caption = "Reduced flow by event: iterations to 1e-4, median / p99"
+    caption = f"Reduced flow by event: iterations to {small(TOLERANCE)}, median / p99"
     return Table(caption, ("event", "cases", *(short(key) for key in used)), out)
 
 
@@ -95,12 +97,12 @@ def newton_section(metrics: dict[str, Any]) -> Section:
         if set(counts) != {"–"}:
             out.append([label(key), *counts, *(_micro(row) for row in micro)])
     columns = ("start", "reduced flow, iterations", "Newton, iterations", "reduced flow [µs]", "Newton [µs]")
-    table = Table("Held-out ball, to a relative gap of 1e-4: median / p99", columns, out)
+    table = Table(f"Held-out ball, to a relative gap of {small(TOLERANCE)}: median / p99", columns, out)
     notes = (
         "A Newton step costs more than a step of the flow and gains more: a good start saves the flow many steps and Newton "
         "few. Microseconds are whole public Python calls on the fixed grasp.",
     )
-    sets = matrix(metrics, "newton", MAIN, "Newton: iterations to 1e-4, median / p99")
+    sets = matrix(metrics, "newton", MAIN, f"Newton: iterations to {small(TOLERANCE)}, median / p99")
     return Section("newton", "Newton beside the reduced flow", notes, present([table, sets]))
 
 
@@ -132,7 +134,7 @@ def timing_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
         "Public Python calls on this machine, one thread, compiled kernels warm, warm-up not counted, one start "
         "at a time in blocks that take turns, as in a loop that does nothing else, on "
         f"every wrench ({number(timing.get('wrenches'))} of the held-out ball, fixed grasp). “Start alone” includes inference "
-        "and repair; “with …” is the whole call to a certified gap of 1e-4; where the solver has the start compiled, as the "
+        f"and repair; “with …” is the whole call to a certified gap of {small(TOLERANCE)}; where the solver has the start compiled, as the "
         "12-basis, it never returns to Python in between and can be shorter than the start alone. Best of "
         f"{number(timing.get('repeats'))} repeats per wrench; all repeats are in the folded table.",
     )

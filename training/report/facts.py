@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from training.report.model import Fold, Picture, Section, Table, at, flat, present
+from training.report.page import Fold, Picture, Section, Table, at, flat, present
 from training.report.starts import label
 from training.runs.words import number
 from training.trials.claims import training_seconds

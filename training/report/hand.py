@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from training.report.model import Fold, Picture, Section, Table, at, present
+from training.report.page import Fold, Picture, Section, Table, at, present
 from training.report.starts import label, steps
 from training.runs.words import number
 from training.trials.arrays import SCENARIO_LABELS
@@ -55,8 +55,8 @@ def hand_section(metrics: dict[str, Any], pictures: list[Picture], loops: list[P
         "peak torque [N m]", "iterations, median", "p99",
     )  # fmt: skip
     notes = (
-        "Roll-outs of FourFingerGrasp-v0 (50 Hz agent, 250 Hz control and physics); the solver is told 0.85 of the simulation's "
-        "friction. W_ext(t) is scaled by 0.1: at full size its 1 N m about z takes 153 N of normal force and joint torques of 9 N m.",
+        f"Roll-outs of FourFingerGrasp-v0{_settings(at(metrics, 'run', 'rollouts'))}: at full size its 1 N m about z takes 153 N of "
+        "normal force and joint torques of 9 N m.",
         "The optimum is the same whatever the start, so the hand holds as well from any: what differs are the iterations.",
     )
     table = Table("The simulated hand, per scenario and start", columns, rows, words=2)
@@ -65,4 +65,14 @@ def hand_section(metrics: dict[str, Any], pictures: list[Picture], loops: list[P
         "The simulated hand",
         notes,
         present([*loops, *pictures, Fold("Every scenario and start", present([table]))]),
+    )
+
+
+def _settings(made: dict[str, Any] | None) -> str:
+    """The environment's settings, in the numbers of this run; runs of older versions do not say them."""
+    if not made:
+        return "; W_ext(t) is scaled down"
+    return (
+        f" ({made['agent_rate']} Hz agent, {made['control_rate']} Hz control, {made['physics_rate']} Hz physics); the solver is told "
+        f"{made['friction_margin']:g} of the simulation's friction. W_ext(t) is scaled by {made['path_scale']:g}"
     )

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from training.report.common import claims_section, provenance_section
-from training.report.model import Picture, Section, Table
-from training.report.pages import png, write_page
+from training.report.page import Picture, Section, Table, claims_section, png, provenance_section, write_page
 from training.report.style import new_figure
 from training.runs import Run
 from training.runs.words import number

@@ -7,9 +7,8 @@ from typing import Any
 
 from training.cases.start_table import LABELS
 from training.demo.loops import ANIMATIONS, STILL, still_of
-from training.report import figures_more as more
-from training.report import figures_starts as starts
-from training.report.model import Picture, at, data_uri
+from training.report import figures
+from training.report.page import Picture, at, data_uri
 from training.report.rl import learning_curves
 from training.report.starts import label, set_label, short
 from training.report.style import Drawing, close, standalone, svg
@@ -84,14 +83,14 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
         "Best of the repeats per wrench. Above each line the start and the reduced flow, below it, pale, the start and Newton; the "
         "bar is the median.",
         "Half violins of microseconds per call for every start, with the reduced flow and with Newton; the table has the numbers.",
-        lambda: more.violins(arrays("timing.npz")),
+        lambda: figures.violins(arrays("timing.npz")),
     )  # fmt: skip
     yield (
         "continuity",
         "Force change per wrench change, |df| / |dw|",
         "Along straight paths: median (dot), p99 (bar), largest (cross).",
         "Median, p99 and largest slope of every start; the table has the numbers.",
-        lambda: more.continuity(metrics),
+        lambda: figures.continuity(metrics),
     )
     constant, path = trials("constant"), trials("paper_path")
     if constant:
@@ -100,7 +99,7 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
             "Convergence on the paper's constant wrench (its Fig. 3)",
             "",
             "Convergence curves of the reduced flow on the paper's constant wrench, one per start.",
-            lambda: starts.fan(constant, tuple(LABELS)),
+            lambda: figures.fan(constant, tuple(LABELS)),
         )
     if "optimum/force" in path:
         yield (
@@ -108,14 +107,14 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
             "Optimal forces along W_ext(t), full size",
             "",
             "Normal and tangential forces of the four fingers over two seconds; smooth, the thumb's largest.",
-            lambda: more.forces_over_time(path),
+            lambda: figures.forces_over_time(path),
         )
         yield (
             "against",
             "Starts against the optimum along W_ext(t) (its Fig. 4)",
             "",
             "Normal force of each finger over time: optimum and starts; the 12-basis lies above the optimum.",
-            lambda: more.start_against_optimum(path),
+            lambda: figures.start_against_optimum(path),
         )
     for start in ("linear_combination", "learned_fixed"):
         yield (
@@ -123,7 +122,7 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
             f"Roll-outs, start: {short(start)}",
             "Drift is drawn from 1e-6 mm on; dotted: 1 mm.",
             "Object drift, thumb force and iterations over time in every scenario.",
-            lambda start=start: more.rollout(arrays("rollouts.npz"), start),
+            lambda start=start: figures.rollout(arrays("rollouts.npz"), start),
         )
 
 
@@ -137,7 +136,7 @@ def _models(metrics: dict[str, Any]) -> Iterator[_Entry]:
                 title,
                 "",
                 f"{title}, held-out gap against steps.",
-                lambda card=card: more.training_curve(card),
+                lambda card=card: figures.training_curve(card),
             )
 
 
@@ -150,9 +149,9 @@ def _learning(results: dict[str, Any] | None) -> Iterator[_Entry]:
 def _of_sets(metrics: dict[str, Any], trials: Callable[[str], Trials]) -> Iterator[_Entry]:
     """The figures that compare starts on sets of cases."""
     for kind, names, title, caption, draw in (
-        ("fan", _FANS, "Convergence", "", starts.fan),
-        ("ecdf", _ECDFS, "Share solved within so many steps", "", starts.ecdf),
-        ("budget", _BUDGETS, "Gap left after a budget of steps", "● median, ▲ p95.", starts.budget),
+        ("fan", _FANS, "Convergence", "", figures.fan),
+        ("ecdf", _ECDFS, "Share solved within so many steps", "", figures.ecdf),
+        ("budget", _BUDGETS, "Gap left after a budget of steps", "● median, ▲ p95.", figures.budget),
     ):
         for name in names:
             if trials(name):
@@ -169,4 +168,4 @@ def _of_sets(metrics: dict[str, Any], trials: Callable[[str], Trials]) -> Iterat
             text = f"Performance profile, {title}: all cases of {len(names)} sets"
             note = "Share of cases solved within a factor of the fewest steps; starts that do not apply count as not solved."
             key = f"profile-{title.split()[0]}"
-            yield key, text, note, text, lambda names=names: starts.profile([trials(name) for name in names])
+            yield key, text, note, text, lambda names=names: figures.profile([trials(name) for name in names])

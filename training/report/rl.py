@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from training.report.model import Fold, Picture, Section, Table, at, flat, present
-from training.report.pages import png, write_page
+from training.report.page import Fold, Picture, Section, Table, at, flat, png, present, write_page
 from training.report.style import INK, WIDTH, Drawing, colour, entry, new_figure
 from training.runs import Run
 from training.runs.words import number, percent

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from training.cases.set_table import GROUPS
+from training.cases.set_table import GROUPS, TOLERANCE
 from training.cases.start_table import LABELS, MAIN, SHORT
-from training.report.common import pretty
-from training.report.model import Cell, Fold, Section, Table, at, present
-from training.runs.words import number, percent
+from training.report.page import Cell, Fold, Section, Table, at, present, pretty
+from training.runs.words import number, percent, small
 from training.trials.arrays import LIMIT
 
 STEPPED = ("linear_combination", "basis_tangent", "basis_newton_2", "network", "network_newton_1", "network_newton_2")
@@ -54,14 +53,14 @@ def pair(row: dict[str, Any] | None) -> str:
 def wins_section(metrics: dict[str, Any]) -> Section:
     """Set by set: which start needs the fewest iterations."""
     notes = (
-        "Iterations (accepted steps) to a relative gap of 1e-4 in Phi, median / p99; ★ marks the best of a row, by the median, "
-        "then by the p99. † the start does not exist on more than 1 % of these cases (they are in no percentile), ‡ it "
+        f"Iterations (accepted steps) to a relative gap of {small(TOLERANCE)} in Phi, median / p99; ★ marks the best of a row, by the median, "
+        f"then by the p99. † the start does not exist on more than {100 * FEW:g} % of these cases (they are in no percentile), ‡ it "
         "does not apply to a part of them: neither can be the best. A dash: it does not apply there at all, or was not measured.",
         "On cases that follow each other smoothly the previous solution with the tangent correction is hard to beat: there a "
         "learned start can only tie. Where it is far (jumps), or belongs to other contacts, or does not exist (a cold start), "
         "the others are compared.",
     )
-    main = matrix(metrics, "reduced_flow", MAIN, "Reduced flow: iterations to 1e-4, median / p99")
+    main = matrix(metrics, "reduced_flow", MAIN, f"Reduced flow: iterations to {small(TOLERANCE)}, median / p99")
     everything = [
         matrix(metrics, "reduced_flow", tuple(LABELS), title, group)
         for group, title in _groups(metrics).items()
@@ -115,7 +114,7 @@ def network_section(metrics: dict[str, Any]) -> Section:
     columns = (
         "start", "flow, iterations", "gap at the start", "start alone [µs]", "with the flow [µs]", "with Newton [µs]",
     )  # fmt: skip
-    table = Table("Held-out ball, to a relative gap of 1e-4, median / p99", columns, out)
+    table = Table(f"Held-out ball, to a relative gap of {small(TOLERANCE)}, median / p99", columns, out)
     return Section("network", "The network alone", notes, present([table]))
 
 

@@ -14,14 +14,7 @@ from grasp_env._extras import need
 
 with need("sim", "train", "report"):
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import Progress
     from stable_baselines3 import PPO, SAC
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.logger import configure
@@ -37,6 +30,7 @@ from training.rl.score import score
 from training.rl.settings import CURVE_SEED, RLConfig
 from training.runs import Run, provenance, understood
 from training.runs.interrupts import interruptible
+from training.runs.workers import progress
 
 
 def train(config: RLConfig, out: Path, resume: bool = False, console: Console | None = None) -> dict[str, Any]:
@@ -77,11 +71,7 @@ def train(config: RLConfig, out: Path, resume: bool = False, console: Console | 
         raise ModelFileError(f"{out} holds no checkpoint of seeds {config.seeds}: leave --resume out")
     check_space(out, config)
     run.write_json("config.json", {**asdict(config), "env_settings": config.env_settings})
-    bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(),
-        console=console, disable=not console.is_terminal,
-    )  # fmt: skip
-    with bar:
+    with progress(console) as bar:
         for seed, folder in folders.items():
             train_seed(config, folder, seed, folder in begun, bar)
     report = evaluate_runs([out], out, config.episodes, config.quick, console)

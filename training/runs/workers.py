@@ -6,10 +6,15 @@ import json
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from grasp_env.errors import InvalidInputError
 from training.runs import Run
@@ -17,9 +22,70 @@ from training.runs import Run
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
+class Job(NamedTuple):
+    """What becomes one file of arrays.
+
+    Attributes:
+        name: of the file, without .npz.
+        calls: (function, arguments), picklable, for workers.
+        join: their answers, in order, to the arrays.
+    """
+
+    name: str
+    calls: list[tuple[Callable[..., Any], tuple[Any, ...]]]
+    join: Callable[[list[Any]], dict[str, np.ndarray]]
+
+    def done(self, run: Run) -> bool:
+        """Whether its file is there, which it is only when it is whole."""
+        return run.path(f"{self.name}.npz").is_file()
+
+
+def run_jobs(run: Run, jobs: list[Job], workers: int) -> Iterator[tuple[str, float]]:
+    """Yields (job, seconds) of every call that has been answered; a job's file is written as soon as its last one is.
+
+    Args:
+        run: receives the files.
+        jobs: what to do, the longest first.
+        workers: spawned processes, each with one thread; 0: one per core. The results do not depend on it.
+    """
+    if not jobs:
+        return
+    answers: dict[str, list[Any]] = {job.name: [None] * len(job.calls) for job in jobs}
+    left = {job.name: len(job.calls) for job in jobs}
+    with _pool(min(workers or os.cpu_count() or 1, sum(left.values()))) as started:
+        with _one_thread():
+            waiting = {
+                started.submit(_timed, *call): (job, place) for job in jobs for place, call in enumerate(job.calls)
+            }
+        for future in as_completed(waiting):
+            job, place = waiting.pop(future)
+            answers[job.name][place], seconds = future.result()
+            left[job.name] -= 1
+            if not left[job.name]:
+                run.write_arrays(f"{job.name}.npz", job.join(answers.pop(job.name)))
+            yield job.name, seconds
+
+
+def _timed(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[Any, float]:
+    begun = time.perf_counter()
+    return function(*arguments), time.perf_counter() - begun
+
+
+def progress(console: Console) -> Progress:
+    """The bar of everything that takes long; where nobody looks, none."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    return Progress(*columns, console=console, transient=False, disable=not console.is_terminal)
+
+
 @contextmanager
-def pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Spawned workers; where the block raises, what waits is dropped. Submit inside `one_thread`."""
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Spawned workers; where the block raises, what waits is dropped. Submit inside `_one_thread`."""
     made = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _quiet)
     try:
         yield made
@@ -30,7 +96,7 @@ def pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def _one_thread() -> Iterator[None]:
     """Processes started in the block compute with one thread each: their libraries read these when they are loaded."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.progress import Progress
 
 from grasp_env.force import Objective
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS, PAPER_CONSTANT, sample_ball
 from training.cases.starts import make_starts
-from training.report.common import provenance_section
-from training.report.model import Picture, Section, Table
-from training.report.pages import png, write_page
+from training.report.page import Picture, Section, Table, png, provenance_section, write_page
 from training.report.style import new_figure
 from training.runs import Run, default_name, provenance
 from training.runs.words import number, small
+from training.runs.workers import progress as bar_of
 from training.study import study
 from training.trials.compare import cases_of, compare
 from training.trials.metrics import table_one
@@ -48,7 +45,12 @@ def reproduce(out: Path, quick: bool = False, progress: bool = True) -> dict[str
     run = Run.create(out, default_name("reproduce"))
     grasp, count = presets.paper_cuboid(), 20 if quick else 200
     wrenches = sample_ball(np.random.default_rng([0, 101]), count)
-    with _progress(progress) as task:
+    with bar_of(Console(stderr=True, quiet=not progress)) as bar:
+
+        def task(name: str, total: int) -> Callable[[], None]:
+            number_of_task = bar.add_task(name, total=total)
+            return lambda: bar.advance(number_of_task)
+
         weights = study.weights_study(grasp, wrenches, task("weights and step rules", study.ROWS))
         times = study.rule_times(grasp, wrenches)
         rates = study.rate_study(grasp, np.array(PAPER_CONSTANT))
@@ -296,14 +298,3 @@ def percent_of(row: dict[str, Any], part: str) -> str:
 def _steps(row: dict[str, Any]) -> str:
     steps, missing = row["iterations"], row["not_converged"]
     return f"{number(steps['median'])} ({number(steps['p95'])})" + (f", {missing} not done" if missing else "")
-
-
-@contextmanager
-def _progress(shown: bool) -> Iterator[Callable[[str, int], Callable[[], None]]]:
-    with Progress(console=Console(stderr=True), disable=not shown) as bar:
-
-        def task(name: str, total: int) -> Callable[[], None]:
-            number_of_task = bar.add_task(name, total=total)
-            return lambda: bar.advance(number_of_task)
-
-        yield task

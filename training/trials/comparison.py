@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import functools
-import os
 import time
-from concurrent.futures import as_completed
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from grasp_env.force import AdaptiveStep, Objective
 from grasp_env.grasp import presets
@@ -24,17 +21,19 @@ from training.cases.start_table import SHIPPED
 from training.cases.starts import Start, load_models, make_starts
 from training.demo.loops import record_animations
 from training.runs import Run, provenance
-from training.runs.workers import begin, one_thread, pool
+from training.runs.workers import Job, begin, progress, run_jobs
+from training.trials import rollouts
 from training.trials.arrays import SCENARIOS, Trials
 from training.trials.compare import cases_of, compare
 from training.trials.continuity import continuity
 from training.trials.guarantee import guarantee
-from training.trials.rollouts import roll_out_scenario
 from training.trials.settings import EvaluateConfig
 from training.trials.timing import time_calls
 
 MODEL = "model/four_finger"
 """Of the network fitted in a run."""
+ROLLED = {"single_value": "single_value", "linear_combination": "linear_combination", "previous_tangent": "previous"}
+"""The starts of the roll-outs besides the models, and what the environment calls them."""
 
 
 def evaluate(config: EvaluateConfig, console: Console | None = None) -> Run:
@@ -50,12 +49,12 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> Run:
     begin(run, {"kind": "starts", **settings}, "settings")
     run.write_json("config.json", asdict(config))
     fitted = _fit(run, config, console) if config.fit_seconds or config.fit.steps else None
-    jobs = [job for job in plan() if not run.path(file_of(job)).is_file()]
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    jobs = [Job(job, [(work, (job, config, fitted))], _only) for job in plan()]
+    jobs = [job for job in jobs if not job.done(run)]
     seconds: dict[str, float] = {}
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+    with progress(console) as bar:
         task = bar.add_task("comparing starts", total=len(jobs))
-        for job, took in run_jobs(run, jobs, config, fitted):
+        for job, took in run_jobs(run, jobs, config.workers):
             seconds[job] = took
             bar.update(task, advance=1, description=job)
         if not run.path("timing.npz").is_file():
@@ -67,8 +66,8 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> Run:
             )
             run.write_arrays("timing.npz", timing)
             seconds["timing"] = time.perf_counter() - start
-    rollouts = [run.read_arrays(f"rollouts/{name}.npz") for name in SCENARIOS]
-    run.write_arrays("rollouts.npz", {key: value for arrays in rollouts for key, value in arrays.items()})
+    parts = [run.read_arrays(f"rollouts/{name}.npz") for name in SCENARIOS]
+    run.write_arrays("rollouts.npz", {key: value for arrays in parts for key, value in arrays.items()})
     record_animations(run, LearnedInitialForce.pretrained(), quick=config.quick, seed=config.seed)
     seconds["all"] = time.perf_counter() - begun
     run.write_json("run.json", about(run, config, fitted, seconds))
@@ -81,44 +80,23 @@ def plan() -> list[str]:
     return names + [f"trials/{name}" for name in sorted(SETS, key=lambda name: -SETS[name].share)]
 
 
-def file_of(job: str) -> str:
-    """Where a job's arrays are kept."""
-    return f"{job}.npz"
+def _only(answers: list[Trials]) -> Trials:
+    (arrays,) = answers
+    return arrays
 
 
-def run_jobs(run: Run, jobs: list[str], config: EvaluateConfig, fitted: Path | None) -> Any:
-    """Yields (job, seconds) as each is done and its file is whole."""
-    if not jobs:
-        return
-    with pool(min(config.workers or os.cpu_count() or 1, len(jobs))) as started:
-        with one_thread():
-            waiting = {started.submit(work, job, config, fitted): job for job in jobs}
-        for done in as_completed(waiting):
-            arrays, took = done.result()
-            run.write_arrays(file_of(waiting[done]), arrays)
-            yield waiting[done], took
-
-
-def work(job: str, config: EvaluateConfig, fitted: Path | None) -> tuple[Trials, float]:
-    """One job, in a worker: its arrays and how long it took [s]."""
-    begun = time.perf_counter()
+def work(job: str, config: EvaluateConfig, fitted: Path | None) -> Trials:
+    """One job, in a worker: its arrays."""
     models, starts = _starts(fitted, config.fit.force_weight, config.fit.barrier_weight)
     phi = objective(config)
     kind, _, name = job.partition("/")
     if kind == "trials":
-        out = compare(name, cases_of(name, config.wrenches, config.seed), starts, models, phi)
-    elif kind == "rollouts":
-        named = {
-            "single_value": "single_value",
-            "linear_combination": "linear_combination",
-            "previous_tangent": "previous",
-        }
-        out = roll_out_scenario(name, {**named, **models}, config.episodes, config.seed, phi, config.steps)
-    elif kind == "continuity":
-        out = continuity(starts, phi, config.paths, config.seed)
-    else:
-        out = guarantee(models, config.guarded, config.seed)
-    return out, time.perf_counter() - begun
+        return compare(name, cases_of(name, config.wrenches, config.seed), starts, models, phi)
+    if kind == "rollouts":
+        return rollouts.roll_out_scenario(name, {**ROLLED, **models}, config.episodes, config.seed, phi, config.steps)
+    if kind == "continuity":
+        return continuity(starts, phi, config.paths, config.seed)
+    return guarantee(models, config.guarded, config.seed)
 
 
 def objective(config: EvaluateConfig) -> Objective:
@@ -141,6 +119,7 @@ def about(run: Run, config: EvaluateConfig, fitted: Path | None, seconds: dict[s
         "friction": float(presets.preset(config.fit.preset).friction[0]),
         "force_weight": config.fit.force_weight,
         "barrier_weight": config.fit.barrier_weight,
+        "rollouts": rollouts.settings(),
         "step_rule": {"name": type(rule).__name__, **vars(rule)},
         "seconds": seconds,
         "fit": run.read_json("fit.json") if fitted is not None else None,

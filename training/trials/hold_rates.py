@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from concurrent.futures import Future
 from dataclasses import asdict
+from itertools import chain
 from typing import Any
 
+import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from training.runs import Run, default_name, provenance
-from training.runs.workers import begin, one_thread, pool
+from training.runs.workers import Job, begin, progress, run_jobs
 from training.trials.hold_plan import Cell, plan
 from training.trials.holds import cell_json, columns, run_chunk, torque_limit
 from training.trials.settings import EnvEvaluateConfig
@@ -38,18 +36,11 @@ def evaluate_env(config: EnvEvaluateConfig, console: Console | None = None, cell
     run = Run.create(config.out, config.name or default_name("env"))
     begun = {"seed": config.seed, "quick": config.quick, "cells": [cell_json(cell) for cell in cells]}
     begin(run, begun, "episodes, seed or settings")
-    missing = [cell for cell in cells if not run.path(_file(cell.name)).is_file()]
-    bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn(),
-        console=console, disable=not console.is_terminal,
-    )  # fmt: skip
-    with bar:
-        task = bar.add_task("episodes", total=sum(cell.episodes for cell in missing))
-
-        def advance(cell: str, count: int) -> None:
-            bar.update(task, advance=count, description=cell)
-
-        roll_out_cells(run, missing, config.seed, config.workers or os.cpu_count() or 1, advance)
+    jobs = [job for job in jobs_of(cells, config.seed) if not job.done(run)]
+    with progress(console) as bar:
+        task = bar.add_task("episodes", total=sum(len(job.calls) for job in jobs))
+        for job, _ in run_jobs(run, jobs, config.workers):
+            bar.update(task, advance=1, description=f"{job}, {CHUNK} episodes at a time")
     settings = {key: value for key, value in asdict(config).items() if key != "name"}
     facts = {
         "kind": "env",
@@ -66,36 +57,18 @@ QUICK_EPISODES = 4
 """Of every scenario of a quick run."""
 
 
-def roll_out_cells(
-    run: Run, cells: list[Cell], seed: int, workers: int, advance: Callable[[str, int], None] = lambda cell, count: None
-) -> None:
-    """Runs cells and saves each, `trials/<name>.npz`, as soon as its last trial is done.
+def jobs_of(cells: list[Cell], seed: int) -> list[Job]:
+    """A job per cell, trials/<name>, its episodes of the seeds seed, seed + 1, ... in chunks."""
 
-    Args:
-        run: receives the files.
-        cells: what to run, episodes seed, seed + 1, ...
-        seed: of the first episode.
-        workers: spawned processes.
-        advance: told of the trials done.
-    """
-    if not cells:
-        return
-    with pool(workers) as started:
-        pending: list[tuple[Cell, list[tuple[Future[list[dict[str, Any]]], int]]]] = []
-        for cell in cells:
-            chunks = [list(range(k, min(k + CHUNK, cell.episodes))) for k in range(0, cell.episodes, CHUNK)]
-            with one_thread():
-                jobs = [
-                    (started.submit(run_chunk, asdict(cell), [seed + k for k in chunk]), len(chunk)) for chunk in chunks
-                ]
-            pending.append((cell, jobs))
-        for cell, jobs in pending:
-            rows: list[dict[str, Any]] = []
-            for job, count in jobs:
-                rows += job.result()
-                advance(cell.name, count)
-            run.write_arrays(_file(cell.name), columns(rows))
+    def chunks(cell: Cell) -> list[list[int]]:
+        seeds = range(seed, seed + cell.episodes)
+        return [list(seeds[k : k + CHUNK]) for k in range(0, len(seeds), CHUNK)]
+
+    return [
+        Job(f"trials/{cell.name}", [(run_chunk, (asdict(cell), chunk)) for chunk in chunks(cell)], _joined)
+        for cell in cells
+    ]
 
 
-def _file(cell: str) -> str:
-    return f"trials/{cell}.npz"
+def _joined(chunks: list[list[dict[str, Any]]]) -> dict[str, np.ndarray]:
+    return columns(list(chain.from_iterable(chunks)))

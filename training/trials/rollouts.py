@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium as gym
 import numpy as np
 
+from grasp_env.config import EnvConfig
 from grasp_env.force import InitialForceRule, Objective
 from policies.controllers import Policy
 from training.data.episodes import episode
@@ -54,6 +57,13 @@ def roll_out(
         return {**out, "reward": np.array(rewards), "failure": np.array(failure)}
     finally:
         env.close()
+
+
+def settings() -> dict[str, Any]:
+    """What the environment of the roll-outs is when nothing is said, for a report."""
+    config = EnvConfig(disturbance="paper_path")
+    names = ("agent_rate", "control_rate", "physics_rate", "friction_margin")
+    return {**{name: getattr(config, name) for name in names}, "path_scale": config.scale}
 
 
 def roll_out_scenario(
