@@ -65,7 +65,8 @@ class Picture:
         legend: (label, colour variable, dashed) of every line.
         svg: for the page; empty: `sources` has it.
         file: that the markdown shows, from the page on.
-        sources: data URIs of a picture that moves: "moving", "still".
+        sources: data URIs of a picture that is no SVG: "still", and "moving" where it moves.
+        wide: whether it takes a row for itself.
     """
 
     name: str
@@ -76,6 +77,7 @@ class Picture:
     svg: str = ""
     file: str = ""
     sources: dict[str, str] = field(default_factory=dict)
+    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -185,9 +187,10 @@ def write_page(
 def png(run: Run, file: str, figure: Figure, title: str, caption: str, alt: str = "") -> Picture:
     """Saves a figure as a .png of the run, frees it, and is its picture for a page."""
     path = run.write(file, lambda target: figure.savefig(target, format="png", dpi=130))
+    wide = figure.get_figwidth() > 6.0
     close(figure)
     still = {"still": data_uri(path.read_bytes(), "png")}
-    return Picture(path.stem, title, caption, alt or caption or title, file=file, sources=still)
+    return Picture(path.stem, title, caption, alt or caption or title, file=file, sources=still, wide=wide)
 
 
 def _render(template: str, context: dict[str, Any]) -> str:
