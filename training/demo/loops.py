@@ -12,10 +12,7 @@ from grasp_env.force import InitialForceRule
 from training.demo.record import record
 from training.runs import Run
 
-ANIMATIONS = {
-    "hand_paper.webp": "from the paper's 12-basis",
-    "hand_learned.webp": "from the learned start",
-}
+ANIMATIONS = {"hand_paper.webp": "from the paper's 12-basis", "hand_learned.webp": "from the learned start"}
 """Files in a run's figures/ and which start they show."""
 STILL = "hand.png"
 """The picture without motion: for print, for readers who asked for less motion, for pages that are saved as text."""

@@ -121,14 +121,7 @@ def fit_any(
     task = StartsTask(module, config, train, held_out)
     words = f"fit any_grasp{' (quick)' if config.quick else ''}" if progress else ""
     plan = Plan(
-        config.seconds,
-        config.steps,
-        config.learning_rate,
-        Soap,
-        config.seed,
-        state=state,
-        resume=resume,
-        words=words,
+        config.seconds, config.steps, config.learning_rate, Soap, config.seed, state=state, resume=resume, words=words
     )
     now = optimise(task, plan)
     return Checkpoint(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from training.cases.set_table import TOLERANCE
-from training.report.page import Fold, Picture, Section, Table, at, present
+from training.report.page import Columns, Fold, Picture, Section, Table, at, present, shown
 from training.report.starts import MAIN, label, matrix, pair, set_label, short, steps
 from training.runs.words import number, percent, small
 from training.trials.arrays import LIMIT
@@ -35,23 +36,31 @@ def _set_fold(metrics: dict[str, Any], name: str) -> Fold:
 
 
 def _iterations(rows: dict[str, Any], method: str) -> Table:
-    columns = (
-        "start", "cases", "n/a", "no start", "not done", "median", "p95", "p99", "max", "starting gap, median", "p99",
-    )  # fmt: skip
-    out = [
-        [label(key), number(at(row, "cases")), number(at(row, "not_applicable")), number(at(row, "no_start")),
-         number(at(row, "not_converged")), _interval(at(row, "iterations")),
-         *(steps(at(row, "iterations", part)) for part in ("p95", "p99", "max")),
-         *(number(at(row, "start_gap", part), 2) for part in ("median", "p99"))]
-        for key, row in rows.items()
-        if at(row, "cases")
-    ]  # fmt: skip
-    return Table(f"{method}: iterations to a relative gap of {small(TOLERANCE)}", columns, out)
+    caption = f"{method}: iterations to a relative gap of {small(TOLERANCE)}"
+    return Table.of(caption, ITERATIONS, [(key, row) for key, row in rows.items() if at(row, "cases")])
+
+
+def _steps(part: str) -> Callable[[str, Any], str]:
+    return lambda key, row: steps(at(row, "iterations", part))
 
 
 def _interval(row: dict[str, Any] | None) -> str:
     text, low, high = (steps(at(row, key)) for key in ("median", "median_low", "median_high"))
     return text if low == high else f"{text} [{low}, {high}]"
+
+
+ITERATIONS: Columns = (
+    ("start", lambda key, row: label(key)),
+    ("cases", shown("cases")),
+    ("n/a", shown("not_applicable")),
+    ("no start", shown("no_start")),
+    ("not done", shown("not_converged")),
+    ("median", lambda key, row: _interval(at(row, "iterations"))),
+    *((part, _steps(part)) for part in ("p95", "p99", "max")),
+    ("starting gap, median", shown("start_gap", "median", digits=2)),
+    ("p99", shown("start_gap", "p99", digits=2)),
+)
+"""Of every start on every set, by every method; see `metrics.PER_START`."""
 
 
 def _levels(rows: dict[str, Any], method: str) -> Table:
@@ -90,14 +99,16 @@ def _events(metrics: dict[str, Any], name: str) -> Table:
 def newton_section(metrics: dict[str, Any]) -> Section:
     """Newton beside the reduced flow: iterations on the held-out ball, then set by set."""
     flow, newton = (at(metrics, "starts", method, "ball") or {} for method in ("reduced_flow", "newton"))
-    out = []
-    for key in flow:
-        micro = [at(metrics, "timing", "total", method, key, "best") for method in ("reduced_flow", "newton")]
-        counts = [pair(at(rows, key, "iterations")) for rows in (flow, newton)]
-        if set(counts) != {"–"}:
-            out.append([label(key), *counts, *(_micro(row) for row in micro)])
-    columns = ("start", "reduced flow, iterations", "Newton, iterations", "reduced flow [µs]", "Newton [µs]")
-    table = Table(f"Held-out ball, to a relative gap of {small(TOLERANCE)}: median / p99", columns, out)
+    both = (("reduced flow", "reduced_flow", flow), ("Newton", "newton", newton))
+    columns: Columns = (
+        ("start", label),
+        *((f"{name}, iterations", lambda key, rows=rows: pair(at(rows, key, "iterations"))) for name, _, rows in both),
+        *((f"{name} [µs]", lambda key, m=method: _micro(at(metrics, "timing", "total", m, key, "best"))) for name, method, _ in both),
+    )  # fmt: skip
+    measured = [
+        (key,) for key in flow if any(at(rows, key, "iterations", "median") is not None for rows in (flow, newton))
+    ]
+    table = Table.of(f"Held-out ball, to a relative gap of {small(TOLERANCE)}: median / p99", columns, measured)
     notes = (
         "A Newton step costs more than a step of the flow and gains more: a good start saves the flow many steps and Newton "
         "few. Microseconds are whole public Python calls on the fixed grasp.",
@@ -114,24 +125,26 @@ def _micro(row: dict[str, Any] | None) -> str:
 def timing_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
     """Microseconds: the start alone, the whole call, the offline basis and what training costs."""
     timing = metrics.get("timing") or {}
-    starts = list(timing.get("start") or {})
     base = at(timing, "total", "reduced_flow", "linear_combination", "best", "median")
 
+    def ratio(key: str) -> str:
+        ours = at(timing, "total", "reduced_flow", key, "best", "median")
+        return number(ours / base, 2) if ours is not None and base else "–"
+
     def table(caption: str, kind: str) -> Table:
-        out = []
-        for key in starts:
-            total = at(timing, "total", "reduced_flow", key, kind)
-            part = at(total, "median")
-            ratio = number(part / base, 2) if part is not None and base and kind == "best" else "–"
-            rows = at(timing, "start", key, kind), total, at(timing, "total", "newton", key, kind)
-            cells = [number(at(row, column)) for row in rows for column in ("median", "p99")]
-            out.append([label(key), *cells[:4], *([ratio] if kind == "best" else []), *cells[4:]])
-        ratios = ["of the 12-basis's"] if kind == "best" else []
-        columns = ["start", "start alone", "p99", "with the flow", "p99", *ratios, "with Newton", "p99"]
-        return Table(caption, columns, out)
+        def of(heading: str, *place: str) -> Columns:
+            return [
+                (text, lambda key, part=part: number(at(timing, *place, key, kind, part)))
+                for text, part in ((heading, "median"), ("p99", "p99"))
+            ]
+
+        ratios = [("of the 12-basis's", ratio)] if kind == "best" else []
+        whole = of("with the flow", "total", "reduced_flow"), of("with Newton", "total", "newton")
+        columns = [("start", label), *of("start alone", "start"), *whole[0], *ratios, *whole[1]]
+        return Table.of(caption, columns, [(key,) for key in timing.get("start") or {}])
 
     notes = (
-        "Public Python calls on this machine, one thread, compiled kernels warm, warm-up not counted, one start "
+        "Public Python calls on this machine, one thread, warm-up not counted, one start "
         "at a time in blocks that take turns, as in a loop that does nothing else, on "
         f"every wrench ({number(timing.get('wrenches'))} of the held-out ball, fixed grasp). “Start alone” includes inference "
         f"and repair; “with …” is the whole call to a certified gap of {small(TOLERANCE)}; where the solver has the start compiled, as the "
@@ -146,20 +159,19 @@ def timing_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
 
 
 def _break_even(metrics: dict[str, Any]) -> Table:
-    out = []
-    for key, row in (metrics.get("break_even") or {}).items():
-        calls = at(row, "calls")
-        never = "never" if (at(row, "saved_us") or 0.0) <= 0.0 and at(row, "saved_us") is not None else "–"
-        out.append([
-            label(key), number(at(row, "training_seconds")), number(at(row, "saved_us")),
-            number(at(row, "basis_offline_us")), never if calls is None else number(calls),
-        ])  # fmt: skip
-    columns = (
-        "start", "training [s]", "saved per call [µs]", "the 12-basis's own offline work [µs]", "calls until it has paid",
-    )  # fmt: skip
-    return Table(
-        "Training time, and after how many calls it is won back against the 12-basis (reduced flow)", columns, out
+    def calls(key: str, row: dict[str, Any]) -> str:
+        saved = at(row, "saved_us")
+        return "never" if saved is not None and saved <= 0.0 else number(at(row, "calls"))
+
+    columns: Columns = (
+        ("start", lambda key, row: label(key)),
+        ("training [s]", shown("training_seconds")),
+        ("saved per call [µs]", shown("saved_us")),
+        ("the 12-basis's own offline work [µs]", shown("basis_offline_us")),
+        ("calls until it has paid", calls),
     )
+    caption = "Training time, and after how many calls it is won back against the 12-basis (reduced flow)"
+    return Table.of(caption, columns, (metrics.get("break_even") or {}).items())
 
 
 def feasibility_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
@@ -242,11 +254,17 @@ def _guarantee(metrics: dict[str, Any]) -> Table:
     return Table("Never worse in Phi than the 12-basis: random wrenches over six decades", columns, out)
 
 
+CONTINUITY: Columns = (
+    ("start", lambda key, row: label(key)),
+    ("slope, median", shown("slope", "median")),
+    ("p99", shown("slope", "p99")),
+    ("max", shown("slope", "max")),
+    ("kink, p99", shown("kink", "p99")),
+    ("max", shown("kink", "max")),
+    ("jump, max [N]", shown("jump_max", digits=2)),
+)
+
+
 def _continuity(metrics: dict[str, Any]) -> Table:
-    out = [
-        [label(key) if key != "optimum" else "optimum", *(number(at(row, "slope", part)) for part in ("median", "p99", "max")),
-         *(number(at(row, "kink", part)) for part in ("p99", "max")), number(at(row, "jump_max"), 2)]
-        for key, row in (metrics.get("continuity") or {}).items()
-    ]  # fmt: skip
-    columns = ("start", "slope, median", "p99", "max", "kink, p99", "max", "jump, max [N]")
-    return Table("Continuity of the start along straight wrench paths", columns, out)
+    caption = "Continuity of the start along straight wrench paths"
+    return Table.of(caption, CONTINUITY, (metrics.get("continuity") or {}).items())

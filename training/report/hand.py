@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from training.report.page import Fold, Picture, Section, Table, at, present
+from training.report.page import Columns, Fold, Picture, Section, Table, at, present, shown
 from training.report.starts import label, steps
 from training.runs.words import number
 from training.trials.arrays import SCENARIO_LABELS
@@ -35,31 +35,40 @@ def paper_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
     return Section("paper", "The paper's wrenches", notes, present([Table(caption, columns, rows), *pictures]))
 
 
+def _held(scenario: str, key: str, row: dict[str, Any]) -> str:
+    causes = ", ".join(row.get("failures") or ())
+    return f"{row['held']} of {row['episodes']}" + (f" ({causes})" if causes else "")
+
+
+ROLLOUTS: Columns = (
+    ("scenario", lambda scenario, key, row: str(SCENARIO_LABELS.get(scenario, scenario))),
+    ("start", lambda scenario, key, row: label(key)),
+    ("held", _held),
+    ("drift, max [mm]", shown("max_drift_mm")),
+    ("tilt, max [deg]", shown("max_tilt_deg")),
+    ("slip [mm]", shown("max_slip_distance_mm")),
+    ("force error, p95 [N]", shown("force_error_p95")),
+    ("total normal [N]", shown("total_normal_force_mean")),
+    ("peak torque [N m]", shown("peak_torque")),
+    ("iterations, median", lambda scenario, key, row: steps(at(row, "iterations", "median"))),
+    ("p99", lambda scenario, key, row: steps(at(row, "iterations", "p99"))),
+)
+"""See `metrics.rollout_metrics`."""
+
+
 def hand_section(metrics: dict[str, Any], pictures: list[Picture], loops: list[Picture]) -> Section:
     """Roll-outs of the simulated hand."""
-    rows = []
-    for scenario, starts in (metrics.get("rollouts") or {}).items():
-        for key, row in starts.items():
-            held = f"{row['held']} of {row['episodes']}"
-            causes = ", ".join(row.get("failures") or ())
-            numbers = (
-                "max_drift_mm", "max_tilt_deg", "max_slip_distance_mm", "force_error_p95", "total_normal_force_mean", "peak_torque",
-            )  # fmt: skip
-            rows.append([
-                SCENARIO_LABELS.get(scenario, scenario), label(key), held + (f" ({causes})" if causes else ""),
-                *(number(row.get(name)) for name in numbers),
-                *(steps(at(row, "iterations", part)) for part in ("median", "p99")),
-            ])  # fmt: skip
-    columns = (
-        "scenario", "start", "held", "drift, max [mm]", "tilt, max [deg]", "slip [mm]", "force error, p95 [N]", "total normal [N]",
-        "peak torque [N m]", "iterations, median", "p99",
-    )  # fmt: skip
+    items = [
+        (scenario, key, row)
+        for scenario, starts in (metrics.get("rollouts") or {}).items()
+        for key, row in starts.items()
+    ]
     notes = (
         f"Roll-outs of FourFingerGrasp-v0{_settings(at(metrics, 'run', 'rollouts'))}: at full size its 1 N m about z takes 153 N of "
         "normal force and joint torques of 9 N m.",
         "The optimum is the same whatever the start, so the hand holds as well from any: what differs are the iterations.",
     )
-    table = Table("The simulated hand, per scenario and start", columns, rows, words=2)
+    table = Table.of("The simulated hand, per scenario and start", ROLLOUTS, items, words=2)
     return Section(
         "hand",
         "The simulated hand",

@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from training.report.page import Picture, Section, Table, claims_section, png, provenance_section, write_page
+from training.report.page import (
+    Columns,
+    Picture,
+    Section,
+    Table,
+    claims_section,
+    png,
+    provenance_section,
+    shown,
+    write_page,
+)
 from training.report.style import new_figure
 from training.runs import Run
-from training.runs.words import number
 from training.trials.arrays import Trials
 from training.trials.hold_metrics import ASKED_RATE, SAME_RULE, env_metrics, interval_text
 from training.trials.hold_plan import BASELINES, CONTROLLER_LABELS, CURVES, ERRORS, SAFE_START, SCENARIO_LABELS
@@ -88,9 +98,8 @@ def _sections(metrics: dict[str, Any], pictures: dict[str, Picture]) -> list[Sec
     resolved = {cell["scenario"]: cell["resolved"] for cell in metrics["run"]["cells"]}
 
     def of(title: str, note: str, *scenarios: str, figure: str = "") -> Section:
-        rows = [_row(row) for row in cells if row["scenario"] in scenarios]
-        columns = ("scenario", "controller", *_COLUMNS, "held more than the paper's [%]", "normal force more [N]")
-        return _section(title, note, columns, rows, pictures, figure)
+        rows = [(row,) for row in cells if row["scenario"] in scenarios]
+        return _section(note, Table.of(title, CELLS, rows, words=2), pictures.get(figure))
 
     def sweep(scenario: str, figure: str) -> Section:
         best = metrics["chosen"].get(scenario, {})
@@ -103,11 +112,7 @@ def _sections(metrics: dict[str, Any], pictures: dict[str, Picture]) -> list[Sec
         )
         return of(f"Rate against squeeze: {SCENARIO_LABELS[scenario]}", note, scenario, figure=figure)
 
-    by_shape = [
-        [CONTROLLER_LABELS[key], shape, *_numbers(row)]
-        for key, rows in metrics["shapes"].items()
-        for shape, row in rows.items()
-    ]
+    by_shape = [(key, shape, row) for key, rows in metrics["shapes"].items() for shape, row in rows.items()]
     pushed, objects, limit = resolved.get("six_directions"), resolved.get("objects"), metrics["run"].get("torque_limit")
     push = (
         f"Pushes of {pushed['push_per_mass']:g} N/kg along the six axes, {pushed['duration']:g} s in one grasp; "
@@ -120,51 +125,61 @@ def _sections(metrics: dict[str, Any], pictures: dict[str, Picture]) -> list[Sec
         claims_section(metrics),
         Section("protocol", "How it was measured", (), (), _protocol(metrics)),
         of("Random objects, random wrench", f"{objects['duration']:g} s against the random wrench." if objects else "", "objects", figure="drift_ecdf"),
-        _section("By shape", "The same episodes.", ("controller", "shape", *_COLUMNS), by_shape, pictures),
+        _section("The same episodes.", Table.of("By shape", SHAPES, by_shape, words=2)),
         of("Six directions", f"{push}the baselines and the estimated wrench on a part of the seeds.", "six_directions"),
         of("The paper's W_ext(t)", "Nothing is random: one episode each" + (f"; the joints allow {limit:g} N m." if limit else "."), "path_0.25", "path_1"),
         of("One error at a time", "The random wrench again.", *ERRORS),
         *(sweep(scenario, "rate_against_squeeze" if scenario == "all" else "") for scenario in CURVES),
-        _section("Failures", f"Every episode that was not held ({len(lost)}); metrics.json has all{more}.",
-                 ("cell", "seed", "cause", "object", "how"), told, pictures, "failures", words=5),
+        _section(
+            f"Every episode that was not held ({len(lost)}); metrics.json has all{more}.",
+            Table("Failures", ("cell", "seed", "cause", "object", "how"), told, words=5),
+            pictures.get("failures"),
+        ),
         provenance_section(metrics["run"]),
     ]  # fmt: skip
 
 
-_COLUMNS = (
-    "held", "rate, 95 % interval [%]", "largest drift, mean [mm]", "worst [mm]", "total normal force, mean [N]",
-    "peak torque [N m]", "iterations, mean", "not held",
-)  # fmt: skip
+def _section(note: str, table: Table, picture: Picture | None = None) -> Section:
+    """A table and its figure, under the table's name; empty without rows."""
+    key = "".join(letter if letter.isalnum() else "-" for letter in table.caption.lower())
+    return Section(key, table.caption, (note,), [table, *([picture] if picture else [])] if table.rows else ())
 
 
-def _section(
-    title: str, note: str, columns: tuple[str, ...], rows: list[list[str]], pictures: dict[str, Picture], figure: str = "",
-    words: int = 2,
-) -> Section:  # fmt: skip
-    """A table and its figure; empty without rows."""
-    key = "".join(letter if letter.isalnum() else "-" for letter in title.lower())
-    shown = [pictures[figure]] if figure in pictures else []
-    return Section(key, title, (note,), [Table(title, columns, rows, words), *shown] if rows else ())
+def _label(row: dict[str, Any]) -> str:
+    return CONTROLLER_LABELS[row["controller"]] + ("" if row["swept"] is None else f", {_swept(row)}")
 
 
-def _row(row: dict[str, Any]) -> list[str]:
-    pair = row["against_paper"]
-    label = CONTROLLER_LABELS[row["controller"]] + ("" if row["swept"] is None else f", {_swept(row)}")
-    difference = ["–", "–"] if pair is None else [_interval(pair["held"], 100.0), _interval(pair["normal_force"])]
-    return [SCENARIO_LABELS[row["scenario"]], label, *_numbers(row), *difference]
+def _difference(name: str, factor: float) -> Callable[..., str]:
+    return lambda row: "–" if row["against_paper"] is None else _interval(row["against_paper"][name], factor)
 
 
-def _numbers(row: dict[str, Any]) -> list[str]:
-    return [
-        f"{row['held']} of {row['episodes']}",
-        f"{100 * row['rate']:.1f} [{100 * row['rate_low']:.1f}, {100 * row['rate_high']:.1f}]",
-        _interval(row["max_drift_mm"]),
-        number(row["largest_drift_mm"]),
-        _interval(row["normal_force"]),
-        number(row["peak_torque"]),
-        number(row["iterations"]["mean"]),
-        ", ".join(f"{count} {cause}" for cause, count in row["failures"].items()) or "–",
-    ]
+def _rate_text(row: dict[str, Any]) -> str:
+    return f"{100 * row['rate']:.1f} [{100 * row['rate_low']:.1f}, {100 * row['rate_high']:.1f}]"
+
+
+NUMBERS: Columns = (
+    ("held", lambda *item: f"{item[-1]['held']} of {item[-1]['episodes']}"),
+    ("rate, 95 % interval [%]", lambda *item: _rate_text(item[-1])),
+    ("largest drift, mean [mm]", lambda *item: _interval(item[-1]["max_drift_mm"])),
+    ("worst [mm]", shown("largest_drift_mm")),
+    ("total normal force, mean [N]", lambda *item: _interval(item[-1]["normal_force"])),
+    ("peak torque [N m]", shown("peak_torque")),
+    ("iterations, mean", shown("iterations", "mean")),
+    ("not held", lambda *item: ", ".join(f"{count} {cause}" for cause, count in item[-1]["failures"].items()) or "–"),
+)
+"""Of every cell; see `hold_metrics.CELL_METRICS`."""
+CELLS: Columns = (
+    ("scenario", lambda row: SCENARIO_LABELS[row["scenario"]]),
+    ("controller", _label),
+    *NUMBERS,
+    ("held more than the paper's [%]", _difference("held", 100.0)),
+    ("normal force more [N]", _difference("normal_force", 1.0)),
+)
+SHAPES: Columns = (
+    ("controller", lambda key, shape, row: CONTROLLER_LABELS[key]),
+    ("shape", lambda key, shape, row: shape),
+    *NUMBERS,
+)
 
 
 def _swept(row: dict[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -47,10 +47,20 @@ class Table:
     rows: Sequence[Sequence[Cell | str]]
     words: int = 1
 
+    @classmethod
+    def of(cls, caption: str, columns: Columns, items: Iterable[tuple[Any, ...]], words: int = 1) -> Table:
+        """A row per item, whose parts every column is asked about: a new number is a new line of `columns`."""
+        rows = [[said(*item) for _, said in columns] for item in items]
+        return cls(caption, [heading for heading, _ in columns], rows, words)
+
     @property
     def cells(self) -> list[list[Cell]]:
         """The rows, every entry a `Cell`."""
         return [[value if isinstance(value, Cell) else Cell(value) for value in row] for row in self.rows]
+
+
+Columns = Sequence[tuple[str, Callable[..., Cell | str]]]
+"""(heading, what it says) of every column."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +147,11 @@ def present(blocks: Iterable[Table | Picture | Fold | None]) -> list[Table | Pic
             continue
         kept.append(block)
     return kept
+
+
+def shown(*keys: str, digits: int = 3) -> Callable[..., str]:
+    """A column that shows the number at these keys of an item's last part."""
+    return lambda *item: number(at(item[-1], *keys), digits)
 
 
 def flat(tree: dict[str, Any], before: str = "") -> list[tuple[str, str]]:

@@ -14,10 +14,7 @@ from training.data.episodes import episode
 
 
 def score(
-    policy: Policy,
-    settings: dict[str, Any],
-    seeds: range,
-    initial_force: InitialForceRule | None = None,
+    policy: Policy, settings: dict[str, Any], seeds: range, initial_force: InitialForceRule | None = None
 ) -> dict[str, np.ndarray]:
     """What the episodes of these seeds come to, deterministic; one environment serves them all.
 

@@ -24,11 +24,7 @@ from training.trials.compare import cases_of, compare
 from training.trials.metrics import table_one
 
 COLOURS = ("#8a8a8a", "#c08a3e", "#1f5fa8", "#7fb2e5", "#7a4fa3", "#8fc98f", "#2e8b57", "#b3261e")
-METHOD_LABELS = {
-    "phi": "Phi, lambda 0.01",
-    "conic": "exact cones",
-    "linear": "linear program, 8 facets",
-}
+METHOD_LABELS = {"phi": "Phi, lambda 0.01", "conic": "exact cones", "linear": "linear program, 8 facets"}
 
 
 def reproduce(out: Path, quick: bool = False, progress: bool = True) -> dict[str, Any]:

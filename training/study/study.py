@@ -19,14 +19,7 @@ from grasp_env.force import ForceOptimizer, Objective, OfflineBasis
 from grasp_env.force.basis import core_contacts
 from grasp_env.force.description import METRIC
 from grasp_env.force.record import CODE, ITERATIONS, TRIALS, record_size
-from grasp_env.force.step_size import (
-    AdaptiveStep,
-    ArmijoStep,
-    BarzilaiBorweinStep,
-    ExactStep,
-    FixedStep,
-    StepRule,
-)
+from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep, StepRule
 from grasp_env.grasp import Grasp, wrench
 from training.cases.set_table import TOLERANCE
 from training.runs.statistics import spread
