@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -89,10 +90,9 @@ class Solver:
 def compare(
     name: str,
     cases: list[Case],
-    starts: dict[str, Start],
+    starts: Mapping[str, Start],
     models: dict[str, LearnedInitialForce],
     objective: Objective,
-    tick: Callable[[int], None] = lambda done: None,
 ) -> Trials:
     """Runs both methods from every start on every case.
 
@@ -102,7 +102,6 @@ def compare(
         starts: see `starts.make_starts`.
         models: those whose raw output is looked at, too.
         objective: Phi.
-        tick: told of the cases done since the last time.
 
     Returns:
         The arrays of a trials file, n cases, M the most contacts of one; beyond a case's own contacts, and where there is no start, nan:
@@ -117,40 +116,39 @@ def compare(
     most, solver = max(case.grasp.n_contacts for case in cases), Solver(objective)
     out = _blank(cases, most, name, starts, models)
     for k, case in enumerate(cases):
-        grasp, load, count = case.grasp, case.wrench, case.grasp.n_contacts
-        before = None
+        put = functools.partial(_put, out, k)
+        grasp, load, before = case.grasp, case.wrench, None
         if case.before is not None:
             before = carried(case.before[0], solver.optimum(*case.before)[0], grasp, objective)
-            out["case/before"][k, :count] = before
+            put("case/before", before)
         best_force, best = solver.optimum(grasp, load)
-        out["optimum/force"][k, :count], out["optimum/objective"][k] = best_force, best
+        put("optimum/force", best_force)
+        put("optimum/objective", best)
         for key, start in starts.items():
             try:
                 force = start(grasp, load, before)
-            except DoesNotApply:
-                _code(out, key, k, NOT_APPLICABLE)
+            except (DoesNotApply, InfeasibleStartError) as error:
+                for method in METHODS:
+                    put(f"{method}/{key}/status", NOT_APPLICABLE if isinstance(error, DoesNotApply) else NO_START)
                 continue
-            except InfeasibleStartError:
-                _code(out, key, k, NO_START)
-                continue
-            _start_row(out, key, k, grasp, load, force, best, objective)
+            for column, value in zip(QUALITY, quality(grasp, load, force, best, objective), strict=True):
+                put(f"{key}/{column}", value)
+            if f"{key}/force" in out:
+                put(f"{key}/force", force)
             if key in models:
-                raw = models[key].raw(grasp, load)
-                out[f"{key}/raw_margin"][k], out[f"{key}/raw_residual"][k], out[f"{key}/raw_gap"][k] = quality(
-                    grasp, load, raw, best, objective
-                )
+                raw = quality(grasp, load, models[key].raw(grasp, load), best, objective)
+                for column, value in zip(QUALITY, raw, strict=True):
+                    put(f"{key}/raw_{column}", value)
             for method in METHODS:
                 try:
-                    gaps, code = solver.gaps(method, grasp, load, force, best)
+                    run = solver.gaps(method, grasp, load, force, best)
                 except InfeasibleStartError:  # out of balance by more than rounding: no start of this method
-                    out[f"{method}/{key}/status"][k] = NO_START
+                    put(f"{method}/{key}/status", NO_START)
                     continue
-                _run_row(out, f"{method}/{key}", k, gaps, code, LEVELS[method])
+                for column, value in _run(*run, LEVELS[method]).items():
+                    put(f"{method}/{key}/{column}", value)
                 if method == METHODS[0] and k < TRACED:
-                    short = gaps[: TRACE + 1]
-                    out[f"{method}/{key}/trace"][k, : len(short)] = short
-                    out[f"{method}/{key}/trace"][k, len(short) :] = short[-1]
-        tick(1)
+                    put(f"{method}/{key}/trace", _at(run[0], np.arange(TRACE + 1)))
     return out
 
 
@@ -163,31 +161,32 @@ def quality(
     return grasp.cone_margin(force) / size, grasp.residual(force, load) / size, max(0.0, gap)
 
 
-def _start_row(
-    out: Trials, key: str, k: int, grasp: Grasp, load: Array, force: ContactForces, best: float, objective: Objective
-) -> None:
-    out[f"{key}/margin"][k], out[f"{key}/residual"][k], out[f"{key}/gap"][k] = quality(
-        grasp, load, force, best, objective
-    )
-    if f"{key}/force" in out:
-        out[f"{key}/force"][k, : grasp.n_contacts] = force
+QUALITY = ("margin", "residual", "gap")
+"""What `quality` gives."""
 
 
-def _run_row(out: Trials, base: str, k: int, gaps: Array, code: int, levels: tuple[float, ...]) -> None:
+def _put(out: Trials, k: int, name: str, value: float | Array) -> None:
+    """A number of case k, or what it has for its own contacts."""
+    if isinstance(value, np.ndarray):
+        out[name][k, : len(value)] = value
+    else:
+        out[name][k] = value
+
+
+def _at(gaps: Array, iterations: np.ndarray) -> Array:
+    """The gaps after so many iterations; a run that has ended keeps its last one."""
+    return gaps[np.minimum(iterations, len(gaps) - 1)]
+
+
+def _run(gaps: Array, code: int, levels: tuple[float, ...]) -> dict[str, float | Array]:
     first = np.array([int(np.argmax(gaps <= level)) if gaps[-1] <= level else -1 for level in levels])
-    out[f"{base}/iterations_to"][k] = first
-    out[f"{base}/iterations"][k] = first[AT]
-    out[f"{base}/status"][k] = 0 if first[AT] >= 0 else max(code, 1)
-    out[f"{base}/gap_after"][k] = [gaps[min(budget, len(gaps) - 1)] for budget in BUDGETS]
-
-
-def _code(out: Trials, key: str, k: int, code: int) -> None:
-    for method in METHODS:
-        out[f"{method}/{key}/status"][k] = code
+    status = 0 if first[AT] >= 0 else max(code, 1)
+    after = _at(gaps, np.array(BUDGETS))
+    return {"status": status, "iterations": int(first[AT]), "iterations_to": first, "gap_after": after}
 
 
 def _blank(
-    cases: list[Case], most: int, name: str, starts: dict[str, Start], models: dict[str, LearnedInitialForce]
+    cases: list[Case], most: int, name: str, starts: Mapping[str, Start], models: dict[str, LearnedInitialForce]
 ) -> Trials:
     """All arrays, with what is known of the cases; the rest -1 or nan."""
     count = len(cases)
@@ -209,7 +208,7 @@ def _blank(
         for k, case in enumerate(cases):
             out[f"case/{column}"][k, : case.grasp.n_contacts] = getattr(case.grasp, column)
     for key in starts:
-        for column in ("gap", "margin", "residual", *(_RAW if key in models else ())):
+        for column in (*QUALITY, *(f"raw_{name}" for name in (QUALITY if key in models else ()))):
             out[f"{key}/{column}"] = empty()
         if name in FORCES_KEPT:
             out[f"{key}/force"] = empty(most, 3)
@@ -220,6 +219,3 @@ def _blank(
             out[f"{method}/{key}/gap_after"] = empty(len(BUDGETS))
         out[f"{METHODS[0]}/{key}/trace"] = np.full((min(count, TRACED), TRACE + 1), np.nan, np.float32)
     return out
-
-
-_RAW = ("raw_margin", "raw_residual", "raw_gap")
