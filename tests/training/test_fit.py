@@ -165,11 +165,11 @@ def test_the_same_bits_also_after_an_interrupt(run, settings, tmp_path, monkeypa
     task = getattr(__import__(module, fromlist=[name]), name)
     real, calls = task.loss, []
 
-    def interrupted(self, rng, phase):
+    def interrupted(self, rng):
         calls.append(1)
         if len(calls) == 4:
             os.kill(os.getpid(), signal.SIGTERM)
-        return real(self, rng, phase)
+        return real(self, rng)
 
     monkeypatch.setattr(task, "loss", interrupted)
     with pytest.raises(KeyboardInterrupt):
@@ -209,9 +209,9 @@ def test_a_state_is_refused_if_foreign_truncated_or_changed(tmp_path, monkeypatc
 def _interrupt_at_once(task, plan):
     real = task.loss
 
-    def loss(rng, phase):
+    def loss(rng):
         os.kill(os.getpid(), signal.SIGINT)
-        return real(rng, phase)
+        return real(rng)
 
     task.loss = loss
     return optimise(task, plan)

@@ -19,11 +19,10 @@ from policies.newton_layers import NewtonLayers, newton_step, phi
 from training.data import any_grasp as any_dataset
 from training.data.any_grasp import Pool, make_pool
 from training.data.grasps import TRAINING
-from training.fit.loop import Plan, optimise
+from training.fit.loop import Plan, card, optimise
 from training.fit.settings import AnyFitConfig
 from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
-from training.runs import provenance
 from training.runs.words import small
 
 HELD_OUT_SEED = 77_777
@@ -46,10 +45,10 @@ class StartsTask:
     """
 
     def __init__(self, module: nn.Module, config: AnyFitConfig, train: Pool, held_out: Pool) -> None:
-        self.module, self.phases = module, (1.0,)
+        self.module = module
         self._config, self._train, self._held_out = config, train, held_out
 
-    def loss(self, rng: np.random.Generator, phase: int) -> Tensor:
+    def loss(self, rng: np.random.Generator) -> Tensor:
         """See `loop.Task`."""
         size = self._config.batch_size
         samples = torch.from_numpy(rng.integers(0, len(self._train), size))
@@ -140,21 +139,13 @@ def fit_any(
 def _card(
     config: AnyFitConfig, command: str, now: Progress, module: NewtonLayers, train: Pool, held_out: Pool
 ) -> dict[str, Any]:
-    made = provenance()
+    columns = [f"{s} layer {k + 1} p{p}" for s in STARTS for k in range(config.layers) for p in PERCENTILES]
     return {
         "what": "learned Newton layers: initial grasp force for any contacts, from the 12-basis or the previous solution",
-        "quick": config.quick,
-        "data": f"{config.grasps} random grasps of 3 to 5 contacts with force closure, {len(train)} wrenches, labelled by "
-        f"Newton to a relative gap of {small(any_dataset.LABEL_GAP)} ({train.refused} dropped); {len(held_out)} wrenches on "
+        "data": f"{config.grasps} random grasps of 3 to {any_dataset.MOST_CONTACTS} contacts with force closure, {len(train)} wrenches, "
+        f"labelled by Newton to a relative gap of {small(any_dataset.LABEL_GAP)} ({train.refused} dropped); {len(held_out)} wrenches on "
         f"{config.held_out // 4} other grasps held out",
-        "command": command,
-        "config": asdict(config),
-        "optimisation_steps": now.step,
-        "seconds": round(now.seconds, 1),
-        "cpu_seconds": round(now.cpu_seconds, 1),
-        "time": made["time"],
-        "machine": made["machine"] | {"torch threads": 1, "gpu": False},
-        "versions": {name: made["versions"][name] for name in ("torch", "numpy")},
+        **card(config, command, now, columns),
         "held_out_gap": {
             start: {
                 "percentiles": PERCENTILES,
@@ -165,11 +156,6 @@ def _card(
                 "after as many plain Newton steps": layer_gaps(None, held_out, start, config.layers),
             }
             for start in STARTS
-        },
-        "curve": {
-            "columns": ["step", "seconds"]
-            + [f"{s} layer {k + 1} p{p}" for s in STARTS for k in range(config.layers) for p in PERCENTILES],
-            "rows": [" ".join(f"{value:.3g}" for value in row) for row in now.curve],
         },
         "limits": "hard contacts with round cones; magnitudes are in units of sqrt(lambda / omega), of the wrench as (force, "
         "moment about the contacts' centre / their rms distance); outside these ranges it is never worse than its start, "

@@ -22,12 +22,11 @@ from policies.features import N_FEATURES, Features
 from policies.fixed_grasp import FixedGraspForce
 from policies.network import Network
 from training.data.one_grasp import BALL, LABEL_GAP, Dataset, label, sample
-from training.fit.loop import Plan, optimise
+from training.fit.loop import Plan, card, optimise
 from training.fit.scores import scores
 from training.fit.settings import FitConfig
 from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
-from training.runs import provenance
 from training.runs.words import small
 
 FRICTIONS, AT_ONCE = 256, 16
@@ -56,13 +55,11 @@ class NetworkTask:
         train, held_out: samples by friction, see `tensor_of`.
     """
 
-    phases = (1.0,)
-
     def __init__(self, config: FitConfig, module: Network, train: Tensor, held_out: tuple[Tensor, ...]) -> None:
         self.module = module
         self._config, self._train, self._held_out = config, train, held_out
 
-    def loss(self, rng: np.random.Generator, phase: int) -> Tensor:
+    def loss(self, rng: np.random.Generator) -> Tensor:
         """See `loop.Task`."""
         frictions, each = self._train.shape[:2]
         size = self._config.batch_size // AT_ONCE
@@ -174,24 +171,12 @@ def fit(
 
 
 def _card(config: FitConfig, grasp: Grasp, command: str, now: Progress) -> dict[str, Any]:
-    made = provenance()
+    columns = [f"{which} p{p}" for which in ("ball", "range") for p in PERCENTILES]
     return {
         "what": "initial grasp force of one grasp, from wrench and friction",
-        "quick": config.quick,
         "grasp": {"preset": config.preset, "positions": grasp.positions.tolist(), "normals": grasp.normals.tolist()},
         "data": f"{config.samples} generated wrenches, {100 * BALL:g} % of them from the standard ball (force {FORCE_RADIUS:g} N, moment "
         f"{MOMENT_RADIUS:g} N m), labelled by Newton to a relative gap of {small(LABEL_GAP)}; others held out",
-        "command": command,
-        "config": asdict(config),
-        "optimisation_steps": now.step,
-        "seconds": round(now.seconds, 1),
-        "cpu_seconds": round(now.cpu_seconds, 1),
-        "time": made["time"],
-        "machine": made["machine"] | {"torch threads": config.threads, "gpu": False},
-        "versions": {name: made["versions"][name] for name in ("torch", "numpy")},
-        "curve": {
-            "columns": ["step", "seconds", *(f"{which} p{p}" for which in ("ball", "range") for p in PERCENTILES)],
-            "rows": [" ".join(f"{value:.3g}" for value in row) for row in now.curve],
-        },
+        **card(config, command, now, columns, config.threads),
         "limits": "one grasp (small displacements of its contacts only), the ranges above; everything else through the repair",
     }

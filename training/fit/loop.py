@@ -7,8 +7,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -17,7 +17,9 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 from torch import Tensor, nn
 
+from training.fit.settings import AnyFitConfig, FitConfig
 from training.fit.state import Progress, StateFile
+from training.runs import provenance
 from training.runs.interrupts import interruptible
 
 MARKS = 20
@@ -36,12 +38,7 @@ class Task(Protocol):
         """Its weights are optimised."""
         ...
 
-    @property
-    def phases(self) -> tuple[float, ...]:
-        """Learning rates of the phases, one after another, in parts of the plan's."""
-        ...
-
-    def loss(self, rng: np.random.Generator, phase: int) -> Tensor:
+    def loss(self, rng: np.random.Generator) -> Tensor:
         """Of a batch drawn with `rng`."""
         ...
 
@@ -120,16 +117,45 @@ def optimise(task: Task, plan: Plan) -> Progress:
                     plan.state.save(task.module, optimiser, rng, now)
                     sys.stderr.write(f"saved {plan.state.path}: the same command with --resume goes on from there\n")
                 raise KeyboardInterrupt
-            phase = min(int(done * len(task.phases)), len(task.phases) - 1)
             for group in optimiser.param_groups:
-                group["lr"] = plan.learning_rate * task.phases[phase] * _schedule(done * len(task.phases) - phase)
-            loss = task.loss(rng, phase)
+                group["lr"] = plan.learning_rate * _schedule(done)
+            loss = task.loss(rng)
             optimiser.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(task.module.parameters(), CLIP)
             optimiser.step()
             now.step += 1
             now.seconds, now.cpu_seconds = since[0] + time.perf_counter(), since[1] + time.process_time()
+
+
+def card(
+    config: FitConfig | AnyFitConfig, command: str, now: Progress, columns: list[str], threads: int = 1
+) -> dict[str, Any]:
+    """What every model's card says of how it was made.
+
+    Args:
+        config: all settings.
+        command: that trained it.
+        now: how far the training went.
+        columns: of its curve, behind step and seconds.
+        threads: of torch.
+    """
+    made = provenance()
+    return {
+        "quick": config.quick,
+        "command": command,
+        "config": asdict(config),
+        "optimisation_steps": now.step,
+        "seconds": round(now.seconds, 1),
+        "cpu_seconds": round(now.cpu_seconds, 1),
+        "time": made["time"],
+        "machine": made["machine"] | {"torch threads": threads, "gpu": False},
+        "versions": {name: made["versions"][name] for name in ("torch", "numpy")},
+        "curve": {
+            "columns": ["step", "seconds", *columns],
+            "rows": [" ".join(f"{value:.3g}" for value in row) for row in now.curve],
+        },
+    }
 
 
 def _schedule(done: float) -> float:
