@@ -14,6 +14,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from grasp_env.config import EnvConfig
 from grasp_env.env import FourFingerGrasp
 from grasp_env.errors import SimulationError
 from grasp_env.sim.client import bullet
@@ -79,7 +80,7 @@ def env_bench(seed: int = 0, quick: bool = False, tick: Callable[[str], None] = 
         tick(f"two environments, {kind}")
         vector.append({"vector": kind, "envs": 2, "per_second": vector_rate(kind, 200 if quick else 2000, seed)})
     return {
-        "kind": "env", "quick": quick, "rows": rows, "parts": parts, "resets": times, "memory": memory, "vector": vector,
+        "kind": "env", "quick": quick, "rates": [EnvConfig().agent_rate, EnvConfig().control_rate], "rows": rows, "parts": parts, "resets": times, "memory": memory, "vector": vector,
         "claims": claims(rows, times, memory), "load": os.getloadavg(), "provenance": provenance(),
     }  # fmt: skip
 

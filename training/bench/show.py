@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from training.bench.scaling import scaling_figure
 from training.report.style import close
 from training.runs import Run
 from training.runs.claims import told
+
+Column = str | Callable[[dict[str, Any]], str]
 
 
 def show(result: dict[str, Any], console: Console) -> None:
@@ -69,63 +72,54 @@ def compare(result: dict[str, Any], earlier: Path, console: Console) -> None:
     console.print(table)
 
 
+def _table(console: Console, rows: Iterable[dict[str, Any]], title: str | None, columns: dict[str, Column]) -> None:
+    """A line per row; a column is how a value of a row is written, {key:form}, or what is said of the row."""
+    table = Table(*columns, title=title)
+    for row in rows:
+        table.add_row(
+            *(column.format_map(row) if isinstance(column, str) else column(row) for column in columns.values())
+        )
+    console.print(table)
+
+
 def _solver(result: dict[str, Any], console: Console) -> None:
     for count in dict.fromkeys(row["contacts"] for row in result["rows"]):
-        table = Table("solver", "p50 us", "p99 us", "failed", "gap", "balance", "violation", title=f"{count} contacts")
-        for row in sorted((r for r in result["rows"] if r["contacts"] == count), key=lambda r: r["p50_us"]):
-            table.add_row(
-                row["solver"], f"{row['p50_us']:.1f}", f"{row['p99_us']:.1f}", f"{row['failed']} of {row['problems']}",
-                f"{row['gap_max']:.0e}", f"{row['balance_max']:.0e}", f"{row['violation_max']:.0e}",
-            )  # fmt: skip
-        console.print(table)
-    for key, label in {row["solver"]: row["label"] for row in result["rows"]}.items():
-        console.print(f"{key}: {label}", style="dim", highlight=False)
+        rows = sorted((row for row in result["rows"] if row["contacts"] == count), key=lambda row: row["p50_us"])
+        _table(console, rows, f"{count} contacts", {
+            "solver": "{solver}", "p50 us": "{p50_us:.1f}", "p99 us": "{p99_us:.1f}", "failed": "{failed} of {problems}",
+            "gap": "{gap_max:.0e}", "balance": "{balance_max:.0e}", "violation": "{violation_max:.0e}",
+        })  # fmt: skip
+    _aside(
+        console, *(f"{key}: {label}" for key, label in {row["solver"]: row["label"] for row in result["rows"]}.items())
+    )
     if result["batches"]:
-        table = Table(
-            "contacts", "solver", "solves per second", "batch", "failed", title="batches, one call, all cores"
-        )
-        for row in result["batches"]:
-            table.add_row(
-                str(row["contacts"]), row["solver"], f"{row['per_second']:,.0f}", str(row["batch"]), str(row["failed"])
-            )
-        console.print(table)
+        _table(console, result["batches"], "batches, one call, all cores", {
+            "contacts": "{contacts}", "solver": "{solver}", "solves per second": "{per_second:,.0f}", "batch": "{batch}",
+            "failed": "{failed}",
+        })  # fmt: skip
     if result["ratios"]:
-        table = Table("comparison", "contacts", "times faster", "our p99 / their p50", title="ratios of medians")
-        for row in result["ratios"]:
-            table.add_row(
-                row["comparison"],
-                str(row["contacts"]),
-                f"{row['ratio_p50']:.1f}",
-                f"{row['our_p99_over_their_p50']:.2f}",
-            )
-        console.print(table)
-    for name, reason in result["missing"].items():
-        console.print(f"{name} did not run: {reason}", style="dim", highlight=False)
+        _table(console, result["ratios"], "ratios of medians", {
+            "comparison": "{comparison}", "contacts": "{contacts}", "times faster": "{ratio_p50:.1f}",
+            "our p99 / their p50": "{our_p99_over_their_p50:.2f}",
+        })  # fmt: skip
+    _aside(console, *(f"{name} did not run: {reason}" for name, reason in result["missing"].items()))
 
 
 def _scaling(result: dict[str, Any], console: Console) -> None:
-    table = Table("method", "contacts", "p50 us", "iterations", "us per iteration", title="cost against contacts")
-    for row in sorted(result["rows"], key=lambda row: row["method"]):
-        table.add_row(
-            row["method"], str(row["contacts"]), f"{row['p50_us']:.1f}", f"{row['iterations']:.1f}",
-            f"{row['us_per_iteration']:.2f}",
-        )  # fmt: skip
-    console.print(table)
+    _table(console, sorted(result["rows"], key=lambda row: row["method"]), "cost against contacts", {
+        "method": "{method}", "contacts": "{contacts}", "p50 us": "{p50_us:.1f}", "iterations": "{iterations:.1f}",
+        "us per iteration": "{us_per_iteration:.2f}",
+    })  # fmt: skip
     for method, fit in result["fits"].items():
         power = "" if fit["exponent"] is None else f", log-log slope {fit['exponent']:.2f} from 16 contacts on"
-        console.print(
-            f"{method}: {fit['offset_us']:.2f} + {fit['slope_us']:.3f} N us per iteration, r2 {fit['r2']:.3f}{power}",
-            highlight=False,
-        )
+        line = f"{method}: {fit['offset_us']:.2f} + {fit['slope_us']:.3f} N us per iteration, r2 {fit['r2']:.3f}{power}"
+        console.print(line, highlight=False)
 
 
 def _batch(result: dict[str, Any], console: Console) -> None:
-    table = Table(
-        "method", "workers", "solves per second", "optimal", title=f"{result['wrenches']} wrenches, 4 contacts"
-    )
-    for row in result["rows"]:
-        table.add_row(row["method"], str(row["workers"]), f"{row['per_second']:,.0f}", str(row["optimal"]))
-    console.print(table)
+    _table(console, result["rows"], f"{result['wrenches']} wrenches, 4 contacts", {
+        "method": "{method}", "workers": "{workers}", "solves per second": "{per_second:,.0f}", "optimal": "{optimal}",
+    })  # fmt: skip
     for method, times in result["speedup"].items():
         console.print(f"{method}: all cores {times:.2f} times one", highlight=False)
     console.print(f"peak memory of the process {result['peak_gib']:.2f} GiB", highlight=False)
@@ -134,25 +128,18 @@ def _batch(result: dict[str, Any], console: Console) -> None:
 def _env(result: dict[str, Any], console: Console) -> None:
     if result["quick"]:
         console.print("QUICK: few rounds and resets; rough", style="bold")
-    table = Table(
-        "episode", "steps/s", "us", "median", "bare us", "ratio", "median", title="agent steps, best and median"
-    )
-    for row in result["rows"]:
-        table.add_row(
-            row["method"], f"{row['per_second']:.0f}", f"{row['us']:.0f}", f"{row['us_median']:.0f}", f"{row['bare_us']:.0f}",
-            f"{row['ratio']:.2f}", f"{row['ratio_median']:.2f}",
-        )  # fmt: skip
-    console.print(table)
-    table = Table("part of a step (50 Hz agent, 250 Hz control)", "us", "share", "calls", title="where the time goes")
-    for row in result["parts"]:
-        table.add_row(row["what"], f"{row['us']:.1f}", f"{100 * row['share']:.1f} %", f"{row['calls']:g}")
-    console.print(table)
-    table = Table("reset", "median ms", "p99 ms", "max ms", "resets")
-    for row in result["resets"]:
-        table.add_row(
-            row["reset"], f"{row['median_ms']:.2f}", f"{row['p99_ms']:.2f}", f"{row['max_ms']:.2f}", str(row["resets"])
-        )
-    console.print(table)
+    _table(console, result["rows"], "agent steps, best and median of the episodes", {
+        "episode": "{method}", "steps/s": "{per_second:.0f}", "us": "{us:.0f}", "median us": "{us_median:.0f}",
+        "bare us": "{bare_us:.0f}", "ratio": "{ratio:.2f}", "median ratio": "{ratio_median:.2f}",
+    })  # fmt: skip
+    agent, control = result["rates"]
+    _table(console, result["parts"], "where the time goes", {
+        f"part of a step ({agent} Hz agent, {control} Hz control)": "{what}", "us": "{us:.1f}", "share": lambda row: f"{100 * row['share']:.1f} %",
+        "calls": "{calls:g}",
+    })  # fmt: skip
+    _table(console, result["resets"], None, {
+        "reset": "{reset}", "median ms": "{median_ms:.2f}", "p99 ms": "{p99_ms:.2f}", "max ms": "{max_ms:.2f}", "resets": "{resets}",
+    })  # fmt: skip
     for row in result["memory"]:
         console.print(
             f"{row['resets']}: {row['per_env_mib']:.1f} MiB per environment, growth {row['growth_mib']:.2f} MiB over "
@@ -160,57 +147,48 @@ def _env(result: dict[str, Any], console: Console) -> None:
             highlight=False,
         )
     for row in result["vector"]:
-        console.print(
-            f"{row['envs']} environments, {row['vector']}: {row['per_second']:.0f} steps per second", highlight=False
-        )
+        line = f"{row['envs']} environments, {row['vector']}: {row['per_second']:.0f} steps per second"
+        console.print(line, highlight=False)
     _claims(result, console)
 
 
 def _core(result: dict[str, Any], console: Console) -> None:
-    """Prints medians and p99 of both sides with their ratios, first solves, claims, and what could not be timed."""
-    two = result["baseline"] is not None
+    """Medians and p99 of both sides with their ratios, first solves, claims, and what could not be timed."""
+    two, ours = result["baseline"] is not None, "{p50_us:.4g} / {p99_us:.4g}"
+    theirs: dict[str, Column] = {
+        "old us": "{baseline_p50_us:.4g} / {baseline_p99_us:.4g}", "new us": ours, "new / old": "{ratio_p50:.3f} / {ratio_p99:.3f}",
+    }  # fmt: skip
     for count in dict.fromkeys(row["contacts"] for row in result["rows"]):
-        columns = ("old us", "new us", "new / old") if two else ("us",)
-        table = Table("row", *columns, title=f"{count} contacts, median / p99")
-        for row in (row for row in result["rows"] if row["contacts"] == count):
-            table.add_row(row["method"], *_cells(row, two))
-        console.print(table)
-    for key in dict.fromkeys(row["method"] for row in result["rows"]):
-        console.print(f"{key}: {ROWS[key]}", style="dim", highlight=False)
-    if result["starts"]:
-        table = Table(
-            "first solve of a process", "side", "median s", "least", "most", "of it imports", "imported by then"
+        rows = [row for row in result["rows"] if row["contacts"] == count]
+        _table(
+            console, rows, f"{count} contacts, median / p99", {"row": "{method}", **(theirs if two else {"us": ours})}
         )
-        for row in result["starts"]:
-            table.add_row(
-                row["method"], row["side"], f"{row['median_s']:.2f}", f"{row['min_s']:.2f}", f"{row['max_s']:.2f}",
-                f"{row['import_median_s']:.2f}", ", ".join(row["loaded"]) or "neither scipy nor torch",
-            )  # fmt: skip
-        console.print(table)
+    _aside(console, *(f"{key}: {ROWS[key]}" for key in dict.fromkeys(row["method"] for row in result["rows"])))
+    if result["starts"]:
+        _table(console, result["starts"], None, {
+            "first solve of a process": "{method}", "side": "{side}", "median s": "{median_s:.2f}", "least": "{min_s:.2f}",
+            "most": "{max_s:.2f}", "of it imports": "{import_median_s:.2f}",
+            "imported by then": lambda row: ", ".join(row["loaded"]) or "neither scipy nor torch",
+        })  # fmt: skip
     for row in result["rows"]:
         if row["failed"] or row.get("baseline_failed"):
             before = f", of the baseline's {row['baseline_failed']}" if two else ""
             failed = f"{row['failed']} of {row['problems']} not optimal{before}"
             console.print(f"{row['method']}, {row['contacts']} contacts: {failed}", style="bold", highlight=False)
-    for name, reason in result["missing"].items():
-        console.print(f"{name} is left out: {reason}", style="dim", highlight=False)
+    _aside(console, *(f"{name} is left out: {reason}" for name, reason in result["missing"].items()))
     _claims(result, console)
     if two:
         apart = max((row["apart_max"] for row in result["rows"]), default=0.0)
-        console.print(
+        _aside(
+            console,
             f"old: {result['baseline']['commit']}, new: {result['provenance']['commit']}, on one core, taking turns; their "
             f"objectives differ by {apart:.0e} at most",
-            style="dim",
-            highlight=False,
         )
 
 
-def _cells(row: dict[str, Any], two: bool) -> list[str]:
-    now = f"{row['p50_us']:.4g} / {row['p99_us']:.4g}"
-    if not two:
-        return [now]
-    before = f"{row['baseline_p50_us']:.4g} / {row['baseline_p99_us']:.4g}"
-    return [before, now, f"{row['ratio_p50']:.3f} / {row['ratio_p99']:.3f}"]
+def _aside(console: Console, *lines: str) -> None:
+    for line in lines:
+        console.print(line, style="dim", highlight=False)
 
 
 def _claims(result: dict[str, Any], console: Console) -> None:
