@@ -161,7 +161,7 @@ def memory_of(settings: dict[str, Any], resets: int, envs: int) -> dict[str, Any
 
 def weigh(settings: dict[str, Any], resets: int, envs: int) -> None:
     """Prints {"per_env_mib", "growth_mib", "resident_mib"} of this process."""
-    warm = make(settings)  # kernels, code and the first reset's caches belong to the process, not to an environment
+    warm = make(settings)  # code and the first reset's caches belong to the process, not to an environment
     for k in range(max(20, resets // 10)):
         warm.reset(seed=k)
     before = _resident()

@@ -14,7 +14,7 @@ _PER_GRASP = 4
 
 
 def grasp_cases(name: str, count: int, seed: int) -> list[Case]:
-    """The cases of a set on near or random grasps; see `cases.SETS`.
+    """The cases of a set on near or random grasps; see `set_table.SETS`.
 
     Args:
         name: "friction", "positions" or "random_<contacts>".

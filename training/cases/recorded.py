@@ -81,7 +81,7 @@ def record(
 
 
 def recorded_cases(name: str, count: int, seed: int) -> list[Case]:
-    """The cases of a set from roll-outs; see `cases.SETS`. Fewer than `count` only where the roll-outs hold fewer.
+    """The cases of a set from roll-outs; see `set_table.SETS`. Fewer than `count` only where the roll-outs hold fewer.
 
     Args:
         name: a key of `SETS` whose grasp is "recorded".

@@ -21,7 +21,7 @@ _COLOURS = {
     "ppo/contact_force": "previous_tangent",
     "sac/contact_force": "lagrange",
 }
-"""Names of `figures.THEME`."""
+"""Names of `style.THEME`."""
 
 
 def write_report(run: Run, found: dict[str, Any]) -> None:

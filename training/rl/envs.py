@@ -1,7 +1,7 @@
 """Training environments: several hands in one process, monitored, with a running normaliser.
 
 One process, because a process each was no faster on two cores (steps/s: 4 environments 912 in one process, 844 in four; 8
-environments 737 and 820, another program running beside them): a step takes 1 ms, and sending what it shows not much less.
+environments 737 and 820, another program running beside them; a step took 1 ms then): sending what it shows costs not much less.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ def evaluate_env(config: EnvEvaluateConfig, console: Console | None = None, cell
     Args:
         config: the settings.
         console: for the progress; None: stderr.
-        cells: instead of `holds.plan`.
+        cells: instead of `hold_plan.plan`.
 
     Raises:
         InvalidInputError: the run is finished, or was begun with other settings.

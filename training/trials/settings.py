@@ -78,7 +78,7 @@ class EnvEvaluateConfig:
     Attributes:
         out: folder of runs.
         name: of this run; empty: env-<date>-<time>. The name of an interrupted run continues it.
-        episodes: of each main scenario; the others have as many or fewer, see `holds.plan`.
+        episodes: of each main scenario; the others have as many or fewer, see `hold_plan.plan`.
         seed: of the first episode; the next ones follow. The same seeds serve all controllers.
         quick: a small version that ends within a minute and says that it is quick.
         workers: processes; 0: one per core. The results do not depend on it.
