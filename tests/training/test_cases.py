@@ -165,9 +165,9 @@ def test_what_sets_scenarios_and_starts_are_called_is_what_is_done():
         assert part in labels[name], (name, part)
     assert IMPACT == 0.25  # "a quarter of the ball's radius"
     assert all(f"{STORED:,} stored" in STARTS[f"nearest_{kind}"].label for kind in ("tangent", "pseudoinverse"))
-    config = EnvConfig(disturbance="paper_path")
+    config = EnvConfig()
     for name, part in (
-        ("paper_path", f"x {config.scale:g}"), ("random", f"{config.random_force:g} N / {config.random_moment:g} N m"),
+        ("random", f"{config.random_force:g} N / {config.random_moment:g} N m"),
         ("late", f"{1e3 * SCENARIOS['late']['wrench_delay'] / config.control_rate:g} ms late"),
         ("impulses", f"{config.impulse_force:g} N / {config.impulse_moment:g} N m, {config.impulse_time:g} s"),
     ):  # fmt: skip

@@ -29,10 +29,12 @@ MAGNITUDES = (1e-3, 1e3)
 ROUNDING = 1e-10
 """Relative excess of Phi that two ways to sum it make."""
 
+PATH_SCALE = 0.1
+"""Of W_ext(t) in the roll-outs."""
 SCENARIOS: dict[str, dict[str, Any]] = {
     "gravity": {"disturbance": "none"},
     "constant": {"disturbance": "constant"},
-    "paper_path": {"disturbance": "paper_path"},
+    "paper_path": {"disturbance": "paper_path", "disturbance_scale": PATH_SCALE},
     "random": {"disturbance": "random"},
     "late": {"disturbance": "random", "wrench_delay": 1},
     "unknown": {"disturbance": "random", "wrench": "none"},
@@ -41,7 +43,7 @@ SCENARIOS: dict[str, dict[str, Any]] = {
 SCENARIO_LABELS = {
     "gravity": "gravity alone",
     "constant": "gravity + the paper's constant wrench",
-    "paper_path": "gravity + W_ext(t) x 0.1",
+    "paper_path": f"gravity + W_ext(t) x {PATH_SCALE:g}",
     "random": "gravity + random wrench (Ornstein-Uhlenbeck, 0.6 N / 0.02 N m per axis)",
     "late": "the same random wrench, told to the controller 4 ms late",
     "unknown": "the same random wrench, not told to the controller: pose feedback alone",

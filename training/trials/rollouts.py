@@ -11,7 +11,7 @@ from grasp_env.config import EnvConfig
 from grasp_env.force import InitialForceRule, Objective
 from policies.controllers import Policy
 from training.data.episodes import episode
-from training.trials.arrays import RANDOM_SCENARIOS, SCENARIOS
+from training.trials.arrays import PATH_SCALE, RANDOM_SCENARIOS, SCENARIOS
 
 _SCALARS = (
     "iterations", "trials", "drift", "tilt", "slip", "slip_distance", "force_error", "peak_torque", "time",
@@ -61,9 +61,9 @@ def roll_out(
 
 def settings() -> dict[str, Any]:
     """What the environment of the roll-outs is when nothing is said, for a report."""
-    config = EnvConfig(disturbance="paper_path")
+    config = EnvConfig()
     names = ("agent_rate", "control_rate", "physics_rate", "friction_margin")
-    return {**{name: getattr(config, name) for name in names}, "path_scale": config.scale}
+    return {**{name: getattr(config, name) for name in names}, "path_scale": PATH_SCALE}
 
 
 def roll_out_scenario(
