@@ -239,7 +239,7 @@ def test_bench_in_small(monkeypatch):
     assert got["ratio"] == pytest.approx(got["us"] / got["bare_us"])
     parts = bench.breakdown(bench.make({}), 0, 1)
     assert sum(part["share"] for part in parts) == pytest.approx(1.0)
-    assert {part["part"] for part in parts} >= {"bare_writes", "bare_reads", "optimise", "command", "info"}
+    assert {part["part"] for part in parts} >= {"bare_writes", "bare_reads", "optimise", "tick", "info"}
     assert bench.reset_times({"randomise": ("mass",)}, 0, 3)["median_ms"] > 0.0
     weight = bench.memory_of({}, 20, 1)
     assert 0.0 < weight["per_env_mib"] < 200.0
