@@ -11,6 +11,7 @@ from training.bench import core_sides, core_worker
 from training.bench import show as pages
 from training.bench.core import ROWS, claims, core
 from training.bench.core_sides import Checkout, first_solve
+from training.bench.timing import Effort
 from training.cli import main
 
 ROOT = Path(core_sides.__file__).parents[2]
@@ -43,7 +44,7 @@ def test_against_itself(tmp_path, monkeypatch):
     rows = ("newton", "newton_python", "newton_previous", "pipeline_newton", "from_contacts", "unchecked", "nonsense")
     monkeypatch.setitem(ROWS, "nonsense", "a row that no side has")
     ticks = []
-    result = core((3,), 8, 2, 1, baseline=checkout(tmp_path / "old"), rows=rows, tick=ticks.append)
+    result = core(Effort((3,), 8, 2, 1), baseline=checkout(tmp_path / "old"), rows=rows, tick=ticks.append)
     assert [row["method"] for row in result["rows"]] == list(rows[:-1])
     assert result["missing"] == {"nonsense": "now, 3 contacts: KeyError: 'nonsense'"}
     for row in result["rows"]:
@@ -96,7 +97,7 @@ def test_a_wrong_baseline_is_one_line(tmp_path, capsys):
 def test_a_worker_that_ends_says_why(tmp_path):
     broken = checkout(tmp_path / "broken", {"grasp_env/__init__.py": "raise SystemExit('no such thing')"})
     with pytest.raises(GraspError, match="ended: no such thing"):
-        core((3,), 8, 1, 1, baseline=broken)
+        core(Effort((3,), 8, 1, 1), baseline=broken)
 
 
 def test_other_problems_are_refused(tmp_path, monkeypatch):
@@ -110,7 +111,7 @@ def test_other_problems_are_refused(tmp_path, monkeypatch):
 
     monkeypatch.setattr(core_sides.Side, "ask", shifted)
     with pytest.raises(InvalidInputError, match="other problems"):
-        core((3,), 8, 1, 1, baseline=checkout(tmp_path / "old"))
+        core(Effort((3,), 8, 1, 1), baseline=checkout(tmp_path / "old"))
 
 
 def test_first_solve_of_a_process(tmp_path):

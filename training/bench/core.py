@@ -13,10 +13,11 @@ import numpy as np
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
 from training.bench.core_sides import Checkout, Side, first_solve
+from training.bench.timing import Effort
 from training.runs import provenance
 from training.runs.claims import bounded
 
-SIZES = (3, 4, 5, 8, 16, 50)
+EFFORT = Effort((3, 4, 5, 8, 16, 50), wrenches=400, rounds=5, passes=4)
 ROWS = {
     "newton": "Newton on Phi from the 12-basis to 1e-8, compiled call",
     "newton_python": "the same, ForceOptimizer.solve from Python",
@@ -42,17 +43,16 @@ STARTED = ("newton", "conic", "reduced_flow", "full_flow")
 
 
 def core(
-    sizes: tuple[int, ...] = SIZES, wrenches: int = 400, rounds: int = 5, passes: int = 4, seed: int = 0,
-    baseline: Path | None = None, start: int = 0, rows: tuple[str, ...] = tuple(ROWS),
+    effort: Effort = EFFORT,
+    baseline: Path | None = None,
+    start: int = 0,
+    rows: tuple[str, ...] = tuple(ROWS),
     tick: Callable[[str], None] = lambda text: None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Times all rows in rounds, this checkout first, then the baseline, never both at once.
 
     Args:
-        sizes: numbers of contacts.
-        wrenches: problems per size, shared out over four grasps; at least 8.
-        rounds, passes: a problem's time is the best of rounds * passes calls.
-        seed: of the problems.
+        effort: how much.
         baseline: another checkout with its own .venv; None: only this one is timed.
         start: first solves of so many new processes per method and side; 0: none.
         rows: those of `ROWS` to time.
@@ -73,18 +73,21 @@ def core(
         for name, checkout in checkouts.items():
             tick(f"starting the worker of {name}")
             sides[name] = stack.enter_context(closing(Side(checkout)))
-        for count in sizes:
+        for count in effort.sizes:
             tick(f"{count} contacts: problems")
-            made = [side.ask(contacts=count, wrenches=wrenches, seed=seed)["problems"] for side in sides.values()]
+            made = [
+                side.ask(contacts=count, wrenches=effort.wrenches, seed=effort.seed)["problems"]
+                for side in sides.values()
+            ]
             if not np.allclose(made[0], made[-1], rtol=0.0, atol=1e-9):
                 raise InvalidInputError(
                     "the baseline's training/bench/grasps.py makes other problems: nothing to compare"
                 )
             best: dict[str, dict[str, Array]] = {}
-            for turn in range(rounds):
+            for turn in range(effort.rounds):
                 for key in rows:
-                    tick(f"{count} contacts, round {turn + 1} of {rounds}: {key}")
-                    taken = _turn(sides, missing, count, key, passes)
+                    tick(f"{count} contacts, round {turn + 1} of {effort.rounds}: {key}")
+                    taken = _turn(sides, missing, count, key, effort.passes)
                     before = best.get(key, taken)
                     best[key] = {name: np.minimum(before[name], taken[name]) for name in taken}
             for key in rows:
@@ -95,7 +98,7 @@ def core(
     starts = _starts(checkouts, start, tick)
     return {
         "kind": "core",
-        "settings": {"wrenches": wrenches, "rounds": rounds, "passes": passes, "seed": seed, "threads": 1},
+        "settings": effort.settings(),
         "rows": found, "starts": starts, "claims": claims(found, starts), "missing": missing,
         "baseline": about.get("baseline"), "load": os.getloadavg(), "provenance": provenance(),
     }  # fmt: skip

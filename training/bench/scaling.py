@@ -11,18 +11,15 @@ from matplotlib.figure import Figure
 from grasp_env.force import ForceOptimizer
 from grasp_env.force.record import ITERATIONS, record_size
 from training.bench.grasps import problems
-from training.bench.timing import compiled_times
+from training.bench.timing import Effort, compiled_times
 from training.report.style import new_figure
 from training.runs import provenance
 
-SIZES = (3, 4, 5, 8, 12, 16, 24, 32, 48, 64, 80, 100)
+EFFORT = Effort((3, 4, 5, 8, 12, 16, 24, 32, 48, 64, 80, 100), wrenches=200, rounds=1, passes=20)
 TOLERANCES = {"conic": 1e-6, "newton": 1e-8}
 
 
-def scaling(
-    sizes: tuple[int, ...] = SIZES, wrenches: int = 200, passes: int = 20, seed: int = 0,
-    tick: Callable[[str], None] = lambda text: None,
-) -> dict[str, Any]:  # fmt: skip
+def scaling(effort: Effort = EFFORT, tick: Callable[[str], None] = lambda text: None) -> dict[str, Any]:
     """Microseconds and iterations of compiled `conic` and `newton` calls, and the line through microseconds per iteration.
 
     Returns:
@@ -30,14 +27,14 @@ def scaling(
         16 contacts on, 1 for linear cost.
     """
     rows = []
-    for count in sizes:
+    for count in effort.sizes:
         tick(f"{count} contacts")
         for method, tolerance in TOLERANCES.items():
             times, steps = [], []
-            for grasp, loads in problems(seed, count, wrenches):
+            for grasp, loads in problems(effort.seed, count, effort.wrenches):
                 records = np.empty((len(loads), record_size(count)))
                 optimizer = ForceOptimizer(grasp, method=method, tolerance=tolerance)
-                times.append(compiled_times(optimizer, loads, passes, records))
+                times.append(compiled_times(optimizer, loads, effort.rounds * effort.passes, records))
                 steps.append(records[:, ITERATIONS].copy())
             micro, iterations = 1e6 * np.concatenate(times), np.concatenate(steps)
             rows.append({

@@ -18,11 +18,11 @@ from grasp_env.force.record import CODE, FORCE, record_size
 from grasp_env.grasp import Grasp
 from training import peers
 from training.bench.grasps import problems
-from training.bench.timing import compiled_times
+from training.bench.timing import Effort, compiled_times
 from training.peers.problem import best_times
 from training.runs import provenance
 
-SIZES = (3, 4, 5, 8, 16, 50)
+EFFORT = Effort((3, 4, 5, 8, 16, 50), wrenches=1000, rounds=6, passes=4)
 OURS = {
     "conic": "ours: the compiled call, start and certificate included, to 1e-6",
     "conic_python": "ours: ForceOptimizer.solve from Python, certificate included, to 1e-6",
@@ -70,21 +70,12 @@ class Row:
 
 
 def solver(
-    sizes: tuple[int, ...] = SIZES,
-    wrenches: int = 1000,
-    rounds: int = 6,
-    passes: int = 4,
-    seed: int = 0,
-    folder: Path = Path("runs/bench"),
-    tick: Callable[[str], None] = lambda text: None,
+    effort: Effort = EFFORT, folder: Path = Path("runs/bench"), tick: Callable[[str], None] = lambda text: None
 ) -> dict[str, Any]:
-    """Times all solvers in rounds, one after the other, so that a busy second of the machine hits all alike.
+    """Times all solvers in rounds, one after the other.
 
     Args:
-        sizes: numbers of contacts.
-        wrenches: problems per size, shared out over four grasps.
-        rounds, passes: a problem's time is the best of rounds * passes calls (SLSQP: of two).
-        seed: of the problems.
+        effort: how much (SLSQP: two calls).
         folder: where generated C code is compiled and kept.
         tick: told what runs.
 
@@ -95,8 +86,8 @@ def solver(
     missing = {peer.name: peer.reason for peer in here if isinstance(peer, peers.MissingPeer)}
     rivals = [peer for peer in here if isinstance(peer, peers.Peer)]
     rows, batches = [], []
-    for count in sizes:
-        parts = problems(seed, count, wrenches)
+    for count in effort.sizes:
+        parts = problems(effort.seed, count, effort.wrenches)
         contestants: dict[str, list[tuple[Callable[[int], Array], Callable[[], Array]]]] = {}
         together: dict[str, list[Callable[[], Array]]] = {}
         labels = dict(OURS)
@@ -116,15 +107,15 @@ def solver(
                     made.prepare(len(loads))
                     together.setdefault(peer.name, []).append(partial(made.solve_many, loads))
         best: dict[str, list[Array]] = {key: [np.full(len(loads), np.inf) for _, loads in parts] for key in contestants}
-        for turn in range(rounds):
+        for turn in range(effort.rounds):
             for key, pairs in contestants.items():
                 if key == "slsqp" and turn > 0:
                     continue
-                tick(f"{count} contacts, round {turn + 1} of {rounds}: {key}")
+                tick(f"{count} contacts, round {turn + 1} of {effort.rounds}: {key}")
                 for k, (timed, _) in enumerate(pairs):
-                    best[key][k] = np.minimum(best[key][k], timed(2 if key == "slsqp" else passes))
+                    best[key][k] = np.minimum(best[key][k], timed(2 if key == "slsqp" else effort.passes))
         tick(f"{count} contacts: batches")
-        batches += _batches(count, together, rounds * passes)
+        batches += _batches(count, together, effort.rounds * effort.passes)
         for key, pairs in contestants.items():
             tick(f"{count} contacts: checking {key}")
             checks = [
@@ -134,7 +125,7 @@ def solver(
             rows.append(Row(key, labels[key], count, np.concatenate(best[key]), gap, balance, violation).numbers())
     return {
         "kind": "solver",
-        "settings": {"wrenches": wrenches, "rounds": rounds, "passes": passes, "seed": seed, "threads": 1},
+        "settings": effort.settings(),
         "rows": rows,
         "batches": batches,
         "ratios": ratios(rows),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -54,31 +54,32 @@ class Bench:
         from training.bench import batch, core, scaling, show, solver
         from training.runs import Run
 
-        options: dict[str, Any] = {"seed": _at_least(self.seed, "seed", 0, ranges.SEED)}
-        if self.what == "env":
-            options["quick"] = self.quick
-        elif self.wrenches:
-            options["wrenches"] = _at_least(self.wrenches, "wrenches", 8)
-        if self.what == "core":
-            options |= {"baseline": self.baseline, "start": _at_least(self.start, "start", 0, 1000)}
-            options |= {"rounds": 2, "passes": 2, "wrenches": self.wrenches or 80} if self.quick else {}
-        elif self.baseline is not None or self.start:
+        changes: dict[str, Any] = {"seed": _at_least(self.seed, "seed", 0, ranges.SEED)}
+        if self.wrenches:
+            changes["wrenches"] = _at_least(self.wrenches, "wrenches", 8)
+        if self.contacts:
+            changes["sizes"] = tuple(_at_least(count, "contacts", 3, ranges.CONTACTS) for count in self.contacts)
+        if self.what != "core" and (self.baseline is not None or self.start):
             raise InvalidInputError(f"baseline and start belong to grasp bench core, not to {self.what}")
-        if self.contacts and self.what in ("solver", "scaling", "core"):
-            options["sizes"] = tuple(_at_least(count, "contacts", 3, ranges.CONTACTS) for count in self.contacts)
-        if self.what == "solver":
-            options["folder"] = self.out
+        quick = {"rounds": 2, "passes": 2, "wrenches": 80} if self.quick and self.what == "core" else {}
+        benches: dict[str, tuple[Any, Callable[..., dict[str, Any]], dict[str, Any]]] = {
+            "solver": (solver, solver.solver, {"folder": self.out}),
+            "scaling": (scaling, scaling.scaling, {}),
+            "batch": (batch, batch.batch, {}),
+            "core": (core, core.core, {"baseline": self.baseline, "start": _at_least(self.start, "start", 0, 1000)}),
+        }
+        if self.what == "env":
+            from training.bench.env import env_bench as run
+
+            options: dict[str, Any] = {"seed": changes["seed"], "quick": self.quick}
+        else:
+            module, run, options = benches[self.what]
+            options["effort"] = replace(module.EFFORT, **(quick | changes))
         Run.create(self.out, "")
         console = Console(stderr=True)
         with console.status("starting") as status:
             if sys.stderr.isatty():
                 options["tick"] = status.update
-            run: Callable[..., dict[str, Any]]
-            if self.what == "env":
-                from training.bench.env import env_bench as run
-            else:
-                benches = {"solver": solver.solver, "scaling": scaling.scaling, "batch": batch.batch, "core": core.core}
-                run = benches[self.what]
             result = run(**options)
         path = show.save(result, self.out)
         if self.json:
