@@ -10,12 +10,13 @@ import numpy as np
 from grasp_env import ranges
 from grasp_env._check import as_array, as_list, as_text, choice, is_a, positive, together, whole
 from grasp_env._files import as_path
-from grasp_env.disturbance import DISTURBANCES, Disturbance
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.force import METHODS, RULES
-from grasp_env.sim.hand import HANDS, HandDescription
-from grasp_env.sim.objects import SHAPES
-from grasp_env.task import MOTIONS, TASKS, Task
+from grasp_env.sim.hand.description import HANDS, HandDescription
+from grasp_env.sim.objects.description import SHAPES
+from grasp_env.task.disturbance import DISTURBANCES, Disturbance
+from grasp_env.task.motion import MOTION_SIZES, MOTIONS
+from grasp_env.task.tasks import TASKS, Task
 
 RANDOM = ("shape", "size", "mass", "friction")
 CONTROLLERS = ("optimised", "constant_squeeze", "pd")
@@ -268,7 +269,7 @@ class EnvConfig:
         return self.override(
             duration=self._duration(task) if self.duration is None else self.duration,
             disturbance=task.disturbance if self.disturbance is None else self.disturbance,
-            motion_size=(0.3 if self.motion == "rotate" else 0.015) if self.motion_size is None else self.motion_size,
+            motion_size=MOTION_SIZES[self.motion] if self.motion_size is None else self.motion_size,
             max_drift=(task.drift_limit if task.drift_limit < 1.0 else 0.02)
             if self.max_drift is None
             else self.max_drift,

@@ -14,8 +14,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from grasp_env._files import WEIGHTS, as_path, digest, parsed, read_bytes, unpacked
+from grasp_env.env.observation import bounds
 from grasp_env.errors import ModelFileError
-from grasp_env.observation import bounds
 from policies.checkpoint import signature
 
 SCHEMA = "grasp-force/rl-agent/1"

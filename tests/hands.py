@@ -11,7 +11,7 @@ from grasp_env import core
 from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, ObjectDescription, Scene, Snapshot
 from grasp_env.sim.bullet import HAND_FLAGS
 from grasp_env.sim.client import bullet
-from grasp_env.sim.urdf import hand_urdf
+from grasp_env.sim.hand.urdf import hand_urdf
 
 
 def load_hand(client: int, hand: HandDescription) -> int:

@@ -6,8 +6,8 @@ import numpy as np
 
 from grasp_env.control.loop import ForceLoop, critically_damped
 from grasp_env.errors import SimulationError
-from grasp_env.motion import resting_target
 from grasp_env.sim.scene import Scene
+from grasp_env.task.motion import resting_target
 
 CLEARANCE = 0.003
 """[m] between tips and object before the fingers close."""

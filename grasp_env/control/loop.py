@@ -16,7 +16,7 @@ from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDe
 from grasp_env.force import ForceSolution, InitialForceRule, Objective, OfflineBasis
 from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.grasp.grasp import Grasp
-from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.scene import Scene
 from grasp_env.sim.snapshot import Snapshot
 

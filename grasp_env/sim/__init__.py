@@ -3,13 +3,13 @@
 from grasp_env._extras import need
 
 with need("sim"):
-    from grasp_env.sim.camera import Camera, CameraConfig
     from grasp_env.sim.client import Client
     from grasp_env.sim.config import SceneConfig
-    from grasp_env.sim.hand import HANDS, FingerDescription, HandDescription
-    from grasp_env.sim.kinematics import HandKinematics
-    from grasp_env.sim.objects import ObjectDescription
-    from grasp_env.sim.overlay import Annotation
+    from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
+    from grasp_env.sim.hand.kinematics import HandKinematics
+    from grasp_env.sim.objects.description import ObjectDescription
+    from grasp_env.sim.picture.camera import Camera, CameraConfig
+    from grasp_env.sim.picture.overlay import Annotation
     from grasp_env.sim.scene import Scene
     from grasp_env.sim.snapshot import Snapshot
 

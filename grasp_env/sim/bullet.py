@@ -19,10 +19,10 @@ from grasp_env._check import Array
 from grasp_env.errors import SimulationError, UnknownNameError
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.hand import HandDescription
-from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.urdf import hand_urdf
+from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
-from grasp_env.sim.urdf import hand_urdf
 
 OBJECT_COLOR = (0.86, 0.80, 0.68)
 HAND_FLAGS: int = (

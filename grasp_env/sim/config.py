@@ -9,8 +9,8 @@ import numpy as np
 
 from grasp_env._check import as_array
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand import HandDescription, Vector3
-from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.hand.description import HandDescription, Vector3
+from grasp_env.sim.objects.description import ObjectDescription
 
 _CUBOID_POINTS: tuple[Vector3, ...] = (
     (0.0, 0.0, -0.05), (0.0, 0.03, 0.05), (-0.03, -0.02, 0.05), (0.03, -0.02, 0.05),

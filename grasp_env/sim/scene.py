@@ -14,8 +14,8 @@ from grasp_env._check import Array, as_array
 from grasp_env.errors import SimulationError
 from grasp_env.sim.bullet import Bullet
 from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.kinematics import HandKinematics
-from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.hand.kinematics import HandKinematics
+from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
 from grasp_env.sim.snapshot import Snapshot
 

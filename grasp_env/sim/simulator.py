@@ -6,7 +6,7 @@ from typing import Protocol
 
 from grasp_env._check import Array
 from grasp_env.sim.config import SceneConfig
-from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.objects.description import ObjectDescription
 
 
 class Simulator(Protocol):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env.env import FourFingerGrasp
-from grasp_env.motion import resting_target
+from grasp_env.env.env import FourFingerGrasp
+from grasp_env.task.motion import resting_target
 
 
 def iterations(action: float, steps: int = 4) -> list[int]:

@@ -11,7 +11,7 @@ import pytest
 from stable_baselines3.common.env_checker import check_env
 
 from grasp_env.config import EnvConfig
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import SimulationError, UnknownNameError, UnknownSettingError
 
 ID = "grasp_env:FourFingerGrasp-v0"

@@ -15,10 +15,10 @@ from grasp_env import core
 from grasp_env.config import EnvConfig
 from grasp_env.control.loop import RELEASE, believed_body, control_settings
 from grasp_env.control.sensing import sensor_settings
-from grasp_env.env import FourFingerGrasp
-from grasp_env.motion import motion_target, resting_target
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import ObjectDescription, Scene, Snapshot
 from grasp_env.sim.client import bullet
+from grasp_env.task.motion import motion_target, resting_target
 
 ITEM = ObjectDescription(size=(0.06, 0.1, 0.14), mass=0.3)
 GRAVITY = np.array([0.0, -9.81, 0.0])

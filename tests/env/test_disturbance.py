@@ -7,7 +7,9 @@ import pytest
 from scipy.signal import lfilter
 
 from grasp_env.config import EnvConfig
-from grasp_env.disturbance import (
+from grasp_env.env.env import FourFingerGrasp
+from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.task.disturbance import (
     DISTURBANCES,
     RAMP,
     Disturbed,
@@ -17,8 +19,6 @@ from grasp_env.disturbance import (
     six_pushes,
     tilting_gravity,
 )
-from grasp_env.env import FourFingerGrasp
-from grasp_env.errors import InvalidInputError, UnknownNameError
 
 TICK = 0.004
 

@@ -14,9 +14,9 @@ from episodes import episode
 from gymnasium.utils.env_checker import check_env as gym_check
 from stable_baselines3.common.env_checker import check_env as sb3_check
 
-from grasp_env import observation
 from grasp_env.config import ACTION_MODES, EnvConfig
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env import observation
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError
 from grasp_env.force import initial_rule
 

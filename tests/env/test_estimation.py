@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from grasp_env import core
 from grasp_env.control.sensing import NoiseRows, keep_factor
-from grasp_env.disturbance import ornstein_uhlenbeck
-from grasp_env.motion import resting_target
 from grasp_env.sim import Snapshot
+from grasp_env.task.disturbance import ornstein_uhlenbeck
+from grasp_env.task.motion import resting_target
 
 TICK = 0.004
 MASS = 0.2

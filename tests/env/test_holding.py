@@ -9,12 +9,12 @@ import pytest
 from episodes import episode
 
 from grasp_env.config import CONTROLLERS
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError
 from grasp_env.sim import HANDS, HandDescription, SceneConfig
-from grasp_env.sim.hand_frames import roll_pitch_yaw, rotation_matrix
-from grasp_env.sim.urdf import hand_urdf
-from grasp_env.task import TASKS
+from grasp_env.sim.hand.frames import roll_pitch_yaw, rotation_matrix
+from grasp_env.sim.hand.urdf import hand_urdf
+from grasp_env.task.tasks import TASKS
 
 ZERO = np.zeros(6, dtype=np.float32)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from grasp_env.motion import (
+from grasp_env.task.motion import (
     ANGULAR,
     ANGULAR_ACCELERATION,
     LINEAR,

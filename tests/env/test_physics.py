@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim.client import bullet
 
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_env import core
-from grasp_env.motion import resting_target
 from grasp_env.sim import Scene, SceneConfig, Snapshot
+from grasp_env.task.motion import resting_target
 
 
 def test_carried_forward_is_what_comes() -> None:

@@ -10,9 +10,9 @@ import pytest
 import trimesh
 from hands import numbers
 
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import Scene
-from grasp_env.sim.objects import SHAPES
+from grasp_env.sim.objects.description import SHAPES
 
 ZERO = np.zeros(1, dtype=np.float32)
 OBJECTS: list[dict[str, Any]] = [

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from grasp_env.disturbance import DISTURBANCES
+from grasp_env.config import EnvConfig
+from grasp_env.env.plan import Plan, make_plan
 from grasp_env.grasp.wrench import paper_path
-from grasp_env.motion import MOTION_SIZES, MOTIONS, resting_target
-from grasp_env.task import TASKS, Plan, make_plan, succeeded
+from grasp_env.task.disturbance import DISTURBANCES
+from grasp_env.task.motion import MOTION_SIZES, MOTIONS, resting_target
+from grasp_env.task.tasks import TASKS, succeeded
 
 MASS = 0.2
 
@@ -147,10 +149,12 @@ def test_the_table_of_tasks_names_what_exists():
 
 def test_what_is_not_given_is_the_own_of_the_task_and_of_the_motion():
     for name, task in TASKS.items():
-        own = plan(task=name, duration=None, disturbance=None, motion_size=None)
-        given = plan(task=name, duration=task.duration, disturbance=task.disturbance, motion_size=MOTION_SIZES["lift"])
-        for one, other in zip(arrays(own), arrays(given), strict=True):
-            np.testing.assert_array_equal(one, other)
+        own = EnvConfig(task=name).resolved()
+        assert (own.duration, own.disturbance) == (task.duration, task.disturbance)
+        for motion, size in MOTION_SIZES.items():
+            assert EnvConfig(task=name, motion=motion).resolved().motion_size == size
+        given = EnvConfig(task=name, duration=1.5, disturbance="none", motion_size=0.01).resolved()
+        assert (given.duration, given.disturbance, given.motion_size) == (1.5, "none", 0.01)
 
 
 def test_success():

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim.client import bullet
 
 ENV = "grasp_env:FourFingerGrasp-v0"

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from grasp_env.config import EnvConfig
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, UnknownNameError, UnknownSettingError
 from grasp_env.sim import FingerDescription, HandDescription
 from grasp_env.sim.client import bullet
-from grasp_env.sim.urdf import hand_urdf
+from grasp_env.sim.hand.urdf import hand_urdf
 
 ZERO = np.zeros(6, dtype=np.float32)
 

@@ -193,7 +193,7 @@ def test_a_reference_that_does_not_span_the_internal_forces() -> None:
     pipeline = ForcePipeline(grasp, method="newton", reference=along)
     record = np.empty(record_size(3))
     given = grasp.positions.copy(), grasp.normals.copy(), 0.1 * PAPER_WRENCH
-    assert pipeline._core.solve(*given, np.ones(3), record) == REFUSED
+    assert pipeline.core.solve(*given, np.ones(3), record) == REFUSED
     assert pipeline.solve(*given).status is Status.OPTIMAL
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from grasp_env import force as f
 from grasp_env.config import EnvConfig
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
+from grasp_env.env.plan import make_plan
 from grasp_env.grasp import (
     Grasp,
     gravity_wrench,
@@ -33,9 +34,8 @@ from grasp_env.grasp import (
 from grasp_env.grasp.advice import advise, has_force_closure
 from grasp_env.grasp.transforms import checked_rotation
 from grasp_env.sim import FingerDescription, HandDescription
-from grasp_env.sim.hand_tree import Fingertip, Geometry, Link, Palm
-from grasp_env.sim.objects import ObjectDescription
-from grasp_env.task import make_plan
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
+from grasp_env.sim.objects.description import ObjectDescription
 from policies import LearnedInitialForce, ZeroPolicy
 from policies.agent import TrainedAgent
 from training.cli import main

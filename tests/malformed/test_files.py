@@ -23,7 +23,7 @@ from grasp_env._files import read_bytes
 from grasp_env.errors import GraspError
 from grasp_env.grasp import load_grasp, presets, save_grasp
 from grasp_env.sim import HandDescription
-from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.objects.description import ObjectDescription
 from policies.agent import TrainedAgent
 from training.bench.show import compare
 from training.cli import main

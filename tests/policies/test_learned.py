@@ -181,7 +181,7 @@ def test_a_remembering_start_is_never_worse_than_the_previous_start_and_keeps_it
 
 
 def test_an_episode_in_the_environment_uses_the_compiled_pipeline(anywhere):
-    from grasp_env.env import FourFingerGrasp
+    from grasp_env.env.env import FourFingerGrasp
     from grasp_env.force.pipeline import ForcePipeline
 
     env = FourFingerGrasp(initial_force=anywhere, disturbance="random")

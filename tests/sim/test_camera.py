@@ -11,10 +11,10 @@ from oracles import pictures
 
 from grasp_env.errors import InvalidInputError, SimulationError
 from grasp_env.sim import Camera, CameraConfig, Scene, SceneConfig
-from grasp_env.sim.debug_lines import draw_debug
-from grasp_env.sim.overlay import LONGEST, VEIL, WRENCH_COLOR, Annotation, draw
-from grasp_env.sim.picture import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
-from grasp_env.sim.view import View
+from grasp_env.sim.picture.debug_lines import draw_debug
+from grasp_env.sim.picture.overlay import LONGEST, VEIL, WRENCH_COLOR, Annotation, draw
+from grasp_env.sim.picture.pixels import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
+from grasp_env.sim.picture.view import View
 
 VIEW = View((0.4, 0.2, 0.5), (0.0, 0.05, 0.0), 30.0, 160, 120)
 FRONT = View((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), 30.0, 300, 300)  # looks along -z, x to the right

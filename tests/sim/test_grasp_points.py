@@ -18,9 +18,9 @@ from grasp_env.grasp.presets import paper_cuboid
 from grasp_env.sim import HANDS, HandKinematics
 from grasp_env.sim.bullet import create_body, joint_indices
 from grasp_env.sim.client import Client, bullet
-from grasp_env.sim.grasp_points import FRICTION_MARGIN, check_points, grasp_points
-from grasp_env.sim.limbs import hand_limbs
-from grasp_env.sim.objects import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
+from grasp_env.sim.grasping.limbs import hand_limbs
+from grasp_env.sim.grasping.points import FRICTION_MARGIN, check_points, grasp_points
+from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from hands import links_of_indices, load_hand
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError
 from grasp_env.sim.bullet import joint_indices
 from grasp_env.sim.client import Client, bullet
-from grasp_env.sim.hand import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Link, Palm
-from grasp_env.sim.kinematics import HandKinematics
+from grasp_env.sim.hand.description import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Link, Palm
+from grasp_env.sim.hand.kinematics import HandKinematics
 
 # where the fingers press on the faces of a cuboid at z = -side / 2 (the thumb) and z = side / 2 [m]
 FRONT = {

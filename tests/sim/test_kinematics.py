@@ -13,9 +13,9 @@ from hands import load_hand
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.bullet import HAND_FLAGS, joint_indices
 from grasp_env.sim.client import Client, bullet
-from grasp_env.sim.hand import HANDS, FingerDescription, HandDescription
-from grasp_env.sim.hand_check import inertia_matrix
-from grasp_env.sim.kinematics import HandKinematics
+from grasp_env.sim.hand.check import inertia_matrix
+from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
+from grasp_env.sim.hand.kinematics import HandKinematics
 
 CROOKED = Path(__file__).parent / "assets" / "crooked_hand.urdf"
 CROOKED_TIPS = ("pad_a", "finger_b_end", "finger_c_end")

@@ -12,8 +12,8 @@ import pytest
 import trimesh
 
 from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.sim.mesh import principal_rotation
-from grasp_env.sim.objects import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
+from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
+from grasp_env.sim.objects.mesh import principal_rotation
 
 
 def export(folder: Path, mesh: trimesh.Trimesh, name: str = "object.obj") -> str:

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from grasp_env.sim.bullet import UNDAMPED, create_body, set_dynamics
 from grasp_env.sim.client import Client, bullet
-from grasp_env.sim.objects import SHAPES, ObjectDescription
+from grasp_env.sim.objects.description import SHAPES, ObjectDescription
 
 SIZES = {
     "cuboid": (0.1, 0.06, 0.08),

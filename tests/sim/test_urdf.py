@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand import HANDS, Fingertip, HandDescription
-from grasp_env.sim.hand_check import inertia_matrix
-from grasp_env.sim.hand_frames import Frame, roll_pitch_yaw, rotation_matrix
-from grasp_env.sim.kinematics import HandKinematics
-from grasp_env.sim.urdf import hand_urdf
+from grasp_env.sim.hand.check import inertia_matrix
+from grasp_env.sim.hand.description import HANDS, Fingertip, HandDescription
+from grasp_env.sim.hand.frames import Frame, roll_pitch_yaw, rotation_matrix
+from grasp_env.sim.hand.kinematics import HandKinematics
+from grasp_env.sim.hand.urdf import hand_urdf
 
 CROOKED = Path(__file__).parent / "assets" / "crooked_hand.urdf"
 CROOKED_TIPS = ("pad_a", "finger_b_end", "finger_c_end")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from typing import Any
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from grasp_env.config import EnvConfig
 from grasp_env.errors import InvalidInputError
 from training.cli import main
 from training.report.holds import build_env_report
@@ -159,6 +161,23 @@ def test_report_shows_everything(report):
     assert "cylinder 100 x 90 mm" in text
     for name in ("failures", "drift_ecdf", "rate_against_squeeze"):
         assert report.path(f"figures/{name}.png").stat().st_size > 3000
+
+
+def test_the_protocol_says_this_runs_settings(report, tmp_path):
+    """Another squeeze, spring and object than the defaults stand in the text, which no code repeats."""
+    config = EnvConfig()
+    text = report.path("report.md").read_text()
+    assert f"internal force of {config.squeeze:g} N in total" in text
+    assert f"spring of {config.pd_stiffness:g} N/m" in text
+    other = Run(shutil.copytree(report.folder, tmp_path / "other"))
+    facts = other.read_json("run.json")
+    for cell in facts["cells"]:
+        cell["resolved"] |= {"squeeze": 33.0, "pd_stiffness": 444.0, "mass_range": [0.01, 0.77], "max_drift": 0.055}
+    other.write_json("run.json", facts)
+    build_env_report(other)
+    text = other.path("report.md").read_text()
+    for part in ("33 N in total", "444 N/m", "0.01 to 0.77 kg", "Lost: 55 mm"):
+        assert part in text
 
 
 def test_report_rebuilds_without_simulating(report, monkeypatch, capsys):

@@ -21,7 +21,7 @@ import policies.agent_files
 import policies.checkpoint
 import training.rl.checkpoint
 import training.rl.train
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError, ModelFileError
 from policies import ZeroPolicy
 from policies.agent import TrainedAgent

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from typing import Any
 
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim.client import bullet
 from training.data.episodes import episode
 

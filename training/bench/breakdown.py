@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import bullet as engine
 from training.bench.bare import STEPS, bare_loop, record
 

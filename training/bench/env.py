@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 
 from grasp_env.config import EnvConfig
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import SimulationError
 from grasp_env.sim.client import bullet
 from policies import LearnedInitialForce

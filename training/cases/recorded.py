@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env._check import ContactForces, Wrench
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError
 from grasp_env.force import LinearCombination
 from grasp_env.grasp import Grasp

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from grasp_env.config import EnvConfig
-from grasp_env.env import FourFingerGrasp
+from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription
-from grasp_env.sim.grasp_points import grasp_points
-from grasp_env.sim.hand import HANDS
-from grasp_env.sim.objects import random_object
+from grasp_env.sim.grasping.points import grasp_points
+from grasp_env.sim.hand.description import HANDS
+from grasp_env.sim.objects.description import random_object
 from training.data.episodes import episode
 from training.trials.hold_plan import NO_START, Cell
 

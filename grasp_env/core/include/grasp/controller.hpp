@@ -294,9 +294,9 @@ private:
         const Point wanted = (anchored ? target_.position : s.position) + place;
         Point speed = s.posture.velocity(tree->tips[i].link, s.tips[i], s.rates.data());
         if (!anchored) speed -= s.carried(s.tips[i]);
-        const Point force = spring.gain * (wanted - s.tips[i]) - spring.damping * speed;
-        const double size = length(force);
-        return size > spring.limit ? (spring.limit / size) * force : force;
+        const Point pull = spring.gain * (wanted - s.tips[i]) - spring.damping * speed;
+        const double size = length(pull);
+        return size > spring.limit ? (spring.limit / size) * pull : pull;
     }
 
     // Adds what keeps a redundant hand near its rest posture without moving the tips: the null space of all tip Jacobians.

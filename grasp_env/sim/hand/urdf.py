@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from grasp_env.sim.hand import HandDescription
-from grasp_env.sim.hand_tree import Geometry, Link, Palm, Vector3
+from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 
 _SPEED_LIMIT = "100"  # [rad/s]; Bullet's default, far above what a grasp needs
 

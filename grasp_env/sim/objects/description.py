@@ -13,8 +13,8 @@ from grasp_env import core
 from grasp_env._check import Array, as_array, choice
 from grasp_env._files import as_path
 from grasp_env.errors import InvalidInputError, UnknownNameError, shown
-from grasp_env.sim.hand_check import numbers, positive
-from grasp_env.sim.mesh import Mesh, load_mesh
+from grasp_env.sim.hand.check import numbers, positive
+from grasp_env.sim.objects.mesh import Mesh, load_mesh
 
 SMALLEST, LARGEST = 0.001, 1.0
 """[m] that an object measures along each axis."""

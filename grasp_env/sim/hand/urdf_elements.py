@@ -12,9 +12,9 @@ import numpy as np
 
 from grasp_env._files import parsed, shown_path
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand_check import Inertia, Vector3, inertia_of, limits, numbers
-from grasp_env.sim.hand_frames import Frame
-from grasp_env.sim.hand_tree import Geometry
+from grasp_env.sim.hand.check import Inertia, Vector3, inertia_of, limits, numbers
+from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.tree import Geometry
 
 _MOVING, _FIXED = ("revolute", "continuous"), "fixed"
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array
-from grasp_env.sim.hand import Geometry, HandDescription
-from grasp_env.sim.hand_frames import rotation_matrix
+from grasp_env.sim.hand.description import Geometry, HandDescription
+from grasp_env.sim.hand.frames import rotation_matrix
 
 _GRID = (-1.0, 0.0, 1.0)
 _PALM_GRID = tuple(np.linspace(-1.0, 1.0, 7).tolist())

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand_check import Vector3, limits, numbers, positive, unit, word
-from grasp_env.sim.hand_frames import roll_pitch_yaw
-from grasp_env.sim.hand_tree import Fingertip, Geometry, Link
+from grasp_env.sim.hand.check import Vector3, limits, numbers, positive, unit, word
+from grasp_env.sim.hand.frames import roll_pitch_yaw
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link
 
 _LINK_NAMES = {3: ("knuckle", "proximal", "distal"), 4: ("knuckle", "proximal", "middle", "distal")}
 _ALONG_X: Vector3 = (0.0, math.pi / 2, 0.0)  # turns a capsule from z, its axis, to x, the links'

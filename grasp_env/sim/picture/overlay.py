@@ -10,8 +10,8 @@ import numpy as np
 from grasp_env import ranges
 from grasp_env._check import Array, as_array, as_list, as_text, is_a, positive, together
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.canvas import FAINT, INK, WHITE, Canvas, Color
-from grasp_env.sim.view import View
+from grasp_env.sim.picture.canvas import FAINT, INK, WHITE, Canvas, Color
+from grasp_env.sim.picture.view import View
 
 PALETTE = ((0.85, 0.33, 0.24), (0.20, 0.50, 0.80), (0.95, 0.69, 0.20), (0.27, 0.65, 0.42), (0.55, 0.40, 0.75),
            (0.35, 0.70, 0.75), (0.80, 0.45, 0.60), (0.50, 0.55, 0.30))  # fmt: skip

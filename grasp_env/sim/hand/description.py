@@ -14,10 +14,10 @@ import numpy as np
 
 from grasp_env._check import as_list, instance
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand_check import Vector3, numbers, parts, positive, word
-from grasp_env.sim.hand_fingers import FingerDescription
-from grasp_env.sim.hand_frames import Frame
-from grasp_env.sim.hand_tree import Fingertip, Geometry, Link, Palm
+from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
+from grasp_env.sim.hand.fingers import FingerDescription
+from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
 
 __all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Palm", "Vector3"]
 
@@ -186,7 +186,7 @@ class HandDescription:
         Raises:
             InvalidInputError: The file is no such hand; the message says what to change in it.
         """
-        from grasp_env.sim.urdf_import import read_urdf  # it needs the parts above
+        from grasp_env.sim.hand.urdf_import import read_urdf  # it needs the parts above
 
         name, palm, links, tips = read_urdf(path, fingertips, tip_radius, torque_limit)
         return HandDescription(name, palm, links, tips, numbers(home, None, "home [rad]"), tip_friction).moved(

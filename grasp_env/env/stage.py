@@ -11,9 +11,9 @@ from grasp_env.control.closing import CLEARANCE, close_hand, take_over
 from grasp_env.control.loop import ForceLoop
 from grasp_env.errors import GraspError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
-from grasp_env.sim.grasp_points import grasp_points
-from grasp_env.sim.hand import HANDS, HandDescription
-from grasp_env.sim.objects import random_object
+from grasp_env.sim.grasping.points import grasp_points
+from grasp_env.sim.hand.description import HANDS, HandDescription
+from grasp_env.sim.objects.description import random_object
 
 REDRAWS = 20
 """Random objects that are tried at a reset until the hand can hold one."""

@@ -11,11 +11,11 @@ from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.bullet import Bullet
 from grasp_env.sim.client import bullet
-from grasp_env.sim.hand import Vector3
-from grasp_env.sim.overlay import Annotation, draw
-from grasp_env.sim.picture import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
+from grasp_env.sim.hand.description import Vector3
+from grasp_env.sim.picture.overlay import Annotation, draw
+from grasp_env.sim.picture.pixels import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
+from grasp_env.sim.picture.view import View
 from grasp_env.sim.scene import Scene
-from grasp_env.sim.view import View
 
 _LIGHT = {
     "lightDirection": (0.5, 1.0, 0.6),

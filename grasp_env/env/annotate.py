@@ -8,7 +8,7 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.control.loop import ForceLoop
-from grasp_env.sim.overlay import Annotation
+from grasp_env.sim.picture.overlay import Annotation
 from grasp_env.sim.snapshot import Snapshot
 
 

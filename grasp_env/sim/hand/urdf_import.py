@@ -11,10 +11,10 @@ import numpy as np
 
 from grasp_env._check import as_list, as_text
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand_check import Inertia, inertia_matrix, inertia_numbers, positive
-from grasp_env.sim.hand_frames import Frame
-from grasp_env.sim.hand_tree import Fingertip, Geometry, Link, Palm
-from grasp_env.sim.urdf_elements import UrdfJoint, UrdfLink, read_elements
+from grasp_env.sim.hand.check import Inertia, inertia_matrix, inertia_numbers, positive
+from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
+from grasp_env.sim.hand.urdf_elements import UrdfJoint, UrdfLink, read_elements
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from grasp_env import core
 from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.presets import paper_cuboid
-from grasp_env.sim.hand import HandDescription
-from grasp_env.sim.kinematics import HandKinematics
-from grasp_env.sim.limbs import hand_limbs
-from grasp_env.sim.objects import ObjectDescription
+from grasp_env.sim.grasping.limbs import hand_limbs
+from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.kinematics import HandKinematics
+from grasp_env.sim.objects.description import ObjectDescription
 
 FRICTION_MARGIN = 0.85
 """Part of the friction with which a grasp must do."""

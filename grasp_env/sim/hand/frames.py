@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from grasp_env.sim.hand_check import Vector3
+from grasp_env.sim.hand.check import Vector3
 
 
 def rotation_matrix(angles: Vector3) -> np.ndarray:

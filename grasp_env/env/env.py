@@ -17,19 +17,20 @@ with need("sim"):
     from gymnasium.utils import EzPickle
 
 from grasp_env._check import Array, as_array, as_wrench, choice, instance, is_a, whole
-from grasp_env.annotate import annotate
 from grasp_env.config import EnvConfig
 from grasp_env.control.loop import ForceLoop
 from grasp_env.control.sensing import NoiseRows
+from grasp_env.env.annotate import annotate
+from grasp_env.env.observation import Observer
+from grasp_env.env.plan import make_plan
+from grasp_env.env.reward import reward_terms
+from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
 from grasp_env.force.initial import InitialForceRule
-from grasp_env.observation import Observer
-from grasp_env.reward import reward_terms
 from grasp_env.sim import Camera, CameraConfig, Scene
-from grasp_env.sim.debug_lines import draw_debug
-from grasp_env.sim.overlay import Annotation
-from grasp_env.stage import Stage
-from grasp_env.task import make_plan, succeeded
+from grasp_env.sim.picture.debug_lines import draw_debug
+from grasp_env.sim.picture.overlay import Annotation
+from grasp_env.task.tasks import succeeded
 
 
 class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickle):

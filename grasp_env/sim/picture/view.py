@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env._check import Array
-from grasp_env.sim.hand import Vector3
+from grasp_env.sim.hand.description import Vector3
 
 NEAR = 0.05
 """Nothing nearer to the camera is drawn [m]."""

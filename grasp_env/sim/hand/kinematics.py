@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 from grasp_env import core
 from grasp_env._check import Array, Indices, as_array, whole
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand import HandDescription
-from grasp_env.sim.hand_frames import rotation_matrix
+from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.frames import rotation_matrix
 
 _OTHER_STARTS = 11
 _LIMIT = 1e-6  # [rad] beyond a limit that is none

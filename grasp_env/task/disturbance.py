@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,10 +18,7 @@ from grasp_env import ranges
 from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.grasp.wrench import paper_path
-from grasp_env.motion import blend
-
-if TYPE_CHECKING:
-    from grasp_env.config import EnvConfig
+from grasp_env.task.motion import blend
 
 
 @dataclass(frozen=True)
@@ -37,15 +34,15 @@ class Disturbed:
     gravity: ArrayLike | None = None
 
 
-Disturbance: TypeAlias = "Callable[[Array, np.random.Generator, EnvConfig], ArrayLike | Disturbed]"
+Disturbance: TypeAlias = "Callable[[Array, np.random.Generator, Any], ArrayLike | Disturbed]"
 """f(times, rng, settings) -> (T, 6) wrenches [N, N m] in the object frame, or a `Disturbed`.
 
-times: (T,) [s] of the control ticks; rng: the episode's own generator; settings: of the environment. For a seed to give the same
+times: (T,) [s] of the control ticks; rng: the episode's own generator; settings: the environment's `EnvConfig`. For a seed to give the same
 disturbance in a longer episode, it draws from rng in an order that does not depend on T.
 """
 
 
-def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings: EnvConfig) -> tuple[Array, Array]:
+def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any) -> tuple[Array, Array]:
     """(T, 6) external wrench [N, N m], object frame, and (T, 3) gravity [m/s^2], world frame, of a disturbance.
 
     Raises:
@@ -67,28 +64,28 @@ def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings:
     return wrench, gravity
 
 
-def _none(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Disturbed:
+def _none(times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
     """Nothing besides gravity."""
     return Disturbed()
 
 
-def _constant(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Array:
+def _constant(times: Array, rng: np.random.Generator, settings: Any) -> Array:
     """`disturbance_value`, scaled."""
     return np.tile(_scale(settings, 1.0) * np.array(settings.disturbance_value), (len(times), 1))
 
 
-def _paper_path(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Array:
+def _paper_path(times: Array, rng: np.random.Generator, settings: Any) -> Array:
     """The paper's W_ext(t), scaled."""
     return _scale(settings, 0.1) * paper_path(times)
 
 
-def _random(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Array:
+def _random(times: Array, rng: np.random.Generator, settings: Any) -> Array:
     """An Ornstein-Uhlenbeck process per axis, from zero on."""
     deviation = np.repeat([settings.random_force, settings.random_moment], 3)
     return ornstein_uhlenbeck(rng, len(times), deviation, settings.random_time / (1.0 / settings.control_rate))
 
 
-def _impulses(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Array:
+def _impulses(times: Array, rng: np.random.Generator, settings: Any) -> Array:
     """Half-sine pushes and twists in random directions, with exponential waits between them."""
     return impulses(
         rng, len(times), 1.0 / settings.control_rate, settings.impulse_force, settings.impulse_moment,
@@ -96,7 +93,7 @@ def _impulses(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Ar
     )  # fmt: skip
 
 
-def _tilting_gravity(times: Array, rng: np.random.Generator, settings: EnvConfig) -> Disturbed:
+def _tilting_gravity(times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
     """Gravity swings about a random horizontal axis, as if the hand were tilted slowly."""
     period = max(settings.tilt_period, 1.0 / settings.control_rate)
     return Disturbed(gravity=tilting_gravity(rng, times, np.array(settings.gravity), settings.tilt_angle, period))
@@ -119,7 +116,7 @@ _BLOCK = 64
 """Impulses drawn at a time: fixed, so that a longer episode extends a shorter one."""
 
 
-def _scale(settings: EnvConfig, own: float) -> float:
+def _scale(settings: Any, own: float) -> float:
     return own if settings.disturbance_scale is None else settings.disturbance_scale
 
 

@@ -1,0 +1,6 @@
+"""Hands: descriptions and their URDF files, kinematics."""
+
+from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
+from grasp_env.sim.hand.kinematics import HandKinematics
+
+__all__ = ["HANDS", "FingerDescription", "HandDescription", "HandKinematics"]
