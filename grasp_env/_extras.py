@@ -14,7 +14,7 @@ EXTRAS = {
     "sim": ("PIL", "gymnasium", "pybullet", "trimesh"),
     "train": ("stable_baselines3", "tensorboard", "torch"),
     "report": ("PIL", "imageio", "jinja2", "matplotlib"),
-    "video": ("imageio_ffmpeg",),
+    "video": ("imageio_ffmpeg", "moviepy"),
 }
 """What each brings, as it is imported."""
 

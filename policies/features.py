@@ -43,7 +43,7 @@ class Features:
         return np.concatenate([scaled / m[:, None], log[:, None], mu[:, None]], axis=1), m
 
     def as_array(self) -> Array:
-        """(6,) for the compiled kernel."""
+        """(6,) for the core."""
         return np.array(
             [self.length, self.floor, self.log_mean, self.log_scale, self.friction_mean, self.friction_scale]
         )

@@ -98,7 +98,7 @@ def inside_cones(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def weights(x: np.ndarray, omega: float = 1.0, lam: float = 0.01) -> np.ndarray:
-    """(N, 2) the weights of Phi as kernels take them, for cone coordinates (3N,)."""
+    """(N, 2) the weights of Phi as the oracles take them, for cone coordinates (3N,)."""
     return np.tile([omega, lam], (len(x) // 3, 1))
 
 

@@ -76,7 +76,7 @@ def test_the_solver_imports_numpy_and_scipy_only(package: str) -> None:
 
 
 def test_the_core_is_below_everything_else() -> None:
-    """Its door imports the compiled module and nothing else; geometry imports the door, so that no kernel is compiled for it."""
+    """Its door imports the compiled module and nothing else; geometry imports the door, so that nothing else loads for it."""
     for path in _files("grasp_env", "core"):
         assert {name for name in _roots(path) if name not in sys.stdlib_module_names} <= {"grasp_env", "numpy"}, path
         assert all(name.startswith("grasp_env.core") for name in _imports(path) if name.startswith("grasp_env")), path

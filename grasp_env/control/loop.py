@@ -162,7 +162,7 @@ class ForceLoop:
         Args:
             external: (6,) external wrench [N, N m], object frame, as a perfect sensor would tell it.
             gravity: (3,) [m/s^2], world frame, as known.
-            target: (19,) the wanted motion, see `task.Plan`.
+            target: (19,) the wanted motion, see `env.plan.Plan`.
             due: whether the agent's step begins.
             adjustment: of `optimise`.
             given: (N, 3) forces to command instead of optimised ones [N], contact frames.

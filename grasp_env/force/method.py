@@ -112,7 +112,7 @@ class OwnStart:
 
 
 def readable(wrench: Any) -> bool:
-    """Whether a compiled kernel can read this wrench as it is."""
+    """Whether the core can read this wrench as it is."""
     return type(wrench) is np.ndarray and wrench.dtype is _FLOAT and wrench.shape == (6,) and wrench.flags.carray
 
 

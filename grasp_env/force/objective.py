@@ -1,4 +1,4 @@
-"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound: the plain numpy twin of `kernels.py`."""
+"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound: the plain numpy twin of the core's `phi.hpp`."""
 
 from __future__ import annotations
 
@@ -103,8 +103,8 @@ class Objective:
     def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
         """The dual value at multipliers nu (6,): no balanced force has a smaller Phi; -inf where it says nothing.
 
-        Derived in `kernels.lower_bound`; here r is the positive root of the stationarity condition written as a
-        quartic, an independent check of the kernel's fixed point.
+        Derived in the core's `phi.hpp`; here r is the positive root of the stationarity condition written as a
+        quartic, an independent check of the core's fixed point.
 
         Args:
             multipliers: (6,) nu with grad Phi = G^T nu at the optimum.

@@ -44,7 +44,7 @@ Initial = str | InitialForceRule | ForceSolution | np.ndarray
 
 
 class ForceOptimizer:
-    """Optimises grasp forces again and again: holds the offline basis, the kernels' data and the previous solution.
+    """Optimises grasp forces again and again: holds the offline basis, the core's solver and the previous solution.
 
     One optimizer belongs to one thread; several may run at once.
 

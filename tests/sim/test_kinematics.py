@@ -1,4 +1,4 @@
-"""The compiled kinematics against PyBullet's own and against finite differences."""
+"""Kinematics against PyBullet's own and against finite differences."""
 
 from __future__ import annotations
 

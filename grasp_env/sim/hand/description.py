@@ -1,7 +1,7 @@
 """The hand as data: a tree of links on a palm, with the fingertips it grasps with.
 
 Everything else follows from this one record: the URDF that PyBullet loads (`urdf.hand_urdf`) and the arrays of the
-compiled kinematics (`kinematics.HandKinematics`).
+kinematics (`kinematics.HandKinematics`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The URDF text of a hand: what PyBullet loads, from the same numbers the compiled kinematics use."""
+"""The URDF text of a hand: what PyBullet loads, from the same numbers that the kinematics use."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def hand_urdf(hand: HandDescription) -> str:
     """The hand as a URDF document, its palm frame equal to the world frame.
 
     Joints are those of `hand.links` under their own names; PyBullet may number them in another order, see
-    `hand_bodies.joint_indices`.
+    `bullet.joint_indices`.
     """
     robot = Element("robot", name=hand.name)
     palm = SubElement(robot, "link", name=hand.palm.name)
@@ -35,7 +35,7 @@ def hand_urdf(hand: HandDescription) -> str:
 
 
 def _text(values: Iterable[float]) -> str:
-    """Numbers with all their digits: the compiled kinematics must agree to the last one."""
+    """Numbers with all their digits: the kinematics must agree to the last one."""
     return " ".join(repr(float(value)) for value in values)
 
 
