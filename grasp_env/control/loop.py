@@ -122,7 +122,7 @@ class ForceLoop:
 
     @settling.setter
     def settling(self, value: bool) -> None:
-        self._settling = self._core.direct = value
+        self._settling = self._core.perfect = value
 
     @property
     def fingers(self) -> Indices:

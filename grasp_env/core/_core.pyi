@@ -910,11 +910,11 @@ class Controller:
         """Views of what is seen, by name: overwritten in place."""
 
     @property
-    def direct(self) -> bool:
+    def perfect(self) -> bool:
         """Whether the scene is seen as it is, whatever the settings."""
 
-    @direct.setter
-    def direct(self, arg: bool, /) -> None: ...
+    @perfect.setter
+    def perfect(self, arg: bool, /) -> None: ...
 
     @property
     def exact(self) -> bool:

@@ -156,8 +156,8 @@ void bind_controller(nb::module_& m) {
         .def("arrays", &arrays, "Views of what is commanded, by name: overwritten in place.")
         .def("seen", &seen, "Views of what is seen, by name: overwritten in place.")
         .def_prop_rw(
-            "direct", [](const Controller& c) { return c.sensors.direct; },
-            [](Controller& c, bool value) { c.sensors.direct = value; },
+            "perfect", [](const Controller& c) { return c.sensors.perfect; },
+            [](Controller& c, bool value) { c.sensors.perfect = value; },
             "Whether the scene is seen as it is, whatever the settings.")
         .def_prop_ro(
             "exact", [](const Controller& c) { return c.sensors.exact(); }, "Whether the scene is seen as it is.")

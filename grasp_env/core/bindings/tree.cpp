@@ -62,7 +62,7 @@ void jacobian(const std::shared_ptr<Tree>& tree, nb::handle angles, int link, nb
 }
 
 void gravity_torques(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle gravity, nb::handle torques) {
-    posture(tree, angles).carry(point(in(gravity, 3).data()), out(torques, tree->joints()).data());
+    posture(tree, angles).support(point(in(gravity, 3).data()), out(torques, tree->joints()).data());
 }
 
 void solve(Reach& reach, nb::handle targets, nb::handle starts, nb::handle angles, nb::handle missed) {

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from grasp_env._check import Array
 from grasp_env.sim.hand.description import Vector3
 
-NEAR = 0.05
+NEAR_PLANE = 0.05
 """Nothing nearer to the camera is drawn [m]."""
 
-FAR = 5.0
+FAR_PLANE = 5.0
 """Nothing farther from the camera is drawn [m]."""
 
 
@@ -60,10 +60,10 @@ class View:
     @property
     def projection_matrix(self) -> list[float]:
         """Camera to clip space as OpenGL and PyBullet want it: 16 numbers, column after column."""
-        depth = NEAR - FAR
+        depth = NEAR_PLANE - FAR_PLANE
         matrix = np.zeros((4, 4))
         matrix[0, 0], matrix[1, 1] = self._focal * self.height / self.width, self._focal
-        matrix[2, 2:] = (FAR + NEAR) / depth, 2.0 * FAR * NEAR / depth
+        matrix[2, 2:] = (FAR_PLANE + NEAR_PLANE) / depth, 2.0 * FAR_PLANE * NEAR_PLANE / depth
         matrix[3, 2] = -1.0
         return matrix.T.ravel().tolist()
 
@@ -82,13 +82,13 @@ class View:
         """
         axes = self.axes
         local = (np.asarray(points, dtype=float) - np.array(self.eye)) @ axes.T
-        scale = 0.5 * self.height * self._focal / np.maximum(-local[:, 2], NEAR)
+        scale = 0.5 * self.height * self._focal / np.maximum(-local[:, 2], NEAR_PLANE)
         return np.column_stack([0.5 * self.width + scale * local[:, 0], 0.5 * self.height - scale * local[:, 1]])
 
     def unproject(self, depth: Array) -> Array:
         """World points (H, W, 3) [m] of the centres of the pixels of OpenGL's depth buffer (H, W)."""
         rows, columns = depth.shape
-        along = FAR * NEAR / (FAR - (FAR - NEAR) * depth)
+        along = FAR_PLANE * NEAR_PLANE / (FAR_PLANE - (FAR_PLANE - NEAR_PLANE) * depth)
         right = (2.0 * (np.arange(columns) + 0.5) / columns - 1.0) * self.width / self.height / self._focal
         up = (1.0 - 2.0 * (np.arange(rows) + 0.5) / rows) / self._focal
         local = np.stack(
@@ -113,7 +113,7 @@ class View:
         low = slope * (1.0 - 2.0 * np.array([margin, below]))
         above = (local[:, :2] + high * local[:, 2:]).max(axis=0)
         under = (local[:, :2] - low * local[:, 2:]).min(axis=0)
-        back = max(float(((above - under) / (high + low)).max()), float(local[:, 2].max()) + 2.0 * NEAR)
+        back = max(float(((above - under) / (high + low)).max()), float(local[:, 2].max()) + 2.0 * NEAR_PLANE)
         across = 0.5 * (above - high * back + under + low * back)
         eye = np.append(across, back) @ axes
         target = eye - axes[2]

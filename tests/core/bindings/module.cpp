@@ -26,4 +26,5 @@ NB_MODULE(_core_test, m) {
     bind_learned(m);
     bind_grasping(m);
     bind_allocations(m);
+    bind_hand(m);
 }

@@ -19,3 +19,4 @@ void bind_pipeline(nb::module_& m);
 void bind_learned(nb::module_& m);
 void bind_grasping(nb::module_& m);
 void bind_allocations(nb::module_& m);
+void bind_hand(nb::module_& m);

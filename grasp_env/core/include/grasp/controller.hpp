@@ -293,7 +293,7 @@ private:
         const Point place = turned * (goals[i] - (tree->tips[i].radius - depth) * inwards[i]);
         const Point wanted = (anchored ? target_.position : s.position) + place;
         Point speed = s.posture.velocity(tree->tips[i].link, s.tips[i], s.rates.data());
-        if (!anchored) speed -= s.carried(s.tips[i]);
+        if (!anchored) speed -= s.object_velocity(s.tips[i]);
         const Point pull = spring.gain * (wanted - s.tips[i]) - spring.damping * speed;
         const double size = length(pull);
         return size > spring.limit ? (spring.limit / size) * pull : pull;

@@ -55,13 +55,13 @@ public:
     Sensors(std::shared_ptr<const Scene> given, const SensorSettings& settings)
         : settings(settings), scene_(std::move(given)), estimator_(settings.tick, settings.keep), own_(scene_->now),
           told_(settings.delay + settings.wrench_delay + 1) {
-        if (!exact()) late_.assign(settings.delay + 1, own_);  // `direct` is not set yet
+        if (!exact()) late_.assign(settings.delay + 1, own_);  // `perfect` is not set yet
     }
     Sensors(const Sensors&) = delete;
 
-    bool direct = false;  // seen as it is, whatever the settings: while the hand takes over the object
+    bool perfect = false;  // seen as it is, whatever the settings: while the hand takes over the object
     // Whether the scene is seen as it is.
-    bool exact() const { return direct || !(settings.delay || settings.pose_noise > 0.0 || settings.tactile_noise > 0.0); }
+    bool exact() const { return perfect || !(settings.delay || settings.pose_noise > 0.0 || settings.tactile_noise > 0.0); }
     const Snapshot& seen() const { return exact() ? scene_->now : own_; }
     Vec6 external{};                  // wrench on the object as it is known [N, N m], object frame
 

@@ -96,7 +96,7 @@ public:
 
     Point to_object(const Point& world) const { return rotation.transposed(world); }
     // The velocity of a point that moves with the object [m/s], world frame.
-    Point carried(const Point& world) const { return linear + cross(angular, world - position); }
+    Point object_velocity(const Point& world) const { return linear + cross(angular, world - position); }
     // Which tips touch: the sum of 2^i over them.
     std::uint64_t mask() const {
         std::uint64_t out = 0;
@@ -112,7 +112,7 @@ private:
     // All that follows from angles, rates and the object's state.
     void place(const Tree& tree, const Surface& surface, const Point& gravity) {
         posture.trace(angles.data());
-        posture.carry(gravity, gravity_torques.data());
+        posture.support(gravity, gravity_torques.data());
         for (int i = 0; i < tree.fingers(); ++i) {
             const Tip& tip = tree.tips[i];
             tips[i] = posture.tip(i);
@@ -120,7 +120,7 @@ private:
             points[i] = found.point, normals[i] = found.inward, gaps[i] = found.distance - tip.radius;
             const Point inward = rotation * found.inward;
             touch[i] = tips[i] + tip.radius * inward;
-            const Point slides = posture.velocity(tip.link, touch[i], rates.data()) - carried(touch[i]);
+            const Point slides = posture.velocity(tip.link, touch[i], rates.data()) - object_velocity(touch[i]);
             slip[i] = length(slides - dot(slides, inward) * inward);
         }
     }

@@ -97,7 +97,7 @@ public:
         carriers(link, place, [&](int j, const Point& moves) { torques[j] += dot(moves, force); });
     }
     // torques (M,) that carry the weight of all links [N m]; gravity [m/s^2]
-    void carry(const Point& gravity, double* torques) const {
+    void support(const Point& gravity, double* torques) const {
         std::fill(torques, torques + tree_->joints(), 0.0);
         for (int j = 0; j < tree_->joints(); ++j) {
             const Link& link = tree_->links[j];

@@ -1,0 +1,28 @@
+"""A hand without a simulator: control ticks that allocate nothing and stay finite, inverse kinematics. Also under the sanitizers."""
+
+from __future__ import annotations
+
+import _core_test as insides
+import numpy as np
+import pytest
+
+
+@pytest.mark.parametrize("more", [0, 1])
+@pytest.mark.parametrize("late", [False, True])
+def test_a_control_tick_allocates_nothing(more: int, late: bool) -> None:
+    """Optimised and carried, bounded, with fingers that lose their force, all other things to do, and late and noisy sensors."""
+    made, total, repaired, changes, peak = insides.ticks(20_000, more, late)
+    assert made == 0
+    assert np.isfinite(total)
+    assert 0.1 < peak <= 3.0
+    assert changes > 100
+    assert more or repaired > 100
+
+
+def test_ticks_repeat_bit_by_bit() -> None:
+    assert insides.ticks(500, 0, True) == insides.ticks(500, 0, True)
+
+
+@pytest.mark.parametrize("more", [0, 2])
+def test_tips_are_reached_from_nearby(more: int) -> None:
+    assert insides.reached(300, more, 1) <= 1e-9
