@@ -170,21 +170,21 @@ class ForceLoop:
         Returns:
             Joint torques (M,) [N m].
         """
+        core, noise = self._core, self._noise
         self.scene.look()
-        self.see(external, gravity, target)
+        core.see(external, gravity, target, None if noise is None else noise())
         if due:
             self._adjustment = adjustment
-        if due or self._core.changed:
+        if due or core.changed:
             # all controllers start from the same grasp: the optimised one closes the hand
             controller = "optimised" if self._settling else self.config.controller
             if given is None and controller == "optimised":
                 self.optimise(self._adjustment)
             else:
                 self._hold(controller, given)
-        return self._core.command()
+        return core.command()
 
-    def see(self, external: Array, gravity: Array, target: Array) -> None:
-        """What is known at this control tick, as of `tick`, and the wrench to balance."""
+    def _see(self, external: Array, gravity: Array, target: Array) -> None:
         noise = self._noise
         self._core.see(external, gravity, target, None if noise is None else noise())
 
@@ -226,14 +226,14 @@ class ForceLoop:
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
         """What the hand does at rest, before the first tick: contacts, frames, measured forces as the commanded ones."""
-        self.see(external, gravity, target)
+        self._see(external, gravity, target)
         self._core.rest()
         self._core.rewind()
 
     def reach(self, gravity: Array, target: Array) -> list[float]:
         """Joint torques (M,) [N m] of the next control tick with which all fingers reach for their places."""
         self.scene.look()
-        self.see(np.zeros(6), gravity, target)
+        self._see(np.zeros(6), gravity, target)
         self._set(0)
         self._core.give(Hold.optimised, 0, None)
         return self._core.command()

@@ -456,6 +456,20 @@ class Pipeline:
     def arrays(self) -> dict[str, NDArray]:
         """Views of what is held, by name: overwritten in place."""
 
+def phi(x: object, weights: object) -> float:
+    """
+    Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf unless strictly inside every cone.
+    """
+
+def phi_gradient(x: object, weights: object, out: object) -> None:
+    """Its gradient, into (N, 3)."""
+
+def phi_hessian(x: object, weights: object, out: object) -> None:
+    """The 3 x 3 blocks of its Hessian, into (N, 3, 3)."""
+
+def phi_lower_bound(y: object, weights: object) -> float:
+    """Least of phi(x) - y . x, contact by contact, y (N, 3); -inf: none."""
+
 class Surface:
     """A convex surface, body frame; the axis of cylinders and capsules is y."""
 

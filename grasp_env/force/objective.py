@@ -1,4 +1,4 @@
-"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound: the plain numpy twin of the core's `phi.hpp`."""
+"""Phi = tr(W_p P) + tr(W_i P^-1), its derivatives and its dual bound, which the core's `phi.hpp` has."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grasp_env import ranges
+from grasp_env import core, ranges
 from grasp_env._check import Array, as_array, as_list, instance, is_a, positive, together, whole
 from grasp_env.errors import InvalidInputError, shown
 
@@ -70,41 +70,25 @@ class Objective:
             >>> round(Objective(1.0, 0.01).value(np.array([0.5, 0.0, 0.0])), 12)
             1.56
         """
-        u, o, t = _contacts(x, finite=False).T
-        omega, lam = self.weights(len(u)).T
-        with np.errstate(all="ignore"):
-            d = u**2 - o**2 - t**2
-            if not ((u > 0).all() and (d > 0).all()):
-                return float("inf")
-            value = float((3 * omega * u + lam * (1 / u + 2 * u / d)).sum())
-        return value if value == value else float("inf")
+        rows = _contacts(x, finite=False)
+        return core.phi(rows, self.weights(len(rows)))
 
     def gradient(self, x: Array) -> Array:
         """Gradient of Phi, (3N,), strictly inside the cones."""
-        u, o, t = _contacts(x, inside=True).T
-        d = u**2 - o**2 - t**2
-        omega, lam = self.weights(len(u)).T
-        du = 3 * omega - lam * (1 / u**2 + 2 * (u**2 + o**2 + t**2) / d**2)
-        return np.stack([du, 4 * lam * u * o / d**2, 4 * lam * u * t / d**2], 1).ravel()
+        rows = _contacts(x, inside=True)
+        out = np.empty_like(rows)
+        core.phi_gradient(rows, self.weights(len(rows)), out)
+        return out.reshape(-1)
 
     def hessian(self, x: Array) -> Array:
         """The 3 x 3 diagonal blocks of the Hessian of Phi, (N, 3, 3), strictly inside the cones."""
-        u, o, t = _contacts(x, inside=True).T
-        s2 = o**2 + t**2
-        d = u**2 - s2
-        blocks = np.empty((len(u), 3, 3))
-        blocks[:, 0, 0] = 2 / u**3 + 4 * u * (u**2 + 3 * s2) / d**3
-        for row, (a, b) in enumerate(((o, t), (t, o)), start=1):
-            blocks[:, 0, row] = blocks[:, row, 0] = -4 * a * (3 * u**2 + s2) / d**3
-            blocks[:, row, row] = 4 * u / d**2 + 16 * u * a**2 / d**3
-            blocks[:, row, 3 - row] = 16 * u * a * b / d**3
-        return self.weights(len(u))[:, 1, None, None] * blocks
+        rows = _contacts(x, inside=True)
+        out = np.empty((len(rows), 3, 3))
+        core.phi_hessian(rows, self.weights(len(rows)), out)
+        return out
 
     def lower_bound(self, multipliers: Array, cone_matrix: Array, wrench: Array) -> float:
         """The dual value at multipliers nu (6,): no balanced force has a smaller Phi; -inf where it says nothing.
-
-        Derived in the core's `phi.hpp`; here r is the positive root of the stationarity condition written as a
-        quartic, an independent check of the core's fixed point.
 
         Args:
             multipliers: (6,) nu with grad Phi = G^T nu at the optimum.
@@ -116,20 +100,7 @@ class Objective:
             as_array(wrench, (6,), "wrench", ranges.SIZE),
         )
         y = _contacts(as_array(cone_matrix, (6, None), "cone_matrix", ranges.SIZE).T @ nu)
-        total = -float(nu @ load)
-        for (yu, yo, yt), (omega, lam) in zip(y, self.weights(len(y)), strict=True):
-            a, b = 3 * omega - yu, float(np.hypot(yo, yt))
-            if not a > b:
-                return float("-inf")
-            k = (a - b) / (a + b)
-            # r^2 ((1 + r)^2 + 2) = k ((1 + r)^2 + 2 r^2)
-            roots = np.roots([1.0, 2.0, 3.0 - 3.0 * k, -2.0 * k, -k])
-            r = float(max((root.real for root in roots if abs(root.imag) < 1e-9), default=0.0))
-            if not r > 0.0:  # y is so large that nothing of omega is left
-                return float("-inf")
-            c1 = (a - b + (a + b) * r) / 2
-            total += 2 * float(np.sqrt(lam * c1 * (1 + 1 / r + 2 / (1 + r))))
-        return total
+        return core.phi_lower_bound(y, self.weights(len(y))) - float(nu @ load)
 
 
 def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
@@ -137,7 +108,7 @@ def _contacts(x: Array, inside: bool = False, finite: bool = True) -> Array:
     given = as_array(x, None, "x", ranges.SIZE if finite else None, finite=finite)
     if given.size % 3 or not 1 <= given.size // 3 <= ranges.SIDE_BY_SIDE:
         raise InvalidInputError(f"x must have shape (3N,) for at least one contact, got {given.shape}")
-    rows = given.reshape(-1, 3)
+    rows = np.ascontiguousarray(given.reshape(-1, 3))
     if inside and not (rows[:, 0] * (1.0 - 1e-15) > np.hypot(rows[:, 1], rows[:, 2])).all():
         raise InvalidInputError(
             f"x must lie strictly inside the cones, u > |(o, t)| at every contact, got {shown(given)}"

@@ -99,7 +99,9 @@ class Bullet(Simulator):
         joints = bullet.getJointStates(world.hand, world.joints, client)
         pose = bullet.getBasePositionAndOrientation(world.object, client)
         velocity = bullet.getBaseVelocity(world.object, client)
-        contacts = self._contacts()
+        contacts = self._resting
+        if contacts is None:
+            contacts = bullet.getContactPoints(world.hand, world.object, physicsClientId=client)
         count = self._answers.read(joints, pose, velocity, contacts, self._numbers)
         if count > len(self._numbers):
             self._numbers = np.empty(2 * count)

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from grasp_env import core
 from grasp_env._check import Array, as_array
 from grasp_env.errors import SimulationError
-from grasp_env.sim.bullet import Bullet
+from grasp_env.sim.bullet import Bullet, World
+from grasp_env.sim.client import Client
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
@@ -59,6 +60,16 @@ class Scene:
     def timestep(self) -> float:
         """Simulated time of one step [s]."""
         return 1.0 / self.config.physics_rate
+
+    @property
+    def client(self) -> Client:
+        """The connection to PyBullet, for calls of one's own; other engines have none."""
+        return self.simulator.client
+
+    @property
+    def bodies(self) -> World:
+        """PyBullet's numbers of the hand, of the object and of the joints; other engines have none."""
+        return self.simulator.world
 
     def load(self, config: SceneConfig) -> None:
         """Builds another object, or another grasp of it, for the same hand and rates; no kept state is left.

@@ -17,6 +17,7 @@ NB_MODULE(_core, m) {
     bind_learned(m);
     bind_program(m);
     bind_pipeline(m);
+    bind_phi(m);
     bind_surface(m);
     bind_tree(m);
     bind_grasping(m);

@@ -19,6 +19,7 @@ void bind_learned(nb::module_& m);
 void bind_program(nb::module_& m);
 void bind_pipeline(nb::module_& m);
 void bind_solution(nb::module_& m);
+void bind_phi(nb::module_& m);
 void bind_surface(nb::module_& m);
 void bind_tree(nb::module_& m);
 void bind_grasping(nb::module_& m);
