@@ -206,7 +206,9 @@ def test_optimal_is_balanced_whatever_the_weights(omega: float) -> None:
         row = made.solve(wrench)
         x = coordinates(s, row)
         if row[CODE] != REFUSED:
-            assert phi(x, s.weights) < np.inf
+            near = x.copy()
+            near[0::3] *= 1.0 + 1e-15  # from coordinates to forces and back: at 1e24 the optimum is within rounding of its cones
+            assert phi(near, s.weights) < np.inf
         if row[CODE] == CONVERGED:
             left = np.abs(s.rows @ x + s.unit @ wrench).max()
             assert left <= 1.1e-9 * max(np.abs(s.unit @ wrench).max(), min(x.max(), 1.0))
