@@ -207,7 +207,8 @@ def test_optimal_is_balanced_whatever_the_weights(omega: float) -> None:
         x = coordinates(s, row)
         if row[CODE] != REFUSED:
             near = x.copy()
-            near[0::3] *= 1.0 + 1e-15  # from coordinates to forces and back: at 1e24 the optimum is within rounding of its cones
+            # from coordinates to forces and back: at 1e24 the optimum is within rounding of its cones
+            near[0::3] *= 1.0 + 1e-15
             assert phi(near, s.weights) < np.inf
         if row[CODE] == CONVERGED:
             left = np.abs(s.rows @ x + s.unit @ wrench).max()
