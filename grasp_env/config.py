@@ -65,7 +65,7 @@ class EnvConfig:
         duration: [s] until truncation; None: the task's own.
         disturbance: the external wrench besides gravity: "none", "constant" (`disturbance_value`), "paper_path" (the paper's
             W_ext(t)), "random" (Ornstein-Uhlenbeck), "impulses", "tilting_gravity", or any function f(times, rng, settings)
-            -> (T, 6), see `grasp_env.disturbance.Disturbance`; None: the task's own.
+            -> (T, 6), see `grasp_env.task.Disturbance`; None: the task's own.
         disturbance_value: [N, N m] of "constant"; the paper's by default.
         disturbance_scale: factor on "constant" and "paper_path"; None: 1 for "constant", 0.1 for "paper_path". W_ext peaks
             at 1 N m about z, which takes 153 N of normal force and 9 N m at the joints; a tenth keeps them near 1 N m,

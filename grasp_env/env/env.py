@@ -50,7 +50,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     ## Tasks
     `task="hold"` against `disturbance`, "move" along `motion`, "payload" (the mass grows), "six_directions" (pushes of 10 N/kg).
     A disturbance is a name, or any function f(times, rng, settings) -> (T, 6) wrenches [N, N m], one for each control tick; see
-    `grasp_env.disturbance.Disturbance`.
+    `grasp_env.task.Disturbance`.
 
     ## Action space
     By `action_mode`, `Box(-1, 1, float32)`, clipped:

@@ -91,12 +91,11 @@ public:
         changed = false;
     }
 
-    // Contacts, frames and measured forces as the commanded ones: what the hand does at rest, before the first command.
+    // Frames, and measured forces as the commanded ones: what the hand does at rest, before the first command.
     void rest() {
         write_frames();
         for (int i = 0; i < tree->fingers(); ++i)
             for (int a = 0; a < 3; ++a) force[3 * i + a] = dot(axis(i, a), seen().forces[i]);
-        sensors.restart_estimate();  // its first tick is yet to come
     }
 
     // How the object is held, by the truth: its error against the wanted pose, and what the fingers do.

@@ -72,7 +72,6 @@ public:
         std::fill(told_.begin(), told_.end(), Vec6{});
         tick_ = 0;
     }
-    void restart_estimate() { estimator_.reset(); }
 
     // The scene of this tick. wrench: (6,) the external one as a perfect sensor would tell it. noise: (3 + 3N,) standard normal
     // numbers where anything is noisy. gravity: as far as known.
