@@ -491,10 +491,11 @@ REACHED: float = 1e-09
 class Link:
     """A link of a hand and the joint that moves it."""
 
-    def __init__(self, *, parent: int, offset: Sequence[float], rotation: Sequence[float], axis: Sequence[float], mass: float, center: Sequence[float], lower: float, upper: float, torque_limit: float) -> None:
+    def __init__(self, *, parent: int, offset: Sequence[float], rotation: Sequence[float], axis: Sequence[float], mass: float, center: Sequence[float], lower: float, upper: float, torque_limit: float, sliding: bool = False, driver: int = -1, ratio: float = 1.0, shift: float = 0.0) -> None:
         """
         parent: number of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's frame.
-        axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m].
+        axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m], of a sliding joint [m], [N].
+        driver: the joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift.
         """
 
 class Tip:

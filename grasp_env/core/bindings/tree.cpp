@@ -17,15 +17,29 @@ using Three = std::array<double, 3>;
 using Nine = std::array<double, 9>;
 
 void make_link(Link* link, int parent, const Three& offset, const Nine& rotation, const Three& axis, double mass,
-               const Three& center, double lower, double upper, double torque_limit) {
-    new (link)
-        Link{parent, point(offset.data()), Rotation::from(rotation.data()), point(axis.data()), mass, point(center.data()), lower,
-             upper,  torque_limit};
+               const Three& center, double lower, double upper, double torque_limit, bool sliding, int driver, double ratio,
+               double shift) {
+    new (link) Link{parent,
+                    point(offset.data()),
+                    Rotation::from(rotation.data()),
+                    point(axis.data()),
+                    mass,
+                    point(center.data()),
+                    lower,
+                    upper,
+                    torque_limit,
+                    sliding,
+                    driver,
+                    ratio,
+                    shift};
 }
 
 std::shared_ptr<Tree> make_tree(const std::vector<Link>& links, const std::vector<Tip>& tips) {
     for (std::size_t j = 0; j < links.size(); ++j)
         if (links[j].parent >= int(j) || links[j].parent < -1) throw nb::value_error("parents come before their links");
+    for (const Link& link : links)
+        if (link.driver >= int(links.size()) || (link.coupled() && links[link.driver].coupled()))
+            throw nb::value_error("a joint is coupled to one that is not");
     for (const Tip& tip : tips)
         if (tip.link < 0 || tip.link >= int(links.size())) throw nb::value_error("a tip is on a link");
     return std::make_shared<Tree>(Tree{links, tips});
@@ -80,10 +94,11 @@ void bind_tree(nb::module_& m) {
     m.attr("REACHED") = REACHED;
     nb::class_<Link>(m, "Link", "A link of a hand and the joint that moves it.")
         .def("__init__", &make_link, nb::kw_only(), "parent"_a, "offset"_a, "rotation"_a, "axis"_a, "mass"_a, "center"_a,
-             "lower"_a, "upper"_a, "torque_limit"_a,
+             "lower"_a, "upper"_a, "torque_limit"_a, "sliding"_a = false, "driver"_a = -1, "ratio"_a = 1.0, "shift"_a = 0.0,
              "parent: number of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's "
              "frame.\n"
-             "axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m].");
+             "axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m], of a sliding joint [m], [N].\n"
+             "driver: the joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift.");
     nb::class_<Tip>(m, "Tip", "The sphere with which a finger touches.")
         .def(
             "__init__",

@@ -17,23 +17,24 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand.fingers import FingerDescription
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 
-__all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Palm", "Vector3"]
+__all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescription", "Link", "Mimic", "Palm", "Vector3"]
 
 
 @dataclass(frozen=True)
 class HandDescription:
-    """A hand: a fixed palm, moving links with torque-controlled revolute joints, and fingertips.
+    """A hand: a fixed palm, moving links with torque-controlled joints, and fingertips.
 
-    Joints are numbered as their links, fingers as their fingertips. The palm's frame is the world frame.
+    Joints may turn or slide, and be coupled to others. They are numbered as their links, fingers as their fingertips. The palm's frame is the world frame.
 
     Attributes:
         name: Of the hand.
         palm: What does not move.
         links: Every link after the one that carries it.
         fingertips: One per finger, in the order of the contacts.
-        home: Rest posture [rad], (M,), within the limits. () is the middle of each range, 0 without limits.
+        home: Rest posture [rad], (M,), within the limits. () is the middle of each range, 0 without limits. Coupled joints
+            follow theirs.
         tip_friction: Of all links. Bullet multiplies the friction of both bodies, so 1 leaves the object's.
 
     Raises:
@@ -62,19 +63,33 @@ class HandDescription:
         instance(self.palm, Palm, f"{name}: palm")
         positive(self.tip_friction, f"{name}: tip_friction")
         _check_tree(name, self.palm, self.links)
+        _check_mimics(name, self.links)
         _check_fingertips(name, self.links, self.fingertips)
         home = tuple(_middle(link) for link in self.links) if as_list(self.home) == [] else self.home
-        object.__setattr__(self, "home", numbers(home, len(self.links), f"{name}: home [rad]"))
+        object.__setattr__(self, "home", self._coupled(numbers(home, len(self.links), f"{name}: home [rad]")))
         for link, angle in zip(self.links, self.home, strict=True):
-            if not link.lower <= angle <= link.upper:
+            if link.mimic is None and not link.lower <= angle <= link.upper:
                 raise InvalidInputError(
                     f"{name}: home={angle} rad of joint {link.joint!r} must be within its limits, "
                     f"{link.lower} to {link.upper} rad"
                 )
 
     @property
+    def drivers(self) -> tuple[int, ...]:
+        """The number of the joint that drives each joint, (M,): its own but for coupled ones."""
+        joints = {link.joint: index for index, link in enumerate(self.links)}
+        return tuple(joints[link.mimic.joint if link.mimic else link.joint] for link in self.links)
+
+    def _coupled(self, angles: tuple[float, ...]) -> tuple[float, ...]:
+        """Angles (M,) at which coupled joints follow theirs."""
+        return tuple(
+            angle if link.mimic is None else link.mimic.ratio * angles[driver] + link.mimic.offset
+            for link, angle, driver in zip(self.links, angles, self.drivers, strict=True)
+        )
+
+    @property
     def joint_count(self) -> int:
-        """Number M of driven joints, one per link."""
+        """Number M of joints, one per link; coupled ones among them."""
         return len(self.links)
 
     @property
@@ -289,6 +304,17 @@ def _check_tree(name: str, palm: Palm, links: tuple[Link, ...]) -> None:
             raise InvalidInputError(f"{name}: the parent {link.parent!r} of link {link.name!r} {hint}")
         known.append(link.name)
         joints.add(link.joint)
+
+
+def _check_mimics(name: str, links: tuple[Link, ...]) -> None:
+    """Coupled joints follow joints that exist and are not coupled themselves."""
+    free = [link.joint for link in links if link.mimic is None]
+    for link in links:
+        if link.mimic is not None and link.mimic.joint not in free:
+            raise InvalidInputError(
+                f"{name}: joint {link.joint!r} is coupled to {link.mimic.joint!r}, which is no joint with a motor of its "
+                f"own; these are {', '.join(free) or 'none'}"
+            )
 
 
 def _check_fingertips(name: str, links: tuple[Link, ...], tips: tuple[Fingertip, ...]) -> None:

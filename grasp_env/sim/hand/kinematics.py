@@ -24,9 +24,10 @@ class HandKinematics:
         hand: The description.
         tree: Its links and fingertips in the core.
         home: Rest posture [rad], (M,).
-        lower, upper: Joint limits [rad], (M,), -inf and inf where there are none; torque_limits: [N m], (M,).
+        lower, upper: Joint limits [rad], (M,), -inf and inf where there are none, such that joints coupled to them keep theirs.
+        torque_limits: [N m], (M,). drivers: The joint that drives each, (M,): its own number but for coupled ones.
         tip_links: The number of each fingertip's link, (N,); tip_radii: [m], (N,).
-        carries: Whether a joint moves a fingertip, (N, M) bool.
+        carries: Whether a joint's motor moves a fingertip, (N, M) bool.
         reach: Most that a tip can be away from the origin of its finger's first joint [m], (N,).
 
     Example:
@@ -40,6 +41,8 @@ class HandKinematics:
         self.hand = hand
         numbers = {link.name: index for index, link in enumerate(hand.links)}
         parents = [numbers.get(link.parent, -1) for link in hand.links]
+        self.drivers: Indices = np.array(hand.drivers, dtype=np.int64)
+        self.lower, self.upper = _ranges(hand)
         self.tree = core.Tree.make(
             [
                 core.Link(
@@ -49,16 +52,21 @@ class HandKinematics:
                     axis=link.axis,
                     mass=link.mass,
                     center=link.center,
-                    lower=link.lower,
-                    upper=link.upper,
+                    lower=lower,
+                    upper=upper,
                     torque_limit=link.torque_limit,
+                    sliding=link.sliding,
+                    driver=-1 if link.mimic is None else driver,
+                    ratio=1.0 if link.mimic is None else link.mimic.ratio,
+                    shift=0.0 if link.mimic is None else link.mimic.offset,
                 )
-                for parent, link in zip(parents, hand.links, strict=True)
+                for parent, driver, link, lower, upper in zip(
+                    parents, hand.drivers, hand.links, self.lower, self.upper, strict=True
+                )
             ],
             [core.Tip(link=numbers[tip.link], center=tip.center, radius=tip.radius) for tip in hand.fingertips],
         )
         self.home = np.array(hand.home)
-        self.lower, self.upper = (np.array([getattr(link, side) for link in hand.links]) for side in ("lower", "upper"))
         self.torque_limits = hand.torque_limits
         self.tip_links: Indices = np.array([numbers[tip.link] for tip in hand.fingertips], dtype=np.int64)
         self.tip_radii = np.array([tip.radius for tip in hand.fingertips])
@@ -68,9 +76,10 @@ class HandKinematics:
             chain = [numbers[tip.link]]
             while parents[chain[-1]] >= 0:
                 chain.append(parents[chain[-1]])
-            self.carries[finger, chain] = True
+            self.carries[finger, self.drivers[chain]] = True
             arms = [tip.center, *(hand.links[link].origin for link in chain[:-1])]
-            self.reach[finger] = sum(float(np.linalg.norm(arm)) for arm in arms)
+            slides = [max(-self.lower[link], self.upper[link]) for link in chain if hand.links[link].sliding]
+            self.reach[finger] = sum([*(float(np.linalg.norm(arm)) for arm in arms), *slides])
             self._roots[finger] = hand.links[chain[-1]].origin
         self._within, self._beyond = core.Reach.make(self.tree), core.Reach.make(self.tree, limited=False)
         self._starts = _other_starts(self.lower, self.upper)
@@ -201,6 +210,24 @@ class HandKinematics:
             f"finger {name!r} cannot reach tip={target}{together}: the nearest its tip comes is {away[finger]:.4f} m "
             f"away, at {distance:.4f} m from its first joint; move the contact or the finger's base"
         )
+
+
+def _ranges(hand: HandDescription) -> tuple[Array, Array]:
+    """Limits of the joints (M,), twice, such that every joint that is coupled to one keeps its own."""
+    lower, upper = (np.array([getattr(link, side) for link in hand.links]) for side in ("lower", "upper"))
+    for link, driver in zip(hand.links, hand.drivers, strict=True):
+        if link.mimic is not None:
+            low, high = sorted((end - link.mimic.offset) / link.mimic.ratio for end in (link.lower, link.upper))
+            lower[driver], upper[driver] = max(lower[driver], low), min(upper[driver], high)
+    for index, (link, driver) in enumerate(zip(hand.links, hand.drivers, strict=True)):
+        if lower[driver] >= upper[driver]:
+            raise InvalidInputError(
+                f"hand {hand.name!r}: the limits of joint {hand.links[driver].joint!r} and of those coupled to it leave it no range"
+            )
+        if link.mimic is not None:
+            ends = link.mimic.ratio * lower[driver] + link.mimic.offset, link.mimic.ratio * upper[driver] + link.mimic.offset
+            lower[index], upper[index] = min(ends), max(ends)
+    return lower, upper
 
 
 def _other_starts(lower: Array, upper: Array) -> Array:

@@ -5,17 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from grasp_env._check import as_text, choice
+from grasp_env._check import as_text, choice, instance
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import Inertia, Vector3, inertia_of, limits, numbers, parts, positive, unit, word
+from grasp_env.sim.hand.check import Inertia, Vector3, hull_corners, inertia_of, limits, numbers, parts, positive, unit, word
 
 SIZES = {
     "sphere": ("radius",),
     "capsule": ("radius", "length"),
     "cylinder": ("radius", "length"),
     "box": ("x", "y", "z"),
+    "hull": (),
+    "mesh": ("x", "y", "z"),
 }
-"""Kinds of geometry and their sizes [m]; a capsule's length is that of its cylinder, axes are z."""
+"""Kinds of geometry and their sizes [m]; a capsule's length is that of its cylinder, axes are z. A mesh's are factors."""
 
 _NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 
@@ -31,11 +33,15 @@ class Geometry:
     """A shape fixed to a link.
 
     Attributes:
-        kind: "sphere", "capsule", "cylinder" or "box"; the axis of capsule and cylinder is z.
-        size: Radius; radius and length (of a capsule without its ends); or three sides [m].
-        origin: Of its centre [m], (3,), link frame.
+        kind: "sphere", "capsule", "cylinder" or "box"; the axis of capsule and cylinder is z. "hull": the convex hull of
+            `corners`. "mesh": a file to look at, which touches nothing.
+        size: Radius; radius and length (of a capsule without its ends); or three sides [m]. Of a hull (); of a mesh the
+            factors by which its numbers are multiplied.
+        origin: Of its centre, of a hull's or mesh's own frame [m], (3,), link frame.
         rotation: Roll, pitch and yaw of its axes [rad], (3,), link frame.
         color: Red, green and blue in [0, 1]; None is the link's.
+        corners: Of a hull [m], (K, 3), its own frame, at least 4 that are not in a plane.
+        file: Path of a mesh.
     """
 
     kind: str
@@ -43,28 +49,57 @@ class Geometry:
     origin: Vector3 = _NOWHERE
     rotation: Vector3 = _NOWHERE
     color: Vector3 | None = None
+    corners: tuple[Vector3, ...] = ()
+    file: str = ""
 
     def __post_init__(self) -> None:
         choice(self.kind, "kind of geometry", SIZES)
         name = f"geometry {self.kind!r}"
         size = numbers(self.size, len(SIZES[self.kind]), f"{name}: size ({', '.join(SIZES[self.kind])})")
-        if min(size) <= 0.0:
+        if min(size, default=1.0) <= 0.0:
             raise InvalidInputError(f"{name}: size={size} m must be above 0")
+        if bool(self.corners) != (self.kind == "hull") or bool(self.file) != (self.kind == "mesh"):
+            raise InvalidInputError(
+                f"{name}: corners belong to a hull, a file to a mesh; got {len(self.corners)} corners, file={self.file!r}"
+            )
         _fix(
             self,
             size=size,
             origin=numbers(self.origin, 3, f"{name}: origin"),
             rotation=numbers(self.rotation, 3, f"{name}: rotation"),
             color=None if self.color is None else numbers(self.color, 3, f"{name}: color"),
+            corners=hull_corners(self.corners, name) if self.kind == "hull" else (),
         )
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """How a joint is coupled to another one: its angle is ratio * that of the other + offset.
+
+    Attributes:
+        joint: Name of the other joint, which is not coupled itself.
+        ratio: Not 0; of a sliding joint that follows a turning one [m/rad], and so on.
+        offset: [rad], of a sliding joint [m].
+    """
+
+    joint: str
+    ratio: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        name = f"mimic of joint {self.joint!r}"
+        (ratio,), (offset,) = numbers((self.ratio,), 1, f"{name}: ratio"), numbers((self.offset,), 1, f"{name}: offset")
+        if ratio == 0.0:
+            raise InvalidInputError(f"{name}: ratio=0.0 does not move the joint; make it fixed")
+        _fix(self, joint=word(self.joint, "mimic: joint"), ratio=ratio, offset=offset)
+
+
+@dataclass(frozen=True)
 class Link:
-    """A moving link with the revolute joint that carries it.
+    """A moving link with the joint that carries it.
 
     At angle 0 the link frame lies at `origin`, turned by `rotation`, in the frame of its parent; the joint turns it
-    about `axis` through its own origin.
+    about `axis` through its own origin, a sliding joint moves it along `axis`.
 
     Attributes:
         name: Of the link.
@@ -72,9 +107,10 @@ class Link:
         origin: Of the joint [m], (3,), parent's frame.
         rotation: Roll, pitch and yaw at angle 0 [rad], (3,), parent's frame.
         axis: Of the joint, unit, (3,), link frame.
-        lower: Least angle [rad]; -inf together with upper=inf is a joint without limits.
-        upper: Largest angle [rad].
-        torque_limit: Largest torque of the joint, either way [N m].
+        lower: Least angle [rad], of a sliding joint [m]; -inf together with upper=inf is a joint without limits.
+        upper: Largest angle [rad], of a sliding joint [m].
+        torque_limit: Largest torque of the joint, either way [N m], of a sliding joint [N]. Coupled joints have none of
+            their own: the joint that drives them carries their load.
         mass: [kg].
         center: Centre of mass [m], (3,), link frame.
         inertia: ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2], link axes.
@@ -82,6 +118,8 @@ class Link:
         visual: Shapes that are drawn.
         color: Red, green and blue in [0, 1] of the shapes without their own.
         joint: Name of the joint; "" becomes the link's name with "_joint".
+        sliding: A prismatic joint; its "angle" is a length [m], its "torque" a force [N].
+        mimic: The joint that drives it; None: it has a motor of its own.
     """
 
     name: str
@@ -99,6 +137,8 @@ class Link:
     visual: tuple[Geometry, ...] = ()
     color: Vector3 = (0.5, 0.5, 0.5)
     joint: str = ""
+    sliding: bool = False
+    mimic: Mimic | None = None
 
     def __post_init__(self) -> None:
         _fix(self, name=word(self.name, "link name"))
@@ -119,6 +159,8 @@ class Link:
             collision=parts(self.collision, Geometry, f"{name}: collision"),
             visual=parts(self.visual, Geometry, f"{name}: visual"),
             color=numbers(self.color, 3, f"{name}: color"),
+            sliding=bool(self.sliding),
+            mimic=instance(self.mimic, Mimic, f"{name}: mimic", or_none=True),
             joint=f"{self.name}_joint" if as_text(self.joint) == "" else word(self.joint, f"{name}: joint"),
         )
 

@@ -44,6 +44,7 @@ public:
                 for (int j : groups[g].joints) angles[j] = best_[j];
             }
         }
+        tree_->couple(angles);
     }
 
 private:
@@ -72,6 +73,7 @@ private:
         trial_ = best_;
         double missed = infinity, best = infinity, factor = 0.5;
         for (int round = 0, slow = 0, refused = 0; round < MOST_STEPS; ++round) {
+            tree_->couple(trial_.data());
             posture_.trace(trial_.data());
             double total = 0.0, worst = 0.0;
             for (std::size_t i = 0; i < group.fingers.size(); ++i) {
@@ -107,7 +109,7 @@ private:
             const int finger = group.fingers[i];
             posture_.carriers(tree_->tips[finger].link, posture_.tip(finger), [&](int j, const Point& moves) {
                 const auto a = std::lower_bound(group.joints.begin(), group.joints.end(), j) - group.joints.begin();
-                for (int k = 0; k < 3; ++k) work.jacobian[(3 * i + k) * joints + a] = moves[k];
+                for (int k = 0; k < 3; ++k) work.jacobian[(3 * i + k) * joints + a] += moves[k];
             });
         }
     }
@@ -160,8 +162,11 @@ private:
     static std::vector<FingerGroup> groups_of(const Tree& tree) {
         std::vector<FingerGroup> out;
         for (int finger = 0; finger < tree.fingers(); ++finger) {
-            std::vector<int> joints;
-            tree.chain(finger, joints);
+            std::vector<int> chain, joints;
+            tree.chain(finger, chain);
+            for (int j : chain) joints.push_back(tree.mover(j));
+            std::sort(joints.begin(), joints.end());
+            joints.erase(std::unique(joints.begin(), joints.end()), joints.end());
             FingerGroup made{{finger}, joints};
             std::vector<FingerGroup> rest;
             for (FingerGroup& group : out) {

@@ -12,22 +12,34 @@ struct Link {
     Point axis;         // of its joint, unit, its own frame
     double mass;        // [kg]
     Point center;       // of mass, its own frame [m]
-    double lower, upper, torque_limit;  // [rad], [rad], [N m]
+    double lower, upper, torque_limit;  // [rad], [rad], [N m]; of a sliding joint [m], [m], [N]
+    bool sliding = false;               // along its axis
+    int driver = -1;  // the joint that it is coupled to, not coupled itself: angle = ratio * its angle + shift
+    double ratio = 1.0, shift = 0.0;
+
+    bool coupled() const { return driver >= 0; }
 };
 
 // The sphere with which a finger touches.
 struct Tip {
     int link;
-    Point center;   // [m], the link's frame
+    Point center;  // [m], the link's frame
     double radius;  // [m]
 };
 
 struct Tree {
     std::vector<Link> links;  // M, joint j moves link j
-    std::vector<Tip> tips;    // N
+    std::vector<Tip> tips;  // N
 
     int joints() const { return int(links.size()); }
     int fingers() const { return int(tips.size()); }
+    // Coupled joints follow theirs; angles: (M,)
+    void couple(double* angles) const {
+        for (int j = 0; j < joints(); ++j)
+            if (const Link& link = links[j]; link.coupled()) angles[j] = link.ratio * angles[link.driver] + link.shift;
+    }
+    // The joint with a motor that moves a joint.
+    int mover(int joint) const { return links[joint].coupled() ? links[joint].driver : joint; }
     // The finger whose tip is on a link; -1: none.
     int finger_at(int link) const {
         for (int i = fingers() - 1; i >= 0; --i)
@@ -35,14 +47,17 @@ struct Tree {
         return -1;
     }
 
-    // What one finger needs: its joints alone, which `joints` tells.
+    // What one finger needs: its joints alone, which `joints` tells. One that is coupled to a joint of another finger is free here.
     Tree chain(int finger, std::vector<int>& joints) const {
         joints.clear();
         for (int j = tips[finger].link; j >= 0; j = links[j].parent) joints.insert(joints.begin(), j);
         Tree out{{}, {tips[finger]}};
         for (int j : joints) {
             out.links.push_back(links[j]);
-            out.links.back().parent = int(out.links.size()) - 2;
+            Link& made = out.links.back();
+            made.parent = int(out.links.size()) - 2;
+            const auto driver = std::find(joints.begin(), joints.end(), made.driver);
+            made.driver = driver == joints.end() ? -1 : int(driver - joints.begin());
         }
         out.tips[0].link = int(joints.size()) - 1;
         return out;
@@ -52,7 +67,7 @@ struct Tree {
 // Where all links are, world frame.
 class Posture {
 public:
-    std::vector<Rotation> frames;        // link frame to world frame
+    std::vector<Rotation> frames;  // link frame to world frame
     std::vector<Point> origins, axes;  // of the joints [m], unit
 
     explicit Posture(std::shared_ptr<const Tree> tree)
@@ -66,7 +81,8 @@ public:
             const Rotation rest = carried ? frames[link.parent] * link.rotation : link.rotation;
             origins[j] = at(link.parent, link.offset);
             axes[j] = rest * link.axis;
-            frames[j] = rest.turned(link.axis, angles[j]);
+            if (link.sliding) origins[j] += angles[j] * axes[j], frames[j] = rest;
+            else frames[j] = rest.turned(link.axis, angles[j]);
         }
     }
 
@@ -74,16 +90,21 @@ public:
     Point at(int link, const Point& local) const { return link < 0 ? local : origins[link] + frames[link] * local; }
     Point tip(int finger) const { return at(tree_->tips[finger].link, tree_->tips[finger].center); }
 
-    // f(j, how a point of the link moves per speed of joint j): one column of the Jacobian after another.
+    // f(j, how a point of the link moves per speed of joint j): parts of the Jacobian's columns; a coupled joint's are its driver's.
     template <class F> void carriers(int link, const Point& place, F&& f) const {
-        for (int j = link; j >= 0; j = tree_->links[j].parent) f(j, cross(axes[j], place - origins[j]));
+        for (int j = link; j >= 0; j = tree_->links[j].parent) {
+            const Link& joint = tree_->links[j];
+            const Point moves = joint.sliding ? axes[j] : cross(axes[j], place - origins[j]);
+            if (joint.coupled()) f(joint.driver, joint.ratio * moves);
+            else f(j, moves);
+        }
     }
     // (3, M) into `out`
     void jacobian(int link, const Point& place, double* out) const {
         const int count = tree_->joints();
         std::fill(out, out + 3 * count, 0.0);
         carriers(link, place, [&](int j, const Point& moves) {
-            for (int k = 0; k < 3; ++k) out[count * k + j] = moves[k];
+            for (int k = 0; k < 3; ++k) out[count * k + j] += moves[k];
         });
     }
     // [m/s], of a point fixed to the link; rates: (M,) [rad/s]
