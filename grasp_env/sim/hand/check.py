@@ -124,6 +124,6 @@ def hull_corners(values: Any, name: str) -> tuple[Vector3, ...]:
     """Corners (K, 3) that span a volume, or `InvalidInputError`."""
     rows = as_array(values, (None, 3), f"{name}: corners")
     spread = np.linalg.svd(rows - rows.mean(axis=0), compute_uv=False)
-    if len(rows) < 4 or not 1e-9 < spread[2] or np.abs(rows).max() > _MOST:
+    if len(rows) < 4 or not spread[2] > 1e-9 or np.abs(rows).max() > _MOST:
         raise InvalidInputError(f"{name}: {len(rows)} corners must be at least 4 points that do not lie in a plane")
     return tuple((x, y, z) for x, y, z in rows.tolist())

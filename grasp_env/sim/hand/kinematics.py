@@ -225,7 +225,10 @@ def _ranges(hand: HandDescription) -> tuple[Array, Array]:
                 f"hand {hand.name!r}: the limits of joint {hand.links[driver].joint!r} and of those coupled to it leave it no range"
             )
         if link.mimic is not None:
-            ends = link.mimic.ratio * lower[driver] + link.mimic.offset, link.mimic.ratio * upper[driver] + link.mimic.offset
+            ends = (
+                link.mimic.ratio * lower[driver] + link.mimic.offset,
+                link.mimic.ratio * upper[driver] + link.mimic.offset,
+            )
             lower[index], upper[index] = min(ends), max(ends)
     return lower, upper
 

@@ -7,7 +7,18 @@ from typing import Any
 
 from grasp_env._check import as_text, choice, instance
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import Inertia, Vector3, hull_corners, inertia_of, limits, numbers, parts, positive, unit, word
+from grasp_env.sim.hand.check import (
+    Inertia,
+    Vector3,
+    hull_corners,
+    inertia_of,
+    limits,
+    numbers,
+    parts,
+    positive,
+    unit,
+    word,
+)
 
 SIZES = {
     "sphere": ("radius",),
