@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,20 +17,25 @@ from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDe
 from grasp_env.force import ForceSolution, InitialForceRule, Objective, OfflineBasis
 from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.scene import Scene
 from grasp_env.sim.snapshot import Snapshot
 
+LIMITED_ITERATIONS = 200
+"""Most steps of Newton within the torque limits in one tick; it takes 5 to 15."""
 RELEASE = 2
 """Control ticks without force after which a finger no longer counts as in contact."""
 REACH_STIFFNESS, REACH_FORCE, REACH_LIMIT = 60.0, 0.3, 1.0
 """Of a finger that reaches for its place: [N/m], force against the object [N], the most on its way [N]."""
 POSTURE_STIFFNESS, POSTURE_LOSS = 0.01, 0.001
 """[N m/rad] and [N m s/rad] by which the joints of a redundant hand return to their rest posture."""
+REACH_DAMPING = 2.0 * math.sqrt(REACH_STIFFNESS * 0.03)
+"""[N s/m] at most, of a finger that reaches: critical for a tip that moves 30 g."""
+SPRINGY, LOSSY = 0.5, 1.0
+"""Most of stiffness * dt^2 / mass and of damping * dt / mass: with what is sampled, a light link swings up from 4 and from 2 on."""
 STABLE = 0.3
 """Most bandwidth times delay: critically damped feedback oscillates from 0.65 on."""
-TIP_MASS = 0.03
-"""[kg] that a reaching fingertip moves, roughly: only sets its damping."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +61,7 @@ class ForceLoop:
     one slips off or lands the forces are optimised over the contacts that exist.
 
     Attributes:
-        iterations, trials: of all optimisations since the environment set them to 0.
+        iterations, trials: of all optimisations since `begin_step`.
         solution: the last optimisation; None before the first, after one that failed, and for controllers without any.
         closure: whether the contacts of now can balance the wrench.
         seen: what the controller sees of the scene.
@@ -83,7 +89,9 @@ class ForceLoop:
             item.friction * hand.tip_friction * (1.0 + self.config.friction_error) * self.config.friction_margin
         )
         self._core = core.Controller.make(
-            scene.core, control_settings(self.config, item, self.friction), sensor_settings(self.config)
+            scene.core,
+            control_settings(self.config, item, self.friction, scene.kinematics),
+            sensor_settings(self.config),
         )
         self.settling = True  # until the hand holds the object
         arrays = self._core.arrays()
@@ -110,7 +118,7 @@ class ForceLoop:
         self.solution: ForceSolution | None = None
         self.closure = True
         self._adjustment: Array | None = None
-        self.iterations = self.trials = 0
+        self.begin_step()
         for made in self._sets.values():
             if made.pipeline is not None:
                 made.pipeline.reset()
@@ -138,6 +146,16 @@ class ForceLoop:
     def repaired(self) -> int:
         """Control ticks in which the tangent correction left the solver's cones and was repaired."""
         return self._core.repaired
+
+    def begin_step(self) -> None:
+        """An agent's step begins: iterations, trials and `effort` are counted anew."""
+        self.iterations = self.trials = 0
+        self._core.begin_step()
+
+    @property
+    def effort(self) -> core.Effort:
+        """What the motors were asked since `begin_step`."""
+        return self._core.effort
 
     @property
     def peak_torque(self) -> float:
@@ -284,18 +302,30 @@ class ForceLoop:
         return ContactSet(index, pipeline, rest.reshape(-1) / float(rest[:, 0].sum()))
 
 
-def control_settings(config: EnvConfig, item: ObjectDescription, friction: float) -> core.ControlSettings:
+def control_settings(
+    config: EnvConfig, item: ObjectDescription, friction: float, kinematics: HandKinematics
+) -> core.ControlSettings:
     """The controller's belief, the object without its payload, and all gains."""
+    tips, joints = kinematics.mobility(kinematics.home)
+    dt = 1.0 / config.control_rate
     made = core.ControlSettings()
     made.body = believed_body(config, item)
     made.friction = friction
-    made.reach = core.Spring(REACH_STIFFNESS, 2.0 * np.sqrt(REACH_STIFFNESS * TIP_MASS), REACH_LIMIT)
+    made.reach = [stable_spring(REACH_STIFFNESS, REACH_DAMPING, REACH_LIMIT, each, dt) for each in tips]
     made.spring = core.Spring(config.pd_stiffness, config.pd_damping, np.inf)
     made.reach_depth = REACH_FORCE / REACH_STIFFNESS
-    made.posture_gain, made.posture_damping = POSTURE_STIFFNESS, POSTURE_LOSS
+    made.posture = [stable_spring(POSTURE_STIFFNESS, POSTURE_LOSS, np.inf, each, dt) for each in joints]
+    made.set_limited(config.tolerance, LIMITED_ITERATIONS)
     made.most_change = config.force_rate / config.control_rate
     made.release = RELEASE
     return made
+
+
+def stable_spring(stiffness: float, damping: float, limit: float, mobility: float, dt: float) -> core.Spring:
+    """A spring and damper for what moves by `mobility` [1/kg], [1/(kg m^2)], as soft as sampling every `dt` [s] asks."""
+    if not mobility > 0.0:
+        return core.Spring(0.0, 0.0, limit)
+    return core.Spring(min(stiffness, SPRINGY / (mobility * dt**2)), min(damping, LOSSY / (mobility * dt)), limit)
 
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:

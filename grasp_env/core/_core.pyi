@@ -491,11 +491,12 @@ REACHED: float = 1e-09
 class Link:
     """A link of a hand and the joint that moves it."""
 
-    def __init__(self, *, parent: int, offset: Sequence[float], rotation: Sequence[float], axis: Sequence[float], mass: float, center: Sequence[float], lower: float, upper: float, torque_limit: float, sliding: bool = False, driver: int = -1, ratio: float = 1.0, shift: float = 0.0) -> None:
+    def __init__(self, *, parent: int, offset: Sequence[float], rotation: Sequence[float], axis: Sequence[float], mass: float, center: Sequence[float], lower: float, upper: float, torque_limit: float, sliding: bool = False, driver: int = -1, ratio: float = 1.0, shift: float = 0.0, inertia: Sequence[float] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]) -> None:
         """
         parent: number of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's frame.
         axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m], of a sliding joint [m], [N].
-        driver: the joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift.
+        driver: the joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift. inertia: xx, xy, xz, yy, yz, zz
+        about the centre of mass [kg m^2].
         """
 
 class Tip:
@@ -529,6 +530,9 @@ class Tree:
         """
         The velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).
         """
+
+    def mass_matrix(self, angles: object, matrix: object) -> None:
+        """(M, M) [kg m^2]; rows and columns of coupled joints are zero."""
 
     def gravity_torques(self, angles: object, gravity: object, torques: object) -> None:
         """
@@ -750,11 +754,11 @@ class ControlSettings:
     def friction(self, arg: float, /) -> None: ...
 
     @property
-    def reach(self) -> Spring:
-        """of a finger without contact on its way"""
+    def reach(self) -> list[Spring]:
+        """(N,) of each finger without contact on its way"""
 
     @reach.setter
-    def reach(self, arg: Spring, /) -> None: ...
+    def reach(self, arg: Sequence[Spring], /) -> None: ...
 
     @property
     def spring(self) -> Spring:
@@ -771,18 +775,14 @@ class ControlSettings:
     def reach_depth(self, arg: float, /) -> None: ...
 
     @property
-    def posture_gain(self) -> float:
-        """[N m/rad] of joints that the tips leave free"""
+    def posture(self) -> list[Spring]:
+        """(M,) of joints that the tips leave free [N m/rad], [N m s/rad]"""
 
-    @posture_gain.setter
-    def posture_gain(self, arg: float, /) -> None: ...
+    @posture.setter
+    def posture(self, arg: Sequence[Spring], /) -> None: ...
 
-    @property
-    def posture_damping(self) -> float:
-        """[N m s/rad]"""
-
-    @posture_damping.setter
-    def posture_damping(self, arg: float, /) -> None: ...
+    def set_limited(self, tolerance: float, limit: int) -> None:
+        """Of Newton within the torque limits."""
 
     @property
     def most_change(self) -> float:
@@ -851,6 +851,21 @@ class SensorSettings:
     @tactile_noise.setter
     def tactile_noise(self, arg: float, /) -> None: ...
 
+class Effort:
+    """What the motors were asked since `begin_step`."""
+
+    @property
+    def limited(self) -> int:
+        """iterations of Newton within the torque limits"""
+
+    @property
+    def saturated(self) -> bool:
+        """whether torques had to be cut"""
+
+    @property
+    def margin(self) -> float:
+        """least distance of a torque from its limit [N m]"""
+
 class Outcome:
     """How the object is held."""
 
@@ -905,6 +920,12 @@ class Controller:
         """
         What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them.
         """
+
+    def begin_step(self) -> None:
+        """An agent's step begins."""
+
+    @property
+    def effort(self) -> Effort: ...
 
     def rest(self) -> None:
         """Measured forces as the commanded ones: what the hand does at rest."""

@@ -297,7 +297,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _simulate(self, scene: Scene, numbers: list[float]) -> None:
         config, loop = self.config, self._loop
-        loop.iterations = loop.trials = 0
+        loop.begin_step()
         adjustment = given = None
         if config.action_mode == "contact_force":
             given = self._forces(np.array(numbers))

@@ -18,9 +18,11 @@ from grasp_env.control.sensing import sensor_settings
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import ObjectDescription, Scene, Snapshot
 from grasp_env.sim.client import bullet
+from grasp_env.sim.hand import HandDescription, HandKinematics
 from grasp_env.task.motion import motion_target, resting_target
 
 ITEM = ObjectDescription(size=(0.06, 0.1, 0.14), mass=0.3)
+KINEMATICS = HandKinematics(HandDescription.four_finger())
 GRAVITY = np.array([0.0, -9.81, 0.0])
 
 
@@ -35,7 +37,7 @@ def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0
 def controller(scene: core.Scene, **settings: Any) -> core.Controller:
     """A control loop with the default gains."""
     config = EnvConfig(**settings)
-    return core.Controller.make(scene, control_settings(config, ITEM, 0.5), sensor_settings(config))
+    return core.Controller.make(scene, control_settings(config, ITEM, 0.5, KINEMATICS), sensor_settings(config))
 
 
 def pose_error(scene: core.Scene, target: np.ndarray) -> np.ndarray:

@@ -106,11 +106,13 @@ void bind_controller(nb::module_& m) {
         .def(nb::init<>())
         .def_rw("body", &ControlSettings::body)
         .def_rw("friction", &ControlSettings::friction, "that the solver believes in")
-        .def_rw("reach", &ControlSettings::reach, "of a finger without contact on its way")
+        .def_rw("reach", &ControlSettings::reach, "(N,) of each finger without contact on its way")
         .def_rw("spring", &ControlSettings::spring, "of all fingers where nothing is optimised")
         .def_rw("reach_depth", &ControlSettings::reach_depth, "[m] inside the surface to which a finger reaches")
-        .def_rw("posture_gain", &ControlSettings::posture_gain, "[N m/rad] of joints that the tips leave free")
-        .def_rw("posture_damping", &ControlSettings::posture_damping, "[N m s/rad]")
+        .def_rw("posture", &ControlSettings::posture, "(M,) of joints that the tips leave free [N m/rad], [N m s/rad]")
+        .def(
+            "set_limited", [](ControlSettings& c, double tolerance, int limit) { c.limited = {tolerance, limit}; }, "tolerance"_a,
+            "limit"_a, "Of Newton within the torque limits.")
         .def_rw("most_change", &ControlSettings::most_change, "[N] by which a force may change in a tick beyond balance")
         .def_rw("release", &ControlSettings::release, "ticks without force after which a finger is no longer in contact");
     nb::class_<SensorSettings>(m, "SensorSettings", "What the controller sees: how late, how noisy.")
@@ -122,6 +124,10 @@ void bind_controller(nb::module_& m) {
         .def_rw("wrench_delay", &SensorSettings::wrench_delay, "ticks by which measured wrenches come later than that")
         .def_rw("pose_noise", &SensorSettings::pose_noise, "standard deviation per axis [m]")
         .def_rw("tactile_noise", &SensorSettings::tactile_noise, "standard deviation per axis, part of the force");
+    nb::class_<Effort>(m, "Effort", "What the motors were asked since `begin_step`.")
+        .def_ro("limited", &Effort::limited, "iterations of Newton within the torque limits")
+        .def_ro("saturated", &Effort::saturated, "whether torques had to be cut")
+        .def_ro("margin", &Effort::margin, "least distance of a torque from its limit [N m]");
     using Outcome = Controller::Outcome;
     nb::class_<Outcome>(m, "Outcome", "How the object is held.")
         .def_ro("drift", &Outcome::drift, "[m] from where it should be")
@@ -148,6 +154,8 @@ void bind_controller(nb::module_& m) {
              "Fingers (bits) that may be in contact together, and the pipeline that holds their last optimum.")
         .def("give", &give, "hold"_a, "which"_a, "given"_a.none(),
              "What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them.")
+        .def("begin_step", &Controller::begin_step, "An agent's step begins.")
+        .def_ro("effort", &Controller::effort)
         .def("rest", &Controller::rest, "Measured forces as the commanded ones: what the hand does at rest.")
         .def("command", &command, "Joint torques (M,) [N m] of this tick.")
         .def("outcome", &outcome, "target"_a, "error"_a, "measured"_a,

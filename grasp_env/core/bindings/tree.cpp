@@ -18,7 +18,7 @@ using Nine = std::array<double, 9>;
 
 void make_link(Link* link, int parent, const Three& offset, const Nine& rotation, const Three& axis, double mass,
                const Three& center, double lower, double upper, double torque_limit, bool sliding, int driver, double ratio,
-               double shift) {
+               double shift, const std::array<double, 6>& inertia) {
     new (link) Link{parent,
                     point(offset.data()),
                     Rotation::from(rotation.data()),
@@ -31,7 +31,8 @@ void make_link(Link* link, int parent, const Three& offset, const Nine& rotation
                     sliding,
                     driver,
                     ratio,
-                    shift};
+                    shift,
+                    inertia};
 }
 
 std::shared_ptr<Tree> make_tree(const std::vector<Link>& links, const std::vector<Tip>& tips) {
@@ -75,6 +76,10 @@ void jacobian(const std::shared_ptr<Tree>& tree, nb::handle angles, int link, nb
     posture(tree, angles).jacobian(link, point(in(place, 3).data()), out(to, 3, tree->joints()).data());
 }
 
+void mass_matrix(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle matrix) {
+    posture(tree, angles).mass_matrix(out(matrix, tree->joints(), tree->joints()).data());
+}
+
 void gravity_torques(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle gravity, nb::handle torques) {
     posture(tree, angles).support(point(in(gravity, 3).data()), out(torques, tree->joints()).data());
 }
@@ -95,10 +100,13 @@ void bind_tree(nb::module_& m) {
     nb::class_<Link>(m, "Link", "A link of a hand and the joint that moves it.")
         .def("__init__", &make_link, nb::kw_only(), "parent"_a, "offset"_a, "rotation"_a, "axis"_a, "mass"_a, "center"_a,
              "lower"_a, "upper"_a, "torque_limit"_a, "sliding"_a = false, "driver"_a = -1, "ratio"_a = 1.0, "shift"_a = 0.0,
+             "inertia"_a = std::array<double, 6>{},
              "parent: number of the link that carries it, -1: the palm. offset [m], rotation (9,): its joint in the parent's "
              "frame.\n"
              "axis: of the joint, unit; center: of mass [m], its own frame. Limits [rad], [N m], of a sliding joint [m], [N].\n"
-             "driver: the joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift.");
+             "driver: the joint that it is coupled to, -1: none; its angle is ratio * that of the driver + shift. inertia: xx, "
+             "xy, xz, yy, yz, zz\n"
+             "about the centre of mass [kg m^2].");
     nb::class_<Tip>(m, "Tip", "The sphere with which a finger touches.")
         .def(
             "__init__",
@@ -113,6 +121,7 @@ void bind_tree(nb::module_& m) {
         .def("tips", &tips, "angles"_a, "centers"_a, "Centres of the fingertips [m], world frame, into (N, 3).")
         .def("jacobian", &jacobian, "angles"_a, "link"_a, "place"_a, "jacobian"_a,
              "The velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).")
+        .def("mass_matrix", &mass_matrix, "angles"_a, "matrix"_a, "(M, M) [kg m^2]; rows and columns of coupled joints are zero.")
         .def("gravity_torques", &gravity_torques, "angles"_a, "gravity"_a, "torques"_a,
              "Torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].");
     nb::class_<Reach>(m, "Reach", "Inverse kinematics of a hand: damped least squares within the joint limits.")

@@ -59,6 +59,7 @@ class HandKinematics:
                     driver=-1 if link.mimic is None else driver,
                     ratio=1.0 if link.mimic is None else link.mimic.ratio,
                     shift=0.0 if link.mimic is None else link.mimic.offset,
+                    inertia=link.inertia,
                 )
                 for parent, driver, link, lower, upper in zip(
                     parents, hand.drivers, hand.links, self.lower, self.upper, strict=True
@@ -134,6 +135,26 @@ class HandKinematics:
         out = np.empty(self.hand.joint_count)
         self.tree.gravity_torques(self._angles(angles), as_array(gravity, (3,), "gravity"), out)
         return out
+
+    def mass_matrix(self, angles: ArrayLike) -> Array:
+        """Inertia of the hand, (M, M) [kg m^2]: its kinetic energy is 1/2 rates^T out rates. Rows and columns of coupled joints are 0."""
+        out = np.empty((self.hand.joint_count, self.hand.joint_count))
+        self.tree.mass_matrix(self._angles(angles), out)
+        return out
+
+    def mobility(self, angles: ArrayLike) -> tuple[Array, Array]:
+        """How light tips and joints are: what a force of 1 N on a tip accelerates it at most, (N,) [1/kg], and a bound of what
+        damped joints feel of one another, (M,) [1/(kg m^2)]; 0 where nothing moves."""
+        free = np.flatnonzero(self.drivers == np.arange(self.hand.joint_count))
+        inverse = np.linalg.inv(self.mass_matrix(angles)[np.ix_(free, free)])
+        tips = np.empty(self.hand.finger_count)
+        for finger in range(self.hand.finger_count):
+            jacobian = self.jacobian(angles, finger)[:, free]
+            tips[finger] = np.linalg.eigvalsh(jacobian @ inverse @ jacobian.T)[-1]
+        joints = np.zeros(self.hand.joint_count)
+        scale = np.sqrt(np.diag(inverse))
+        joints[free] = np.diag(inverse) * np.linalg.eigvalsh(inverse / np.outer(scale, scale))[-1]
+        return tips, joints
 
     def solve(self, tips: ArrayLike, start: ArrayLike | None = None) -> Array:
         """Joint angles within the limits that bring the tips to the given centres.

@@ -56,8 +56,8 @@ struct Trial {
         settings.body.rotation_gain = 400.0, settings.body.rotation_damping = 40.0, settings.friction = 0.6;
         for (int k = 0; k < 3; ++k)
             settings.body.inertia.rows[k] = Point{k == 0 ? 1e-4 : 0.0, k == 1 ? 1e-4 : 0.0, k == 2 ? 1e-4 : 0.0};
-        settings.reach = {60.0, 2.0, 1.0}, settings.spring = {800.0, 4.0, infinity};
-        settings.posture_gain = 0.01, settings.posture_damping = 0.001, settings.most_change = 0.05, settings.reach_depth = 0.005;
+        settings.reach.assign(4, {60.0, 2.0, 1.0}), settings.spring = {800.0, 4.0, infinity};
+        settings.posture.assign(tree->joints(), {0.01, 0.001}), settings.most_change = 0.05, settings.reach_depth = 0.005;
         SensorSettings sensors;
         sensors.tick = 0.004, sensors.keep = 0.5;
         if (late)

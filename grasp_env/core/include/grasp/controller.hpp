@@ -4,7 +4,7 @@
 #include <map>
 #include "cholesky.hpp"
 #include "sensing.hpp"
-#include "solvers.hpp"
+#include "torque_limits.hpp"
 
 namespace grasp {
 
@@ -14,11 +14,20 @@ struct Spring { double gain = 0.0, damping = 0.0, limit = infinity; };  // [N/m]
 struct ControlSettings {
     Body body;
     double friction = 0.5;  // that the solver believes in
-    Spring reach, spring;  // of a finger without contact on its way, of all fingers where nothing is optimised
+    std::vector<Spring> reach;  // (N,) of each finger without contact, on its way
+    Spring spring;  // of all fingers where nothing is optimised
     double reach_depth = 0.0;  // [m] inside the surface to which a finger reaches
-    double posture_gain = 0.0, posture_damping = 0.0;  // [N m/rad], [N m s/rad]: joints that the tips leave free
+    std::vector<Spring> posture;  // (M,) [N m/rad], [N m s/rad]: joints that the tips leave free
+    Options limited{};  // of Newton within the torque limits
     double most_change = infinity;  // [N] by which a force may change in one tick beyond what balance asks
     int release = 2;  // ticks without force after which a finger no longer counts as in contact
+};
+
+// What the motors were asked since `begin_step`.
+struct Effort {
+    int limited = 0;  // iterations of Newton within the torque limits
+    bool saturated = false;  // torques had to be cut: no force within the limits balances the wrench, or none was found
+    double margin = infinity;  // least distance of a torque from its limit [N m]
 };
 
 // What the fingers in contact do.
@@ -48,13 +57,15 @@ public:
     std::uint64_t mask = 0;  // the fingers that count as in contact
     int changes = 0;  // how often they changed
     bool changed = false;  // since forces were last given
+    Effort effort;
 
     Controller(std::shared_ptr<const Scene> given, const ControlSettings& settings, const SensorSettings& sensing)
         : scene(std::move(given)), tree(scene->tree), settings(settings), sensors(scene, sensing), torques(tree->joints()),
           force(3 * tree->fingers()), frames(9 * tree->fingers()), depths(tree->fingers()), home(torques), goals(tree->fingers()),
           inwards(goals), apart_(tree->fingers()), before_(force), frames_before_(frames), points_(force), normals_(force),
-          given_(force), solved_(force), kept_(force), then_(frames), pull_(torques), push_(force),
-          jacobian_(force.size() * torques.size()), normal_(int(force.size())), columns_(force.size()) {}
+          given_(force), solved_(force), kept_(force), then_(frames), pull_(torques), extra_(torques), trial_(torques),
+          push_(force), jacobian_(force.size() * torques.size()), normal_(int(force.size())), columns_(force.size()),
+          redundant_(is_redundant(*tree)) {}
 
     // Forgets the episode; before it the scene stood still.
     void reset() {
@@ -62,6 +73,7 @@ public:
         std::fill(force.begin(), force.end(), 0.0);
         std::fill(frames.begin(), frames.end(), 0.0);
         wrench = {}, peak = 0.0, repaired = 0, mask = 0, changes = 0;
+        begin_step();
         changed = missing_ = false, fresh_ = true, hold_ = Hold::optimised, set_ = nullptr;
         std::fill(apart_.begin(), apart_.end(), 0);
         sensors.reset();
@@ -80,8 +92,15 @@ public:
     }
     const Snapshot& seen() const { return sensors.seen(); }
 
-    // What fingers in contact carry: those of a set, with the pipeline that has their last optimum, or none.
-    void add_set(std::uint64_t which, generic::Pipeline* pipeline) { sets_[which] = {fingers_of(which), pipeline}; }
+    // An agent's step begins.
+    void begin_step() { effort = {}; }
+
+    // What fingers in contact carry: those of a set, with the pipeline, on its nominal contacts, that has their last optimum, or none.
+    void add_set(std::uint64_t which, generic::Pipeline* pipeline) {
+        Set made{fingers_of(which), pipeline, {}};
+        if (pipeline) made.limits.emplace(tree, made.fingers, *pipeline, settings.limited);
+        sets_.insert_or_assign(which, std::move(made));
+    }
     bool has_set(std::uint64_t which) const { return sets_.contains(which); }
     std::size_t set_size(std::uint64_t which) const { return sets_.at(which).fingers.size(); }
     // What the fingers of a set do from now on. given: (3n,) forces [N], contact frames, of those that need them.
@@ -124,7 +143,7 @@ public:
         return out;
     }
 
-    // The torques of this tick.
+    // The torques of this tick, within the motors' limits: first what the forces need, of the rest what reaches and keeps posture.
     void command() {
         const Snapshot& s = seen();
         std::copy(s.gravity_torques.begin(), s.gravity_torques.end(), torques.begin());
@@ -134,34 +153,42 @@ public:
         std::uint64_t acting = 0;
         if (hold_ != Hold::place && set_ && !set_->fingers.empty()) {
             write_forces();
+            push(solved_.data(), torques);
             for (std::size_t a = 0; a < set_->fingers.size(); ++a) {
                 const int i = set_->fingers[a];
                 acting |= std::uint64_t(1) << i;
-                Point push{0.0, 0.0, 0.0};
-                for (int k = 0; k < 3; ++k) force[3 * i + k] = solved_[3 * a + k], push += force[3 * i + k] * axis(i, k);
-                s.posture.push(tree->tips[i].link, s.touch[i], s.rotation * push, torques.data());
+                std::copy_n(&solved_[3 * a], 3, &force[3 * i]);
             }
         }
-        for (int i = 0; i < tree->fingers(); ++i)
-            if (!(acting >> i & 1)) s.posture.push(tree->tips[i].link, s.tips[i], reach(i), torques.data());
-        if (tree->joints() > 3 * tree->fingers()) keep_posture();
+        for (int i = 0; i < tree->fingers(); ++i) {
+            if (acting >> i & 1) continue;
+            std::fill(extra_.begin(), extra_.end(), 0.0);
+            s.posture.push(tree->tips[i].link, s.tips[i], reach(i), extra_.data());
+            add_within();
+        }
+        if (redundant_) keep_posture();
         for (int j = 0; j < tree->joints(); ++j) {
-            const double limit = tree->links[j].torque_limit;
+            const double limit = tree->links[j].torque_limit, asked = std::abs(torques[j]);
+            if (tree->links[j].coupled()) continue;
+            effort.saturated = effort.saturated || asked > limit * (1.0 + ROUNDED);
             torques[j] = std::min(std::max(torques[j], -limit), limit);
-            peak = std::max(peak, std::abs(torques[j]));
+            peak = std::max(peak, std::abs(torques[j])), effort.margin = std::min(effort.margin, limit - std::abs(torques[j]));
         }
         fresh_ = false;
     }
 
 private:
     static constexpr double LEAST_NORMAL = 0.1;  // [N] of a finger without force closure
+    static constexpr double ROUNDED = 1e-9;  // of a torque limit: rounding by which it may be passed
 
     struct Set {
         std::vector<int> fingers;
         generic::Pipeline* pipeline = nullptr;
+        std::optional<TorqueLimits> limits;
+        bool limited = false;  // whether its forces of the last tick are those of `limits`
     };
     std::map<std::uint64_t, Set> sets_;
-    const Set* set_ = nullptr;
+    Set* set_ = nullptr;
     Hold hold_ = Hold::optimised;
     bool missing_ = false, fresh_ = true;  // a finger that counts has no force; nothing was commanded before
     std::vector<int> apart_;  // (N,) ticks since a finger had force
@@ -170,9 +197,53 @@ private:
     std::vector<double> points_, normals_;  // (n, 3) of the set's contacts
     std::vector<double> given_, solved_, kept_;  // (3n,) forces [N], contact frames
     std::vector<double> then_;  // (n, 3, 3) frames of the last tick
-    std::vector<double> pull_, push_, jacobian_;  // of `keep_posture`
+    std::vector<double> pull_, extra_, trial_;  // (M,) of `keep_posture`, `add_within`, `fits`
+    std::vector<double> push_, jacobian_;  // of `keep_posture`
     Cholesky normal_;
     std::vector<Vec6> columns_;  // of G
+    bool redundant_;
+
+    // Whether the tips leave joints free: more than three of a finger, or some that move none.
+    static bool is_redundant(const Tree& tree) {
+        std::vector<char> moves(tree.joints());
+        std::vector<int> chain;
+        bool free = false;
+        for (int i = 0; i < tree.fingers(); ++i) {
+            tree.chain(i, chain);
+            int own = 0;
+            for (int j : chain) own += !tree.links[j].coupled(), moves[tree.mover(j)] = 1;
+            free = free || own > 3;
+        }
+        for (int j = 0; j < tree.joints(); ++j) free = free || !(moves[j] || tree.links[j].coupled());
+        return free;
+    }
+
+    // out (M,) += the torques with which the set's fingers push with forces (3n,) [N], contact frames.
+    void push(const double* forces, std::vector<double>& out) const {
+        const Snapshot& s = seen();
+        for (std::size_t a = 0; a < set_->fingers.size(); ++a) {
+            const int i = set_->fingers[a];
+            Point push{0.0, 0.0, 0.0};
+            for (int k = 0; k < 3; ++k) push += forces[3 * a + k] * axis(i, k);
+            s.posture.push(tree->tips[i].link, s.touch[i], s.rotation * push, out.data());
+        }
+    }
+    // Whether the motors can push with forces (3n,) besides carrying the hand.
+    bool fits(const double* forces) {
+        std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), trial_.begin());
+        push(forces, trial_);
+        return TorqueLimits::within(*tree, trial_);
+    }
+    // Adds as much of `extra_` to the torques as their limits leave room for.
+    void add_within() {
+        double share = 1.0;
+        for (int j = 0; j < tree->joints(); ++j) {
+            if (extra_[j] == 0.0) continue;
+            const double room = tree->links[j].torque_limit - std::copysign(torques[j], torques[j] * extra_[j]);
+            share = std::min(share, std::max(room, 0.0) / std::abs(extra_[j]));
+        }
+        for (int j = 0; j < tree->joints(); ++j) torques[j] += share * extra_[j];
+    }
 
     Point axis(int i, int a) const { return {frames[9 * i + a], frames[9 * i + 3 + a], frames[9 * i + 6 + a]}; }
     std::vector<int> fingers_of(std::uint64_t which) const {
@@ -222,7 +293,20 @@ private:
             }
         const Load load{points_.data(), normals_.data(), wrench.data()};
         repaired += set_->pipeline->carry(load, solved_.data()) != CARRIED;
+        const bool exceeds = !fits(solved_.data());
+        set_->limited = exceeds && keep_limits(load);
         if (!fresh_) bound_change(load);
+    }
+
+    // The forces within the torque limits that are left; false where none were found.
+    bool keep_limits(const Load& load) {
+        const Snapshot& s = seen();
+        TorqueLimits& limits = *set_->limits;
+        const int before = limits.iterations;
+        const bool found =
+            limits.solve(load, {s.posture, s.touch, s.rotation, frames, s.gravity_torques}, set_->limited, solved_.data());
+        effort.limited += limits.iterations - before;
+        return found;
     }
 
     // Moves the forces towards what was commanded before, so that no component changes by more than `most_change` beyond balance.
@@ -245,8 +329,24 @@ private:
         set_->pipeline->carry_from(load, kept_.data(), then_.data(), kept_.data());
         const double moved = change([&](std::size_t a, int k) { return kept_[3 * a + k]; });
         if (moved <= settings.most_change) return;
-        const double share = settings.most_change / moved;
+        const double share = within_limits(settings.most_change / moved);
         for (std::size_t j = 0; j < 3 * set_->fingers.size(); ++j) solved_[j] = kept_[j] + share * (solved_[j] - kept_[j]);
+    }
+
+    // The least share, from one on, of the way from `kept_` to `solved_` that is within the torque limits if `solved_` is.
+    double within_limits(double share) {
+        if (!set_->limited) return share;
+        const auto torques_of = [&](const std::vector<double>& forces, std::vector<double>& out) {
+            std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), out.begin());
+            push(forces.data(), out);
+        };
+        torques_of(kept_, trial_), torques_of(solved_, extra_);
+        for (int j = 0; j < tree->joints(); ++j) {
+            const double limit = tree->links[j].torque_limit, from = trial_[j], way = extra_[j] - from;
+            if (std::abs(extra_[j]) <= limit && std::abs(from + share * way) > limit)
+                share = std::min(1.0, (std::copysign(limit, from) - from) / way);
+        }
+        return share;
     }
 
     // The least change of the forces that restores balance, as far as these contacts can.
@@ -287,7 +387,7 @@ private:
         const Snapshot& s = seen();
         const bool anchored = hold_ == Hold::place;
         const Rotation turned = anchored ? Rotation::of_quaternion(target_.quaternion) : s.rotation;
-        const Spring& spring = anchored ? settings.spring : settings.reach;
+        const Spring& spring = anchored ? settings.spring : settings.reach[i];
         const double depth = anchored ? depths[i] : settings.reach_depth;
         const Point place = turned * (goals[i] - (tree->tips[i].radius - depth) * inwards[i]);
         const Point wanted = (anchored ? target_.position : s.position) + place;
@@ -302,8 +402,10 @@ private:
     void keep_posture() {
         const Snapshot& s = seen();
         const int m = tree->joints(), rows = 3 * tree->fingers();
-        for (int j = 0; j < m; ++j)
-            pull_[j] = -settings.posture_gain * (s.angles[j] - home[j]) - settings.posture_damping * s.rates[j];
+        for (int j = 0; j < m; ++j) {
+            const Spring& spring = settings.posture[j];
+            pull_[j] = tree->links[j].coupled() ? 0.0 : -spring.gain * (s.angles[j] - home[j]) - spring.damping * s.rates[j];
+        }
         for (int i = 0; i < tree->fingers(); ++i) s.posture.jacobian(tree->tips[i].link, s.tips[i], &jacobian_[3 * m * i]);
         for (int a = 0; a < rows; ++a) {
             push_[a] = 0.0;
@@ -316,9 +418,10 @@ private:
         if (!normal_.factor()) return;
         normal_.solve(push_.data());
         for (int j = 0; j < m; ++j) {
-            torques[j] += pull_[j];
-            for (int a = 0; a < rows; ++a) torques[j] -= jacobian_[m * a + j] * push_[a];
+            extra_[j] = pull_[j];
+            for (int a = 0; a < rows; ++a) extra_[j] -= jacobian_[m * a + j] * push_[a];
         }
+        add_within();
     }
 };
 

@@ -1,5 +1,6 @@
 // A hand as a tree of links, each moved by a joint: where the links are, how points of them move, what pushes with them.
 #pragma once
+#include <array>
 #include <memory>
 #include "rotation.hpp"
 
@@ -16,6 +17,7 @@ struct Link {
     bool sliding = false;               // along its axis
     int driver = -1;  // the joint that it is coupled to, not coupled itself: angle = ratio * its angle + shift
     double ratio = 1.0, shift = 0.0;
+    std::array<double, 6> inertia{};    // xx, xy, xz, yy, yz, zz about the centre of mass [kg m^2], its own frame
 
     bool coupled() const { return driver >= 0; }
 };
@@ -99,6 +101,13 @@ public:
             else f(j, moves);
         }
     }
+    // f(j, how the link turns per speed of joint j), world frame
+    template <class F> void turners(int link, F&& f) const {
+        for (int j = link; j >= 0; j = tree_->links[j].parent) {
+            const Link& joint = tree_->links[j];
+            if (!joint.sliding) f(tree_->mover(j), joint.coupled() ? joint.ratio * axes[j] : axes[j]);
+        }
+    }
     // (3, M) into `out`
     void jacobian(int link, const Point& place, double* out) const {
         const int count = tree_->joints();
@@ -123,6 +132,25 @@ public:
         for (int j = 0; j < tree_->joints(); ++j) {
             const Link& link = tree_->links[j];
             push(j, at(j, link.center), -link.mass * gravity, torques);
+        }
+    }
+
+    // (M, M) into `out` [kg m^2]: kinetic energy = 1/2 rates^T out rates; rows and columns of coupled joints are zero.
+    void mass_matrix(double* out) const {
+        const int count = tree_->joints();
+        std::vector<Point> moves(count), turns(count);
+        std::fill(out, out + count * count, 0.0);
+        for (int l = 0; l < count; ++l) {
+            const Link& link = tree_->links[l];
+            std::fill(moves.begin(), moves.end(), Point{0.0, 0.0, 0.0}),
+                std::fill(turns.begin(), turns.end(), Point{0.0, 0.0, 0.0});
+            carriers(l, at(l, link.center), [&](int j, const Point& a) { moves[j] += a; });
+            turners(l, [&](int j, const Point& a) { turns[j] += frames[l].transposed(a); });
+            const auto& i = link.inertia;
+            const Sym3<double> inertia{i[0], i[1], i[2], i[3], i[4], i[5]};
+            for (int j = 0; j < count; ++j)
+                for (int k = 0; k < count; ++k)
+                    out[count * j + k] += link.mass * dot(moves[j], moves[k]) + dot(turns[j], inertia * turns[k]);
         }
     }
 
