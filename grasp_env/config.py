@@ -57,6 +57,8 @@ class EnvConfig:
             0.1 m each way. Of a mesh: (scale,), 0.001 for a file in millimetres.
         mesh: path of a closed convex mesh (.obj, .stl, .ply, .off) for shape "mesh".
         object_mass: [kg]. friction: of the object; the contacts' is this times the hand's `tip_friction`, 1 in the built-in ones.
+        torsional_friction: [m] of the object, times the hand's `tip_friction`: above 0 contacts are soft, and two fingers can
+            hold. Forces on soft contacts are solved by Newton within all limits at every control tick, whatever the `method`.
         contact_points: (N, 3) places of the tips on the object's surface [m], object frame, in the hand's order; empty: chosen.
         randomise: what is drawn anew at each reset: any of "shape" (another shape has another size, too), "size", "mass",
             "friction".
@@ -116,6 +118,7 @@ class EnvConfig:
     mesh: str = ""
     object_mass: float = 0.2
     friction: float = 0.4
+    torsional_friction: float = 0.0
     contact_points: tuple[tuple[float, float, float], ...] = ()
     randomise: tuple[str, ...] = ()
     size_range: tuple[float, float] = (0.07, 0.12)

@@ -14,8 +14,9 @@ from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
 from grasp_env.control.solver import GeneralPipeline, make_pipeline
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
-from grasp_env.force import ForceSolution, InitialForceRule, Objective, OfflineBasis
+from grasp_env.force import ForceLimits, ForceSolution, InitialForceRule, Objective, OfflineBasis, optimize_force
 from grasp_env.force.pipeline import ForcePipeline
+from grasp_env.grasp.contact import contact_frames
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
@@ -44,13 +45,15 @@ class ContactSet:
 
     Attributes:
         fingers: (n,) int64.
-        pipeline: None where these contacts cannot balance every wrench.
+        pipeline: None where these contacts cannot balance every wrench, or by torsion only.
+        soft: whether torsion helps: solved by the general program within all limits at every control tick.
         squeeze: (3n,) an internal force with a total normal force of 1 N, contact frames.
     """
 
     fingers: Indices
     pipeline: ForcePipeline | GeneralPipeline | None
     squeeze: Array
+    soft: bool = False
 
 
 class ForceLoop:
@@ -67,7 +70,7 @@ class ForceLoop:
         seen: what the controller sees of the scene.
         wrench: (6,) that the forces balance [N, N m], object frame.
         force: (N, 3) commanded contact forces [N], contact frames; frames: (N, 3, 3) columns (n, o, t), object frame.
-        friction: that the solver believes in.
+        friction, torsional_friction: that the solver believes in; the latter in metres, above 0 contacts are soft.
     """
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
@@ -85,9 +88,8 @@ class ForceLoop:
         item, hand = scene.config.object, scene.config.hand
         self.count = hand.finger_count
         self.scene = scene
-        self.friction = (
-            item.friction * hand.tip_friction * (1.0 + self.config.friction_error) * self.config.friction_margin
-        )
+        believed = hand.tip_friction * (1.0 + self.config.friction_error) * self.config.friction_margin
+        self.friction, self.torsional_friction = item.friction * believed, item.torsional_friction * believed
         self._core = core.Controller.make(
             scene.core,
             control_settings(self.config, item, self.friction, scene.kinematics),
@@ -116,7 +118,7 @@ class ForceLoop:
             noise = np.random.default_rng(int(rng.integers(2**63)))
             self._noise = None if self._core.exact else NoiseRows(noise, 3 + 3 * self.count)
         self.solution: ForceSolution | None = None
-        self.closure = True
+        self.closure, self._general = True, False
         self._adjustment: Array | None = None
         self.begin_step()
         for made in self._sets.values():
@@ -200,7 +202,12 @@ class ForceLoop:
                 self.optimise(self._adjustment)
             else:
                 self._hold(controller, given)
-        return core.command()
+        elif self._general:  # what the core does not carry along
+            self.optimise()
+        torques = core.command()
+        if core.unkept and self._optimise_generally(self._set(core.mask)) is not None:
+            torques = core.command()
+        return torques
 
     def _see(self, external: Array, gravity: Array, target: Array) -> None:
         noise = self._noise
@@ -220,6 +227,9 @@ class ForceLoop:
         """
         self.solution, self._adjustment = None, adjustment  # nothing stale is left when this raises
         made = self._set(self._core.mask)
+        self._general = made.soft
+        if made.soft:
+            return self._optimise_generally(made)
         if made.pipeline is None:
             self._lose(made)
             return None
@@ -241,6 +251,43 @@ class ForceLoop:
         self.trials += self.solution.trials
         self._core.give(Hold.optimised, self._core.mask, None)
         return self.solution
+
+    def _optimise_generally(self, made: ContactSet) -> ForceSolution | None:
+        """Newton within all limits on soft contacts too, and for joints that several fingers share; see `optimise`."""
+        config, fingers = self.config, made.fingers
+        soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction} if made.soft else {}
+        try:
+            grasp = Grasp.from_contacts(self.seen.points[fingers], self.seen.normals[fingers], self.friction, **soft)
+            self.solution = optimize_force(
+                grasp, self.wrench, method="newton", limits=self.limits(fingers), elastic=True, tolerance=config.tolerance,
+                force_weight=config.force_weight, barrier_weight=config.barrier_weight, max_iterations=config.max_iterations,
+            )  # fmt: skip
+        except (InfeasibleWrenchError, RankDeficientGraspError, InfeasibleStartError):
+            self._lose(made)
+            return None
+        self.closure = True
+        self.iterations += self.solution.iterations
+        self.trials += self.solution.trials
+        force, torsion = (np.ascontiguousarray(part, dtype=float) for part in (self.solution.force, self.solution.torsion))
+        self._core.give(Hold.direct, self._core.mask, force.reshape(-1), torsion)
+        return self.solution
+
+    def limits(self, fingers: Indices) -> ForceLimits:
+        """The motors' limits on the forces of some fingers (n,) at the contacts of now: what their links' weight leaves."""
+        seen, kinematics = self.seen, self.scene.kinematics
+        free = np.flatnonzero(kinematics.drivers == np.arange(len(seen.angles)))
+        jacobian = np.empty((len(fingers), 4, len(seen.angles)))
+        frames = seen.rotation @ contact_frames(seen.normals[fingers])
+        for row, finger, frame in zip(jacobian, fingers, frames, strict=True):
+            link, touch = int(kinematics.tip_links[finger]), seen.touch[finger]
+            moves = kinematics.link_jacobian(seen.angles, link, touch)
+            row[:3] = frame.T @ moves
+            # omega . n = (omega x o) . (n x o), and n x o = t
+            row[3] = frame[:, 2] @ (kinematics.link_jacobian(seen.angles, link, touch + frame[:, 1]) - moves)
+        return ForceLimits(
+            jacobian=jacobian[:, :, free], torque_limit=kinematics.torque_limits[free],
+            torque_bias=seen.gravity_torques[free],
+        )  # fmt: skip
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
         """What the hand does at rest, before the first tick: contacts, frames, measured forces as the commanded ones."""
@@ -290,6 +337,8 @@ class ForceLoop:
     def _make_set(self, fingers: list[int]) -> ContactSet:
         index, scene = np.array(fingers, dtype=np.int64), self.scene.config
         alone = np.tile([1.0 / max(len(fingers), 1), 0.0, 0.0], len(fingers))
+        if self.torsional_friction > 0.0 and len(fingers) > 1:
+            return ContactSet(index, None, alone, soft=True)
         try:
             if len(fingers) < 3:
                 raise RankDeficientGraspError(f"{len(fingers)} contacts")

@@ -916,9 +916,10 @@ class Controller:
         Fingers (bits) that may be in contact together, and the pipeline that holds their last optimum.
         """
 
-    def give(self, hold: Hold, which: int, given: object | None) -> None:
+    def give(self, hold: Hold, which: int, given: object | None, torsion: object | None = None) -> None:
         """
-        What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them.
+        What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them, and torsions
+        (n,) [N m] besides.
         """
 
     def begin_step(self) -> None:
@@ -926,6 +927,12 @@ class Controller:
 
     @property
     def effort(self) -> Effort: ...
+
+    @property
+    def unkept(self) -> bool:
+        """
+        Whether the last forces exceed the limit of a joint that fingers share.
+        """
 
     def rest(self) -> None:
         """Measured forces as the commanded ones: what the hand does at rest."""

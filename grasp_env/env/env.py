@@ -95,7 +95,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     The same keys at every reset and step: `iterations`, `trials`, `status` (a `Status`; "none" at reset and where nothing was optimised; "failed"), `objective`, `optimality_gap`,
     `cone_margin` of the optimisation; `force_closure`, `contacts` (fingers), `contact_changes`; `wrench` (6,), `commanded_force` (N, 3),
     `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of links on the object) [N], `slip` [m/s],
-    `slip_distance` [m], `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `repaired_controls`,
+    `slip_distance` [m], `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `limited` (iterations of
+    Newton within the torque limits, where the method's force exceeds them), `torque_margin` (least of limit - |torque| in the step;
+    [N m]), `saturated` (torques were cut: no force within the limits balances the wrench), `repaired_controls`,
     `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
     the hand could not hold), `failure`, `is_success`, and the reward terms.
 
@@ -400,6 +402,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             "drift": outcome.drift,
             "tilt": outcome.tilt,
             "peak_torque": loop.peak_torque,
+            "limited": loop.effort.limited,
+            "torque_margin": loop.effort.margin,
+            "saturated": loop.effort.saturated,
             "repaired_controls": loop.repaired,
             "time": self._tick * loop.dt,
             "object_mass": scene.config.object.mass,

@@ -93,6 +93,7 @@ class Stage:
             size=config.size,
             mass=config.object_mass,
             friction=config.friction,
+            torsional_friction=config.torsional_friction,
             mesh=config.mesh or None,
         )
 
@@ -113,6 +114,7 @@ class Stage:
             "size": base.size if "size" not in config.randomise and drawn.shape == base.shape else drawn.size,
             "mass": drawn.mass if "mass" in config.randomise else base.mass,
             "friction": drawn.friction if "friction" in config.randomise else base.friction,
+            "torsional_friction": base.torsional_friction,
         }
         return replace(drawn, **kept)
 

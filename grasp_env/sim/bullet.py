@@ -256,7 +256,8 @@ def set_dynamics(client: int, body: int, item: ObjectDescription) -> None:
     # crept by 1 mm and the contact forces missed the commanded ones by 0.2 N (1e-6 N without)
     bullet.changeDynamics(
         body, -1, mass=item.mass, localInertiaDiagonal=item.moments, lateralFriction=item.friction,
-        collisionMargin=_margin(item), physicsClientId=client, **UNDAMPED,
+        collisionMargin=_margin(item), physicsClientId=client,
+        **{**UNDAMPED, "spinningFriction": item.torsional_friction},
     )  # fmt: skip
 
 

@@ -29,11 +29,13 @@ void see(Controller& controller, nb::handle external, nb::handle gravity, nb::ha
     controller.see(told.data(), normal.data(), {point(pull.data()), target_of(target)});
 }
 
-void give(Controller& controller, Hold hold, std::uint64_t which, nb::handle given) {
+void give(Controller& controller, Hold hold, std::uint64_t which, nb::handle given, nb::handle torsion) {
     if (!controller.has_set(which)) throw nb::value_error("no such set of fingers");
     const Buffer forces(given);
     if (!given.is_none() && !forces.has(3 * controller.set_size(which))) throw nb::type_error("given: (3n,)");
-    controller.give(hold, which, given.is_none() ? nullptr : forces.data());
+    const Buffer turns(torsion);
+    if (!torsion.is_none() && !turns.has(controller.set_size(which))) throw nb::type_error("torsion: (n,)");
+    controller.give(hold, which, given.is_none() ? nullptr : forces.data(), torsion.is_none() ? nullptr : turns.data());
 }
 
 nb::list command(Controller& controller) {
@@ -152,10 +154,13 @@ void bind_controller(nb::module_& m) {
              "standard normal numbers (3 + 3N,) where anything is noisy.")
         .def("add_set", &Controller::add_set, "which"_a, "pipeline"_a.none(), nb::keep_alive<1, 3>(),
              "Fingers (bits) that may be in contact together, and the pipeline that holds their last optimum.")
-        .def("give", &give, "hold"_a, "which"_a, "given"_a.none(),
-             "What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them.")
+        .def("give", &give, "hold"_a, "which"_a, "given"_a.none(), "torsion"_a.none() = nb::none(),
+             "What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them, and "
+             "torsions\n"
+             "(n,) [N m] besides.")
         .def("begin_step", &Controller::begin_step, "An agent's step begins.")
         .def_ro("effort", &Controller::effort)
+        .def_ro("unkept", &Controller::unkept, "Whether the last forces exceed the limit of a joint that fingers share.")
         .def("rest", &Controller::rest, "Measured forces as the commanded ones: what the hand does at rest.")
         .def("command", &command, "Joint torques (M,) [N m] of this tick.")
         .def("outcome", &outcome, "target"_a, "error"_a, "measured"_a,

@@ -48,7 +48,9 @@ class ObjectDescription:
             Mesh: what its coordinates are multiplied by to give metres, 0.001 for a file in millimetres.
             () is 0.1 m each way (capsule: 0.07 m thick), and 1 for a mesh.
         mass: [kg].
-        friction: Coefficient of Coulomb friction; Bullet multiplies it by the fingertips'.
+        friction: Coefficient of Coulomb friction; it is multiplied by the fingertips'.
+        torsional_friction: [m] Moment about a contact's normal that friction holds per newton of normal force, of a soft
+            fingertip; also multiplied by the fingertips' friction. 0: hard contacts.
         inertia: Moments about the body's axes through the centre of mass [kg m^2], (3,); () or None is that of the
             solid of uniform density.
         mesh: Path of a closed convex mesh (.obj, .stl, .ply, .off) in shape "mesh". Its axes become the principal axes
@@ -73,6 +75,7 @@ class ObjectDescription:
     friction: float = 0.4
     inertia: tuple[float, ...] | None = None
     mesh: str | None = None
+    torsional_friction: float = 0.0
 
     def __post_init__(self) -> None:
         choice(self.shape, "shape", SHAPES)
@@ -87,6 +90,7 @@ class ObjectDescription:
             size=numbers(size, len(_SIZES[self.shape]), f"size of a {self.shape} ({', '.join(_SIZES[self.shape])})"),
             mass=_at_most(positive(self.mass, "mass [kg]"), _MOST_MASS, "mass [kg]"),
             friction=_at_most(positive(self.friction, "friction"), _MOST_FRICTION, "friction"),
+            torsional_friction=_torsional(self.torsional_friction),
             mesh=None if self.mesh is None else str(as_path(self.mesh, InvalidInputError, "mesh")),
         )
         if min(self.size) <= 0.0:
@@ -223,6 +227,13 @@ def _range(values: tuple[float, float], name: str) -> tuple[float, float]:
     if not 0.0 < low <= high:
         raise InvalidInputError(f"{name}={values} must be (least, largest) with 0 < least <= largest")
     return low, high
+
+
+def _torsional(value: object) -> float:
+    (number,) = numbers((value,), 1, "torsional_friction [m]")
+    if not 0.0 <= number <= LARGEST:
+        raise InvalidInputError(f"torsional_friction={number} m must be 0 or up to {LARGEST:g}: a few millimetres are usual")
+    return number
 
 
 def _at_most(value: float, limit: float, name: str) -> float:

@@ -57,6 +57,7 @@ public:
     std::uint64_t mask = 0;  // the fingers that count as in contact
     int changes = 0;  // how often they changed
     bool changed = false;  // since forces were last given
+    bool unkept = false;  // the last forces exceed the limit of a joint that fingers share, which is left to the caller
     Effort effort;
 
     Controller(std::shared_ptr<const Scene> given, const ControlSettings& settings, const SensorSettings& sensing)
@@ -64,8 +65,8 @@ public:
           force(3 * tree->fingers()), frames(9 * tree->fingers()), depths(tree->fingers()), home(torques), goals(tree->fingers()),
           inwards(goals), apart_(tree->fingers()), before_(force), frames_before_(frames), points_(force), normals_(force),
           given_(force), solved_(force), kept_(force), then_(frames), pull_(torques), extra_(torques), trial_(torques),
-          push_(force), jacobian_(force.size() * torques.size()), normal_(int(force.size())), columns_(force.size()),
-          redundant_(is_redundant(*tree)) {}
+          torsion_(tree->fingers()), push_(force), jacobian_(force.size() * torques.size()), normal_(int(force.size())),
+          columns_(force.size()), redundant_(is_redundant(*tree)) {}
 
     // Forgets the episode; before it the scene stood still.
     void reset() {
@@ -74,7 +75,7 @@ public:
         std::fill(frames.begin(), frames.end(), 0.0);
         wrench = {}, peak = 0.0, repaired = 0, mask = 0, changes = 0;
         begin_step();
-        changed = missing_ = false, fresh_ = true, hold_ = Hold::optimised, set_ = nullptr;
+        changed = unkept = missing_ = false, fresh_ = true, hold_ = Hold::optimised, set_ = nullptr;
         std::fill(apart_.begin(), apart_.end(), 0);
         sensors.reset();
     }
@@ -103,11 +104,14 @@ public:
     }
     bool has_set(std::uint64_t which) const { return sets_.contains(which); }
     std::size_t set_size(std::uint64_t which) const { return sets_.at(which).fingers.size(); }
-    // What the fingers of a set do from now on. given: (3n,) forces [N], contact frames, of those that need them.
-    void give(Hold hold, std::uint64_t which, const double* given) {
+    // What the fingers of a set do from now on. given: (3n,) forces [N], contact frames, of those that need them; torsion: (n,) moments
+    // about the normals with them [N m], or none.
+    void give(Hold hold, std::uint64_t which, const double* given, const double* torsion = nullptr) {
         hold_ = hold, set_ = &sets_.at(which);
         if (given) std::copy(given, given + 3 * set_->fingers.size(), given_.begin());
-        changed = false;
+        std::fill(torsion_.begin(), torsion_.end(), 0.0);
+        if (torsion) std::copy(torsion, torsion + set_->fingers.size(), torsion_.begin());
+        changed = unkept = false;
     }
 
     // Frames, and measured forces as the commanded ones: what the hand does at rest, before the first command.
@@ -170,7 +174,7 @@ public:
         for (int j = 0; j < tree->joints(); ++j) {
             const double limit = tree->links[j].torque_limit, asked = std::abs(torques[j]);
             if (tree->links[j].coupled()) continue;
-            effort.saturated = effort.saturated || asked > limit * (1.0 + ROUNDED);
+            effort.saturated = effort.saturated || (asked > limit * (1.0 + ROUNDED) && !unkept);
             torques[j] = std::min(std::max(torques[j], -limit), limit);
             peak = std::max(peak, std::abs(torques[j])), effort.margin = std::min(effort.margin, limit - std::abs(torques[j]));
         }
@@ -198,6 +202,7 @@ private:
     std::vector<double> given_, solved_, kept_;  // (3n,) forces [N], contact frames
     std::vector<double> then_;  // (n, 3, 3) frames of the last tick
     std::vector<double> pull_, extra_, trial_;  // (M,) of `keep_posture`, `add_within`, `fits`
+    std::vector<double> torsion_;  // (n,) given [N m]
     std::vector<double> push_, jacobian_;  // of `keep_posture`
     Cholesky normal_;
     std::vector<Vec6> columns_;  // of G
@@ -226,6 +231,7 @@ private:
             Point push{0.0, 0.0, 0.0};
             for (int k = 0; k < 3; ++k) push += forces[3 * a + k] * axis(i, k);
             s.posture.push(tree->tips[i].link, s.touch[i], s.rotation * push, out.data());
+            if (torsion_[a] != 0.0) s.posture.twist(tree->tips[i].link, torsion_[a] * (s.rotation * axis(i, 0)), out.data());
         }
     }
     // Whether the motors can push with forces (3n,) besides carrying the hand.
@@ -295,6 +301,7 @@ private:
         repaired += set_->pipeline->carry(load, solved_.data()) != CARRIED;
         const bool exceeds = !fits(solved_.data());
         set_->limited = exceeds && keep_limits(load);
+        unkept = exceeds && set_->limits->shares && !fits(solved_.data());
         if (!fresh_) bound_change(load);
     }
 

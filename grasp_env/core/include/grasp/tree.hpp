@@ -126,6 +126,10 @@ public:
     void push(int link, const Point& place, const Point& force, double* torques) const {
         carriers(link, place, [&](int j, const Point& moves) { torques[j] += dot(moves, force); });
     }
+    // torques (M,) += that with which the link turns by a moment [N m]
+    void twist(int link, const Point& moment, double* torques) const {
+        turners(link, [&](int j, const Point& turns) { torques[j] += dot(turns, moment); });
+    }
     // torques (M,) that carry the weight of all links [N m]; gravity [m/s^2]
     void support(const Point& gravity, double* torques) const {
         std::fill(torques, torques + tree_->joints(), 0.0);
