@@ -12,6 +12,7 @@ from grasp_env._check import as_array, as_list, as_text, choice, is_a, positive,
 from grasp_env._files import as_path
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.force import METHODS, RULES
+from grasp_env.sim.engine import Engine, engine_of
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import SHAPES
 from grasp_env.task.disturbance import DISTURBANCES, Disturbance
@@ -102,7 +103,9 @@ class EnvConfig:
         action_mode: "initial_force", "contact_force" or "none"; see the environment.
         action_scale: [N] at action 1.
         gravity: (3,) [m/s^2] in the world frame; y points up.
-        agent_rate, control_rate, physics_rate: [Hz]; each must divide the next.
+        engine: that simulates: "bullet", "mujoco" (the extra of that name; it draws no pictures), or its settings, `BulletEngine(...)`,
+            `MujocoEngine(...)` of `grasp_env.sim`.
+        agent_rate, control_rate, physics_rate: [Hz]; each must divide the next. None: the engine's own, 250 of Bullet, 1000 of MuJoCo.
         position_bandwidth, rotation_bandwidth: [rad/s] of the object-pose feedback, critically damped; at most 0.3 / `sensor_delay`.
         iteration_cost: reward per iteration. force_cost: reward per newton of total normal force. held_reward: per
             step with the object held. failure_cost: once, when it is lost.
@@ -169,9 +172,10 @@ class EnvConfig:
     action_mode: str = "initial_force"
     action_scale: float = 5.0
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
+    engine: Any = "bullet"
     agent_rate: int = 50
     control_rate: int = 250
-    physics_rate: int = 250
+    physics_rate: int | None = None
     position_bandwidth: float = 30.0
     rotation_bandwidth: float = 60.0
     iteration_cost: float = 0.01
@@ -191,7 +195,7 @@ class EnvConfig:
         if not self.friction_error > -1.0:
             raise InvalidInputError(f"friction_error must be above -1, got {self.friction_error}")
         for slow, fast in (("agent_rate", "control_rate"), ("control_rate", "physics_rate")):
-            low, high = getattr(self, slow), getattr(self, fast)
+            low, high = getattr(self, slow), getattr(self, fast) or engine_of(self.engine).rate
             if high < low or high % low:
                 raise InvalidInputError(f"{fast} must be a multiple of {slow}, got {high} and {low}")
         for seconds in ("duration", "sensor_delay"):
@@ -222,6 +226,8 @@ class EnvConfig:
             return None
         if name == "hand":
             return value if is_a(value, HandDescription) else choice(value, name, HANDS, ", or give a HandDescription")
+        if name == "engine":
+            return value if is_a(value, Engine) else engine_of(value).name
         if name in _NAMES:
             if name == "disturbance" and as_text(value) is None and callable(value):
                 return value
@@ -270,6 +276,7 @@ class EnvConfig:
         """A copy in which what is None has its value: the task's own, or the default said above."""
         task = TASKS[self.task]
         return self.override(
+            physics_rate=self.physics_rate or engine_of(self.engine).rate,
             duration=self._duration(task) if self.duration is None else self.duration,
             disturbance=task.disturbance if self.disturbance is None else self.disturbance,
             motion_size=MOTION_SIZES[self.motion] if self.motion_size is None else self.motion_size,

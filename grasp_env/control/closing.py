@@ -30,10 +30,8 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
     jig = critically_damped(scene.config.object, _JIG, _JIG)
     for _ in range(round(CLOSING_TIME / loop.dt)):
         torques = loop.reach(scene.gravity, target)
-        for _ in range(round(loop.dt / scene.timestep)):
-            scene.look()
-            held = [-part for part in jig.wrench(scene.core, target, scene.gravity)]
-            scene.advance(torques, held)
+        scene.look()
+        scene.advance(torques, [-part for part in jig.wrench(scene.core, target, scene.gravity)])
         arrived = scene.look().touching.all() and np.abs(scene.look().rates).max() < 0.1
         quiet = quiet + 1 if arrived else 0
         if quiet == _QUIET:
@@ -65,8 +63,7 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
     error = np.inf
     for tick in range(round(SETTLING_TIME / loop.dt)):
         torques = loop.tick(np.zeros(6), scene.gravity, target, due=tick % every == 0)
-        for _ in range(round(loop.dt / scene.timestep)):
-            scene.advance(torques, None)
+        scene.advance(torques, None)
         snapshot = scene.look()
         total = snapshot.rotation @ snapshot.forces.sum(axis=0)
         error = float(np.linalg.norm(total + weight)) / (scale or max(float(np.abs(snapshot.forces).sum()), 1e-9))

@@ -615,10 +615,10 @@ class Answers:
     Where the numbers lie in the nested tuples that a simulator answers with.
     """
 
-    def __init__(self, *, link: int, place: int, forces: Sequence[tuple[int, int]], sign: float, first: int, links: Sequence[int]) -> None:
+    def __init__(self, *, link: int, place: int, forces: Sequence[tuple[int, int]], factor: float, first: int, links: Sequence[int]) -> None:
         """
         Of a contact: which item is the engine's link number, which the point, which pairs are amounts and directions of
-        forces; sign 1 where they push the object, -1 where they push the hand. links: the hand's link of each of the
+        forces; factor of all amounts, below 0 where they push the hand. links: the hand's link of each of the
         engine's, from number `first` on, -1: none.
         """
 

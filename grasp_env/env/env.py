@@ -169,7 +169,6 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._action_shape = (sizes[config.action_mode],)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
         self._ticks_per_step = config.control_rate // config.agent_rate
-        self._steps_per_tick = config.physics_rate // config.control_rate
         assert config.duration is not None
         assert config.max_drift is not None
         assert config.max_tilt is not None
@@ -316,8 +315,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         if self.config.force_noise:
             noisy = np.array(torques) * (1.0 + self.config.force_noise * self._motor_noise())
             torques = np.clip(noisy, -self._torque_limits, self._torque_limits).tolist()
-        for _ in range(self._steps_per_tick):
-            scene.advance(torques, push)
+        scene.advance(torques, push)
         self._tick += 1
         self._open = 0.0 if self._loop.closure else self._open + self._loop.dt
 

@@ -11,6 +11,7 @@ from grasp_env.control.closing import CLEARANCE, close_hand, take_over
 from grasp_env.control.loop import ForceLoop
 from grasp_env.errors import GraspError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
+from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping.points import grasp_points
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import random_object
@@ -120,6 +121,7 @@ class Stage:
 
     def _grasp_of(self, item: ObjectDescription) -> SceneConfig:
         config = self.config
+        assert config.physics_rate is not None  # it is resolved
         points = config.contact_points or tuple(
             (x, y, z) for x, y, z in grasp_points(item, self.kinematics)[0].tolist()
         )
@@ -128,7 +130,9 @@ class Stage:
             object=item,
             contact_points=points,
             gravity=config.gravity,
+            engine=engine_of(config.engine),
             physics_rate=config.physics_rate,
+            substeps=config.physics_rate // config.control_rate,
             clearance=CLEARANCE,
         )
 

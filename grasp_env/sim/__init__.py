@@ -1,10 +1,11 @@
-"""The simulated hand and object; the only package that knows PyBullet."""
+"""The simulated hand and object; the only package that knows physics engines."""
 
 from grasp_env._extras import need
 
 with need("sim"):
     from grasp_env.sim.client import Client
     from grasp_env.sim.config import SceneConfig
+    from grasp_env.sim.engine import ENGINES, BulletEngine, MujocoEngine
     from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
     from grasp_env.sim.hand.kinematics import HandKinematics
     from grasp_env.sim.objects.description import ObjectDescription
@@ -14,14 +15,17 @@ with need("sim"):
     from grasp_env.sim.snapshot import Snapshot
 
 __all__ = [
+    "ENGINES",
     "HANDS",
     "Annotation",
+    "BulletEngine",
     "Camera",
     "CameraConfig",
     "Client",
     "FingerDescription",
     "HandDescription",
     "HandKinematics",
+    "MujocoEngine",
     "ObjectDescription",
     "Scene",
     "SceneConfig",

@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array
+from grasp_env._check import Array, instance
 from grasp_env.errors import SimulationError, UnknownNameError
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.config import SceneConfig
+from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.urdf import hand_urdf
 from grasp_env.sim.objects.description import ObjectDescription
@@ -74,24 +75,27 @@ class Bullet(Simulator):
         links = [-1] * (bullet.getNumJoints(self.world.hand, physicsClientId=client) + 1)
         for link, index in enumerate(self.world.joints):
             links[index + 1] = link  # the palm is -1
-        # friction pushes along both of Bullet's directions, on the hand: it was loaded before the object
+        # friction pushes along both of Bullet's directions, on the hand: it was loaded before the object; of several steps the mean
         self._answers = core.Answers(
-            link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], sign=-1.0, first=-1, links=links
+            link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], factor=-1.0 / config.substeps, first=-1, links=links
         )
         self._kept: dict[str, tuple[int, Any]] = {}  # the server that held others was emptied
-        self._resting: Any = None
+        self._steps, self._noted = config.substeps, None
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """See `Simulator`."""
         client, world = self.client.number, self.world
-        bullet.setJointMotorControlArray(
-            world.hand, world.joints, bullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
-        )
-        if wrench is not None:
-            bullet.applyExternalForce(world.object, -1, wrench[:3], (0.0, 0.0, 0.0), bullet.LINK_FRAME, client)
-            bullet.applyExternalTorque(world.object, -1, wrench[3:], bullet.LINK_FRAME, client)
-        bullet.stepSimulation(client)
-        self._resting = None
+        self._noted = () if self._steps > 1 else None
+        for _ in range(self._steps):  # Bullet forgets torques and wrenches after each
+            bullet.setJointMotorControlArray(
+                world.hand, world.joints, bullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
+            )
+            if wrench is not None:
+                bullet.applyExternalForce(world.object, -1, wrench[:3], (0.0, 0.0, 0.0), bullet.LINK_FRAME, client)
+                bullet.applyExternalTorque(world.object, -1, wrench[3:], bullet.LINK_FRAME, client)
+            bullet.stepSimulation(client)
+            if self._noted is not None:
+                self._noted += bullet.getContactPoints(world.hand, world.object, physicsClientId=client)
 
     def read(self) -> Array:
         """See `Simulator`."""
@@ -99,9 +103,7 @@ class Bullet(Simulator):
         joints = bullet.getJointStates(world.hand, world.joints, client)
         pose = bullet.getBasePositionAndOrientation(world.object, client)
         velocity = bullet.getBaseVelocity(world.object, client)
-        contacts = self._resting
-        if contacts is None:
-            contacts = bullet.getContactPoints(world.hand, world.object, physicsClientId=client)
+        contacts = self._contacts()
         count = self._answers.read(joints, pose, velocity, contacts, self._numbers)
         if count > len(self._numbers):
             self._numbers = np.empty(2 * count)
@@ -130,7 +132,7 @@ class Bullet(Simulator):
         if name not in self._kept:
             raise UnknownNameError("kept state", name, self._kept)
         client, world = self.client.number, self.world
-        state, self._resting = self._kept[name]
+        state, self._noted = self._kept[name]
         bullet.restoreState(stateId=state, physicsClientId=client)
         # Bullet restores contacts to the first pair of shapes of two links, not to the one they were of: new collision proxies make
         # the next step find them anew. Nothing is lost, as its solver starts from no impulses; until then those kept are read
@@ -156,9 +158,9 @@ class Bullet(Simulator):
         )
 
     def _contacts(self) -> Any:
-        """What the server says of the contacts in the last step, after a reset what it said when the state was kept."""
-        if self._resting is not None:
-            return self._resting
+        """What the server says of the contacts in the last `advance`, after a reset what it said when the state was kept."""
+        if self._noted is not None:
+            return self._noted
         return bullet.getContactPoints(self.world.hand, self.world.object, physicsClientId=self.client.number)
 
 
@@ -191,7 +193,7 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     bullet.setPhysicsEngineParameter(
         fixedTimeStep=1.0 / config.physics_rate,
         numSubSteps=0,  # with substeps the reported contact forces are a fraction of the true ones
-        numSolverIterations=config.solver_iterations,
+        numSolverIterations=instance(config.engine, BulletEngine, "engine").solver_iterations,
         solverResidualThreshold=0.0,
         enableConeFriction=1,
         deterministicOverlappingPairs=1,

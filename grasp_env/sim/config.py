@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from grasp_env._check import as_array
+from grasp_env._check import as_array, instance, whole
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.engine import BulletEngine, Engine
 from grasp_env.sim.hand.description import HandDescription, Vector3
 from grasp_env.sim.objects.description import ObjectDescription
 
 _CUBOID_POINTS: tuple[Vector3, ...] = (
     (0.0, 0.0, -0.05), (0.0, 0.03, 0.05), (-0.03, -0.02, 0.05), (0.03, -0.02, 0.05),
 )  # fmt: skip
-_OVERLAP = 1e-5  # [m] by which Bullet lets bodies in contact overlap; starting there, nothing jumps
 _ON_SURFACE = 1e-4  # [m]
 
 
@@ -28,8 +28,9 @@ class SceneConfig:
         object: What it holds.
         contact_points: Nominal contacts [m], (N, 3), object frame, on the object's surface.
         gravity: Acceleration [m/s^2], world frame; y points up, away from the object to the palm.
-        physics_rate: Steps per simulated second [Hz].
-        solver_iterations: Sweeps of Bullet's contact solver in one step.
+        engine: The physics engine's settings, see `engine_of`.
+        physics_rate: The engine's steps per simulated second [Hz].
+        substeps: Steps of the engine in one step of the scene, under the same torques; contact forces are their mean.
         clearance: Gap between tips and object at the start [m]; 0 lets them touch.
     """
 
@@ -37,15 +38,16 @@ class SceneConfig:
     object: ObjectDescription = field(default_factory=ObjectDescription)
     contact_points: tuple[Vector3, ...] = _CUBOID_POINTS
     gravity: Vector3 = (0.0, -9.81, 0.0)
+    engine: Engine = field(default_factory=BulletEngine)
     physics_rate: float = 250.0
-    solver_iterations: int = 20
+    substeps: int = 1
     clearance: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("physics_rate", "solver_iterations"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise InvalidInputError(f"{name}={value} must be finite and above 0")
+        if not (math.isfinite(self.physics_rate) and self.physics_rate > 0):
+            raise InvalidInputError(f"physics_rate={self.physics_rate} must be finite and above 0")
+        instance(self.engine, Engine, "engine")
+        whole(self.substeps, "substeps", 1)
         object.__setattr__(self, "gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))
         as_array(self.clearance, (), "clearance")
         points = as_array(
@@ -73,9 +75,9 @@ class SceneConfig:
     def nominal_tips(self) -> np.ndarray:
         """Centres of the tips at the start [m], (N, 3), world frame: `clearance` away from the object.
 
-        Without clearance they overlap it by 10 um as all contacts of Bullet do: started at distance zero the object
-        falls and slips for a step, 0.2 mm at 500 Hz.
+        Without clearance they overlap it by the engine's `overlap`: started at distance zero the object falls and slips for a
+        step, 0.2 mm at 500 Hz.
         """
         radii = np.array([tip.radius for tip in self.hand.fingertips])
-        away = radii + (self.clearance or -_OVERLAP)
+        away = radii + (self.clearance or -self.engine.overlap)
         return np.array(self.contact_points) - away[:, None] * self.contact_normals

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from grasp_env import core
 from grasp_env._check import Array, as_array
+from grasp_env._extras import need
 from grasp_env.errors import SimulationError
-from grasp_env.sim.bullet import Bullet, World
+from grasp_env.sim.bullet import World
 from grasp_env.sim.client import Client
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.hand.kinematics import HandKinematics
@@ -30,36 +31,30 @@ class Scene:
         config: What to simulate.
         gui: Open a window; needs a display.
         visuals: Load the hand's visual shapes, which pictures need; they make loading a new object five times slower.
-        engine: Makes the simulator from the hand's description, `gui` and `visuals`.
 
     Attributes:
-        simulator: The physics engine. kinematics: of the hand. core: hand, object and what was read, in the core.
+        simulator: The physics engine that `config.engine` names. kinematics: of the hand. core: hand, object and what was read, in the core.
         gravity: (3,) of now [m/s^2], world frame.
 
     Raises:
         InvalidInputError: A finger cannot reach its contact.
+        MissingExtraError: The engine is not installed.
         SimulationError: No display for the window.
     """
 
-    def __init__(
-        self,
-        config: SceneConfig | None = None,
-        gui: bool = False,
-        visuals: bool = False,
-        engine: Callable[..., Simulator] = Bullet,
-    ) -> None:
+    def __init__(self, config: SceneConfig | None = None, gui: bool = False, visuals: bool = False) -> None:
         self.config = config or SceneConfig()
         self.kinematics = HandKinematics(self.config.hand)
         angles = self.kinematics.solve(self.config.nominal_tips())
         self.visuals = visuals or gui
-        self.simulator: Any = engine(self.config.hand, gui=gui, visuals=visuals)
+        self.simulator: Any = _simulator(self.config, gui, visuals)
         self._build(angles)
         self.keep()
 
     @property
     def timestep(self) -> float:
         """Simulated time of one step [s]."""
-        return 1.0 / self.config.physics_rate
+        return self.config.substeps / self.config.physics_rate
 
     @property
     def client(self) -> Client:
@@ -72,13 +67,13 @@ class Scene:
         return self.simulator.world
 
     def load(self, config: SceneConfig) -> None:
-        """Builds another object, or another grasp of it, for the same hand and rates; no kept state is left.
+        """Builds another object, or another grasp of it, for the same hand and engine; no kept state is left.
 
         Raises:
             InvalidInputError: a finger cannot reach its contact; the scene is as before.
         """
         angles = self.kinematics.solve(config.nominal_tips())
-        self.config = replace(config, hand=self.config.hand)
+        self.config = replace(config, hand=self.config.hand, engine=self.config.engine)
         self._build(angles)
 
     def change_object(self, mass: float | None = None, friction: float | None = None) -> None:
@@ -116,7 +111,7 @@ class Scene:
         self._read = False
 
     def step(self, torques: ArrayLike, external_wrench: ArrayLike | None = None) -> None:
-        """Advances by one physics step.
+        """Advances by one step: `substeps` of the engine.
 
         Args:
             torques: Of the joints [N m], (M,), cut at the hand's limits.
@@ -177,3 +172,10 @@ class Scene:
     def _set_object(self, changed: ObjectDescription) -> None:
         self.config = replace(self.config, object=changed)
         self.simulator.set_object(changed)
+
+
+def _simulator(config: SceneConfig, gui: bool, visuals: bool) -> Simulator:
+    """The engine of a config, whose module is imported where it is asked for."""
+    module, name = config.engine.simulator
+    with need(config.engine.extra):
+        return getattr(import_module(module), name)(config.hand, gui=gui, visuals=visuals)

@@ -10,7 +10,7 @@ from grasp_env.sim.objects.description import ObjectDescription
 
 
 class Simulator(Protocol):
-    """One hand and one object in a physics engine; `Bullet` is the one that is built in.
+    """One hand and one object in a physics engine, made from the hand, `gui` and `visuals`; see `engine.ENGINES`.
 
     Everything is in the world frame and in the hand's own numbering: no convention of an engine passes this boundary. Drawing is apart:
     `Camera` needs Bullet.
@@ -21,19 +21,19 @@ class Simulator(Protocol):
         ...
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
-        """One physics step.
+        """One step of the scene, `config.substeps` of the engine.
 
         Args:
             torques: of the joints [N m], (M,), within their limits.
-            wrench: force [N] and moment about its centre [N m] on the object besides gravity, (6,), object frame; None: none.
+            wrench: force [N] and moment about its centre [N m] on the object besides gravity, (6,), object frame as it turns; None: none.
         """
         ...
 
     def read(self) -> Array:
         """What `core.Scene.read` takes: joint angles and rates, the object, the contacts of hand and object.
 
-        Contacts and their forces are those of the last step, after `reset` those of when the state was kept. Valid until the
-        next call.
+        Contacts and their forces are those of the last `advance`, a row for each of its steps with the step's share of the force;
+        after `reset` those of when the state was kept. Valid until the next call.
         """
         ...
 

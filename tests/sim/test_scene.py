@@ -173,7 +173,8 @@ def test_other_rates_hold(make_scene: Callable[..., Scene], make_holder: Callabl
     [
         ("physics_rate", float("nan"), "physics_rate"),
         ("physics_rate", 0.0, "physics_rate"),
-        ("solver_iterations", 0, "solver_iterations"),
+        ("substeps", 0, "substeps"),
+        ("engine", "bullet", "engine"),
         ("gravity", (0.0, float("inf"), 0.0), "gravity"),
         ("gravity", (0.0, -9.81), "gravity"),
         ("clearance", float("nan"), "clearance"),

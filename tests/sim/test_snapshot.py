@@ -289,7 +289,7 @@ class TestAnswers:
     @pytest.fixture
     def answers(self) -> core.Answers:
         links = [-1, -1, 1, 0]  # of Bullet's links -1, 0, 1, 2
-        return core.Answers(link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], sign=-1.0, first=-1, links=links)
+        return core.Answers(link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], factor=-1.0, first=-1, links=links)
 
     def test_as_flat_numbers(self, answers: core.Answers) -> None:
         """Force on the object = -(normal force * normal + friction * direction), by the order in which bodies are loaded."""

@@ -35,14 +35,16 @@ def record(env: FourFingerGrasp, seed: int) -> Recorded:
 
 
 def bare_loop(env: FourFingerGrasp, recorded: Recorded) -> tuple[int, int]:
-    """The calls that `Scene.advance` and `Scene.look` make, and nothing else; nanoseconds of writes with steps, of reads."""
+    """The calls that `Scene.advance` and `Scene.look` make, and nothing else; nanoseconds of writes with steps, of reads.
+
+    Of an environment whose physics runs at its control rate.
+    """
     simulator = env.scene.simulator
     world, client = simulator.world, simulator.client.number
     hand, body, joints = world.hand, world.object, world.joints
     mode, frame, origin = bullet.TORQUE_CONTROL, bullet.LINK_FRAME, (0.0, 0.0, 0.0)
-    each = env.config.physics_rate // env.config.control_rate
     clock, writes, reads = time.perf_counter_ns, 0, 0
-    for k, (torques, wrench) in enumerate(recorded):
+    for torques, wrench in recorded:
         begin = clock()
         bullet.setJointMotorControlArray(hand, joints, mode, forces=torques, physicsClientId=client)
         if wrench is not None:
@@ -50,11 +52,10 @@ def bare_loop(env: FourFingerGrasp, recorded: Recorded) -> tuple[int, int]:
             bullet.applyExternalTorque(body, -1, wrench[3:], frame, client)
         bullet.stepSimulation(client)
         middle = clock()
-        if (k + 1) % each == 0:
-            bullet.getJointStates(hand, joints, client)
-            bullet.getBasePositionAndOrientation(body, client)
-            bullet.getBaseVelocity(body, client)
-            bullet.getContactPoints(hand, body, physicsClientId=client)
+        bullet.getJointStates(hand, joints, client)
+        bullet.getBasePositionAndOrientation(body, client)
+        bullet.getBaseVelocity(body, client)
+        bullet.getContactPoints(hand, body, physicsClientId=client)
         end = clock()
         writes += middle - begin
         reads += end - middle

@@ -30,7 +30,7 @@ Point vector(PyObject* tuple) { return {number(item(tuple, 0)), number(item(tupl
 struct Answers {
     int link, place;                              // in a contact: the engine's number of the hand's link, the point
     std::vector<std::pair<int, int>> forces;      // amounts and their directions
-    double sign;                                  // 1: they push the object
+    double factor;                                // of the amounts; above 0: they push the object
     int first;                                    // the engine's number of what comes first in `links`
     std::vector<int> links;                       // the hand's link of each of the engine's, -1: none
 
@@ -58,15 +58,15 @@ struct Answers {
             next->place = vector(item(row, place));
             Point total{0.0, 0.0, 0.0};
             for (const auto& [amount, direction] : forces) total += number(item(row, amount)) * vector(item(row, direction));
-            next->force = sign * total;
+            next->force = factor * total;
         }
         return size;
     }
 };
 
-void make_answers(Answers* answers, int link, int place, const std::vector<std::pair<int, int>>& forces, double sign, int first,
+void make_answers(Answers* answers, int link, int place, const std::vector<std::pair<int, int>>& forces, double factor, int first,
                   const std::vector<int>& links) {
-    new (answers) Answers{link, place, forces, sign, first, links};
+    new (answers) Answers{link, place, forces, factor, first, links};
 }
 
 std::shared_ptr<Scene> make_scene(const std::shared_ptr<Tree>& tree, const Surface& surface,
@@ -108,9 +108,9 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays_of(nb::handle owner, Snapshot
 
 void bind_scene(nb::module_& m) {
     nb::class_<Answers>(m, "Answers", "Where the numbers lie in the nested tuples that a simulator answers with.")
-        .def("__init__", &make_answers, nb::kw_only(), "link"_a, "place"_a, "forces"_a, "sign"_a, "first"_a, "links"_a,
+        .def("__init__", &make_answers, nb::kw_only(), "link"_a, "place"_a, "forces"_a, "factor"_a, "first"_a, "links"_a,
              "Of a contact: which item is the engine's link number, which the point, which pairs are amounts and directions of\n"
-             "forces; sign 1 where they push the object, -1 where they push the hand. links: the hand's link of each of the\n"
+             "forces; factor of all amounts, below 0 where they push the hand. links: the hand's link of each of the\n"
              "engine's, from number `first` on, -1: none.")
         .def(
             "read", &Answers::read, "joints"_a, "pose"_a, "velocity"_a, "contacts"_a, "numbers"_a,
