@@ -12,6 +12,7 @@ from grasp_env.errors import MissingExtraError
 EXTRAS = {
     "cli": ("rich", "tyro"),
     "sim": ("PIL", "gymnasium", "pybullet", "trimesh"),
+    "mujoco": ("mujoco",),
     "train": ("stable_baselines3", "tensorboard", "torch"),
     "report": ("PIL", "imageio", "jinja2", "matplotlib"),
     "video": ("imageio_ffmpeg", "moviepy"),

@@ -11,6 +11,7 @@ from grasp_env import core
 from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, ObjectDescription, Scene, Snapshot
 from grasp_env.sim.bullet import HAND_FLAGS
 from grasp_env.sim.client import bullet
+from grasp_env.sim.hand.check import inertia_matrix
 from grasp_env.sim.hand.urdf import hand_urdf
 
 
@@ -40,6 +41,24 @@ def scene_alone(item: ObjectDescription | None = None, fingers: int = 4) -> tupl
     views = Snapshot(**made.arrays())
     views.rotation[:] = np.eye(3)
     return made, views
+
+
+def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
+    """(M, M) of the hand's links, from their masses and inertias; coupled joints weigh on the joint that drives them."""
+    hand, (frames, origins) = kinematics.hand, kinematics.links(angles)
+    numbers = {link.name: index for index, link in enumerate(hand.links)}
+    turning, total = np.zeros((hand.joint_count, 3, hand.joint_count)), np.zeros((hand.joint_count,) * 2)
+    for index, link in enumerate(hand.links):
+        if link.parent in numbers:
+            turning[index] = turning[numbers[link.parent]]
+        if not link.sliding:
+            turning[index][:, hand.drivers[index]] += (
+                (link.mimic.ratio if link.mimic else 1.0) * frames[index] @ link.axis
+            )
+        moving = kinematics.link_jacobian(angles, index, origins[index] + frames[index] @ link.center)
+        inertia = frames[index] @ inertia_matrix(link.inertia) @ frames[index].T
+        total += link.mass * moving.T @ moving + turning[index].T @ inertia @ turning[index]
+    return total
 
 
 def numbers(scene: Scene) -> np.ndarray:

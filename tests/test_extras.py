@@ -47,8 +47,10 @@ def test_the_solver_needs_three_packages() -> None:
 
 @pytest.mark.parametrize("extra", EXTRAS)
 def test_the_table_is_what_pip_installs(extra: str) -> None:
-    homes = packages_distributions()
-    assert {homes[name][0].lower().replace("_", "-") for name in EXTRAS[extra]} == _required(extra)
+    homes, asked = packages_distributions(), _required(extra)
+    found = [{home.lower().replace("_", "-") for home in homes[name]} for name in EXTRAS[extra]]
+    assert all(some & asked for some in found)  # MuJoCo is one module of several distributions
+    assert asked <= set().union(*found)
 
 
 def test_all_are_in_all() -> None:

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hands import load_hand
+from hands import load_hand, mass_matrix
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.bullet import HAND_FLAGS, joint_indices
 from grasp_env.sim.client import Client, bullet
-from grasp_env.sim.hand.check import inertia_matrix
 from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
 
@@ -154,13 +153,7 @@ def test_gravity_torques_are_the_slope_of_the_height(loaded: Loaded) -> None:
 
 def test_inertias_match_pybullet(loaded: Loaded) -> None:
     """The mass matrix: inertias, and what fixed joints merge, mean the same to PyBullet."""
-    total = np.zeros((loaded.count, loaded.count))
-    for link in range(loaded.count):
-        center = loaded.origins[link] + loaded.frames[link] @ loaded.hand.links[link].center
-        moving = loaded.jacobian(link, center)
-        turning = np.where((moving != 0.0).any(axis=0), loaded.axes.T, 0.0)
-        inertia = loaded.frames[link] @ inertia_matrix(loaded.hand.links[link].inertia) @ loaded.frames[link].T
-        total += loaded.hand.links[link].mass * moving.T @ moving + turning.T @ inertia @ turning
+    total = mass_matrix(loaded.kinematics, loaded.angles)
     theirs = np.array(bullet.calculateMassMatrix(loaded.body, loaded.theirs(), physicsClientId=loaded.number))
     # PyBullet finds principal axes to about 1e-8 of the inertia
     np.testing.assert_allclose(theirs[np.ix_(loaded.columns, loaded.columns)], total, atol=1e-11)

@@ -1,0 +1,130 @@
+"""A hand and an object as the text that MuJoCo compiles; links, joints and shapes bear numbers, whatever they are called."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from grasp_env.sim.engine import MujocoEngine
+from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.tree import Geometry
+from grasp_env.sim.objects.description import ObjectDescription
+
+PALM, OBJECT = "palm", "object"
+"""Names of their bodies; the object's shape has its own name, too."""
+_Z_TO_Y = "-1.5707963267948966 0 0"  # capsules and cylinders of MuJoCo lie along z
+
+
+def link_name(link: int) -> str:
+    """Of a link's body and of its joint."""
+    return f"link{link}"
+
+
+def scene_mjcf(
+    hand: HandDescription, item: ObjectDescription, gravity: Iterable[float], timestep: float, engine: MujocoEngine
+) -> str:
+    """The world: the hand with its palm fixed, then the object, free, at the origin.
+
+    Args:
+        hand: Its joints have no damping, no armature and no motors: torques are applied to them.
+        item: The object; its friction goes before that of what touches it, and is the product that Bullet makes.
+        gravity: [m/s^2], (3,), world frame.
+        timestep: [s].
+        engine: Contacts and solver.
+    """
+    spring = f"{engine.time_constant or 2.0 * timestep!r} {engine.damping_ratio!r}"
+    soft = f'solref="{spring}" solimp="{_text(engine.impedance)}"'
+    sliding = f"{item.friction * hand.tip_friction!r} {engine.torsion!r} 0"
+    meshes: list[str] = []
+    children: dict[str, list[int]] = {}
+    for index, link in enumerate(hand.links):
+        children.setdefault(link.parent, []).append(index)
+
+    def bodies(parent: str) -> str:
+        return "".join(_body(hand, index, meshes, bodies) for index in children.get(parent, ()))
+
+    palm = _shapes(hand.palm.collision, meshes)
+    kind, size, axis = _object_shape(item, meshes)
+    shape = f'<geom name="{OBJECT}" type="{kind}" {size} euler="{axis}" priority="1" friction="{sliding}"/>'
+    tree = bodies(hand.palm.name)
+    return f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
+<option timestep="{timestep!r}" gravity="{_text(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"
+ integrator="{engine.integrator}" solver="Newton" iterations="{engine.solver_iterations}" tolerance="{engine.tolerance!r}"
+ noslip_iterations="{engine.noslip_iterations}"><flag autoreset="disable"/></option>
+<default><geom condim="{4 if engine.torsion else 3}" friction="{hand.tip_friction**2!r} 0 0" {soft}/>
+<joint damping="0" armature="0" frictionloss="0" solreflimit="{spring}"/><equality {soft}/></default>
+<asset>{"".join(meshes)}</asset>
+<worldbody><body name="{PALM}">{palm}{tree}</body>
+<body name="{OBJECT}"><freejoint/><inertial pos="0 0 0" mass="{item.mass!r}" diaginertia="{_text(item.moments)}"/>{shape}</body></worldbody>
+<contact>{"".join(f'<exclude body1="{one}" body2="{other}"/>' for one, other in _neighbours(hand))}</contact>
+<equality>{"".join(_couplings(hand))}</equality></mujoco>"""
+
+
+def _body(hand: HandDescription, index: int, meshes: list[str], bodies: Any) -> str:
+    link = hand.links[index]
+    ixx, ixy, ixz, iyy, iyz, izz = link.inertia
+    limited = math.isfinite(link.lower)
+    ends = f'limited="true" range="{_text((link.lower, link.upper))}"' if limited else 'limited="false"'
+    kind = "slide" if link.sliding else "hinge"
+    return (
+        f'<body name="{link_name(index)}" pos="{_text(link.origin)}" euler="{_text(link.rotation)}">'
+        f'<inertial pos="{_text(link.center)}" mass="{link.mass!r}" fullinertia="{_text((ixx, iyy, izz, ixy, ixz, iyz))}"/>'
+        f'<joint name="{link_name(index)}" type="{kind}" axis="{_text(link.axis)}" {ends}/>'
+        f"{_shapes(link.collision, meshes)}{bodies(link.name)}</body>"
+    )
+
+
+def _shapes(shapes: Iterable[Geometry], meshes: list[str]) -> str:
+    """Those that touch."""
+    return "".join(_shape(shape, meshes) for shape in shapes if shape.kind != "mesh")
+
+
+def _shape(shape: Geometry, meshes: list[str]) -> str:
+    kind, size = shape.kind, shape.size
+    if kind == "hull":
+        kind, given = "mesh", _mesh(shape.corners, meshes)
+    elif kind == "box":
+        given = f'size="{_text(0.5 * side for side in size)}"'
+    else:  # MuJoCo counts half of a cylinder's length
+        given = f'size="{_text((size[0], *(0.5 * length for length in size[1:])))}"'
+    return f'<geom type="{kind}" {given} pos="{_text(shape.origin)}" euler="{_text(shape.rotation)}"/>'
+
+
+def _object_shape(item: ObjectDescription, meshes: list[str]) -> tuple[str, str, str]:
+    """Type, size and orientation of the object's shape."""
+    if item.shape == "mesh":
+        return "mesh", _mesh(item.faces[0], meshes), "0 0 0"
+    half = [0.5 * side for side in item.size]
+    if item.shape == "cuboid":
+        return "box", f'size="{_text(half)}"', "0 0 0"
+    if item.shape == "capsule":
+        half[1] -= half[0]
+    return item.shape, f'size="{_text(half)}"', _Z_TO_Y
+
+
+def _mesh(corners: Any, meshes: list[str]) -> str:
+    """Adds the convex hull of corners (K, 3) [m] to the meshes; how a shape names it."""
+    name = f"mesh{len(meshes)}"
+    meshes.append(f'<mesh name="{name}" vertex="{_text(np.ravel(corners))}"/>')
+    return f'mesh="{name}"'
+
+
+def _couplings(hand: HandDescription) -> Iterable[str]:
+    for index, (link, driver) in enumerate(zip(hand.links, hand.drivers, strict=True)):
+        if link.mimic is not None:
+            line = f"{link.mimic.offset!r} {link.mimic.ratio!r} 0 0 0"
+            yield f'<joint joint1="{link_name(index)}" joint2="{link_name(driver)}" polycoef="{line}"/>'
+
+
+def _neighbours(hand: HandDescription) -> Iterable[tuple[str, str]]:
+    """Pairs of bodies that do not touch each other: links and what carries them, which overlap around their joint."""
+    numbers = {link.name: link_name(index) for index, link in enumerate(hand.links)}
+    for link in hand.links:
+        yield numbers.get(link.parent, PALM), numbers[link.name]
+
+
+def _text(numbers: Iterable[float]) -> str:
+    return " ".join(repr(float(number)) for number in numbers)

@@ -1,0 +1,160 @@
+"""MuJoCo behind the `Simulator` boundary."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco as compiled
+import numpy as np
+
+from grasp_env._check import Array, instance
+from grasp_env.errors import InvalidInputError, SimulationError, UnknownNameError
+from grasp_env.sim.config import SceneConfig
+from grasp_env.sim.engine import MujocoEngine
+from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.mjcf import OBJECT, link_name, scene_mjcf
+from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.sim.simulator import Simulator
+
+mujoco: Any = compiled  # it has no types
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_LEAST_FORCE = 1e-9
+"""[N] below which a contact is one that the solver left open."""
+
+if (
+    mujoco.get_mju_user_warning() is None
+):  # it would write what diverges, which `Scene.look` tells, into a file where it runs
+    mujoco.set_mju_user_warning(lambda text: None)
+
+
+class Mujoco(Simulator):
+    """A hand around an object in a model of its own; see `Simulator`.
+
+    Args:
+        hand: What is loaded with every object.
+        gui, visuals: For pictures, which it does not draw.
+
+    Attributes:
+        model, data: What MuJoCo's own calls take; others after each `load`, None after `close`.
+
+    Raises:
+        InvalidInputError: pictures or a window were asked for.
+    """
+
+    def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
+        if gui or visuals:
+            raise InvalidInputError(
+                "pictures and windows are Bullet's: with engine='mujoco' leave render_mode, gui and visuals out, or take engine='bullet'"
+            )
+        self._hand = hand
+        self.model: Any = None
+        self.data: Any = None
+
+    def load(self, config: SceneConfig, angles: Array) -> None:
+        """See `Simulator`."""
+        text = scene_mjcf(
+            self._hand,
+            config.object,
+            config.gravity,
+            1.0 / config.physics_rate,
+            instance(config.engine, MujocoEngine, "engine"),
+        )
+        try:
+            self.model = model = mujoco.MjModel.from_xml_string(text)
+        except ValueError as error:
+            raise SimulationError(f"MuJoCo cannot build hand {self._hand.name!r} with this object: {error}") from error
+        self.data = data = mujoco.MjData(model)
+        joints = [model.joint(link_name(index)) for index in range(self._hand.joint_count)]
+        self._angles = np.array([joint.qposadr[0] for joint in joints])
+        self._rates = np.array([joint.dofadr[0] for joint in joints])
+        self._body, self._shape = model.body(OBJECT).id, model.geom(OBJECT).id
+        free = model.body_jntadr[self._body]
+        place, speed = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
+        self._place, self._turn = slice(place, place + 3), slice(place + 3, place + 7)
+        self._linear, self._angular = slice(speed, speed + 3), slice(speed + 3, speed + 6)
+        links = {model.body(link_name(index)).id: float(index) for index in range(self._hand.joint_count)}
+        self._links = [links.get(int(body), -1.0) for body in model.geom_bodyid]
+        self._steps, self._kept, self._contacts = config.substeps, {}, []
+        self._rotation, self._push = np.zeros(9), np.zeros(6)
+        data.qpos[self._angles] = angles
+        mujoco.mj_forward(model, data)
+
+    def advance(self, torques: list[float], wrench: list[float] | None) -> None:
+        """See `Simulator`."""
+        model, data = self.model, self._open()
+        data.qfrc_applied[self._rates] = torques
+        if wrench is None:
+            data.xfrc_applied[self._body] = 0.0
+        self._contacts = []
+        for _ in range(self._steps):
+            if wrench is not None:
+                turn = self._turned()
+                data.xfrc_applied[self._body, :3] = turn @ wrench[:3]
+                data.xfrc_applied[self._body, 3:] = turn @ wrench[3:]
+            mujoco.mj_step(model, data)
+            self._note_contacts()
+
+    def read(self) -> Array:
+        """See `Simulator`."""
+        data = self._open()
+        state, rates = data.qpos, data.qvel
+        w, x, y, z = state[self._turn]
+        spin = self._turned() @ rates[self._angular]
+        return np.concatenate([
+            state[self._angles], rates[self._rates], state[self._place], (x, y, z, w), rates[self._linear], spin, self._contacts,
+        ])  # fmt: skip
+
+    def set_gravity(self, gravity: Array) -> None:
+        """See `Simulator`."""
+        self._open()
+        self.model.opt.gravity[:] = gravity
+
+    def set_object(self, item: ObjectDescription) -> None:
+        """See `Simulator`."""
+        self._open()
+        model = self.model
+        model.body_mass[self._body], model.body_inertia[self._body] = item.mass, item.moments
+        model.geom_friction[self._shape, 0] = item.friction * self._hand.tip_friction
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # what follows from masses; it moves the data that it is given
+
+    def keep(self, name: str) -> None:
+        """See `Simulator`."""
+        data = self._open()
+        state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, data, state, _STATE)
+        self._kept[name] = state, self._contacts
+
+    def reset(self, name: str) -> None:
+        """See `Simulator`."""
+        data = self._open()
+        if name not in self._kept:
+            raise UnknownNameError("kept state", name, self._kept)
+        state, self._contacts = self._kept[name]
+        mujoco.mj_setState(self.model, data, state, _STATE)
+
+    def close(self) -> None:
+        """See `Simulator`."""
+        self.model = self.data = None
+
+    def _open(self) -> Any:
+        if self.data is None:
+            raise SimulationError("the simulation is closed; make a new Scene from its config")
+        return self.data
+
+    def _turned(self) -> Array:
+        """Object frame to world frame, (3, 3), of now: MuJoCo's own is that of the start of its last step."""
+        mujoco.mju_quat2Mat(self._rotation, self.data.qpos[self._turn])
+        return self._rotation.reshape(3, 3)
+
+    def _note_contacts(self) -> None:
+        """Adds link, point and share of the force on the object of every contact in the step that was made."""
+        data, mine, push = self.data, self._shape, self._push
+        for index, (one, other) in enumerate(data.contact.geom[: data.ncon].tolist()):
+            if mine not in (one, other):
+                continue
+            mujoco.mj_contactForce(self.model, data, index, push)
+            if push[0] > _LEAST_FORCE:
+                contact = data.contact[index]
+                sign = 1.0 if other == mine else -1.0  # the frame is that of the first, the force is on the second
+                force = (sign / self._steps * push[:3]) @ contact.frame.reshape(3, 3)
+                self._contacts += [self._links[one if other == mine else other], *contact.pos.tolist(), *force.tolist()]

@@ -1,0 +1,362 @@
+"""MuJoCo behind the boundary: the same hand as the core's, forces on the object with the right sign, states that come back bit by bit."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hands import mass_matrix, numbers
+
+from grasp_env import _extras
+from grasp_env.config import EnvConfig
+from grasp_env.errors import GraspError, InvalidInputError, MissingExtraError, SimulationError, UnknownNameError
+from grasp_env.sim import (
+    BulletEngine,
+    Camera,
+    HandDescription,
+    HandKinematics,
+    MujocoEngine,
+    ObjectDescription,
+    Scene,
+    SceneConfig,
+)
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
+
+mujoco = pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
+from grasp_env.sim.mujoco import Mujoco  # noqa: E402
+
+GRAVITY = np.array([1.0, -9.0, 3.0])
+STILL = (0.0, 0.0, 0.0)
+FAST = {"engine": MujocoEngine(), "physics_rate": 1000.0}
+INERTIA = (6e-6, 1e-7, 2e-7, 3e-6, 1e-7, 5e-6)
+
+
+def crooked_hand() -> HandDescription:
+    """Turned frames, a joint without limits, a sliding joint, one that turns with another, and one that slides with it."""
+    ball = Geometry("sphere", (0.01,), (0.0, -0.04, 0.0))
+    links = (
+        Link("a", "palm", (0.02, 0.1, 0.0), (0.3, -0.2, 0.5), (0.0, 0.6, 0.8), -math.inf, math.inf, 2.0, 0.05, (0.0, -0.02, 0.003), INERTIA),
+        Link("b", "a", (0.0, -0.04, 0.0), (0.1, 0.0, -0.4), (1.0, 0.0, 0.0), -0.05, 0.05, 9.0, 0.03, (0.01, -0.02, 0.0), INERTIA, sliding=True),
+        Link("c", "b", (0.0, -0.05, 0.01), STILL, (0.0, 0.0, 1.0), -1.5, 1.5, 2.0, 0.02, (0.0, -0.02, 0.0), INERTIA, (ball,)),
+        Link(
+            "d", "c", (0.0, -0.04, 0.0), (0.0, 0.2, 0.0), (0.0, 0.0, 1.0), -2.0, 2.0, 2.0, 0.02, (0.0, -0.02, 0.0), INERTIA, (ball,),
+            mimic=Mimic("c_joint", 0.8, 0.1),
+        ),
+        Link(
+            "e", "a", (0.05, 0.0, 0.0), STILL, (0.0, 1.0, 0.0), -0.1, 0.1, 9.0, 0.02, (0.0, -0.02, 0.0), INERTIA, sliding=True,
+            mimic=Mimic("c_joint", -0.02, 0.01),
+        ),
+    )  # fmt: skip
+    return HandDescription(
+        "crooked", Palm(), links, (Fingertip("tip", "d", (0.0, -0.04, 0.0), 0.01),), (0.2, 0.01, 0.3, 0.0, 0.0)
+    )
+
+
+def alone(
+    hand: HandDescription, item: ObjectDescription | None = None, engine: MujocoEngine | None = None, **fields: Any
+) -> Mujoco:
+    """The engine with a hand in its rest posture and an object, which nothing has brought together."""
+    item = item or ObjectDescription()
+    point = tuple(item.surface.nearest(np.array([0.0, 0.3, 0.0]))[0].tolist())
+    config = SceneConfig(
+        hand, item, (point,) * hand.finger_count, **{**FAST, **({"engine": engine} if engine else {}), **fields}
+    )
+    made = Mujoco(hand)
+    made.load(config, np.array(hand.home))
+    return made
+
+
+def on_a_table(kind: Geometry, item: ObjectDescription, engine: MujocoEngine | None = None) -> Mujoco:
+    """An object above a palm that is a table, the links out of the way."""
+    return alone(dataclasses.replace(crooked_hand().moved((0.0, 0.5, 0.0)), palm=Palm(collision=(kind,))), item, engine)
+
+
+def place(simulator: Mujoco) -> np.ndarray:
+    """Position (3,) [m], quaternion (4,), velocities (3,) and (3,) of the object."""
+    return simulator.read()[2 * 5 : 2 * 5 + 13]
+
+
+HANDS = {
+    "four_finger": HandDescription.four_finger, "four_finger_4dof": HandDescription.four_finger_4dof, "crooked": crooked_hand,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("maker", HANDS.values(), ids=HANDS)
+def test_kinematics_and_dynamics_are_the_cores(maker: Callable[[], HandDescription]) -> None:
+    """Tips, Jacobians, gravity torques and mass matrix, to rounding: both know the same numbers."""
+    hand = maker()
+    kinematics, simulator, (_, ends) = HandKinematics(hand), alone(hand, gravity=tuple(GRAVITY)), coupled(hand)
+    model, data = simulator.model, simulator.data
+    joints = [model.joint(f"link{index}") for index in range(hand.joint_count)]
+    places, speeds = [joint.qposadr[0] for joint in joints], [joint.dofadr[0] for joint in joints]
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        angles = np.array(hand.home) + rng.uniform(-0.04, 0.04, hand.joint_count)
+        data.qpos[places] = angles
+        mujoco.mj_forward(model, data)
+        frames, origins = kinematics.links(angles)
+        for index in range(hand.joint_count):
+            body = model.body(f"link{index}").id
+            np.testing.assert_allclose(data.xpos[body], origins[index], atol=1e-15)
+            np.testing.assert_allclose(data.xmat[body].reshape(3, 3), frames[index], atol=1e-14)
+        carrying = np.zeros((3, model.nv))
+        for finger, (link, tip) in enumerate(zip(kinematics.tip_links.tolist(), kinematics.tips(angles), strict=True)):
+            mujoco.mj_jac(model, data, carrying, None, tip, model.body(f"link{link}").id)
+            np.testing.assert_allclose(carrying[:, speeds] @ ends, kinematics.jacobian(angles, finger), atol=1e-14)
+        whole = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, whole)
+        ours = mass_matrix(kinematics, angles)
+        np.testing.assert_allclose(ends.T @ whole[np.ix_(speeds, speeds)] @ ends, ours, atol=1e-15)
+        np.testing.assert_allclose(
+            ends.T @ data.qfrc_bias[speeds], kinematics.gravity_torques(angles, GRAVITY), atol=1e-14
+        )
+
+
+def coupled(hand: HandDescription) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (M,) where the drivers are 0, and how all joints follow them, (M, M): coupled ones have no column."""
+    ends, shift = np.zeros((hand.joint_count, hand.joint_count)), np.zeros(hand.joint_count)
+    for index, (link, driver) in enumerate(zip(hand.links, hand.drivers, strict=True)):
+        ends[index, driver] = 1.0 if link.mimic is None else link.mimic.ratio
+        shift[index] = 0.0 if link.mimic is None else link.mimic.offset
+    return shift, ends
+
+
+def test_coupled_and_sliding_joints_are_held_by_the_motors_of_their_drivers() -> None:
+    """Gravity torques, none on coupled joints, keep the hand where it is, and coupled joints follow where it is driven."""
+    hand = crooked_hand()
+    kinematics, simulator, (shift, ends) = HandKinematics(hand), alone(hand, gravity=tuple(GRAVITY)), coupled(hand)
+
+    def pushed(steps: int, more: list[float]) -> np.ndarray:
+        for _ in range(steps):
+            torques = kinematics.gravity_torques(simulator.read()[:5], GRAVITY)
+            assert torques[3] == torques[4] == 0.0
+            simulator.advance((torques + more).tolist(), None)
+        return simulator.read()[:5]
+
+    np.testing.assert_allclose(
+        pushed(200, [0.0] * 5), kinematics.home, atol=1e-3
+    )  # it starts before the couplings are stretched
+    angles = pushed(100, [0.0, 0.02, 0.005, 0.0, 0.0])
+    assert angles[1] > 0.011
+    assert angles[2] > 0.35
+    np.testing.assert_allclose(angles, shift + ends @ angles, atol=1e-4)
+
+
+@pytest.mark.parametrize("substeps", [1, 4])
+def test_forces_on_the_object_carry_its_weight(
+    make_scene: Callable[..., Scene], make_holder: Callable, substeps: int
+) -> None:
+    """Their sum is what holds it, inward along the normals; the moments agree with the points."""
+    scene = make_scene(**FAST, substeps=substeps)
+    assert scene.timestep == pytest.approx(1e-3 * substeps)
+    make_holder().settle(scene)
+    s = scene.look()
+    assert s.touching.all()
+    assert (np.einsum("nk,nk->n", s.forces, s.normals) > 0.1).all()
+    np.testing.assert_allclose(s.rotation @ s.forces.sum(axis=0), -scene.config.weight, atol=1e-3 * 0.2 * 9.81)
+    np.testing.assert_allclose(np.cross(s.points, s.forces).sum(axis=0), 0.0, atol=1e-5)
+    assert np.abs(s.position).max() < 2e-4
+    assert s.stray[0] == 0.0
+
+
+def test_momentum_is_what_forces_leave(make_scene: Callable[..., Scene], make_holder: Callable) -> None:
+    """Mean contact force + weight + wrench over a step is the change of momentum in it, though stiff contacts ring."""
+    scene = make_scene(**FAST, substeps=4)
+    holder = make_holder()
+    holder.settle(scene)
+    for k in range(20):
+        push = np.array([0.5 * math.sin(k), 0.0, 0.3, 0.0, 0.0, 0.0])
+        before = scene.look().linear.copy()
+        scene.step(holder(scene), push)
+        s = scene.look()
+        gained = 0.2 * (s.linear - before) / scene.timestep
+        acts = s.rotation @ (s.forces.sum(axis=0) + push[:3]) + scene.config.weight
+        np.testing.assert_allclose(gained, acts, atol=1e-3)  # it turns a little within the step
+
+
+def test_states_come_back_bit_by_bit(held_scene: Scene, make_holder: Callable) -> None:
+    holder = make_holder()
+
+    def played() -> np.ndarray:
+        rows = [numbers(held_scene)]
+        for k in range(40):
+            held_scene.step(holder(held_scene) * (1.0 + 0.2 * math.sin(k)), [0.1, 0.0, 0.0, 0.0, 0.001 * k, 0.0])
+            rows.append(numbers(held_scene))
+        return np.array(rows)
+
+    held_scene.reset("settled")
+    first = played()
+    assert np.abs(held_scene.look().forces).max() > 0.1
+    held_scene.keep("later")
+    later = numbers(held_scene)
+    held_scene.reset("settled")
+    np.testing.assert_array_equal(played(), first)  # contact forces of the kept state among them
+    held_scene.reset("later")
+    np.testing.assert_array_equal(numbers(held_scene), later)
+    with pytest.raises(UnknownNameError, match="kept state"):
+        held_scene.reset("never")
+
+
+@pytest.fixture
+def held_scene(make_scene: Callable[..., Scene], make_holder: Callable) -> Scene:
+    scene = make_scene(**FAST, substeps=4)
+    make_holder().settle(scene, 0.2)
+    return scene
+
+
+@pytest.mark.parametrize("shape", ["cuboid", "sphere", "cylinder", "capsule", "mesh"])
+def test_shapes_and_hulls_touch_where_they_are(shape: str, tmp_path: Path) -> None:
+    """Each object comes to rest on a table, a turned box given as a hull or as a box: it overlaps it by less than 0.2 mm."""
+    corners = tuple((x, y, z) for x in (-0.2, 0.2) for y in (-0.01, 0.01) for z in (-0.2, 0.2))
+    file = tmp_path / "cube.obj"
+    file.write_text(CUBE)
+    item = ObjectDescription(shape, (0.04,) if shape == "mesh" else (), mesh=str(file) if shape == "mesh" else None)
+    where = (0.0, -0.01 - 0.5 * item.extent[1], 0.0), (0.0, 0.4, 0.0)
+    for kind in (Geometry("hull", (), *where, corners=corners), Geometry("box", (0.4, 0.02, 0.4), *where)):
+        simulator = on_a_table(kind, item)
+        for _ in range(200):
+            simulator.advance([0.0] * 5, None)
+        contacts = simulator.read()[23:].reshape(-1, 7)
+        assert (contacts[:, 0] == -1.0).all()
+        np.testing.assert_allclose(contacts[:, 4:].sum(axis=0), [0.0, 0.2 * 9.81, 0.0], atol=0.02)
+        np.testing.assert_allclose(place(simulator)[:3], 0.0, atol=2e-4)
+
+
+CUBE = """
+v -1 -1 -1
+v 1 -1 -1
+v 1 1 -1
+v -1 1 -1
+v -1 -1 1
+v 1 -1 1
+v 1 1 1
+v -1 1 1
+f 1 4 3 2
+f 5 6 7 8
+f 1 2 6 5
+f 2 3 7 6
+f 3 4 8 7
+f 4 1 5 8
+"""
+
+
+def test_mass_friction_and_gravity_change_where_they_are_told() -> None:
+    simulator = alone(crooked_hand())
+    simulator.set_object(ObjectDescription(mass=0.4, friction=0.9))
+    assert simulator.model.geom("object").friction[0] == 0.9
+    simulator.set_gravity(np.array([2.0, 0.0, 0.0]))
+    simulator.advance([0.0] * 5, [0.0, 0.4, 0.0, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(place(simulator)[7:10], [2e-3, 1e-3, 0.0], rtol=1e-12)
+
+
+def test_what_is_closed_says_so(make_scene: Callable[..., Scene]) -> None:
+    scene = make_scene(**FAST)
+    scene.close()
+    scene.close()
+    for call in (
+        lambda: scene.advance([0.0] * 12, None),
+        scene.look,
+        scene.keep,
+        scene.reset,
+        lambda: scene.change_object(0.3),
+    ):
+        with pytest.raises(SimulationError, match="closed"):
+            call()
+
+
+def test_divergence_is_an_error_without_a_word(
+    make_scene: Callable[..., Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo's log lies where it runs
+    scene = make_scene(**FAST)
+    for _ in range(30):
+        scene.advance([1e12] * 12, [1e12] * 6)
+    with pytest.raises(SimulationError, match="diverged"):
+        scene.look()
+    assert capfd.readouterr() == ("", "")
+    assert not list(tmp_path.iterdir())
+    scene.reset()
+    assert np.isfinite(numbers(scene)).all()
+
+
+def test_an_engine_is_one_of_few() -> None:
+    with pytest.raises(
+        UnknownNameError, match="unknown engine 'bulet': choose one of 'bullet', 'mujoco', or give its settings"
+    ):
+        gym.make("grasp_env:FourFingerGrasp-v0", engine="bulet")
+    assert EnvConfig(engine="mujoco").resolved().physics_rate == 1000
+    assert EnvConfig().resolved().physics_rate == 250
+    assert EnvConfig(engine=MujocoEngine(), physics_rate=500).resolved().physics_rate == 500
+    with pytest.raises(InvalidInputError, match="physics_rate must be a multiple of control_rate, got 1000 and 300"):
+        EnvConfig(engine="mujoco", control_rate=300, agent_rate=50)
+    with pytest.raises(InvalidInputError, match="engine must be a BulletEngine"):
+        Scene(SceneConfig(engine=type("Other", (MujocoEngine,), {"simulator": BulletEngine.simulator})()))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"cone": "square"}, "cone"),
+        ({"integrator": "RK9"}, "integrator"),
+        ({"impedance": (0.9, 0.5, 1e-3, 0.5, 2)}, "impedance"),
+        ({"impedance": (0.9,)}, "impedance"),
+        ({"time_constant": -1.0, "torsion": math.nan}, "time_constant must .*; torsion must"),
+        ({"impratio": 0.0}, "impratio"),
+        ({"solver_iterations": 0, "noslip_iterations": 1.5}, "noslip_iterations must .*; solver_iterations must"),
+    ],
+)
+def test_settings_refuse_nonsense(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(GraspError, match=message):
+        MujocoEngine(**settings)
+    with pytest.raises(InvalidInputError, match="solver_iterations"):
+        BulletEngine(solver_iterations=0)
+
+
+def test_pictures_are_bullets(make_scene: Callable[..., Scene]) -> None:
+    with pytest.raises(InvalidInputError, match="pictures and windows are Bullet's"):
+        gym.make("grasp_env:FourFingerGrasp-v0", engine="mujoco", render_mode="rgb_array")
+    with pytest.raises(InvalidInputError, match="pictures are drawn by Bullet"):
+        Camera(make_scene(**FAST))
+
+
+def test_without_the_extra_its_command_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = _extras.find_spec
+    monkeypatch.setattr(_extras, "find_spec", lambda name: None if name == "mujoco" else found(name))
+    with pytest.raises(MissingExtraError, match=r'this needs mujoco: pip install "grasp-force\[mujoco\]"'):
+        gym.make("grasp_env:FourFingerGrasp-v0", engine="mujoco")
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"disturbance": "random"}, {"task": "payload"}, {"disturbance": "tilting_gravity"}, {"shape": "cylinder"}],
+)
+def test_the_environment_holds_and_repeats(settings: dict[str, Any]) -> None:
+    env: Any = gym.make("grasp_env:FourFingerGrasp-v0", engine="mujoco", **settings)
+    runs = []
+    for _ in range(2):
+        env.reset(seed=5)
+        infos = [env.step(np.zeros(6, dtype=np.float32)) for _ in range(50)]
+        assert not any(step[2] for step in infos)
+        runs.append(np.array([step[0] for step in infos]))
+        assert infos[-1][4]["is_success"]
+        assert infos[-1][4]["force_error"] < 0.05
+    np.testing.assert_array_equal(runs[0], runs[1])
+    env.close()
+
+
+def test_contacts_carry_torsion_where_that_is_asked_for() -> None:
+    """A moment about its vertical axis turns a ball on a table by M t / I, unless the contact carries it."""
+    turned = []
+    for torsion in (0.0, 0.02):
+        table = Geometry("box", (0.2, 0.02, 0.2), (0.0, -0.06, 0.0))
+        simulator = on_a_table(table, ObjectDescription("sphere", (0.1,)), MujocoEngine(torsion=torsion))
+        for _ in range(100):
+            simulator.advance([0.0] * 5, [0.0, 0.0, 0.0, 0.0, 0.01, 0.0])
+        turned.append(place(simulator)[11])
+    np.testing.assert_allclose(turned, [0.01 * 0.1 / (0.4 * 0.2 * 0.05**2), 0.0], atol=1e-2)
