@@ -119,6 +119,15 @@ def test_a_users_hand_can_be_put_anywhere() -> None:
     np.testing.assert_allclose(HandKinematics(there).tips(angles), expected, atol=1e-15)
 
 
+def test_a_hand_is_placed_where_its_place_or_posture_is_given(tmp_path: Path) -> None:
+    assert not read(tmp_path, SMALL).placed
+    assert read(tmp_path, SMALL, home=(0.5,)).placed
+    assert read(tmp_path, SMALL, position=(0.0, 0.0, 0.0)).placed
+    assert read(tmp_path, SMALL, rotation=(0.0, 0.0, 1.0)).placed
+    assert read(tmp_path, SMALL).moved((0.0, 0.0, 0.0)).placed
+    assert HandDescription.four_finger().placed
+
+
 def test_visual_meshes_are_left_out_and_tip_radius_makes_a_tip(tmp_path: Path) -> None:
     mesh = '<visual><geometry><mesh filename="nowhere.stl"/></geometry></visual>'
     hand = read(tmp_path, SMALL.replace(SPHERE, mesh), tip_radius=0.012)

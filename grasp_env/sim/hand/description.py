@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from grasp_env._check import as_list, instance
+from grasp_env._check import as_list, flag, instance
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand.fingers import FingerDescription
@@ -36,6 +36,8 @@ class HandDescription:
         home: Rest posture [rad], (M,), within the limits. () is the middle of each range, 0 without limits. Coupled joints
             follow theirs.
         tip_friction: Of all links. Bullet multiplies the friction of both bodies, so 1 leaves the object's.
+        placed: Whether the palm's place and `home` are meant for an object at the origin. False, as of a hand just read from a
+            file: an environment looks for both.
 
     Raises:
         InvalidInputError: A hand that cannot be; the message says why.
@@ -54,6 +56,7 @@ class HandDescription:
     fingertips: tuple[Fingertip, ...]
     home: tuple[float, ...] = ()
     tip_friction: float = 1.0
+    placed: bool = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "name", word(self.name, "name of a hand"))
@@ -62,6 +65,7 @@ class HandDescription:
         object.__setattr__(self, "fingertips", parts(self.fingertips, Fingertip, f"{name}: fingertips"))
         instance(self.palm, Palm, f"{name}: palm")
         positive(self.tip_friction, f"{name}: tip_friction")
+        object.__setattr__(self, "placed", flag(self.placed, f"{name}: placed"))
         _check_tree(name, self.palm, self.links)
         _check_mimics(name, self.links)
         _check_fingertips(name, self.links, self.fingertips)
@@ -113,7 +117,7 @@ class HandDescription:
         return np.array([link.torque_limit for link in self.links])
 
     def moved(self, position: Vector3, rotation: Vector3 = (0.0, 0.0, 0.0)) -> HandDescription:
-        """The hand at another place: its palm frame put at `position`, turned by `rotation`.
+        """The hand at another place: its palm frame put at `position`, turned by `rotation`. It counts as placed.
 
         Args:
             position: [m], (3,), world frame.
@@ -138,7 +142,7 @@ class HandDescription:
             collision=tuple(map(carried, self.palm.collision)),
             visual=tuple(map(carried, self.palm.visual)),
         )
-        return replace(self, palm=palm, links=tuple(links))
+        return replace(self, palm=palm, links=tuple(links), placed=True)
 
     @staticmethod
     def of_fingers(
@@ -179,8 +183,8 @@ class HandDescription:
         tip_radius: float | None = None,
         torque_limit: float | None = None,
         home: Sequence[float] = (),
-        position: Vector3 = (0.0, 0.0, 0.0),
-        rotation: Vector3 = (0.0, 0.0, 0.0),
+        position: Vector3 | None = None,
+        rotation: Vector3 | None = None,
         tip_friction: float = 1.0,
     ) -> HandDescription:
         """A user's own hand, from a URDF with revolute, continuous and fixed joints.
@@ -194,7 +198,8 @@ class HandDescription:
             tip_radius: [m], for named links without a sphere: one is put at the origin of each of them.
             torque_limit: [N m], for joints whose <limit> names no effort, or 0.
             home: Rest posture [rad], (M,), in the order of `joint_names`; () as in the class.
-            position: Of the root link [m], (3,), world frame.
+            position: Of the root link [m], (3,), world frame. Where neither it nor `rotation` nor `home` is given, the hand
+                counts as not `placed`.
             rotation: Its roll, pitch and yaw [rad], (3,).
             tip_friction: See the class.
 
@@ -204,9 +209,12 @@ class HandDescription:
         from grasp_env.sim.hand.urdf_import import read_urdf  # it needs the parts above
 
         name, palm, links, tips = read_urdf(path, fingertips, tip_radius, torque_limit)
-        return HandDescription(name, palm, links, tips, numbers(home, None, "home [rad]"), tip_friction).moved(
-            position, rotation
-        )
+        angles = numbers(home, None, "home [rad]")
+        hand = HandDescription(name, palm, links, tips, angles, tip_friction, placed=bool(angles))
+        if position is None and rotation is None:
+            return hand
+        nowhere = (0.0, 0.0, 0.0)
+        return hand.moved(nowhere if position is None else position, nowhere if rotation is None else rotation)
 
     @staticmethod
     def four_finger() -> HandDescription:
