@@ -64,7 +64,6 @@ class MujocoEngine(Engine):
         impedance: Of a contact: least, greatest, overlap [m] between the two, their middle and power.
         noslip_iterations: Sweeps that take the creep of friction away, after the solver's.
         solver_iterations, tolerance: Of its Newton method.
-        torsion: [m] moment about the normal that a contact carries, per normal force; 0: none.
 
     Example:
         >>> MujocoEngine(cone="pyramidal").rate
@@ -80,7 +79,6 @@ class MujocoEngine(Engine):
     noslip_iterations: int = 0
     solver_iterations: int = 200
     tolerance: float = 1e-12
-    torsion: float = 0.0
     name: ClassVar[str] = "mujoco"
     extra: ClassVar[str] = "mujoco"
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.mujoco", "Mujoco")
@@ -92,10 +90,7 @@ class MujocoEngine(Engine):
             lambda: ("integrator", choice(self.integrator, "integrator", _INTEGRATORS)),
             lambda: ("impedance", _impedance(self.impedance)),
             *(lambda name=name: (name, positive(getattr(self, name), name, _POSITIVE)) for name in _FACTORS),
-            *(
-                lambda name=name: (name, number(getattr(self, name), name, _SMALL))
-                for name in ("time_constant", "torsion")
-            ),
+            lambda: ("time_constant", number(self.time_constant, "time_constant", _SMALL)),
             lambda: ("noslip_iterations", whole(self.noslip_iterations, "noslip_iterations", 0, _MOST_SWEEPS)),
             lambda: ("solver_iterations", whole(self.solver_iterations, "solver_iterations", 1, _MOST_SWEEPS)),
         )

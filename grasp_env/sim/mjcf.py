@@ -37,7 +37,7 @@ def scene_mjcf(
     """
     spring = f"{engine.time_constant or 2.0 * timestep!r} {engine.damping_ratio!r}"
     soft = f'solref="{spring}" solimp="{_text(engine.impedance)}"'
-    sliding = f"{item.friction * hand.tip_friction!r} {engine.torsion!r} 0"
+    sliding, turning = (part * hand.tip_friction for part in (item.friction, item.torsional_friction))
     meshes: list[str] = []
     children: dict[str, list[int]] = {}
     for index, link in enumerate(hand.links):
@@ -48,13 +48,13 @@ def scene_mjcf(
 
     palm = _shapes(hand.palm.collision, meshes)
     kind, size, axis = _object_shape(item, meshes)
-    shape = f'<geom name="{OBJECT}" type="{kind}" {size} euler="{axis}" priority="1" friction="{sliding}"/>'
+    shape = f'<geom name="{OBJECT}" type="{kind}" {size} euler="{axis}" priority="1" friction="{sliding!r} {turning!r} 0"/>'
     tree = bodies(hand.palm.name)
     return f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <option timestep="{timestep!r}" gravity="{_text(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"
  integrator="{engine.integrator}" solver="Newton" iterations="{engine.solver_iterations}" tolerance="{engine.tolerance!r}"
  noslip_iterations="{engine.noslip_iterations}"><flag autoreset="disable"/></option>
-<default><geom condim="{4 if engine.torsion else 3}" friction="{hand.tip_friction**2!r} 0 0" {soft}/>
+<default><geom condim="{4 if turning else 3}" friction="{hand.tip_friction**2!r} 0 0" {soft}/>
 <joint damping="0" armature="0" frictionloss="0" solreflimit="{spring}"/><equality {soft}/></default>
 <asset>{"".join(meshes)}</asset>
 <worldbody><body name="{PALM}">{palm}{tree}</body>

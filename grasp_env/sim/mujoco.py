@@ -114,7 +114,7 @@ class Mujoco(Simulator):
         self._open()
         model = self.model
         model.body_mass[self._body], model.body_inertia[self._body] = item.mass, item.moments
-        model.geom_friction[self._shape, 0] = item.friction * self._hand.tip_friction
+        model.geom_friction[self._shape, :2] = np.multiply((item.friction, item.torsional_friction), self._hand.tip_friction)
         mujoco.mj_setConst(model, mujoco.MjData(model))  # what follows from masses; it moves the data that it is given
 
     def keep(self, name: str) -> None:

@@ -306,7 +306,7 @@ def test_an_engine_is_one_of_few() -> None:
         ({"integrator": "RK9"}, "integrator"),
         ({"impedance": (0.9, 0.5, 1e-3, 0.5, 2)}, "impedance"),
         ({"impedance": (0.9,)}, "impedance"),
-        ({"time_constant": -1.0, "torsion": math.nan}, "time_constant must .*; torsion must"),
+        ({"time_constant": -1.0, "tolerance": math.nan}, "time_constant must .*; tolerance must|tolerance must .*; time_constant must"),
         ({"impratio": 0.0}, "impratio"),
         ({"solver_iterations": 0, "noslip_iterations": 1.5}, "noslip_iterations must .*; solver_iterations must"),
     ],
@@ -355,7 +355,7 @@ def test_contacts_carry_torsion_where_that_is_asked_for() -> None:
     turned = []
     for torsion in (0.0, 0.02):
         table = Geometry("box", (0.2, 0.02, 0.2), (0.0, -0.06, 0.0))
-        simulator = on_a_table(table, ObjectDescription("sphere", (0.1,)), MujocoEngine(torsion=torsion))
+        simulator = on_a_table(table, ObjectDescription("sphere", (0.1,), torsional_friction=torsion), MujocoEngine())
         for _ in range(100):
             simulator.advance([0.0] * 5, [0.0, 0.0, 0.0, 0.0, 0.01, 0.0])
         turned.append(place(simulator)[11])
