@@ -16,6 +16,12 @@ CLOSING_TIME, SETTLING_TIME = 0.6, 0.6
 _STILL, _PLACED = 2e-3, 3e-5  # [m/s], [m] of the object, below which it is at rest in its place
 _QUIET, _SETTLED = 8, 4  # control ticks in a row
 _WEIGHT_ERROR = 0.01
+_GONE = 5e-3  # [m] of the object, from where on it is being lost
+_NEARLY, _END, _STRAY = (
+    1.0 - 1e-6,
+    5e-3,
+    0.05,
+)  # of a torque limit; [rad] from a joint's limit; [N] of links on the object
 _JIG = 100.0  # [rad/s], critically damped: what holds the object until the hand does
 
 
@@ -36,16 +42,9 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
         quiet = quiet + 1 if arrived else 0
         if quiet == _QUIET:
             return
-    snapshot = scene.look()
-    touching = snapshot.touching.astype(bool)
-    hint = (
-        "they push it about: make it heavier or less slender"
-        if touching.all()
-        else "give contact_points that they reach unhindered"
-    )
     raise SimulationError(
-        f"the fingers did not come to rest on the object in {CLOSING_TIME} s: touching={touching.tolist()}, gaps "
-        f"{(1e3 * snapshot.gaps).round(2).tolist()} mm; {hint}"
+        f"the fingers did not come to rest on the object in {CLOSING_TIME} s: "
+        + _causes(scene, loop, "they push it about: make it heavier or less slender")
     )
 
 
@@ -62,6 +61,7 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
     scale = float(np.linalg.norm(weight))
     error = np.inf
     for tick in range(round(SETTLING_TIME / loop.dt)):
+        loop.begin_step()
         torques = loop.tick(np.zeros(6), scene.gravity, target, due=tick % every == 0)
         scene.advance(torques, None)
         snapshot = scene.look()
@@ -72,10 +72,50 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         quiet = quiet + 1 if still and error < _WEIGHT_ERROR else 0
         if quiet == _SETTLED:
             return
-    snapshot = scene.look()
-    raise SimulationError(
-        f"the grasp did not settle in {SETTLING_TIME} s: touching={snapshot.touching.astype(bool).tolist()}, the contact forces "
-        f"miss the weight by {error:.1%} (1 % allowed); the solver believes in friction {loop.friction:.3g}, the object has "
-        f"{scene.config.object.friction:.3g}: lower friction_margin or friction_error, raise barrier_weight or squeeze, or make "
-        "the object lighter"
+        if np.abs(snapshot.position).max() > _GONE:
+            break
+    friction = (
+        f"the contact forces miss the weight by {error:.1%} ({_WEIGHT_ERROR:.0%} allowed); the solver believes in friction "
+        f"{loop.friction:.3g}, the object has {scene.config.object.friction:.3g}: lower friction_margin or friction_error, raise "
+        "barrier_weight or squeeze, or make the object lighter"
     )
+    raise SimulationError(f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, loop, friction)}")
+
+
+def _causes(scene: Scene, loop: ForceLoop, otherwise: str) -> str:
+    """What keeps the hand from holding, with what helps, as far as it shows: torques, joints' ranges, links, gaps."""
+    snapshot, hand, kinematics = scene.look(), scene.config.hand, scene.kinematics
+    names, causes = [hand.palm.name, *(link.name for link in hand.links)], []
+    weak = np.flatnonzero(np.abs(loop.torques) >= _NEARLY * kinematics.torque_limits)
+    if loop.effort.saturated and len(weak):
+        said = ", ".join(f"{hand.joint_names[j]} ({kinematics.torque_limits[j]:g} N m)" for j in weak)
+        causes.append(
+            f"joints at their torque limits: {said}. No force within them carries the object where it is: raise torque_limit, make "
+            "the object lighter or rougher, or grasp it elsewhere"
+        )
+    pairs = [f"{names[first + 1]} and {names[second + 1]}" for first, second in scene.simulator.self_contacts()]
+    if pairs:
+        causes.append(
+            f"links push each other: {', '.join(pairs)}. Give contact_points or a home posture that keep them apart"
+        )
+    span = kinematics.upper - kinematics.lower
+    near = np.minimum(snapshot.angles - kinematics.lower, kinematics.upper - snapshot.angles) < np.minimum(
+        _END, 0.01 * span
+    )
+    if near.any():
+        said = ", ".join(f"{hand.joint_names[j]} ({snapshot.angles[j]:.3f})" for j in np.flatnonzero(near))
+        causes.append(
+            f"joints at the ends of their ranges: {said}. Give contact_points or a home posture away from these"
+        )
+    if snapshot.stray[0] > _STRAY:
+        causes.append(
+            f"links push the object with {snapshot.stray[0]:.2g} N besides the fingertips. Give contact_points that tips reach alone"
+        )
+    if not snapshot.touching.all():
+        said = ", ".join(
+            f"{hand.finger_names[i]} ({1e3 * snapshot.gaps[i]:.2f} mm)" for i in np.flatnonzero(snapshot.touching == 0)
+        )
+        causes.append(
+            f"fingers that do not touch, with their gaps: {said}. Give contact_points that they reach unhindered"
+        )
+    return "; ".join(causes or [otherwise])

@@ -69,6 +69,7 @@ class ForceLoop:
         closure: whether the contacts of now can balance the wrench.
         seen: what the controller sees of the scene.
         wrench: (6,) that the forces balance [N, N m], object frame.
+        torques: (M,) of the joints, commanded [N m].
         force: (N, 3) commanded contact forces [N], contact frames; frames: (N, 3, 3) columns (n, o, t), object frame.
         friction, torsional_friction: that the solver believes in; the latter in metres, above 0 contacts are soft.
     """
@@ -97,7 +98,9 @@ class ForceLoop:
         )
         self.settling = True  # until the hand holds the object
         arrays = self._core.arrays()
-        self.wrench, self.force, self.frames = arrays["wrench"], arrays["force"], arrays["frames"]
+        self.wrench, self.force, self.frames, self.torques = (
+            arrays[name] for name in ("wrench", "force", "frames", "torques")
+        )
         arrays["home"][:], arrays["goals"][:] = hand.home, scene.config.contact_points
         arrays["inwards"][:] = scene.config.contact_normals
         arrays["depths"][:] = self.config.squeeze / self.count / self.config.pd_stiffness
@@ -268,7 +271,9 @@ class ForceLoop:
         self.closure = True
         self.iterations += self.solution.iterations
         self.trials += self.solution.trials
-        force, torsion = (np.ascontiguousarray(part, dtype=float) for part in (self.solution.force, self.solution.torsion))
+        force, torsion = (
+            np.ascontiguousarray(part, dtype=float) for part in (self.solution.force, self.solution.torsion)
+        )
         self._core.give(Hold.direct, self._core.mask, force.reshape(-1), torsion)
         return self.solution
 

@@ -76,6 +76,7 @@ class Bullet(Simulator):
         for link, index in enumerate(self.world.joints):
             links[index + 1] = link  # the palm is -1
         # friction pushes along both of Bullet's directions, on the hand: it was loaded before the object; of several steps the mean
+        self._links = links
         self._answers = core.Answers(
             link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], factor=-1.0 / config.substeps, first=-1, links=links
         )
@@ -109,6 +110,13 @@ class Bullet(Simulator):
             self._numbers = np.empty(2 * count)
             self._answers.read(joints, pose, velocity, contacts, self._numbers)
         return self._numbers[:count]
+
+    def self_contacts(self) -> list[tuple[int, int]]:
+        """See `Simulator`."""
+        hand, client = self.world.hand, self.client.number
+        found = bullet.getContactPoints(hand, hand, physicsClientId=client) or ()
+        pairs = {tuple(sorted((self._links[row[3] + 1], self._links[row[4] + 1]))) for row in found if row[9] > 0.0}
+        return sorted((first, second) for first, second in pairs)
 
     def set_gravity(self, gravity: Array) -> None:
         """See `Simulator`."""

@@ -48,7 +48,9 @@ def scene_mjcf(
 
     palm = _shapes(hand.palm.collision, meshes)
     kind, size, axis = _object_shape(item, meshes)
-    shape = f'<geom name="{OBJECT}" type="{kind}" {size} euler="{axis}" priority="1" friction="{sliding!r} {turning!r} 0"/>'
+    shape = (
+        f'<geom name="{OBJECT}" type="{kind}" {size} euler="{axis}" priority="1" friction="{sliding!r} {turning!r} 0"/>'
+    )
     tree = bodies(hand.palm.name)
     return f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <option timestep="{timestep!r}" gravity="{_text(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"

@@ -104,6 +104,19 @@ class Mujoco(Simulator):
             state[self._angles], rates[self._rates], state[self._place], (x, y, z, w), rates[self._linear], spin, self._contacts,
         ])  # fmt: skip
 
+    def self_contacts(self) -> list[tuple[int, int]]:
+        """See `Simulator`."""
+        data, force, pairs = self._open(), np.zeros(6), set[tuple[int, int]]()
+        for index in range(data.ncon):
+            shapes = [int(shape) for shape in data.contact[index].geom]
+            if self._shape in shapes:
+                continue
+            mujoco.mj_contactForce(self.model, data, index, force)
+            if force[0] > _LEAST_FORCE:
+                first, second = sorted(int(self._links[shape]) for shape in shapes)
+                pairs.add((first, second))
+        return sorted(pairs)
+
     def set_gravity(self, gravity: Array) -> None:
         """See `Simulator`."""
         self._open()
@@ -114,7 +127,9 @@ class Mujoco(Simulator):
         self._open()
         model = self.model
         model.body_mass[self._body], model.body_inertia[self._body] = item.mass, item.moments
-        model.geom_friction[self._shape, :2] = np.multiply((item.friction, item.torsional_friction), self._hand.tip_friction)
+        model.geom_friction[self._shape, :2] = np.multiply(
+            (item.friction, item.torsional_friction), self._hand.tip_friction
+        )
         mujoco.mj_setConst(model, mujoco.MjData(model))  # what follows from masses; it moves the data that it is given
 
     def keep(self, name: str) -> None:

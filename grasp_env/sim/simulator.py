@@ -37,6 +37,10 @@ class Simulator(Protocol):
         """
         ...
 
+    def self_contacts(self) -> list[tuple[int, int]]:
+        """Links of the hand that pushed each other in the last step, in pairs by their numbers; -1 is the palm."""
+        ...
+
     def set_gravity(self, gravity: Array) -> None:
         """Another gravity (3,) [m/s^2] from now on."""
         ...

@@ -154,6 +154,7 @@ def test_gravity_torques_are_the_slope_of_the_height(loaded: Loaded) -> None:
 def test_inertias_match_pybullet(loaded: Loaded) -> None:
     """The mass matrix: inertias, and what fixed joints merge, mean the same to PyBullet."""
     total = mass_matrix(loaded.kinematics, loaded.angles)
+    np.testing.assert_allclose(loaded.kinematics.mass_matrix(loaded.angles), total, atol=1e-15)
     theirs = np.array(bullet.calculateMassMatrix(loaded.body, loaded.theirs(), physicsClientId=loaded.number))
     # PyBullet finds principal axes to about 1e-8 of the inertia
     np.testing.assert_allclose(theirs[np.ix_(loaded.columns, loaded.columns)], total, atol=1e-11)

@@ -306,7 +306,10 @@ def test_an_engine_is_one_of_few() -> None:
         ({"integrator": "RK9"}, "integrator"),
         ({"impedance": (0.9, 0.5, 1e-3, 0.5, 2)}, "impedance"),
         ({"impedance": (0.9,)}, "impedance"),
-        ({"time_constant": -1.0, "tolerance": math.nan}, "time_constant must .*; tolerance must|tolerance must .*; time_constant must"),
+        (
+            {"time_constant": -1.0, "tolerance": math.nan},
+            "time_constant must .*; tolerance must|tolerance must .*; time_constant must",
+        ),
         ({"impratio": 0.0}, "impratio"),
         ({"solver_iterations": 0, "noslip_iterations": 1.5}, "noslip_iterations must .*; solver_iterations must"),
     ],

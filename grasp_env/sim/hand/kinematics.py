@@ -143,8 +143,12 @@ class HandKinematics:
         return out
 
     def mobility(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """How light tips and joints are: what a force of 1 N on a tip accelerates it at most, (N,) [1/kg], and a bound of what
-        damped joints feel of one another, (M,) [1/(kg m^2)]; 0 where nothing moves."""
+        """How light tips and joints are, for the gains of springs and dampers.
+
+        Returns:
+            What a force of 1 N on a tip accelerates it at most, (N,) [1/kg]; for joints with springs of their own all at once what
+            1 N m does, as a bound, (M,) [1/(kg m^2)]; 0 where nothing moves.
+        """
         free = np.flatnonzero(self.drivers == np.arange(self.hand.joint_count))
         inverse = np.linalg.inv(self.mass_matrix(angles)[np.ix_(free, free)])
         tips = np.empty(self.hand.finger_count)

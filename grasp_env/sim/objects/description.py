@@ -232,7 +232,9 @@ def _range(values: tuple[float, float], name: str) -> tuple[float, float]:
 def _torsional(value: object) -> float:
     (number,) = numbers((value,), 1, "torsional_friction [m]")
     if not 0.0 <= number <= LARGEST:
-        raise InvalidInputError(f"torsional_friction={number} m must be 0 or up to {LARGEST:g}: a few millimetres are usual")
+        raise InvalidInputError(
+            f"torsional_friction={number} m must be 0 or up to {LARGEST:g}: a few millimetres are usual"
+        )
     return number
 
 
