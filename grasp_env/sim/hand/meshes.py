@@ -1,0 +1,215 @@
+"""Mesh files of a hand: where they are, and the convex pieces that a hand touches with in their stead."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+
+from grasp_env._check import Array
+from grasp_env._extras import need
+from grasp_env._files import MEGABYTE, parsed
+from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim.hand.solids import few_corners, hull_of
+
+DRAWN = (".obj", ".stl", ".dae")
+"""Kinds of meshes that Bullet draws."""
+MOST_BYTES = 20 * MEGABYTE
+"""Of a mesh that touches."""
+MOST_FACES = 200_000
+"""Of a mesh that touches."""
+
+_PARENTS = 5  # folders above the URDF in which its meshes may be
+_FULL = 0.9  # of its hull's volume, from which on a mesh counts as convex
+_MOST_PIECES = 8
+_WORTH = 0.03  # of the whole hull's volume that a cut must take away, or that joining two pieces may add
+_CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # of a piece's extent
+_DEEPEST = 4
+_FINE = 20_000  # faces, beyond which a mesh that is not convex is taken coarser before it is cut
+_CRUMBS = 40
+
+
+def find_mesh(name: str, urdf: Path) -> Path:
+    """The file that a URDF means: as it is written, beside the URDF or in a folder above it; a package's name may be left out.
+
+    Raises:
+        InvalidInputError: There is none.
+    """
+    kind, separator, rest = name.partition("://")
+    path = Path(unquote(rest) if separator else name)
+    if separator and kind not in ("package", "file", "model"):
+        raise InvalidInputError(f"mesh {shown(name)}: only file://, package:// and plain paths are read")
+    parts = path.parts[1:] if path.is_absolute() else path.parts
+    tails = [parts, parts[1:]] if kind in ("package", "model") and separator else [parts]
+    folders = list(urdf.absolute().parents)[: _PARENTS + 1]
+    try:
+        if path.is_absolute() and path.is_file():
+            return path
+        for folder in folders:
+            for tail in tails:
+                if tail and (found := folder.joinpath(*tail)).is_file():
+                    return found
+    except (OSError, ValueError):  # too long, or a zero in it
+        pass
+    raise InvalidInputError(f"there is no mesh {shown(name)} beside the URDF or in the {_PARENTS} folders above it")
+
+
+def read_mesh(path: str | Path) -> tuple[Array, Any]:
+    """Corners (V, 3), in the file's units, those at one place once, and faces (F, 3) of a mesh.
+
+    Raises:
+        InvalidInputError: Not a mesh, or one too large; what is in the file is never run.
+    """
+    need("sim")
+    import trimesh  # slow to import, and only meshes need it
+
+    kind = Path(path).suffix[1:].lower()
+
+    def read(blob: bytes) -> tuple[Array, Any]:
+        loaded: Any = trimesh.load(io.BytesIO(blob), file_type=kind, force="mesh", process=False, skip_materials=True)
+        return np.array(loaded.vertices, dtype=float), np.array(loaded.faces, dtype=np.int64)
+
+    if kind not in ("obj", "stl", "dae", "ply", "off", "glb"):
+        raise InvalidInputError(f"the mesh {path} is of no kind that is read: .obj, .stl, .dae")
+    hint = "; export it again as .obj or .stl"
+    corners, faces = parsed(path, read, InvalidInputError, f"the mesh {path}", "a mesh", hint, MOST_BYTES)
+    if len(faces) > MOST_FACES:
+        raise InvalidInputError(f"the mesh {path} has {len(faces)} faces, allowed are up to {MOST_FACES}; simplify it")
+    if (
+        corners.ndim != 2
+        or corners.shape[1:] != (3,)
+        or faces.ndim != 2
+        or faces.shape[1:] != (3,)
+        or len(faces) == 0
+        or faces.min() < 0
+        or faces.max() >= len(corners)
+    ):
+        raise InvalidInputError(f"the mesh {path} holds no triangles, or some whose corners do not exist{hint}")
+    if not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:
+        raise InvalidInputError(f"the mesh {path} has coordinates that are not finite or above 1e6{hint}")
+    _, kept, numbers = np.unique(corners.round(9), axis=0, return_index=True, return_inverse=True)
+    return corners[kept], numbers.reshape(-1)[faces]
+
+
+def convex_pieces(corners: Array, faces: Any) -> list[Array]:
+    """Convex pieces that together contain a mesh, each as at most `solids.MOST_CORNERS` corners (K, 3).
+
+    One, where the mesh fills nine tenths of its hull. Else its parts, cut by planes where that takes away some of their hulls,
+    and those joined whose common hull adds little: `_MOST_PIECES` at most.
+
+    Args:
+        corners: (V, 3) [m].
+        faces: Their numbers, (F, 3).
+    """
+    hull = hull_of(corners)
+    parts = _parts(faces)
+    if _volume(corners, faces) >= _FULL * hull.volume and len(parts) == 1:
+        return [few_corners(corners)]
+    if len(faces) > _FINE:
+        corners, faces = _coarser(corners, faces)
+        parts = _parts(faces)
+    leaves: list[Array] = []
+    for part in parts:
+        hollow = _volume(corners, part) < 0.85 * hull_of(corners[np.unique(part)]).volume
+        leaves += _cut(corners, part, _WORTH * hull.volume, 2 if hollow else 0, _DEEPEST)
+    return [few_corners(points) for points in _joined(leaves, _WORTH * hull.volume)]
+
+
+def _coarser(corners: Array, faces: Any) -> tuple[Array, Any]:
+    """A mesh whose corners lie on a grid of 1 / 150 of its extent."""
+    grain = float(np.ptp(corners, axis=0).max()) / 150.0
+    cells, numbers = np.unique(np.round(corners / grain), axis=0, return_inverse=True)
+    faces = np.unique(numbers.reshape(-1)[faces], axis=0)
+    distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return cells * grain, faces[distinct]
+
+
+def _parts(faces: Any) -> list[Any]:
+    """The faces of each connected part; all of them where it falls into crumbs."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    edges = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+    count = int(faces.max()) + 1
+    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    labels = connected_components(graph, directed=False)[1][faces[:, 0]]
+    names = list(dict.fromkeys(labels.tolist()))
+    return [faces] if len(names) > _CRUMBS else [faces[labels == name] for name in names]
+
+
+def _volume(corners: Array, faces: Any) -> float:
+    """Of a closed mesh."""
+    a, b, c = (corners[faces[:, k]] - corners.mean(axis=0) for k in range(3))
+    return abs(float(np.einsum("fk,fk->", a, np.cross(b, c)))) / 6.0
+
+
+def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> list[Array]:
+    """Points of the pieces of a surface; `blind` cuts may be made that are worth nothing by themselves, as of a ring."""
+    from trimesh.intersections import slice_faces_plane
+
+    points = corners[np.unique(faces)]
+    whole = hull_of(points)
+    if deepest == 0 or whole.volume <= worth:
+        return [points]
+    best, gain = None, worth
+    middle = points.mean(axis=0)
+    axes = np.linalg.svd(points - middle, full_matrices=False)[2]
+    for axis in axes:
+        heights = points @ axis
+        for part in _CUTS:
+            at = heights.min() + part * np.ptp(heights)
+            less = sum(_hull_volume(_side(corners, faces, sign * axis, sign * at)) for sign in (1.0, -1.0))
+            if whole.volume - less > gain:
+                best, gain = (axis, at), whole.volume - less
+    if best is None:
+        if blind == 0:
+            return [points]
+        blind -= 1
+        axis = axes[np.ptp(points @ axes.T, axis=0).argmax()]
+        best = axis, 0.5 * float((points @ axis).min() + (points @ axis).max())
+    axis, at = best
+    leaves: list[Array] = []
+    for sign in (1.0, -1.0):
+        half: Any = slice_faces_plane(corners, faces, sign * axis, at * axis)
+        if len(half[1]):
+            leaves += _cut(np.asarray(half[0]), np.asarray(half[1]), worth, blind, deepest - 1)
+    return leaves
+
+
+def _side(corners: Array, faces: Any, normal: Array, offset: float) -> Array:
+    """The corners above a plane and where edges cross it."""
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    heights = corners @ normal - offset
+    a, b = heights[edges[:, 0]], heights[edges[:, 1]]
+    crossing = a * b < 0.0
+    at = (a[crossing] / (a[crossing] - b[crossing]))[:, None]
+    cut = corners[edges[crossing, 0]] * (1.0 - at) + corners[edges[crossing, 1]] * at
+    used = np.unique(faces)
+    return np.vstack([corners[used][heights[used] >= 0.0], cut])
+
+
+def _hull_volume(points: Array) -> float:
+    return float(hull_of(points).volume) if len(points) else 0.0
+
+
+def _joined(pieces: list[Array], worth: float) -> list[Array]:
+    """Pieces joined, the pair whose common hull adds least first, while that is little or there are too many."""
+    pieces = sorted((hull_of(piece).points for piece in pieces), key=_hull_volume, reverse=True)
+    volumes = [_hull_volume(piece) for piece in pieces]
+    added: dict[tuple[int, int], float] = {}
+    alive = list(range(len(pieces)))
+    while len(alive) > 1:
+        for i, j in ((i, j) for i in alive for j in alive if i < j and (i, j) not in added):
+            added[i, j] = _hull_volume(np.vstack([pieces[i], pieces[j]])) - volumes[i] - volumes[j]
+        (i, j), least = min(((pair, more) for pair, more in added.items()), key=lambda entry: entry[1])
+        if least > worth and len(alive) <= _MOST_PIECES:
+            break
+        together = hull_of(np.vstack([pieces[i], pieces[j]]))
+        pieces.append(together.points[together.vertices])
+        volumes.append(float(together.volume))
+        alive = [k for k in alive if k not in (i, j)] + [len(pieces) - 1]
+        added = {pair: more for pair, more in added.items() if i not in pair and j not in pair}
+    return [pieces[k] for k in alive]

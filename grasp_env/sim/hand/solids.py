@@ -1,0 +1,124 @@
+"""Convex shapes as the corners of their hulls: corners of a shape, hulls of few corners, what is left beyond a cut."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from grasp_env._check import Array
+from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.tree import Geometry
+
+MOST_CORNERS = 40
+"""Of a hull; one of more is replaced by one of as many that contains it: corners stick out by 1.3 mm at most, of fingers."""
+_THIN = 5e-4  # [m] to which a flat shape is thickened, either way
+
+
+def outline(shape: Geometry) -> Array:
+    """Points (K, 3) [m], link frame, whose hull is the shape: round ones are 4 % larger at most; none of a mesh."""
+    place = Frame.of(shape.origin, shape.rotation)
+    if shape.kind == "box":
+        points = 0.5 * _SIGNS * shape.size
+    elif shape.kind == "sphere":
+        points = _BALL * shape.size[0]
+    elif shape.kind == "capsule":
+        ends = 0.5 * shape.size[1] * np.array([[[0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0]]])
+        points = (_BALL * shape.size[0] + ends).reshape(-1, 3)
+    elif shape.kind == "cylinder":
+        ends = 0.5 * shape.size[1] * np.array([[[0.0, 0.0, -1.0]], [[0.0, 0.0, 1.0]]])
+        points = (_RING * shape.size[0] + ends).reshape(-1, 3)
+    else:
+        points = np.array(shape.corners, dtype=float).reshape(-1, 3)
+    return points @ place.rotation.T + place.origin
+
+
+def hull_of(points: Array) -> ConvexHull:
+    """The hull of points (K, 3) [m]; flat ones are made 1 mm thick.
+
+    Raises:
+        ValueError: Not even thickened points span a volume: there are none, or they are not finite.
+    """
+    try:
+        hull = ConvexHull(points)
+        if hull.volume > 0.0 and np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > 1e-7:
+            return hull
+    except (QhullError, ValueError):
+        pass
+    if len(points) == 0 or not np.isfinite(points).all():
+        raise ValueError("no finite points")
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)[2]
+    spread = np.ptp(points @ axes.T, axis=0)
+    for axis in axes[spread < 2.0 * _THIN]:
+        points = np.vstack([points - _THIN * axis, points + _THIN * axis])
+    return ConvexHull(points)
+
+
+def few_corners(points: Array, most: int = MOST_CORNERS) -> Array:
+    """At most `most` corners (K, 3) whose hull contains all points (K, 3); the hull's own where they are few.
+
+    The points farthest outside are taken one after another, then all corners are moved outward until nothing is outside.
+    """
+    hull = hull_of(points)
+    points = hull.points[hull.vertices]
+    if len(points) <= most:
+        return points
+    axes = np.linalg.svd(points - points.mean(axis=0))[2]
+    heights = points @ np.vstack([axes, -axes]).T
+    chosen = list(dict.fromkeys(heights.argmax(axis=0).tolist()))
+    grain = 1e-5 * float(np.ptp(points, axis=0).max())
+    while len(chosen) < most:
+        faces = hull_of(points[chosen]).equations
+        outside = (points @ faces[:, :3].T + faces[:, 3]).max(axis=1)
+        outside[chosen] = 0.0
+        if outside.max() <= grain:
+            break
+        chosen.append(int(outside.argmax()))
+    corners = points[chosen]
+    for _ in range(30):
+        small = ConvexHull(corners)
+        excess = np.maximum((points @ small.equations[:, :3].T).max(axis=0) + small.equations[:, 3], 0.0)
+        if excess.max() <= grain:
+            break
+        moves, weights = np.zeros_like(corners), np.full(len(corners), 1e-300)
+        for face, normal, out in zip(small.simplices, small.equations[:, :3], excess.tolist(), strict=True):
+            moves[face] += out * out * normal
+            weights[face] += out
+        corners = corners + 0.7 * moves / weights[:, None]
+    small = hull_of(corners)
+    middle = corners.mean(axis=0)
+    faces = small.equations
+    inner = -(faces[:, :3] @ middle + faces[:, 3])
+    needed = (points @ faces[:, :3].T).max(axis=0) - faces[:, :3] @ middle
+    return middle + max(1.0, float((needed / inner).max())) * (corners - middle)
+
+
+def beneath(points: Array, normal: Array, offset: float) -> Array:
+    """Corners of what the hull of points (K, 3) has where normal @ x <= offset; none where that is nothing or flat."""
+    hull = hull_of(points)
+    heights = hull.points @ normal - offset
+    edges = np.unique(np.sort(hull.simplices[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    a, b = heights[edges[:, 0]], heights[edges[:, 1]]
+    crossing = a * b < 0.0
+    at = (a[crossing] / (a[crossing] - b[crossing]))[:, None]
+    cut = hull.points[edges[crossing, 0]] * (1.0 - at) + hull.points[edges[crossing, 1]] * at
+    left = np.vstack([hull.points[hull.vertices][heights[hull.vertices] <= 0.0], cut])
+    if len(left) < 4 or heights[hull.vertices].min() > -2.0 * _THIN:
+        return np.empty((0, 3))
+    return hull_of(left).points
+
+
+def _sphere_points(count: int) -> Array:
+    """Points spread over a sphere whose hull contains the unit ball, by the golden angle."""
+    heights = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    turns = math.pi * (1.0 + math.sqrt(5.0)) * np.arange(count)
+    wide = np.sqrt(1.0 - heights * heights)
+    points = np.column_stack([wide * np.cos(turns), wide * np.sin(turns), heights])
+    return points / -ConvexHull(points).equations[:, 3].max()
+
+
+_SIGNS = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_TURNS = np.linspace(0.0, 2.0 * math.pi, 16, endpoint=False)
+_RING = np.column_stack([np.cos(_TURNS), np.sin(_TURNS), np.zeros(16)]) / math.cos(math.pi / 16)
+_BALL = _sphere_points(100)
