@@ -223,8 +223,13 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
     if len(faults) == 1:
         raise faults[0]
     if faults:
-        raise InvalidInputError("; ".join(dict.fromkeys(map(str, faults))))
+        told = list(dict.fromkeys(map(str, faults)))
+        more = f"; and {len(told) - _MOST_TOLD} more" if len(told) > _MOST_TOLD else ""
+        raise InvalidInputError("; ".join(told[:_MOST_TOLD]) + more)
     return found
+
+
+_MOST_TOLD = 40
 
 
 def as_number(value: Any) -> float | None:

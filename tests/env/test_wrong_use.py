@@ -168,7 +168,7 @@ def test_a_urdf_without_the_named_links(tmp_path):
     path.write_text(hand_urdf(HandDescription.three_finger()), encoding="utf-8")
     with pytest.raises(InvalidInputError, match=r"no link is called 'thumb_tip'; links are .*thumb_distal"):
         HandDescription.from_urdf(path, ["thumb_tip", "left_distal", "right_distal"])
-    for fingertips in (0, None, [], [0], "thumb_distal", {"thumb_distal": 1.0}, object()):
+    for fingertips in (0, [], [0], "thumb_distal", {}, {"thumb_distal": 1.0}, object()):
         with pytest.raises(InvalidInputError, match=r"fingertips=.* must be a list of one link name or more"):
             HandDescription.from_urdf(path, fingertips)  # type: ignore[arg-type]
     with pytest.raises(InvalidInputError, match="nowhere"):

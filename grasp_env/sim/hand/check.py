@@ -108,6 +108,24 @@ def inertia_of(values: Any, name: str) -> Inertia:
     return given[0], given[1], given[2], given[3], given[4], given[5]
 
 
+def nearest_inertia(values: Inertia, mass: float) -> Inertia | None:
+    """The inertia of a body that is nearest to one that no body has; None where a body can have it.
+
+    Args:
+        values: As of `inertia_of`.
+        mass: Of the body [kg]: no radius of gyration gets below 1 mm.
+    """
+    from scipy.optimize import nnls
+
+    moments, axes = np.linalg.eigh(inertia_matrix(values))
+    if moments[0] > 0.0 and moments[2] < moments[0] + moments[1]:
+        return None
+    least = max(mass * 1e-6, 1e-3 * float(moments[2]))
+    sums = np.ones((3, 3)) - np.eye(3)  # moments are sums of the second moments along the other two axes
+    seconds = nnls(sums, moments - 2.0 * least)[0] + least
+    return inertia_numbers((axes * (sums @ seconds)) @ axes.T)
+
+
 def inertia_matrix(values: Sequence[float]) -> np.ndarray:
     """(3, 3) of ixx, ixy, ixz, iyy, iyz, izz."""
     xx, xy, xz, yy, yz, zz = values

@@ -7,7 +7,8 @@ kinematics (`kinematics.HandKinematics`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -178,25 +179,31 @@ class HandDescription:
     @staticmethod
     def from_urdf(
         path: str | os.PathLike[str],
-        fingertips: Sequence[str],
+        fingertips: Sequence[str] | Mapping[str, tuple[Sequence[float], float]] | None = None,
         *,
         tip_radius: float | None = None,
-        torque_limit: float | None = None,
+        torque_limit: float | Sequence[float] | Mapping[str, float] | None = None,
         home: Sequence[float] = (),
         position: Vector3 | None = None,
         rotation: Vector3 | None = None,
         tip_friction: float = 1.0,
     ) -> HandDescription:
-        """A user's own hand, from a URDF with revolute, continuous and fixed joints.
+        """A user's own hand, from a URDF: joints that turn, slide, are fixed or mimic others.
 
-        What a fixed joint carries becomes part of the link before it. A fingertip is the one sphere among the
-        collision shapes of a named link, or of what is fixed to it. Drawn meshes are left out.
+        What a fixed joint carries becomes part of the link before it. Collision meshes become convex hulls, coarse pieces where
+        one hull would lie; visual meshes are drawn. What files often lack is made up and told in one warning: masses, possible
+        inertias, torques (1 N m where the file names no effort, 0, or more than 100 N m; 20 N for sliding joints).
+
+        A finger touches with a sphere: the one at the end of the named link if its collision shapes have one, else one inscribed
+        in its end. Its other collision shapes then end at the back of the sphere, so that it is what touches first.
 
         Args:
-            path: Of the URDF.
-            fingertips: Names of links in the file, in the order of the contacts; they become the fingers' names.
+            path: Of the URDF. Meshes are sought as it names them, beside it, and in the folders above it.
+            fingertips: Names of links in the file, in the order of the contacts; they become the fingers' names. Or
+                {link: (point [m], (3,), in the link's frame, radius [m])}. None: every moving link that ends a branch.
             tip_radius: [m], for named links without a sphere: one is put at the origin of each of them.
-            torque_limit: [N m], for joints whose <limit> names no effort, or 0.
+            torque_limit: [N m], of all joints, or of each in the order of `joint_names`, or of some by the joint's name. It counts
+                whatever the file says.
             home: Rest posture [rad], (M,), in the order of `joint_names`; () as in the class.
             position: Of the root link [m], (3,), world frame. Where neither it nor `rotation` nor `home` is given, the hand
                 counts as not `placed`.
@@ -204,17 +211,24 @@ class HandDescription:
             tip_friction: See the class.
 
         Raises:
-            InvalidInputError: The file is no such hand; the message says what to change in it.
+            InvalidInputError: The file is no such hand; the message tells everything that is to be changed in it.
+
+        Warns:
+            UserWarning: What was repaired, assumed or left out.
         """
         from grasp_env.sim.hand.urdf_import import read_urdf  # it needs the parts above
 
-        name, palm, links, tips = read_urdf(path, fingertips, tip_radius, torque_limit)
+        read = read_urdf(path, fingertips, tip_radius, torque_limit)
         angles = numbers(home, None, "home [rad]")
-        hand = HandDescription(name, palm, links, tips, angles, tip_friction, placed=bool(angles))
-        if position is None and rotation is None:
-            return hand
-        nowhere = (0.0, 0.0, 0.0)
-        return hand.moved(nowhere if position is None else position, nowhere if rotation is None else rotation)
+        hand = HandDescription(
+            read.name, read.palm, read.links, read.fingertips, angles, tip_friction, placed=bool(angles)
+        )
+        if position is not None or rotation is not None:
+            nowhere = (0.0, 0.0, 0.0)
+            hand = hand.moved(nowhere if position is None else position, nowhere if rotation is None else rotation)
+        if read.repairs:
+            warnings.warn(f"{path}: {'; '.join(read.repairs)}", stacklevel=2)
+        return hand
 
     @staticmethod
     def four_finger() -> HandDescription:

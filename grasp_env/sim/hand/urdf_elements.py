@@ -1,35 +1,46 @@
-"""The elements of a URDF file as numbers, each checked where it is read."""
+"""The elements of a URDF file as numbers, each checked where it is read; what is wrong with them is told together."""
 
 from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from grasp_env._check import Array, together
 from grasp_env._files import parsed, shown_path
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.check import Inertia, Vector3, inertia_of, limits, numbers
+from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.tree import Geometry
+from grasp_env.sim.hand.meshes import DRAWN, convex_pieces, find_mesh, read_mesh
+from grasp_env.sim.hand.tree import Geometry, Mimic
 
-_MOVING, _FIXED = ("revolute", "continuous"), "fixed"
+MOST = 500
+"""Of links and of joints in a file."""
+
+_NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
 
 
 @dataclass(frozen=True)
 class UrdfLink:
-    """A <link>: mass 0 and unit inertia where it has no <inertial>; `color` is that of its first visual."""
+    """A <link>: mass 0 where it has no <inertial>; `color` is that of its first visual."""
 
     name: str
-    mass: float
-    inertial_frame: Frame
-    inertia: Inertia
-    collision: tuple[Geometry, ...]
-    visual: tuple[Geometry, ...]
-    color: Vector3 | None
+    mass: float = 0.0
+    inertial_frame: Frame = field(default_factory=lambda: Frame(np.eye(3), np.zeros(3)))
+    inertia: Inertia = _NO_INERTIA
+    collision: tuple[Geometry, ...] = ()
+    visual: tuple[Geometry, ...] = ()
+    color: Vector3 | None = None
 
 
 @dataclass(frozen=True)
@@ -42,41 +53,153 @@ class UrdfJoint:
     fixed: bool
     origin: Vector3
     rotation: Vector3
-    axis: Vector3
-    lower: float
-    upper: float
-    effort: float | None
+    axis: Vector3 = (1.0, 0.0, 0.0)
+    lower: float = -math.inf
+    upper: float = math.inf
+    effort: float | None = None
+    sliding: bool = False
+    mimic: Mimic | None = None
 
 
-def read_elements(path: str | os.PathLike[str]) -> tuple[str, dict[str, UrdfLink], list[UrdfJoint]]:
-    """Name of the robot, its links by name, and its joints in the order of the file.
+class Reader:
+    """Reads one file.
+
+    Args:
+        path: Of the URDF.
+
+    Attributes:
+        name: Of the robot.
+        names: Of its links; ends: name, parent and child of its joints: what else is wrong with them is told by `elements`.
+        mimics: The joint that each coupled joint names; fixed: names of joints that do not move.
+        unseen: Visual meshes that are left out, and why.
 
     Raises:
-        InvalidInputError: No such file, no XML, or an element that a hand cannot have.
+        InvalidInputError: No such file, no XML, or no URDF.
     """
-    hint = "; a URDF is plain XML, so run xacro files through xacro first"
-    robot = parsed(path, ElementTree.fromstring, InvalidInputError, f"the URDF {shown_path(path)}", "XML", hint)
-    if robot.tag != "robot":
-        raise InvalidInputError(f"{path}: the first element is <{robot.tag}>, a URDF starts with <robot name=...>")
-    palette = {
-        material.get("name", ""): color
-        for material in robot.iter("material")
-        if (color := _color(material, f"{path}: material")) is not None
-    }
-    links: dict[str, UrdfLink] = {}
-    for element in robot.findall("link"):
-        link = _link(element, _name(element, f"{path}: <link>"), f"{path}", palette)
-        if link.name in links:
-            raise InvalidInputError(f"{path}: two links are called {link.name!r}; give each its own name")
-        links[link.name] = link
-    if not links:
-        raise InvalidInputError(f"{path}: there is no <link>; a hand has a palm and moving links")
-    joints = [_joint(element, f"{path}") for element in robot.findall("joint")]
-    names = [joint.name for joint in joints]
-    for name in names:
-        if names.count(name) > 1:
-            raise InvalidInputError(f"{path}: two joints are called {name!r}; give each its own name")
-    return robot.get("name") or "hand", links, joints
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        hint = "; a URDF is plain XML, so run xacro files through xacro first"
+        robot = parsed(path, ElementTree.fromstring, InvalidInputError, f"the URDF {shown_path(path)}", "XML", hint)
+        self.path = Path(os.fsdecode(path))
+        if robot.tag != "robot":
+            raise InvalidInputError(f"the first element is <{robot.tag[:40]}>, a URDF starts with <robot name=...>")
+        self.name: str = robot.get("name") or "hand"
+        self._links, self._joints = robot.findall("link"), robot.findall("joint")
+        if not self._links:
+            raise InvalidInputError("there is no <link>; a hand has a palm and moving links")
+        if max(len(self._links), len(self._joints)) > MOST:
+            raise InvalidInputError(
+                f"there are {len(self._links)} links and {len(self._joints)} joints, allowed are up to {MOST}; take the hand out"
+            )
+        self._materials = list(robot.iter("material"))
+        self._palette: dict[str, Vector3] = {}
+        self._pieces: dict[tuple[Path, Vector3], list[Array]] = {}
+        self.names = [element.get("name", "") for element in self._links]
+        self.ends = [
+            (element.get("name", ""), *(_end(element, role) for role in ("parent", "child")))
+            for element in self._joints
+        ]
+        self.mimics = {
+            element.get("name", ""): (mimic.get("joint", "") if (mimic := element.find("mimic")) is not None else "")
+            for element in self._joints
+            if element.find("mimic") is not None and element.get("type") != _FIXED
+        }
+        self.fixed = {element.get("name", "") for element in self._joints if element.get("type") == _FIXED}
+        self.unseen: dict[str, str] = {}
+
+    def elements(self) -> tuple[dict[str, UrdfLink], list[UrdfJoint]]:
+        """Links by name, and joints in the order of the file.
+
+        Raises:
+            InvalidInputError: Elements that a hand cannot have, all of them.
+        """
+        self._palette = {
+            material.get("name", ""): color
+            for material in self._materials
+            if (color := _color(material, f"material {material.get('name', '')!r}")) is not None
+        }
+        links, joints, _ = together(
+            lambda: together(*(partial(self._link, element) for element in self._links)),
+            lambda: together(*(partial(_joint, element) for element in self._joints)),
+            lambda: together(
+                *(partial(_twice, "links", name) for name, count in Counter(self.names).items() if count > 1),
+                *(partial(_twice, "joints", name) for name, count in _joint_names(self._joints) if count > 1),
+            ),
+        )
+        return {link.name: link for link in links}, joints
+
+    def _link(self, element: Element) -> UrdfLink:
+        name = _name(element, "<link>")
+        where = f"link {name!r}"
+        color: Vector3 | None = None
+        looks: list[tuple[Element, Vector3 | None]] = []
+        for shape in element.findall("visual"):
+            own = self._look(shape, f"{where}, <visual>")
+            color = color or own
+            looks.append((shape, None if own == color else own))
+        inertial, collision, visual = together(
+            lambda: _inertial(element.find("inertial"), where),
+            lambda: together(
+                *(partial(self._solid, shape, f"{where}, <collision>") for shape in element.findall("collision"))
+            ),
+            lambda: together(*(partial(self._seen, shape, f"{where}, <visual>", own) for shape, own in looks)),
+        )
+        return UrdfLink(
+            name, *inertial, tuple(part for parts in collision for part in parts), tuple(filter(None, visual)), color
+        )
+
+    def _look(self, element: Element, where: str) -> Vector3 | None:
+        material = element.find("material")
+        if material is None:
+            return None
+        return _color(material, where) or self._palette.get(material.get("name", ""))
+
+    def _solid(self, element: Element, where: str) -> list[Geometry]:
+        """The shapes of a <collision>: of a mesh its convex pieces."""
+        shape = _shape(element, where)
+        if shape.tag != "mesh":
+            return [_primitive(element, shape, where, None)]
+        origin, rotation = _origin(element, where)
+        name, scale = _mesh(shape, where)
+        try:
+            path = find_mesh(name, self.path)
+            if (path, scale) not in self._pieces:
+                corners, faces = read_mesh(path)
+                self._pieces[path, scale] = convex_pieces(corners * scale, faces)
+        except InvalidInputError as error:
+            raise InvalidInputError(f"{where}: {error}") from None
+        return [
+            Geometry("hull", (), origin, rotation, corners=tuple((x, y, z) for x, y, z in piece.tolist()))
+            for piece in self._pieces[path, scale]
+        ]
+
+    def _seen(self, element: Element, where: str, color: Vector3 | None) -> Geometry | None:
+        """The shape of a <visual>; None where there is no picture of it, which is noted."""
+        shape = _shape(element, where)
+        if shape.tag != "mesh":
+            return _primitive(element, shape, where, color)
+        origin, rotation = _origin(element, where)
+        name, scale = _mesh(shape, where)
+        try:
+            path = find_mesh(name, self.path)
+        except InvalidInputError:
+            self.unseen[name] = "is missing"
+            return None
+        if path.suffix.lower() not in DRAWN:
+            self.unseen[name] = f"is none of {', '.join(DRAWN)}"
+            return None
+        if min(scale) < 0.0:
+            self.unseen[name] = "is mirrored by a scale below 0"
+            return None
+        return Geometry("mesh", scale, origin, rotation, color, file=str(path))
+
+
+def _twice(what: str, name: str) -> None:
+    raise InvalidInputError(f"two {what} are called {shown(name)}; give each its own name")
+
+
+def _joint_names(joints: list[Element]) -> list[tuple[str, int]]:
+    return list(Counter(element.get("name", "") for element in joints).items())
 
 
 def _name(element: Element, where: str) -> str:
@@ -84,6 +207,12 @@ def _name(element: Element, where: str) -> str:
     if not name.strip():
         raise InvalidInputError(f"{where} has no name; write name=...")
     return name
+
+
+def _end(element: Element, role: str) -> str:
+    """The link that a joint names as its parent or child, "" for none."""
+    end = element.find(role)
+    return "" if end is None else end.get("link", "")
 
 
 def _row(element: Element | None, key: str, count: int, default: str | None, where: str) -> tuple[float, ...]:
@@ -118,59 +247,49 @@ def _color(material: Element, where: str) -> Vector3 | None:
     return red, green, blue
 
 
-def _link(element: Element, name: str, path: str, palette: dict[str, Vector3]) -> UrdfLink:
-    where = f"{path}: link {name!r}"
-    mass, frame, inertia = 0.0, Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)
-    inertial = element.find("inertial")
-    if inertial is not None:
-        mass = _number(inertial.find("mass"), "value", None, f"{where}, <inertial>, <mass>")
-        if mass < 0.0:
-            raise InvalidInputError(f"{where}: mass={mass} kg must be above 0")
-        frame = Frame.of(*_origin(inertial, f"{where}, <inertial>"))
-        if mass > 0.0:
-            inertia = _inertia(inertial.find("inertia"), where)
-    collision, visual, color = [], [], None
-    for shape in element.findall("collision"):
-        geometry = _geometry(shape, f"{where}, <collision>", None)
-        if geometry is None:
-            raise InvalidInputError(
-                f"{where}: its collision shape is a mesh; replace it by spheres, capsules, boxes or cylinders. "
-                "Meshes to look at may stay, they are left out"
-            )
-        collision.append(geometry)
-    for shape in element.findall("visual"):
-        own = _look(shape, f"{where}, <visual>", palette)
-        color = color or own
-        geometry = _geometry(shape, f"{where}, <visual>", None if own == color else own)
-        if geometry is not None:
-            visual.append(geometry)
-    return UrdfLink(name, mass, frame, inertia, tuple(collision), tuple(visual), color)
+def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inertia]:
+    """Mass, frame and inertia of an <inertial>, whether a body can have them or not."""
+    frame = Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    if inertial is None:
+        return 0.0, frame, _NO_INERTIA
+    mass = _number(inertial.find("mass"), "value", None, f"{where}, <inertial>, <mass>")
+    if mass < 0.0:
+        raise InvalidInputError(f"{where}: mass={mass} kg must be above 0")
+    frame = Frame.of(*_origin(inertial, f"{where}, <inertial>"))
+    if mass == 0.0:
+        return 0.0, frame, _NO_INERTIA
+    element, required = inertial.find("inertia"), ("ixx", "iyy", "izz")
+    inside = f"{where}, <inertial>, <inertia>"
+    xx, xy, xz, yy, yz, zz = (
+        _number(element, name, None if name in required else "0", inside)
+        for name in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    return mass, frame, (xx, xy, xz, yy, yz, zz)
 
 
-def _inertia(element: Element | None, where: str) -> Inertia:
-    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    required = ("ixx", "iyy", "izz")
-    values = [
-        _number(element, name, None if name in required else "0", f"{where}, <inertial>, <inertia>") for name in names
-    ]
-    return inertia_of(values, where)
-
-
-def _look(element: Element, where: str, palette: dict[str, Vector3]) -> Vector3 | None:
-    material = element.find("material")
-    if material is None:
-        return None
-    return _color(material, where) or palette.get(material.get("name", ""))
-
-
-def _geometry(element: Element, where: str, color: Vector3 | None) -> Geometry | None:
-    """The shape of a <visual> or <collision>; None for a mesh."""
+def _shape(element: Element, where: str) -> Element:
+    """What stands in the <geometry> of a <visual> or <collision>."""
     geometry = element.find("geometry")
     shape = None if geometry is None else next(iter(geometry), None)
     if shape is None:
-        raise InvalidInputError(f"{where} has no shape in its <geometry>; write a sphere, capsule, box or cylinder")
-    if shape.tag == "mesh":
-        return None
+        raise InvalidInputError(
+            f"{where} has no shape in its <geometry>; write a sphere, capsule, box, cylinder or mesh"
+        )
+    return shape
+
+
+def _mesh(shape: Element, where: str) -> tuple[str, Vector3]:
+    """File name and factors of a <mesh>."""
+    name = shape.get("filename", "").strip()
+    if not name:
+        raise InvalidInputError(f"{where}, <mesh> lacks filename=")
+    x, y, z = _row(shape, "scale", 3, "1 1 1", f"{where}, <mesh>")
+    if 0.0 in (x, y, z):
+        raise InvalidInputError(f"{where}, <mesh>: scale={(x, y, z)} must not be 0")
+    return name, (x, y, z)
+
+
+def _primitive(element: Element, shape: Element, where: str, color: Vector3 | None) -> Geometry:
     if shape.tag == "box":
         size = _row(shape, "size", 3, None, f"{where}, <box>")
     elif shape.tag == "sphere":
@@ -178,7 +297,9 @@ def _geometry(element: Element, where: str, color: Vector3 | None) -> Geometry |
     elif shape.tag in ("capsule", "cylinder"):
         size = tuple(_number(shape, key, None, f"{where}, <{shape.tag}>") for key in ("radius", "length"))
     else:
-        raise InvalidInputError(f"{where}: the shape <{shape.tag}> is none of sphere, capsule, box and cylinder")
+        raise InvalidInputError(
+            f"{where}: the shape <{shape.tag[:40]}> is none of sphere, capsule, box, cylinder and mesh"
+        )
     try:
         origin, rotation = _origin(element, where)
         return Geometry(shape.tag, size, origin, rotation, color)
@@ -186,37 +307,62 @@ def _geometry(element: Element, where: str, color: Vector3 | None) -> Geometry |
         raise InvalidInputError(f"{where}: {error}") from None
 
 
-def _joint(element: Element, path: str) -> UrdfJoint:
-    name = _name(element, f"{path}: <joint>")
-    where, kind = f"{path}: joint {name!r}", element.get("type")
-    if kind not in (*_MOVING, _FIXED):
+def _joint(element: Element) -> UrdfJoint:
+    name = _name(element, "<joint>")
+    where, kind = f"joint {name!r}", element.get("type")
+    if kind not in (*_TURNING, _SLIDING, _FIXED):
         raise InvalidInputError(
-            f"{where} is of type {kind!r}; a hand's joints are revolute, continuous or fixed. Make it one of these"
+            f"{where} is of type {shown(kind)}; a hand's joints are revolute, continuous, prismatic or fixed. Make it one of these"
         )
-    if element.find("mimic") is not None:
-        raise InvalidInputError(
-            f"{where} mimics another joint, which is not simulated; remove <mimic> and drive it, or make it fixed"
-        )
-    ends = []
-    for role in ("parent", "child"):
-        end = element.find(role)
-        if end is None or not end.get("link"):
+    parent, child = _end(element, "parent"), _end(element, "child")
+    for role, end in (("parent", parent), ("child", child)):
+        if not end:
             raise InvalidInputError(f'{where} names no {role}; write <{role} link="..."/>')
-        ends.append(end.get("link", ""))
     origin, rotation = _origin(element, where)
     if kind == _FIXED:
-        return UrdfJoint(name, ends[0], ends[1], True, origin, rotation, (1.0, 0.0, 0.0), -math.inf, math.inf, None)
+        return UrdfJoint(name, parent, child, True, origin, rotation)
+    axis, ends, effort, mimic = together(
+        lambda: _axis(element, where),
+        lambda: _limits(element.find("limit"), kind, where),
+        lambda: _effort(element.find("limit"), where),
+        lambda: _mimic(element.find("mimic"), where),
+    )
+    return UrdfJoint(name, parent, child, False, origin, rotation, axis, *ends, effort, kind == _SLIDING, mimic)
+
+
+def _axis(element: Element, where: str) -> Vector3:
     axis = np.array(_row(element.find("axis"), "xyz", 3, "1 0 0", f"{where}, <axis>"))
     length = float(np.linalg.norm(axis))
     if length < 1e-9:
         raise InvalidInputError(f"{where}: the axis {axis.tolist()} has no direction; write its three numbers")
     x, y, z = (axis if abs(length - 1.0) < 1e-12 else axis / length).tolist()
-    limit = element.find("limit")
-    lower, upper = -math.inf, math.inf
-    if kind == "revolute":
-        if limit is None:
-            raise InvalidInputError(f"{where} has no <limit>; write lower, upper [rad] and effort [N m]")
-        lower, upper = (_number(limit, key, "0", f"{where}, <limit>") for key in ("lower", "upper"))
-        lower, upper = limits(lower, upper, f"{where}, <limit> [rad]")
-    effort = None if limit is None or "effort" not in limit.attrib else _number(limit, "effort", None, where)
-    return UrdfJoint(name, ends[0], ends[1], False, origin, rotation, (x, y, z), lower, upper, effort)
+    return x, y, z
+
+
+def _limits(limit: Element | None, kind: str, where: str) -> tuple[float, float]:
+    if kind == "continuous":
+        return -math.inf, math.inf
+    if limit is None:
+        raise InvalidInputError(f"{where} has no <limit>; write lower, upper [rad] and effort [N m]")
+    lower, upper = (_number(limit, key, "0", f"{where}, <limit>") for key in ("lower", "upper"))
+    return limits(lower, upper, f"{where}, <limit> [{'m' if kind == _SLIDING else 'rad'}]")
+
+
+def _effort(limit: Element | None, where: str) -> float | None:
+    return None if limit is None or "effort" not in limit.attrib else _number(limit, "effort", None, where)
+
+
+def _mimic(mimic: Element | None, where: str) -> Mimic | None:
+    if mimic is None:
+        return None
+    inside = f"{where}, <mimic>"
+    other = mimic.get("joint", "")
+    if not other.strip():
+        raise InvalidInputError(f"{inside} lacks joint=")
+    ratio, offset = (_number(mimic, key, default, inside) for key, default in (("multiplier", "1"), ("offset", "0")))
+    return Mimic(other, ratio, offset)
+
+
+def names_of(values: Sequence[Any]) -> str:
+    """Names for a message, not more than can be read."""
+    return ", ".join(map(shown, values[:60])) + (f" and {len(values) - 60} more" if len(values) > 60 else "")

@@ -1,20 +1,60 @@
-"""Reads a user's own hand from a URDF: what a fixed joint carries becomes part of the link before it."""
+"""Reads a user's own hand from a URDF: what a fixed joint carries becomes part of the link before it.
+
+Public files have massless links, inertias that no body has, placeholders for torques, meshes. What can be repaired is, and is
+told; what cannot is told in one message.
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from grasp_env._check import as_list, as_text
+from grasp_env._check import Array, as_list, as_text, is_a, together
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.check import Inertia, inertia_matrix, inertia_numbers, positive
+from grasp_env.sim.hand.check import (
+    Inertia,
+    Vector3,
+    inertia_matrix,
+    inertia_numbers,
+    nearest_inertia,
+    numbers,
+    positive,
+)
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
-from grasp_env.sim.hand.urdf_elements import UrdfJoint, UrdfLink, read_elements
+from grasp_env.sim.hand.meshes import read_mesh
+from grasp_env.sim.hand.solids import hull_of, outline
+from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
+from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, names_of
+
+Tips: TypeAlias = Sequence[str] | Mapping[str, tuple[Sequence[float], float]] | None
+"""Names of links; points on them [m], link frame, with radii [m]; None: the last moving links."""
+Torques: TypeAlias = float | Sequence[float] | Mapping[str, float] | None
+
+UNKNOWN_TORQUE, UNKNOWN_FORCE = 1.0, 20.0
+"""[N m] and [N] of turning and sliding joints whose file says nothing of use: about what fingers of this size have."""
+_PLACEHOLDER = {False: 100.0, True: 1000.0}  # [N m], of sliding joints [N], beyond which no finger's motor is
+_DENSITY, _LEAST_MASS = 1000.0, 1e-3  # [kg/m^3] and [kg] of links without a mass
+
+
+@dataclass(frozen=True)
+class UrdfHand:
+    """What a URDF says of a hand.
+
+    Attributes:
+        repairs: What was assumed, left out or changed, a sentence each.
+    """
+
+    name: str
+    palm: Palm
+    links: tuple[Link, ...]
+    fingertips: tuple[Fingertip, ...]
+    repairs: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -27,104 +67,304 @@ class _Place:
 
 def read_urdf(
     path: str | os.PathLike[str],
-    fingertips: Sequence[str],
+    fingertips: Tips = None,
     tip_radius: float | None = None,
-    torque_limit: float | None = None,
-) -> tuple[str, Palm, tuple[Link, ...], tuple[Fingertip, ...]]:
+    torque_limit: Torques = None,
+) -> UrdfHand:
     """The parts of a hand from a URDF; `HandDescription.from_urdf` describes the arguments.
 
     Returns:
-        Name, palm, links (parents before children, else in the order of the file's joints) and fingertips.
+        Its links with parents before children, else in the order of the file's joints.
 
     Raises:
         InvalidInputError: The file is no hand that can be simulated.
     """
+    asked, radius = together(
+        lambda: _asked_tips(fingertips), lambda: None if tip_radius is None else positive(tip_radius, "tip_radius [m]")
+    )
+    try:
+        return _Importer(Reader(path), asked, radius, torque_limit).hand
+    except InvalidInputError as error:
+        message = str(error)
+        raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
+
+
+def _asked_tips(fingertips: Any) -> dict[str, Ball | None] | None:
+    """What is known of each asked tip; None: nothing asked."""
+    if fingertips is None:
+        return None
+    wrong = InvalidInputError(
+        f"fingertips={shown(fingertips)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
+    )
+    if is_a(fingertips, Mapping):
+        tips: dict[str, Ball | None] = {}
+        for key, value in fingertips.items():
+            name, pair = as_text(key), as_list(value)
+            if name is None or pair is None or len(pair) != 2:
+                raise wrong
+            x, y, z = numbers(pair[0], 3, f"fingertips: point [m] of {name!r}")
+            tips[name] = Ball((x, y, z), positive(pair[1], f"fingertips: radius [m] of {name!r}"))
+        if not tips:
+            raise wrong
+        return tips
     given = as_list(fingertips) or []
-    tips = [text for tip in given if (text := as_text(tip)) is not None]
-    if not tips or len(tips) < len(given):
-        raise InvalidInputError(f"fingertips={shown(fingertips)} must be a list of one link name or more")
-    fingertips = tips
-    name, links, joints = read_elements(path)
-    missing = [tip for tip in fingertips if tip not in links]
-    if missing:
-        raise InvalidInputError(f"{path}: no link is called {', '.join(map(repr, missing))}; links are {_names(links)}")
-    root = _root(path, links, joints)
-    ordered = _ordered(path, root, links, joints)
-    places = {root: _Place(None, Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))}
-    for joint in ordered:
-        here = places[joint.parent].carrier
-        frame = places[joint.parent].frame @ Frame.of(joint.origin, joint.rotation)
-        places[joint.child] = _Place(here, frame) if joint.fixed else _Place(joint.child, Frame(np.eye(3), np.zeros(3)))
-    moving = tuple(_moving_link(path, joint, links, places, root, torque_limit) for joint in ordered if not joint.fixed)
-    if not moving:
-        raise InvalidInputError(f"{path}: no joint moves; a hand needs joints of type revolute or continuous")
-    collision, visual = _shapes(root, None, links, places)
-    palm = Palm(root, collision, visual, links[root].color or (0.17, 0.19, 0.23))
-    tips = tuple(_fingertip(path, tip, links, places, ordered, tip_radius) for tip in fingertips)
-    return name, palm, _with_spheres(moving, tips), tips
+    names = [text for tip in given if (text := as_text(tip)) is not None]
+    if not names or len(names) < len(given):
+        raise wrong
+    for name in names:
+        if names.count(name) > 1:
+            raise InvalidInputError(f"two fingertips are called {name!r}; give each its own link")
+    return dict.fromkeys(names)
 
 
-def _names(values: Sequence[str] | dict[str, UrdfLink]) -> str:
-    return ", ".join(map(repr, values))
+class _Importer:
+    """Puts a hand together."""
 
-
-def _root(path: object, links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> str:
-    """The one link that no joint carries."""
-    children: dict[str, str] = {}
-    for joint in joints:
-        for link in (joint.parent, joint.child):
-            if link not in links:
-                raise InvalidInputError(
-                    f"{path}: joint {joint.name!r} names the link {link!r}, which is not in the file; "
-                    f"links are {_names(links)}"
-                )
-        if joint.child in children:
-            raise InvalidInputError(
-                f"{path}: link {joint.child!r} hangs on two joints, {children[joint.child]!r} and {joint.name!r}; "
-                "a hand must be a tree, cut the loop"
-            )
-        children[joint.child] = joint.name
-    roots = [link for link in links if link not in children]
-    if not roots:
-        raise InvalidInputError(f"{path}: every link is carried by a joint, so the joints form a cycle; cut it")
-    if len(roots) > 1:
-        raise InvalidInputError(
-            f"{path}: {len(roots)} links are carried by no joint, {_names(roots)}; one of them is the palm, "
-            "fix the others to it with joints of type fixed"
+    def __init__(
+        self, reader: Reader, asked: dict[str, Ball | None] | None, radius: float | None, torque_limit: Torques
+    ) -> None:
+        self.repairs: list[str] = []
+        (self.links, joints), root, *_ = together(
+            reader.elements,
+            lambda: _root(reader.names, reader.ends),
+            lambda: _known(asked or {}, reader.names),
+            lambda: _mimicked(reader),
         )
-    return roots[0]
+        self.root: str = root
+        self.joints = _driven(_ordered(root, joints))
+        self.moving = [joint for joint in self.joints if not joint.fixed]
+        if not self.moving:
+            raise InvalidInputError("no joint moves; a hand needs joints of type revolute, continuous or prismatic")
+        places = {root: _Place(None, Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))}
+        for joint in self.joints:
+            here = places[joint.parent].carrier
+            frame = places[joint.parent].frame @ Frame.of(joint.origin, joint.rotation)
+            own = Frame(np.eye(3), np.zeros(3))
+            places[joint.child] = _Place(here, frame) if joint.fixed else _Place(joint.child, own)
+        self.places = places
+        if reader.unseen:
+            listed = ", ".join(f"{name} {why}" for name, why in list(reader.unseen.items())[:20])
+            self.repairs.append(f"{len(reader.unseen)} visual meshes are left out: {listed}")
+        torques, fitted = together(lambda: self._torques(torque_limit), lambda: self._tips(asked, radius))
+        moving = self._moving(torques)
+        tips = [tip for tip, _ in fitted]
+        collision, visual = self._shapes(root, None)
+        palm = Palm(root, collision, visual, self.links[root].color or (0.17, 0.19, 0.23))
+        links = [self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name]) for link in moving]
+        self.hand = UrdfHand(reader.name, palm, tuple(links), tuple(tips), tuple(self.repairs))
+
+    def _shapes(self, name: str, carrier: str | None) -> tuple[tuple[Geometry, ...], tuple[Geometry, ...]]:
+        """Collision and visual shapes of a link and of all that is fixed to it; what has no look shows its collisions."""
+        collision: list[Geometry] = []
+        visual: list[Geometry] = []
+        base = self.links[name].color
+        for other, place in self.places.items():
+            if place.carrier != carrier:
+                continue
+            link = self.links[other]
+            own = None if link.color == base else link.color
+            collision += [_carried(place.frame, shape) for shape in link.collision]
+            for shape in link.visual or link.collision:
+                visual.append(replace(_carried(place.frame, shape), color=shape.color or own))
+        return tuple(collision), tuple(visual)
+
+    def _torques(self, given: Any) -> list[float]:
+        """The limit of each moving joint: as given, else as the file says where that can be."""
+        if given is not None and not is_a(given, Mapping) and as_list(given) is None and not is_a(given, np.ndarray):
+            return [positive(given, "torque_limit [N m]")] * len(self.moving)
+        names = [joint.name for joint in self.moving]
+        if given is not None and not is_a(given, Mapping):
+            each = numbers(given, len(names), f"torque_limit [N m], one per joint ({names_of(names)})")
+            return together(
+                *(
+                    lambda v=v, n=n: positive(v, f"torque_limit [N m] of {n!r}")
+                    for v, n in zip(each, names, strict=True)
+                )
+            )
+        known = {} if given is None else dict(given)
+        unknown = [name for name in known if as_text(name) not in names]
+        if unknown:
+            raise InvalidInputError(
+                f"torque_limit: no joint is called {names_of(unknown)}; joints are {names_of(names)}"
+            )
+        limits, assumed = list[float](), dict[str, list[str]]()
+        for joint in self.moving:
+            said = joint.effort
+            if joint.name in known:
+                said = positive(known[joint.name], f"torque_limit [N m] of {joint.name!r}")
+            elif said is None or not 0.0 < said <= _PLACEHOLDER[joint.sliding]:
+                if joint.mimic is None:
+                    assumed.setdefault("no effort" if said is None else f"effort {said:g}", []).append(joint.name)
+                said = UNKNOWN_FORCE if joint.sliding else UNKNOWN_TORQUE
+            limits.append(said)
+        for what, joints in assumed.items():
+            self.repairs.append(
+                f"{what} of {names_of(joints)} is no motor's limit: {UNKNOWN_TORQUE:g} N m is assumed "
+                f"(sliding: {UNKNOWN_FORCE:g} N); give the true one as torque_limit="
+            )
+        return limits
+
+    def _moving(self, torques: list[float]) -> list[Link]:
+        """The links that joints move, each with all that is fixed to it."""
+        links, light, bent = list[Link](), list[str](), list[str]()
+        for joint, torque in zip(self.moving, torques, strict=True):
+            before = self.places[joint.parent]
+            origin, rotation = before.frame.carry(joint.origin, joint.rotation)
+            collision, visual = self._shapes(joint.child, joint.child)
+            mass, center, inertia = self._inertial(joint.child)
+            if mass <= 0.0:
+                mass, center, inertia = _made_up(collision)
+                light.append(f"{joint.child} ({1e3 * mass:.2g} g)")
+            possible = nearest_inertia(inertia, mass)
+            if possible is not None:
+                bent.append(joint.child)
+            links.append(
+                Link(
+                    name=joint.child,
+                    parent=before.carrier or self.root,
+                    origin=origin,
+                    rotation=rotation,
+                    axis=joint.axis,
+                    lower=joint.lower,
+                    upper=joint.upper,
+                    torque_limit=torque,
+                    mass=mass,
+                    center=center,
+                    inertia=inertia if possible is None else possible,
+                    collision=collision,
+                    visual=visual,
+                    color=self.links[joint.child].color or (0.5, 0.5, 0.5),
+                    joint=joint.name,
+                    sliding=joint.sliding,
+                    mimic=joint.mimic,
+                )
+            )
+        if light:
+            self.repairs.append(
+                f"moving links without mass get that of their shapes at 1 g/cm^3: {', '.join(light[:40])}"
+            )
+        if bent:
+            self.repairs.append(f"inertias that no body has are replaced by the nearest possible: {names_of(bent)}")
+        return links
+
+    def _inertial(self, name: str) -> tuple[float, Vector3, Inertia]:
+        """Mass, centre and inertia about it, of a moving link and all that is fixed to it, in its frame; mass 0: it has none."""
+        parts = [
+            (
+                place.frame @ self.links[other].inertial_frame,
+                self.links[other].mass,
+                inertia_matrix(self.links[other].inertia),
+            )
+            for other, place in self.places.items()
+            if place.carrier == name and self.links[other].mass > 0.0
+        ]
+        mass = sum(weight for _, weight, _ in parts)
+        if mass <= 0.0:
+            return 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        center = sum((weight * frame.origin for frame, weight, _ in parts), np.zeros(3)) / mass
+        total = np.zeros((3, 3))
+        for frame, weight, inertia in parts:
+            arm = frame.origin - center
+            total += frame.rotation @ inertia @ frame.rotation.T + weight * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        x, y, z = center.tolist()
+        return mass, (x, y, z), inertia_numbers(0.5 * (total + total.T))
+
+    def _tips(self, asked: dict[str, Ball | None] | None, radius: float | None) -> list[tuple[Fingertip, Array]]:
+        """The fingertips, each with the direction in which its link ends."""
+        if asked is not None:
+            return together(
+                *(lambda name=name, ball=ball: self._tip(name, ball, radius) for name, ball in asked.items())
+            )
+        parents = {self.places[joint.parent].carrier for joint in self.moving}
+        ends = [joint.child for joint in self.moving if joint.child not in parents]
+        bare = [end for end in ends if not self._points(self._group(end), True)]
+        if bare and len(bare) < len(ends):
+            self.repairs.append(f"links at the end of a branch that have no shape are no fingertips: {names_of(bare)}")
+            ends = [end for end in ends if end not in bare]
+        return together(*(lambda end=end: self._tip(end, None, radius) for end in ends))
+
+    def _group(self, name: str) -> list[str]:
+        """A link and what is fixed to it."""
+        group = [name]
+        for joint in self.joints:
+            if joint.fixed and joint.parent in group:
+                group.append(joint.child)
+        return group
+
+    def _points(self, group: Sequence[str], looks: bool) -> list[Array]:
+        """The convex pieces (K, 3) [m] of some links' collision shapes, carrier's frame; `looks`: else of their visual ones."""
+        solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].collision]
+        if not solids and looks:
+            solids = [(self.places[name].frame, shape) for name in group for shape in self.links[name].visual]
+        pieces = list[Array]()
+        for frame, shape in solids:
+            if shape.kind == "mesh":
+                place = frame @ Frame.of(shape.origin, shape.rotation)
+                corners = read_mesh(os.fspath(shape.file))[0] * shape.size
+                pieces.append(corners @ place.rotation.T + place.origin)
+            else:
+                pieces.append(outline(_carried(frame, shape)))
+        return pieces
+
+    def _tip(self, name: str, given: Ball | None, radius: float | None) -> tuple[Fingertip, Array]:
+        """A fingertip: as given; the one sphere at the link's end; one of a given radius at its origin; or the inscribed one."""
+        place = self.places[name]
+        if place.carrier is None:
+            raise InvalidInputError(f"the fingertip {name!r} does not move, it is part of the palm; choose another")
+        joint = next(joint for joint in self.moving if joint.child == place.carrier)
+        axis = np.array(joint.axis)
+        group = self._group(name)
+        pieces = self._points(group, True) or self._points(self._group(place.carrier), True)
+        if pieces:
+            hint = place.frame.origin if not self._points(group, True) else None
+            direction = distal(np.vstack(pieces) if hint is None else hint[None], None if joint.sliding else axis)
+        else:
+            direction = np.array([0.0, 0.0, 1.0])
+        if given is not None:
+            ball = Ball(_moved(place.frame, given.center), given.radius)
+        else:
+            ball = self._sphere(name, group, pieces, direction)
+            if ball is None and radius is not None:
+                ball = Ball(place.frame.numbers()[0], radius)
+            if ball is None and pieces:
+                ball = inscribed(pieces, direction, axis)
+        if ball is None:
+            raise InvalidInputError(
+                f"the fingertip {name!r} has no shape to lie in; pass tip_radius=, or fingertips={{{name!r}: (point, radius)}}"
+            )
+        return Fingertip(name, place.carrier, *ball), direction
+
+    def _sphere(self, name: str, group: list[str], pieces: list[Array], direction: Array) -> Ball | None:
+        """The one sphere among the collision shapes of a link, or of what is fixed to it, where it is at the end of the link."""
+        spheres = [
+            Ball(_moved(self.places[link].frame, shape.origin), shape.size[0])
+            for link in group
+            for shape in self.links[link].collision
+            if shape.kind == "sphere"
+        ]
+        own = sum(shape.kind == "sphere" for shape in self.links[name].collision)
+        spheres = spheres[:own] if own else spheres
+        if len(spheres) != 1:
+            return None
+        end = max(float((piece @ direction).max()) for piece in pieces)
+        return spheres[0] if end <= float(direction @ spheres[0].center) + 3.0 * spheres[0].radius else None
+
+    def _with_tips(self, link: Link, tips: list[tuple[Fingertip, Array]]) -> Link:
+        """The link with a sphere for each fingertip that had none, its other shapes behind them."""
+        for tip, direction in tips:
+            sphere = Geometry("sphere", (tip.radius,), tip.center)
+            link = freed(link, Ball(tip.center, tip.radius), direction)
+            there = any(
+                shape.kind == "sphere" and math.dist(shape.origin, tip.center) < 1e-12 for shape in link.collision
+            )
+            if not there:
+                link = replace(link, collision=(*link.collision, sphere), visual=(*link.visual, sphere))
+        return link
 
 
-def _ordered(path: object, root: str, links: dict[str, UrdfLink], joints: list[UrdfJoint]) -> list[UrdfJoint]:
-    """Joints with parents before children, else in the order of the file."""
-    ordered, known, rest = list[UrdfJoint](), {root}, list(joints)
-    while rest:
-        ready = next((joint for joint in rest if joint.parent in known), None)
-        if ready is None:
-            cycle = [joint.name for joint in rest]
-            raise InvalidInputError(f"{path}: the joints {_names(cycle)} form a cycle apart from {root!r}; cut it")
-        rest.remove(ready)
-        ordered.append(ready)
-        known.add(ready.child)
-    return ordered
-
-
-def _shapes(
-    name: str, carrier: str | None, links: dict[str, UrdfLink], places: dict[str, _Place]
-) -> tuple[tuple[Geometry, ...], tuple[Geometry, ...]]:
-    """Collision and visual shapes of a link and of all that is fixed to it; what has no look shows its collisions."""
-    collision: list[Geometry] = []
-    visual: list[Geometry] = []
-    base = links[name].color
-    for other, place in places.items():
-        if place.carrier != carrier:
-            continue
-        link = links[other]
-        own = None if link.color == base else link.color
-        collision += [_carried(place.frame, shape) for shape in link.collision]
-        for shape in link.visual or link.collision:
-            visual.append(replace(_carried(place.frame, shape), color=shape.color or own))
-    return tuple(collision), tuple(visual)
+def _moved(frame: Frame, point: Vector3) -> Vector3:
+    """A point [m] of a frame, in the outer one; its digits stay if they can."""
+    return frame.carry(point, (0.0, 0.0, 0.0))[0]
 
 
 def _carried(frame: Frame, shape: Geometry) -> Geometry:
@@ -132,113 +372,104 @@ def _carried(frame: Frame, shape: Geometry) -> Geometry:
     return replace(shape, origin=origin, rotation=angles)
 
 
-def _moving_link(
-    path: object,
-    joint: UrdfJoint,
-    links: dict[str, UrdfLink],
-    places: dict[str, _Place],
-    root: str,
-    torque_limit: float | None,
-) -> Link:
-    """The link a joint moves, with all that is fixed to it."""
-    before = places[joint.parent]
-    origin, rotation = before.frame.carry(joint.origin, joint.rotation)
-    mass, center, inertia = _inertial(path, joint.child, links, places)
-    collision, visual = _shapes(joint.child, joint.child, links, places)
-    effort = joint.effort or torque_limit  # many files say 0 for "unknown"
-    if effort is None or effort <= 0.0:
-        raise InvalidInputError(
-            f"{path}: joint {joint.name!r} names no effort above 0; add <limit effort=...> [N m] or pass torque_limit="
-        )
-    return Link(
-        name=joint.child,
-        parent=before.carrier or root,
-        origin=origin,
-        rotation=rotation,
-        axis=joint.axis,
-        lower=joint.lower,
-        upper=joint.upper,
-        torque_limit=effort,
-        mass=mass,
-        center=center,
-        inertia=inertia,
-        collision=collision,
-        visual=visual,
-        color=links[joint.child].color or (0.5, 0.5, 0.5),
-        joint=joint.name,
-    )
+def _made_up(shapes: Sequence[Geometry]) -> tuple[float, Vector3, Inertia]:
+    """Mass, centre and inertia of a link of which the file knows none: of a box around its shapes, 1 g at least."""
+    points = np.vstack([outline(shape) for shape in shapes]) if shapes else np.zeros((1, 3))
+    volume = sum(float(hull_of(outline(shape)).volume) for shape in shapes)
+    mass = max(_LEAST_MASS, _DENSITY * volume)
+    x, y, z = (0.5 * (points.min(axis=0) + points.max(axis=0))).tolist()
+    a, b, c = (np.maximum(np.ptp(points, axis=0), 0.01) ** 2 * mass / 12.0).tolist()
+    return mass, (x, y, z), (b + c, 0.0, 0.0, a + c, 0.0, a + b)
 
 
-def _inertial(
-    path: object, name: str, links: dict[str, UrdfLink], places: dict[str, _Place]
-) -> tuple[float, tuple[float, float, float], Inertia]:
-    """Mass, centre and inertia about it, of a moving link and all that is fixed to it, in its frame."""
-    parts = [
-        (place.frame @ links[other].inertial_frame, links[other].mass, inertia_matrix(links[other].inertia))
-        for other, place in places.items()
-        if place.carrier == name and links[other].mass > 0.0
-    ]
-    if not parts:
-        raise InvalidInputError(
-            f"{path}: the moving link {name!r} has no mass; write an <inertial> with mass and inertia for it"
-        )
-    mass = sum(weight for _, weight, _ in parts)
-    center = sum((weight * frame.origin for frame, weight, _ in parts), np.zeros(3)) / mass
-    total = np.zeros((3, 3))
-    for frame, weight, inertia in parts:
-        arm = frame.origin - center
-        total += frame.rotation @ inertia @ frame.rotation.T + weight * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    x, y, z = center.tolist()
-    return mass, (x, y, z), inertia_numbers(0.5 * (total + total.T))
+def _known(tips: Mapping[str, Any], links: list[str]) -> None:
+    missing = [tip for tip in tips if tip not in links]
+    if missing:
+        raise InvalidInputError(f"no link is called {', '.join(map(repr, missing))}; links are {names_of(links)}")
 
 
-def _fingertip(
-    path: object,
-    name: str,
-    links: dict[str, UrdfLink],
-    places: dict[str, _Place],
-    ordered: list[UrdfJoint],
-    tip_radius: float | None,
-) -> Fingertip:
-    """The one sphere of a link, or of what is fixed to it, as a fingertip."""
-    place = places[name]
-    if place.carrier is None:
-        raise InvalidInputError(f"{path}: the fingertip {name!r} does not move, it is part of the palm; choose another")
-    candidates, group = [name], {name}
-    for joint in ordered:
-        if joint.fixed and joint.parent in group:
-            group.add(joint.child)
-            candidates.append(joint.child)
-    spheres = [
-        (places[link].frame @ Frame.of(shape.origin, shape.rotation), shape.size[0])
-        for link in candidates
-        for shape in links[link].collision
-        if shape.kind == "sphere"
-    ]
-    own = sum(shape.kind == "sphere" for shape in links[name].collision)
-    spheres = spheres[:own] if own else spheres
-    if not spheres and tip_radius is not None:
-        spheres = [(place.frame, positive(tip_radius, "tip_radius [m]"))]
-    if len(spheres) != 1:
-        found = "no sphere" if not spheres else f"{len(spheres)} spheres"
-        raise InvalidInputError(
-            f"{path}: the fingertip {name!r} has {found} among its collision shapes and needs one; "
-            + ("add one, or pass tip_radius=" if not spheres else "leave one, or name a link with one")
-        )
-    frame, radius = spheres[0]
-    return Fingertip(name, place.carrier, frame.numbers()[0], radius)
+def _root(links: list[str], ends: list[tuple[str, str, str]]) -> str:
+    """The one link that no joint carries.
 
-
-def _with_spheres(links: tuple[Link, ...], tips: tuple[Fingertip, ...]) -> tuple[Link, ...]:
-    """The links with a sphere for each fingertip that had none."""
-    result = []
-    for link in links:
-        for tip in tips:
-            sphere = Geometry("sphere", (tip.radius,), tip.center)
-            there = any(
-                shape.kind == "sphere" and math.dist(shape.origin, tip.center) < 1e-12 for shape in link.collision
+    Raises:
+        InvalidInputError: All that keeps the links from being a tree.
+    """
+    children: dict[str, str] = {}
+    faults = list[str]()
+    for joint, *pair in ends:
+        faults += [
+            f"joint {joint!r} names the link {link!r}, which is not in the file; links are {names_of(links)}"
+            for link in pair
+            if link and link not in links
+        ]
+        child = pair[1]
+        if child and child in children:
+            faults.append(
+                f"link {child!r} hangs on two joints, {children[child]!r} and {joint!r}; a hand must be a tree, cut the loop"
             )
-            if tip.link == link.name and not there:
-                link = replace(link, collision=(*link.collision, sphere), visual=(*link.visual, sphere))
-        result.append(link)
-    return tuple(result)
+        children[child] = joint
+    roots = [link for link in dict.fromkeys(links) if link not in children]
+    if not roots:
+        faults.append("every link is carried by a joint, so the joints form a cycle; cut it")
+    elif len(roots) > 1 and not faults:
+        faults.append(
+            f"{len(roots)} links are carried by no joint, {names_of(roots)}; one of them is the palm, "
+            "fix the others to it with joints of type fixed"
+        )
+    known, grew = {*roots}, True
+    while grew and not faults:
+        reached = {child for _, parent, child in ends if parent in known} - known
+        known, grew = known | reached, bool(reached)
+    if not faults and (rest := [joint for joint, parent, _ in ends if parent not in known]):
+        faults.append(f"the joints {names_of(rest)} form a cycle apart from {roots[0]!r}; cut it")
+    together(*(lambda fault=fault: _refuse(fault) for fault in faults))
+    return roots[0]
+
+
+def _refuse(fault: str) -> None:
+    raise InvalidInputError(fault)
+
+
+def _ordered(root: str, joints: list[UrdfJoint]) -> list[UrdfJoint]:
+    """Joints of a tree with parents before children, else in the order of the file."""
+    ordered, known, rest = list[UrdfJoint](), {root}, list(joints)
+    while rest:
+        ready = next(joint for joint in rest if joint.parent in known)
+        rest.remove(ready)
+        ordered.append(ready)
+        known.add(ready.child)
+    return ordered
+
+
+def _mimicked(reader: Reader) -> None:
+    """Every mimicked joint moves, and none mimics itself in the end."""
+    others, fixed = reader.mimics, reader.fixed
+    faults = list[str]()
+    for joint, other in others.items():
+        known = [name for name, _, _ in reader.ends]
+        if other not in known:
+            faults.append(
+                f"joint {joint!r} mimics {other!r}, which is no joint of the file; joints are {names_of(known)}"
+            )
+        elif other in fixed:
+            faults.append(
+                f"joint {joint!r} mimics {other!r}, which does not move; make both of them fixed, or move {other!r}"
+            )
+        seen = [joint]
+        while seen[-1] in others and others[seen[-1]] not in seen:
+            seen.append(others[seen[-1]])
+        if others.get(seen[-1]) == joint:
+            faults.append(f"the joints {names_of(sorted(seen))} mimic each other in a loop; one of them needs a motor")
+    together(*(lambda fault=fault: _refuse(fault) for fault in faults))
+
+
+def _driven(joints: list[UrdfJoint]) -> list[UrdfJoint]:
+    """The joints, those that mimic others coupled to the one with a motor at the end of the chain."""
+    by_name = {joint.name: joint for joint in joints}
+    driven = list[UrdfJoint]()
+    for joint in joints:
+        mimic = joint.mimic
+        while mimic is not None and (before := by_name[mimic.joint].mimic) is not None:
+            mimic = Mimic(before.joint, mimic.ratio * before.ratio, mimic.ratio * before.offset + mimic.offset)
+        driven.append(replace(joint, mimic=mimic))
+    return driven

@@ -1,0 +1,100 @@
+"""Where a finger touches: a sphere in the end of its last link, and the link's other shapes kept behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from grasp_env._check import Array
+from grasp_env.sim.hand.solids import beneath, few_corners, hull_of, outline
+from grasp_env.sim.hand.tree import Geometry, Link, Vector3
+
+SMALLEST, LARGEST = 0.004, 0.015
+"""Radii of fitted spheres [m]."""
+
+_END = 0.03  # [m] of the link that is looked at
+_SHORT = (0.001, 0.002, 0.004, 0.008, 0.015)  # [m] by which the sphere may end before the link does
+
+
+class Ball(NamedTuple):
+    """A sphere, link frame [m]."""
+
+    center: Vector3
+    radius: float
+
+
+def distal(points: Array, axis: Array | None) -> Array:
+    """Unit direction (3,) in which a link ends: where its points (K, 3) are farthest from its joint, whose axis it crosses."""
+    flat = points if axis is None else points - np.outer(points @ axis, axis)
+    away = np.linalg.norm(flat, axis=1)
+    ends = flat[away >= 0.8 * away.max()].mean(axis=0)
+    length = float(np.linalg.norm(ends))
+    if length < 1e-6:  # the same all around
+        ends = flat[away.argmax()]
+        length = max(float(np.linalg.norm(ends)), 1e-12)
+    return ends / length
+
+
+def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
+    """The largest sphere that lies in the end of a link and comes near its tip: pads touch as it does, tips as well.
+
+    The end is the hull of what the convex pieces (K, 3) have within 3 cm of the farthest point along `direction`. Of the
+    spheres as large that lie in a wide end, the middle one along `axis`. A link too thin gets a sphere of 4 mm that sticks out.
+    """
+    far = max(float((piece @ direction).max()) for piece in pieces)
+    ends = [end for piece in pieces if len(end := beneath(piece, -direction, _END - far))]
+    faces = hull_of(np.vstack(ends if ends else list(pieces))).equations
+    normals, offsets = faces[:, :3], -faces[:, 3]
+    center, radius = np.zeros(3), 0.0
+    for short in _SHORT:
+        # of a sphere (c, r): normals @ c + r <= offsets and direction @ c + r >= far - short
+        rows = np.vstack([np.column_stack([normals, np.ones(len(normals))]), -np.append(direction, 1.0)])
+        sides = np.append(offsets, short - far)
+        found = _best((0.0, 0.0, 0.0, 1.0), rows, sides)
+        if found is None:
+            continue
+        center, radius = found[:3], min(float(found[3]), LARGEST)
+        if radius >= SMALLEST and radius >= 1.5 * short:
+            inside, spare = rows[:, :3], sides - 0.999 * radius * rows[:, 3]
+            sideways = [_best((*(sign * axis),), inside, spare) for sign in (1.0, -1.0)]
+            low, high = (center if place is None else place for place in sideways)
+            center = 0.5 * (low + high)
+            break
+    x, y, z = center.tolist()
+    return Ball((x, y, z), min(max(radius, SMALLEST), LARGEST))
+
+
+def freed(link: Link, ball: Ball, direction: Array) -> Link:
+    """The link with nothing beyond the sphere of its tip: where shapes reach out of its front half, they end at its back."""
+    center, back = np.array(ball.center), float(np.dot(ball.center, direction)) - ball.radius
+    shapes: list[Geometry] = []
+    for shape in link.collision:
+        if shape.kind == "sphere" and np.linalg.norm(np.array(shape.origin) - center) < 1e-9:
+            shapes.append(shape)
+            continue
+        points = outline(shape)
+        front = beneath(points, -direction, -float(center @ direction))
+        if len(front) == 0 or np.linalg.norm(front - center, axis=1).max() <= 1.05 * ball.radius:
+            shapes.append(shape)
+            continue
+        if (points @ direction).max() > float(center @ direction) + 3.0 * ball.radius:
+            shapes.append(shape)  # the sphere is not at this shape's end
+            continue
+        left = beneath(points, direction, back)
+        if len(left):
+            rows = few_corners(left)
+            shapes.append(
+                Geometry("hull", (), color=shape.color, corners=tuple((x, y, z) for x, y, z in rows.tolist()))
+            )
+    return replace(link, collision=tuple(shapes))
+
+
+def _best(gain: Sequence[float], rows: Array, sides: Array) -> Array | None:
+    """The x with rows @ x <= sides at which gain @ x is largest; None: there is none."""
+    from scipy.optimize import linprog
+
+    found = linprog(-np.asarray(gain), A_ub=rows, b_ub=sides, bounds=[(None, None)] * rows.shape[1])
+    return None if found.x is None or not found.success else np.asarray(found.x)
