@@ -1,4 +1,4 @@
-"""The URDF text of a hand: what PyBullet loads, from the same numbers that the kinematics use."""
+"""The URDF text of a hand, and its hulls as mesh files: what PyBullet loads, from the same numbers that the kinematics use."""
 
 from __future__ import annotations
 
@@ -7,17 +7,27 @@ from collections.abc import Iterable
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from grasp_env._files import digest
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 
 _SPEED_LIMIT = "100"  # [rad/s]; Bullet's default, far above what a grasp needs
 
 
+def hand_files(hand: HandDescription) -> dict[str, str]:
+    """Names and texts of all files of the hand: "hand.urdf", and the hulls that it names, each once."""
+    hulls = {_hull_name(corners): _hull_obj(corners) for corners in _hulls(hand)}
+    return {"hand.urdf": hand_urdf(hand), **hulls}
+
+
 def hand_urdf(hand: HandDescription) -> str:
     """The hand as a URDF document, its palm frame equal to the world frame.
 
     Joints are those of `hand.links` under their own names; PyBullet may number them in another order, see
-    `bullet.joint_indices`.
+    `bullet.joint_indices`. Hulls are meshes in files beside it, see `hand_files`.
     """
     robot = Element("robot", name=hand.name)
     palm = SubElement(robot, "link", name=hand.palm.name)
@@ -45,12 +55,17 @@ def _add_origin(element: Element, origin: Vector3, rotation: Vector3 = (0.0, 0.0
 
 def _add_joint(robot: Element, link: Link) -> None:
     turning = math.isinf(link.lower)
-    joint = SubElement(robot, "joint", name=link.joint, type="continuous" if turning else "revolute")
+    joint = SubElement(
+        robot, "joint", name=link.joint, type="prismatic" if link.sliding else "continuous" if turning else "revolute"
+    )
     SubElement(joint, "parent", link=link.parent)
     SubElement(joint, "child", link=link.name)
     _add_origin(joint, link.origin, link.rotation)
     SubElement(joint, "axis", xyz=_text(link.axis))
     limit = SubElement(joint, "limit", effort=repr(link.torque_limit), velocity=_SPEED_LIMIT)
+    if link.mimic is not None:
+        ratio, offset = repr(link.mimic.ratio), repr(link.mimic.offset)
+        SubElement(joint, "mimic", joint=link.mimic.joint, multiplier=ratio, offset=offset)
     if not turning:
         limit.attrib |= {"lower": repr(link.lower), "upper": repr(link.upper)}
 
@@ -78,7 +93,35 @@ def _add_geometry(element: Element, role: str, geometry: Geometry) -> Element:
     shape = SubElement(part, "geometry")
     if geometry.kind == "box":
         SubElement(shape, "box", size=_text(geometry.size))
+    elif geometry.kind == "hull":
+        SubElement(shape, "mesh", filename=_hull_name(geometry.corners))
+    elif geometry.kind == "mesh":
+        SubElement(shape, "mesh", filename=geometry.file, scale=_text(geometry.size))
     else:
         names: tuple[str, ...] = ("radius", "length")[: len(geometry.size)]
         SubElement(shape, geometry.kind, dict(zip(names, map(repr, geometry.size), strict=True)))
     return part
+
+
+def _hulls(hand: HandDescription) -> Iterable[tuple[Vector3, ...]]:
+    for body in (hand.palm, *hand.links):
+        for geometry in (*body.collision, *body.visual):
+            if geometry.kind == "hull":
+                yield geometry.corners
+
+
+def _hull_name(corners: tuple[Vector3, ...]) -> str:
+    """A name of its own for every hull."""
+    return f"hull_{digest(np.array(corners).tobytes())[:16]}.obj"
+
+
+def _hull_obj(corners: tuple[Vector3, ...]) -> str:
+    """A hull as a Wavefront file, its faces counterclockwise from outside."""
+    points = np.array(corners)
+    hull = ConvexHull(points)
+    faces = hull.simplices
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    faces = np.where(inward[:, None], faces[:, ::-1], faces)
+    lines = [f"v {_text(corner)}" for corner in corners] + [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in faces.tolist()]
+    return "\n".join(lines) + "\n"
