@@ -96,8 +96,7 @@ class Reader:
         self._pieces: dict[tuple[Path, Vector3], list[Array]] = {}
         self.names = [element.get("name", "") for element in self._links]
         self.ends = [
-            (element.get("name", ""), *(_end(element, role) for role in ("parent", "child")))
-            for element in self._joints
+            (element.get("name", ""), _end(element, "parent"), _end(element, "child")) for element in self._joints
         ]
         self.mimics = {
             element.get("name", ""): (mimic.get("joint", "") if (mimic := element.find("mimic")) is not None else "")
@@ -137,16 +136,15 @@ class Reader:
             own = self._look(shape, f"{where}, <visual>")
             color = color or own
             looks.append((shape, None if own == color else own))
-        inertial, collision, visual = together(
+        (mass, frame, inertia), collision, visual = together(
             lambda: _inertial(element.find("inertial"), where),
             lambda: together(
                 *(partial(self._solid, shape, f"{where}, <collision>") for shape in element.findall("collision"))
             ),
             lambda: together(*(partial(self._seen, shape, f"{where}, <visual>", own) for shape, own in looks)),
         )
-        return UrdfLink(
-            name, *inertial, tuple(part for parts in collision for part in parts), tuple(filter(None, visual)), color
-        )
+        solids = tuple(part for parts in collision for part in parts)
+        return UrdfLink(name, mass, frame, inertia, solids, tuple(filter(None, visual)), color)
 
     def _look(self, element: Element, where: str) -> Vector3 | None:
         material = element.find("material")
@@ -321,13 +319,13 @@ def _joint(element: Element) -> UrdfJoint:
     origin, rotation = _origin(element, where)
     if kind == _FIXED:
         return UrdfJoint(name, parent, child, True, origin, rotation)
-    axis, ends, effort, mimic = together(
+    axis, (lower, upper), effort, mimic = together(
         lambda: _axis(element, where),
         lambda: _limits(element.find("limit"), kind, where),
         lambda: _effort(element.find("limit"), where),
         lambda: _mimic(element.find("mimic"), where),
     )
-    return UrdfJoint(name, parent, child, False, origin, rotation, axis, *ends, effort, kind == _SLIDING, mimic)
+    return UrdfJoint(name, parent, child, False, origin, rotation, axis, lower, upper, effort, kind == _SLIDING, mimic)
 
 
 def _axis(element: Element, where: str) -> Vector3:
