@@ -6,10 +6,11 @@ import numpy as np
 
 from grasp_env.control.loop import ForceLoop, critically_damped
 from grasp_env.errors import SimulationError
+from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.scene import Scene
 from grasp_env.task.motion import resting_target
 
-CLEARANCE = 0.003
+CLEARANCE = START_CLEARANCE
 """[m] between tips and object before the fingers close."""
 CLOSING_TIME, SETTLING_TIME = 0.6, 0.6
 """[s] at most until every finger touches, and until the hand carries the weight at rest."""

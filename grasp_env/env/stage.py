@@ -12,7 +12,7 @@ from grasp_env.control.loop import ForceLoop
 from grasp_env.errors import GraspError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
 from grasp_env.sim.engine import engine_of
-from grasp_env.sim.grasping.points import grasp_points
+from grasp_env.sim.grasping.points import plan_grasp
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import random_object
 
@@ -122,13 +122,15 @@ class Stage:
     def _grasp_of(self, item: ObjectDescription) -> SceneConfig:
         config = self.config
         assert config.physics_rate is not None  # it is resolved
-        points = config.contact_points or tuple(
-            (x, y, z) for x, y, z in grasp_points(item, self.kinematics)[0].tolist()
-        )
+        points, start = config.contact_points, ()
+        if not points:
+            plan = plan_grasp(item, self.kinematics)
+            points, start = tuple((x, y, z) for x, y, z in plan.points.tolist()), tuple(plan.start.tolist())
         return SceneConfig(
             hand=self.kinematics.hand,
             object=item,
             contact_points=points,
+            start_angles=start,
             gravity=config.gravity,
             engine=engine_of(config.engine),
             physics_rate=config.physics_rate,

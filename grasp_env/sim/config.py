@@ -16,6 +16,8 @@ from grasp_env.sim.objects.description import ObjectDescription
 _CUBOID_POINTS: tuple[Vector3, ...] = (
     (0.0, 0.0, -0.05), (0.0, 0.03, 0.05), (-0.03, -0.02, 0.05), (0.03, -0.02, 0.05),
 )  # fmt: skip
+START_CLEARANCE = 0.003
+"""[m] between tips and object before the fingers close."""
 _ON_SURFACE = 1e-4  # [m]
 
 
@@ -32,6 +34,7 @@ class SceneConfig:
         physics_rate: The engine's steps per simulated second [Hz].
         substeps: Steps of the engine in one step of the scene, under the same torques; contact forces are their mean.
         clearance: Gap between tips and object at the start [m]; 0 lets them touch.
+        start_angles: Of the joints at the start [rad], (M,); () are those that put the tips there.
     """
 
     hand: HandDescription = field(default_factory=HandDescription.four_finger)
@@ -42,6 +45,7 @@ class SceneConfig:
     physics_rate: float = 250.0
     substeps: int = 1
     clearance: float = 0.0
+    start_angles: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.physics_rate) and self.physics_rate > 0):
@@ -50,6 +54,9 @@ class SceneConfig:
         whole(self.substeps, "substeps", 1)
         object.__setattr__(self, "gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))
         as_array(self.clearance, (), "clearance")
+        if len(self.start_angles):
+            angles = as_array(self.start_angles, (self.hand.joint_count,), "start_angles, one for each joint of the hand")
+            object.__setattr__(self, "start_angles", tuple(angles.tolist()))
         points = as_array(
             self.contact_points, (self.hand.finger_count, 3), "contact_points, one row per finger of the hand"
         )

@@ -45,7 +45,7 @@ class Scene:
     def __init__(self, config: SceneConfig | None = None, gui: bool = False, visuals: bool = False) -> None:
         self.config = config or SceneConfig()
         self.kinematics = HandKinematics(self.config.hand)
-        angles = self.kinematics.solve(self.config.nominal_tips())
+        angles = self._start(self.config)
         self.visuals = visuals or gui
         self.simulator: Any = _simulator(self.config, gui, visuals)
         self._build(angles)
@@ -72,8 +72,13 @@ class Scene:
         Raises:
             InvalidInputError: a finger cannot reach its contact; the scene is as before.
         """
+<<<<<<< HEAD
         angles = self.kinematics.solve(config.nominal_tips())
         self.config = replace(config, hand=self.config.hand, engine=self.config.engine)
+=======
+        angles = self._start(config)
+        self.config = replace(config, hand=self.config.hand)
+>>>>>>> 12f4519 (Limbs of true shape, fingers that only close, the start checked and torques weighed in the grasp search)
         self._build(angles)
 
     def change_object(self, mass: float | None = None, friction: float | None = None) -> None:
@@ -154,6 +159,9 @@ class Scene:
         raise SimulationError(
             "a simulation cannot be copied or pickled: both copies would drive one simulator; make a new Scene from its config"
         )
+
+    def _start(self, config: SceneConfig) -> Array:
+        return np.array(config.start_angles) if config.start_angles else self.kinematics.solve(config.nominal_tips())
 
     def _build(self, angles: Array) -> None:
         self.simulator.load(self.config, angles)

@@ -2,6 +2,8 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <grasp/grasp_search.hpp>
@@ -13,15 +15,59 @@ using namespace grasp;
 namespace {
 
 using Three = std::array<double, 3>;
+using Nine = std::array<double, 9>;
+using Row = std::array<double, 6>;
+using Ends = std::array<int, 6>;
 
-void make_limb(Limb* limb, int link, const Three& start, const Three& end, double radius, bool tip) {
-    new (limb) Limb{link, {point(start.data()), point(end.data())}, radius, tip};
+Limb make_line(int link, const Three& start, const Three& end, double radius, bool tip) {
+    return {link, Solid::of(Segment{point(start.data()), point(end.data())}, radius), tip};
 }
 
-std::shared_ptr<HandLimbs> make_hand(const std::shared_ptr<Tree>& tree, const std::vector<Limb>& limbs, nb::handle home) {
-    for (const Limb& limb : limbs)
-        if (limb.link < -1 || limb.link >= tree->joints()) throw nb::value_error("a limb is of a link, or of the palm: -1");
-    return std::make_shared<HandLimbs>(tree, limbs, in(home, tree->joints()).data());
+Limb make_solid(int link, const std::string& kind, const Three& half, const Three& center, const Nine& rotation, nb::handle corners,
+                bool tip) {
+    const Rotation frame = Rotation::from(rotation.data());
+    const Numbers each = in(corners, -1, 3);
+    if (kind == "box" || kind == "cylinder")
+        return {link, Solid::of(kind == "box" ? Solid::Core::box : Solid::Core::cylinder, point(half.data()), 0.0, point(center.data()), frame), tip};
+    if (kind != "hull" || each.length(0) < 4) throw nb::value_error("box, cylinder or hull; a hull with corners");
+    std::vector<Point> points;
+    for (Py_ssize_t k = 0; k < each.length(0); ++k) points.push_back(point(each.data() + 3 * k));
+    return {link, Solid::hull(std::make_shared<const std::vector<Point>>(std::move(points)), point(center.data()), frame), tip};
+}
+
+using Pairs = std::vector<std::pair<int, int>>;
+
+void check(const Tree& tree, int link) {
+    if (link < -1 || link >= tree.joints()) throw nb::value_error("a limb is of a link, or of the palm: -1");
+}
+
+std::shared_ptr<HandLimbs> make_hand(const std::shared_ptr<Tree>& tree, const std::vector<Limb>& limbs, nb::handle home,
+                                     const Pairs& together) {
+    for (const Limb& limb : limbs) check(*tree, limb.link);
+    for (const auto& [a, b] : together) check(*tree, a), check(*tree, b);
+    return std::make_shared<HandLimbs>(tree, limbs, Together(*tree, together), in(home, tree->joints()).data());
+}
+
+// Least distances [m] of links (-1: the palm) in a posture, of every pair that is not of one joint: (link, link, distance).
+std::vector<std::tuple<int, int, double>> link_gaps(const HandLimbs& hand, nb::handle angles, double enough) {
+    const Numbers given = in(angles, hand.tree->joints());
+    std::vector<double> there(given.data(), given.data() + hand.tree->joints());
+    hand.tree->couple(there.data());
+    Posture posture(hand.tree);
+    posture.trace(there.data());
+    std::vector<std::tuple<int, int, double>> out;
+    std::vector<Placed> before;
+    for (const Limb& limb : hand.all) {
+        const Placed placed = limb.at(posture);
+        for (std::size_t e = 0; e < before.size(); ++e) {
+            const int other = hand.all[e].link;
+            if (hand.together(limb.link, other)) continue;
+            if (const double least = gap(placed, before[e], enough); least <= enough)
+                out.emplace_back(std::min(limb.link, other), std::max(limb.link, other), least);
+        }
+        before.push_back(placed);
+    }
+    return out;
 }
 
 std::vector<Vec6> sixes(nb::handle rows) {
@@ -31,20 +77,24 @@ std::vector<Vec6> sixes(nb::handle rows) {
     return out;
 }
 
-GraspSearch make(const std::shared_ptr<HandLimbs>& hand, const Surface& surface, double friction, double length, double space,
-                 nb::handle loads, nb::handle directions) {
-    return {hand, surface, {friction, length, sixes(loads), space}, sixes(directions)};
+GraspSearch make(const std::shared_ptr<HandLimbs>& hand, const Surface& surface, double friction, double torsion, double length,
+                 double space, double start, const Three& gravity, nb::handle loads, nb::handle directions) {
+    return {hand, surface, {friction, length, sixes(loads), space, torsion, start, point(gravity.data())}, sixes(directions)};
 }
 
-int fill(GraspSearch& search, int finger, nb::handle rays, const Three& margins, int most) {
+int fill(GraspSearch& search, int finger, nb::handle draws, const Row& spread, const Three& margins, int most) {
     if (finger < 0 || finger >= int(search.pools.size())) throw nb::value_error("no such finger");
     std::vector<Ray> from;
-    for (const Vec6& ray : sixes(rays)) from.push_back({point(ray.data()), point(ray.data() + 3)});
+    for (const Vec6& draw : sixes(draws)) {
+        double ray[6];
+        for (int k = 0; k < 6; ++k) ray[k] = (draw[k] - 0.5) * spread[k];
+        from.push_back({point(ray), point(ray + 3), draw});
+    }
     return search.fill(finger, from, {margins[0], margins[1], margins[2]}, most);
 }
 
 int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::handle forces, nb::handle points,
-           nb::handle normals) {
+           nb::handle normals, nb::handle choices) {
     const std::size_t fingers = search.pools.size();
     for (const auto& row : picks)
         if (row.size() != fingers || std::any_of(row.begin(), row.end(), [](int k) { return k < 0; }))
@@ -52,11 +102,13 @@ int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::
     for (const auto& pool : search.pools)
         if (pool.empty()) throw nb::value_error("a finger has no places");
     const Numbers f = out(forces, -1), p = out(points, f.length(0), fingers, 3), n = out(normals, f.length(0), fingers, 3);
+    const Numbers c = out(choices, f.length(0), fingers);
     const auto found = search.choose(picks, int(f.length(0)));
     for (std::size_t r = 0; r < found.size(); ++r) {
         f.data()[r] = found[r].force;
         for (std::size_t i = 0; i < fingers; ++i) {
             const Place& place = search.pools[i][found[r].choice[i]];
+            c.data()[fingers * r + i] = found[r].choice[i];
             for (int k = 0; k < 3; ++k) {
                 p.data()[3 * (fingers * r + i) + k] = place.point[k];
                 n.data()[3 * (fingers * r + i) + k] = place.normal[k];
@@ -66,40 +118,76 @@ int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::
     return int(found.size());
 }
 
+int assemble(GraspSearch& search, const std::vector<int>& choice, double clearance, nb::handle angles, nb::handle start) {
+    if (choice.size() != search.pools.size()) throw nb::value_error("choice: a place per finger");
+    for (std::size_t i = 0; i < choice.size(); ++i)
+        if (choice[i] < 0 || choice[i] >= int(search.pools[i].size())) throw nb::value_error("no such place");
+    const Numbers there = out(angles, -1);
+    return int(search.assemble(choice, clearance, there.data(), out(start, there.length(0)).data()));
+}
+
 }  // namespace
 
 void bind_grasping(nb::module_& m) {
-    nb::class_<Limb>(m, "Limb", "A capsule that is fixed to a link.")
-        .def("__init__", &make_limb, nb::kw_only(), "link"_a, "start"_a, "end"_a, "radius"_a, "tip"_a,
-             "link: -1 for the palm; its axis [m] in the link's frame; tip: a fingertip's own sphere.");
+    nb::class_<Limb>(m, "Limb", "A convex shape that is fixed to a link; -1: to the palm.")
+        .def_static("line", &make_line, nb::kw_only(), "link"_a, "start"_a, "end"_a, "radius"_a, "tip"_a,
+                    "All within a radius of a line [m], link frame; tip: part of a fingertip.")
+        .def_static("solid", &make_solid, nb::kw_only(), "link"_a, "kind"_a, "half"_a, "center"_a, "rotation"_a, "corners"_a, "tip"_a,
+                    "kind: box, half its sides; cylinder about z, radius twice and half its height; hull, (K, 3) corners about a\n"
+                    "point inside [m]. center [m] and rotation (9,), link frame.");
     nb::class_<HandLimbs>(m, "HandLimbs", "The limbs of a hand, and its fingers one by one.")
-        .def_static("make", &make_hand, "tree"_a, "limbs"_a, "home"_a, "home (M,) [rad]: where the inverse kinematics starts.")
+        .def_static("make", &make_hand, "tree"_a, "limbs"_a, "home"_a, "together"_a = Pairs{},
+                    "home (M,) [rad]: where the inverse kinematics starts; together: pairs of links, -1 the palm, that may touch.")
+        .def(
+            "moved",
+            [](const HandLimbs& hand, const Nine& turn, const Three& shift, nb::handle home) {
+                return std::make_shared<HandLimbs>(
+                    hand.moved(Rotation::from(turn.data()), point(shift.data()), in(home, hand.tree->joints()).data()));
+            },
+            "turn"_a, "shift"_a, "home"_a, "The same hand, its palm turned (9,), then shifted [m], with another rest posture (M,).")
         .def(
             "clearance",
-            [](const HandLimbs& hand, const Surface& surface, nb::handle angles) {
-                return hand.clearance(surface, in(angles, hand.tree->joints()).data());
+            [](const HandLimbs& hand, const Surface& surface, nb::handle angles, double enough) {
+                return hand.clearance(Obstacle(surface), in(angles, hand.tree->joints()).data(), enough);
             },
-            "surface"_a, "angles"_a,
+            "surface"_a, "angles"_a, "enough"_a = infinity,
             "Least distances [m] at angles (M,): of the links, without fingertips, from an object; of links and tips from one\n"
-            "another.")
-        .def("palm_gap", &HandLimbs::palm_gap, "surface"_a, "Of the palm from an object [m].");
+            "another; at most `enough`.")
+        .def("link_gaps", &link_gaps, "angles"_a, "enough"_a,
+             "Pairs of limbs of different links, not of one joint, that are at most `enough` apart [m]: (link, link, distance). Coupled\n"
+             "joints follow theirs.")
+        .def_prop_ro(
+            "free", [](const HandLimbs& hand) {
+                std::vector<bool> out;
+                for (const Finger& finger : hand.fingers) out.push_back(finger.free);
+                return out;
+            }, "Of each finger, whether its tip goes anywhere near.")
+        .def("palm_gap", [](const HandLimbs& hand, const Surface& surface) { return hand.palm_gap(Obstacle(surface)); }, "surface"_a,
+             "Of the palm from an object [m].");
     nb::class_<GraspSearch>(m, "GraspSearch", "A search for contacts with which a hand holds an object.")
-        .def_static("make", &make, "hand"_a, "surface"_a, nb::kw_only(), "friction"_a, "length"_a, "space"_a, "loads"_a,
-                    "directions"_a,
+        .def_static("make", &make, "hand"_a, "surface"_a, nb::kw_only(), "friction"_a, "torsion"_a, "length"_a,
+                    "space"_a, "start"_a, "gravity"_a, "loads"_a, "directions"_a,
                     "loads: (L, 6) that the contacts make, (force, moment / length) [N]; directions: (D, 6) to compare them in;\n"
-                    "length, space between fingers [m].")
-        .def("fill", &fill, "finger"_a, "rays"_a, "margins"_a, "most"_a,
+                    "length, space between fingers, torsion: moment about the normal over its force, start: of the tips from the\n"
+                    "object before they close [m]; gravity (3,) [m/s^2].")
+        .def("fill", &fill, "finger"_a, "draws"_a, "spread"_a, "margins"_a, "most"_a,
              "Makes the pool of places of a finger anew, and returns their number.\n"
-             "rays: (S, 6) where to begin inside the object [m], and what to add to the direction towards the finger.\n"
+             "draws: (S, 6) in [0, 1); less 1/2, times spread (6,): where to begin inside the object [m], and what to add to the\n"
+             "direction towards the finger.\n"
              "margins: [m] of flat surface, [rad] from joint limits, [m] of clearance.")
-        .def("choose", &choose, "picks"_a, "forces"_a, "points"_a, "normals"_a,
+        .def("choose", &choose, "picks"_a, "forces"_a, "points"_a, "normals"_a, "choices"_a,
              "The best choice of each round: the total normal force [N] that it needs in the worst case into (R,), points and\n"
-             "normals into (R, N, 3); returns how many. picks: random numbers >= 0 per finger, of the choices to begin with.")
+             "normals into (R, N, 3), places into (R, N); returns how many. picks: random numbers >= 0 per finger, of the choices to begin with.")
         .def(
             "misses",
             [](const GraspSearch& search, int finger) {
                 const Misses& misses = search.misses.at(finger);
-                return std::array<int, 3>{misses.edge, misses.far, misses.touching};
+                return Ends{misses.edge, misses.far, misses.limit, misses.touching, misses.start, misses.weak};
             },
-            "finger"_a, "How many rays ended at an edge, out of reach, with a link at the object.");
+            "finger"_a,
+            "How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to start,\n"
+            "without push along the normal.")
+        .def("assemble", &assemble, "choice"_a, "clearance"_a, "angles"_a, "start"_a,
+             "Angles (M,) of the whole hand at a choice of places, and before it closes, as far as they are. Returns 0, or what is\n"
+             "wrong: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at the start.");
 }

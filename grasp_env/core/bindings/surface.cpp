@@ -24,6 +24,12 @@ Surface make(const std::string& kind, nb::handle numbers, nb::handle triangles, 
         const double* at = corners.data() + 9 * f;
         mesh.faces.push_back({point(at), point(at + 3) - point(at), point(at + 6) - point(at), point(outward.data() + 3 * f)});
     }
+    auto each = std::make_shared<std::vector<Point>>();
+    for (const Face& face : mesh.faces)
+        for (const Point& corner : {face.corner, face.corner + face.b, face.corner + face.c})
+            if (std::none_of(each->begin(), each->end(), [&](const Point& known) { return length(known - corner) < 1e-12; }))
+                each->push_back(corner);
+    mesh.corners = std::move(each);
     return {mesh};
 }
 

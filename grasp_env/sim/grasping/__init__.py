@@ -1,5 +1,5 @@
 """Where a hand takes hold of an object: grasps that it reaches, and checks of points a user gives."""
 
-from grasp_env.sim.grasping.points import check_points, grasp_points
+from grasp_env.sim.grasping.points import GraspPlan, check_points, grasp_points, plan_grasp
 
-__all__ = ["check_points", "grasp_points"]
+__all__ = ["GraspPlan", "check_points", "grasp_points", "plan_grasp"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -11,9 +12,10 @@ from grasp_env import core
 from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.presets import paper_cuboid
-from grasp_env.sim.grasping.limbs import hand_limbs
+from grasp_env.sim.config import START_CLEARANCE, SceneConfig
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
+from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
 FRICTION_MARGIN = 0.85
@@ -34,27 +36,54 @@ _MARGINS = (
     (0.001, 0.0, 0.0005),
 )  # [m] of flat surface, [rad] from joint limits, [m] of clearance that a place keeps; easier each time
 _DIRECTIONS = 120
+_TRIES = 3  # of the easier margins
+_NO_CLOSURE = "without force closure"
+_MISSES = (
+    "too near to an edge",
+    "out of reach",
+    "too near to a joint limit",
+    "with a link at the object",
+    "without room to start",
+    "without push along the normal",
+)
+_FAULTS = (
+    "with a link of the whole hand at the object",
+    "with links that touch",
+    "without a start",
+    "with a link at the object at the start",
+    "with links that touch at the start",
+)
+
+
+@dataclass(frozen=True)
+class GraspPlan:
+    """A grasp and how the hand comes to it; N fingers, M joints.
+
+    Attributes:
+        points: Contacts [m], (N, 3), object frame, in the order of the fingers.
+        normals: Inward unit normals there, (N, 3).
+        angles: Of the joints at the contacts [rad], (M,).
+        start: Of the joints before the fingers close [rad], (M,): every tip `START_CLEARANCE` from the object.
+        force: Total normal force in the worst case, or what it takes of the joints' torques where that is more: 30 N for all of one's.
+    """
+
+    points: Array
+    normals: Array
+    angles: Array
+    start: Array
+    force: float
 
 
 def grasp_points(
     item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None
 ) -> tuple[Array, Array]:
-    """Contacts with which the hand holds the object, the best of some thousand choices.
-
-    The fingers reach them from the rest posture, joints and links with room to spare, away from edges. With 0.85 of the
-    friction they balance weight, +-2 N and +-0.06 N m; among such choices the total normal force in the worst case is
-    small. The default cuboid in the four-finger hand keeps the reference grasp.
-
-    Args:
-        item: The object, its body frame the world frame.
-        kinematics: The hand.
-        rng: Draws the places that are tried; None: always the same.
+    """Contacts with which the hand holds the object: `plan_grasp` without the angles.
 
     Returns:
         Points [m] and inward unit normals, (N, 3) each, object frame, in the order of the fingers.
 
     Raises:
-        InvalidInputError: The object is out of reach, too large for the hand, or cannot be held; the message says why.
+        InvalidInputError: see `plan_grasp`.
 
     Example:
         >>> hand = HandKinematics(HandDescription.four_finger())
@@ -62,10 +91,46 @@ def grasp_points(
         >>> bool(np.allclose(points, -0.05 * normals))
         True
     """
+    found = plan_grasp(item, kinematics, rng)
+    return found.points, found.normals
+
+
+def plan_grasp(
+    item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None, torsion: float = 0.0
+) -> GraspPlan:
+    """The best of some thousand choices of contacts for the hand where it is.
+
+    The fingers reach them from the rest posture, joints and links with room to spare, away from edges. With 0.85 of the
+    friction they balance weight, +-2 N and +-0.06 N m; among such choices the total normal force in the worst case is
+    small, and what it takes of the torques that the links' own weight leaves. The default cuboid in the four-finger hand
+    keeps the reference grasp.
+
+    Args:
+        item: The object, its body frame the world frame.
+        kinematics: The hand.
+        rng: Draws the places that are tried; None: always the same.
+        torsion: Of soft contacts: most moment about the normal over its force [m].
+
+    Raises:
+        InvalidInputError: The object is out of reach, too large for the hand, or cannot be held; the message says on how
+            many candidates what failed.
+    """
     if rng is None and item.shape == "cuboid" and item.size == (0.1, 0.1, 0.1) and kinematics.hand == _four_finger():
-        paper = paper_cuboid()
-        return np.array(paper.positions), np.array(paper.normals)
-    return _Search(item, kinematics, np.random.default_rng(0) if rng is None else rng).result()
+        return _of_points(item, kinematics, np.array(paper_cuboid().positions), np.array(paper_cuboid().normals))
+    search = GraspSearch(item, _limbs(kinematics), kinematics.hand, torsion)
+    found = search.run(np.random.default_rng(0) if rng is None else rng)
+    if found is None:
+        raise InvalidInputError(search.reason())
+    return found
+
+
+def _of_points(item: ObjectDescription, kinematics: HandKinematics, points: Array, normals: Array) -> GraspPlan:
+    """The plan of contacts that are given."""
+    at, start = (
+        SceneConfig(kinematics.hand, item, tuple(map(tuple, points.tolist())), clearance=away).nominal_tips()
+        for away in (0.0, START_CLEARANCE)
+    )
+    return GraspPlan(points, normals, kinematics.solve(at), kinematics.solve(start), np.inf)
 
 
 def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -113,87 +178,100 @@ def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike 
     return on, inward
 
 
-class _Search:
-    """One object in one hand: pools of places, choices among them, the first that the whole hand can take."""
+class GraspSearch:
+    """One object in one hand: pools of places, choices among them, the first that the whole hand can take.
 
-    def __init__(self, item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator) -> None:
-        self.item, self.kinematics, self.rng = item, kinematics, rng
-        self.limbs, self.fingers = _limbs(kinematics), kinematics.hand.finger_count
+    Args:
+        item: The object.
+        limbs: The hand where it is.
+        hand: For the names of its parts.
+        torsion: see `plan_grasp`.
+
+    Attributes:
+        faults: On how many candidates what failed.
+    """
+
+    def __init__(self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription, torsion: float = 0.0) -> None:
+        self.item, self.limbs, self.hand = item, limbs, hand
+        self.faults: dict[str, int] = {}
+        self._short = [0] * hand.finger_count  # how often a finger found no place
+        self._gap = limbs.palm_gap(item.surface)
         length = 0.5 * float(np.mean(item.extent))
+        self._spread = [*item.extent, *[2.0 * _SPREAD] * 3]
         self.core = core.GraspSearch.make(
-            self.limbs,
+            limbs,
             item.surface,
-            friction=FRICTION_MARGIN * item.friction,
+            friction=FRICTION_MARGIN * item.friction * hand.tip_friction,
+            torsion=torsion,
             length=length,
             space=_SPACE,
+            start=START_CLEARANCE,
+            gravity=(0.0, -_GRAVITY, 0.0),
             loads=_loads(item.mass, length),
             directions=_spread_directions(),
         )
 
-    def result(self) -> tuple[Array, Array]:
-        self._check_palm()
-        reason = ""
-        for margins in _MARGINS:
-            counts = self._fill(margins)
-            if min(counts) == 0:
-                reason = self._unreached(counts.index(0))
-                continue
-            found = self._best(margins[2])
-            if found is not None:
-                return found
-            reason = (
-                "the fingers reach it, but no choice of places balances its weight, +-2 N and +-0.06 N m with "
-                f"{FRICTION_MARGIN} of its friction {self.item.friction}; raise the friction, or use a hand with more "
-                "fingers"
-            )
-        raise InvalidInputError(f"{self._name} cannot be grasped by the hand {self.kinematics.hand.name!r}: {reason}")
-
-    @property
-    def _name(self) -> str:
-        return f"the {self.item.shape} of {' x '.join(f'{side:.3g}' for side in self.item.extent)} m"
-
-    def _fill(self, margins: tuple[float, float, float]) -> list[int]:
-        """How many places each finger has."""
-        sides = np.concatenate([self.item.extent, np.full(3, 2.0 * _SPREAD)])
-        return [
-            self.core.fill(finger, (self.rng.random((_RAYS, 6)) - 0.5) * sides, margins, _PLACES)
-            for finger in range(self.fingers)
-        ]
-
-    def _best(self, clearance: float) -> tuple[Array, Array] | None:
-        """The best choice for which the whole hand has angles, without contact but at the tips."""
-        picks = self.rng.integers(0, 1 << 30, (_STARTS, self.fingers))
-        forces, shape = np.full(_ROUNDS, np.inf), (_ROUNDS, self.fingers, 3)
-        points, normals = np.empty(shape), np.empty(shape)
-        self.core.choose(picks.tolist(), forces, points, normals)
-        for turn in np.argsort(forces, kind="stable"):
-            if forces[turn] > LARGEST_FORCE:
-                return None
-            try:
-                angles = self.kinematics.solve(points[turn] - self.kinematics.tip_radii[:, None] * normals[turn])
-            except InvalidInputError:  # fingers that share joints reach their places one by one only
-                continue
-            away, apart = self.limbs.clearance(self.item.surface, angles)
-            if away >= 0.9 * clearance and apart > 0.0:
-                return points[turn], normals[turn]
+    def run(self, rng: np.random.Generator, tries: int = _TRIES) -> GraspPlan | None:
+        """A grasp, or None; with other draws, and easier margins, each time that there is none."""
+        if self._gap < _MARGINS[-1][2]:
+            return None
+        for margins in _MARGINS[:1] + _MARGINS[1:] * tries:
+            counts = [
+                self.core.fill(finger, rng.random((_RAYS, 6)), self._spread, margins, _PLACES)
+                for finger in range(self.hand.finger_count)
+            ]
+            self._note(counts)
+            if min(counts) > 0:
+                found = self._best(rng, margins[2])
+                if found is not None:
+                    return found
         return None
 
-    def _check_palm(self) -> None:
-        gap = self.limbs.palm_gap(self.item.surface)
-        if gap < _MARGINS[-1][2]:
-            raise InvalidInputError(
-                f"{self._name} reaches {-1e3 * gap:.1f} mm into the palm of the hand {self.kinematics.hand.name!r}; "
+    def reason(self) -> str:
+        """Why `run` found none."""
+        name = f"the {self.item.shape} of {' x '.join(f'{side:.3g}' for side in self.item.extent)} m"
+        if self._gap < _MARGINS[-1][2]:
+            return (
+                f"{name} reaches {-1e3 * self._gap:.1f} mm into the palm of the hand {self.hand.name!r}; "
                 "use a smaller object or a palm further away"
             )
-
-    def _unreached(self, finger: int) -> str:
-        edges, far, touching = self.core.misses(finger)
-        name = self.kinematics.hand.finger_names[finger]
-        why = (
-            f"of the places tried {far} are out of reach, at {touching} its links touch the object, and {edges} are "
-            "too near to an edge"
+        counts = ", ".join(f"{count} {what}" for what, count in self.faults.items() if count)
+        start = f"{name} cannot be grasped by the hand {self.hand.name!r}: "
+        if max(self._short) > 0:
+            finger = self.hand.finger_names[int(np.argmax(self._short))]
+            return (
+                f"{start}finger {finger!r} finds no place on it; of all places tried {counts}. Use an object of another size, "
+                "move the finger's base, or let `place_hand` look for a palm pose"
+            )
+        return (
+            f"{start}the fingers reach it, but no choice of places balances its weight, +-2 N and +-0.06 N m with "
+            f"{FRICTION_MARGIN} of its friction {self.item.friction}; of places and choices tried {counts}; raise the friction, "
+            "or use a hand with more fingers or another palm pose"
         )
-        return f"finger {name!r} finds no place on it: {why}. Use an object of another size, or move the finger's base"
+
+    def _note(self, counts: list[int]) -> None:
+        for finger, count in enumerate(counts):
+            self._short[finger] += count == 0
+            for what, number in zip(_MISSES, self.core.misses(finger), strict=True):
+                self.faults[what] = self.faults.get(what, 0) + number
+
+    def _best(self, rng: np.random.Generator, clearance: float) -> GraspPlan | None:
+        """The best choice for which the whole hand has angles, without contact but at the tips."""
+        fingers, joints = self.hand.finger_count, self.hand.joint_count
+        picks = rng.integers(0, 1 << 30, (_STARTS, fingers))
+        forces, shape = np.full(_ROUNDS, np.inf), (_ROUNDS, fingers, 3)
+        points, normals, choices = np.empty(shape), np.empty(shape), np.empty(shape[:2])
+        self.core.choose(picks.tolist(), forces, points, normals, choices)
+        for turn in np.argsort(forces, kind="stable"):
+            if forces[turn] > LARGEST_FORCE:
+                self.faults[_NO_CLOSURE] = self.faults.get(_NO_CLOSURE, 0) + 1
+                return None
+            angles, start = np.empty(joints), np.empty(joints)
+            fault = self.core.assemble([int(place) for place in choices[turn]], clearance, angles, start)
+            if fault == 0:
+                return GraspPlan(points[turn], normals[turn], angles, start, float(forces[turn]))
+            self.faults[_FAULTS[fault - 1]] = self.faults.get(_FAULTS[fault - 1], 0) + 1
+        return None
 
 
 def _loads(mass: float, length: float) -> Array:
@@ -210,7 +288,7 @@ def _four_finger() -> HandDescription:
 
 @lru_cache(maxsize=8)
 def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
-    return core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
+    return core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home, touching_pairs(kinematics.hand))
 
 
 @lru_cache(maxsize=1)

@@ -1,61 +1,53 @@
-// How far a hand's links are from an object and from one another; links are capsules here.
+// How far a hand's links are from an object and from one another.
 #pragma once
-#include "surface.hpp"
+#include "convex.hpp"
 #include "tree.hpp"
 
 namespace grasp {
 
-struct Segment {
-    Point start, end;  // [m]
+// An object, in the world frame.
+struct Obstacle {
+    Surface surface;
+    Solid solid;
 
-    Point at(double part) const { return start + part * (end - start); }
+    explicit Obstacle(Surface given) : surface(std::move(given)), solid(Solid::of(surface)) {}
 };
 
-// The least distance of two segments [m] (Ericson 2005, 5.1.9).
-inline double gap(const Segment& a, const Segment& b) {
-    constexpr double PARALLEL = 1e-12;  // of the squared sine between them
-    const auto within = [](double part) { return std::min(std::max(part, 0.0), 1.0); };
-    const Point u = a.end - a.start, v = b.end - b.start, r = a.start - b.start;
-    const double uu = dot(u, u), vv = dot(v, v), uv = dot(u, v), ur = dot(u, r), vr = dot(v, r);
-    double s = 0.0, t = 0.0;
-    if (uu > 0.0) {
-        if (const double across = uu * vv - uv * uv; across > PARALLEL * uu * vv) s = within((uv * vr - ur * vv) / across);
-        t = vv > 0.0 ? (uv * s + vr) / vv : -1.0;
-        if (t < 0.0 || t > 1.0) t = within(t), s = within((t * uv - ur) / uu);
-    } else if (vv > 0.0) {
-        t = within(vr / vv);
-    }
-    return length(r + s * u - t * v);
+// Of a placed limb from the object; a lower bound where it is above `enough` [m].
+inline double gap(const Obstacle& object, const Placed& limb, double enough = infinity) {
+    const double radius = limb.solid->radius;
+    if (limb.solid->is_line()) return gap(object.surface, limb.axis, enough + radius) - radius;
+    return gap(Placed(object.solid), limb, enough);
 }
 
-// The least signed distance of a segment from a convex surface [m], by golden sections; stops where it is surely `enough`.
-inline double gap(const Surface& surface, const Segment& a, double enough = infinity) {
-    constexpr double GOLDEN = 0.6180339887498949;
-    constexpr int SECTIONS = 14;  // leave a thousandth of the segment
-    const auto at = [&](double part) { return surface.nearest(a.at(part)).distance; };
-    const double size = length(a.end - a.start);
-    double low = 0.0, high = 1.0, left = 1.0 - GOLDEN, right = GOLDEN, at_left = at(left), at_right = at(right);
-    // no point of the bracket is further from one of the two than the bracket is long
-    for (int k = 1; k < SECTIONS && size > 0.0 && !(std::min(at_left, at_right) - (high - low) * size > enough); ++k) {
-        if (at_left < at_right) {
-            high = right, right = left, at_right = at_left;
-            at_left = at(left = high - GOLDEN * (high - low));
-        } else {
-            low = left, left = right, at_left = at_right;
-            at_right = at(right = low + GOLDEN * (high - low));
-        }
-    }
-    return std::min(at_left, at_right);
-}
-
-// A capsule that is fixed to a link.
+// A solid that is fixed to a link.
 struct Limb {
-    int link;       // -1: the palm
-    Segment axis;   // [m], link frame
-    double radius;  // [m]
-    bool tip;       // a fingertip's own sphere, which is there to touch
+    int link;     // -1: the palm
+    Solid solid;  // link frame
+    bool tip;     // part of a fingertip, which is there to touch
 
-    Segment at(const Posture& posture) const { return {posture.at(link, axis.start), posture.at(link, axis.end)}; }
+    Placed at(const Posture& posture) const {
+        return link < 0 ? Placed(solid) : Placed(solid, posture.origins[link], posture.frames[link]);
+    }
+};
+
+// Links of which nobody asks how far they are apart: those of one joint, and what always touches.
+class Together {
+public:
+    explicit Together(const Tree& tree, const std::vector<std::pair<int, int>>& pairs = {})
+        : count_(tree.joints() + 1), pairs_(count_ * count_, 0) {
+        for (int j = -1; j < tree.joints(); ++j) add(j, j);
+        for (int j = 0; j < tree.joints(); ++j) add(j, tree.links[j].parent);
+        for (const auto& [a, b] : pairs) add(a, b);
+    }
+    // -1: the palm
+    bool operator()(int a, int b) const { return pairs_[count_ * (a + 1) + b + 1]; }
+
+private:
+    int count_;
+    std::vector<char> pairs_;
+
+    void add(int a, int b) { pairs_[count_ * (a + 1) + b + 1] = pairs_[count_ * (b + 1) + a + 1] = 1; }
 };
 
 }  // namespace grasp

@@ -1,9 +1,9 @@
 // The contacts with which a hand holds an object best.
 //
-// Every finger has a pool of places that it reaches on its own. A choice of one place per finger is rated by the total normal force
-// that the worst of some wrenches needs. That is a maximum over directions y in wrench space,
+// Every finger has a pool of places that it reaches on its own. A choice of one place per finger is rated by the total normal force,
+// or by what that takes of the joints' torques where it is more, that the worst of some wrenches needs. That is a maximum over directions y in wrench space,
 //
-//     max_y  max_w (-w . y) / h(y),  h(y) = max_i max {f . v_i(y) : f in cone i, normal part 1},
+//     max_y  max_w (-w . y) / h(y),  h(y) = max_i max {f . v_i(y) : f in cone i, cost 1},
 //
 // in which each place enters on its own: its part of h, its reply, is tabulated for a few hundred y, so that a choice takes a
 // microsecond. The choices that do best by the table are solved exactly, by linear programming whose columns, rays of the round
@@ -13,31 +13,39 @@
 
 namespace grasp {
 
-// What a grasp must do. Wrenches are (force, moment / length) [N].
-struct Demand {
-    double friction;
-    double length;  // [m]
-    std::vector<Vec6> loads;  // that the contacts make; 0 is inside their convex hull
-    double space;  // between fingers [m]
-};
-
-// Most work that a contact force of normal part 1 does along y, and its wrench.
+// Most work that a contact force of cost 1 does along y, and its wrench. A soft contact turns about its normal too, within the ellipsoid
+// (slip / friction)^2 + (moment / torsion)^2 <= (normal force)^2.
 struct Reply {
     double work;
     Vec6 wrench;
 
     Reply(const Place& place, const Demand& demand, const Vec6& y) {
-        const Point velocity = point(y.data()) + (1.0 / demand.length) * cross(point(y.data() + 3), place.point);
+        const Point turn = (1.0 / demand.length) * point(y.data() + 3);
+        const Point velocity = point(y.data()) + cross(turn, place.point);
         const double along = dot(velocity, place.normal);
         const Point tangent = velocity - along * place.normal;
         const double slip = length(tangent);
-        const Point force = place.normal + (slip > 0.0 ? demand.friction / slip : 0.0) * tangent;
+        double grip = slip > 0.0 ? demand.friction / slip : 0.0, twist = 0.0;
         work = along + demand.friction * slip;
+        if (demand.torsion > 0.0) {
+            const double spin = demand.torsion * dot(turn, place.normal), both = std::hypot(demand.friction * slip, spin);
+            grip *= both > 0.0 ? demand.friction * slip / both : 0.0, twist = both > 0.0 ? demand.torsion * spin / both : 0.0;
+            work = along + both;
+        }
+        Point force = place.normal + grip * tangent;
+        if (!place.efforts.empty()) {
+            const double all = place.cost(force), plain = place.cost(place.normal);
+            double cost = all;
+            if (along * all > work * plain) force = place.normal, work = along, cost = plain, twist = 0.0;
+            work /= cost, force = force / cost, twist /= cost;
+        }
         wrench = unit_wrench((1.0 / demand.length) * place.point, force);
+        if (twist != 0.0)
+            for (int k = 0; k < 3; ++k) wrench[3 + k] += twist / demand.length * place.normal[k];
     }
 };
 
-// Total normal force [N] of contact forces whose wrench is `load`, at most 2 % above the least possible; inf: none was found.
+// Least cost [N] of contact forces whose wrench is `load`, by the rays that `Reply` names at most 2 % above it; inf: none was found.
 // y: multipliers; load . y over the largest reply is a lower bound.
 inline double least_force(const std::vector<const Place*>& places, const Demand& demand, const Vec6& load, Vec6& y) {
     constexpr double PENALTY = 1e6;  // [N] of what no contact force balances
@@ -90,13 +98,39 @@ public:
     std::vector<Misses> misses;
 
     GraspSearch(std::shared_ptr<HandLimbs> hand, Surface surface, Demand demand, std::vector<Vec6> directions)
-        : pools(hand->fingers.size()), misses(pools.size()), hand_(std::move(hand)), surface_(std::move(surface)),
+        : pools(hand->fingers.size()), misses(pools.size()), hand_(std::move(hand)), object_(std::move(surface)),
           demand_(std::move(demand)), given_(std::move(directions)) {}
 
     // Makes the pool of a finger anew, of up to `most` places; their number.
     int fill(int finger, const std::vector<Ray>& rays, const Margins& margins, int most) {
-        hand_->fingers[finger].find(surface_, rays, margins, most, pools[finger], misses[finger]);
+        hand_->fingers[finger].find(object_, demand_, rays, margins, most, pools[finger], misses[finger]);
         return int(pools[finger].size());
+    }
+
+    enum Fault { none, near_object, near_itself, no_start, start_near_object, start_near_itself };
+
+    // Angles (M,) at which the whole hand is at its places, and before it closes, and what is wrong with them. clearance: of the links
+    // from the object at the places [m].
+    Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
+        constexpr double EASIER = 0.9, LEAST = 1e-4;  // of the clearance, which the places have; [m] at the start
+        std::copy(hand_->home.begin(), hand_->home.end(), angles), std::copy(angles, angles + hand_->home.size(), start);
+        std::vector<double> there;
+        bool starts = true;
+        for (std::size_t i = 0; i < choice.size(); ++i) {
+            Finger& finger = hand_->fingers[i];
+            const Place& place = pools[i][choice[i]];
+            starts = finger.stand_off(place, demand_.start, there) && starts;
+            for (std::size_t k = 0; k < finger.joints.size(); ++k)
+                angles[finger.joints[k]] = place.angles[k], start[finger.joints[k]] = there[k];
+        }
+        hand_->tree->couple(angles), hand_->tree->couple(start);
+        const auto [away, apart] = hand_->clearance(object_, angles, 2.0 * clearance);
+        if (away < EASIER * clearance) return near_object;
+        if (!(apart > 0.0)) return near_itself;
+        if (!starts) return no_start;
+        const auto [first_away, first_apart] = hand_->clearance(object_, start, 2.0 * clearance);
+        if (first_away < LEAST) return start_near_object;
+        return first_apart > 0.0 ? none : start_near_itself;
     }
 
     // The best choice of each round, in which the last one's multipliers count too; no pool may be empty. picks: random numbers >= 0 for
@@ -135,7 +169,7 @@ public:
 
 private:
     std::shared_ptr<HandLimbs> hand_;
-    Surface surface_;
+    Obstacle object_;
     Demand demand_;
     std::vector<Vec6> given_;
     std::vector<double> needs_, rest_;  // per direction: the largest load . y; the largest reply of all fingers but one
@@ -207,8 +241,15 @@ private:
             for (std::size_t c = 0; c < one.limbs.size(); ++c) {
                 if (other.carries(one.carried[c])) continue;
                 for (std::size_t e = 0; e < other.limbs.size(); ++e) {
-                    const double needed = one.limbs[c].radius + other.limbs[e].radius + demand_.space;
-                    if (!one.carries(other.carried[e]) && gap(here.limbs[c], there.limbs[e]) < needed) return false;
+                    if (one.carries(other.carried[e])) continue;
+                    const Limb &first = hand_->all[one.carried[c]], &second = hand_->all[other.carried[e]];
+                    if (hand_->together(first.link, second.link)) continue;
+                    if (first.solid.is_line() && second.solid.is_line()) {
+                        const double needed = first.solid.radius + second.solid.radius + demand_.space;
+                        if (gap(here.limbs[c].axis, there.limbs[e].axis) < needed) return false;
+                    } else if (nearer(here.limbs[c], there.limbs[e], demand_.space)) {
+                        return false;
+                    }
                 }
             }
         }

@@ -1,6 +1,7 @@
 // Surfaces of convex objects: the point nearest to a given one. A spherical fingertip of radius r whose centre is at distance d touches
 // where d = r, at the point nearest to the centre. Body frame; the axis of cylinders and capsules is y.
 #pragma once
+#include <memory>
 #include <utility>
 #include <variant>
 #include "geometry.hpp"
@@ -97,7 +98,8 @@ struct Face {
 };
 
 struct Mesh {
-    std::vector<Face> faces;  // of a closed convex mesh
+    std::vector<Face> faces;  // of a closed convex mesh, the origin inside
+    std::shared_ptr<const std::vector<Point>> corners;  // of all faces [m], each once
 
     // The nearest point lies on a face that the centre is outside of, if there is one.
     Nearest nearest(const Point& center) const {
