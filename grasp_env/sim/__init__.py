@@ -6,6 +6,7 @@ with need("sim"):
     from grasp_env.sim.client import Client
     from grasp_env.sim.config import SceneConfig
     from grasp_env.sim.engine import ENGINES, BulletEngine, MujocoEngine
+    from grasp_env.sim.grasping.placing import place_hand
     from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
     from grasp_env.sim.hand.kinematics import HandKinematics
     from grasp_env.sim.objects.description import ObjectDescription
@@ -30,4 +31,5 @@ __all__ = [
     "Scene",
     "SceneConfig",
     "Snapshot",
+    "place_hand",
 ]

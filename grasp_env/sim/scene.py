@@ -72,13 +72,8 @@ class Scene:
         Raises:
             InvalidInputError: a finger cannot reach its contact; the scene is as before.
         """
-<<<<<<< HEAD
-        angles = self.kinematics.solve(config.nominal_tips())
-        self.config = replace(config, hand=self.config.hand, engine=self.config.engine)
-=======
         angles = self._start(config)
-        self.config = replace(config, hand=self.config.hand)
->>>>>>> 12f4519 (Limbs of true shape, fingers that only close, the start checked and torques weighed in the grasp search)
+        self.config = replace(config, hand=self.config.hand, engine=self.config.engine)
         self._build(angles)
 
     def change_object(self, mass: float | None = None, friction: float | None = None) -> None:

@@ -116,6 +116,9 @@ void bind_tree(nb::module_& m) {
         .def_static("make", &make_tree, "links"_a, "tips"_a, "Parents come before their links.")
         .def_prop_ro("joints", &Tree::joints)
         .def_prop_ro("fingers", &Tree::fingers)
+        .def(
+            "couple", [](const Tree& tree, nb::handle angles) { tree.couple(out(angles, tree.joints()).data()); }, "angles"_a,
+            "Puts coupled joints where those that drive them say, in angles (M,).")
         .def("trace", &trace, "angles"_a, "rotations"_a, "origins"_a,
              "Where the links are at angles (M,) [rad], world frame: rotations (M, 3, 3) and origins (M, 3) [m] are filled.")
         .def("tips", &tips, "angles"_a, "centers"_a, "Centres of the fingertips [m], world frame, into (N, 3).")

@@ -1,5 +1,6 @@
 """Where a hand takes hold of an object: grasps that it reaches, and checks of points a user gives."""
 
+from grasp_env.sim.grasping.placing import place_hand
 from grasp_env.sim.grasping.points import GraspPlan, check_points, grasp_points, plan_grasp
 
-__all__ = ["GraspPlan", "check_points", "grasp_points", "plan_grasp"]
+__all__ = ["GraspPlan", "check_points", "grasp_points", "place_hand", "plan_grasp"]

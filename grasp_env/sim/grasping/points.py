@@ -188,13 +188,13 @@ class GraspSearch:
         torsion: see `plan_grasp`.
 
     Attributes:
-        faults: On how many candidates what failed.
+        faults: On how many candidates what failed. short: How often each finger found no place, (N,).
     """
 
     def __init__(self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription, torsion: float = 0.0) -> None:
         self.item, self.limbs, self.hand = item, limbs, hand
         self.faults: dict[str, int] = {}
-        self._short = [0] * hand.finger_count  # how often a finger found no place
+        self.short = [0] * hand.finger_count
         self._gap = limbs.palm_gap(item.surface)
         length = 0.5 * float(np.mean(item.extent))
         self._spread = [*item.extent, *[2.0 * _SPREAD] * 3]
@@ -215,7 +215,7 @@ class GraspSearch:
         """A grasp, or None; with other draws, and easier margins, each time that there is none."""
         if self._gap < _MARGINS[-1][2]:
             return None
-        for margins in _MARGINS[:1] + _MARGINS[1:] * tries:
+        for margins in (_MARGINS[:1] + _MARGINS[1:] * tries) if tries else _MARGINS[:2]:
             counts = [
                 self.core.fill(finger, rng.random((_RAYS, 6)), self._spread, margins, _PLACES)
                 for finger in range(self.hand.finger_count)
@@ -237,8 +237,8 @@ class GraspSearch:
             )
         counts = ", ".join(f"{count} {what}" for what, count in self.faults.items() if count)
         start = f"{name} cannot be grasped by the hand {self.hand.name!r}: "
-        if max(self._short) > 0:
-            finger = self.hand.finger_names[int(np.argmax(self._short))]
+        if max(self.short) > 0:
+            finger = self.hand.finger_names[int(np.argmax(self.short))]
             return (
                 f"{start}finger {finger!r} finds no place on it; of all places tried {counts}. Use an object of another size, "
                 "move the finger's base, or let `place_hand` look for a palm pose"
@@ -251,7 +251,7 @@ class GraspSearch:
 
     def _note(self, counts: list[int]) -> None:
         for finger, count in enumerate(counts):
-            self._short[finger] += count == 0
+            self.short[finger] += count == 0
             for what, number in zip(_MISSES, self.core.misses(finger), strict=True):
                 self.faults[what] = self.faults.get(what, 0) + number
 

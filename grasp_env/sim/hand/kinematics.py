@@ -191,6 +191,12 @@ class HandKinematics:
         first = self.home if start is None else as_array(start, self.home.shape, "start")
         return bool((self._search(self._within, targets, first)[1] <= core.REACHED).all())
 
+    def coupled(self, angles: ArrayLike) -> Array:
+        """The angles (M,) with coupled joints where the others put them."""
+        out = self._angles(angles).copy()
+        self.tree.couple(out)
+        return out
+
     def _angles(self, angles: ArrayLike) -> Array:
         return as_array(angles, (self.hand.joint_count,), "angles")
 
