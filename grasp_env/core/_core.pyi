@@ -518,6 +518,9 @@ class Tree:
     @property
     def fingers(self) -> int: ...
 
+    def couple(self, angles: object) -> None:
+        """Puts coupled joints where those that drive them say, in angles (M,)."""
+
     def trace(self, angles: object, rotations: object, origins: object) -> None:
         """
         Where the links are at angles (M,) [rad], world frame: rotations (M, 3, 3) and origins (M, 3) [m] are filled.
@@ -559,25 +562,50 @@ class Reach:
         """
 
 class Limb:
-    """A capsule that is fixed to a link."""
+    """A convex shape that is fixed to a link; -1: to the palm."""
 
-    def __init__(self, *, link: int, start: Sequence[float], end: Sequence[float], radius: float, tip: bool) -> None:
+    @staticmethod
+    def line(*, link: int, start: Sequence[float], end: Sequence[float], radius: float, tip: bool) -> Limb:
         """
-        link: -1 for the palm; its axis [m] in the link's frame; tip: a fingertip's own sphere.
+        All within a radius of a line [m], link frame; tip: part of a fingertip.
+        """
+
+    @staticmethod
+    def solid(*, link: int, kind: str, half: Sequence[float], center: Sequence[float], rotation: Sequence[float], corners: object, tip: bool) -> Limb:
+        """
+        kind: box, half its sides; cylinder about z, radius twice and half its height; hull, (K, 3) corners about a
+        point inside [m]. center [m] and rotation (9,), link frame.
         """
 
 class HandLimbs:
     """The limbs of a hand, and its fingers one by one."""
 
     @staticmethod
-    def make(tree: Tree, limbs: Sequence[Limb], home: object) -> HandLimbs:
-        """home (M,) [rad]: where the inverse kinematics starts."""
+    def make(tree: Tree, limbs: Sequence[Limb], home: object, together: Sequence[tuple[int, int]] = []) -> HandLimbs:
+        """
+        home (M,) [rad]: where the inverse kinematics starts; together: pairs of links, -1 the palm, that may touch.
+        """
 
-    def clearance(self, surface: Surface, angles: object) -> tuple[float, float]:
+    def moved(self, turn: Sequence[float], shift: Sequence[float], home: object) -> HandLimbs:
+        """
+        The same hand, its palm turned (9,), then shifted [m], with another rest posture (M,).
+        """
+
+    def clearance(self, surface: Surface, angles: object, enough: float = float('inf')) -> tuple[float, float]:
         """
         Least distances [m] at angles (M,): of the links, without fingertips, from an object; of links and tips from one
-        another.
+        another; at most `enough`.
         """
+
+    def link_gaps(self, angles: object, enough: float) -> list[tuple[int, int, float]]:
+        """
+        Pairs of limbs of different links, not of one joint, that are at most `enough` apart [m]: (link, link, distance). Coupled
+        joints follow theirs.
+        """
+
+    @property
+    def free(self) -> list[bool]:
+        """Of each finger, whether its tip goes anywhere near."""
 
     def palm_gap(self, surface: Surface) -> float:
         """Of the palm from an object [m]."""
@@ -586,28 +614,37 @@ class GraspSearch:
     """A search for contacts with which a hand holds an object."""
 
     @staticmethod
-    def make(hand: HandLimbs, surface: Surface, *, friction: float, length: float, space: float, loads: object, directions: object) -> GraspSearch:
+    def make(hand: HandLimbs, surface: Surface, *, friction: float, torsion: float, length: float, space: float, start: float, gravity: Sequence[float], loads: object, directions: object) -> GraspSearch:
         """
         loads: (L, 6) that the contacts make, (force, moment / length) [N]; directions: (D, 6) to compare them in;
-        length, space between fingers [m].
+        length, space between fingers, torsion: moment about the normal over its force, start: of the tips from the
+        object before they close [m]; gravity (3,) [m/s^2].
         """
 
-    def fill(self, finger: int, rays: object, margins: Sequence[float], most: int) -> int:
+    def fill(self, finger: int, draws: object, spread: Sequence[float], margins: Sequence[float], most: int) -> int:
         """
         Makes the pool of places of a finger anew, and returns their number.
-        rays: (S, 6) where to begin inside the object [m], and what to add to the direction towards the finger.
+        draws: (S, 6) in [0, 1); less 1/2, times spread (6,): where to begin inside the object [m], and what to add to the
+        direction towards the finger.
         margins: [m] of flat surface, [rad] from joint limits, [m] of clearance.
         """
 
-    def choose(self, picks: Sequence[Sequence[int]], forces: object, points: object, normals: object) -> int:
+    def choose(self, picks: Sequence[Sequence[int]], forces: object, points: object, normals: object, choices: object) -> int:
         """
         The best choice of each round: the total normal force [N] that it needs in the worst case into (R,), points and
-        normals into (R, N, 3); returns how many. picks: random numbers >= 0 per finger, of the choices to begin with.
+        normals into (R, N, 3), places into (R, N); returns how many. picks: random numbers >= 0 per finger, of the choices to begin with.
         """
 
     def misses(self, finger: int) -> list[int]:
         """
-        How many rays ended at an edge, out of reach, with a link at the object.
+        How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to start,
+        without push along the normal.
+        """
+
+    def assemble(self, choice: Sequence[int], clearance: float, angles: object, start: object) -> int:
+        """
+        Angles (M,) of the whole hand at a choice of places, and before it closes, as far as they are. Returns 0, or what is
+        wrong: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at the start.
         """
 
 class Answers:

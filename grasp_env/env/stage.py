@@ -9,10 +9,10 @@ import numpy as np
 from grasp_env.config import EnvConfig
 from grasp_env.control.closing import CLEARANCE, close_hand, take_over
 from grasp_env.control.loop import ForceLoop
-from grasp_env.errors import GraspError, SimulationError
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
 from grasp_env.sim.engine import engine_of
-from grasp_env.sim.grasping.points import plan_grasp
+from grasp_env.sim.grasping import GraspPlan, place_hand, plan_grasp
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import random_object
 
@@ -43,10 +43,13 @@ class Stage:
 
     def __init__(self, config: EnvConfig, loop: ForceLoop, gui: bool, visuals: bool) -> None:
         self.config, self._loop = config, loop
-        hand = config.hand if isinstance(config.hand, HandDescription) else HANDS[config.hand]()
-        self.kinematics = HandKinematics(hand)
+        self._given = config.hand if isinstance(config.hand, HandDescription) else HANDS[config.hand]()
         self.redrawn = 0
         self.item = self._described()
+        hand = self._given
+        if not hand.placed and not config.contact_points:
+            hand = place_hand(hand, self.item)
+        self.kinematics = HandKinematics(hand)
         self.scene = Scene(self._grasp_of(self.item), gui=gui, visuals=visuals)
         try:
             close_hand(self.scene, self._loop)
@@ -119,12 +122,25 @@ class Stage:
         }
         return replace(drawn, **kept)
 
+    def _plan(self, item: ObjectDescription) -> GraspPlan:
+        """A grasp with the hand where it is; where there is none, a hand that was not placed goes to another place."""
+        try:
+            return plan_grasp(item, self.kinematics)
+        except InvalidInputError:
+            if self._given.placed:
+                raise
+            touching = set(self.kinematics.hand.finger_names)  # what is observed of them keeps its shape
+            same = replace(self._given, fingertips=tuple(tip for tip in self._given.fingertips if tip.name in touching))
+            hand = place_hand(same, item, least=len(touching))
+            self.kinematics = HandKinematics(hand)
+            return plan_grasp(item, self.kinematics)
+
     def _grasp_of(self, item: ObjectDescription) -> SceneConfig:
         config = self.config
         assert config.physics_rate is not None  # it is resolved
         points, start = config.contact_points, ()
         if not points:
-            plan = plan_grasp(item, self.kinematics)
+            plan = self._plan(item)
             points, start = tuple((x, y, z) for x, y, z in plan.points.tolist()), tuple(plan.start.tolist())
         return SceneConfig(
             hand=self.kinematics.hand,

@@ -55,7 +55,9 @@ class SceneConfig:
         object.__setattr__(self, "gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))
         as_array(self.clearance, (), "clearance")
         if len(self.start_angles):
-            angles = as_array(self.start_angles, (self.hand.joint_count,), "start_angles, one for each joint of the hand")
+            angles = as_array(
+                self.start_angles, (self.hand.joint_count,), "start_angles, one for each joint of the hand"
+            )
             object.__setattr__(self, "start_angles", tuple(angles.tolist()))
         points = as_array(
             self.contact_points, (self.hand.finger_count, 3), "contact_points, one row per finger of the hand"

@@ -45,8 +45,9 @@ class Scene:
     def __init__(self, config: SceneConfig | None = None, gui: bool = False, visuals: bool = False) -> None:
         self.config = config or SceneConfig()
         self.kinematics = HandKinematics(self.config.hand)
-        angles = self._start(self.config)
+        angles = _start(self.config, self.kinematics)
         self.visuals = visuals or gui
+        self._shown = gui, visuals
         self.simulator: Any = _simulator(self.config, gui, visuals)
         self._build(angles)
         self.keep()
@@ -67,13 +68,20 @@ class Scene:
         return self.simulator.world
 
     def load(self, config: SceneConfig) -> None:
-        """Builds another object, or another grasp of it, for the same hand and engine; no kept state is left.
+        """Builds another object, or another grasp of it, for the same engine; no kept state is left. The hand may be elsewhere.
 
         Raises:
             InvalidInputError: a finger cannot reach its contact; the scene is as before.
         """
-        angles = self._start(config)
-        self.config = replace(config, hand=self.config.hand, engine=self.config.engine)
+        kinematics = self.kinematics if config.hand is self.config.hand else HandKinematics(config.hand)
+        angles = _start(config, kinematics)
+        config = replace(config, engine=self.config.engine)
+        if kinematics is not self.kinematics:
+            gui, visuals = self._shown
+            simulator = _simulator(config, gui, visuals)
+            self.simulator.close()
+            self.kinematics, self.simulator = kinematics, simulator
+        self.config = config
         self._build(angles)
 
     def change_object(self, mass: float | None = None, friction: float | None = None) -> None:
@@ -155,9 +163,6 @@ class Scene:
             "a simulation cannot be copied or pickled: both copies would drive one simulator; make a new Scene from its config"
         )
 
-    def _start(self, config: SceneConfig) -> Array:
-        return np.array(config.start_angles) if config.start_angles else self.kinematics.solve(config.nominal_tips())
-
     def _build(self, angles: Array) -> None:
         self.simulator.load(self.config, angles)
         self.gravity = np.array(self.config.gravity, dtype=float)
@@ -182,3 +187,8 @@ def _simulator(config: SceneConfig, gui: bool, visuals: bool) -> Simulator:
     module, name = config.engine.simulator
     with need(config.engine.extra):
         return getattr(import_module(module), name)(config.hand, gui=gui, visuals=visuals)
+
+
+def _start(config: SceneConfig, kinematics: HandKinematics) -> Array:
+    """Angles of the joints at the start [rad], (M,)."""
+    return np.array(config.start_angles) if config.start_angles else kinematics.solve(config.nominal_tips())

@@ -42,7 +42,7 @@ class _Site:
 
 
 def place_hand(
-    hand: HandDescription, item: ObjectDescription, *, seed: int = 0, torsion: float = 0.0
+    hand: HandDescription, item: ObjectDescription, *, seed: int = 0, least: int | None = None
 ) -> HandDescription:
     """The hand where it holds the object well: palm, rest posture and fingertips are chosen.
 
@@ -53,7 +53,7 @@ def place_hand(
         hand: Its own place and rest posture do not matter.
         item: The object.
         seed: Of the search, >= 0.
-        torsion: Of soft contacts: most moment about the normal over its force [m].
+        least: Fingers that touch at least; None: three, with soft contacts two.
 
     Returns:
         A hand with which `plan_grasp` finds a grasp; the same for the same arguments. Found once for each of them in a process.
@@ -61,30 +61,34 @@ def place_hand(
     Raises:
         InvalidInputError: No palm pose was found; the message says on how many candidates what failed.
     """
-    return _placed(hand, item, whole(seed, "seed", 0), float(torsion))
+    fingers = (
+        (2 if item.torsional_friction > 0.0 else 3) if least is None else whole(least, "least", 1, hand.finger_count)
+    )
+    return _placed(hand, item, whole(seed, "seed", 0), fingers)
 
 
 @lru_cache(maxsize=64)
-def _placed(hand: HandDescription, item: ObjectDescription, seed: int, torsion: float) -> HandDescription:
+def _placed(hand: HandDescription, item: ObjectDescription, seed: int, least: int) -> HandDescription:
     rng = np.random.default_rng(seed)
     faults: dict[str, int] = {}
     found: list[tuple[float, HandDescription]] = []
     hands: dict[tuple[int, ...], tuple[HandDescription, core.HandLimbs]] = {}
-    least = 2 if torsion > 0.0 else 3
     sites = _sites(hand, item, rng, least)
     for site in sites:
         for _ in range(_TURNS):
             turn = _turn(rng, item, site.axis)
-            plan, fingers = _try(site, turn, item, hand, hands, torsion, least, faults, rng)
+            plan, fingers = _try(site, turn, item, hand, hands, least, faults, rng)
             if plan is not None:
                 x, y, z = (-turn @ site.center).tolist()
-                placed = replace(hands[fingers][0], home=tuple(plan.start.tolist())).moved((x, y, z), roll_pitch_yaw(turn))
+                placed = replace(hands[fingers][0], home=tuple(plan.start.tolist())).moved(
+                    (x, y, z), roll_pitch_yaw(turn)
+                )
                 found.append((plan.force, placed))
         if len(found) >= _ENOUGH:
             break
     for _, placed in sorted(found, key=lambda pair: pair[0]):
         try:
-            plan_grasp(item, HandKinematics(placed), torsion=torsion)
+            plan_grasp(item, HandKinematics(placed))
         except InvalidInputError:
             continue
         return placed
@@ -103,7 +107,6 @@ def _try(
     item: ObjectDescription,
     hand: HandDescription,
     hands: dict[tuple[int, ...], tuple[HandDescription, core.HandLimbs]],
-    torsion: float,
     least: int,
     faults: dict[str, int],
     rng: np.random.Generator,
@@ -118,7 +121,7 @@ def _try(
             hands[fingers] = part, core.HandLimbs.make(kinematics.tree, hand_limbs(part), kinematics.home, pairs)
         part, limbs = hands[fingers]
         moved = limbs.moved(turn.ravel().tolist(), (-turn @ site.center).tolist(), site.posture)
-        search = GraspSearch(item, moved, part, torsion)
+        search = GraspSearch(item, moved, part)
         plan = search.run(rng, tries=0)
         for what, count in search.faults.items():
             faults[what] = faults.get(what, 0) + count

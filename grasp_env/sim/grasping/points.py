@@ -96,7 +96,7 @@ def grasp_points(
 
 
 def plan_grasp(
-    item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None, torsion: float = 0.0
+    item: ObjectDescription, kinematics: HandKinematics, rng: np.random.Generator | None = None
 ) -> GraspPlan:
     """The best of some thousand choices of contacts for the hand where it is.
 
@@ -109,7 +109,6 @@ def plan_grasp(
         item: The object, its body frame the world frame.
         kinematics: The hand.
         rng: Draws the places that are tried; None: always the same.
-        torsion: Of soft contacts: most moment about the normal over its force [m].
 
     Raises:
         InvalidInputError: The object is out of reach, too large for the hand, or cannot be held; the message says on how
@@ -117,7 +116,7 @@ def plan_grasp(
     """
     if rng is None and item.shape == "cuboid" and item.size == (0.1, 0.1, 0.1) and kinematics.hand == _four_finger():
         return _of_points(item, kinematics, np.array(paper_cuboid().positions), np.array(paper_cuboid().normals))
-    search = GraspSearch(item, _limbs(kinematics), kinematics.hand, torsion)
+    search = GraspSearch(item, _limbs(kinematics), kinematics.hand)
     found = search.run(np.random.default_rng(0) if rng is None else rng)
     if found is None:
         raise InvalidInputError(search.reason())
@@ -185,13 +184,12 @@ class GraspSearch:
         item: The object.
         limbs: The hand where it is.
         hand: For the names of its parts.
-        torsion: see `plan_grasp`.
 
     Attributes:
         faults: On how many candidates what failed. short: How often each finger found no place, (N,).
     """
 
-    def __init__(self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription, torsion: float = 0.0) -> None:
+    def __init__(self, item: ObjectDescription, limbs: core.HandLimbs, hand: HandDescription) -> None:
         self.item, self.limbs, self.hand = item, limbs, hand
         self.faults: dict[str, int] = {}
         self.short = [0] * hand.finger_count
@@ -202,7 +200,7 @@ class GraspSearch:
             limbs,
             item.surface,
             friction=FRICTION_MARGIN * item.friction * hand.tip_friction,
-            torsion=torsion,
+            torsion=FRICTION_MARGIN * item.torsional_friction * hand.tip_friction,
             length=length,
             space=_SPACE,
             start=START_CLEARANCE,
@@ -288,7 +286,9 @@ def _four_finger() -> HandDescription:
 
 @lru_cache(maxsize=8)
 def _limbs(kinematics: HandKinematics) -> core.HandLimbs:
-    return core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home, touching_pairs(kinematics.hand))
+    return core.HandLimbs.make(
+        kinematics.tree, hand_limbs(kinematics.hand), kinematics.home, touching_pairs(kinematics.hand)
+    )
 
 
 @lru_cache(maxsize=1)

@@ -43,7 +43,13 @@ def _limb(link: int, shape: Geometry, tipped: bool, spheres: set[tuple[int, floa
         half = (shape.size[0], shape.size[0], 0.5 * shape.size[1])
     # the rest of a link with a tip lies around the sphere and may touch with it
     return core.Limb.solid(
-        link=link, kind=shape.kind, half=half, center=origin.tolist(), rotation=frame.ravel().tolist(), corners=corners, tip=tipped
+        link=link,
+        kind=shape.kind,
+        half=half,
+        center=origin.tolist(),
+        rotation=frame.ravel().tolist(),
+        corners=corners,
+        tip=tipped,
     )
 
 
