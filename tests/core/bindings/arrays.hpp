@@ -66,5 +66,5 @@ std::unique_ptr<Base> instance_of(int lanes, int blocks, const Arguments&... arg
 // grasp::Contacts under a name of this module's own: _core registers the type itself.
 struct Placement {
     grasp::Contacts contacts;
-    grasp::Placed placed;
+    grasp::Placing placed;
 };

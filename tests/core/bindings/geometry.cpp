@@ -33,7 +33,7 @@ Placement place(In positions, In normals, In scale, In weights, std::optional<In
     const int count = int(positions.size() / 3);
     const size_t size = 3 * count;
     Contacts contacts(count, numbers(scale, size), numbers(weights, 2 * count), tangents ? numbers(*tangents, size) : nullptr);
-    const Placed placed = contacts.place(numbers(positions, size), numbers(normals, size));
+    const Placing placed = contacts.place(numbers(positions, size), numbers(normals, size));
     return {contacts, placed};
 }
 int move(Placement& p, In positions, In normals) {

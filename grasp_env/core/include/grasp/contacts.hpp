@@ -9,7 +9,7 @@ namespace grasp {
 inline constexpr double LARGEST = 1e12;    // [N], [N m] beyond which numbers are mistakes
 inline constexpr double NOTHING = 1e-306;  // [N] below which a wrench counts as none: its inverse is infinite
 
-enum class Placed { good, refused, rank_lost };  // refused: not finite, or a normal that is not of unit length
+enum class Placing { good, refused, rank_lost };  // refused: not finite, or a normal that is not of unit length
 
 // The weights of Phi, of all contacts alike: the price of squeezing, and of coming close to a cone [N^2].
 struct Objective { double force_weight = 1.0, barrier_weight = 0.01; };
@@ -79,14 +79,14 @@ public:
         for (int j = 0; j < 2 * count; ++j)
             if (!(weights[j] > 0.0 && weights[j] < infinity)) throw std::invalid_argument("weights must be finite and > 0");
         Contacts contacts(count, scales, weights, along);
-        const Placed placed = contacts.place(positions, normals);
-        if (placed == Placed::refused) throw std::invalid_argument("positions must be finite and normals of unit length");
-        if (placed == Placed::rank_lost) throw std::invalid_argument("rank(G) < 6");
+        const Placing placed = contacts.place(positions, normals);
+        if (placed == Placing::refused) throw std::invalid_argument("positions must be finite and normals of unit length");
+        if (placed == Placing::rank_lost) throw std::invalid_argument("rank(G) < 6");
         return contacts;
     }
 
     // positions [m] and inward unit normals, (N, 3) each, object frame
-    Placed place(const double* positions, const double* normals) {
+    Placing place(const double* positions, const double* normals) {
         double total = 0.0;
         for (int j = 0; j < 3 * count; ++j) total += std::abs(positions[j]);
         bool good = total < infinity;
@@ -96,7 +96,7 @@ public:
             const Point made = normalised(n);
             for (int a = 0; a < 3; ++a) inward_[3 * i + a] = made[a];
         }
-        if (!good) return Placed::refused;
+        if (!good) return Placing::refused;
         unit = UnitFrame(positions, count);
         const int size = 3 * count;
         const double per_length = unit.scale();
@@ -116,7 +116,7 @@ public:
                 set_column(force_rows.data(), size, j, row), set_column(rows.data(), size, j, per_[j] * row);
             }
         }
-        return invert(s) ? Placed::good : Placed::rank_lost;
+        return invert(s) ? Placing::good : Placing::rank_lost;
     }
 
     // An orthonormal basis of the rows of G (forces) into (6, 3N).

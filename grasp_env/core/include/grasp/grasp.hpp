@@ -129,7 +129,8 @@ public:
     // False: they are not, or not finite; then `solve` refuses until they are.
     bool move(Triples positions, Triples normals, const ForceLimits& limits) {
         ready_ = is_triples(positions) && is_triples(normals) && !wrong(on_->contacts.count, limits) &&
-                 table_.fill(on_->contacts, limits) && on_->move(positions.data(), normals.data(), table_.rows()) == Placed::good;
+                 table_.fill(on_->contacts, limits) &&
+                 on_->move(positions.data(), normals.data(), table_.rows()) == Placing::good;
         return ready_;
     }
     const Contacts& contacts() const { return on_->contacts; }

@@ -22,7 +22,7 @@ struct Grasps {
             const auto from = std::ptrdiff_t(first[u]), until = std::ptrdiff_t(first[u + 1]);
             const Many part{until - from, many.wrench(from), many.rows + record_size(contacts) * from};
             Contacts placed(contacts, scales + size * u, weights, tangents + size * u);
-            const bool good = placed.place(positions + size * u, normals + size * u) == Placed::good;
+            const bool good = placed.place(positions + size * u, normals + size * u) == Placing::good;
             if (!good || !f(placed, part))
                 for (std::ptrdiff_t k = 0; k < part.count; ++k) part.record(k, contacts).summary().code = REFUSED;
         }

@@ -81,23 +81,23 @@ public:
     // Between two solves: the last optimum carried to contacts and wrench of now, back inside the cones if need be. Changes
     // nothing that is held. force: (N, 3) [N] in the frames of the contacts of now.
     Carried carry(const Load& load, double* force) {
-        const Placed placed = place(load);
+        const Placing placed = place(load);
         newton.cones.load(held.x.data(), newton.x);
         return carry_turned(load, placed, held.frames.data(), force);
     }
     // The same of forces (N, 3) [N] in frames (N, 3, 3) of contacts nearby; `force` may be `then`.
     Carried carry_from(const Load& load, const double* then, const double* frames, double* force) {
-        const Placed placed = place(load);
+        const Placing placed = place(load);
         newton.cones.load_force(then, newton.x);
         return carry_turned(load, placed, frames, force);
     }
 
 private:
     // What is in newton.x, in such frames, carried.
-    Carried carry_turned(const Load& load, Placed placed, const double* frames, double* force) {
+    Carried carry_turned(const Load& load, Placing placed, const double* frames, double* force) {
         const auto& cones = newton.cones;
         auto& starter = newton.starter;
-        if (placed == Placed::refused) {
+        if (placed == Placing::refused) {
             std::fill(force, force + 3 * contacts.count, 0.0);
             return CLIPPED;
         }
@@ -105,7 +105,7 @@ private:
         const Vec6 w = cones.unit.of(load.wrench);
         Field& x = newton.x;
         x = turned_;
-        const bool spans = placed == Placed::good;
+        const bool spans = placed == Placing::good;
         Carried outcome = CARRIED;
         if (spans && newton.system.assemble(cones, x)) newton.system.restore(cones, newton.system.made + w, x);
         if (!spans || !(cones.phi(x) < infinity)) {
@@ -135,7 +135,7 @@ private:
 
     // Contacts of now and the start there, in newton.x; false where there is none.
     bool begin(const Load& load) {
-        if (place(load) != Placed::good) return false;
+        if (place(load) != Placing::good) return false;
         const Vec6 w = newton.cones.unit.of(load.wrench);
         auto& starter = newton.starter;
         if (!starter.combination(newton.cones, newton.system, load.wrench, w, safe_)) {
@@ -183,10 +183,10 @@ private:
         held.frames = contacts.frames, held.cone_matrix = contacts.cone_matrix;
     }
 
-    Placed place(const Load& load) {
-        if (!sane_wrench(load.wrench)) return Placed::refused;
-        const Placed placed = contacts.place(load.points, load.normals);
-        if (placed == Placed::refused) return placed;
+    Placing place(const Load& load) {
+        if (!sane_wrench(load.wrench)) return Placing::refused;
+        const Placing placed = contacts.place(load.points, load.normals);
+        if (placed == Placing::refused) return placed;
         newton.cones.pack(contacts);
         newton.starter.tangents.load(contacts.frames.data(), contacts.count);
         newton.starter.moved = true;

@@ -68,7 +68,7 @@ public:
     virtual std::unique_ptr<LimitedNewton> clone() const = 0;
     // The contacts and their limits are now these, a little away from those of the basis. Allocates nothing where each contact had
     // as many rows before. Unless `good`, nothing may be solved before it is called again.
-    virtual Placed move(const double* positions, const double* normals, const LimitRows& rows) = 0;
+    virtual Placing move(const double* positions, const double* normals, const LimitRows& rows) = 0;
     virtual Code solve(const Call& call, double* row) = 0;
     virtual void solve_many(const Many& many) = 0;
 
@@ -282,10 +282,10 @@ public:
         on_.elastic = elastic;
     }
     std::unique_ptr<LimitedNewton> clone() const override { return std::make_unique<LimitedAny>(*this); }
-    Placed move(const double* positions, const double* normals, const LimitRows& rows) override {
+    Placing move(const double* positions, const double* normals, const LimitRows& rows) override {
         auto& newton = on_.newton;
-        const Placed placed = contacts.place(positions, normals);
-        if (placed != Placed::good) return placed;
+        const Placing placed = contacts.place(positions, normals);
+        if (placed != Placing::good) return placed;
         newton.cones.pack(contacts);
         newton.rows.pack(newton.cones, rows);
         newton.starter.tangents.load(contacts.frames.data(), contacts.count);

@@ -58,7 +58,7 @@ public:
         fill(at);
         const ForceLimits limits{.jacobian = jacobian_, .torque_limit = limit_, .torque_bias = bias_};
         auto& newton = *newton_;
-        if (!table_.fill(newton.contacts, limits) || newton.move(load.points, load.normals, table_.rows()) != Placed::good)
+        if (!table_.fill(newton.contacts, limits) || newton.move(load.points, load.normals, table_.rows()) != Placing::good)
             return false;
         const Record record(row_.data(), int(fingers_.size()));
         const auto run = [&](const Call& call) {
