@@ -45,7 +45,7 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
             return
     raise SimulationError(
         f"the fingers did not come to rest on the object in {CLOSING_TIME} s: "
-        + _causes(scene, loop, "they push it about: make it heavier or less slender")
+        + _causes(scene, loop, "they push it about: make it heavier or less slender", False)
     )
 
 
@@ -80,10 +80,10 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
         f"{loop.friction:.3g}, the object has {scene.config.object.friction:.3g}: lower friction_margin or friction_error, raise "
         "barrier_weight or squeeze, or make the object lighter"
     )
-    raise SimulationError(f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, loop, friction)}")
+    raise SimulationError(f"the grasp did not settle within {SETTLING_TIME} s: {_causes(scene, loop, friction, True)}")
 
 
-def _causes(scene: Scene, loop: ForceLoop, otherwise: str) -> str:
+def _causes(scene: Scene, loop: ForceLoop, otherwise: str, settling: bool) -> str:
     """What keeps the hand from holding, with what helps, as far as it shows: torques, joints' ranges, links, gaps."""
     snapshot, hand, kinematics = scene.look(), scene.config.hand, scene.kinematics
     names, causes = [hand.palm.name, *(link.name for link in hand.links)], []
@@ -112,6 +112,8 @@ def _causes(scene: Scene, loop: ForceLoop, otherwise: str) -> str:
         causes.append(
             f"links push the object with {snapshot.stray[0]:.2g} N besides the fingertips. Give contact_points that tips reach alone"
         )
+    if not causes and settling:
+        return otherwise
     if not snapshot.touching.all():
         said = ", ".join(
             f"{hand.finger_names[i]} ({1e3 * snapshot.gaps[i]:.2f} mm)" for i in np.flatnonzero(snapshot.touching == 0)

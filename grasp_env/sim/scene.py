@@ -73,7 +73,7 @@ class Scene:
         Raises:
             InvalidInputError: a finger cannot reach its contact; the scene is as before.
         """
-        kinematics = self.kinematics if config.hand is self.config.hand else HandKinematics(config.hand)
+        kinematics = self.kinematics if config.hand == self.config.hand else HandKinematics(config.hand)
         angles = _start(config, kinematics)
         config = replace(config, engine=self.config.engine)
         if kinematics is not self.kinematics:

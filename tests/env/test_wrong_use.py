@@ -159,7 +159,7 @@ def test_impossible_hands():
             )
         ]
     )
-    with pytest.raises(SimulationError):  # motors that do not even carry the fingers
+    with pytest.raises(GraspError):  # motors that do not even carry the fingers
         FourFingerGrasp(hand=weak)
 
 

@@ -18,8 +18,8 @@ from grasp_env.grasp.presets import paper_cuboid
 from grasp_env.sim import HANDS, HandKinematics
 from grasp_env.sim.bullet import create_body, joint_indices
 from grasp_env.sim.client import Client, bullet
-from grasp_env.sim.hand.limbs import hand_limbs
 from grasp_env.sim.grasping.points import FRICTION_MARGIN, check_points, grasp_points
+from grasp_env.sim.hand.limbs import hand_limbs
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
 
 
