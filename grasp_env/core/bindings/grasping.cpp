@@ -70,6 +70,17 @@ std::vector<std::tuple<int, int, double>> link_gaps(const HandLimbs& hand, nb::h
     return out;
 }
 
+void beside(const HandLimbs& hand, int finger, nb::handle angles, nb::handle middles, double enough, nb::handle gaps) {
+    if (finger < 0 || finger >= int(hand.fingers.size())) throw nb::value_error("no such finger");
+    const int joints = hand.tree->joints();
+    const Numbers given = in(angles, -1, joints), points = in(middles, given.length(0), 3), to = out(gaps, given.length(0));
+    Posture posture(hand.tree);
+    for (Py_ssize_t k = 0; k < given.length(0); ++k) {
+        posture.trace(given.data() + joints * k);
+        to.data()[k] = hand.beside(finger, posture, point(points.data() + 3 * k), enough);
+    }
+}
+
 std::vector<Vec6> sixes(nb::handle rows) {
     const Numbers given = in(rows, -1, 6);
     std::vector<Vec6> out(given.length(0));
@@ -151,11 +162,14 @@ void bind_grasping(nb::module_& m) {
                 return hand.clearance(Obstacle(surface), in(angles, hand.tree->joints()).data(), enough);
             },
             "surface"_a, "angles"_a, "enough"_a = infinity,
-            "Least distances [m] at angles (M,): of the links, without fingertips, from an object; of links and tips from one\n"
+            "Least distances [m] at angles (M,): of the links, without spheres of fingertips, from an object; of links and tips from one\n"
             "another; at most `enough`.")
         .def("link_gaps", &link_gaps, "angles"_a, "enough"_a,
              "Pairs of limbs of different links, not of one joint, that are at most `enough` apart [m]: (link, link, distance). Coupled\n"
              "joints follow theirs.")
+        .def("beside", &beside, "finger"_a, "angles"_a, "middles"_a, "enough"_a, "gaps"_a,
+             "How far the rest of a finger and the palm are from balls about `middles` (K, 3) that touch its tip in postures (K, M),\n"
+             "at most `enough` [m]: into (K,).")
         .def_prop_ro(
             "free", [](const HandLimbs& hand) {
                 std::vector<bool> out;

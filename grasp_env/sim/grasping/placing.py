@@ -21,9 +21,14 @@ from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
-_SHARED, _POSTURES = 4, 160  # of the joints that move several fingers; of the others, for each of these
-_CENTERS, _DRAWS = 2500, 4  # places of the object for each of the first; fingers' postures drawn at each
+_ROUNDS, _POSTURES = (
+    12,
+    200,
+)  # at most, each with one posture of the joints that move several fingers; of the other joints
+_PAIRS, _ACROSS = 20_000, 0.7  # of tips in a round; the least they are apart, of the most that touch the same ball
+_CENTERS, _DRAWS = 2500, 4  # places of the object in a round; fingers' postures drawn at each
 _NEAR = 0.008  # [m] between a tip and the object's ball
+_CLEAR = 0.001  # [m] of the rest of a finger from the ball
 _OPPOSED = 0.45  # of the shortest sum of normals whose weights add to 1
 _APART = 0.012  # [m] between centres that are tried
 _TRIED, _TURNS = 60, 3  # centres, and turns of the object at each
@@ -134,41 +139,42 @@ def _try(
 def _sites(hand: HandDescription, item: ObjectDescription, rng: np.random.Generator, least: int) -> list[_Site]:
     """Places for the object, those first where most fingers push against one another."""
     kinematics = HandKinematics(hand)
-    radius = 0.5 * float(np.median(item.extent))
+    limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home)
     low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
     low, high = low + _INSIDE * (high - low), high - _INSIDE * (high - low)
     shared = kinematics.carries.sum(axis=0) > 1
     found: list[tuple[float, _Site]] = []
-    for common in range(_SHARED if shared.any() else 1):
-        postures = low + rng.random((_POSTURES, hand.joint_count)) * (high - low)
-        postures[:, shared] = kinematics.home[shared] if common == 0 else postures[0, shared]
-        postures = np.array([kinematics.coupled(posture) for posture in postures])
-        tips = np.array([kinematics.tips(posture) for posture in postures])  # (K, N, 3)
-        found += _meetings(hand, kinematics, postures, tips, radius, rng, least)
-    found.sort(key=lambda pair: pair[0])
     sites: list[_Site] = []
-    for _, site in found:
-        if len(sites) == _TRIED:
+    for turn in range(_ROUNDS):
+        postures = low + rng.random((_POSTURES, hand.joint_count)) * (high - low)
+        postures[:, shared] = kinematics.home[shared] if turn % 2 == 0 else postures[0, shared]
+        for posture in postures:
+            kinematics.tree.couple(posture)
+        tips = np.array([kinematics.tips(posture) for posture in postures])  # (K, N, 3)
+        found += _meetings(kinematics, limbs, postures, tips, item, rng, least)
+        found.sort(key=lambda pair: pair[0])
+        sites = []
+        for _, site in found:
+            if all(np.linalg.norm(site.center - other.center) > _APART for other in sites):
+                sites.append(site)
+        if len(sites) >= _TRIED:
             break
-        if all(np.linalg.norm(site.center - other.center) > _APART for other in sites):
-            sites.append(site)
-    return sites
+    return sites[:_TRIED]
 
 
 def _meetings(
-    hand: HandDescription,
     kinematics: HandKinematics,
+    limbs: core.HandLimbs,
     postures: Array,
     tips: Array,
-    radius: float,
+    item: ObjectDescription,
     rng: np.random.Generator,
     least: int,
 ) -> list[tuple[float, _Site]]:
     """Centres of a ball that tips of several fingers touch, with how little they oppose one another."""
     count, fingers = tips.shape[:2]
-    first, at = rng.integers(fingers, size=_CENTERS), rng.integers(count, size=_CENTERS)
-    ways = _directions(rng, _CENTERS)
-    centers = tips[at, first] + (radius + kinematics.tip_radii[first])[:, None] * ways
+    radius = 0.5 * float(np.median(item.extent))
+    centers = _between(tips, radius + kinematics.tip_radii, rng)
     away = np.linalg.norm(tips[None] - centers[:, None, None], axis=3) - radius - kinematics.tip_radii  # (C, K, N)
     near = np.abs(away) < _NEAR
     touch = near.any(axis=1)
@@ -176,22 +182,51 @@ def _meetings(
     out: list[tuple[float, _Site]] = []
     for _ in range(_DRAWS):
         chosen: Indices = (near[kept] * rng.random((len(kept), count, fingers))).argmax(axis=1)  # (C, N)
-        arms = centers[kept, None] - tips[chosen, np.arange(fingers)]
+        members = touch[kept]
+        for finger in range(fingers):
+            gaps, rows = np.empty(len(kept)), chosen[:, finger]
+            limbs.beside(
+                finger, np.ascontiguousarray(postures[rows]), np.ascontiguousarray(centers[kept]), 2.0 * _CLEAR, gaps
+            )
+            members[:, finger] &= gaps > _CLEAR
+        rows = np.flatnonzero(members.sum(axis=1) >= least)
+        members, chosen, middles = members[rows], chosen[rows], centers[kept[rows]]
+        arms = middles[:, None] - tips[chosen, np.arange(fingers)]
         normals = arms / np.linalg.norm(arms, axis=2, keepdims=True)
-        opposed = _shortest(normals, touch[kept])
-        score = opposed + 0.1 * (fingers - touch[kept].sum(axis=1))
+        opposed = _shortest(normals, members)
+        score = opposed + 0.1 * (fingers - members.sum(axis=1))
         for row in np.flatnonzero(opposed < _OPPOSED):
-            center, members = centers[kept[row]], touch[kept[row]]
             posture = kinematics.home.copy()
             for finger in range(fingers):
                 # fingers that do not touch keep away from the object
-                own = chosen[row, finger] if members[finger] else int(np.argmax(away[kept[row], :, finger]))
+                own = chosen[row, finger] if members[row, finger] else int(np.argmax(away[kept[rows[row]], :, finger]))
                 joints = kinematics.carries[finger]
                 posture[joints] = postures[own, joints]
-            axis = np.linalg.eigh(normals[row, members].T @ normals[row, members])[1][:, -1]
-            touching = tuple(np.flatnonzero(members).tolist())
-            out.append((float(score[row]), _Site(center, kinematics.coupled(posture), touching, axis)))
+            pushing = normals[row, members[row]]
+            axis = np.linalg.eigh(pushing.T @ pushing)[1][:, -1]
+            askew = 1.0 - float(np.abs(pushing @ axis).mean()) if item.shape == "cuboid" else 0.0
+            touching = tuple(np.flatnonzero(members[row]).tolist())
+            out.append((float(score[row]) + askew, _Site(middles[row], kinematics.coupled(posture), touching, axis)))
     return out
+
+
+def _between(tips: Array, sizes: Array, rng: np.random.Generator) -> Array:
+    """Centres (C, 3) that are `sizes` (N,) [m] from tips (K, N, 3) of two fingers, which are on nearly opposite sides."""
+    count, fingers = tips.shape[:2]
+    pairs = rng.integers(count, size=(_PAIRS, 2))
+    one = rng.integers(fingers, size=_PAIRS)
+    other = (one + rng.integers(1, max(fingers, 2), size=_PAIRS)) % fingers
+    start, way = tips[pairs[:, 0], one], tips[pairs[:, 1], other] - tips[pairs[:, 0], one]
+    apart = np.linalg.norm(way, axis=1)
+    opposed = np.flatnonzero(
+        (one != other) & (apart < sizes[one] + sizes[other]) & (apart > _ACROSS * (sizes[one] + sizes[other]))
+    )
+    kept = opposed[:_CENTERS]
+    way, apart, one, other = way[kept] / apart[kept, None], apart[kept], one[kept], other[kept]
+    along = (apart**2 + sizes[one] ** 2 - sizes[other] ** 2) / (2.0 * apart)
+    aside = np.cross(way, _directions(rng, len(kept)))
+    aside *= (np.sqrt(np.maximum(sizes[one] ** 2 - along**2, 0.0)) / np.linalg.norm(aside, axis=1))[:, None]
+    return start[kept] + along[:, None] * way + aside
 
 
 def _shortest(normals: Array, members: Array) -> Array:

@@ -26,6 +26,7 @@ struct Limb {
     Solid solid;  // link frame
     bool tip;     // part of a fingertip, which is there to touch
 
+    bool is_sphere_of_tip() const { return tip && solid.is_line(); }
     Placed at(const Posture& posture) const {
         return link < 0 ? Placed(solid) : Placed(solid, posture.origins[link], posture.frames[link]);
     }

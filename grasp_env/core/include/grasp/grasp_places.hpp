@@ -26,6 +26,7 @@ struct Demand {
     Point gravity{0.0, 0.0, 0.0};  // [m/s^2]
 };
 
+inline constexpr double BEHIND = 1e-3;  // [m] from the object that is enough for the rest of a fingertip, which moves with its sphere
 inline constexpr double PI = 3.14159265358979323846;
 inline constexpr double FULL = 30.0;  // [N] that weigh as much as a joint at its torque limit
 
@@ -85,7 +86,10 @@ public:
     void find(const Obstacle& object, const Demand& demand, const std::vector<Ray>& rays, const Margins& margins, std::size_t most,
               std::vector<Place>& places, Misses& misses) {
         places.clear();
-        for (const Ray& ray : rays) {
+        // one joint meets the object in few ways, two do so along lines
+        const std::size_t tries = free || own_.size() > 2 ? rays.size() : own_.size() == 2 ? 40 : 4;
+        for (std::size_t r = 0; r < std::min(rays.size(), tries); ++r) {
+            const Ray& ray = rays[r];
             if (places.size() == most) return;
             Nearest place;
             Place made;
@@ -96,7 +100,7 @@ public:
                     continue;
                 }
                 if (!reaches(place, margins.joints, misses)) continue;
-            } else if (!closes(object.surface, demand, ray, margins, place, made.start, misses)) {
+            } else if (!closes(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins, place, made.start, misses)) {
                 continue;
             }
             if (!clear(object, margins.clearance, made.limbs)) {
@@ -126,6 +130,7 @@ public:
     }
 
 private:
+    static constexpr double AROUND = 0.15;  // of the joints' ranges, about the rest posture
     std::vector<int> own_;  // joints with a motor that moves no other finger, as numbered in the finger
     std::shared_ptr<const Tree> tree_;
     Reach reach_;
@@ -222,7 +227,8 @@ private:
     }
 
     // One joint closes from a drawn posture until the tip touches: there into `angles_`, `start` with the tip clear.
-    bool closes(const Surface& surface, const Demand& demand, const Ray& ray, const Margins& margins, Nearest& place,
+    // spread: of the postures around that at rest, of the joints' ranges.
+    bool closes(const Surface& surface, const Demand& demand, const Vec6& draws, double spread, const Margins& margins, Nearest& place,
                 std::vector<double>& start, Misses& misses) {
         constexpr int STEPS = 24, HALVES = 40;
         constexpr double PUSH = 0.4;  // of the tip's largest motion, along the normal
@@ -233,9 +239,11 @@ private:
         const int count = int(own_.size());
         for (int k = 0; k < count; ++k) {
             const double from = low(own_[k]) + margins.joints, to = high(own_[k]) - margins.joints;
-            angles_[own_[k]] = from + ray.draws[k % 5] * (to - from);
+            const double middle = std::min(std::max(home_[own_[k]], from), to), least = std::max(from, middle - spread * (to - from));
+            const double most = std::min(to, middle + spread * (to - from));
+            angles_[own_[k]] = least + draws[k % 5] * (most - least);
         }
-        const int joint = own_[std::min(int(ray.draws[5] * count), count - 1)];
+        const int joint = own_[std::min(int(draws[5] * count), count - 1)];
         const double radius = tree_->tips[0].radius, first = low(joint), size = high(joint) - first;
         const auto distance = [&](double part) {
             angles_[joint] = first + part * size;
@@ -260,7 +268,7 @@ private:
             ++misses.far;
             return false;
         }
-        const int meet = meets[std::min(int(ray.draws[(count - 1) % 5] * ways), ways - 1)], back = meet > 0 ? -1 : 1;
+        const int meet = meets[std::min(int(draws[(count - 1) % 5] * ways), ways - 1)], back = meet > 0 ? -1 : 1;
         const int inside = meet > 0 ? meet : -meet - 1;
         const double touching = between(double(inside + back) / STEPS, double(inside) / STEPS, 0.0);
         int clear = inside + back;
@@ -299,7 +307,6 @@ private:
 
     // Whether the limbs are that far from the object at `angles_`; writes where they are.
     bool clear(const Obstacle& object, double margin, std::vector<Placed>& there) {
-        constexpr double SUNK = 1e-3;  // [m] by which the rest of a fingertip may reach further than its sphere
         posture_.trace(angles_.data());
         for (const Limb& limb : limbs) {
             const double enough = limb.solid.radius + margin;
@@ -307,7 +314,7 @@ private:
             const Placed& placed = there.back();
             if (limb.solid.is_line()) {
                 if (!limb.tip && gap(object.surface, placed.axis, enough) < enough) return false;
-            } else if (nearer(Placed(object.solid), placed, limb.tip ? -SUNK : margin)) {
+            } else if (nearer(Placed(object.solid), placed, limb.tip ? std::min(margin, BEHIND) : margin)) {
                 return false;
             }
         }
@@ -365,8 +372,8 @@ struct HandLimbs {
         return {hand, std::move(limbs), together, rest};
     }
 
-    // Least distances [m]: of the links, without fingertips, from the object; of links and tips from one another. Above `enough` a
-    // lower bound.
+    // Least distances [m]: of the links, without the spheres of fingertips, from the object; of links and tips from one another. Above
+    // `enough` a lower bound.
     std::pair<double, double> clearance(const Obstacle& object, const double* angles, double enough = infinity) const {
         Posture posture(tree);
         posture.trace(angles);
@@ -375,12 +382,25 @@ struct HandLimbs {
         there.reserve(all.size());
         for (const Limb& limb : all) {
             const Placed placed = limb.at(posture);
-            if (!limb.tip) away = std::min(away, gap(object, placed, away));
+            if (!limb.is_sphere_of_tip()) {
+                const double least = gap(object, placed, away);
+                if (!limb.tip || least < BEHIND) away = std::min(away, least);
+            }
             for (std::size_t e = 0; e < there.size(); ++e)
                 if (!together(limb.link, all[e].link)) apart = std::min(apart, gap(placed, there[e], apart));
             there.push_back(placed);
         }
         return {away, apart};
+    }
+    // How far the rest of a finger and the palm are from a ball about a point that touches the tip, in a posture; at most `enough` [m].
+    double beside(int finger, const Posture& posture, const Point& middle, double enough) const {
+        const double radius = length(posture.tip(finger) - middle) - tree->tips[finger].radius;
+        const Solid ball = Solid::of(Segment{middle, middle}, std::max(radius, 0.0));
+        double least = enough;
+        for (std::size_t c = 0; c < all.size(); ++c)
+            if ((all[c].link < 0 || fingers[finger].carries(int(c))) && !all[c].is_sphere_of_tip())
+                least = std::min(least, gap(Placed(ball), all[c].at(posture), least));
+        return least;
     }
     // Of the palm from the object [m].
     double palm_gap(const Obstacle& object) const {
