@@ -40,6 +40,8 @@ UNDAMPED = {
     "spinningFriction": 0.0,
 }
 """Arguments of changeDynamics that undo Bullet's defaults."""
+HULL_MARGIN = 1e-3
+"""[m] that Bullet adds around the hulls of a URDF, and that changeDynamics does not change."""
 COUPLED_SWEEPS = 100
 """Of the solver, at least, for hands with coupled joints."""
 
@@ -66,7 +68,7 @@ class Bullet(Simulator):
         folder = tempfile.mkdtemp()  # one path for all loads: Bullet keeps every path it has seen
         self._clean = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self._urdf = os.path.join(folder, "hand.urdf")
-        for name, text in hand_files(hand if visuals or gui else _invisible(hand)).items():
+        for name, text in hand_files(hand if visuals or gui else _invisible(hand), HULL_MARGIN).items():
             with open(os.path.join(folder, name), "w", encoding="utf-8") as file:
                 file.write(text)
         self._numbers = np.empty(0)

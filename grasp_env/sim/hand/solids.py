@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from grasp_env._check import Array
 from grasp_env.sim.hand.frames import Frame
@@ -107,6 +108,15 @@ def beneath(points: Array, normal: Array, offset: float) -> Array:
     if len(left) < 4 or heights[hull.vertices].min() > -2.0 * _THIN:
         return np.empty((0, 3))
     return hull_of(left).points
+
+
+def inset(points: Array, depth: float) -> Array:
+    """Corners of what of the hull of points (K, 3) [m] lies deeper than `depth`, or than a third of the largest ball in it."""
+    faces = np.unique(hull_of(points).equations.round(12), axis=0)
+    rows = np.column_stack([faces[:, :3], np.ones(len(faces))])
+    ball = linprog((0.0, 0.0, 0.0, -1.0), A_ub=rows, b_ub=-faces[:, 3], bounds=[(None, None)] * 4).x
+    faces[:, 3] += min(depth, float(ball[3]) / 3.0)
+    return np.unique(HalfspaceIntersection(faces, ball[:3]).intersections.round(9), axis=0)
 
 
 def _sphere_points(count: int) -> Array:

@@ -16,7 +16,8 @@ SMALLEST, LARGEST = 0.004, 0.015
 """Radii of fitted spheres [m]."""
 
 _END = 0.03  # [m] of the link that is looked at
-_SHORT = (0.001, 0.002, 0.004, 0.008, 0.015)  # [m] by which the sphere may end before the link does
+_SHORT = (0.001, 0.002, 0.004)  # [m] by which the sphere may end before the link does
+_PRICE = 0.6  # of its radius that a sphere must gain for ending earlier
 
 
 class Ball(NamedTuple):
@@ -48,21 +49,25 @@ def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
     ends = [end for piece in pieces if len(end := beneath(piece, -direction, _END - far))]
     faces = hull_of(np.vstack(ends if ends else list(pieces))).equations
     normals, offsets = faces[:, :3], -faces[:, 3]
-    center, radius = np.zeros(3), 0.0
+    best: tuple[float, Array, float, Array, Array] | None = None
     for short in _SHORT:
-        # of a sphere (c, r): normals @ c + r <= offsets and direction @ c + r >= far - short
-        rows = np.vstack([np.column_stack([normals, np.ones(len(normals))]), -np.append(direction, 1.0)])
-        sides = np.append(offsets, short - far)
+        # of a sphere (c, r): normals @ c + r <= offsets, direction @ c + r >= far - short, r <= LARGEST
+        rows = np.vstack(
+            [np.column_stack([normals, np.ones(len(normals))]), -np.append(direction, 1.0), (0.0, 0.0, 0.0, 1.0)]
+        )
+        sides = np.append(offsets, (short - far, LARGEST))
         found = _best((0.0, 0.0, 0.0, 1.0), rows, sides)
-        if found is None:
-            continue
-        center, radius = found[:3], min(float(found[3]), LARGEST)
-        if radius >= SMALLEST and radius >= 1.5 * short:
-            inside, spare = rows[:, :3], sides - 0.999 * radius * rows[:, 3]
-            sideways = [_best((*(sign * axis),), inside, spare) for sign in (1.0, -1.0)]
-            low, high = (center if place is None else place for place in sideways)
-            center = 0.5 * (low + high)
-            break
+        if found is not None and (best is None or found[3] - _PRICE * short > best[0]):
+            best = float(found[3]) - _PRICE * short, found[:3], float(found[3]), rows, sides
+    if best is None:  # thinner than rounding
+        center, radius = np.vstack(ends if ends else list(pieces)).mean(axis=0), 0.0
+    else:
+        _, center, radius, rows, sides = best
+        # a little smaller it fits in other places, too
+        inside, spare = rows[:, :3], sides - 0.999 * radius * rows[:, 3]
+        sideways = [_best(sign * axis, inside, spare) for sign in (1.0, -1.0)]
+        low, high = (center if place is None else place for place in sideways)
+        center = 0.5 * (low + high)
     x, y, z = center.tolist()
     return Ball((x, y, z), min(max(radius, SMALLEST), LARGEST))
 
@@ -92,7 +97,7 @@ def freed(link: Link, ball: Ball, direction: Array) -> Link:
     return replace(link, collision=tuple(shapes))
 
 
-def _best(gain: Sequence[float], rows: Array, sides: Array) -> Array | None:
+def _best(gain: Sequence[float] | Array, rows: Array, sides: Array) -> Array | None:
     """The x with rows @ x <= sides at which gain @ x is largest; None: there is none."""
     from scipy.optimize import linprog
 

@@ -10,17 +10,32 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from grasp_env._check import Array
 from grasp_env._files import digest
 from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.solids import inset
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 
 _SPEED_LIMIT = "100"  # [rad/s]; Bullet's default, far above what a grasp needs
 
 
-def hand_files(hand: HandDescription) -> dict[str, str]:
-    """Names and texts of all files of the hand: "hand.urdf", and the hulls that it names, each once."""
-    hulls = {_hull_name(corners): _hull_obj(corners) for corners in _hulls(hand)}
-    return {"hand.urdf": hand_urdf(hand), **hulls}
+def hand_files(hand: HandDescription, margin: float = 0.0) -> dict[str, str]:
+    """Names and texts of all files of the hand: "hand.urdf", and the hulls that it names, each once.
+
+    Args:
+        hand: To be written.
+        margin: [m] by which hulls that touch are smaller, for an engine that adds it all around them: at most a third of the
+            largest ball in them, so that thin ones keep their edges.
+    """
+    files = {"hand.urdf": hand_urdf(hand)}
+    for body in (hand.palm, *hand.links):
+        for role, shapes in (("visual", body.visual), ("collision", body.collision)):
+            for corners in {shape.corners: None for shape in shapes if shape.kind == "hull"}:
+                name = _hull_name(role, corners)
+                if name not in files:
+                    points = np.array(corners)
+                    files[name] = _hull_obj(inset(points, margin) if role == "collision" and margin else points)
+    return files
 
 
 def hand_urdf(hand: HandDescription) -> str:
@@ -94,7 +109,7 @@ def _add_geometry(element: Element, role: str, geometry: Geometry) -> Element:
     if geometry.kind == "box":
         SubElement(shape, "box", size=_text(geometry.size))
     elif geometry.kind == "hull":
-        SubElement(shape, "mesh", filename=_hull_name(geometry.corners))
+        SubElement(shape, "mesh", filename=_hull_name(role, geometry.corners))
     elif geometry.kind == "mesh":
         SubElement(shape, "mesh", filename=geometry.file, scale=_text(geometry.size))
     else:
@@ -103,25 +118,17 @@ def _add_geometry(element: Element, role: str, geometry: Geometry) -> Element:
     return part
 
 
-def _hulls(hand: HandDescription) -> Iterable[tuple[Vector3, ...]]:
-    for body in (hand.palm, *hand.links):
-        for geometry in (*body.collision, *body.visual):
-            if geometry.kind == "hull":
-                yield geometry.corners
+def _hull_name(role: str, corners: tuple[Vector3, ...]) -> str:
+    """A name of its own for every hull that touches, and that is looked at."""
+    return f"{role}_{digest(np.array(corners).tobytes())[:16]}.obj"
 
 
-def _hull_name(corners: tuple[Vector3, ...]) -> str:
-    """A name of its own for every hull."""
-    return f"hull_{digest(np.array(corners).tobytes())[:16]}.obj"
-
-
-def _hull_obj(corners: tuple[Vector3, ...]) -> str:
-    """A hull as a Wavefront file, its faces counterclockwise from outside."""
-    points = np.array(corners)
+def _hull_obj(points: Array) -> str:
+    """The hull of points (K, 3) [m] as a Wavefront file, its faces counterclockwise from outside."""
     hull = ConvexHull(points)
     faces = hull.simplices
     a, b, c = (points[faces[:, k]] for k in range(3))
     inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
     faces = np.where(inward[:, None], faces[:, ::-1], faces)
-    lines = [f"v {_text(corner)}" for corner in corners] + [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in faces.tolist()]
+    lines = [f"v {_text(corner)}" for corner in points] + [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in faces.tolist()]
     return "\n".join(lines) + "\n"

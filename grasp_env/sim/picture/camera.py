@@ -102,7 +102,7 @@ class Camera:
         shrink = _SURVEY / max(config.width, config.height)
         width, height = max(1, round(shrink * config.width)), max(1, round(shrink * config.height))
         survey = View(tuple(eye.tolist()), (0.0, 0.0, 0.0), 40.0, width, height)
-        _, depth = self._shoot(survey, width, height, shadows=False)
+        _, depth = shoot(self._bullet.client.number, survey, width, height, shadows=False)
         drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
         wanted = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
         self.view = wanted.fitted(drawn, config.margin, config.footer) if len(drawn) else wanted
@@ -138,15 +138,15 @@ class Camera:
     def _render(self, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
         """One picture (H, W, 4) with background, `supersampling` times the delivered size, uint8, and its depth."""
         height, width, _ = self._background.shape
-        pixels, depth = self._shoot(self.view, width, height, shadows)
+        pixels, depth = shoot(self._bullet.client.number, self.view, width, height, shadows)
         return put_background(pixels, depth, self._background), depth
 
-    def _shoot(self, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Colours (height, width, 4) uint8 and OpenGL depth (height, width) float32 of what is drawn."""
-        _, _, pixels, depth, _ = bullet.getCameraImage(
-            width, height, view.view_matrix, view.projection_matrix, **_LIGHT, shadow=int(shadows),
-            renderer=bullet.ER_TINY_RENDERER, flags=bullet.ER_NO_SEGMENTATION_MASK,
-            physicsClientId=self._bullet.client.number,
-        )  # fmt: skip
-        pixels = np.ascontiguousarray(pixels, np.uint8).reshape(height, width, 4)
-        return pixels, np.ascontiguousarray(depth, np.float32).reshape(height, width)
+
+def shoot(client: int, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Colours (height, width, 4) uint8 and OpenGL depth (height, width) float32 of what is drawn in a PyBullet server."""
+    _, _, pixels, depth, _ = bullet.getCameraImage(
+        width, height, view.view_matrix, view.projection_matrix, **_LIGHT, shadow=int(shadows),
+        renderer=bullet.ER_TINY_RENDERER, flags=bullet.ER_NO_SEGMENTATION_MASK, physicsClientId=client,
+    )  # fmt: skip
+    pixels = np.ascontiguousarray(pixels, np.uint8).reshape(height, width, 4)
+    return pixels, np.ascontiguousarray(depth, np.float32).reshape(height, width)
