@@ -9,7 +9,6 @@ import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +20,8 @@ from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.urdf import hand_files
+from grasp_env.sim.hand.pairs import touching_pairs
+from grasp_env.sim.hand.urdf import HULL_MARGIN, hand_files
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
 
@@ -40,8 +40,6 @@ UNDAMPED = {
     "spinningFriction": 0.0,
 }
 """Arguments of changeDynamics that undo Bullet's defaults."""
-HULL_MARGIN = 1e-3
-"""[m] that Bullet adds around the hulls of a URDF, and that changeDynamics does not change."""
 COUPLED_SWEEPS = 100
 """Of the solver, at least, for hands with coupled joints."""
 
@@ -68,7 +66,7 @@ class Bullet(Simulator):
         folder = tempfile.mkdtemp()  # one path for all loads: Bullet keeps every path it has seen
         self._clean = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         self._urdf = os.path.join(folder, "hand.urdf")
-        for name, text in hand_files(hand if visuals or gui else _invisible(hand), HULL_MARGIN).items():
+        for name, text in hand_files(hand if visuals or gui else hand.unseen(), HULL_MARGIN).items():
             with open(os.path.join(folder, name), "w", encoding="utf-8") as file:
                 file.write(text)
         self._numbers = np.empty(0)
@@ -177,12 +175,6 @@ class Bullet(Simulator):
         return bullet.getContactPoints(self.world.hand, self.world.object, physicsClientId=self.client.number)
 
 
-def _invisible(hand: HandDescription) -> HandDescription:
-    """The same hand without visual shapes."""
-    links = tuple(replace(link, visual=()) for link in hand.links)
-    return replace(hand, palm=replace(hand.palm, visual=()), links=links)
-
-
 class World(NamedTuple):
     """Numbers in one PyBullet server: the hand, the object, and the hand's joints in the order of its description."""
 
@@ -229,6 +221,9 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
         hand, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=client
     )
     couple(client, hand, joints, config.hand)
+    for one, other in touching_pairs(config.hand):
+        first = -1 if one < 0 else joints[one]
+        bullet.setCollisionFilterPair(hand, hand, first, joints[other], 0, physicsClientId=client)
     return World(hand, create_body(client, config.object, OBJECT_COLOR), joints)
 
 

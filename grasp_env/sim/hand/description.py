@@ -145,6 +145,11 @@ class HandDescription:
         )
         return replace(self, palm=palm, links=tuple(links), placed=True)
 
+    def unseen(self) -> HandDescription:
+        """The same hand without visual shapes."""
+        links = tuple(replace(link, visual=()) for link in self.links)
+        return replace(self, palm=replace(self.palm, visual=()), links=links)
+
     @staticmethod
     def of_fingers(
         fingers: Sequence[FingerDescription],

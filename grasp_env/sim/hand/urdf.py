@@ -16,6 +16,9 @@ from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.solids import inset
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 
+HULL_MARGIN = 1e-3
+"""[m] that Bullet adds around the hulls of a URDF, and that changeDynamics does not change."""
+
 _SPEED_LIMIT = "100"  # [rad/s]; Bullet's default, far above what a grasp needs
 
 
