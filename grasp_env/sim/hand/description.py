@@ -15,6 +15,7 @@ import numpy as np
 
 from grasp_env._check import as_list, flag, instance
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.hand import presets
 from grasp_env.sim.hand.check import Vector3, numbers, parts, positive, word
 from grasp_env.sim.hand.fingers import FingerDescription
 from grasp_env.sim.hand.frames import Frame
@@ -269,12 +270,24 @@ class HandDescription:
         fingers = [_thumb(), _front("middle", 0.0, 1), _front("left", -0.045, 2), _front("right", 0.045, 3)]
         return HandDescription.of_fingers([replace(finger, **_FOUR_JOINTS) for finger in fingers], "four_finger_4dof")
 
+    @staticmethod
+    def allegro() -> HandDescription:
+        """The Allegro Hand V4, right, with its largest torques of 0.7 N m; see `presets`. It is not placed."""
+        return HandDescription(**presets.allegro())
+
+    @staticmethod
+    def leap() -> HandDescription:
+        """The LEAP Hand, right, with torques up to 0.95 N m; see `presets`. It is not placed."""
+        return HandDescription(**presets.leap())
+
 
 HANDS: dict[str, Callable[[], HandDescription]] = {
     "four_finger": HandDescription.four_finger,
     "three_finger": HandDescription.three_finger,
     "five_finger": HandDescription.five_finger,
     "four_finger_4dof": HandDescription.four_finger_4dof,
+    "allegro": HandDescription.allegro,
+    "leap": HandDescription.leap,
 }
 """The built-in hands by name."""
 
