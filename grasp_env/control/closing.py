@@ -12,12 +12,12 @@ from grasp_env.task.motion import resting_target
 
 CLEARANCE = START_CLEARANCE
 """[m] between tips and object before the fingers close."""
-CLOSING_TIME, SETTLING_TIME = 0.6, 0.6
+CLOSING_TIME, SETTLING_TIME = 2.0, 0.6
 """[s] at most until every finger touches, and until the hand carries the weight at rest."""
 _STILL, _PLACED = 2e-3, 3e-5  # [m/s], [m] of the object, below which it is at rest in its place
 _QUIET, _SETTLED = 8, 4  # control ticks in a row
 _WEIGHT_ERROR = 0.01
-_GONE = 5e-3  # [m] of the object, from where on it is being lost
+_BESIDE, _GONE = 1e-3, 5e-3  # [m] of the object: still in its place if it stays there, being lost
 _NEARLY, _END, _STRAY = (
     1.0 - 1e-6,
     5e-3,
@@ -61,19 +61,22 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
     weight = scene.config.weight
     scale = float(np.linalg.norm(weight))
     error = np.inf
-    for tick in range(round(SETTLING_TIME / loop.dt)):
+    ticks = round(SETTLING_TIME / loop.dt)
+    latest = ticks - 2 * _SETTLED
+    for tick in range(ticks):
         loop.begin_step()
         torques = loop.tick(np.zeros(6), scene.gravity, target, due=tick % every == 0)
         scene.advance(torques, None)
         snapshot = scene.look()
         total = snapshot.rotation @ snapshot.forces.sum(axis=0)
         error = float(np.linalg.norm(total + weight)) / (scale or max(float(np.abs(snapshot.forces).sum()), 1e-9))
-        still = np.abs(snapshot.linear).max() < _STILL and np.abs(snapshot.position).max() < _PLACED
-        still = still and snapshot.touching.all()
-        quiet = quiet + 1 if still and error < _WEIGHT_ERROR else 0
+        still = np.abs(snapshot.linear).max() < _STILL and snapshot.touching.all() and error < _WEIGHT_ERROR
+        away = np.abs(snapshot.position).max()
+        # fingers that cannot push every way leave the object a little beside its place
+        quiet = quiet + 1 if still and away < (_PLACED if tick < latest else _BESIDE) else 0
         if quiet == _SETTLED:
             return
-        if np.abs(snapshot.position).max() > _GONE:
+        if away > _GONE:
             break
     friction = (
         f"the contact forces miss the weight by {error:.1%} ({_WEIGHT_ERROR:.0%} allowed); the solver believes in friction "

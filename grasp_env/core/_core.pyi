@@ -593,7 +593,7 @@ class HandLimbs:
 
     def clearance(self, surface: Surface, angles: object, enough: float = float('inf')) -> tuple[float, float]:
         """
-        Least distances [m] at angles (M,): of the links, without fingertips, from an object; of links and tips from one
+        Least distances [m] at angles (M,): of the links, without spheres of fingertips, from an object; of links and tips from one
         another; at most `enough`.
         """
 
@@ -601,6 +601,12 @@ class HandLimbs:
         """
         Pairs of limbs of different links, not of one joint, that are at most `enough` apart [m]: (link, link, distance). Coupled
         joints follow theirs.
+        """
+
+    def beside(self, finger: int, angles: object, middles: object, enough: float, gaps: object) -> None:
+        """
+        How far the rest of a finger and the palm are from balls about `middles` (K, 3) that touch its tip in postures (K, M),
+        at most `enough` [m]: into (K,).
         """
 
     @property
