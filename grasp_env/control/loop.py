@@ -31,8 +31,8 @@ REACH_STIFFNESS, REACH_FORCE, REACH_LIMIT = 60.0, 0.3, 1.0
 """Of a finger that reaches for its place: [N/m], force against the object [N], the most on its way [N]."""
 POSTURE_STIFFNESS, POSTURE_LOSS = 0.01, 0.001
 """[N m/rad] and [N m s/rad] by which the joints of a redundant hand return to their rest posture."""
-REACH_DAMPING = 2.0 * math.sqrt(REACH_STIFFNESS * 0.03)
-"""[N s/m] at most, of a finger that reaches: critical for a tip that moves 30 g."""
+REACH_MASS = 0.03
+"""[kg] of the lightest tip for which reaching is critically damped; heavier ones are, too."""
 SPRINGY, LOSSY = 0.5, 1.0
 """Most of stiffness * dt^2 / mass and of damping * dt / mass: with what is sampled, a light link swings up from 4 and from 2 on."""
 STABLE = 0.3
@@ -365,7 +365,12 @@ def control_settings(
     made = core.ControlSettings()
     made.body = believed_body(config, item)
     made.friction = friction
-    made.reach = [stable_spring(REACH_STIFFNESS, REACH_DAMPING, REACH_LIMIT, each, dt) for each in tips]
+    made.reach = [
+        stable_spring(
+            REACH_STIFFNESS, 2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / each)), REACH_LIMIT, each, dt
+        )
+        for each in tips
+    ]
     made.spring = core.Spring(config.pd_stiffness, config.pd_damping, np.inf)
     made.reach_depth = REACH_FORCE / REACH_STIFFNESS
     made.posture = [stable_spring(POSTURE_STIFFNESS, POSTURE_LOSS, np.inf, each, dt) for each in joints]
