@@ -12,7 +12,7 @@ from grasp_env.task.motion import resting_target
 
 CLEARANCE = START_CLEARANCE
 """[m] between tips and object before the fingers close."""
-CLOSING_TIME, SETTLING_TIME = 2.0, 0.6
+CLOSING_TIME, SETTLING_TIME = 4.0, 0.6
 """[s] at most until every finger touches, and until the hand carries the weight at rest."""
 _STILL, _PLACED = 2e-3, 3e-5  # [m/s], [m] of the object, below which it is at rest in its place
 _QUIET, _SETTLED = 8, 4  # control ticks in a row
