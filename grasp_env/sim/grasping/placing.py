@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from grasp_env import core
 from grasp_env._check import Array, Indices, whole
@@ -25,13 +26,13 @@ _ROUNDS, _POSTURES = (
     12,
     200,
 )  # at most, each with one posture of the joints that move several fingers; of the other joints
-_PAIRS, _ACROSS = 20_000, 0.7  # of tips in a round; the least they are apart, of the most that touch the same ball
-_CENTERS, _DRAWS = 2500, 4  # places of the object in a round; fingers' postures drawn at each
+_PAIRS, _ACROSS = 30_000, 0.7  # of tips in a round; the least they are apart, of the most that touch the same ball
+_CENTERS, _DRAWS = 1000, 6  # places of the object in a round; postures drawn of each further finger there
 _NEAR = 0.008  # [m] between a tip and the object's ball
 _CLEAR = 0.001  # [m] of the rest of a finger from the ball
 _OPPOSED = 0.45  # of the shortest sum of normals whose weights add to 1
-_APART = 0.012  # [m] between centres that are tried
-_TRIED, _TURNS = 60, 3  # centres, and turns of the object at each
+_APART = 0.004  # [m] between centres that are tried with the same fingers
+_TRIED, _TURNS = 60, 6  # centres, and turns of the object at each
 _ENOUGH = 12  # grasps to choose from
 _INSIDE = 0.05  # of a joint's range that postures keep from its ends
 
@@ -150,83 +151,92 @@ def _sites(hand: HandDescription, item: ObjectDescription, rng: np.random.Genera
         postures[:, shared] = kinematics.home[shared] if turn % 2 == 0 else postures[0, shared]
         for posture in postures:
             kinematics.tree.couple(posture)
-        tips = np.array([kinematics.tips(posture) for posture in postures])  # (K, N, 3)
-        found += _meetings(kinematics, limbs, postures, tips, item, rng, least)
+        found += _meetings(kinematics, limbs, postures, item, rng, least)
         found.sort(key=lambda pair: pair[0])
         sites = []
         for _, site in found:
-            if all(np.linalg.norm(site.center - other.center) > _APART for other in sites):
+            if len(sites) == _TRIED:
+                return sites
+            if all(
+                np.linalg.norm(site.center - other.center) > _APART or site.fingers != other.fingers for other in sites
+            ):
                 sites.append(site)
-        if len(sites) >= _TRIED:
-            break
-    return sites[:_TRIED]
+    return sites
 
 
 def _meetings(
     kinematics: HandKinematics,
     limbs: core.HandLimbs,
     postures: Array,
-    tips: Array,
     item: ObjectDescription,
     rng: np.random.Generator,
     least: int,
 ) -> list[tuple[float, _Site]]:
     """Centres of a ball that tips of several fingers touch, with how little they oppose one another."""
-    count, fingers = tips.shape[:2]
+    tips = np.array([kinematics.tips(posture) for posture in postures])  # (K, N, 3)
     radius = 0.5 * float(np.median(item.extent))
-    centers = _between(tips, radius + kinematics.tip_radii, rng)
-    away = np.linalg.norm(tips[None] - centers[:, None, None], axis=3) - radius - kinematics.tip_radii  # (C, K, N)
-    near = np.abs(away) < _NEAR
-    touch = near.any(axis=1)
-    kept = np.flatnonzero(touch.sum(axis=1) >= least)
-    out: list[tuple[float, _Site]] = []
-    for _ in range(_DRAWS):
-        chosen: Indices = (near[kept] * rng.random((len(kept), count, fingers))).argmax(axis=1)  # (C, N)
-        members = touch[kept]
+    count, fingers = tips.shape[:2]
+
+    def clear(finger: int, at: Indices, middles: Array) -> NDArray[np.bool_]:
+        gaps = np.empty(len(at))
+        limbs.beside(finger, np.ascontiguousarray(postures[at]), np.ascontiguousarray(middles), 2.0 * _CLEAR, gaps)
+        return gaps > _CLEAR
+
+    centers, pairs, samples = _between(tips, radius + kinematics.tip_radii, rng)
+    for side in (0, 1):
+        good = np.zeros(len(centers), dtype=bool)
         for finger in range(fingers):
-            gaps, rows = np.empty(len(kept)), chosen[:, finger]
-            limbs.beside(
-                finger, np.ascontiguousarray(postures[rows]), np.ascontiguousarray(centers[kept]), 2.0 * _CLEAR, gaps
-            )
-            members[:, finger] &= gaps > _CLEAR
-        rows = np.flatnonzero(members.sum(axis=1) >= least)
-        members, chosen, middles = members[rows], chosen[rows], centers[kept[rows]]
-        arms = middles[:, None] - tips[chosen, np.arange(fingers)]
-        normals = arms / np.linalg.norm(arms, axis=2, keepdims=True)
-        opposed = _shortest(normals, members)
-        score = opposed + 0.1 * (fingers - members.sum(axis=1))
-        for row in np.flatnonzero(opposed < _OPPOSED):
-            posture = kinematics.home.copy()
-            for finger in range(fingers):
-                # fingers that do not touch keep away from the object
-                own = chosen[row, finger] if members[row, finger] else int(np.argmax(away[kept[rows[row]], :, finger]))
-                joints = kinematics.carries[finger]
-                posture[joints] = postures[own, joints]
-            pushing = normals[row, members[row]]
-            axis = np.linalg.eigh(pushing.T @ pushing)[1][:, -1]
-            askew = 1.0 - float(np.abs(pushing @ axis).mean()) if item.shape == "cuboid" else 0.0
-            touching = tuple(np.flatnonzero(members[row]).tolist())
-            out.append((float(score[row]) + askew, _Site(middles[row], kinematics.coupled(posture), touching, axis)))
+            rows = np.flatnonzero(pairs[:, side] == finger)
+            good[rows] = clear(finger, samples[rows, side], centers[rows])
+        centers, pairs, samples = centers[good], pairs[good], samples[good]
+    centers, pairs, samples = centers[:_CENTERS], pairs[:_CENTERS], samples[:_CENTERS]
+    away = np.linalg.norm(tips[None] - centers[:, None, None], axis=3) - radius - kinematics.tip_radii  # (C, K, N)
+    near, rows = np.abs(away) < _NEAR, np.arange(len(centers))
+    members, chosen = np.zeros((len(centers), fingers), dtype=bool), np.zeros((len(centers), fingers), dtype=np.int64)
+    for side in (0, 1):
+        members[rows, pairs[:, side]], chosen[rows, pairs[:, side]] = True, samples[:, side]
+    for finger in range(fingers):
+        for _ in range(_DRAWS):
+            left = np.flatnonzero(~members[:, finger] & near[:, :, finger].any(axis=1))
+            at: Indices = (near[left, :, finger] * rng.random((len(left), count))).argmax(axis=1)
+            chosen[left, finger] = at
+            members[left, finger] = clear(finger, at, centers[left])
+    rows = np.flatnonzero(members.sum(axis=1) >= least)
+    centers, members, chosen, away = centers[rows], members[rows], chosen[rows], away[rows]
+    arms = centers[:, None] - tips[chosen, np.arange(fingers)]
+    normals = arms / np.linalg.norm(arms, axis=2, keepdims=True)
+    opposed = _shortest(normals, members)
+    out: list[tuple[float, _Site]] = []
+    for row in np.flatnonzero(opposed < _OPPOSED):
+        posture = kinematics.home.copy()
+        for finger in range(fingers):
+            # fingers that do not touch keep away from the object
+            own = chosen[row, finger] if members[row, finger] else int(np.argmax(away[row, :, finger]))
+            joints = kinematics.carries[finger]
+            posture[joints] = postures[own, joints]
+        pushing = normals[row, members[row]]
+        axis = np.linalg.eigh(pushing.T @ pushing)[1][:, -1]
+        askew = 1.0 - float(np.abs(pushing @ axis).mean()) if item.shape == "cuboid" else 0.0
+        score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + askew
+        touching = tuple(np.flatnonzero(members[row]).tolist())
+        out.append((score, _Site(centers[row], kinematics.coupled(posture), touching, axis)))
     return out
 
 
-def _between(tips: Array, sizes: Array, rng: np.random.Generator) -> Array:
-    """Centres (C, 3) that are `sizes` (N,) [m] from tips (K, N, 3) of two fingers, which are on nearly opposite sides."""
+def _between(tips: Array, sizes: Array, rng: np.random.Generator) -> tuple[Array, Indices, Indices]:
+    """Centres (C, 3) that are `sizes` (N,) [m] from tips (K, N, 3) of two fingers on nearly opposite sides; these, (C, 2), and their K."""
     count, fingers = tips.shape[:2]
-    pairs = rng.integers(count, size=(_PAIRS, 2))
+    samples = rng.integers(count, size=(_PAIRS, 2))
     one = rng.integers(fingers, size=_PAIRS)
     other = (one + rng.integers(1, max(fingers, 2), size=_PAIRS)) % fingers
-    start, way = tips[pairs[:, 0], one], tips[pairs[:, 1], other] - tips[pairs[:, 0], one]
-    apart = np.linalg.norm(way, axis=1)
-    opposed = np.flatnonzero(
-        (one != other) & (apart < sizes[one] + sizes[other]) & (apart > _ACROSS * (sizes[one] + sizes[other]))
-    )
-    kept = opposed[:_CENTERS]
+    start, way = tips[samples[:, 0], one], tips[samples[:, 1], other] - tips[samples[:, 0], one]
+    apart, most = np.linalg.norm(way, axis=1), sizes[one] + sizes[other]
+    kept = np.flatnonzero((one != other) & (apart < most) & (apart > _ACROSS * most))
     way, apart, one, other = way[kept] / apart[kept, None], apart[kept], one[kept], other[kept]
     along = (apart**2 + sizes[one] ** 2 - sizes[other] ** 2) / (2.0 * apart)
     aside = np.cross(way, _directions(rng, len(kept)))
     aside *= (np.sqrt(np.maximum(sizes[one] ** 2 - along**2, 0.0)) / np.linalg.norm(aside, axis=1))[:, None]
-    return start[kept] + along[:, None] * way + aside
+    return start[kept] + along[:, None] * way + aside, np.column_stack([one, other]), samples[kept]
 
 
 def _shortest(normals: Array, members: Array) -> Array:
