@@ -82,9 +82,9 @@ class EnvConfig:
         payload_factor: by which the mass grows in task "payload", at `payload_time` [s]; the controller is not told.
         push_per_mass, push_time: [N/kg], [s] of task "six_directions".
         wrench: what the controller knows of the external wrench: "measured", "estimated" (from the object's motion and the
-            forces of the last physics step), or "none" (pose feedback alone). The hand always knows gravity for its own weight.
+            mean contact forces of a tick), or "none" (pose feedback alone). The hand always knows gravity for its own weight.
         wrench_delay: control ticks by which the measured wrench comes late.
-        estimator_time: [s] time constant of the estimate.
+        estimator_time: [s] time constant of the estimate: against tactile noise; light objects drift by what it lags.
         sensor_delay: [s] between measurement and torque, for everything; rounded up to control ticks.
         tactile_noise: relative standard deviation of each measured contact force's components.
         pose_noise: [m] standard deviation of the measured object position, per axis.
@@ -150,7 +150,7 @@ class EnvConfig:
     push_time: float = 2.0
     wrench: str = "measured"
     wrench_delay: int = 0
-    estimator_time: float = 0.02
+    estimator_time: float = 0.005
     sensor_delay: float = 0.0
     tactile_noise: float = 0.0
     pose_noise: float = 0.0

@@ -5,8 +5,9 @@
 namespace grasp {
 
 // The external wrench from what moved the object besides contacts and gravity, filtered: force = d(m v)/dt - sum f - m g and
-// moment = d(R I R^T omega)/dt - sum p x f over one tick, in the object frame at its end. A mass that differs from the believed one
-// shows up as a wrench, as does gravity that is not the one known.
+// moment = d(R I R^T omega)/dt - sum p x f over one tick, in the object frame at its end. The forces must be means over that tick, as
+// the change of momentum is: those of its last physics step ring where contacts are stiff, and the hand would answer them. A mass
+// that differs from the believed one shows up as a wrench, as does gravity that is not the one known.
 class WrenchEstimator {
 public:
     double tick = 1.0, keep = 0.0;  // [s]; the share of its last value that the filter keeps over a tick
