@@ -10,6 +10,7 @@ import numpy as np
 
 from grasp_env.sim.engine import MujocoEngine
 from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.limbs import touching_pairs
 from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.objects.description import ObjectDescription
 
@@ -122,10 +123,12 @@ def _couplings(hand: HandDescription) -> Iterable[str]:
 
 
 def _neighbours(hand: HandDescription) -> Iterable[tuple[str, str]]:
-    """Pairs of bodies that do not touch each other: links and what carries them, which overlap around their joint."""
-    numbers = {link.name: link_name(index) for index, link in enumerate(hand.links)}
-    for link in hand.links:
-        yield numbers.get(link.parent, PALM), numbers[link.name]
+    """Pairs of bodies that do not touch each other: links and what carries them, and those that overlap whatever the hand does."""
+    numbers = {link.name: index for index, link in enumerate(hand.links)}
+    parents = {(numbers.get(link.parent, -1), index) for index, link in enumerate(hand.links)}
+    for pair in sorted(parents | set(touching_pairs(hand))):
+        one, other = (PALM if index < 0 else link_name(index) for index in pair)
+        yield one, other
 
 
 def _text(numbers: Iterable[float]) -> str:
