@@ -96,6 +96,8 @@ COMMANDS = {
     "rl --compare nowhere": "sim,train,report",
     "evaluate": "sim,report",
     "evaluate env": "sim,report",
+    "evaluate env --hands four_finger": "sim,report",
+    "evaluate transfer": "sim,report",
     "report nowhere": "report",
     "reproduce": "report",
     "demo --video hand.gif": "sim,report",

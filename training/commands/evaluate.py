@@ -10,35 +10,45 @@ import tyro
 
 from grasp_env._extras import need
 from training.commands.claims import print_claims
-from training.trials.settings import EnvEvaluateConfig, EvaluateConfig
+from training.trials.settings import EnvEvaluateConfig, EvaluateConfig, HandsConfig, TransferConfig
 
 
 @dataclass(frozen=True)
 class Evaluate(EvaluateConfig):
-    """Compare and write a report: all starts of the optimisation, or how well the hand holds. An interrupted run goes on by its name.
+    """Compare and write a report: starts of the optimisation, hands, or engines. An interrupted run goes on by its name.
 
     Attributes:
         what: starts (every start on every set of cases by both methods, times, continuity, roll-outs: about five minutes on two
-            cores, fits nothing unless told to) or env (hold rates over random objects and wrenches, failures, the squeeze that
-            robustness costs).
-        episodes: per start of each random scenario, or of each main scenario of env; 0: 10, of env 500.
+            cores, fits nothing unless told to), env (hold rates over random objects and wrenches, failures, the squeeze that
+            robustness costs; with --hands these hands against objects and disturbances) or transfer (the same hands in Bullet and
+            in MuJoCo).
+        episodes: per start of each random scenario, or of each main scenario; 0: 10, of env 500, of env --hands 100, of transfer 300.
+        hands: of env and transfer: names, or paths of URDFs; none: the four-finger hand, of transfer also allegro and leap.
+        engines: of env --hands: bullet, mujoco, bullet_1000, noslip, pyramidal, soft.
     """
 
-    what: tyro.conf.Positional[Literal["starts", "env"]] = "starts"
+    what: tyro.conf.Positional[Literal["starts", "env", "transfer"]] = "starts"
     episodes: int = 0
+    hands: tuple[str, ...] = ()
+    engines: tuple[str, ...] = ("bullet",)
 
     def __post_init__(self) -> None:
         pass  # checked where the evaluation's own settings are made of these
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
-        need("sim", "report")
+        need("sim", "report", *(["mujoco"] if self.what == "transfer" else []))
         from training.report.build import build_report, report_path
         from training.trials.comparison import evaluate
+        from training.trials.hand_trials import evaluate_hands, evaluate_transfer
         from training.trials.hold_rates import evaluate_env
 
-        kind: Any = EnvEvaluateConfig if self.what == "env" else EvaluateConfig
-        measure: Any = evaluate_env if self.what == "env" else evaluate
+        kinds: dict[str, tuple[Any, Any]] = {
+            "starts": (EvaluateConfig, evaluate),
+            "env": (HandsConfig, evaluate_hands) if self.hands else (EnvEvaluateConfig, evaluate_env),
+            "transfer": (TransferConfig, evaluate_transfer),
+        }
+        kind, measure = kinds[self.what]
         settings = {name: getattr(self, name) for name in kind.__dataclass_fields__}
         if not self.episodes:
             del settings["episodes"]

@@ -6,8 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from training.report.comparison import build_report as build_comparison
+from training.report.hands import build_hands_report, build_transfer_report
 from training.report.holds import build_env_report
 from training.runs import Run
+
+_BUILDERS = {"env": build_env_report, "hands": build_hands_report, "transfer": build_transfer_report}
 
 
 def build_report(run: Run) -> dict[str, Any]:
@@ -16,8 +19,7 @@ def build_report(run: Run) -> dict[str, Any]:
     Raises:
         InvalidInputError: the run is of an older version.
     """
-    env = run.read_json("run.json").get("kind") == "env"
-    return build_env_report(run) if env else build_comparison(run)
+    return _BUILDERS.get(run.read_json("run.json").get("kind"), build_comparison)(run)
 
 
 def report_path(run: Run) -> Path:

@@ -150,7 +150,7 @@ def _label(row: dict[str, Any]) -> str:
 
 
 def _difference(name: str, factor: float) -> Callable[..., str]:
-    return lambda row: "–" if row["against_paper"] is None else _interval(row["against_paper"][name], factor)
+    return lambda row: "–" if row["against_paper"] is None else interval(row["against_paper"][name], factor)
 
 
 def _rate_text(row: dict[str, Any]) -> str:
@@ -160,9 +160,9 @@ def _rate_text(row: dict[str, Any]) -> str:
 NUMBERS: Columns = (
     ("held", lambda *item: f"{item[-1]['held']} of {item[-1]['episodes']}"),
     ("rate, 95 % interval [%]", lambda *item: _rate_text(item[-1])),
-    ("largest drift, mean [mm]", lambda *item: _interval(item[-1]["max_drift_mm"])),
+    ("largest drift, mean [mm]", lambda *item: interval(item[-1]["max_drift_mm"])),
     ("worst [mm]", shown("largest_drift_mm")),
-    ("total normal force, mean [N]", lambda *item: _interval(item[-1]["normal_force"])),
+    ("total normal force, mean [N]", lambda *item: interval(item[-1]["normal_force"])),
     ("peak torque [N m]", shown("peak_torque")),
     ("iterations, mean", shown("iterations", "mean")),
     ("not held", lambda *item: ", ".join(f"{count} {cause}" for cause, count in item[-1]["failures"].items()) or "–"),
@@ -186,15 +186,16 @@ def _swept(row: dict[str, Any]) -> str:
     return f"margin {row['swept']:g}" if row["controller"] not in BASELINES else f"{row['swept']:g} N"
 
 
-def _interval(mean: dict[str, Any], factor: float = 1.0) -> str:
+def interval(mean: dict[str, Any], factor: float = 1.0) -> str:
+    """A mean with its interval, times a factor."""
     scaled = {key: None if mean[key] is None else factor * mean[key] for key in ("mean", "low", "high")}
     return interval_text(scaled, "").replace("  ", " ")
 
 
 COLOURS = {"paper": "#1f5fa8", "estimated": "#2e8b57", "constant_squeeze": "#c08a3e", "pd": "#b3261e"}
 _SHAPE_COLOURS = {"cuboid": "#1f5fa8", "cylinder": "#2e8b57", "sphere": "#b3261e", "capsule": "#c08a3e"}
-_CAUSE_COLOURS = {
-    "no_start": "#8a8a8a", "dropped": "#b3261e", "drifted": "#e07a5f", "closure_lost": "#c08a3e",
+CAUSE_COLOURS = {
+    "no_start": "#8a8a8a", "not_placed": "#c9c9c9", "torque": "#1f5fa8", "dropped": "#b3261e", "drifted": "#e07a5f", "closure_lost": "#c08a3e",
     "force_optimisation": "#7a4fa3", "simulation_diverged": "#1b1b1b",
 }  # fmt: skip
 
@@ -256,7 +257,7 @@ def failure_bars(metrics: dict[str, Any]) -> Figure:
     rows = [row for row in metrics["cells"] if row["swept"] is None or row["name"] in chosen]
     figure, axes = new_figure(8.8, 0.9 + 0.24 * len(rows))
     left = np.zeros(len(rows))
-    for cause, colour in _CAUSE_COLOURS.items():
+    for cause, colour in CAUSE_COLOURS.items():
         share = np.array([100 * row["failures"].get(cause, 0) / row["episodes"] for row in rows])
         if share.any():
             axes.barh(np.arange(len(rows)), share, left=left, color=colour, label=cause.replace("_", " "))

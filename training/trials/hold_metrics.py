@@ -15,7 +15,7 @@ from training.trials.hold_plan import (
     CONTROLLER_LABELS,
     CONTROLLERS,
     CURVES,
-    NO_START,
+    NOT_STARTED,
     RANDOM_WRENCH,
     SCENARIO_LABELS,
 )
@@ -37,7 +37,7 @@ class Episodes:
 
     def __init__(self, trials: Trials) -> None:
         self.trials, self.held = trials, trials["held"].astype(bool)
-        self.started = trials["failure"] != NO_START
+        self.started = ~np.isin(trials["failure"], NOT_STARTED)
 
     def of(self, name: str, which: np.ndarray, factor: float = 1.0) -> np.ndarray:
         """A column of some of them."""
@@ -88,7 +88,7 @@ def paired(trials: Trials, base: Trials) -> dict[str, Any]:
     for name in ("shape", "size_x", "size_y", "size_z", "mass", "friction"):
         if not np.array_equal(a[name], b[name]):
             raise ValueError(f"the trials are not paired: {name} differs between the same seeds")
-    both = (a["failure"] != NO_START) & (b["failure"] != NO_START)
+    both = ~(np.isin(a["failure"], NOT_STARTED) | np.isin(b["failure"], NOT_STARTED))
     return {
         "pairs": len(seeds),
         "held": mean_interval(a["held"].astype(float) - b["held"].astype(float)),
@@ -234,13 +234,16 @@ def _pick(trials: Trials, which: np.ndarray) -> Trials:
 
 
 def _causes(trials: Trials) -> np.ndarray:
-    """One word per trial; not lost but beyond the task's limits at the end: "drifted"."""
+    """One word per trial; not lost but beyond the task's limits at the end: "drifted"; lost when torques did not suffice: "torque"."""
     lost = np.where(trials["failure"] == "", "drifted", trials["failure"])
+    if "saturated_last" in trials:  # not in runs of older versions
+        weak = (trials["saturated_last"] > 0.0) & ~np.isin(trials["failure"], NOT_STARTED)
+        lost = np.where(weak, "torque", lost)
     return np.where(trials["held"].astype(bool), "", lost)
 
 
 def _how(trials: Trials, k: int) -> str:
-    if str(trials["failure"][k]) == NO_START:
+    if str(trials["failure"][k]) in NOT_STARTED:
         return str(trials["detail"][k])
     status = str(trials["status"][k])
     solver = "" if status in ("none", "failed") else f"solver {status}, "

@@ -7,6 +7,9 @@ from typing import Any
 
 NO_START = "no_start"
 """Failure of a trial whose grasp did not close or settle: it counts as an episode that was not held."""
+NOT_PLACED = "not_placed"
+"""Failure of one for which no place of the hand or of its fingers was found."""
+NOT_STARTED = (NO_START, NOT_PLACED)
 
 CONTROLLERS: dict[str, dict[str, Any]] = {
     "paper": {},

@@ -10,15 +10,18 @@ import numpy as np
 
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import GraspError, SimulationError
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription
+from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping.points import grasp_points
-from grasp_env.sim.hand.description import HANDS
+from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import random_object
 from training.data.episodes import episode
-from training.trials.hold_plan import NO_START, Cell
+from training.trials.hold_plan import NO_START, NOT_PLACED, Cell
 
 _REDRAWS = 100
+_JUST_NOW = 10
+"""Agent steps before an object is lost in which saturated torques are its cause."""
 
 
 def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
@@ -26,11 +29,14 @@ def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.nda
 
     Returns:
         The object, its contact points (N, 3) [m], object frame, and how many objects drawn before it no grasp was found for.
-        None of it depends on the controller.
+        None of it depends on the controller or the engine. No points for a hand without a place of its own, which goes to every
+        object anew.
     """
     rng, kinematics = np.random.default_rng([seed, 0x0B1EC7]), _kinematics(config.hand)
     for redrawn in range(_REDRAWS):
         item = random_object(rng, size=config.size_range, mass=config.mass_range, friction=config.friction_range)
+        if not kinematics.hand.placed:
+            return item, np.zeros((0, 3)), 0
         try:
             return item, np.asarray(grasp_points(item, kinematics)[0]), redrawn
         except GraspError:
@@ -44,7 +50,7 @@ def run_trial(settings: dict[str, Any], random_objects: bool, seed: int) -> dict
     Returns:
         The columns of `columns`: plain numbers and strings, taken at the agent's rate; nan for what never came about.
     """
-    config, redrawn = EnvConfig().override(**settings), 0
+    config, redrawn = settings_of(settings), 0
     if random_objects:
         item, points, redrawn = draw_object(seed, config)
         config = config.override(
@@ -55,12 +61,23 @@ def run_trial(settings: dict[str, Any], random_objects: bool, seed: int) -> dict
     try:
         env = FourFingerGrasp(config=config)
     except GraspError as error:
-        return {**row, **_summary([], NO_START, str(error))}
+        return {**row, **_summary([], NOT_PLACED if isinstance(error, InvalidInputError) else NO_START, str(error))}
     try:
         infos = [step.info for step in episode(env, seed)]
         return {**row, **_object_columns(config, infos[0]), **_summary(infos, str(infos[-1]["failure"]), "")}
     finally:
         env.close()
+
+
+def settings_of(settings: dict[str, Any]) -> EnvConfig:
+    """The environment's settings of a plan: "hand" may be the path of a URDF, "engine_settings" are the engine's own."""
+    made = dict(settings)
+    if "hand" in made:
+        made["hand"] = _hand(made["hand"])
+    own = made.pop("engine_settings", None)
+    if own is not None:
+        made["engine"] = replace(engine_of(made["engine"]), **own)
+    return EnvConfig().override(**made)
 
 
 def torque_limit() -> float:
@@ -109,7 +126,9 @@ def _summary(steps: list[dict[str, Any]], failure: str, detail: str) -> dict[str
         last["time"], drift.mean(), drift.max(), drift[-1], max(info["tilt"] for info in steps), last["tilt"],
         last["slip_distance"], measured.mean(), measured.max(), commanded.mean(), last["peak_torque"],
         np.mean([info["iterations"] for info in steps]), last["contacts"], int(last["touching"].sum()),
-        last["contact_changes"], max(info["stray_force"] for info in steps),
+        last["contact_changes"], max(info["stray_force"] for info in steps), np.mean([info["force_error"] for info in steps]),
+        min(info["torque_margin"] for info in steps), sum(info["limited"] for info in steps),
+        np.mean([info["saturated"] for info in steps]), any(info["saturated"] for info in steps[-_JUST_NOW:]),
     )  # fmt: skip
     numbers = dict(zip(_NUMBERS, map(float, values), strict=True))
     held = bool(last["is_success"]) and not failure
@@ -119,10 +138,16 @@ def _summary(steps: list[dict[str, Any]], failure: str, detail: str) -> dict[str
 _NUMBERS = (
     "time", "mean_drift", "max_drift", "end_drift", "max_tilt", "end_tilt", "slip_distance", "normal_force",
     "max_normal_force", "commanded_normal", "peak_torque", "iterations", "contacts", "touching", "contact_changes",
-    "stray_force",
+    "stray_force", "force_error", "torque_margin", "limited", "saturated", "saturated_last",
 )  # fmt: skip
 
 
 @functools.cache
-def _kinematics(hand: str) -> HandKinematics:
-    return HandKinematics(HANDS[hand]())
+def _kinematics(hand: str | HandDescription) -> HandKinematics:
+    return HandKinematics(hand if isinstance(hand, HandDescription) else HANDS[hand]())
+
+
+@functools.cache
+def _hand(name: str) -> str | HandDescription:
+    """A hand's name, or the description of one in a file."""
+    return HandDescription.from_urdf(name) if name.endswith(".urdf") else name

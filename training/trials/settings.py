@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from grasp_env import ranges
-from grasp_env._check import number
+from grasp_env._check import choice, number, together
 from grasp_env.errors import InvalidInputError
 from training.fit.settings import FitConfig
 from training.runs import default_name
 from training.runs.settings import check_counts
+from training.trials.hand_plan import ENGINES, short_name
 
 
 @dataclass(frozen=True)
@@ -93,3 +95,79 @@ class EnvEvaluateConfig:
 
     def __post_init__(self) -> None:
         check_counts(self, {"episodes": 1, "seed": 0, "workers": 0})
+
+
+@dataclass(frozen=True)
+class HandsConfig:
+    """How hands are compared: objects, and what disturbs them.
+
+    Attributes:
+        hands: names, or paths of URDFs.
+        engines: in which they hold, of `hand_plan.ENGINES`.
+        out: folder of runs.
+        name: of this run; empty: hands-<date>-<time>. The name of an interrupted run continues it.
+        episodes: of every object and disturbance in which something is random.
+        seed: of the first episode; the next ones follow. The same seeds serve all hands and engines.
+        quick: a small version that says that it is quick.
+        workers: processes; 0: one per core. The results do not depend on it.
+    """
+
+    hands: tuple[str, ...]
+    engines: tuple[str, ...] = ("bullet",)
+    out: str = "runs"
+    name: str = ""
+    episodes: int = 100
+    seed: int = 0
+    quick: bool = False
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        _check(self)
+        if not self.hands or not self.engines:
+            raise InvalidInputError(
+                f"name at least one hand and one engine, got hands={self.hands}, engines={self.engines}"
+            )
+
+
+@dataclass(frozen=True)
+class TransferConfig:
+    """How the same hands are compared in both engines.
+
+    Attributes:
+        out: folder of runs.
+        name: of this run; empty: transfer-<date>-<time>. The name of an interrupted run continues it.
+        hands: names, or paths of URDFs; none: four_finger, allegro and leap.
+        episodes: of each main scenario in each engine; the others have a third.
+        seed: of the first episode; the next ones follow. The same seeds serve all engines.
+        quick: a small version that says that it is quick.
+        workers: processes; 0: one per core. The results do not depend on it.
+    """
+
+    out: str = "runs"
+    name: str = ""
+    hands: tuple[str, ...] = ()
+    episodes: int = 300
+    seed: int = 0
+    quick: bool = False
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+def _check(config: HandsConfig | TransferConfig) -> None:
+    """Counts, hands that exist, each under a name of its own, and engines."""
+    from grasp_env.sim.hand.description import HANDS  # the command line's options need no simulator
+
+    def hand(name: str) -> None:
+        if not (name.endswith(".urdf") and os.path.isfile(name)):
+            choice(name, "hand", HANDS, ", or the path of a .urdf file that exists")
+
+    names = [short_name(name) for name in config.hands]
+    together(
+        lambda: check_counts(config, {"episodes": 1, "seed": 0, "workers": 0}),
+        *(lambda name=name: hand(name) for name in config.hands),
+        *(lambda name=name: choice(name, "engine", ENGINES) for name in getattr(config, "engines", ())),
+    )
+    if len(set(names)) < len(names):
+        raise InvalidInputError(f"hands need different names, got {', '.join(names)}: rename a file")

@@ -1,0 +1,120 @@
+"""`grasp evaluate transfer` and `evaluate env --hands`: every scenario in its engines, a seed in all of them before the next."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from grasp_env._extras import need
+from grasp_env.env.env import FourFingerGrasp
+from grasp_env.errors import GraspError
+from training.data.episodes import episode
+from training.runs import Run, default_name, provenance
+from training.runs.workers import Job, begin, progress, run_jobs
+from training.trials.hand_plan import ENGINES, PRESETS, Scenario, hands_plan, transfer_plan
+from training.trials.holds import columns, run_trial, settings_of
+from training.trials.settings import HandsConfig, TransferConfig
+
+CHUNK = 2
+"""Seeds a worker is given at a time."""
+QUICK_EPISODES = 2
+_TIMED, _ROUNDS = 100, 3
+"""Agent steps whose rate is told, and how often they are timed."""
+
+
+def evaluate_transfer(
+    config: TransferConfig, console: Console | None = None, plan: list[Scenario] | None = None
+) -> Run:
+    """The same hands, objects and controllers in both engines; all trials lie in `<out>/<name>` afterwards.
+
+    Args:
+        config: the settings.
+        console: for the progress; None: stderr.
+        plan: instead of `hand_plan.transfer_plan`.
+
+    Raises:
+        InvalidInputError: the run is finished, or was begun with other settings.
+        MissingExtraError: MuJoCo is not installed.
+    """
+    need("mujoco")
+    hands = config.hands or PRESETS
+    made = transfer_plan(hands, QUICK_EPISODES if config.quick else config.episodes) if plan is None else plan
+    return _roll_out("transfer", config, made, console)
+
+
+def evaluate_hands(config: HandsConfig, console: Console | None = None, plan: list[Scenario] | None = None) -> Run:
+    """Hands x objects x disturbances; see `evaluate_transfer`."""
+    if set(config.engines) - {"bullet"}:
+        need("mujoco")
+    episodes = QUICK_EPISODES if config.quick else config.episodes
+    return _roll_out(
+        "hands", config, hands_plan(config.hands, config.engines, episodes) if plan is None else plan, console
+    )
+
+
+def run_chunk(scenario: dict[str, Any], seeds: list[int]) -> list[dict[str, Any]]:
+    """The trials of some seeds in all engines of a scenario, for a worker process: what they share is made once."""
+    rows = []
+    for seed in seeds:
+        for engine in scenario["engines"]:
+            settings = {"hand": scenario["hand"], **scenario["settings"], **ENGINES[engine]}
+            rows.append({"engine": engine, **run_trial(settings, scenario["random_objects"], seed)})
+    return rows
+
+
+def _roll_out(kind: str, config: Any, plan: list[Scenario], console: Console | None) -> Run:
+    console = console or Console(stderr=True)
+    run = Run.create(config.out, config.name or default_name(kind))
+    begun = {"seed": config.seed, "quick": config.quick, "scenarios": [asdict(scenario) for scenario in plan]}
+    begin(run, begun, "hands, engines, episodes, seed or settings")
+    jobs = [job for job in _jobs(plan, config.seed) if not job.done(run)]
+    with progress(console) as bar:
+        task = bar.add_task("episodes", total=sum(len(job.calls) for job in jobs))
+        for job, _ in run_jobs(run, jobs, config.workers):
+            bar.update(task, advance=1, description=f"{job}, {CHUNK} seeds at a time")
+    settings = {**asdict(config), "name": run.folder.name}
+    run.write_json("run.json", {"kind": kind, **provenance(), **begun, "speed": _speeds(plan), "config": settings})
+    return run
+
+
+def _jobs(plan: list[Scenario], seed: int) -> list[Job]:
+    """A job per scenario, trials/<name>, its episodes of the seeds seed, seed + 1, ... in chunks."""
+    out = []
+    for scenario in plan:
+        seeds = range(seed, seed + scenario.episodes)
+        chunks = [list(seeds[k : k + CHUNK]) for k in range(0, len(seeds), CHUNK)]
+        out.append(
+            Job(f"trials/{scenario.name}", [(run_chunk, (asdict(scenario), chunk)) for chunk in chunks], _joined)
+        )
+    return out
+
+
+def _joined(chunks: list[list[dict[str, Any]]]) -> dict[str, np.ndarray]:
+    return columns(list(chain.from_iterable(chunks)))
+
+
+def _speeds(plan: list[Scenario]) -> dict[str, dict[str, float]]:
+    """Agent steps per second of every hand in every engine, alone in this process, best of some rounds of its first scenario."""
+    first: dict[tuple[str, str], Scenario] = {}
+    for scenario in plan:
+        for engine in scenario.engines:
+            first.setdefault((scenario.hand, engine), scenario)
+    out: dict[str, dict[str, float]] = {}
+    for (hand, engine), scenario in first.items():
+        try:
+            env = FourFingerGrasp(config=settings_of({"hand": hand, **scenario.settings, **ENGINES[engine]}))
+        except GraspError:
+            continue
+        rates = []
+        for seed in range(_ROUNDS):
+            running, begun = episode(env, seed, most=_TIMED), time.perf_counter()
+            steps = sum(1 for _ in running)
+            rates.append(steps / (time.perf_counter() - begun))
+        env.close()
+        out.setdefault(hand, {})[engine] = max(rates)
+    return out
