@@ -73,8 +73,10 @@ class Mujoco(Simulator):
         self._place, self._turn = slice(place, place + 3), slice(place + 3, place + 7)
         self._linear, self._angular = slice(speed, speed + 3), slice(speed + 3, speed + 6)
         links = {model.body(link_name(index)).id: float(index) for index in range(self._hand.joint_count)}
-        self._links = [links.get(int(body), -1.0) for body in model.geom_bodyid]
-        self._steps, self._kept, self._contacts = config.substeps, {}, []
+        self._links = np.array([links.get(int(body), -1.0) for body in model.geom_bodyid])
+        self._steps, self._kept = config.substeps, {}
+        self._noted: list[tuple[Array, ...]] = []  # of every step
+        self._contacts: Array | None = np.empty(0)  # None: of what was noted
         self._rotation, self._push = np.zeros(9), np.zeros(6)
         data.qpos[self._angles] = angles
         mujoco.mj_forward(model, data)
@@ -85,7 +87,7 @@ class Mujoco(Simulator):
         data.qfrc_applied[self._rates] = torques
         if wrench is None:
             data.xfrc_applied[self._body] = 0.0
-        self._contacts = []
+        self._noted, self._contacts = [], None
         for _ in range(self._steps):
             if wrench is not None:
                 turn = self._turned()
@@ -101,7 +103,7 @@ class Mujoco(Simulator):
         w, x, y, z = state[self._turn]
         spin = self._turned() @ rates[self._angular]
         return np.concatenate([
-            state[self._angles], rates[self._rates], state[self._place], (x, y, z, w), rates[self._linear], spin, self._contacts,
+            state[self._angles], rates[self._rates], state[self._place], (x, y, z, w), rates[self._linear], spin, self._object_contacts(),
         ])  # fmt: skip
 
     def self_contacts(self) -> list[tuple[int, int]]:
@@ -137,7 +139,7 @@ class Mujoco(Simulator):
         data = self._open()
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, data, state, _STATE)
-        self._kept[name] = state, self._contacts
+        self._kept[name] = state, self._object_contacts()
 
     def reset(self, name: str) -> None:
         """See `Simulator`."""
@@ -162,14 +164,20 @@ class Mujoco(Simulator):
         return self._rotation.reshape(3, 3)
 
     def _note_contacts(self) -> None:
-        """Adds link, point and share of the force on the object of every contact in the step that was made."""
-        data, mine, push = self.data, self._shape, self._push
-        for index, (one, other) in enumerate(data.contact.geom[: data.ncon].tolist()):
-            if mine not in (one, other):
-                continue
-            mujoco.mj_contactForce(self.model, data, index, push)
-            if push[0] > _LEAST_FORCE:
-                contact = data.contact[index]
-                sign = 1.0 if other == mine else -1.0  # the frame is that of the first, the force is on the second
-                force = (sign / self._steps * push[:3]) @ contact.frame.reshape(3, 3)
-                self._contacts += [self._links[one if other == mine else other], *contact.pos.tolist(), *force.tolist()]
+        """What is known of all contacts in the step that was made: shapes, places, frames and forces; the next step overwrites it."""
+        seen, pushes = self.data.contact, np.empty((self.data.ncon, 6))
+        for index, push in enumerate(pushes):
+            mujoco.mj_contactForce(self.model, self.data, index, push)
+        self._noted.append((seen.geom.copy(), seen.pos.copy(), seen.frame.copy(), pushes))
+
+    def _object_contacts(self) -> Array:
+        """Link, place and share of the force on the object of every contact with it in the last `advance`, (7n,)."""
+        if self._contacts is None:
+            shapes, places, frames, pushes = (np.concatenate(parts) for parts in zip(*self._noted, strict=True))
+            second = shapes[:, 1] == self._shape  # the frame is that of the first, the force is on the second
+            mine = (second | (shapes[:, 0] == self._shape)) & (pushes[:, 0] > _LEAST_FORCE)
+            shares = np.where(second, 1.0, -1.0)[:, None] / len(self._noted) * pushes[:, :3]
+            forces = np.einsum("ni,nij->nj", shares, frames.reshape(-1, 3, 3))
+            links = self._links[np.where(second, shapes[:, 0], shapes[:, 1])]
+            self._contacts = np.column_stack([links, places, forces])[mine].reshape(-1)
+        return self._contacts
