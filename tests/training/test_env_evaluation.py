@@ -34,7 +34,7 @@ def made(outcomes: list[str], force: float = 20.0, drift: float = 2e-4) -> dict[
         rows.append({
             "seed": seed, "redrawn": 0, "shape": SHAPES[seed % 4], "size_x": 0.1, "size_y": 0.09, "size_z": 0.0,
             "mass": 0.1 + 0.01 * seed, "friction": 0.5, "failure": failure, "detail": "", "status": "optimal",
-            "held": not failure, **numbers, "saturated_last": 0.0, "time": 4.0, "max_drift": drift * (1 + seed), "mean_drift": drift,
+            "held": not failure, **numbers, "cut_in_place": 0.0, "time": 4.0, "max_drift": drift * (1 + seed), "mean_drift": drift,
             "normal_force": np.nan if failure == NO_START else force + seed,
         })  # fmt: skip
     return columns(rows)

@@ -35,9 +35,7 @@ def made(outcomes: dict[str, list[str]], drift: dict[str, float] | None = None, 
         for seed, failure in enumerate(failures):
             gone = failure in (NO_START, NOT_PLACED)
             numbers = (
-                dict.fromkeys(_NUMBERS, np.nan)
-                if gone
-                else dict.fromkeys(_NUMBERS, 1.0) | {"saturated_last": 0.0, **own}
+                dict.fromkeys(_NUMBERS, np.nan) if gone else dict.fromkeys(_NUMBERS, 1.0) | {"cut_in_place": 0.0, **own}
             )
             numbers["max_drift"] = (drift or {}).get(engine, 1e-4) * (1.0 + 0.1 * (seed % 3))
             rows.append({
@@ -88,7 +86,7 @@ def test_equal_engines_meet_the_claim():
 
 def test_causes_name_torques_and_what_did_not_start():
     trials = made(
-        {"bullet": [NO_START, NOT_PLACED, "dropped", ""], "mujoco": [""] * 4}, saturated_last=1.0, torque_margin=0.25
+        {"bullet": [NO_START, NOT_PLACED, "dropped", ""], "mujoco": [""] * 4}, cut_in_place=1.0, torque_margin=0.25
     )
     row = hand_metrics([scenario(count=4)], {"hand/objects": trials})["rows"][0]
     assert row["failures"] == {NO_START: 1, NOT_PLACED: 1, "torque": 1}

@@ -86,7 +86,7 @@ def _transfer_sections(metrics: dict[str, Any], pictures: list[Picture]) -> list
 
 def _hand_sections(metrics: dict[str, Any], pictures: list[Picture]) -> list[Section]:
     causes = (
-        "Causes: dropped or drifted; torque (lost while no force within the torque limits balanced the wrench); closure lost; not placed; "
+        "Causes: dropped or drifted; torque (lost within half a second after torques had to be cut while the object was in its place: no force within the limits balanced the wrench); closure lost; not placed; "
         "no start (the fingers did not close, or the grasp did not settle), with the reasons that showed; simulation diverged."
     )
     return [

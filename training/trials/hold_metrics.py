@@ -234,10 +234,10 @@ def _pick(trials: Trials, which: np.ndarray) -> Trials:
 
 
 def _causes(trials: Trials) -> np.ndarray:
-    """One word per trial; not lost but beyond the task's limits at the end: "drifted"; lost when torques did not suffice: "torque"."""
+    """One word per trial; not lost but beyond the task's limits at the end: "drifted"; lost after torques were cut: "torque"."""
     lost = np.where(trials["failure"] == "", "drifted", trials["failure"])
-    if "saturated_last" in trials:  # not in runs of older versions
-        weak = (trials["saturated_last"] > 0.0) & ~np.isin(trials["failure"], NOT_STARTED)
+    if "cut_in_place" in trials:  # not in runs of older versions
+        weak = (trials["cut_in_place"] > 0.0) & ~np.isin(trials["failure"], NOT_STARTED)
         lost = np.where(weak, "torque", lost)
     return np.where(trials["held"].astype(bool), "", lost)
 

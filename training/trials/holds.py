@@ -20,8 +20,8 @@ from training.data.episodes import episode
 from training.trials.hold_plan import NO_START, NOT_PLACED, Cell
 
 _REDRAWS = 100
-_JUST_NOW = 10
-"""Agent steps before an object is lost in which saturated torques are its cause."""
+_BEFORE, _IN_PLACE = 25, 1e-3
+"""Agent steps before an object is lost, and how far it has drifted [m], in which torques that were cut are the cause."""
 
 
 def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
@@ -128,7 +128,7 @@ def _summary(steps: list[dict[str, Any]], failure: str, detail: str) -> dict[str
         np.mean([info["iterations"] for info in steps]), last["contacts"], int(last["touching"].sum()),
         last["contact_changes"], max(info["stray_force"] for info in steps), np.mean([info["force_error"] for info in steps]),
         min(info["torque_margin"] for info in steps), sum(info["limited"] for info in steps),
-        np.mean([info["saturated"] for info in steps]), any(info["saturated"] for info in steps[-_JUST_NOW:]),
+        np.mean([info["saturated"] for info in steps]), any(info["saturated"] and info["drift"] < _IN_PLACE for info in steps[-_BEFORE:]),
     )  # fmt: skip
     numbers = dict(zip(_NUMBERS, map(float, values), strict=True))
     held = bool(last["is_success"]) and not failure
@@ -138,7 +138,7 @@ def _summary(steps: list[dict[str, Any]], failure: str, detail: str) -> dict[str
 _NUMBERS = (
     "time", "mean_drift", "max_drift", "end_drift", "max_tilt", "end_tilt", "slip_distance", "normal_force",
     "max_normal_force", "commanded_normal", "peak_torque", "iterations", "contacts", "touching", "contact_changes",
-    "stray_force", "force_error", "torque_margin", "limited", "saturated", "saturated_last",
+    "stray_force", "force_error", "torque_margin", "limited", "saturated", "cut_in_place",
 )  # fmt: skip
 
 
