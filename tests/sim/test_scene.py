@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -13,7 +14,7 @@ from hands import numbers
 
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError
 from grasp_env.grasp import presets
-from grasp_env.sim import Camera, CameraConfig, ObjectDescription, Scene, SceneConfig
+from grasp_env.sim import BulletEngine, Camera, CameraConfig, MujocoEngine, ObjectDescription, Scene, SceneConfig
 from grasp_env.sim.client import bullet
 
 FREE = {"clearance": 0.02}
@@ -166,6 +167,23 @@ def test_other_rates_hold(make_scene: Callable[..., Scene], make_holder: Callabl
     np.testing.assert_allclose(scene.look().position, 0.0, atol=1e-6)
     total = scene.look().rotation @ scene.look().forces.sum(axis=0)
     np.testing.assert_allclose(total, -scene.config.weight, atol=0.01 * 0.2 * 9.81)
+
+
+@pytest.mark.parametrize("engine", [BulletEngine(), MujocoEngine()], ids=lambda engine: engine.name)
+def test_momentum_is_what_forces_leave(make_scene: Callable[..., Scene], make_holder: Callable, engine: Any) -> None:
+    """Mean contact force + weight + wrench over a step is the change of momentum in it, though stiff contacts ring."""
+    pytest.importorskip("pybullet" if engine.name == "bullet" else "mujoco", reason="the engine is not installed")
+    scene, holder = make_scene(engine=engine, physics_rate=1000.0, substeps=4), make_holder()
+    holder.settle(scene)
+    missed = []
+    for k in range(20):
+        push = np.array([0.5 * math.sin(k), 0.0, 0.3, 0.0, 0.0, 0.0])
+        before = scene.look().linear.copy()
+        scene.step(holder(scene), push)
+        s = scene.look()
+        acts = s.rotation @ (s.forces.sum(axis=0) + push[:3]) + scene.config.weight
+        missed.append(0.2 * (s.linear - before) / scene.timestep - acts)
+    np.testing.assert_allclose(missed, 0.0, atol=1e-3)  # [N]; it turns a little within the step
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def test_transfer_in_small_goes_on_where_it_was_interrupted(tmp_path: Path, monk
     assert [row["held"] for row in metrics["rows"]] == [1] * 4
     assert set(metrics["run"]["speed"]["four_finger"]) == set(BOTH)
     page, text = run.path("report.html").read_text(), run.path("report.md").read_text()
-    assert page.count("<img") == 2
+    assert page.count("<img") == 3
     assert "What holds in one engine and falls in the other" in text
     assert "QUICK RUN" in text
     run.path("report.html").unlink()

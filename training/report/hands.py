@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,11 @@ _ENGINES = (
     "Bullet runs at the control rate of 250 Hz; MuJoCo at 1000 Hz, with elliptic cones, the stiffest contacts that its steps allow and no "
     "damping in the joints. Contact forces are means over a control tick in both."
 )
+_OBJECTS = (
+    "The cube and the sphere weigh 0.15 kg and have a friction of 0.7; random objects measure 40 to 80 mm, weigh 0.05 to 0.3 kg and have a "
+    "friction of 0.5 to 1. Gravity and the random wrench (0.6 N and 0.02 N m standard deviation per axis) act for 4 s, each of the six "
+    "pushes of 10 N/kg for 2 s. Where nothing is random one episode says it all."
+)
 _CONTACTS = (
     "From the numbers below. MuJoCo's pyramidal cones lie inside the round ones and touch them in four directions: between these they give "
     "0.71 of the friction, so a friction margin up to 0.7 is inside them. Its contacts are springs: soft ones let a finger sink in and "
@@ -69,6 +74,7 @@ def _build(
     pictures = [
         png(run, "figures/rates.png", rates(rows), "Hold rates", "Episodes held, with 95 % intervals."),
         png(run, "figures/causes.png", causes(rows), "Failures by cause", "Episodes that were not held, by cause."),
+        png(run, "figures/margins.png", margins(rows), "Torque margins", "How near torques come to their limits."),
     ]
     write_page(run, f"{title}: {facts['config']['name']}", bool(facts["quick"]), sections(metrics, pictures))
     return metrics
@@ -90,7 +96,7 @@ def _hand_sections(metrics: dict[str, Any], pictures: list[Picture]) -> list[Sec
         "no start (the fingers did not close, or the grasp did not settle), with the reasons that showed; simulation diverged."
     )
     return [
-        Section("rates", "Hold rates", (_PROTOCOL, causes), [_table(metrics, HANDS), *pictures]),
+        Section("rates", "Hold rates", (_PROTOCOL, _OBJECTS, causes), [_table(metrics, HANDS), *pictures]),
         Section("speed", "Speed", (), [_speeds(metrics)]),
         *_ends(metrics),
     ]
@@ -157,16 +163,14 @@ def rates(rows: list[dict[str, Any]]) -> Figure:
     labels = {row["scenario"]: f"{row['hand']}: {row['label']}" for row in rows}
     figure, axes = new_figure(9.6, 1.2 + 0.42 * len(places))
     for engine, colour in COLOURS.items():
-        mine = [row for row in rows if row["engine"] == engine]
-        if not mine:
-            continue
-        shift = 0.13 * (list(COLOURS).index(engine) - 1)
-        rate = np.array([[row["rate"], row["rate_low"], row["rate_high"]] for row in mine]) * 100.0
-        axes.errorbar(
-            rate[:, 0], [places[row["scenario"]] + shift for row in mine],
-            xerr=np.maximum([rate[:, 0] - rate[:, 1], rate[:, 2] - rate[:, 0]], 0.0), fmt="o", markersize=4, linewidth=1.0, color=colour,
-            label=ENGINE_LABELS[engine],
-        )  # fmt: skip
+        mine = [(place, row) for place, row in zip(_places(rows, places), rows, strict=True) if row["engine"] == engine]
+        if mine:
+            rate = np.array([[row["rate"], row["rate_low"], row["rate_high"]] for _, row in mine]) * 100.0
+            bars = np.maximum([rate[:, 0] - rate[:, 1], rate[:, 2] - rate[:, 0]], 0.0)
+            axes.errorbar(
+                rate[:, 0], [place for place, _ in mine], xerr=bars, fmt="o", markersize=4, linewidth=1.0, color=colour,
+                label=ENGINE_LABELS[engine],
+            )  # fmt: skip
     axes.set(
         xlabel="episodes held [%]",
         xlim=(-3, 103),
@@ -180,6 +184,36 @@ def rates(rows: list[dict[str, Any]]) -> Figure:
     return figure
 
 
+def margins(rows: list[dict[str, Any]]) -> Figure:
+    """Mean over the episodes of the least torque margin, and the least of all, a line for every scenario and engine."""
+    rows = [row for row in rows if row["least_margin"] is not None]
+    places = np.arange(len(rows))
+    figure, axes = new_figure(9.6, 1.2 + 0.24 * len(rows))
+    axes.plot([row["torque_margin"]["mean"] for row in rows], places, "o", color="#1f5fa8", label="mean over episodes")
+    axes.plot([row["least_margin"] for row in rows], places, "x", color="#b3261e", label="least of all")
+    axes.set(
+        xlabel="least distance of a torque from its limit in an episode [N m]",
+        yticks=places,
+        yticklabels=list(map(_label, rows)),
+    )
+    axes.tick_params(axis="y", labelsize=6)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_xlim(left=0.0)
+    axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def _places(rows: list[dict[str, Any]], places: dict[str, int]) -> Iterator[float]:
+    """Where a row stands: its scenario's line, engines beside one another."""
+    for row in rows:
+        engines = [other["engine"] for other in rows if other["scenario"] == row["scenario"]]
+        yield places[row["scenario"]] + 0.13 * (engines.index(row["engine"]) - 0.5 * (len(engines) - 1))
+
+
+def _label(row: dict[str, Any]) -> str:
+    return f"{row['hand']}: {row['label']}: {ENGINE_LABELS[row['engine']]}"
+
+
 def causes(rows: list[dict[str, Any]]) -> Figure:
     """Share of episodes that were not held, by cause, for every scenario and engine."""
     figure, axes = new_figure(9.6, 1.2 + 0.24 * len(rows))
@@ -189,8 +223,9 @@ def causes(rows: list[dict[str, Any]]) -> Figure:
         if share.any():
             axes.barh(np.arange(len(rows)), share, left=left, color=colour, label=cause.replace("_", " "))
             left += share
-    labels = [f"{row['hand']}: {row['label']}: {ENGINE_LABELS[row['engine']]}" for row in rows]
-    axes.set(yticks=np.arange(len(rows)), yticklabels=labels, xlabel="episodes not held [%]", xlim=(0, 100))
+    axes.set(
+        yticks=np.arange(len(rows)), yticklabels=list(map(_label, rows)), xlabel="episodes not held [%]", xlim=(0, 100)
+    )
     axes.tick_params(axis="y", labelsize=6)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     if left.any():

@@ -39,9 +39,9 @@ OBJECTS: dict[str, dict[str, Any]] = {
     "random": SMALL_OBJECTS,
 }
 OBJECT_LABELS = {
-    "cube": "cube of 50 mm, 0.15 kg, friction 0.7",
-    "sphere": "sphere of 60 mm, 0.15 kg, friction 0.7",
-    "random": "random objects, 40 to 80 mm, 0.05 to 0.3 kg, friction 0.5 to 1",
+    "cube": "cube of 50 mm",
+    "sphere": "sphere of 60 mm",
+    "random": "random objects",
 }
 PUSHES: dict[str, dict[str, Any]] = {
     "gravity": {"disturbance": "none", "duration": 4.0},
@@ -49,9 +49,9 @@ PUSHES: dict[str, dict[str, Any]] = {
     "six_directions": {"task": "six_directions"},
 }
 PUSH_LABELS = {
-    "gravity": "gravity, 4 s",
-    "random": "random wrench of 0.6 N and 0.02 N m per axis, 4 s",
-    "six_directions": "six pushes of 10 N/kg, 2 s each",
+    "gravity": "gravity",
+    "random": "random wrench",
+    "six_directions": "six pushes",
 }
 
 
@@ -128,7 +128,7 @@ def hands_plan(hands: Sequence[str], engines: Sequence[str], episodes: int) -> l
     """
     return [
         Scenario(
-            f"{short_name(hand)}/{item}/{push}", hand, f"{OBJECT_LABELS[item]}; {PUSH_LABELS[push]}", tuple(engines),
+            f"{short_name(hand)}/{item}/{push}", hand, f"{OBJECT_LABELS[item]}, {PUSH_LABELS[push]}", tuple(engines),
             1 if item != "random" and push != "random" else episodes, {**OBJECTS[item], **PUSHES[push]}, item == "random",
         )
         for hand in hands for item in OBJECTS for push in PUSHES
