@@ -20,7 +20,7 @@ from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.pairs import touching_pairs
+from grasp_env.sim.hand.limbs import touching_pairs
 from grasp_env.sim.hand.urdf import HULL_MARGIN, hand_files
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
@@ -221,9 +221,9 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
         hand, joints, bullet.VELOCITY_CONTROL, forces=[0.0] * len(joints), physicsClientId=client
     )
     couple(client, hand, joints, config.hand)
-    for one, other in touching_pairs(config.hand):
-        first = -1 if one < 0 else joints[one]
-        bullet.setCollisionFilterPair(hand, hand, first, joints[other], 0, physicsClientId=client)
+    for pair in touching_pairs(config.hand):
+        one, other = (-1 if link < 0 else joints[link] for link in pair)
+        bullet.setCollisionFilterPair(hand, hand, one, other, 0, physicsClientId=client)
     return World(hand, create_body(client, config.object, OBJECT_COLOR), joints)
 
 

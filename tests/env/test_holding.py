@@ -149,7 +149,7 @@ def test_a_friction_that_is_overestimated_cannot_close_the_hand():
     assert held[-1]["is_success"]  # the ideal simulation forgives exactly the true friction, and no more
 
 
-@pytest.mark.parametrize("hand", sorted(HANDS))
+@pytest.mark.parametrize("hand", sorted(name for name, make in HANDS.items() if make().placed))
 def test_every_hand_holds(hand):
     made = HANDS[hand]()
     obs, infos = episode(None, hand=hand)

@@ -102,7 +102,7 @@ class Camera:
         shrink = _SURVEY / max(config.width, config.height)
         width, height = max(1, round(shrink * config.width)), max(1, round(shrink * config.height))
         survey = View(tuple(eye.tolist()), (0.0, 0.0, 0.0), 40.0, width, height)
-        _, depth = shoot(self._bullet.client.number, survey, width, height, shadows=False)
+        _, depth = self._shoot(survey, width, height, shadows=False)
         drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
         wanted = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
         self.view = wanted.fitted(drawn, config.margin, config.footer) if len(drawn) else wanted
@@ -138,8 +138,11 @@ class Camera:
     def _render(self, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
         """One picture (H, W, 4) with background, `supersampling` times the delivered size, uint8, and its depth."""
         height, width, _ = self._background.shape
-        pixels, depth = shoot(self._bullet.client.number, self.view, width, height, shadows)
+        pixels, depth = self._shoot(self.view, width, height, shadows)
         return put_background(pixels, depth, self._background), depth
+
+    def _shoot(self, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
+        return shoot(self._bullet.client.number, view, width, height, shadows)
 
 
 def shoot(client: int, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
