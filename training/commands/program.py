@@ -1,4 +1,4 @@
-"""Grasp forces of a simulated four-finger hand: solve, fit, rl, evaluate, report, reproduce, bench, demo."""
+"""Grasp forces of a simulated four-finger hand: solve, fit, rl, evaluate, report, reproduce, bench, demo, hand."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from training.commands.bench import Bench
 from training.commands.demo import Demo
 from training.commands.evaluate import Evaluate
 from training.commands.fit import Fit, spelled_out
+from training.commands.hand import Hand
 from training.commands.report import Report
 from training.commands.reproduce import Reproduce
 from training.commands.rl import RL
@@ -23,6 +24,7 @@ Command = (
     | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
     | Annotated[Report, tyro.conf.subcommand("report")]
     | Annotated[Demo, tyro.conf.subcommand("demo")]
+    | Annotated[Hand, tyro.conf.subcommand("hand")]
     | Annotated[Reproduce, tyro.conf.subcommand("reproduce")]
     | Annotated[Bench, tyro.conf.subcommand("bench")]
 )

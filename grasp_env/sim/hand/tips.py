@@ -73,7 +73,7 @@ def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
 
 
 def freed(link: Link, ball: Ball, direction: Array) -> Link:
-    """The link with nothing beyond the sphere of its tip: where shapes reach out of its front half, they end at its back."""
+    """The link with nothing beyond the sphere of its tip: shapes that fill its front half, or reach out of it, end at its back."""
     center, back = np.array(ball.center), float(np.dot(ball.center, direction)) - ball.radius
     shapes: list[Geometry] = []
     for shape in link.collision:
@@ -82,7 +82,7 @@ def freed(link: Link, ball: Ball, direction: Array) -> Link:
             continue
         points = outline(shape)
         front = beneath(points, -direction, -float(center @ direction))
-        if len(front) == 0 or np.linalg.norm(front - center, axis=1).max() <= 1.05 * ball.radius:
+        if len(front) == 0 or np.linalg.norm(front - center, axis=1).max() <= 0.9 * ball.radius:
             shapes.append(shape)
             continue
         if (points @ direction).max() > float(center @ direction) + 3.0 * ball.radius:

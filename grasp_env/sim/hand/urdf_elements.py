@@ -181,13 +181,13 @@ class Reader:
         try:
             path = find_mesh(name, self.path)
         except InvalidInputError:
-            self.unseen[name] = "is missing"
+            self.unseen[name] = "are missing"
             return None
         if path.suffix.lower() not in DRAWN:
-            self.unseen[name] = f"is none of {', '.join(DRAWN)}"
+            self.unseen[name] = f"are none of {', '.join(DRAWN)}"
             return None
         if min(scale) < 0.0:
-            self.unseen[name] = "is mirrored by a scale below 0"
+            self.unseen[name] = "are mirrored by a scale below 0"
             return None
         return Geometry("mesh", scale, origin, rotation, color, file=str(path))
 

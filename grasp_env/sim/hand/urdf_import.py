@@ -142,9 +142,9 @@ class _Importer:
             own = Frame(np.eye(3), np.zeros(3))
             places[joint.child] = _Place(here, frame) if joint.fixed else _Place(joint.child, own)
         self.places = places
-        if reader.unseen:
-            listed = ", ".join(f"{name} {why}" for name, why in list(reader.unseen.items())[:20])
-            self.repairs.append(f"{len(reader.unseen)} visual meshes are left out: {listed}")
+        for why in dict.fromkeys(reader.unseen.values()):
+            left = [name for name, reason in reader.unseen.items() if reason == why]
+            self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
         torques, fitted = together(lambda: self._torques(torque_limit), lambda: self._tips(asked, radius))
         moving = self._moving(torques)
         tips = [tip for tip, _ in fitted]

@@ -1,0 +1,121 @@
+"""`grasp hand`: what a hand's file says, and what was repaired in it."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from grasp_env._extras import need
+from grasp_env._files import replacing
+from grasp_env.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from grasp_env.sim.hand.description import HandDescription
+
+
+@dataclass(frozen=True)
+class Hand:
+    """Read a hand from a URDF as `HandDescription.from_urdf` does; print its joints, fingertips and links, and all that was repaired.
+
+    Attributes:
+        hand: path of a URDF, or the name of a hand: allegro, leap, four_finger, ...
+        fingertips: links that the fingers touch with; none: every moving link that ends a branch.
+        torque_limit: of all joints [N m]; 0: what the file says.
+        draw: .png for a picture of its looks beside what of it touches, the fingertips red.
+        size: of the picture's height [pixels].
+    """
+
+    hand: tyro.conf.Positional[str]
+    fingertips: tuple[str, ...] = ()
+    torque_limit: float = 0.0
+    draw: Path | None = None
+    size: int = 640
+
+    def execute(self) -> None:
+        """Runs it; raises the errors of the project."""
+        need("sim")
+        from grasp_env._check import whole
+        from grasp_env.sim.hand.description import HANDS, HandDescription
+
+        whole(self.size, "size", 16, 4096)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            if self.hand in HANDS:
+                if self.fingertips or self.torque_limit:
+                    raise InvalidInputError(f"{self.hand} is no file: it has its own fingertips and torque limits")
+                hand = HANDS[self.hand]()
+            else:
+                limit = self.torque_limit or None
+                hand = HandDescription.from_urdf(self.hand, self.fingertips or None, torque_limit=limit)
+        console = Console()
+        for table in (_joints(hand), _fingers(hand), _links(hand)):
+            console.print(table)
+        for warning in told:
+            console.print(f"repaired: {warning.message}", style="yellow", highlight=False, soft_wrap=True)
+        if self.draw is not None:
+            from PIL import Image
+
+            from grasp_env.sim.picture.portrait import portrait
+
+            picture = Image.fromarray(portrait(hand, self.size))
+            with replacing(self.draw) as path:
+                picture.save(path, format="PNG")
+            console.print(str(self.draw), highlight=False)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left")
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
+    return table
+
+
+def _joints(hand: HandDescription) -> Table:
+    table = _table(f"{hand.name}: {hand.joint_count} joints", "joint", "moves", "from", "to", "limit", "coupled to")
+    for link in hand.links:
+        far, strong = ("m", "N") if link.sliding else ("rad", "N m")
+        ends = ("-", "-") if math.isinf(link.lower) else (f"{link.lower:.3f} {far}", f"{link.upper:.3f} {far}")
+        coupled = ""
+        if link.mimic is not None:
+            coupled = f"{link.mimic.ratio:g} x {link.mimic.joint}"
+            coupled += (
+                f" {'+' if link.mimic.offset > 0.0 else '-'} {abs(link.mimic.offset):g}" if link.mimic.offset else ""
+            )
+        table.add_row(link.joint, link.name, *ends, "" if coupled else f"{link.torque_limit:g} {strong}", coupled)
+    return table
+
+
+def _fingers(hand: HandDescription) -> Table:
+    from grasp_env.sim.hand.kinematics import HandKinematics
+
+    carries = HandKinematics(hand).carries
+    table = _table(f"{hand.finger_count} fingertips", "finger", "link", "centre, mm", "radius, mm", "motors")
+    for tip, own in zip(hand.fingertips, carries, strict=True):
+        center = " ".join(f"{1e3 * value:.1f}" for value in tip.center)
+        table.add_row(tip.name, tip.link, center, f"{1e3 * tip.radius:.1f}", str(int(own.sum())))
+    return table
+
+
+def _links(hand: HandDescription) -> Table:
+    table = _table(
+        f"{1e3 * sum(link.mass for link in hand.links):.0f} g move",
+        "link",
+        "mass, g",
+        "touches with",
+        "corners of hulls",
+        "looks",
+    )
+    for body in (hand.palm, *hand.links):
+        kinds = [shape.kind for shape in body.collision]
+        touches = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+        corners = " ".join(str(len(shape.corners)) for shape in body.collision if shape.kind == "hull")
+        mass = "" if body is hand.palm else f"{1e3 * body.mass:.2f}"  # type: ignore[union-attr]
+        table.add_row(body.name, mass, touches, corners, str(len(body.visual)))
+    return table
