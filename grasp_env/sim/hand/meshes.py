@@ -13,7 +13,7 @@ from grasp_env._check import Array
 from grasp_env._extras import need
 from grasp_env._files import MEGABYTE, parsed
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.solids import few_corners, hull_of
+from grasp_env.sim.hand.solids import few_corners, hull_of, principal_axes
 
 DRAWN = (".obj", ".stl", ".dae")
 """Kinds of meshes that Bullet draws."""
@@ -28,7 +28,9 @@ _MOST_PIECES = 8
 _WORTH = 0.03  # of the whole hull's volume that a cut must take away, or that joining two pieces may add
 _CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # of a piece's extent
 _DEEPEST = 4
-_FINE = 20_000  # faces, beyond which a mesh that is not convex is taken coarser before it is cut
+_FINE = 5000  # faces, beyond which a mesh that is not convex is taken coarser before it is cut
+_GRAINS = 150.0  # then, along its extent
+_SMALLEST, _LARGEST = 1e-5, 5.0  # [m] of a mesh
 _CRUMBS = 40
 
 
@@ -97,19 +99,30 @@ def read_mesh(path: str | Path) -> tuple[Array, Any]:
 def convex_pieces(corners: Array, faces: Any) -> list[Array]:
     """Convex pieces that together contain a mesh, each as at most `solids.MOST_CORNERS` corners (K, 3).
 
-    One, where the mesh fills nine tenths of its hull. Else its parts, cut by planes where that takes away some of their hulls,
+    One, where the mesh fills nine tenths of its hull, or is too fine to be cut. Else its parts, cut by planes where that takes away some of their hulls,
     and those joined whose common hull adds little: `_MOST_PIECES` at most.
 
     Args:
         corners: (V, 3) [m].
         faces: Their numbers, (F, 3).
+
+    Raises:
+        InvalidInputError: It is no size for a part of a hand.
     """
+    extent = float(np.ptp(corners, axis=0).max())
+    if not _SMALLEST <= extent <= _LARGEST:
+        raise InvalidInputError(
+            f"the mesh is {extent:.3g} m large, allowed are {_SMALLEST:g} to {_LARGEST:g}; of one in millimetres give "
+            'scale="0.001 0.001 0.001"'
+        )
     hull = hull_of(corners)
     parts = _parts(faces)
     if _volume(corners, faces) >= _FULL * hull.volume and len(parts) == 1:
         return [few_corners(corners)]
     if len(faces) > _FINE:
         corners, faces = _coarser(corners, faces)
+        if len(faces) > 2 * _FINE:  # a soup: it would take minutes
+            return [few_corners(corners)]
         parts = _parts(faces)
     leaves: list[Array] = []
     for part in parts:
@@ -119,8 +132,8 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
 
 
 def _coarser(corners: Array, faces: Any) -> tuple[Array, Any]:
-    """A mesh whose corners lie on a grid of 1 / 150 of its extent."""
-    grain = float(np.ptp(corners, axis=0).max()) / 150.0
+    """A mesh whose corners lie on a grid of `_GRAINS` over its extent."""
+    grain = float(np.ptp(corners, axis=0).max()) / _GRAINS
     cells, numbers = np.unique(np.round(corners / grain), axis=0, return_inverse=True)
     faces = np.unique(numbers.reshape(-1)[faces], axis=0)
     distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
@@ -155,13 +168,13 @@ def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> 
     if deepest == 0 or whole.volume <= worth:
         return [points]
     best, gain = None, worth
-    middle = points.mean(axis=0)
-    axes = np.linalg.svd(points - middle, full_matrices=False)[2]
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    axes = principal_axes(points)
     for axis in axes:
         heights = points @ axis
         for part in _CUTS:
             at = heights.min() + part * np.ptp(heights)
-            less = sum(_hull_volume(_side(corners, faces, sign * axis, sign * at)) for sign in (1.0, -1.0))
+            less = sum(_hull_volume(_side(corners, edges, sign * axis, sign * at)) for sign in (1.0, -1.0))
             if whole.volume - less > gain:
                 best, gain = (axis, at), whole.volume - less
     if best is None:
@@ -176,19 +189,17 @@ def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> 
         half: Any = slice_faces_plane(corners, faces, sign * axis, at * axis)
         if len(half[1]):
             leaves += _cut(np.asarray(half[0]), np.asarray(half[1]), worth, blind, deepest - 1)
-    return leaves
+    return leaves or [points]
 
 
-def _side(corners: Array, faces: Any, normal: Array, offset: float) -> Array:
-    """The corners above a plane and where edges cross it."""
-    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+def _side(corners: Array, edges: Any, normal: Array, offset: float) -> Array:
+    """The ends of edges (E, 2) above a plane, and where they cross it."""
     heights = corners @ normal - offset
     a, b = heights[edges[:, 0]], heights[edges[:, 1]]
     crossing = a * b < 0.0
     at = (a[crossing] / (a[crossing] - b[crossing]))[:, None]
     cut = corners[edges[crossing, 0]] * (1.0 - at) + corners[edges[crossing, 1]] * at
-    used = np.unique(faces)
-    return np.vstack([corners[used][heights[used] >= 0.0], cut])
+    return np.vstack([corners[edges[a >= 0.0, 0]], corners[edges[b >= 0.0, 1]], cut])
 
 
 def _hull_volume(points: Array) -> float:

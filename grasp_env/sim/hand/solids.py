@@ -49,11 +49,17 @@ def hull_of(points: Array) -> ConvexHull:
         pass
     if len(points) == 0 or not np.isfinite(points).all():
         raise ValueError("no finite points")
-    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=True)[2]
+    axes = principal_axes(points)
     spread = np.ptp(points @ axes.T, axis=0)
     for axis in axes[spread < 2.0 * _THIN]:
         points = np.vstack([points - _THIN * axis, points + _THIN * axis])
     return ConvexHull(points)
+
+
+def principal_axes(points: Array) -> Array:
+    """Unit rows (3, 3) along which points (K, 3) spread least, more and most."""
+    away = points - points.mean(axis=0)
+    return np.linalg.eigh(away.T @ away)[1].T
 
 
 def few_corners(points: Array, most: int = MOST_CORNERS) -> Array:
@@ -65,7 +71,7 @@ def few_corners(points: Array, most: int = MOST_CORNERS) -> Array:
     points = hull.points[hull.vertices]
     if len(points) <= most:
         return points
-    axes = np.linalg.svd(points - points.mean(axis=0))[2]
+    axes = principal_axes(points)
     heights = points @ np.vstack([axes, -axes]).T
     chosen = list(dict.fromkeys(heights.argmax(axis=0).tolist()))
     grain = 1e-5 * float(np.ptp(points, axis=0).max())

@@ -25,6 +25,8 @@ from grasp_env.sim.hand.tree import Geometry, Mimic
 
 MOST = 500
 """Of links and of joints in a file."""
+MOST_SHAPES = 2000
+"""Of collision and visual shapes together."""
 
 _NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
@@ -91,6 +93,9 @@ class Reader:
             raise InvalidInputError(
                 f"there are {len(self._links)} links and {len(self._joints)} joints, allowed are up to {MOST}; take the hand out"
             )
+        shapes = sum(len(link.findall(role)) for link in self._links for role in ("collision", "visual"))
+        if shapes > MOST_SHAPES:
+            raise InvalidInputError(f"there are {shapes} shapes, allowed are up to {MOST_SHAPES}; take the hand out")
         self._materials = list(robot.iter("material"))
         self._palette: dict[str, Vector3] = {}
         self._pieces: dict[tuple[Path, Vector3], list[Array]] = {}
@@ -165,7 +170,7 @@ class Reader:
                 corners, faces = read_mesh(path)
                 self._pieces[path, scale] = convex_pieces(corners * scale, faces)
         except InvalidInputError as error:
-            raise InvalidInputError(f"{where}: {error}") from None
+            raise InvalidInputError(f"{where}, {shown(name)}: {error}") from None
         return [
             Geometry("hull", (), origin, rotation, corners=tuple((x, y, z) for x, y, z in piece.tolist()))
             for piece in self._pieces[path, scale]
