@@ -26,6 +26,8 @@ __all__ = ["HANDS", "FingerDescription", "Fingertip", "Geometry", "HandDescripti
 
 ROTOR_INERTIA = 1e-4
 """[kg m^2] that a joint feels of its motor where nothing else is known; see `HandDescription.with_rotors`."""
+_LIGHT = 1e-5
+"""[kg m^2] about its joint, below which a free end of 1 g is turned by 50 rad/s and more by what 50 mN m miss for a tick."""
 
 
 @dataclass(frozen=True)
@@ -155,25 +157,37 @@ class HandDescription:
         links = tuple(replace(link, visual=()) for link in self.links)
         return replace(self, palm=replace(self.palm, visual=()), links=links)
 
-    def with_rotors(self, inertia: float = ROTOR_INERTIA) -> HandDescription:
+    def with_rotors(self, inertia: float = ROTOR_INERTIA, links: Sequence[str] | None = None) -> HandDescription:
         """The hand with motors that have inertia of their own, which files of hands leave out.
 
         What a joint feels of a rotor is its inertia times the gear ratio squared: 4e-3 kg m^2 for 5e-8 kg m^2 behind 1:288. It is
-        added to the links about all their axes; links of 2 g that nothing else holds turn by 60 rad/s in a tick without it.
+        added to the links about all their axes.
 
         Args:
             inertia: [kg m^2] of each joint that turns; the default is far below what geared servos have.
+            links: Names of those that get it; None: all.
         """
         (added,) = numbers((inertia,), 1, "inertia [kg m^2]")
         if added < 0.0:
             raise InvalidInputError(f"inertia={added} kg m^2 must be 0 or above")
-        links = [
-            link
-            if link.sliding
-            else replace(link, inertia=inertia_numbers(inertia_matrix(link.inertia) + added * np.eye(3)))
+        heavier = [
+            replace(link, inertia=inertia_numbers(inertia_matrix(link.inertia) + added * np.eye(3)))
+            if not link.sliding and (links is None or link.name in links)
+            else link
             for link in self.links
         ]
-        return replace(self, links=tuple(links))
+        return replace(self, links=tuple(heavier))
+
+    def _light_ends(self) -> list[str]:
+        """Links that carry no other and turn more easily about their joint than any geared motor."""
+        carriers = {link.parent for link in self.links}
+        light = []
+        for link in self.links:
+            center, axis = np.array(link.center), np.array(link.axis)
+            own = axis @ inertia_matrix(link.inertia) @ axis + link.mass * (center @ center - (axis @ center) ** 2)
+            if not link.sliding and link.name not in carriers and own < _LIGHT:
+                light.append(link.name)
+        return light
 
     @staticmethod
     def of_fingers(
@@ -217,7 +231,7 @@ class HandDescription:
         position: Vector3 | None = None,
         rotation: Vector3 | None = None,
         tip_friction: float = 1.0,
-        rotor_inertia: float = ROTOR_INERTIA,
+        rotor_inertia: float | None = None,
     ) -> HandDescription:
         """A user's own hand, from a URDF: joints that turn, slide, are fixed or mimic others.
 
@@ -240,7 +254,8 @@ class HandDescription:
                 counts as not `placed`.
             rotation: Its roll, pitch and yaw [rad], (3,).
             tip_friction: See the class.
-            rotor_inertia: [kg m^2] of the motors; see `with_rotors`.
+            rotor_inertia: [kg m^2] of all motors; None: the default of `with_rotors` for links at fingers' ends that turn more easily
+                than at 1e-5 kg m^2, none for the others.
 
         Raises:
             InvalidInputError: The file is no such hand; the message tells everything that is to be changed in it.
@@ -254,12 +269,21 @@ class HandDescription:
         angles = numbers(home, None, "home [rad]")
         hand = HandDescription(
             read.name, read.palm, read.links, read.fingertips, angles, tip_friction, placed=bool(angles)
-        ).with_rotors(rotor_inertia)
+        )
+        repairs = list(read.repairs)
+        if rotor_inertia is not None:
+            hand = hand.with_rotors(rotor_inertia)
+        elif light := hand._light_ends():
+            hand = hand.with_rotors(links=light)
+            repairs.append(
+                f"links at the ends turn more easily than any geared motor: {', '.join(light)} get a rotor's {ROTOR_INERTIA:g} kg m^2 "
+                "(rotor_inertia=0 leaves them)"
+            )
         if position is not None or rotation is not None:
             nowhere = (0.0, 0.0, 0.0)
             hand = hand.moved(nowhere if position is None else position, nowhere if rotation is None else rotation)
-        if read.repairs:
-            warnings.warn(f"{path}: {'; '.join(read.repairs)}", stacklevel=2)
+        if repairs:
+            warnings.warn(f"{path}: {'; '.join(repairs)}", stacklevel=2)
         return hand
 
     @staticmethod
