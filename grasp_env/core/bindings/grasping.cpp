@@ -23,12 +23,15 @@ Limb make_line(int link, const Three& start, const Three& end, double radius, bo
     return {link, Solid::of(Segment{point(start.data()), point(end.data())}, radius), tip};
 }
 
-Limb make_solid(int link, const std::string& kind, const Three& half, const Three& center, const Nine& rotation, nb::handle corners,
-                bool tip) {
+Limb make_solid(int link, const std::string& kind, const Three& half, const Three& center, const Nine& rotation,
+                nb::handle corners, bool tip) {
     const Rotation frame = Rotation::from(rotation.data());
     const Numbers each = in(corners, -1, 3);
     if (kind == "box" || kind == "cylinder")
-        return {link, Solid::of(kind == "box" ? Solid::Core::box : Solid::Core::cylinder, point(half.data()), 0.0, point(center.data()), frame), tip};
+        return {link,
+                Solid::of(kind == "box" ? Solid::Core::box : Solid::Core::cylinder, point(half.data()), 0.0, point(center.data()),
+                          frame),
+                tip};
     if (kind != "hull" || each.length(0) < 4) throw nb::value_error("box, cylinder or hull; a hull with corners");
     std::vector<Point> points;
     for (Py_ssize_t k = 0; k < each.length(0); ++k) points.push_back(point(each.data() + 3 * k));
@@ -143,55 +146,67 @@ void bind_grasping(nb::module_& m) {
     nb::class_<Limb>(m, "Limb", "A convex shape that is fixed to a link; -1: to the palm.")
         .def_static("line", &make_line, nb::kw_only(), "link"_a, "start"_a, "end"_a, "radius"_a, "tip"_a,
                     "All within a radius of a line [m], link frame; tip: part of a fingertip.")
-        .def_static("solid", &make_solid, nb::kw_only(), "link"_a, "kind"_a, "half"_a, "center"_a, "rotation"_a, "corners"_a, "tip"_a,
-                    "kind: box, half its sides; cylinder about z, radius twice and half its height; hull, (K, 3) corners about a\n"
-                    "point inside [m]. center [m] and rotation (9,), link frame.");
+        .def_static(
+            "solid", &make_solid, nb::kw_only(), "link"_a, "kind"_a, "half"_a, "center"_a, "rotation"_a, "corners"_a, "tip"_a,
+            "kind: box, half its sides; cylinder about z, radius twice and half its height; hull, (K, 3) corners about a\n"
+            "point inside [m]. center [m] and rotation (9,), link frame.");
     nb::class_<HandLimbs>(m, "HandLimbs", "The limbs of a hand, and its fingers one by one.")
-        .def_static("make", &make_hand, "tree"_a, "limbs"_a, "home"_a, "together"_a = Pairs{},
-                    "home (M,) [rad]: where the inverse kinematics starts; together: pairs of links, -1 the palm, that may touch.")
+        .def_static(
+            "make", &make_hand, "tree"_a, "limbs"_a, "home"_a, "together"_a = Pairs{},
+            "home (M,) [rad]: where the inverse kinematics starts; together: pairs of links, -1 the palm, that may touch.")
         .def(
             "moved",
             [](const HandLimbs& hand, const Nine& turn, const Three& shift, nb::handle home) {
                 return std::make_shared<HandLimbs>(
                     hand.moved(Rotation::from(turn.data()), point(shift.data()), in(home, hand.tree->joints()).data()));
             },
-            "turn"_a, "shift"_a, "home"_a, "The same hand, its palm turned (9,), then shifted [m], with another rest posture (M,).")
+            "turn"_a, "shift"_a, "home"_a,
+            "The same hand, its palm turned (9,), then shifted [m], with another rest posture (M,).")
         .def(
             "clearance",
             [](const HandLimbs& hand, const Surface& surface, nb::handle angles, double enough) {
                 return hand.clearance(Obstacle(surface), in(angles, hand.tree->joints()).data(), enough);
             },
             "surface"_a, "angles"_a, "enough"_a = infinity,
-            "Least distances [m] at angles (M,): of the links, without spheres of fingertips, from an object; of links and tips from one\n"
+            "Least distances [m] at angles (M,): of the links, without spheres of fingertips, from an object; of links and tips "
+            "from one\n"
             "another; at most `enough`.")
         .def("link_gaps", &link_gaps, "angles"_a, "enough"_a,
-             "Pairs of limbs of different links, not of one joint, that are at most `enough` apart [m]: (link, link, distance). Coupled\n"
+             "Pairs of limbs of different links, not of one joint, that are at most `enough` apart [m]: (link, link, distance). "
+             "Coupled\n"
              "joints follow theirs.")
         .def("beside", &beside, "finger"_a, "angles"_a, "middles"_a, "enough"_a, "gaps"_a,
-             "How far the rest of a finger and the palm are from balls about `middles` (K, 3) that touch its tip in postures (K, M),\n"
+             "How far the rest of a finger and the palm are from balls about `middles` (K, 3) that touch its tip in postures (K, "
+             "M),\n"
              "at most `enough` [m]: into (K,).")
         .def_prop_ro(
-            "free", [](const HandLimbs& hand) {
+            "free",
+            [](const HandLimbs& hand) {
                 std::vector<bool> out;
                 for (const Finger& finger : hand.fingers) out.push_back(finger.free);
                 return out;
-            }, "Of each finger, whether its tip goes anywhere near.")
-        .def("palm_gap", [](const HandLimbs& hand, const Surface& surface) { return hand.palm_gap(Obstacle(surface)); }, "surface"_a,
-             "Of the palm from an object [m].");
+            },
+            "Of each finger, whether its tip goes anywhere near.")
+        .def(
+            "palm_gap", [](const HandLimbs& hand, const Surface& surface) { return hand.palm_gap(Obstacle(surface)); },
+            "surface"_a, "Of the palm from an object [m].");
     nb::class_<GraspSearch>(m, "GraspSearch", "A search for contacts with which a hand holds an object.")
-        .def_static("make", &make, "hand"_a, "surface"_a, nb::kw_only(), "friction"_a, "torsion"_a, "length"_a,
-                    "space"_a, "start"_a, "gravity"_a, "loads"_a, "directions"_a,
-                    "loads: (L, 6) that the contacts make, (force, moment / length) [N]; directions: (D, 6) to compare them in;\n"
-                    "length, space between fingers, torsion: moment about the normal over its force, start: of the tips from the\n"
-                    "object before they close [m]; gravity (3,) [m/s^2].")
-        .def("fill", &fill, "finger"_a, "draws"_a, "spread"_a, "margins"_a, "most"_a,
-             "Makes the pool of places of a finger anew, and returns their number.\n"
-             "draws: (S, 6) in [0, 1); less 1/2, times spread (6,): where to begin inside the object [m], and what to add to the\n"
-             "direction towards the finger.\n"
-             "margins: [m] of flat surface, [rad] from joint limits, [m] of clearance.")
+        .def_static(
+            "make", &make, "hand"_a, "surface"_a, nb::kw_only(), "friction"_a, "torsion"_a, "length"_a, "space"_a, "start"_a,
+            "gravity"_a, "loads"_a, "directions"_a,
+            "loads: (L, 6) that the contacts make, (force, moment / length) [N]; directions: (D, 6) to compare them in;\n"
+            "length, space between fingers, torsion: moment about the normal over its force, start: of the tips from the\n"
+            "object before they close [m]; gravity (3,) [m/s^2].")
+        .def(
+            "fill", &fill, "finger"_a, "draws"_a, "spread"_a, "margins"_a, "most"_a,
+            "Makes the pool of places of a finger anew, and returns their number.\n"
+            "draws: (S, 6) in [0, 1); less 1/2, times spread (6,): where to begin inside the object [m], and what to add to the\n"
+            "direction towards the finger.\n"
+            "margins: [m] of flat surface, [rad] from joint limits, [m] of clearance.")
         .def("choose", &choose, "picks"_a, "forces"_a, "points"_a, "normals"_a, "choices"_a,
              "The best choice of each round: the total normal force [N] that it needs in the worst case into (R,), points and\n"
-             "normals into (R, N, 3), places into (R, N); returns how many. picks: random numbers >= 0 per finger, of the choices to begin with.")
+             "normals into (R, N, 3), places into (R, N); returns how many. picks: random numbers >= 0 per finger, of the "
+             "choices to begin with.")
         .def(
             "misses",
             [](const GraspSearch& search, int finger) {
@@ -199,9 +214,12 @@ void bind_grasping(nb::module_& m) {
                 return Ends{misses.edge, misses.far, misses.limit, misses.touching, misses.start, misses.weak};
             },
             "finger"_a,
-            "How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to start,\n"
+            "How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to "
+            "start,\n"
             "without push along the normal.")
         .def("assemble", &assemble, "choice"_a, "clearance"_a, "angles"_a, "start"_a,
-             "Angles (M,) of the whole hand at a choice of places, and before it closes, as far as they are. Returns 0, or what is\n"
-             "wrong: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at the start.");
+             "Angles (M,) of the whole hand at a choice of places, and before it closes, as far as they are. Returns 0, or what "
+             "is\n"
+             "wrong: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at the "
+             "start.");
 }

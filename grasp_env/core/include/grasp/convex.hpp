@@ -23,12 +23,12 @@ struct Solid {
 
     Core core = Core::box;
     Point half{0.0, 0.0, 0.0};  // [m] of the core's sides; a cylinder about z: radius, radius, half its height
-    double radius = 0.0;        // [m] around the core
+    double radius = 0.0;  // [m] around the core
     Point center{0.0, 0.0, 0.0};  // of the core [m]
-    Rotation frame;             // of the core to that of the solid
-    Corners corners;            // of a hull [m], about its centre, which is inside
-    double size = 0.0;          // [m] that no point of the core is further from its centre
-    Segment axis;               // [m] of a line
+    Rotation frame;  // of the core to that of the solid
+    Corners corners;  // of a hull [m], about its centre, which is inside
+    double size = 0.0;  // [m] that no point of the core is further from its centre
+    Segment axis;  // [m] of a line
 
     // half: see above; a line along z where the first two are 0.
     static Solid of(Core core, const Point& half, double radius, const Point& center, const Rotation& frame) {
@@ -73,8 +73,8 @@ struct Solid {
 // A solid at a place.
 struct Placed {
     const Solid* solid;
-    Segment axis;    // of a line [m]
-    Point center;    // of the core [m]
+    Segment axis;  // of a line [m]
+    Point center;  // of the core [m]
     Rotation frame;  // of the core; not of a line
 
     // origin [m] and frame of what the solid is fixed to
@@ -158,7 +158,8 @@ struct Simplex {
         std::array<int, 3> kept{};
         int keeps = 0;
         const auto take = [&](const Point& found, int members, std::array<int, 3> these) {
-            if (const double square = dot(found, found); square < least) least = square, best = found, keeps = members, kept = these;
+            if (const double square = dot(found, found); square < least)
+                least = square, best = found, keeps = members, kept = these;
         };
         take(at[last], 1, {last});
         for (int i = 0; i < last; ++i) {
@@ -215,7 +216,11 @@ inline double separation(const Placed& a, const Placed& b, double enough = infin
 inline double overlap(const Placed& a, const Placed& b) {
     constexpr double EXACT = 1e-6, FLAT = 1e-12;  // [m], [m^2]
     constexpr int MOST = 120;
-    struct Side { int a, b, c; Point normal; double height; };  // normal outward, height of its plane over the origin
+    struct Side {
+        int a, b, c;
+        Point normal;
+        double height;
+    };  // normal outward, height of its plane over the origin
     const auto support = [&](const Point& along) { return a.support(along) - b.support(-along); };
     double least = infinity;  // height over the origin of a plane that all of the difference is below
     const auto bound = [&](const Point& normal) {
@@ -257,7 +262,8 @@ inline double overlap(const Placed& a, const Placed& b) {
     };
     if (!add(0, 1, 2) || !add(0, 3, 1) || !add(1, 3, 2) || !add(2, 3, 0)) return least;
     for (int step = 0; step < MOST; ++step) {
-        const Side nearest = *std::min_element(sides.begin(), sides.end(), [](const Side& x, const Side& y) { return x.height < y.height; });
+        const Side nearest =
+            *std::min_element(sides.begin(), sides.end(), [](const Side& x, const Side& y) { return x.height < y.height; });
         const Point next = bound(nearest.normal);
         if (least - nearest.height <= EXACT) return least;
         edges.clear();

@@ -10,8 +10,8 @@ namespace grasp {
 
 // What a place must keep.
 struct Margins {
-    double flat;       // [m] of flat surface around it
-    double joints;     // [rad] from the joints' limits
+    double flat;  // [m] of flat surface around it
+    double joints;  // [rad] from the joints' limits
     double clearance;  // [m] of the links from the object
 };
 
@@ -22,11 +22,12 @@ struct Demand {
     std::vector<Vec6> loads;  // that the contacts make; 0 is inside their convex hull
     double space;  // between fingers [m]
     double torsion = 0.0;  // moment about the normal over its force, of soft contacts [m]
-    double start = 0.0;    // [m] between tip and object before the fingers close
+    double start = 0.0;  // [m] between tip and object before the fingers close
     Point gravity{0.0, 0.0, 0.0};  // [m/s^2]
 };
 
-inline constexpr double BEHIND = 1e-3;  // [m] from the object that is enough for the rest of a fingertip, which moves with its sphere
+inline constexpr double BEHIND =
+    1e-3;  // [m] from the object that is enough for the rest of a fingertip, which moves with its sphere
 inline constexpr double PI = 3.14159265358979323846;
 inline constexpr double FULL = 30.0;  // [N] that weigh as much as a joint at its torque limit
 
@@ -38,11 +39,11 @@ struct Ray {
 };
 
 struct Place {
-    Point point, normal;           // [m], inward
-    std::vector<Placed> limbs;     // of the finger, when it is there
-    std::vector<double> replies;   // see `grasp_search.hpp`
+    Point point, normal;  // [m], inward
+    std::vector<Placed> limbs;  // of the finger, when it is there
+    std::vector<double> replies;  // see `grasp_search.hpp`
     std::vector<double> angles, start;  // of the finger's joints there, and before it closes where that is known [rad]
-    std::vector<Point> efforts;    // of the joints that can be the limit: what 1 N takes of the torque that is left, times `FULL`
+    std::vector<Point> efforts;  // of the joints that can be the limit: what 1 N takes of the torque that is left, times `FULL`
 
     // Of a force [N]: 1 for each newton of it along the normal, or what the joint nearest to its limit feels.
     double cost(const Point& force) const {
@@ -59,7 +60,7 @@ struct Misses { int edge = 0, far = 0, limit = 0, touching = 0, start = 0, weak 
 class Finger {
 public:
     std::vector<int> joints;  // numbers in the hand
-    std::vector<int> carried; // numbers of its limbs in the hand
+    std::vector<int> carried;  // numbers of its limbs in the hand
     std::vector<Limb> limbs;  // links as numbered in the finger
     bool free = false;  // its tip goes anywhere near
 
@@ -83,8 +84,8 @@ public:
     bool carries(int limb) const { return std::binary_search(carried.begin(), carried.end(), limb); }
 
     // Up to `most` places that it reaches with its links clear of the object.
-    void find(const Obstacle& object, const Demand& demand, const std::vector<Ray>& rays, const Margins& margins, std::size_t most,
-              std::vector<Place>& places, Misses& misses) {
+    void find(const Obstacle& object, const Demand& demand, const std::vector<Ray>& rays, const Margins& margins,
+              std::size_t most, std::vector<Place>& places, Misses& misses) {
         places.clear();
         // one joint meets the object in few ways, two do so along lines
         const std::size_t tries = free || own_.size() > 2 ? rays.size() : own_.size() == 2 ? 40 : 4;
@@ -100,7 +101,8 @@ public:
                     continue;
                 }
                 if (!reaches(place, margins.joints, misses)) continue;
-            } else if (!closes(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins, place, made.start, misses)) {
+            } else if (!closes(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins, place, made.start,
+                               misses)) {
                 continue;
             }
             if (!clear(object, margins.clearance, made.limbs)) {
@@ -228,8 +230,8 @@ private:
 
     // One joint closes from a drawn posture until the tip touches: there into `angles_`, `start` with the tip clear.
     // spread: of the postures around that at rest, of the joints' ranges.
-    bool closes(const Surface& surface, const Demand& demand, const Vec6& draws, double spread, const Margins& margins, Nearest& place,
-                std::vector<double>& start, Misses& misses) {
+    bool closes(const Surface& surface, const Demand& demand, const Vec6& draws, double spread, const Margins& margins,
+                Nearest& place, std::vector<double>& start, Misses& misses) {
         constexpr int STEPS = 24, HALVES = 40;
         constexpr double PUSH = 0.4;  // of the tip's largest motion, along the normal
         if (own_.empty()) {
@@ -239,7 +241,8 @@ private:
         const int count = int(own_.size());
         for (int k = 0; k < count; ++k) {
             const double from = low(own_[k]) + margins.joints, to = high(own_[k]) - margins.joints;
-            const double middle = std::min(std::max(home_[own_[k]], from), to), least = std::max(from, middle - spread * (to - from));
+            const double middle = std::min(std::max(home_[own_[k]], from), to),
+                         least = std::max(from, middle - spread * (to - from));
             const double most = std::min(to, middle + spread * (to - from));
             angles_[own_[k]] = least + draws[k % 5] * (most - least);
         }
