@@ -16,6 +16,7 @@ CLOSING_TIME, SETTLING_TIME = 4.0, 0.6
 """[s] at most until every finger touches, and until the hand carries the weight at rest."""
 _STILL, _PLACED = 2e-3, 3e-5  # [m/s], [m] of the object, below which it is at rest in its place
 _QUIET, _SETTLED = 8, 4  # control ticks in a row
+_SLOW, _ENERGY = 0.1, 1e-5  # [rad/s], [J] of the fingers
 _WEIGHT_ERROR = 0.01
 _BESIDE, _GONE = 1e-3, 5e-3  # [m] of the object: still in its place if it stays there, being lost
 _NEARLY, _END, _STRAY = (
@@ -39,7 +40,7 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
         torques = loop.reach(scene.gravity, target)
         scene.look()
         scene.advance(torques, [-part for part in jig.wrench(scene.core, target, scene.gravity)])
-        arrived = scene.look().touching.all() and np.abs(scene.look().rates).max() < 0.1
+        arrived = scene.look().touching.all() and _slow(scene)
         quiet = quiet + 1 if arrived else 0
         if quiet == _QUIET:
             return
@@ -47,6 +48,14 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
         f"the fingers did not come to rest on the object in {CLOSING_TIME} s: "
         + _causes(scene, loop, "they push it about: make it heavier or less slender", False)
     )
+
+
+def _slow(scene: Scene) -> bool:
+    """Whether the fingers are nearly at rest, heavy ones more so: their motion would carry the object away."""
+    rates = scene.look().rates
+    if not np.abs(rates).max() < _SLOW:
+        return False
+    return float(rates @ scene.kinematics.mass_matrix(scene.look().angles) @ rates) < 2.0 * _ENERGY
 
 
 def take_over(scene: Scene, loop: ForceLoop) -> None:

@@ -206,7 +206,7 @@ class _Importer:
 
     def _moving(self, torques: list[float]) -> list[Link]:
         """The links that joints move, each with all that is fixed to it."""
-        links, light, bent = list[Link](), list[str](), list[str]()
+        links, light, bent, astray = list[Link](), list[str](), list[str](), list[str]()
         for joint, torque in zip(self.moving, torques, strict=True):
             before = self.places[joint.parent]
             origin, rotation = before.frame.carry(joint.origin, joint.rotation)
@@ -215,6 +215,9 @@ class _Importer:
             if mass <= 0.0:
                 mass, center, inertia = _made_up(collision)
                 light.append(f"{joint.child} ({1e3 * mass:.2g} g)")
+            elif _astray(center, collision):
+                mass, center, inertia = _made_up(collision, mass)
+                astray.append(joint.child)
             possible = nearest_inertia(inertia, mass)
             if possible is not None:
                 bent.append(joint.child)
@@ -242,6 +245,10 @@ class _Importer:
         if light:
             self.repairs.append(
                 f"moving links without mass get that of their shapes at 1 g/cm^3: {', '.join(light[:40])}"
+            )
+        if astray:
+            self.repairs.append(
+                f"centres of mass that lie outside their links by more than these measure are put inside: {names_of(astray)}"
             )
         if bent:
             self.repairs.append(f"inertias that no body has are replaced by the nearest possible: {names_of(bent)}")
@@ -372,11 +379,21 @@ def _carried(frame: Frame, shape: Geometry) -> Geometry:
     return replace(shape, origin=origin, rotation=angles)
 
 
-def _made_up(shapes: Sequence[Geometry]) -> tuple[float, Vector3, Inertia]:
-    """Mass, centre and inertia of a link of which the file knows none: of a box around its shapes, 1 g at least."""
+def _astray(center: Vector3, shapes: Sequence[Geometry]) -> bool:
+    """Whether a centre of mass is farther outside the box around a link's shapes than that is large."""
+    if not shapes:
+        return False
+    points = np.vstack([outline(shape) for shape in shapes])
+    low, high = points.min(axis=0), points.max(axis=0)
+    away = np.linalg.norm(np.maximum(np.maximum(low - center, center - high), 0.0))
+    return bool(away > (high - low).max())
+
+
+def _made_up(shapes: Sequence[Geometry], known: float = 0.0) -> tuple[float, Vector3, Inertia]:
+    """Mass, centre and inertia of a link of which the file knows none, or the mass alone: of a box around its shapes, 1 g at least."""
     points = np.vstack([outline(shape) for shape in shapes]) if shapes else np.zeros((1, 3))
     volume = sum(float(hull_of(outline(shape)).volume) for shape in shapes)
-    mass = max(_LEAST_MASS, _DENSITY * volume)
+    mass = known or max(_LEAST_MASS, _DENSITY * volume)
     x, y, z = (0.5 * (points.min(axis=0) + points.max(axis=0))).tolist()
     a, b, c = (np.maximum(np.ptp(points, axis=0), 0.01) ** 2 * mass / 12.0).tolist()
     return mass, (x, y, z), (b + c, 0.0, 0.0, a + c, 0.0, a + b)
