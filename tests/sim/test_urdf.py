@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import inertia_matrix
-from grasp_env.sim.hand.description import HANDS, Fingertip, HandDescription
+from grasp_env.sim.hand.check import inertia_matrix, inertia_of
+from grasp_env.sim.hand.description import HANDS, Fingertip, HandDescription, Mimic
 from grasp_env.sim.hand.frames import Frame, roll_pitch_yaw, rotation_matrix
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.urdf import hand_urdf
@@ -152,6 +152,129 @@ def test_torques_are_those_given_else_those_of_the_file(tmp_path: Path) -> None:
     for given in (0.0, [1.0, 2.0], [], {"bent": 1.0}, {"bend": 0.0}, "3", [[1.0]], {3: 1.0}, object()):
         with pytest.raises(InvalidInputError, match="torque_limit"):
             read(tmp_path, SMALL, torque_limit=given)
+
+
+CHAIN = "".join(
+    f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><origin xyz="0.03 0 0"/><axis xyz="0 0 1"/>'
+    f'<limit lower="{lower}" upper="{upper}" effort="2"/>{mimic}</joint>'
+    for name, kind, parent, child, lower, upper, mimic in (
+        ("tip", "revolute", "middle", "end", -3, 3, '<mimic joint="mid" multiplier="-0.5" offset="0.1"/>'),
+        ("mid", "revolute", "base", "middle", -3, 3, '<mimic joint="drive" multiplier="1.5" offset="0.2"/>'),
+        ("drive", "revolute", "slider", "base", -1, 1, ""),
+        ("slide", "prismatic", "palm", "slider", 0, 0.02, ""),
+    )
+) + "".join(f'<link name="{name}">{INERTIAL}</link>' for name in ("slider", "base", "middle"))
+CHAINED = f'<robot name="chained"><link name="palm"/>{CHAIN}<link name="end">{INERTIAL}{SPHERE}</link></robot>'
+
+
+def test_coupled_and_sliding_joints_are_read(tmp_path: Path) -> None:
+    hand = read(tmp_path, CHAINED, ("end",))
+    links = {link.joint: link for link in hand.links}
+    assert list(links) == ["slide", "drive", "mid", "tip"]
+    assert links["slide"].sliding
+    assert links["mid"].mimic == Mimic("drive", 1.5, 0.2)
+    assert links["tip"].mimic == Mimic("drive", -0.75, 0.0)  # -0.5 (1.5 q + 0.2) + 0.1
+    assert hand.drivers == (0, 1, 1, 1)
+    again = read(tmp_path, hand_urdf(hand), ("end",))
+    assert again.links == hand.links
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<mimic joint="drive"', '<mimic joint="tip"', "the joints 'mid', 'tip' mimic each other in a loop"),
+        ('<mimic joint="drive"', '<mimic joint="mid"', "the joints 'mid' mimic each other in a loop"),
+        (
+            '<mimic joint="drive"',
+            '<mimic joint="none"',
+            "'mid' mimics 'none', which is no joint of the file; joints are",
+        ),
+        ('<mimic joint="drive"', "<mimic", "joint 'mid', <mimic> lacks joint="),
+        ('multiplier="1.5"', 'multiplier="0"', "ratio=0.0 does not move the joint"),
+        ('multiplier="1.5"', 'multiplier="x"', "joint 'mid', <mimic>: multiplier="),
+        ('name="drive" type="revolute"', 'name="drive" type="fixed"', "mimics 'drive', which does not move"),
+    ],
+)
+def test_couplings_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    assert old in CHAINED
+    with pytest.raises(InvalidInputError, match=message):
+        read(tmp_path, CHAINED.replace(old, new), ("end",))
+
+
+def test_everything_wrong_with_a_file_is_told_at_once(tmp_path: Path) -> None:
+    text = (
+        CHAINED.replace('multiplier="1.5"', 'multiplier="x"')
+        .replace('lower="-1"', 'lower="2"')
+        .replace('<sphere radius="0.01"/>', '<mesh filename="no.stl"/>')
+        .replace("</robot>", '<link name="spare"/></robot>')
+    )
+    with pytest.raises(InvalidInputError) as told:
+        read(tmp_path, text, ("nothing",))
+    message = str(told.value)
+    for fault in ("multiplier=", "lower=2.0", "no.stl", "'palm', 'spare'", "no link is called 'nothing'"):
+        assert fault in message
+    assert message.count(str(tmp_path / "hand.urdf")) == 1
+
+
+def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
+    text = SMALL.replace(INERTIAL, "").replace('effort="2"', 'effort="0"')
+    text = text.replace(
+        SPHERE, SPHERE + SPHERE.replace("collision", "visual").replace('sphere radius="0.01"', 'mesh filename="a.glb"')
+    )
+    (tmp_path / "a.glb").touch()
+    with pytest.warns(UserWarning, match="effort 0 of 'bend'") as told:
+        hand = read(tmp_path, text)
+    assert len(told) == 1
+    for repair in (
+        "effort 0 of 'bend'",
+        "without mass get that of their shapes at 1 g/cm^3: finger",
+        "none of .obj, .stl, .dae are left out: 'a.glb'",
+    ):
+        assert repair in str(told[0].message)
+    volume = 4.0 / 3.0 * np.pi * 0.01**3
+    assert hand.links[0].mass == pytest.approx(
+        1000.0 * volume, rel=0.1
+    )  # of the ball's outline, which is a little larger
+    assert min(np.linalg.eigvalsh(inertia_matrix(hand.links[0].inertia))) > 0.0
+
+
+def test_a_link_without_mass_and_shape_gets_a_gram(tmp_path: Path) -> None:
+    text = CHAINED.replace(f'<link name="base">{INERTIAL}</link>', '<link name="base"/>')
+    with pytest.warns(UserWarning, match=r"base \(1 g\)"):
+        hand = read(tmp_path, text, ("end",))
+    assert hand.links[1].mass == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ((1e-5, 0, 0, 1e-5, 0, 9e-5), None),  # the largest is above the sum of the others
+        ((1e-5, 0, 0, -1e-5, 0, 1e-5), None),
+        ((0, 0, 0, 0, 0, 0), (2e-7, 0, 0, 2e-7, 0, 2e-7)),  # a radius of gyration of 1 mm along each axis
+        ((1e-5, 5e-5, 0, 1e-5, 0, 1e-5), None),
+    ],
+)
+def test_inertias_of_no_body_become_the_nearest_of_one(tmp_path: Path, given: tuple[float, ...], expected: Any) -> None:
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    row = " ".join(f'{name}="{value}"' for name, value in zip(names, given, strict=True))
+    with pytest.warns(UserWarning, match="inertias that no body has are replaced by the nearest possible: 'finger'"):
+        hand = read(tmp_path, SMALL.replace('ixx="1e-5" iyy="1e-5" izz="1e-5"', row))
+    found = inertia_matrix(hand.links[0].inertia)
+    if expected is not None:
+        np.testing.assert_allclose(found, inertia_matrix(expected), atol=1e-18)
+    distance = np.linalg.norm(found - inertia_matrix(given))
+    rng = np.random.default_rng(0)  # no other body is nearer: second moments are positive, I = tr(S) 1 - S
+    for _ in range(2000):
+        half = rng.normal(size=(3, 3)) * rng.uniform(0.0, 8e-3)
+        second = half @ half.T * rng.uniform(0.0, 1.0, 3).max()
+        other = np.trace(second) * np.eye(3) - second
+        assert np.linalg.norm(other - inertia_matrix(given)) > 0.98 * distance - 1e-6  # a body's shape is not a plane's
+    inertia_of(hand.links[0].inertia, "finger")
+
+
+def test_a_palm_needs_no_inertia_that_can_be(tmp_path: Path) -> None:
+    bad = '<link name="palm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="9"/></inertial></link>'
+    assert read(tmp_path, SMALL.replace('<link name="palm"/>', bad)) == read(tmp_path, SMALL)
 
 
 def test_names_of_all_kinds_are_written_as_xml(tmp_path: Path) -> None:

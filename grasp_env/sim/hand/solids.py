@@ -13,7 +13,7 @@ from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Geometry
 
 MOST_CORNERS = 40
-"""Of a hull; one of more is replaced by one of as many that contains it: corners stick out by 1.3 mm at most, of fingers."""
+"""Of a hull; one of more is replaced by one of as many that contains it: corners stick out by an eighth of a round end's radius."""
 _THIN = 5e-4  # [m] to which a flat shape is thickened, either way
 
 

@@ -63,8 +63,8 @@ def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:
         center, radius = np.vstack(ends if ends else list(pieces)).mean(axis=0), 0.0
     else:
         _, center, radius, rows, sides = best
-        # a little smaller it fits in other places, too
-        inside, spare = rows[:, :3], sides - 0.999 * radius * rows[:, 3]
+        # a little smaller it fits in other places, too, also between corners that are too few to be round
+        inside, spare = rows[:, :3], sides - 0.97 * radius * rows[:, 3]
         sideways = [_best(sign * axis, inside, spare) for sign in (1.0, -1.0)]
         low, high = (center if place is None else place for place in sideways)
         center = 0.5 * (low + high)

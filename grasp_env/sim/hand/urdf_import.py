@@ -39,6 +39,7 @@ Torques: TypeAlias = float | Sequence[float] | Mapping[str, float] | None
 UNKNOWN_TORQUE, UNKNOWN_FORCE = 1.0, 20.0
 """[N m] and [N] of turning and sliding joints whose file says nothing of use: about what fingers of this size have."""
 _PLACEHOLDER = {False: 100.0, True: 1000.0}  # [N m], of sliding joints [N], beyond which no finger's motor is
+_NEAR = 1e-3  # [m] of a joint, where there is no direction away from it
 _DENSITY, _LEAST_MASS = 1000.0, 1e-3  # [kg/m^3] and [kg] of links without a mass
 
 
@@ -321,20 +322,22 @@ class _Importer:
         joint = next(joint for joint in self.moving if joint.child == place.carrier)
         axis = np.array(joint.axis)
         group = self._group(name)
-        pieces = self._points(group, True) or self._points(self._group(place.carrier), True)
-        if pieces:
-            hint = place.frame.origin if not self._points(group, True) else None
-            direction = distal(np.vstack(pieces) if hint is None else hint[None], None if joint.sliding else axis)
-        else:
-            direction = np.array([0.0, 0.0, 1.0])
-        if given is not None:
-            ball = Ball(_moved(place.frame, given.center), given.radius)
-        else:
+        own = self._points(group, True)
+        pieces = own or self._points(self._group(place.carrier), True)
+        ball = None if given is None else Ball(_moved(place.frame, given.center), given.radius)
+        # a link ends where its shapes are farthest, or where the tip is said to be
+        ends = (
+            np.vstack(own) if own and ball is None else np.array([place.frame.origin if ball is None else ball.center])
+        )
+        if np.linalg.norm(ends, axis=1).max() < _NEAR and pieces:
+            ends = np.vstack(pieces)
+        direction = distal(ends, None if joint.sliding else axis)
+        if ball is None:
             ball = self._sphere(name, group, pieces, direction)
-            if ball is None and radius is not None:
-                ball = Ball(place.frame.numbers()[0], radius)
-            if ball is None and pieces:
-                ball = inscribed(pieces, direction, axis)
+        if ball is None and radius is not None:
+            ball = Ball(place.frame.numbers()[0], radius)
+        if ball is None and pieces:
+            ball = inscribed(pieces, direction, axis)
         if ball is None:
             raise InvalidInputError(
                 f"the fingertip {name!r} has no shape to lie in; pass tip_radius=, or fingertips={{{name!r}: (point, radius)}}"
