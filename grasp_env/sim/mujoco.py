@@ -21,9 +21,8 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _LEAST_FORCE = 1e-9
 """[N] below which a contact is one that the solver left open."""
 
-if (
-    mujoco.get_mju_user_warning() is None
-):  # it would write what diverges, which `Scene.look` tells, into a file where it runs
+# it would write what diverges, which `Scene.look` tells, into a file where it runs
+if mujoco.get_mju_user_warning() is None:
     mujoco.set_mju_user_warning(lambda text: None)
 
 
@@ -52,13 +51,8 @@ class Mujoco(Simulator):
 
     def load(self, config: SceneConfig, angles: Array) -> None:
         """See `Simulator`."""
-        text = scene_mjcf(
-            self._hand,
-            config.object,
-            config.gravity,
-            1.0 / config.physics_rate,
-            instance(config.engine, MujocoEngine, "engine"),
-        )
+        engine, timestep = instance(config.engine, MujocoEngine, "engine"), 1.0 / config.physics_rate
+        text = scene_mjcf(self._hand, config.object, config.gravity, timestep, engine)
         try:
             self.model = model = mujoco.MjModel.from_xml_string(text)
         except ValueError as error:
@@ -77,7 +71,7 @@ class Mujoco(Simulator):
         self._steps, self._kept = config.substeps, {}
         self._noted: list[tuple[Array, ...]] = []  # of every step
         self._contacts: Array | None = np.empty(0)  # None: of what was noted
-        self._rotation, self._push = np.zeros(9), np.zeros(6)
+        self._rotation = np.zeros(9)
         data.qpos[self._angles] = angles
         mujoco.mj_forward(model, data)
 
@@ -108,16 +102,14 @@ class Mujoco(Simulator):
 
     def self_contacts(self) -> list[tuple[int, int]]:
         """See `Simulator`."""
-        data, force, pairs = self._open(), np.zeros(6), set[tuple[int, int]]()
-        for index in range(data.ncon):
-            shapes = [int(shape) for shape in data.contact[index].geom]
-            if self._shape in shapes:
-                continue
-            mujoco.mj_contactForce(self.model, data, index, force)
-            if force[0] > _LEAST_FORCE:
-                first, second = sorted(int(self._links[shape]) for shape in shapes)
-                pairs.add((first, second))
-        return sorted(pairs)
+        self._open()
+        if not self._noted:
+            return []
+        shapes, _, _, pushes = self._noted[-1]
+        mine = shapes[(pushes[:, 0] > _LEAST_FORCE) & (shapes != self._shape).all(axis=1)]
+        links: Array = self._links[mine.astype(int)]
+        pairs = np.sort(links, axis=1).astype(int).tolist()
+        return sorted({(first, second) for first, second in pairs})
 
     def set_gravity(self, gravity: Array) -> None:
         """See `Simulator`."""
