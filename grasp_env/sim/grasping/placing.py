@@ -1,50 +1,28 @@
-"""Where a hand must be to take hold of an object: palm pose, rest posture and the fingers that touch.
-
-Every finger's tips at some hundred postures are a map of where it can touch. Where a ball as large as the object meets tips of several
-fingers that push against one another, the object's centre may be; turned many ways it is then grasped there as anywhere else.
-"""
+"""Where a hand must be to take hold of an object: palm pose, rest posture and the fingers that touch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from grasp_env import core
-from grasp_env._check import Array, Indices, whole
+from grasp_env._check import Array, whole
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.grasping.points import GraspPlan, GraspSearch, plan_grasp
+from grasp_env.sim.grasping.sites import Site, find_sites
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import roll_pitch_yaw
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
-_ROUNDS, _POSTURES = (
-    12,
-    200,
-)  # at most, each with one posture of the joints that move several fingers; of the other joints
-_PAIRS, _ACROSS = 30_000, 0.7  # of tips in a round; the least they are apart, of the most that touch the same ball
-_CENTERS, _DRAWS = 1000, 6  # places of the object in a round; postures drawn of each further finger there
-_NEAR = 0.008  # [m] between a tip and the object's ball
-_CLEAR = 0.001  # [m] of the rest of a finger from the ball
-_OPPOSED = 0.45  # of the shortest sum of normals whose weights add to 1
-_APART = 0.004  # [m] between centres that are tried with the same fingers
-_TRIED, _TURNS = 60, 6  # centres, and turns of the object at each
-_ENOUGH = 12  # grasps to choose from
-_INSIDE = 0.05  # of a joint's range that postures keep from its ends
-
-
-@dataclass(frozen=True)
-class _Site:
-    """A place for the object's centre in the hand [m], (3,); the posture (M,), the fingers, and the axis along which they push."""
-
-    center: Array
-    posture: Array
-    fingers: tuple[int, ...]
-    axis: Array
+_SITES, _TURNS = 60, 6  # that are tried, and turns of the object at each
+_ENOUGH = 24  # grasps to choose from
+_ROOM = 0.003  # [m] of clearance that costs nothing
+_EVEN, _PLANAR = 0.15, 1e-3  # least of a tip's levers over its largest that costs nothing; that is none
 
 
 def place_hand(
@@ -66,39 +44,49 @@ def place_hand(
 
     Raises:
         InvalidInputError: No palm pose was found; the message says on how many candidates what failed.
+
+    Example:
+        >>> ball = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
+        >>> placed = place_hand(HandDescription.three_finger(), ball)
+        >>> plan_grasp(ball, HandKinematics(placed)).points.shape
+        (3, 3)
     """
-    fingers = (
-        (2 if item.torsional_friction > 0.0 else 3) if least is None else whole(least, "least", 1, hand.finger_count)
-    )
+    fewest = 2 if item.torsional_friction > 0.0 else 3
+    fingers = fewest if least is None else whole(least, "least", 1, hand.finger_count)
     return _placed(hand, item, whole(seed, "seed", 0), fingers)
+
+
+class _Candidate(NamedTuple):
+    """The fingers that touch, the rest posture (M,), and the hand's rotation (3, 3) and shift (3,) [m]."""
+
+    fingers: tuple[int, ...]
+    home: Array
+    turn: Array
+    shift: Array
 
 
 @lru_cache(maxsize=64)
 def _placed(hand: HandDescription, item: ObjectDescription, seed: int, least: int) -> HandDescription:
-    rng = np.random.default_rng(seed)
-    faults: dict[str, int] = {}
-    found: list[tuple[float, HandDescription]] = []
-    hands: dict[tuple[int, ...], tuple[HandDescription, core.HandLimbs]] = {}
-    sites = _sites(hand, item, rng, least)
-    for site in sites:
-        for _ in range(_TURNS):
-            turn = _turn(rng, item, site.axis)
-            plan, fingers = _try(site, turn, item, hand, hands, least, faults, rng)
-            if plan is not None:
-                x, y, z = (-turn @ site.center).tolist()
-                placed = replace(hands[fingers][0], home=tuple(plan.start.tolist())).moved(
-                    (x, y, z), roll_pitch_yaw(turn)
-                )
-                found.append((plan.force, placed))
-        if len(found) >= _ENOUGH:
-            break
-    for _, placed in sorted(found, key=lambda pair: pair[0]):
-        try:
-            plan_grasp(item, HandKinematics(placed))
-        except InvalidInputError:
-            continue
-        return placed
-    counts = ", ".join(f"{count} {what}" for what, count in sorted(faults.items(), key=lambda pair: -pair[1]) if count)
+    rng, trials = np.random.default_rng(seed), _Trials(hand, item)
+    sites = find_sites(hand, item, rng, least, _SITES)
+    for tries in (0, 1):  # with the largest margins, then with easier ones
+        found: list[_Candidate] = []
+        for site in sites:
+            for _ in range(_TURNS):
+                candidate = trials.grasp(site, site.turned(rng, item), least, tries, rng)
+                found += [] if candidate is None else [candidate]
+            if len(found) >= _ENOUGH:
+                break
+        for candidate in sorted(found, key=trials.rating):
+            placed = trials.placed(candidate)
+            try:
+                plan_grasp(item, HandKinematics(placed))
+            except InvalidInputError:
+                continue
+            return placed
+    counts = ", ".join(
+        f"{count} {what}" for what, count in sorted(trials.faults.items(), key=lambda pair: -pair[1]) if count
+    )
     raise InvalidInputError(
         f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape} of "
         f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {len(sites)} places; of what was "
@@ -107,168 +95,67 @@ def _placed(hand: HandDescription, item: ObjectDescription, seed: int, least: in
     )
 
 
-def _try(
-    site: _Site,
-    turn: Array,
-    item: ObjectDescription,
-    hand: HandDescription,
-    hands: dict[tuple[int, ...], tuple[HandDescription, core.HandLimbs]],
-    least: int,
-    faults: dict[str, int],
-    rng: np.random.Generator,
-) -> tuple[GraspPlan | None, tuple[int, ...]]:
-    """A grasp there with the fingers of a site, or with those of them that find places."""
-    fingers = site.fingers
-    while len(fingers) >= least:
-        if fingers not in hands:
-            part = replace(hand, fingertips=tuple(hand.fingertips[finger] for finger in fingers))
-            kinematics = HandKinematics(part)
-            pairs = touching_pairs(hand, at_home=False)
-            hands[fingers] = part, core.HandLimbs.make(kinematics.tree, hand_limbs(part), kinematics.home, pairs)
-        part, limbs = hands[fingers]
-        moved = limbs.moved(turn.ravel().tolist(), (-turn @ site.center).tolist(), site.posture)
-        search = GraspSearch(item, moved, part)
-        plan = search.run(rng, tries=0)
-        for what, count in search.faults.items():
-            faults[what] = faults.get(what, 0) + count
-        if plan is not None or not max(search.short):
-            return plan, fingers
-        fingers = tuple(finger for finger, short in zip(fingers, search.short, strict=True) if not short)
-    return None, fingers
+class _Trials:
+    """Grasps of one object by one hand in many places.
 
+    Attributes:
+        faults: On how many candidates what failed.
+    """
 
-def _sites(hand: HandDescription, item: ObjectDescription, rng: np.random.Generator, least: int) -> list[_Site]:
-    """Places for the object, those first where most fingers push against one another."""
-    kinematics = HandKinematics(hand)
-    limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home)
-    low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
-    low, high = low + _INSIDE * (high - low), high - _INSIDE * (high - low)
-    shared = kinematics.carries.sum(axis=0) > 1
-    found: list[tuple[float, _Site]] = []
-    sites: list[_Site] = []
-    for turn in range(_ROUNDS):
-        postures = low + rng.random((_POSTURES, hand.joint_count)) * (high - low)
-        postures[:, shared] = kinematics.home[shared] if turn % 2 == 0 else postures[0, shared]
-        for posture in postures:
-            kinematics.tree.couple(posture)
-        found += _meetings(kinematics, limbs, postures, item, rng, least)
-        found.sort(key=lambda pair: pair[0])
-        sites = []
-        for _, site in found:
-            if len(sites) == _TRIED:
-                return sites
-            if all(
-                np.linalg.norm(site.center - other.center) > _APART or site.fingers != other.fingers for other in sites
-            ):
-                sites.append(site)
-    return sites
+    def __init__(self, hand: HandDescription, item: ObjectDescription) -> None:
+        self.hand, self.item = hand, item
+        self.faults: dict[str, int] = {}
+        self._pairs = touching_pairs(hand, at_home=False)
+        self._parts: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
 
+    def grasp(self, site: Site, turn: Array, least: int, tries: int, rng: np.random.Generator) -> _Candidate | None:
+        """With the fingers of the site, or with those of them that find places."""
+        fingers, shift = site.fingers, -turn @ site.center
+        while len(fingers) >= least:
+            candidate = _Candidate(fingers, site.posture, turn, shift)
+            search = self._search(candidate)
+            plan = search.run(rng, tries)
+            for what, count in search.faults.items():
+                self.faults[what] = self.faults.get(what, 0) + count
+            if plan is not None:
+                return candidate._replace(home=plan.start)
+            if not max(search.short):
+                return None
+            fingers = tuple(finger for finger, short in zip(fingers, search.short, strict=True) if not short)
+        return None
 
-def _meetings(
-    kinematics: HandKinematics,
-    limbs: core.HandLimbs,
-    postures: Array,
-    item: ObjectDescription,
-    rng: np.random.Generator,
-    least: int,
-) -> list[tuple[float, _Site]]:
-    """Centres of a ball that tips of several fingers touch, with how little they oppose one another."""
-    tips = np.array([kinematics.tips(posture) for posture in postures])  # (K, N, 3)
-    radius = 0.5 * float(np.median(item.extent))
-    count, fingers = tips.shape[:2]
+    def rating(self, candidate: _Candidate) -> float:
+        """The force that the grasp takes that is found there [N], inf without one.
 
-    def clear(finger: int, at: Indices, middles: Array) -> NDArray[np.bool_]:
-        gaps = np.empty(len(at))
-        limbs.beside(finger, np.ascontiguousarray(postures[at]), np.ascontiguousarray(middles), 2.0 * _CLEAR, gaps)
-        return gaps > _CLEAR
+        Grasps count as more that leave little room, or whose tips some directions of motion hardly move: these are slow to close.
+        """
+        plan: GraspPlan | None = self._search(candidate).run(np.random.default_rng(0))
+        if plan is None:
+            return np.inf
+        kinematics = self._part(candidate.fingers)[0]
+        levers = [
+            np.linalg.svd(kinematics.jacobian(plan.angles, finger), compute_uv=False)
+            for finger in range(len(candidate.fingers))
+        ]
+        ratios = [values[-1] / values[0] for values in levers if values[-1] > _PLANAR * values[0]]
+        return plan.force * max(1.0, _EVEN / min(ratios, default=1.0)) ** 2 * (_ROOM / plan.clearance) ** 0.5
 
-    centers, pairs, samples = _between(tips, radius + kinematics.tip_radii, rng)
-    for side in (0, 1):
-        good = np.zeros(len(centers), dtype=bool)
-        for finger in range(fingers):
-            rows = np.flatnonzero(pairs[:, side] == finger)
-            good[rows] = clear(finger, samples[rows, side], centers[rows])
-        centers, pairs, samples = centers[good], pairs[good], samples[good]
-    centers, pairs, samples = centers[:_CENTERS], pairs[:_CENTERS], samples[:_CENTERS]
-    away = np.linalg.norm(tips[None] - centers[:, None, None], axis=3) - radius - kinematics.tip_radii  # (C, K, N)
-    near, rows = np.abs(away) < _NEAR, np.arange(len(centers))
-    members, chosen = np.zeros((len(centers), fingers), dtype=bool), np.zeros((len(centers), fingers), dtype=np.int64)
-    for side in (0, 1):
-        members[rows, pairs[:, side]], chosen[rows, pairs[:, side]] = True, samples[:, side]
-    for finger in range(fingers):
-        for _ in range(_DRAWS):
-            left = np.flatnonzero(~members[:, finger] & near[:, :, finger].any(axis=1))
-            at: Indices = (near[left, :, finger] * rng.random((len(left), count))).argmax(axis=1)
-            chosen[left, finger] = at
-            members[left, finger] = clear(finger, at, centers[left])
-    rows = np.flatnonzero(members.sum(axis=1) >= least)
-    centers, members, chosen, away = centers[rows], members[rows], chosen[rows], away[rows]
-    arms = centers[:, None] - tips[chosen, np.arange(fingers)]
-    normals = arms / np.linalg.norm(arms, axis=2, keepdims=True)
-    opposed = _shortest(normals, members)
-    out: list[tuple[float, _Site]] = []
-    for row in np.flatnonzero(opposed < _OPPOSED):
-        posture = kinematics.home.copy()
-        for finger in range(fingers):
-            # fingers that do not touch keep away from the object
-            own = chosen[row, finger] if members[row, finger] else int(np.argmax(away[row, :, finger]))
-            joints = kinematics.carries[finger]
-            posture[joints] = postures[own, joints]
-        pushing = normals[row, members[row]]
-        axis = np.linalg.eigh(pushing.T @ pushing)[1][:, -1]
-        askew = 1.0 - float(np.abs(pushing @ axis).mean()) if item.shape == "cuboid" else 0.0
-        score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + askew
-        touching = tuple(np.flatnonzero(members[row]).tolist())
-        out.append((score, _Site(centers[row], kinematics.coupled(posture), touching, axis)))
-    return out
+    def placed(self, candidate: _Candidate) -> HandDescription:
+        """The hand there."""
+        x, y, z = candidate.shift.tolist()
+        part = replace(self._part(candidate.fingers)[0].hand, home=tuple(candidate.home.tolist()))
+        return part.moved((x, y, z), roll_pitch_yaw(candidate.turn))
 
+    def _part(self, fingers: tuple[int, ...]) -> tuple[HandKinematics, core.HandLimbs]:
+        """The hand with some of its fingertips, where it was given."""
+        if fingers not in self._parts:
+            tips = tuple(self.hand.fingertips[finger] for finger in fingers)
+            kinematics = HandKinematics(replace(self.hand, fingertips=tips))
+            limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home, self._pairs)
+            self._parts[fingers] = kinematics, limbs
+        return self._parts[fingers]
 
-def _between(tips: Array, sizes: Array, rng: np.random.Generator) -> tuple[Array, Indices, Indices]:
-    """Centres (C, 3) that are `sizes` (N,) [m] from tips (K, N, 3) of two fingers on nearly opposite sides; these, (C, 2), and their K."""
-    count, fingers = tips.shape[:2]
-    samples = rng.integers(count, size=(_PAIRS, 2))
-    one = rng.integers(fingers, size=_PAIRS)
-    other = (one + rng.integers(1, max(fingers, 2), size=_PAIRS)) % fingers
-    start, way = tips[samples[:, 0], one], tips[samples[:, 1], other] - tips[samples[:, 0], one]
-    apart, most = np.linalg.norm(way, axis=1), sizes[one] + sizes[other]
-    kept = np.flatnonzero((one != other) & (apart < most) & (apart > _ACROSS * most))
-    way, apart, one, other = way[kept] / apart[kept, None], apart[kept], one[kept], other[kept]
-    along = (apart**2 + sizes[one] ** 2 - sizes[other] ** 2) / (2.0 * apart)
-    aside = np.cross(way, _directions(rng, len(kept)))
-    aside *= (np.sqrt(np.maximum(sizes[one] ** 2 - along**2, 0.0)) / np.linalg.norm(aside, axis=1))[:, None]
-    return start[kept] + along[:, None] * way + aside, np.column_stack([one, other]), samples[kept]
-
-
-def _shortest(normals: Array, members: Array) -> Array:
-    """The least length of weighted sums of unit normals (C, N, 3), weights adding to 1 over the members (C, N): Frank and Wolfe."""
-    weight = members / members.sum(axis=1, keepdims=True)
-    total = np.einsum("cn,cnk->ck", weight, normals)
-    for _ in range(12):
-        slopes = np.where(members, np.einsum("cnk,ck->cn", normals, total), np.inf)
-        best = normals[np.arange(len(normals)), slopes.argmin(axis=1)]
-        change = best - total
-        size = np.maximum((change**2).sum(axis=1), 1e-12)
-        total = total + np.clip(-(total * change).sum(axis=1) / size, 0.0, 1.0)[:, None] * change
-    return np.linalg.norm(total, axis=1)
-
-
-def _turn(rng: np.random.Generator, item: ObjectDescription, axis: Array) -> Array:
-    """A rotation of the hand (3, 3): the axis along which the fingers push becomes one of those of the object, any for round ones."""
-    if item.shape in ("sphere", "mesh"):
-        to = _directions(rng, 1)[0]
-    else:
-        to = np.zeros(3)
-        to[rng.integers(3)] = 1.0 if rng.random() < 0.5 else -1.0
-    return _frame(to, _directions(rng, 1)[0]) @ _frame(axis, _directions(rng, 1)[0]).T
-
-
-def _frame(first: Array, second: Array) -> Array:
-    """A rotation whose first column is `first`, the second as near to `second` as it can."""
-    second = second - (second @ first) * first
-    second /= np.linalg.norm(second)
-    return np.column_stack([first, second, np.cross(first, second)])
-
-
-def _directions(rng: np.random.Generator, count: int) -> Array:
-    drawn = rng.standard_normal((count, 3))
-    return drawn / np.linalg.norm(drawn, axis=1)[:, None]
+    def _search(self, candidate: _Candidate) -> GraspSearch:
+        kinematics, limbs = self._part(candidate.fingers)
+        moved = limbs.moved(candidate.turn.ravel().tolist(), candidate.shift.tolist(), candidate.home)
+        return GraspSearch(self.item, moved, kinematics.hand)

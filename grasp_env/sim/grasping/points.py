@@ -65,6 +65,7 @@ class GraspPlan:
         angles: Of the joints at the contacts [rad], (M,).
         start: Of the joints before the fingers close [rad], (M,): every tip `START_CLEARANCE` from the object.
         force: Total normal force in the worst case, or what it takes of the joints' torques where that is more: 30 N for all of one's.
+        clearance: Of the links from the object [m]: the larger, the more room its places have from edges and joint limits, too.
     """
 
     points: Array
@@ -72,6 +73,7 @@ class GraspPlan:
     angles: Array
     start: Array
     force: float
+    clearance: float
 
 
 def grasp_points(
@@ -129,7 +131,7 @@ def _of_points(item: ObjectDescription, kinematics: HandKinematics, points: Arra
         SceneConfig(kinematics.hand, item, tuple(map(tuple, points.tolist())), clearance=away).nominal_tips()
         for away in (0.0, START_CLEARANCE)
     )
-    return GraspPlan(points, normals, kinematics.solve(at), kinematics.solve(start), np.inf)
+    return GraspPlan(points, normals, kinematics.solve(at), kinematics.solve(start), np.inf, 0.0)
 
 
 def check_points(item: ObjectDescription, points: ArrayLike, normals: ArrayLike | None = None) -> tuple[Array, Array]:
@@ -213,7 +215,7 @@ class GraspSearch:
         """A grasp, or None; with other draws, and easier margins, each time that there is none."""
         if self._gap < _MARGINS[-1][2]:
             return None
-        for margins in (_MARGINS[:1] + _MARGINS[1:] * tries) if tries else _MARGINS[:2]:
+        for margins in _MARGINS[:1] + _MARGINS[1:] * tries:
             counts = [
                 self.core.fill(finger, rng.random((_RAYS, 6)), self._spread, margins, _PLACES)
                 for finger in range(self.hand.finger_count)
@@ -267,7 +269,7 @@ class GraspSearch:
             angles, start = np.empty(joints), np.empty(joints)
             fault = self.core.assemble([int(place) for place in choices[turn]], clearance, angles, start)
             if fault == 0:
-                return GraspPlan(points[turn], normals[turn], angles, start, float(forces[turn]))
+                return GraspPlan(points[turn], normals[turn], angles, start, float(forces[turn]), clearance)
             self.faults[_FAULTS[fault - 1]] = self.faults.get(_FAULTS[fault - 1], 0) + 1
         return None
 

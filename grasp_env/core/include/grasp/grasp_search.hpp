@@ -112,7 +112,7 @@ public:
     // Angles (M,) at which the whole hand is at its places, and before it closes, and what is wrong with them. clearance: of the links
     // from the object at the places [m].
     Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
-        constexpr double EASIER = 0.9, LEAST = 1e-4;  // of the clearance, which the places have; [m] at the start
+        constexpr double EASIER = 0.9, OWN = 1.0 / 3.0;  // of the clearance: from the object, as the places have it; of links from links
         std::copy(hand_->home.begin(), hand_->home.end(), angles), std::copy(angles, angles + hand_->home.size(), start);
         std::vector<double> there;
         bool starts = true;
@@ -126,11 +126,11 @@ public:
         hand_->tree->couple(angles), hand_->tree->couple(start);
         const auto [away, apart] = hand_->clearance(object_, angles, 2.0 * clearance);
         if (away < EASIER * clearance) return near_object;
-        if (!(apart > 0.0)) return near_itself;
+        if (!(apart > OWN * clearance)) return near_itself;
         if (!starts) return no_start;
         const auto [first_away, first_apart] = hand_->clearance(object_, start, 2.0 * clearance);
-        if (first_away < LEAST) return start_near_object;
-        return first_apart > 0.0 ? none : start_near_itself;
+        if (!(first_away > OWN * clearance)) return start_near_object;
+        return first_apart > OWN * clearance ? none : start_near_itself;
     }
 
     // The best choice of each round, in which the last one's multipliers count too; no pool may be empty. picks: random numbers >= 0 for
