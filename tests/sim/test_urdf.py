@@ -245,6 +245,25 @@ def test_a_link_without_mass_and_shape_gets_a_gram(tmp_path: Path) -> None:
     assert hand.links[1].mass == 1e-3
 
 
+def test_what_turns_too_easily_gets_a_rotor(tmp_path: Path) -> None:
+    light = SMALL.replace('ixx="1e-5" iyy="1e-5" izz="1e-5"', 'ixx="1e-7" iyy="1e-7" izz="1e-7"').replace(
+        '<mass value="0.02"/>', '<mass value="0.0005"/>'
+    )
+    with pytest.warns(UserWarning, match="turn more easily than any geared motor: finger get a rotor's 0.0001 kg m"):
+        hand = read(tmp_path, light)
+    np.testing.assert_allclose(np.diag(inertia_matrix(hand.links[0].inertia)), 1.001e-4)
+    whole = read(tmp_path, SMALL, rotor_inertia=3e-4)
+    np.testing.assert_allclose(np.diag(inertia_matrix(whole.links[0].inertia)), 3.1e-4)
+
+
+def test_a_centre_of_mass_far_outside_its_link_is_put_inside(tmp_path: Path) -> None:
+    """As in a public hand, whose fingers' masses lie 0.29 m away: 100 times the inertia that they have."""
+    text = SMALL.replace("<inertial>", '<inertial><origin xyz="0.3 0 0"/>', 1)
+    with pytest.warns(UserWarning, match="centres of mass .* are put inside: 'finger'"):
+        hand = read(tmp_path, text)
+    assert np.abs(hand.links[0].center).max() < 0.05
+
+
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
@@ -258,7 +277,7 @@ def test_inertias_of_no_body_become_the_nearest_of_one(tmp_path: Path, given: tu
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     row = " ".join(f'{name}="{value}"' for name, value in zip(names, given, strict=True))
     with pytest.warns(UserWarning, match="inertias that no body has are replaced by the nearest possible: 'finger'"):
-        hand = read(tmp_path, SMALL.replace('ixx="1e-5" iyy="1e-5" izz="1e-5"', row))
+        hand = read(tmp_path, SMALL.replace('ixx="1e-5" iyy="1e-5" izz="1e-5"', row), rotor_inertia=0.0)
     found = inertia_matrix(hand.links[0].inertia)
     if expected is not None:
         np.testing.assert_allclose(found, inertia_matrix(expected), atol=1e-18)
