@@ -6,7 +6,7 @@ import io
 import json
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -33,7 +33,7 @@ from grasp_env.grasp import (
 )
 from grasp_env.grasp.advice import advise, has_force_closure
 from grasp_env.grasp.transforms import checked_rotation
-from grasp_env.sim import FingerDescription, HandDescription
+from grasp_env.sim import BulletEngine, FingerDescription, HandDescription, MujocoEngine
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
 from grasp_env.sim.objects.description import ObjectDescription
 from policies import LearnedInitialForce, ZeroPolicy
@@ -353,6 +353,8 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "with_objective": Call(_with(lambda: _learned("any_grasp"), "with_objective"), {"objective": f.Objective(2.0, 0.02)}),
         "EnvConfig": Call(EnvConfig, settings, 10.0),
+        "MujocoEngine": Call(MujocoEngine, asdict(MujocoEngine())),
+        "BulletEngine": Call(BulletEngine, {"solver_iterations": 20}),
         "EnvConfig.override": Call(EnvConfig().override, {"friction": 0.4, "size": (0.1, 0.1, 0.1)}),
         **{
             f"plan of {task}": Call(_plan, {**{n: settings[n] for n in names}, "task": task}, 1.0)

@@ -19,7 +19,7 @@ import numpy as np
 from grasp_env._files import WEIGHTS, parsed, read_json, replacing, unpacked
 from grasp_env.errors import GraspError, InvalidInputError
 
-_PACKAGES = ("numpy", "scipy", "torch", "gymnasium", "stable-baselines3", "pybullet")
+_PACKAGES = ("numpy", "scipy", "torch", "gymnasium", "stable-baselines3", "pybullet", "mujoco")
 
 
 class Run:
