@@ -61,7 +61,7 @@ def roll_out(
 
 def settings() -> dict[str, Any]:
     """What the environment of the roll-outs is when nothing is said, for a report."""
-    config = EnvConfig()
+    config = EnvConfig().resolved()
     names = ("agent_rate", "control_rate", "physics_rate", "friction_margin")
     return {**{name: getattr(config, name) for name in names}, "path_scale": PATH_SCALE}
 
