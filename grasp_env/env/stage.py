@@ -9,13 +9,15 @@ import numpy as np
 from grasp_env.config import EnvConfig
 from grasp_env.control.closing import CLEARANCE, close_hand, take_over
 from grasp_env.control.loop import ForceLoop
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError
+from grasp_env.errors import GraspError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
 from grasp_env.sim.engine import engine_of
-from grasp_env.sim.grasping import GraspPlan, place_hand, plan_grasp
+from grasp_env.sim.grasping import place_hand, plan_grasp
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import random_object
 
+PLACINGS = 3
+"""Places that a hand without its own is tried in, for each object."""
 REDRAWS = 20
 """Random objects that are tried at a reset until the hand can hold one."""
 
@@ -44,21 +46,30 @@ class Stage:
     def __init__(self, config: EnvConfig, loop: ForceLoop, gui: bool, visuals: bool) -> None:
         self.config, self._loop = config, loop
         self._given = config.hand if isinstance(config.hand, HandDescription) else HANDS[config.hand]()
+        self._fixed = self._given.placed or bool(config.contact_points)
         self.redrawn = 0
         self.item = self._described()
-        hand = self._given
-        if not hand.placed and not config.contact_points:
-            hand = place_hand(hand, self.item)
-        self.kinematics = HandKinematics(hand)
-        self.scene = Scene(self._grasp_of(self.item), gui=gui, visuals=visuals)
-        try:
-            close_hand(self.scene, self._loop)
-            self.scene.keep("closed")
-            self._settle(self.item)
-            self.scene.keep("settled")
-        except GraspError:
-            self.scene.close()
-            raise
+        scene: Scene | None = None
+        failures: list[GraspError] = []
+        for seed in range(1 if self._fixed else PLACINGS):
+            hand = self._given if self._fixed else place_hand(self._given, self.item, seed=seed)
+            self._nominal = self.kinematics = HandKinematics(hand)
+            try:
+                if scene is None:
+                    scene = Scene(self._grasp_of(self.item), gui=gui, visuals=visuals)
+                else:
+                    scene.load(self._grasp_of(self.item))
+                self.scene = scene
+                close_hand(scene, self._loop)
+                scene.keep("closed")
+                self._settle(self.item)
+                scene.keep("settled")
+                return
+            except GraspError as error:
+                failures.append(error)
+        if scene is not None:
+            scene.close()
+        raise failures[-1]
 
     def set(self, rng: np.random.Generator) -> None:
         """The hand holds the object of the next episode at rest: the same, or one drawn from `rng`.
@@ -79,11 +90,10 @@ class Stage:
             drawn = self._drawn(rng)
             try:
                 if anew:
-                    scene.load(self._grasp_of(drawn))
-                    close_hand(scene, self._loop)
-                else:
-                    scene.reset("closed")
-                    scene.change_object(drawn.mass, drawn.friction)
+                    self._hold(drawn)
+                    return
+                scene.reset("closed")
+                scene.change_object(drawn.mass, drawn.friction)
                 self._settle(drawn)
                 return
             except GraspError as error:
@@ -122,25 +132,34 @@ class Stage:
         }
         return replace(drawn, **kept)
 
-    def _plan(self, item: ObjectDescription) -> GraspPlan:
-        """A grasp with the hand where it is; where there is none, a hand that was not placed goes to another place."""
-        try:
-            return plan_grasp(item, self.kinematics)
-        except InvalidInputError:
-            if self._given.placed:
-                raise
-            touching = set(self.kinematics.hand.finger_names)  # what is observed of them keeps its shape
-            same = replace(self._given, fingertips=tuple(tip for tip in self._given.fingertips if tip.name in touching))
-            hand = place_hand(same, item, least=len(touching))
-            self.kinematics = HandKinematics(hand)
-            return plan_grasp(item, self.kinematics)
+    def _hold(self, item: ObjectDescription) -> None:
+        """The hand holds another object: where it held the first, else, if nobody placed it, where it is placed for this one.
+
+        Raises:
+            GraspError: nowhere.
+        """
+        touching = set(self._nominal.hand.finger_names)  # what is observed of them keeps its shape
+        same = replace(self._given, fingertips=tuple(tip for tip in self._given.fingertips if tip.name in touching))
+        self.kinematics = self._nominal
+        failures: list[GraspError] = []
+        for seed in range(1 if self._fixed else 1 + PLACINGS):
+            try:
+                if seed:
+                    self.kinematics = HandKinematics(place_hand(same, item, seed=seed - 1, least=len(touching)))
+                self.scene.load(self._grasp_of(item))
+                close_hand(self.scene, self._loop)
+                self._settle(item)
+                return
+            except GraspError as error:
+                failures.append(error)
+        raise failures[-1]
 
     def _grasp_of(self, item: ObjectDescription) -> SceneConfig:
         config = self.config
         assert config.physics_rate is not None  # it is resolved
         points, start = config.contact_points, ()
         if not points:
-            plan = self._plan(item)
+            plan = plan_grasp(item, self.kinematics)
             points, start = tuple((x, y, z) for x, y, z in plan.points.tolist()), tuple(plan.start.tolist())
         return SceneConfig(
             hand=self.kinematics.hand,
