@@ -112,7 +112,8 @@ public:
     // Angles (M,) at which the whole hand is at its places, and before it closes, and what is wrong with them. clearance: of the links
     // from the object at the places [m].
     Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
-        constexpr double EASIER = 0.9, OWN = 1.0 / 3.0;  // of the clearance: from the object, as the places have it; of links from links
+        constexpr double EASIER = 0.9,
+                         OWN = 1.0 / 3.0;  // of the clearance: from the object, as the places have it; of links from links
         std::copy(hand_->home.begin(), hand_->home.end(), angles), std::copy(angles, angles + hand_->home.size(), start);
         std::vector<double> there;
         bool starts = true;
