@@ -86,7 +86,7 @@ class Camera:
             raise InvalidInputError(
                 f"pictures are drawn by Bullet, the scene's engine is {type(scene.simulator).__name__}"
             )
-        self._bullet = scene.simulator
+        self._scene = scene
         size = config.supersampling * config.height, config.supersampling * config.width
         self._background = gradient(size[1], size[0], _TOP, _BOTTOM)
         self.fit()
@@ -106,7 +106,7 @@ class Camera:
         drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
         wanted = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
         self.view = wanted.fitted(drawn, config.margin, config.footer) if len(drawn) else wanted
-        self._fitted_to = self._bullet.world
+        self._fitted_to = self._scene.simulator.world
 
     def capture(self, annotation: Annotation | None = None) -> np.ndarray:
         """The scene now, (height, width, 3) uint8.
@@ -117,12 +117,12 @@ class Camera:
         Raises:
             SimulationError: The scene is closed.
         """
-        if self._bullet.world is not self._fitted_to:
+        if self._scene.simulator.world is not self._fitted_to:
             self.fit()
         opacity, factor = self.config.object_opacity, self.config.supersampling
         image, depth = self._render(shadows=True)
         if opacity < 1.0:  # the renderer knows only drawn and not drawn: blend the two
-            with self._bullet.object_hidden():  # what is behind has no shadows: that saves a tenth of the time
+            with self._scene.simulator.object_hidden():  # what is behind has no shadows: that saves a tenth of the time
                 image = see_through(image, depth, *self._render(shadows=False), opacity)
         if factor > 1:
             split = image[..., :3].reshape(self.config.height, factor, self.config.width, factor, 3)
@@ -142,7 +142,7 @@ class Camera:
         return put_background(pixels, depth, self._background), depth
 
     def _shoot(self, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
-        return shoot(self._bullet.client.number, view, width, height, shadows)
+        return shoot(self._scene.simulator.client.number, view, width, height, shadows)
 
 
 def shoot(client: int, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
