@@ -20,6 +20,7 @@ public:
         s.code = REFUSED;
         if (!sane_wrench(call.wrench)) return REFUSED;
         const Vec6 w = newton.cones.unit.of(call.wrench);
+        if (elastic && call.exceeding && again(call, w, record)) return LIMITS_EXCEEDED;
         Code code = call.start == Start::tangent ? follow(call, w, record) : REFUSED;
         if (unusable(code)) code = descend(call, w, record);
         if (code == INFEASIBLE)
@@ -59,6 +60,19 @@ private:
             if (code != STALLED) break;
         }
         return code;
+    }
+
+    // Whether the least excess follows from a previous one, without the proof that there is any.
+    bool again(const Call& call, const Vec6& w, const Record& record) {
+        if (!newton.begin(call, w) || !(newton.rows.excess(newton.x) > EXCESS_FLOOR)) return false;
+        newton.cones.store_force(newton.x, record.initial_force());
+        std::fill(record.torsion(), record.torsion() + newton.cones.count, 0.0);
+        Summary& s = record.summary();
+        s.iterations = s.trials = 0.0;
+        std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
+        const bool found = exceed(w, record) == LIMITS_EXCEEDED && s.lower_bound > EXCESS_FLOOR;
+        s.code = found ? LIMITS_EXCEEDED : REFUSED;
+        return found;
     }
 
     Code exceed(const Vec6& w, const Record& record) {

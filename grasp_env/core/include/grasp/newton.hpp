@@ -50,6 +50,7 @@ struct Call {
     double optimum = std::numeric_limits<double>::quiet_NaN();  // a known min Phi to take the gap to, instead of the bound
     double* trace = nullptr;                                    // receives Phi of iterates 0 .. traced - 1
     int traced = 0;
+    bool exceeding = false;  // the force was the least excess over limits of another wrench, and so may be the answer
 };
 
 // How far a descent has come.

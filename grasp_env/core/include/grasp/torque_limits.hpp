@@ -64,11 +64,12 @@ public:
         const auto run = [&](const Call& call) {
             const Code code = newton.solve(call, row_.data());
             iterations += int(record.summary().iterations);
+            exceeding_ = code == LIMITS_EXCEEDED;
             return code == CONVERGED || code == LIMIT || code == LIMITS_EXCEEDED;
         };
-        const bool found = (again && run({.wrench = load.wrench, .start = Start::tangent, .force = last_.data()})) ||
-                           (!again && run({.wrench = load.wrench, .start = Start::given, .force = force})) ||
-                           run({.wrench = load.wrench});
+        const bool found =
+            (again && run({.wrench = load.wrench, .start = Start::tangent, .force = last_.data(), .exceeding = exceeding_})) ||
+            (!again && run({.wrench = load.wrench, .start = Start::given, .force = force})) || run({.wrench = load.wrench});
         if (!found) return false;
         std::copy_n(record.force(), last_.size(), force);
         std::copy_n(record.force(), last_.size(), last_.data());
@@ -81,6 +82,7 @@ private:
     std::unique_ptr<generic::LimitedNewton> newton_;
     LimitTable table_;
     std::vector<double> row_, last_;  // a record; the last forces (3n,)
+    bool exceeding_ = false;  // whether those exceed limits
     std::vector<int> own_;  // (M,) which of `limit_` a joint has, -1: none
     std::vector<double> limit_, bias_, jacobian_;  // (J,), (J,), (n, 3, J): joints that move one finger alone
 
