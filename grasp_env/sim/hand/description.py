@@ -165,29 +165,29 @@ class HandDescription:
 
         Args:
             inertia: [kg m^2] of each joint that turns; the default is far below what geared servos have.
-            links: Names of those that get it; None: all.
+            links: Names of those that get it; None: all whose joints have a motor.
         """
         (added,) = numbers((inertia,), 1, "inertia [kg m^2]")
         if added < 0.0:
             raise InvalidInputError(f"inertia={added} kg m^2 must be 0 or above")
         heavier = [
             replace(link, inertia=inertia_numbers(inertia_matrix(link.inertia) + added * np.eye(3)))
-            if not link.sliding and (links is None or link.name in links)
+            if not link.sliding and (link.mimic is None if links is None else link.name in links)
             else link
             for link in self.links
         ]
         return replace(self, links=tuple(heavier))
 
     def _light_ends(self) -> list[str]:
-        """Links that carry no other and turn more easily about their joint than any geared motor."""
+        """Links that carry no other and turn more easily about their joint than any geared motor; for coupled ones, their driver."""
         carriers = {link.parent for link in self.links}
-        light = []
-        for link in self.links:
+        light: dict[str, None] = {}
+        for link, driver in zip(self.links, self.drivers, strict=True):
             center, axis = np.array(link.center), np.array(link.axis)
             own = axis @ inertia_matrix(link.inertia) @ axis + link.mass * (center @ center - (axis @ center) ** 2)
             if not link.sliding and link.name not in carriers and own < _LIGHT:
-                light.append(link.name)
-        return light
+                light[self.links[driver].name] = None
+        return list(light)
 
     @staticmethod
     def of_fingers(

@@ -82,7 +82,7 @@ def _picture(hand: HandDescription, angles: Array, size: int) -> np.ndarray:
     points = [outline(shape) for shape in hand.palm.collision]
     for link, rotation, origin in zip(hand.links, rotations, origins, strict=True):
         points += [outline(shape) @ rotation.T + origin for shape in link.collision]
-    points.append(kinematics.tips(angles))
+    points += [kinematics.tips(angles), origins]
     wide = size * _FINE
     view = View((0.45, 0.35, 1.0), (0.0, 0.0, 0.0), 20.0, wide, wide).fitted(np.vstack(points), _ROOM, _ROOM)
     client = Client(False)

@@ -1,0 +1,164 @@
+"""What Bullet makes of coupled joints and hulls: they hold, pass on their load, and lie where they should."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grasp_env.sim import HandKinematics, ObjectDescription, SceneConfig
+from grasp_env.sim.bullet import Bullet
+from grasp_env.sim.client import bullet
+from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription, Link, Mimic, Palm
+
+RATE = 250
+CUBE = tuple((x, y, z) for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (-0.01, 0.01))
+
+
+def coupled_finger(mass: float, heavy_end: float = 0.0) -> HandDescription:
+    """Three links of one motor: the second turns 1.3 q + 0.2, the third 0.7 q - 0.1, about -y; the last with more inertia."""
+    shape = Geometry("capsule", (0.006, 0.02), (0.02, 0.0, 0.0), (0.0, np.pi / 2, 0.0))
+    inertia = (5e-5 * mass, 0.0, 0.0, 2e-4 * mass, 0.0, 2e-4 * mass)
+
+    def link(name: str, parent: str, x: float, upper: float, mimic: Mimic | None = None) -> Link:
+        return Link(
+            name, parent, (x, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), -0.5, upper, 2.0, mass, (0.02, 0.0, 0.0), inertia,
+            collision=(shape,), mimic=mimic,
+        )  # fmt: skip
+
+    links = (
+        link("a", "palm", 0.3, 1.5), link("b", "a", 0.04, 2.2, Mimic("a_joint", 1.3, 0.2)), link("c", "b", 0.04, 1.2, Mimic("a_joint", 0.7, -0.1)),
+    )  # fmt: skip
+    return HandDescription(
+        "coupled", Palm(), links, (Fingertip("f", "c", (0.04, 0.0, 0.0), 0.008),), home=(0.4, 0.0, 0.0)
+    )
+
+
+def loaded(hand: HandDescription) -> Bullet:
+    config = SceneConfig(
+        hand=hand, object=ObjectDescription("sphere", (0.06,)), contact_points=((0.0, 0.0, 0.03),), physics_rate=RATE, gravity=(0, 0, 0)
+    )  # fmt: skip
+    made = Bullet(hand)
+    made.load(config, np.array(hand.home))
+    return made
+
+
+def states(simulator: Bullet) -> np.ndarray:
+    """Angles and speeds of the joints, (M, 2)."""
+    rows = bullet.getJointStates(simulator.world.hand, simulator.world.joints, simulator.client.number)
+    return np.array([row[:2] for row in rows])
+
+
+@pytest.mark.parametrize(("mass", "heavy_end"), [(0.02, 0.0), (0.002, 0.0), (0.002, 1e-4)])
+def test_coupled_joints_hold_and_their_load_reaches_the_motor(mass: float, heavy_end: float) -> None:
+    """0.5 N m on the last link; the motor holds it with 3 = 1 + 1.3 + 0.7 times as much, the virtual work."""
+    simulator = loaded(coupled_finger(mass, heavy_end))
+    worst, held = 0.0, []
+    for _ in range(RATE):
+        bullet.applyExternalTorque(
+            simulator.world.hand,
+            simulator.world.joints[2],
+            (0.0, 0.5, 0.0),
+            bullet.WORLD_FRAME,
+            simulator.client.number,
+        )
+        angle, speed = states(simulator)[0]
+        torque = 1.5 - (250.0 * mass + 2e4 * heavy_end) * (angle - 0.4) - (0.5 * mass + 100.0 * heavy_end) * speed
+        held.append(torque)
+        simulator.advance([torque, 0.0, 0.0], None)
+        a, b, c = states(simulator)[:, 0]
+        worst = max(worst, abs(b - 1.3 * a - 0.2), abs(c - 0.7 * a + 0.1))
+    simulator.close()
+    assert worst < 1e-4  # measured 1e-9; 0.02 and more after 20 sweeps of the solver
+    assert np.mean(held[-20:]) == pytest.approx(1.5, rel=0.02)
+
+
+def test_a_force_at_a_coupled_tip_is_held_by_the_torque_of_the_jacobian() -> None:
+    hand = coupled_finger(0.02)
+    simulator, kinematics = loaded(hand), HandKinematics(hand)
+    force, torque = np.array([5.0, 0.0, 10.0]), 0.0
+    for _ in range(2 * RATE):
+        now = states(simulator)
+        tip = kinematics.tips(now[:, 0])[0]
+        expected = -(kinematics.jacobian(now[:, 0], 0).T @ force)
+        bullet.applyExternalForce(
+            simulator.world.hand, simulator.world.joints[2], force.tolist(), tip.tolist(), bullet.WORLD_FRAME, simulator.client.number
+        )  # fmt: skip
+        torque = expected[0] - 5.0 * (now[0, 0] - 0.4) - 0.02 * now[0, 1]
+        simulator.advance([torque, 0.0, 0.0], None)
+    simulator.close()
+    assert expected[1:].tolist() == [0.0, 0.0]
+    assert torque == pytest.approx(expected[0], rel=0.02)
+
+
+@pytest.fixture
+def cube() -> Iterator[Bullet]:
+    """A hull of 20 mm on a link, its centre at (0, 0, 0.2)."""
+    link = Link(
+        "a", "palm", (0.0, 0.0, 0.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, 0.02, (0.0, 0.0, 0.0),
+        (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), collision=(Geometry("hull", (), corners=CUBE), Geometry("sphere", (0.001,), (0.0, 0.0, 0.3))),
+    )  # fmt: skip
+    simulator = loaded(HandDescription("cube", Palm(), (link,), (Fingertip("f", "a", (0.0, 0.0, 0.3), 0.001),)))
+    yield simulator
+    simulator.close()
+
+
+@pytest.mark.parametrize("gap", [0.005, 0.0005, 0.0, -0.0005, -0.003])
+def test_hulls_lie_where_they_should(cube: Bullet, gap: float) -> None:
+    """Bullet adds 1 mm around hulls; those it is given are as much smaller, so that their faces are right."""
+    number = cube.client.number
+    for shape in (
+        {"shapeType": bullet.GEOM_SPHERE, "radius": 0.01},
+        {"shapeType": bullet.GEOM_BOX, "halfExtents": [0.01] * 3},
+    ):
+        body = bullet.createMultiBody(
+            1.0, bullet.createCollisionShape(**shape, physicsClientId=number), physicsClientId=number
+        )
+        bullet.resetBasePositionAndOrientation(body, (0.02 + gap, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0), number)
+        rows = bullet.getClosestPoints(
+            cube.world.hand, body, 0.05, linkIndexA=cube.world.joints[0], physicsClientId=number
+        )
+        assert min(row[8] for row in rows) == pytest.approx(gap, abs=1e-4)
+        bullet.removeBody(body, number)
+
+
+def test_links_that_always_overlap_do_not_push_each_other_apart() -> None:
+    """Two fingers whose first links share a place: nothing moves without torque."""
+    ball, inertia = Geometry("sphere", (0.01,)), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
+    links = tuple(
+        Link(
+            name, "palm", (x, 0.0, 0.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, 0.02, (0.0, 0.01, 0.0), inertia,
+            collision=(ball, Geometry("sphere", (0.005,), (0.0, 0.1, 0.0))),
+        )
+        for name, x in (("a", -0.004), ("b", 0.004))
+    )  # fmt: skip
+    tips = tuple(Fingertip(name, name, (0.0, 0.1, 0.0), 0.005) for name in ("a", "b"))
+    config = SceneConfig(
+        hand=HandDescription("pair", Palm(), links, tips, home=(0.3, -0.3)), object=ObjectDescription("sphere", (0.06,)),
+        contact_points=((0.0, 0.0, 0.03), (0.0, 0.0, -0.03)), physics_rate=RATE, gravity=(0, 0, 0),
+    )  # fmt: skip
+    simulator = Bullet(config.hand)
+    simulator.load(config, np.array(config.hand.home))
+    for _ in range(20):
+        simulator.advance([0.0, 0.0], None)
+    np.testing.assert_allclose(states(simulator), ((0.3, 0.0), (-0.3, 0.0)), atol=1e-9)
+    simulator.close()
+
+
+def test_a_visual_mesh_is_drawn(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((0.02, 0.02, 0.02)).export(tmp_path / "box.obj")
+    look = Geometry("mesh", (1.0, 1.0, 1.0), file=str(tmp_path / "box.obj"))
+    hand = HandDescription(
+        "seen", Palm(), (Link("a", "palm", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, 0.02, (0.0, 0.0, 0.0),
+        (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), visual=(look,)),), (Fingertip("f", "a", (0.0, 0.0, 0.1), 0.001),),
+    )  # fmt: skip
+    from grasp_env.sim.picture.portrait import portrait
+
+    drawn = portrait(hand, 64)
+    assert drawn.shape == (64, 128, 3)
+    assert drawn[:, :64].min() < 150  # grey before a light ground
+    assert drawn[:, 64:].min() > 200  # it touches nothing
