@@ -18,8 +18,8 @@ RATE = 250
 CUBE = tuple((x, y, z) for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (-0.01, 0.01))
 
 
-def coupled_finger(mass: float, heavy_end: float = 0.0) -> HandDescription:
-    """Three links of one motor: the second turns 1.3 q + 0.2, the third 0.7 q - 0.1, about -y; the last with more inertia."""
+def coupled_finger(mass: float, count: int = 3, heavy_end: float = 0.0) -> HandDescription:
+    """Links of one motor about -y: the second turns 1.3 q + 0.2, the third 0.7 q - 0.1; the last with more inertia."""
     shape = Geometry("capsule", (0.006, 0.02), (0.02, 0.0, 0.0), (0.0, np.pi / 2, 0.0))
     inertia = (5e-5 * mass, 0.0, 0.0, 2e-4 * mass, 0.0, 2e-4 * mass)
 
@@ -32,9 +32,11 @@ def coupled_finger(mass: float, heavy_end: float = 0.0) -> HandDescription:
     links = (
         link("a", "palm", 0.3, 1.5), link("b", "a", 0.04, 2.2, Mimic("a_joint", 1.3, 0.2)), link("c", "b", 0.04, 1.2, Mimic("a_joint", 0.7, -0.1)),
     )  # fmt: skip
-    return HandDescription(
-        "coupled", Palm(), links, (Fingertip("f", "c", (0.04, 0.0, 0.0), 0.008),), home=(0.4, 0.0, 0.0)
-    )
+    last = links[count - 1]
+    xx, _, _, yy, _, zz = (value + heavy_end for value in last.inertia)
+    links = (*links[: count - 1], replace(last, inertia=(xx, 0.0, 0.0, yy, 0.0, zz)))
+    tip = Fingertip("f", last.name, (0.04, 0.0, 0.0), 0.008)
+    return HandDescription("coupled", Palm(), links, (tip,), home=(0.4, 0.0, 0.0)[:count])
 
 
 def loaded(hand: HandDescription) -> Bullet:
@@ -52,28 +54,29 @@ def states(simulator: Bullet) -> np.ndarray:
     return np.array([row[:2] for row in rows])
 
 
-@pytest.mark.parametrize(("mass", "heavy_end"), [(0.02, 0.0), (0.002, 0.0), (0.002, 1e-4)])
-def test_coupled_joints_hold_and_their_load_reaches_the_motor(mass: float, heavy_end: float) -> None:
-    """0.5 N m on the last link; the motor holds it with 3 = 1 + 1.3 + 0.7 times as much, the virtual work."""
-    simulator = loaded(coupled_finger(mass, heavy_end))
-    worst, held = 0.0, []
+@pytest.mark.parametrize(("mass", "count", "heavy_end"), [(0.02, 3, 0.0), (0.002, 3, 0.0), (0.002, 2, 1e-4)])
+def test_coupled_joints_hold_and_their_load_reaches_the_motor(mass: float, count: int, heavy_end: float) -> None:
+    """0.5 N m on the last link; the motor holds it with 1 + 1.3, or 1 + 1.3 + 0.7 times as much, the virtual work."""
+    simulator = loaded(coupled_finger(mass, count, heavy_end))
+    worst, held, load = 0.0, [], {2: 0.5 * 2.3, 3: 0.5 * 3.0}[count]
+    inertia = (0.02 if count == 3 else 0.002) * mass + 5.0 * heavy_end
     for _ in range(RATE):
         bullet.applyExternalTorque(
             simulator.world.hand,
-            simulator.world.joints[2],
+            simulator.world.joints[-1],
             (0.0, 0.5, 0.0),
             bullet.WORLD_FRAME,
             simulator.client.number,
         )
         angle, speed = states(simulator)[0]
-        torque = 1.5 - (250.0 * mass + 2e4 * heavy_end) * (angle - 0.4) - (0.5 * mass + 100.0 * heavy_end) * speed
+        torque = load - inertia * (1000.0 * (angle - 0.4) + 60.0 * speed)
         held.append(torque)
-        simulator.advance([torque, 0.0, 0.0], None)
-        a, b, c = states(simulator)[:, 0]
-        worst = max(worst, abs(b - 1.3 * a - 0.2), abs(c - 0.7 * a + 0.1))
+        simulator.advance([torque, *[0.0] * (count - 1)], None)
+        a, b, *rest = states(simulator)[:, 0]
+        worst = max(worst, abs(b - 1.3 * a - 0.2), *(abs(c - 0.7 * a + 0.1) for c in rest), 0.0)
     simulator.close()
     assert worst < 1e-4  # measured 1e-9; 0.02 and more after 20 sweeps of the solver
-    assert np.mean(held[-20:]) == pytest.approx(1.5, rel=0.02)
+    assert np.mean(held[-20:]) == pytest.approx(load, rel=0.02)
 
 
 def test_a_force_at_a_coupled_tip_is_held_by_the_torque_of_the_jacobian() -> None:

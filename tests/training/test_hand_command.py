@@ -1,0 +1,67 @@
+"""`grasp hand`: prints what was read and repaired, and draws it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from training.cli import main
+
+URDF = """<robot name="tiny"><link name="palm"/>
+<joint name="bend" type="revolute"><parent link="palm"/><child link="finger"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="0"/></joint>
+<joint name="curl" type="revolute"><parent link="finger"/><child link="tip"/><origin xyz="0 0 0.05"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1"/><mimic joint="bend" multiplier="0.5" offset="0.1"/></joint>
+<link name="finger"><inertial><mass value="0.05"/><inertia ixx="1e-5" iyy="1e-5" izz="1e-5"/></inertial>
+<collision><origin xyz="0 0 0.025"/><geometry><box size="0.02 0.02 0.04"/></geometry></collision></link>
+<link name="tip"><collision><origin xyz="0 0 0.02"/><geometry><box size="0.016 0.02 0.04"/></geometry></collision></link></robot>"""
+
+
+def test_a_file_is_told_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "tiny.urdf").write_text(URDF)
+    assert main(["hand", str(tmp_path / "tiny.urdf"), "--draw", str(tmp_path / "tiny.png"), "--size", "64"]) == 0
+    told = capsys.readouterr().out
+    for word in (
+        "bend",
+        "0.5 x bend + 0.1",
+        "-1.000 rad",
+        "1 N m",
+        "8.0",
+        "effort 0 of 'bend'",
+        "without mass",
+        "tiny.png",
+    ):
+        assert word in told
+    picture = np.array(Image.open(tmp_path / "tiny.png"))
+    assert picture.shape == (64, 128, 3)
+    red = (picture[..., 0] > 150) & (picture[..., 1] < 100)
+    assert red[:, 64:].sum() > 10  # the fingertip among what touches
+    assert not red[:, :64].any()
+
+
+def test_presets_and_limits(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["hand", "leap"]) == 0
+    assert "0.95 N m" in capsys.readouterr().out
+    (tmp_path / "tiny.urdf").write_text(URDF)
+    assert main(["hand", str(tmp_path / "tiny.urdf"), "--torque-limit", "0.3", "--fingertips", "finger"]) == 0
+    told = capsys.readouterr().out
+    assert "0.3 N m" in told
+    assert "is no motor's limit" not in told
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.urdf"], "cannot read the URDF nowhere.urdf"),
+        (["leap", "--torque-limit", "0.3"], "leap is no file"),
+        (["leap", "--size", "1"], "size must be an integer >= 16"),
+        (["leap", "--draw", "/nowhere/a.png", "--size", "16"], "/nowhere"),
+    ],
+)
+def test_errors_are_one_line(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hand", *arguments]) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert told.count("\n") == 1
