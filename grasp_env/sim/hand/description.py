@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -223,10 +223,10 @@ class HandDescription:
     @staticmethod
     def from_urdf(
         path: str | os.PathLike[str],
-        fingertips: Sequence[str] | Mapping[str, tuple[Sequence[float], float]] | None = None,
+        fingertips: Sequence[str] | dict[str, tuple[Sequence[float], float]] | None = None,
         *,
         tip_radius: float | None = None,
-        torque_limit: float | Sequence[float] | Mapping[str, float] | None = None,
+        torque_limit: float | Sequence[float] | dict[str, float] | None = None,
         home: Sequence[float] = (),
         position: Vector3 | None = None,
         rotation: Vector3 | None = None,

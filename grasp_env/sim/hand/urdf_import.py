@@ -32,9 +32,9 @@ from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, names_of
 
-Tips: TypeAlias = Sequence[str] | Mapping[str, tuple[Sequence[float], float]] | None
+Tips: TypeAlias = Sequence[str] | dict[str, tuple[Sequence[float], float]] | None
 """Names of links; points on them [m], link frame, with radii [m]; None: the last moving links."""
-Torques: TypeAlias = float | Sequence[float] | Mapping[str, float] | None
+Torques: TypeAlias = float | Sequence[float] | dict[str, float] | None
 
 UNKNOWN_TORQUE, UNKNOWN_FORCE = 1.0, 20.0
 """[N m] and [N] of turning and sliding joints whose file says nothing of use: about what fingers of this size have."""
@@ -97,9 +97,9 @@ def _asked_tips(fingertips: Any) -> dict[str, Ball | None] | None:
     wrong = InvalidInputError(
         f"fingertips={shown(fingertips)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
     )
-    if is_a(fingertips, Mapping):
+    if is_a(fingertips, dict):
         tips: dict[str, Ball | None] = {}
-        for key, value in fingertips.items():
+        for key, value in dict.items(fingertips):
             name, pair = as_text(key), as_list(value)
             if name is None or pair is None or len(pair) != 2:
                 raise wrong
@@ -171,10 +171,10 @@ class _Importer:
 
     def _torques(self, given: Any) -> list[float]:
         """The limit of each moving joint: as given, else as the file says where that can be."""
-        if given is not None and not is_a(given, Mapping) and as_list(given) is None and not is_a(given, np.ndarray):
+        if given is not None and not is_a(given, dict) and as_list(given) is None and not is_a(given, np.ndarray):
             return [positive(given, "torque_limit [N m]")] * len(self.moving)
         names = [joint.name for joint in self.moving]
-        if given is not None and not is_a(given, Mapping):
+        if given is not None and not is_a(given, dict):
             each = numbers(given, len(names), f"torque_limit [N m], one per joint ({names_of(names)})")
             return together(
                 *(
@@ -182,7 +182,7 @@ class _Importer:
                     for v, n in zip(each, names, strict=True)
                 )
             )
-        known = {} if given is None else dict(given)
+        known = {} if given is None else dict(dict.items(given))
         unknown = [name for name in known if as_text(name) not in names]
         if unknown:
             raise InvalidInputError(
