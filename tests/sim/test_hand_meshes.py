@@ -81,6 +81,33 @@ def test_a_mesh_to_look_at_is_kept(tmp_path: Path) -> None:
     assert read(tmp_path, hand_urdf(hand)).links == hand.links
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "why"),
+    [
+        ("a.glb", b"glTF", "are none of .obj, .stl, .dae"),
+        ("a.obj", b"", "are broken"),
+        (
+            "a.obj",
+            b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n",
+            "are broken",
+        ),  # Bullet would read beyond its corners, and crash
+        ("a.obj", b"f 1 2 3\nv 0 0 0\nv 1 0 0\nv 0 1 0\n", "are broken"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/2 2/1 3/1\nvt 0 0\nvt 1 1\n", "are broken"),
+        ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -3\n", "are broken"),
+        ("a.stl", bytes(10), "are empty"),
+        ("a.stl", b"", "are missing"),
+    ],
+)
+def test_looks_that_cannot_be_drawn_are_left_out(tmp_path: Path, name: str, content: bytes, why: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    if why == "are missing":
+        (tmp_path / name).unlink()
+    look = f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
+    with pytest.warns(UserWarning, match=f"visual meshes that {why} are left out: '{name}'"):
+        hand = read(tmp_path, urdf(look + solid('<sphere radius="0.01"/>')))
+    assert [shape.kind for shape in hand.links[0].visual] == ["sphere"]
+
+
 def test_hulls_are_written_and_read_as_themselves(tmp_path: Path) -> None:
     BOX.export(tmp_path / "box.obj")
     hand = read(tmp_path, urdf(mesh("box.obj")), {"finger": ((0.0, 0.0, 0.015), 0.004)})

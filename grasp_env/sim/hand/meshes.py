@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -11,7 +12,7 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env._extras import need
-from grasp_env._files import MEGABYTE, parsed
+from grasp_env._files import MEGABYTE, parsed, read_bytes
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.solids import few_corners, hull_of, principal_axes
 
@@ -94,6 +95,42 @@ def read_mesh(path: str | Path) -> tuple[Array, Any]:
         raise InvalidInputError(f"the mesh {path} has coordinates that are not finite or above 1e6{hint}")
     _, kept, numbers = np.unique(corners.round(9), axis=0, return_index=True, return_inverse=True)
     return corners[kept], numbers.reshape(-1)[faces]
+
+
+def why_not_drawn(path: Path) -> str:
+    """What keeps Bullet from drawing a mesh, "" for nothing: it would crash where faces name corners that do not exist."""
+    kind = path.suffix.lower()
+    if kind not in DRAWN:
+        return f"are none of {', '.join(DRAWN)}"
+    try:
+        blob = read_bytes(path, MOST_BYTES)
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    if kind != ".obj":
+        return "" if len(blob) > 84 else "are empty"
+    try:
+        return "" if _corners_exist(blob) else "are broken"
+    except ValueError:
+        return "are broken"
+
+
+def _corners_exist(blob: bytes) -> bool:
+    """Whether the faces of an .obj name corners, and textures and normals if any, that stand before them."""
+    # blocks of faces, each with what stands before it; most files have one
+    known, faces = [0, 0, 0], 0
+    for block in re.finditer(
+        rb"((?:^(?![ \t]*f[ \t]).*(?:\n|\Z))*)((?:^[ \t]*f[ \t].*(?:\n|\Z))*)", blob, re.MULTILINE
+    ):
+        for k, name in enumerate((b"v", b"vt", b"vn")):
+            known[k] += len(re.findall(rb"^[ \t]*%s[ \t]" % name, block[1], re.MULTILINE))
+        for word in set(block[2].split()) - {b"f"}:
+            numbers = word.split(b"/")
+            if len(numbers) > 3 or any(
+                number and not 1 <= int(number) <= most for number, most in zip(numbers, known, strict=False)
+            ):
+                return False
+            faces += 1
+    return faces > 0
 
 
 def convex_pieces(corners: Array, faces: Any) -> list[Array]:

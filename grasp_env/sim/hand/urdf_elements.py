@@ -20,7 +20,7 @@ from grasp_env._files import parsed, shown_path
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.meshes import DRAWN, convex_pieces, find_mesh, read_mesh
+from grasp_env.sim.hand.meshes import convex_pieces, find_mesh, read_mesh, why_not_drawn
 from grasp_env.sim.hand.tree import Geometry, Mimic
 
 MOST = 500
@@ -98,6 +98,7 @@ class Reader:
             raise InvalidInputError(f"there are {shapes} shapes, allowed are up to {MOST_SHAPES}; take the hand out")
         self._materials = list(robot.iter("material"))
         self._palette: dict[str, Vector3] = {}
+        self._looks: dict[Path, str] = {}
         self._pieces: dict[tuple[Path, Vector3], list[Array]] = {}
         self.names = [element.get("name", "") for element in self._links]
         self.ends = [
@@ -188,8 +189,10 @@ class Reader:
         except InvalidInputError:
             self.unseen[name] = "are missing"
             return None
-        if path.suffix.lower() not in DRAWN:
-            self.unseen[name] = f"are none of {', '.join(DRAWN)}"
+        if path not in self._looks:
+            self._looks[path] = why_not_drawn(path)
+        if why := self._looks[path]:
+            self.unseen[name] = why
             return None
         if min(scale) < 0.0:
             self.unseen[name] = "are mirrored by a scale below 0"
