@@ -16,6 +16,7 @@ from grasp_env.sim.bullet import joint_indices
 from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.hand.description import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Link, Palm
 from grasp_env.sim.hand.kinematics import HandKinematics
+from grasp_env.sim.hand.limbs import touching_pairs
 
 # where the fingers press on the faces of a cuboid at z = -side / 2 (the thumb) and z = side / 2 [m]
 FRONT = {
@@ -101,6 +102,20 @@ def test_the_four_finger_hand_keeps_its_numbers() -> None:
     np.testing.assert_allclose(
         tips, [(0, -0.05, -0.09), (0, -0.05, 0.105), (-0.045, -0.05, 0.09), (0.045, -0.05, 0.09)], atol=1e-15
     )
+
+
+def test_real_hands_have_their_published_measures() -> None:
+    """Straight middle fingers along z; the links of a finger overlap only their neighbours."""
+    straight = {"allegro": (0.0, 0.0, 0.1362), "leap": (0.0019, -0.0149, 0.1284)}
+    for name, tip in straight.items():
+        hand = HANDS[name]()
+        assert not hand.placed
+        assert hand.finger_names == ("index", "middle", "ring", "thumb")
+        np.testing.assert_allclose(HandKinematics(hand).tips(np.zeros(16))[1], tip, atol=1e-9)
+        assert touching_pairs(hand, at_home=False) == ()
+        heaviest = max(link.mass for link in hand.links)
+        assert 0.04 < heaviest < 0.07
+        assert 0.45 < sum(link.mass for link in hand.links) < 0.65
 
 
 def test_equal_hands_are_equal_hashable_and_picklable() -> None:

@@ -136,8 +136,8 @@ def _corners_exist(blob: bytes) -> bool:
 def convex_pieces(corners: Array, faces: Any) -> list[Array]:
     """Convex pieces that together contain a mesh, each as at most `solids.MOST_CORNERS` corners (K, 3).
 
-    One, where the mesh fills nine tenths of its hull, or is too fine to be cut. Else its parts, cut by planes where that takes away some of their hulls,
-    and those joined whose common hull adds little: `_MOST_PIECES` at most.
+    One, where the mesh fills nine tenths of its hull, or is too fine to be cut. Else its parts, cut by planes where that takes
+    away some of their hulls, and those joined whose common hull adds little: `_MOST_PIECES` at most.
 
     Args:
         corners: (V, 3) [m].

@@ -1,10 +1,10 @@
 """Real hands from published facts: where their joints are, how far they turn, how heavy and how strong they are.
 
-Allegro Hand V4, right (Wonik Robotics): joint origins, ranges and masses as in the manufacturer's description of the hand; 0.7 N m is
-what its data sheet gives as the largest torque of a joint. It holds far less for long: give `torque_limit` of a `Link` accordingly.
+Allegro Hand V4, right (Wonik Robotics): joint origins, ranges and masses as in the manufacturer's description of the hand;
+0.7 N m is what its data sheet gives as the largest torque of a joint. It holds far less for long.
 
-LEAP Hand, right (Shaw, Agarwal, Pathak: LEAP Hand: Low-Cost, Efficient, and Anthropomorphic Hand for Robot Learning, RSS 2023): joint
-origins, ranges and masses as the authors publish them, with their limit of 0.95 N m for a joint, which Dynamixel XC330 motors have.
+LEAP Hand, right (Shaw, Agarwal, Pathak: LEAP Hand: Low-Cost, Efficient, and Anthropomorphic Hand for Robot Learning, RSS 2023):
+joint origins, ranges and masses as the authors publish them, with their limit of 0.95 N m for a joint.
 
 Shapes are boxes with the measures of the parts, fingertips spheres. A uniform density inside each link makes up its centre of mass and
 inertia. Lengths in the tables are millimetres, masses grams. The palm frame lies where the middle finger begins, z along the straight
