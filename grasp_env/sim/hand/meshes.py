@@ -162,10 +162,14 @@ def convex_pieces(corners: Array, faces: Any) -> list[Array]:
             return [few_corners(corners)]
         parts = _parts(faces)
     leaves: list[Array] = []
+    worth = _WORTH * hull.volume
     for part in parts:
-        hollow = _volume(corners, part) < 0.85 * hull_of(corners[np.unique(part)]).volume
-        leaves += _cut(corners, part, _WORTH * hull.volume, 2 if hollow else 0, _DEEPEST)
-    return [few_corners(points) for points in _joined(leaves, _WORTH * hull.volume)]
+        around, filled = hull_of(corners[np.unique(part)]), _volume(corners, part)
+        if around.volume - filled <= worth and _closed(part):  # no cut can take away more
+            leaves.append(around.points)
+        else:
+            leaves += _cut(corners, part, worth, 2 if filled < 0.85 * around.volume else 0, _DEEPEST)
+    return [few_corners(points) for points in _joined(leaves, worth)]
 
 
 def _coarser(corners: Array, faces: Any) -> tuple[Array, Any]:
@@ -188,6 +192,12 @@ def _parts(faces: Any) -> list[Any]:
     labels = connected_components(graph, directed=False)[1][faces[:, 0]]
     names = list(dict.fromkeys(labels.tolist()))
     return [faces] if len(names) > _CRUMBS else [faces[labels == name] for name in names]
+
+
+def _closed(faces: Any) -> bool:
+    """Whether every edge belongs to two faces."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return bool((np.unique(edges, axis=0, return_counts=True)[1] == 2).all())
 
 
 def _volume(corners: Array, faces: Any) -> float:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import lru_cache
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from grasp_env._check import Array
 from grasp_env._files import digest
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.solids import inset
@@ -36,8 +36,7 @@ def hand_files(hand: HandDescription, margin: float = 0.0) -> dict[str, str]:
             for corners in {shape.corners: None for shape in shapes if shape.kind == "hull"}:
                 name = _hull_name(role, corners)
                 if name not in files:
-                    points = np.array(corners)
-                    files[name] = _hull_obj(inset(points, margin) if role == "collision" and margin else points)
+                    files[name] = _hull_obj(corners, margin if role == "collision" else 0.0)
     return files
 
 
@@ -126,8 +125,10 @@ def _hull_name(role: str, corners: tuple[Vector3, ...]) -> str:
     return f"{role}_{digest(np.array(corners).tobytes())[:16]}.obj"
 
 
-def _hull_obj(points: Array) -> str:
-    """The hull of points (K, 3) [m] as a Wavefront file, its faces counterclockwise from outside."""
+@lru_cache(maxsize=512)
+def _hull_obj(corners: tuple[Vector3, ...], margin: float) -> str:
+    """A hull as a Wavefront file, smaller by a margin [m], its faces counterclockwise from outside."""
+    points = inset(np.array(corners), margin) if margin > 0.0 else np.array(corners)
     hull = ConvexHull(points)
     faces = hull.simplices
     a, b, c = (points[faces[:, k]] for k in range(3))
