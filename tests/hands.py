@@ -12,6 +12,7 @@ from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, Ob
 from grasp_env.sim.bullet import HAND_FLAGS
 from grasp_env.sim.client import bullet
 from grasp_env.sim.hand.check import inertia_matrix
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 from grasp_env.sim.hand.urdf import hand_urdf
 
 
@@ -64,3 +65,38 @@ def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
 def numbers(scene: Scene) -> np.ndarray:
     """Everything that can be read of a scene now, in one row."""
     return np.concatenate([part.reshape(-1) for part in scene.look()])
+
+
+def gripper(fingers: int, joints: int, coupled: bool = False, torque: float = 2.0) -> HandDescription:
+    """Fingers around a round palm that bend towards its axis in one plane each; the last joint of `coupled` ones follows."""
+    links: list[Link] = []
+    tips: list[Fingertip] = []
+    length = 0.12 / joints
+    for finger in range(fingers):
+        turn = 2.0 * np.pi * finger / fingers
+        for joint in range(joints):
+            last = joint == joints - 1
+            bone = Geometry("capsule", (0.006, length - 0.012), (0.0, 0.0, 0.5 * length - 0.004))
+            ball = Geometry("sphere", (0.01,), (0.0, 0.0, length))
+            name = f"f{finger}_{joint}"
+            follows = coupled and last and joint > 0
+            links.append(
+                Link(
+                    name=name,
+                    parent=f"f{finger}_{joint - 1}" if joint else "palm",
+                    origin=(0.0, 0.0, length) if joint else (0.06 * np.cos(turn), 0.06 * np.sin(turn), 0.01),
+                    rotation=(0.0, 0.0, 0.0) if joint else (0.0, 0.0, turn),
+                    axis=(0.0, -1.0, 0.0),
+                    lower=-0.6 if joint == 0 else 0.0,
+                    upper=1.2,
+                    torque_limit=torque,
+                    mass=0.03,
+                    center=(0.0, 0.0, 0.5 * length),
+                    inertia=(1e-5, 0.0, 0.0, 1e-5, 0.0, 1e-5),
+                    collision=(bone, ball) if last else (bone,),
+                    mimic=Mimic(f"f{finger}_{joint - 1}_joint") if follows else None,
+                )
+            )
+        tips.append(Fingertip(f"f{finger}", links[-1].name, (0.0, 0.0, length), 0.01))
+    palm = Palm(collision=(Geometry("cylinder", (0.07, 0.01)),))
+    return HandDescription("gripper", palm, tuple(links), tuple(tips), placed=False)
