@@ -20,6 +20,7 @@ from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
 _SITES, _TURNS = 60, 6  # that are tried, and turns of the object at each
+_RAYS = 60  # for each finger there
 _ENOUGH = 24  # grasps to choose from
 _ROOM = 0.003  # [m] of clearance that costs nothing
 _EVEN, _PLANAR = 0.15, 1e-3  # least of a tip's levers over its largest that costs nothing; that is none
@@ -114,7 +115,7 @@ class _Trials:
         while len(fingers) >= least:
             candidate = _Candidate(fingers, site.posture, turn, shift)
             search = self._search(candidate)
-            plan = search.run(rng, tries)
+            plan = search.run(rng, tries, _RAYS)
             for what, count in search.faults.items():
                 self.faults[what] = self.faults.get(what, 0) + count
             if plan is not None:

@@ -211,13 +211,19 @@ class GraspSearch:
             directions=_spread_directions(),
         )
 
-    def run(self, rng: np.random.Generator, tries: int = _TRIES) -> GraspPlan | None:
-        """A grasp, or None; with other draws, and easier margins, each time that there is none."""
+    def run(self, rng: np.random.Generator, tries: int = _TRIES, rays: int = _RAYS) -> GraspPlan | None:
+        """A grasp, or None; with other draws, and easier margins, each time that there is none.
+
+        Args:
+            rng: Draws.
+            tries: Of each of the easier margins.
+            rays: Along which places are sought, for each finger and time.
+        """
         if self._gap < _MARGINS[-1][2]:
             return None
         for margins in _MARGINS[:1] + _MARGINS[1:] * tries:
             counts = [
-                self.core.fill(finger, rng.random((_RAYS, 6)), self._spread, margins, _PLACES)
+                self.core.fill(finger, rng.random((rays, 6)), self._spread, margins, _PLACES)
                 for finger in range(self.hand.finger_count)
             ]
             self._note(counts)

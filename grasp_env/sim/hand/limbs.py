@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import TypeAlias
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from grasp_env.sim.hand.frames import rotation_matrix
 from grasp_env.sim.hand.kinematics import HandKinematics
 
 _POSTURES = 64  # over the ranges of the joints
-_MOSTLY = 0.5  # part of them in which a pair touches that always does
+_NEAR, _MOSTLY = 0.002, 0.9  # [m] between links that are near; part of the postures in which those are that always are
 
 
 def hand_limbs(hand: HandDescription) -> list[core.Limb]:
@@ -53,28 +54,45 @@ def _limb(link: int, shape: Geometry, tipped: bool, spheres: set[tuple[int, floa
     )
 
 
-@lru_cache(maxsize=32)
 def touching_pairs(hand: HandDescription, at_home: bool = True) -> tuple[tuple[int, int], ...]:
     """Pairs of links that touch whatever the hand does, by their numbers, -1 the palm: their contact means nothing.
 
-    They overlap in the rest posture, or in most of some postures over the joints' ranges. Links of one joint always do and
-    are not among them.
+    They overlap in the rest posture, or in half of some postures over the joints' ranges; or now and then, and are never far
+    apart: their shapes are coarser than they are. Links of one joint always do and are not among them.
 
     Args:
         hand: The hand.
         at_home: Count the rest posture, too.
     """
+    overlaps, nears, home = _pairs(hand)
+    always = {pair for pair, count in overlaps.items() if 2 * count >= _POSTURES or nears[pair] >= _MOSTLY * _POSTURES}
+    return tuple(sorted(always | home if at_home else always))
+
+
+_Counts: TypeAlias = dict[tuple[int, int], int]
+
+
+@lru_cache(maxsize=32)
+def _pairs(hand: HandDescription) -> tuple[_Counts, _Counts, set[tuple[int, int]]]:
+    """In how many of `_POSTURES` postures links overlap, and are within `_NEAR`; which overlap in the rest posture."""
     kinematics = HandKinematics(hand)
     limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(hand), kinematics.home)
-
-    def touching(angles: np.ndarray) -> set[tuple[int, int]]:
-        return {(first, second) for first, second, gap in limbs.link_gaps(angles, 0.0) if gap <= 0.0}
-
     low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
     draws = np.random.default_rng(0).random((_POSTURES, hand.joint_count))
-    counts: dict[tuple[int, int], int] = {}
+    overlaps, nears = _Counts(), _Counts()
     for draw in draws:
-        for pair in touching(low + draw * (high - low)):
-            counts[pair] = counts.get(pair, 0) + 1
-    always = {pair for pair, count in counts.items() if count >= _MOSTLY * _POSTURES}
-    return tuple(sorted(always | touching(kinematics.home) if at_home else always))
+        gaps = _least(limbs.link_gaps(low + draw * (high - low), _NEAR))
+        for pair, gap in gaps.items():
+            nears[pair] = nears.get(pair, 0) + 1
+            if gap <= 0.0:
+                overlaps[pair] = overlaps.get(pair, 0) + 1
+    home = {pair for pair, gap in _least(limbs.link_gaps(kinematics.home, 0.0)).items() if gap <= 0.0}
+    return overlaps, nears, home
+
+
+def _least(found: list[tuple[int, int, float]]) -> dict[tuple[int, int], float]:
+    """The least gap of each pair of links [m]."""
+    out: dict[tuple[int, int], float] = {}
+    for first, second, gap in found:
+        out[first, second] = min(gap, out.get((first, second), np.inf))
+    return out
