@@ -20,10 +20,10 @@ ENGINES: dict[str, dict[str, Any]] = {
 ENGINE_LABELS = {
     "bullet": "Bullet",
     "mujoco": "MuJoCo",
-    "bullet_1000": "Bullet, physics at 1000 Hz",
-    "pyramidal": "MuJoCo, pyramidal cones",
-    "soft": "MuJoCo, contacts as soft as its default",
-    "noslip": "MuJoCo, 20 sweeps against creep",
+    "bullet_1000": "Bullet (physics at 1000 Hz)",
+    "pyramidal": "MuJoCo (pyramidal cones)",
+    "soft": "MuJoCo (contacts as soft as its default)",
+    "noslip": "MuJoCo (20 sweeps against creep)",
 }
 BOTH = ("bullet", "mujoco")
 PRESETS = ("four_finger", "allegro", "leap")
@@ -99,10 +99,10 @@ def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
             plan.append(Scenario(f"four_finger/{name}", "four_finger", label, tuple(engines), count, settings))
 
         four("objects", "random objects, random wrench", BOTH, episodes, **RANDOM_WRENCH)
-        four("contacts", "the same, contacts of other kinds", more, third, **RANDOM_WRENCH)
+        four("contacts", "random wrench, contacts of other kinds", more, third, **RANDOM_WRENCH)
         four(
             "margin",
-            "the same, friction margin 0.7",
+            "random wrench, friction margin 0.7",
             (*BOTH, "pyramidal", "soft"),
             third,
             **RANDOM_WRENCH,
