@@ -28,6 +28,7 @@ REASONS = {
     "miss the weight": "not still in time",
     "palm pose": "no place for the palm",
     "no grasp": "no grasp",
+    "push it about": "fingers do not come to rest",
     "cannot reach": "out of reach",
     "reaches tip": "out of reach",
 }
