@@ -46,6 +46,6 @@ void bind_grasping(nb::module_& m) {
         "b"_a, "Of a-b; a `core.Surface`.");
     m.def("limb_gap", &limb_gap, "a"_a, "b"_a, "turn"_a, "shift"_a, "enough"_a = infinity, "The second turned, then shifted.");
     m.def("object_gap", &object_gap, "surface"_a, "b"_a, "turn"_a, "shift"_a, "enough"_a = infinity, "Of a `core.Surface`.");
-    m.def("least_force", &least_normal_force, "points"_a, "normals"_a, "friction"_a, "length"_a, "load"_a,
-          "efforts"_a, "torsion"_a, "inf: none was found.");
+    m.def("least_force", &least_normal_force, "points"_a, "normals"_a, "friction"_a, "length"_a, "load"_a, "efforts"_a,
+          "torsion"_a, "inf: none was found.");
 }
