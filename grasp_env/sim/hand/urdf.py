@@ -9,11 +9,9 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from grasp_env._files import digest
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.solids import inset
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
 
 HULL_MARGIN = 1e-3
@@ -128,6 +126,10 @@ def _hull_name(role: str, corners: tuple[Vector3, ...]) -> str:
 @lru_cache(maxsize=512)
 def _hull_obj(corners: tuple[Vector3, ...], margin: float) -> str:
     """A hull as a Wavefront file, smaller by a margin [m], its faces counterclockwise from outside."""
+    from scipy.spatial import ConvexHull  # slow to import, and only hulls need it
+
+    from grasp_env.sim.hand.solids import inset
+
     points = inset(np.array(corners), margin) if margin > 0.0 else np.array(corners)
     hull = ConvexHull(points)
     faces = hull.simplices
