@@ -119,7 +119,7 @@ def test_hulls_are_written_and_read_as_themselves(tmp_path: Path) -> None:
         assert set(one.corners) == set(other.corners)
 
 
-def bent() -> trimesh.Trimesh:
+def bent() -> Any:
     """An L of two boxes, one mesh."""
     long, short = trimesh.creation.box((0.01, 0.01, 0.06)), trimesh.creation.box((0.03, 0.01, 0.01))
     return trimesh.util.concatenate([long, short.apply_translation((0.02, 0.0, -0.025))])
@@ -159,7 +159,7 @@ def test_parts_inside_one_another_and_open_ones_are_one_piece() -> None:
     side = trimesh.creation.cylinder(0.01, 0.04)
     loose = trimesh.Trimesh(side.triangles.reshape(-1, 3), np.arange(3 * len(side.faces)).reshape(-1, 3), process=False)
     assert len(convex_pieces(np.array(loose.vertices).round(9), np.array(loose.faces))) == 1
-    hidden = trimesh.util.concatenate([side, trimesh.creation.box((0.03, 0.03, 0.05))])
+    hidden: Any = trimesh.util.concatenate([side, trimesh.creation.box((0.03, 0.03, 0.05))])
     assert len(convex_pieces(np.array(hidden.vertices), np.array(hidden.faces))) == 1
 
 
