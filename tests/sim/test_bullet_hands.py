@@ -82,7 +82,7 @@ def test_coupled_joints_hold_and_their_load_reaches_the_motor(mass: float, count
 def test_a_force_at_a_coupled_tip_is_held_by_the_torque_of_the_jacobian() -> None:
     hand = coupled_finger(0.02)
     simulator, kinematics = loaded(hand), HandKinematics(hand)
-    force, torque = np.array([5.0, 0.0, 10.0]), 0.0
+    force, torque, expected = np.array([5.0, 0.0, 10.0]), 0.0, np.zeros(3)
     for _ in range(2 * RATE):
         now = states(simulator)
         tip = kinematics.tips(now[:, 0])[0]

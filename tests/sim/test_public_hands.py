@@ -82,7 +82,7 @@ def test_public_hands_load_and_their_couplings_hold(name: str) -> None:
     assert time.perf_counter() - begun < 1.0
     kinematics, worst = HandKinematics(hand), 0.0
     drive = np.array([link.mimic is None for link in hand.links])
-    home = np.array(hand.home)
+    home = angles = np.array(hand.home)
     for step in range(250):
         rows = bullet.getJointStates(simulator.world.hand, simulator.world.joints, simulator.client.number)
         angles, speeds = np.array([row[:2] for row in rows]).T
