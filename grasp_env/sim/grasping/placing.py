@@ -19,7 +19,8 @@ from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
-_SITES, _TURNS = 60, 6  # that are tried, and turns of the object at each
+_ATTEMPTS = 3  # to find anything
+_SITES, _TURNS = 60, 6  # that are tried each time, and turns of the object at each
 _RAYS = 60  # for each finger there
 _ENOUGH = 24  # grasps to choose from
 _ROOM = 0.003  # [m] of clearance that costs nothing
@@ -69,28 +70,31 @@ class _Candidate(NamedTuple):
 @lru_cache(maxsize=64)
 def _placed(hand: HandDescription, item: ObjectDescription, seed: int, least: int) -> HandDescription:
     rng, trials = np.random.default_rng(seed), _Trials(hand, item)
-    sites = find_sites(hand, item, rng, least, _SITES)
-    for tries in (0, 1):  # with the largest margins, then with easier ones
-        found: list[_Candidate] = []
-        for site in sites:
-            for _ in range(_TURNS):
-                candidate = trials.grasp(site, site.turned(rng, item), least, tries, rng)
-                found += [] if candidate is None else [candidate]
-            if len(found) >= _ENOUGH:
-                break
-        for candidate in sorted(found, key=trials.rating):
-            placed = trials.placed(candidate)
-            try:
-                plan_grasp(item, HandKinematics(placed))
-            except InvalidInputError:
-                continue
-            return placed
+    places = 0
+    for _ in range(_ATTEMPTS):
+        sites = find_sites(hand, item, rng, least, _SITES)
+        places += len(sites)
+        for tries in (0, 1):  # with the largest margins, then with easier ones
+            found: list[_Candidate] = []
+            for site in sites:
+                for _ in range(_TURNS):
+                    candidate = trials.grasp(site, site.turned(rng, item), least, tries, rng)
+                    found += [] if candidate is None else [candidate]
+                if len(found) >= _ENOUGH:
+                    break
+            for candidate in sorted(found, key=trials.rating):
+                placed = trials.placed(candidate)
+                try:
+                    plan_grasp(item, HandKinematics(placed))
+                except InvalidInputError:
+                    continue
+                return placed
     counts = ", ".join(
         f"{count} {what}" for what, count in sorted(trials.faults.items(), key=lambda pair: -pair[1]) if count
     )
     raise InvalidInputError(
         f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape} of "
-        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {len(sites)} places; of what was "
+        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places; of what was "
         f"tried there {counts or 'nothing is left'}. Use an object of another size or more friction, another seed, or place the hand "
         "by `HandDescription.moved` and `home`"
     )

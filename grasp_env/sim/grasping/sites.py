@@ -23,6 +23,8 @@ _PAIRS, _ACROSS = 30_000, 0.7  # of tips in a round; the least they are apart, o
 _CENTERS, _DRAWS = 1000, 6  # places of the object in a round; postures drawn of each further finger there
 _NEAR = 0.008  # [m] between a tip and the object's ball
 _CLEAR = 0.001  # [m] of the rest of a finger from the object
+_FLATTER = 1.6  # of a cuboid's ball, against which fingers are kept clear: its sides are flat
+_ALIGNED = 3.0  # how much it counts that fingers push along one axis of a cuboid
 _OPPOSED = 0.45  # of the shortest sum of normals whose weights add to 1
 _APART = 0.004  # [m] between centres that are tried with the same fingers
 _INSIDE = 0.05  # of a joint's range that postures keep from its ends
@@ -70,8 +72,8 @@ def find_sites(
         postures[:, shared] = kinematics.home[shared] if turn % 2 == 0 else postures[0, shared]
         for posture in postures:
             kinematics.tree.couple(posture)
-        reach = _Reach(kinematics, postures, rng)
-        found += reach.around(item, least)
+        reach = _Reach(kinematics, item, postures, rng)
+        found += reach.around(least)
         found.sort(key=lambda site: site.score)
         sites = []
         for site in found:
@@ -87,15 +89,18 @@ def find_sites(
 class _Reach:
     """Where the tips (K, N, 3) are at postures (K, M)."""
 
-    def __init__(self, kinematics: HandKinematics, postures: Array, rng: np.random.Generator) -> None:
-        self.kinematics, self.postures, self.rng = kinematics, postures, rng
+    def __init__(
+        self, kinematics: HandKinematics, item: ObjectDescription, postures: Array, rng: np.random.Generator
+    ) -> None:
+        self.kinematics, self.item, self.postures, self.rng = kinematics, item, postures, rng
         self.limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
         self.tips = np.array([kinematics.tips(posture) for posture in postures])
         self.radii, self.fingers = kinematics.tip_radii, kinematics.hand.finger_count
+        self.flatter = _FLATTER if item.shape == "cuboid" else 1.0
 
-    def around(self, item: ObjectDescription, least: int) -> list[Site]:
+    def around(self, least: int) -> list[Site]:
         """Centres of a ball that tips of several fingers touch."""
-        tips, fingers, rng = self.tips, self.fingers, self.rng
+        tips, fingers, rng, item = self.tips, self.fingers, self.rng, self.item
         radius = 0.5 * float(np.median(item.extent))
         centers, pairs, samples = self._between(radius + self.radii)
         for side in (0, 1):
@@ -124,7 +129,7 @@ class _Reach:
             pushing = normals[row, touching]
             axis = np.linalg.eigh(pushing.T @ pushing)[1][:, -1]
             askew = 1.0 - float(np.abs(pushing @ axis).mean()) if item.shape == "cuboid" else 0.0
-            score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + askew
+            score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + _ALIGNED * askew
             posture = self._posture(centers[row], touching, chosen[row, touching])
             out.append(Site(centers[row], posture, tuple(touching.tolist()), axis, score))
         return out
@@ -140,8 +145,10 @@ class _Reach:
         return self.kinematics.coupled(posture)
 
     def _clear(self, fingers: Indices, samples: Indices, middles: Array) -> NDArray[np.bool_]:
-        """Whether fingers (C,) in samples (C,) touch balls about `middles` (C, 3) with their tips alone."""
+        """Whether fingers (C,) in samples (C,) touch balls about `middles` (C, 3), of cuboids larger ones, with their tips alone."""
         gaps = np.empty(len(fingers))
+        tips = self.tips[samples, fingers]
+        middles = tips + self.flatter * (middles - tips)
         for finger in range(self.fingers):
             rows = np.flatnonzero(fingers == finger)
             found = np.empty(len(rows))
