@@ -22,7 +22,7 @@ from grasp_env.sim.objects.description import ObjectDescription
 _ATTEMPTS = 3  # to find anything
 _SITES, _TURNS = 60, 6  # that are tried each time, and turns of the object at each
 _RAYS = 60  # for each finger there
-_ENOUGH = 24  # grasps to choose from
+_ENOUGH, _GOOD = 24, 30.0  # grasps to choose from; [N] of the best, beyond which easier margins are tried
 _ROOM = 0.003  # [m] of clearance that costs nothing
 _EVEN, _PLANAR = 0.15, 1e-3  # least of a tip's levers over its largest that costs nothing; that is none
 
@@ -74,16 +74,20 @@ def _placed(hand: HandDescription, item: ObjectDescription, seed: int, least: in
     for _ in range(_ATTEMPTS):
         sites = find_sites(hand, item, rng, least, _SITES)
         places += len(sites)
+        found: list[_Candidate] = []
         for tries in (0, 1):  # with the largest margins, then with easier ones
-            found: list[_Candidate] = []
+            enough = len(found) + _ENOUGH
             for site in sites:
                 for _ in range(_TURNS):
                     candidate = trials.grasp(site, site.turned(rng, item), least, tries, rng)
                     found += [] if candidate is None else [candidate]
-                if len(found) >= _ENOUGH:
+                if len(found) >= enough:
                     break
-            for candidate in sorted(found, key=trials.rating):
-                placed = trials.placed(candidate)
+            ratings = [trials.rating(candidate) for candidate in found]
+            if tries == 0 and min(ratings, default=np.inf) > _GOOD:
+                continue
+            for _, index in sorted(zip(ratings, range(len(found)), strict=True)):
+                placed = trials.placed(found[index])
                 try:
                     plan_grasp(item, HandKinematics(placed))
                 except InvalidInputError:

@@ -24,7 +24,7 @@ _CENTERS, _DRAWS = 1000, 6  # places of the object in a round; postures drawn of
 _NEAR = 0.008  # [m] between a tip and the object's ball
 _CLEAR = 0.001  # [m] of the rest of a finger from the object
 _FLATTER = 1.6  # of a cuboid's ball, against which fingers are kept clear: its sides are flat
-_ALIGNED = 3.0  # how much it counts that fingers push along one axis of a cuboid
+_ALIGNED = 1.0, 3.0  # how much it counts that fingers push along one axis of a cuboid: where all tips go anywhere, else
 _OPPOSED = 0.45  # of the shortest sum of normals whose weights add to 1
 _APART = 0.004  # [m] between centres that are tried with the same fingers
 _INSIDE = 0.05  # of a joint's range that postures keep from its ends
@@ -96,6 +96,7 @@ class _Reach:
         self.limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
         self.tips = np.array([kinematics.tips(posture) for posture in postures])
         self.radii, self.fingers = kinematics.tip_radii, kinematics.hand.finger_count
+        self.aligned = _ALIGNED[0] if all(self.limbs.free) else _ALIGNED[1]
         self.flatter = _FLATTER if item.shape == "cuboid" else 1.0
 
     def around(self, least: int) -> list[Site]:
@@ -129,7 +130,7 @@ class _Reach:
             pushing = normals[row, touching]
             axis = np.linalg.eigh(pushing.T @ pushing)[1][:, -1]
             askew = 1.0 - float(np.abs(pushing @ axis).mean()) if item.shape == "cuboid" else 0.0
-            score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + _ALIGNED * askew
+            score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + self.aligned * askew
             posture = self._posture(centers[row], touching, chosen[row, touching])
             out.append(Site(centers[row], posture, tuple(touching.tolist()), axis, score))
         return out
