@@ -373,7 +373,12 @@ def control_settings(
     ]
     made.spring = core.Spring(config.pd_stiffness, config.pd_damping, np.inf)
     made.reach_depth = REACH_FORCE / REACH_STIFFNESS
-    made.posture = [stable_spring(POSTURE_STIFFNESS, POSTURE_LOSS, np.inf, each, dt) for each in joints]
+    made.posture = [
+        stable_spring(
+            POSTURE_STIFFNESS, max(POSTURE_LOSS, 2.0 * math.sqrt(POSTURE_STIFFNESS / max(each, 1.0))), np.inf, each, dt
+        )
+        for each in joints
+    ]
     made.set_limited(config.tolerance, LIMITED_ITERATIONS)
     made.most_change = config.force_rate / config.control_rate
     made.release = RELEASE
