@@ -52,7 +52,8 @@ class EnvConfig:
     """Settings of `FourFingerGrasp-v0`; each is a keyword of `gym.make`.
 
     Attributes:
-        hand: "four_finger", "three_finger", "five_finger", "four_finger_4dof", or a `HandDescription`.
+        hand: "four_finger", "three_finger", "five_finger", "four_finger_4dof", "allegro", "leap", or a `HandDescription`, such as
+            `HandDescription.from_urdf(path)`. Those that are not `placed` are put around the object by `place_hand`.
         shape: "cuboid", "cylinder", "sphere", "capsule", or "mesh" (`mesh`).
         size: [m] of the object: cuboid (x, y, z); cylinder, capsule (diameter, height), upright; sphere (diameter,). Empty:
             0.1 m each way. Of a mesh: (scale,), 0.001 for a file in millimetres.

@@ -1,4 +1,4 @@
-"""`FourFingerGrasp-v0`: a hand in PyBullet whose grasp forces are optimised at every step."""
+"""`FourFingerGrasp-v0`: a simulated hand whose grasp forces are optimised at every step."""
 
 from __future__ import annotations
 
@@ -40,12 +40,18 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     Contacts are read from the simulator, G is built from those that exist, the wrench to balance is external wrench + gravity -
     inertial wrench of the wanted motion + object-pose feedback, the initial force is the start rule's (by default the paper's
     linear combination of 12 offline optima) plus the action, the reduced gradient flow optimises it, and the forces become
-    joint torques. The agent acts at 50 Hz; pose feedback, contact changes and torques run at 250 Hz, as the physics does (see
-    `EnvConfig`). A finger without contact reaches for its place; when one slips off or lands the forces are optimised
+    joint torques. The agent acts at 50 Hz; pose feedback, contact changes and torques run at 250 Hz, the physics at that rate or
+    faster (see `EnvConfig`). A finger without contact reaches for its place; when one slips off or lands the forces are optimised
     anew at once, and change by at most `force_rate` beyond what balance asks.
 
+    Torques keep the motors' limits. Where the method's force needs more than the links' weight leaves of them, Newton within the limits
+    goes on from it in the same control tick (`info["limited"]`); where no force keeps them, the one that exceeds them least is
+    commanded, cut at the limits, marked (`info["saturated"]`), and the episode goes on. A finger with fewer than three motors (missing or
+    coupled joints) pushes with what they can; the rest of its force is carried by its structure, as balance and torques leave it.
+    What these leave open, a squeeze that no motor makes, is the engine's.
+
     An episode starts from true contacts: the fingers close on the object and take over its weight; at reset the contact
-    forces sum to it within 1 %.
+    forces sum to it within 1 %. A hand that nobody placed (`HandDescription.placed`) is put where it holds the object well.
 
     ## Tasks
     `task="hold"` against `disturbance`, "move" along `motion`, "payload" (the mass grows), "six_directions" (pushes of 10 N/kg).
