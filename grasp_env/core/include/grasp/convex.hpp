@@ -1,8 +1,8 @@
 // Convex solids: how far apart two of them are, and how deep in one another.
 //
-// A solid is all points within a radius of its core: a box (also a line or a point), a cylinder or the hull of corners. What parts two
-// cores is the point nearest to the origin of their difference {a - b}, of which support points are all that is asked: Gilbert, Johnson
-// and Keerthi's descent over simplices where they are apart, an expanding polytope where they overlap.
+// A solid is all points within a radius of its core: a box (also a line or a point), a cylinder or the hull of corners. What
+// parts two cores is the point nearest to the origin of their difference {a - b}, of which support points are all that is asked:
+// Gilbert, Johnson and Keerthi's descent over simplices where they are apart, an expanding polytope where they overlap.
 #pragma once
 #include <array>
 #include <memory>
@@ -149,8 +149,8 @@ struct Simplex {
     std::array<Point, 4> at;
     int count = 0;
 
-    // The point of their hull that is nearest to the origin, which is in the hull of the last one with some others; keeps those alone.
-    // False where the origin is inside all four.
+    // The point of their hull that is nearest to the origin, which is in the hull of the last one with some others; keeps those
+    // alone. False where the origin is inside all four.
     bool nearest(Point& best) {
         constexpr double FLAT = 1e-24;  // [m^2, m^4] that is no edge, no triangle
         const int last = count - 1;

@@ -1,7 +1,8 @@
 // Places on an object that one finger of a hand can touch on its own.
 //
-// A finger whose tip goes anywhere reaches them by inverse kinematics. One with fewer joints, or in a plane, meets the object where it
-// does: from a posture of its joints one of them closes until the tip touches. Joints that move several fingers stay where they are.
+// A finger whose tip goes anywhere reaches them by inverse kinematics. One with fewer joints, or in a plane, meets the object
+// where it does: from a posture of its joints one of them closes until the tip touches. Joints that move several fingers stay
+// where they are.
 #pragma once
 #include "clearance.hpp"
 #include "reach.hpp"
@@ -31,8 +32,8 @@ inline constexpr double BEHIND =
 inline constexpr double PI = 3.14159265358979323846;
 inline constexpr double FULL = 30.0;  // [N] that weigh as much as a joint at its torque limit
 
-// Where to begin inside the object [m], and what to add to the direction towards the finger; for fingers that only close the six numbers
-// in [0, 1) of which these were made.
+// Where to begin inside the object [m], and what to add to the direction towards the finger; for fingers that only close the six
+// numbers in [0, 1) of which these were made.
 struct Ray {
     Point start, aside;
     Vec6 draws;
@@ -53,7 +54,8 @@ struct Place {
     }
 };
 
-// How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to start, without push.
+// How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to start, without
+// push.
 struct Misses { int edge = 0, far = 0, limit = 0, touching = 0, start = 0, weak = 0; };
 
 // One finger of a hand: its joints as a tree of their own, and the limbs that they carry.
@@ -328,11 +330,9 @@ private:
     void weigh(const Demand& demand, std::vector<Point>& efforts) const {
         constexpr double LEAST = 0.05;  // of its limit that is left of a torque
         const int count = int(joints.size());
-        double weight[32];
-        Point moves[32];
-        if (count > 32) return;
-        posture_.support(demand.gravity, weight);
-        for (int j = 0; j < count; ++j) moves[j] = {0.0, 0.0, 0.0};
+        std::vector<double> weight(count);
+        std::vector<Point> moves(count, Point{0.0, 0.0, 0.0});
+        posture_.support(demand.gravity, weight.data());
         posture_.carriers(count - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
         const double largest = std::sqrt(1.0 + demand.friction * demand.friction);  // of a force over its normal part
         for (int j = 0; j < count; ++j) {
@@ -375,8 +375,8 @@ struct HandLimbs {
         return {hand, std::move(limbs), together, rest};
     }
 
-    // Least distances [m]: of the links, without the spheres of fingertips, from the object; of links and tips from one another. Above
-    // `enough` a lower bound.
+    // Least distances [m]: of the links, without the spheres of fingertips, from the object; of links and tips from one another.
+    // Above `enough` a lower bound.
     std::pair<double, double> clearance(const Obstacle& object, const double* angles, double enough = infinity) const {
         Posture posture(tree);
         posture.trace(angles);
@@ -395,7 +395,8 @@ struct HandLimbs {
         }
         return {away, apart};
     }
-    // How far the rest of a finger and the palm are from a ball about a point that touches the tip, in a posture; at most `enough` [m].
+    // How far the rest of a finger and the palm are from a ball about a point that touches the tip, in a posture; at most
+    // `enough` [m].
     double beside(int finger, const Posture& posture, const Point& middle, double enough) const {
         const double radius = length(posture.tip(finger) - middle) - tree->tips[finger].radius;
         const Solid ball = Solid::of(Segment{middle, middle}, std::max(radius, 0.0));

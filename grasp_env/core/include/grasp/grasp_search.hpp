@@ -1,7 +1,8 @@
 // The contacts with which a hand holds an object best.
 //
-// Every finger has a pool of places that it reaches on its own. A choice of one place per finger is rated by the total normal force,
-// or by what that takes of the joints' torques where it is more, that the worst of some wrenches needs. That is a maximum over directions y in wrench space,
+// Every finger has a pool of places that it reaches on its own. A choice of one place per finger is rated by the total normal
+// force, or by what that takes of the joints' torques where it is more, that the worst of some wrenches needs. That is a maximum
+// over directions y in wrench space,
 //
 //     max_y  max_w (-w . y) / h(y),  h(y) = max_i max {f . v_i(y) : f in cone i, cost 1},
 //
@@ -13,8 +14,8 @@
 
 namespace grasp {
 
-// Most work that a contact force of cost 1 does along y, and its wrench. A soft contact turns about its normal too, within the ellipsoid
-// (slip / friction)^2 + (moment / torsion)^2 <= (normal force)^2.
+// Most work that a contact force of cost 1 does along y, and its wrench. A soft contact turns about its normal too, within the
+// ellipsoid (slip / friction)^2 + (moment / torsion)^2 <= (normal force)^2.
 struct Reply {
     double work;
     Vec6 wrench;
@@ -45,8 +46,8 @@ struct Reply {
     }
 };
 
-// Least cost [N] of contact forces whose wrench is `load`, by the rays that `Reply` names at most 2 % above it; inf: none was found.
-// y: multipliers; load . y over the largest reply is a lower bound.
+// Least cost [N] of contact forces whose wrench is `load`, by the rays that `Reply` names at most 2 % above it; inf: none was
+// found. y: multipliers; load . y over the largest reply is a lower bound.
 inline double least_force(const std::vector<const Place*>& places, const Demand& demand, const Vec6& load, Vec6& y) {
     constexpr double PENALTY = 1e6;  // [N] of what no contact force balances
     constexpr double EXACT = 0.02;
@@ -109,8 +110,8 @@ public:
 
     enum Fault { none, near_object, near_itself, no_start, start_near_object, start_near_itself };
 
-    // Angles (M,) at which the whole hand is at its places, and before it closes, and what is wrong with them. clearance: of the links
-    // from the object at the places [m].
+    // Angles (M,) at which the whole hand is at its places, and before it closes, and what is wrong with them. clearance: of the
+    // links from the object at the places [m].
     Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
         constexpr double EASIER = 0.9,
                          OWN = 1.0 / 3.0;  // of the clearance: from the object, as the places have it; of links from links
@@ -134,8 +135,8 @@ public:
         return first_apart > OWN * clearance ? none : start_near_itself;
     }
 
-    // The best choice of each round, in which the last one's multipliers count too; no pool may be empty. picks: random numbers >= 0 for
-    // the choices to begin with, taken in turn: half of them in the first round.
+    // The best choice of each round, in which the last one's multipliers count too; no pool may be empty. picks: random numbers
+    // >= 0 for the choices to begin with, taken in turn: half of them in the first round.
     std::vector<Found> choose(const std::vector<Choice>& picks, int rounds) {
         constexpr int SWEEPS = 8;
         needs_.clear();
