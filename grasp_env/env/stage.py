@@ -52,9 +52,9 @@ class Stage:
         scene: Scene | None = None
         failures: list[GraspError] = []
         for seed in range(1 if self._fixed else PLACINGS):
-            hand = self._given if self._fixed else place_hand(self._given, self.item, seed=seed)
-            self._nominal = self.kinematics = HandKinematics(hand)
             try:
+                hand = self._given if self._fixed else place_hand(self._given, self.item, seed=seed)
+                self._nominal = self.kinematics = HandKinematics(hand)
                 if scene is None:
                     scene = Scene(self._grasp_of(self.item), gui=gui, visuals=visuals)
                 else:

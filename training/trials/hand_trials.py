@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from dataclasses import asdict
 from itertools import chain
 from typing import Any
@@ -13,6 +14,7 @@ from rich.console import Console
 from grasp_env._extras import need
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError
+from grasp_env.sim import HandDescription
 from training.data.episodes import episode
 from training.runs import Run, default_name, provenance
 from training.runs.workers import Job, begin, progress, run_jobs
@@ -69,6 +71,8 @@ def run_chunk(scenario: dict[str, Any], seeds: list[int]) -> list[dict[str, Any]
 
 def _roll_out(kind: str, config: Any, plan: list[Scenario], console: Console | None) -> Run:
     console = console or Console(stderr=True)
+    for name in config.hands:
+        _tell_repairs(name, console)
     run = Run.create(config.out, config.name or default_name(kind))
     begun = {"seed": config.seed, "quick": config.quick, "scenarios": [asdict(scenario) for scenario in plan]}
     begin(run, begun, "hands, engines, episodes, seed or settings")
@@ -80,6 +84,21 @@ def _roll_out(kind: str, config: Any, plan: list[Scenario], console: Console | N
     settings = {**asdict(config), "name": run.folder.name}
     run.write_json("run.json", {"kind": kind, **provenance(), **begun, "speed": _speeds(plan), "config": settings})
     return run
+
+
+def _tell_repairs(name: str, console: Console) -> None:
+    """Says once what reading a URDF repairs; the workers read it silently.
+
+    Raises:
+        InvalidInputError: it cannot be read.
+    """
+    if not name.endswith(".urdf"):
+        return
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        HandDescription.from_urdf(name)
+    for warning in told:
+        console.print(f"repaired: {warning.message}", highlight=False, soft_wrap=True)
 
 
 def _jobs(plan: list[Scenario], seed: int) -> list[Job]:

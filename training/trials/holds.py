@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import warnings
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -149,5 +150,9 @@ def _kinematics(hand: str | HandDescription) -> HandKinematics:
 
 @functools.cache
 def _hand(name: str) -> str | HandDescription:
-    """A hand's name, or the description of one in a file."""
-    return HandDescription.from_urdf(name) if name.endswith(".urdf") else name
+    """A hand's name, or the description of one in a file; what was repaired was told when the settings were checked."""
+    if not name.endswith(".urdf"):
+        return name
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return HandDescription.from_urdf(name)
