@@ -154,8 +154,13 @@ class ForceLoop:
 
     def begin_step(self) -> None:
         """An agent's step begins: iterations, trials and `effort` are counted anew."""
-        self.iterations = self.trials = 0
+        self.iterations = self.trials = self._shared = 0
         self._core.begin_step()
+
+    @property
+    def limited(self) -> int:
+        """Iterations of Newton within the torque limits since `begin_step`, where the method's force exceeded them."""
+        return self._core.effort.limited + self._shared
 
     @property
     def effort(self) -> core.Effort:
@@ -208,8 +213,11 @@ class ForceLoop:
         elif self._general:  # what the core does not carry along
             self.optimise()
         torques = core.command()
-        if core.unkept and self._optimise_generally(self._set(core.mask)) is not None:
-            torques = core.command()
+        if core.unkept:  # a joint that fingers share
+            within = self._solve_generally(self._set(core.mask))
+            if within is not None:
+                self._shared += within.iterations
+                torques = core.command()
         return torques
 
     def _see(self, external: Array, gravity: Array, target: Array) -> None:
@@ -232,10 +240,9 @@ class ForceLoop:
         made = self._set(self._core.mask)
         self._general = made.soft
         if made.soft:
-            return self._optimise_generally(made)
+            return self._took(self._solve_generally(made), made)
         if made.pipeline is None:
-            self._lose(made)
-            return None
+            return self._took(None, made)
         points, normals = self.seen.points, self.seen.normals
         if len(made.fingers) < self.count:
             points, normals = points[made.fingers], normals[made.fingers]
@@ -247,35 +254,36 @@ class ForceLoop:
             else:
                 self.solution = made.pipeline.solve(points, normals, self.wrench, adjust=adjustment)
         except self._lost_closure:
+            return self._took(None, made)
+        self._core.give(Hold.optimised, self._core.mask, None)
+        return self._took(self.solution, made)
+
+    def _took(self, solution: ForceSolution | None, made: ContactSet) -> ForceSolution | None:
+        """What an optimisation ended with, counted; None: the contacts cannot balance the wrench."""
+        self.solution = solution
+        if solution is None:
             self._lose(made)
             return None
         self.closure = True
-        self.iterations += self.solution.iterations
-        self.trials += self.solution.trials
-        self._core.give(Hold.optimised, self._core.mask, None)
-        return self.solution
+        self.iterations += solution.iterations
+        self.trials += solution.trials
+        return solution
 
-    def _optimise_generally(self, made: ContactSet) -> ForceSolution | None:
-        """Newton within all limits on soft contacts too, and for joints that several fingers share; see `optimise`."""
+    def _solve_generally(self, made: ContactSet) -> ForceSolution | None:
+        """Gives the forces of Newton within all limits, on soft contacts too and for joints that fingers share; None: there are none."""
         config, fingers = self.config, made.fingers
         soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction} if made.soft else {}
         try:
             grasp = Grasp.from_contacts(self.seen.points[fingers], self.seen.normals[fingers], self.friction, **soft)
-            self.solution = optimize_force(
+            solution = optimize_force(
                 grasp, self.wrench, method="newton", limits=self.limits(fingers), elastic=True, tolerance=config.tolerance,
                 force_weight=config.force_weight, barrier_weight=config.barrier_weight, max_iterations=config.max_iterations,
             )  # fmt: skip
         except (InfeasibleWrenchError, RankDeficientGraspError, InfeasibleStartError):
-            self._lose(made)
             return None
-        self.closure = True
-        self.iterations += self.solution.iterations
-        self.trials += self.solution.trials
-        force, torsion = (
-            np.ascontiguousarray(part, dtype=float) for part in (self.solution.force, self.solution.torsion)
-        )
+        force, torsion = (np.ascontiguousarray(part, dtype=float) for part in (solution.force, solution.torsion))
         self._core.give(Hold.direct, self._core.mask, force.reshape(-1), torsion)
-        return self.solution
+        return solution
 
     def limits(self, fingers: Indices) -> ForceLimits:
         """The motors' limits on the forces of some fingers (n,) at the contacts of now: what their links' weight leaves."""

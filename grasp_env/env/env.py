@@ -406,7 +406,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             "drift": outcome.drift,
             "tilt": outcome.tilt,
             "peak_torque": loop.peak_torque,
-            "limited": loop.effort.limited,
+            "limited": loop.limited,
             "torque_margin": loop.effort.margin,
             "saturated": loop.effort.saturated,
             "repaired_controls": loop.repaired,

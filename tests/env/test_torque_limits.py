@@ -184,13 +184,15 @@ def test_a_joint_that_two_fingers_share_keeps_its_limit():
         push_time=0.5,
     )
     env.reset(seed=0)
-    joint, over, torques = hand.joint_names.index(driver), False, []
+    joint, over, torques, limited = hand.joint_names.index(driver), False, [], 0
     while not over:
         *_, terminated, truncated, info = env.step(np.zeros(6, dtype=np.float32))
         over = terminated or truncated
         torques.append(abs(env._loop.torques[joint]))
+        limited += info["limited"] > 0
         assert not info["saturated"]
     env.close()
+    assert limited > 100
     assert info["is_success"]
     assert 0.019 < max(torques) <= 0.02
 
