@@ -41,7 +41,10 @@ _NAMES: dict[str, tuple[str, ...]] = {
     "shape": SHAPES, "task": tuple(TASKS), "motion": tuple(MOTIONS), "wrench": WRENCHES, "controller": CONTROLLERS,
     "initial_force": (*RULES, "previous"), "action_mode": ACTION_MODES, "method": METHODS, "disturbance": tuple(DISTURBANCES),
 }  # fmt: skip
-_HINTS = {"disturbance": ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]"}
+_HINTS = {
+    "hand": ", or give a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')",
+    "disturbance": ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]",
+}
 _LENGTHS = {"disturbance_value": 6, "gravity": 3}
 _SIGNED = ("friction_error", "disturbance_scale")
 _RANGES = ("size_range", "mass_range", "friction_range")
@@ -226,7 +229,7 @@ class EnvConfig:
         if getattr(self, name) is None and "None" in kind:
             return None
         if name == "hand":
-            return value if is_a(value, HandDescription) else choice(value, name, HANDS, ", or give a HandDescription")
+            return value if is_a(value, HandDescription) else choice(value, name, HANDS, _HINTS[name])
         if name == "engine":
             return value if is_a(value, Engine) else engine_of(value).name
         if name in _NAMES:

@@ -101,7 +101,9 @@ class ForceLoop:
         self.wrench, self.force, self.frames, self.torques = (
             arrays[name] for name in ("wrench", "force", "frames", "torques")
         )
-        arrays["home"][:], arrays["goals"][:] = hand.home, scene.config.contact_points
+        # joints that the tips leave free stay as the grasp was planned: from far away they would be drawn to their limits
+        arrays["home"][:] = scene.config.start_angles or hand.home
+        arrays["goals"][:] = scene.config.contact_points
         arrays["inwards"][:] = scene.config.contact_normals
         arrays["depths"][:] = self.config.squeeze / self.count / self.config.pd_stiffness
         self._sets: dict[int, ContactSet] = {}
