@@ -210,16 +210,10 @@ private:
 
     // Whether the tips leave joints free: more than three of a finger, or some that move none.
     static bool is_redundant(const Tree& tree) {
-        std::vector<char> moves(tree.joints());
-        std::vector<int> chain;
+        const std::vector<int> users = tree.users(tree.all_fingers());
         bool free = false;
-        for (int i = 0; i < tree.fingers(); ++i) {
-            tree.chain(i, chain);
-            int own = 0;
-            for (int j : chain) own += !tree.links[j].coupled(), moves[tree.mover(j)] = 1;
-            free = free || own > 3;
-        }
-        for (int j = 0; j < tree.joints(); ++j) free = free || !(moves[j] || tree.links[j].coupled());
+        for (int i = 0; i < tree.fingers(); ++i) free = free || tree.movers(i).size() > 3;
+        for (int j = 0; j < tree.joints(); ++j) free = free || !(users[j] || tree.links[j].coupled());
         return free;
     }
 

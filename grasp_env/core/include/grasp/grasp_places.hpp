@@ -353,14 +353,7 @@ struct HandLimbs {
 
     HandLimbs(std::shared_ptr<const Tree> hand, std::vector<Limb> limbs, Together pairs, const double* rest)
         : tree(std::move(hand)), all(std::move(limbs)), together(std::move(pairs)), home(rest, rest + tree->joints()) {
-        std::vector<int> users(tree->joints());
-        for (int i = 0; i < tree->fingers(); ++i) {
-            std::vector<int> chain, movers;
-            tree->chain(i, chain);
-            for (int j : chain)
-                if (const int mover = tree->mover(j); std::find(movers.begin(), movers.end(), mover) == movers.end())
-                    movers.push_back(mover), ++users[mover];
-        }
+        const std::vector<int> users = tree->users(tree->all_fingers());
         for (int i = 0; i < tree->fingers(); ++i) fingers.emplace_back(*tree, i, all, rest, users);
     }
 

@@ -162,11 +162,7 @@ private:
     static std::vector<FingerGroup> groups_of(const Tree& tree) {
         std::vector<FingerGroup> out;
         for (int finger = 0; finger < tree.fingers(); ++finger) {
-            std::vector<int> chain, joints;
-            tree.chain(finger, chain);
-            for (int j : chain) joints.push_back(tree.mover(j));
-            std::sort(joints.begin(), joints.end());
-            joints.erase(std::unique(joints.begin(), joints.end()), joints.end());
+            const std::vector<int> joints = tree.movers(finger);
             FingerGroup made{{finger}, joints};
             std::vector<FingerGroup> rest;
             for (FingerGroup& group : out) {

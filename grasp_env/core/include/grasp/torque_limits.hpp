@@ -18,17 +18,10 @@ public:
         : tree_(std::move(tree)), fingers_(fingers),
           newton_(generic::LimitedNewton::make(pipeline.contacts(), options, LimitRows{}, pipeline.held().basis.data(), true)),
           row_(record_size(int(fingers.size()))), last_(3 * fingers.size()), own_(tree_->joints(), -1) {
-        std::vector<int> moved(tree_->joints(), 0), chain;
-        std::vector<char> mine(tree_->joints());
-        for (int i : fingers_) {
-            std::fill(mine.begin(), mine.end(), 0);
-            tree_->chain(i, chain);
-            for (int j : chain) mine[tree_->mover(j)] = 1;
-            for (int j = 0; j < tree_->joints(); ++j) moved[j] += mine[j];
-        }
+        const std::vector<int> users = tree_->users(fingers_);
         for (int j = 0; j < tree_->joints(); ++j) {
-            shares = shares || moved[j] > 1;
-            if (moved[j] != 1) continue;
+            shares = shares || users[j] > 1;
+            if (users[j] != 1) continue;
             own_[j] = int(limit_.size());
             limit_.push_back(tree_->links[j].torque_limit);
         }

@@ -1,7 +1,9 @@
 // A hand as a tree of links, each moved by a joint: where the links are, how points of them move, what pushes with them.
 #pragma once
 #include <array>
+#include <algorithm>
 #include <memory>
+#include <numeric>
 #include "rotation.hpp"
 
 namespace grasp {
@@ -42,6 +44,26 @@ struct Tree {
     }
     // The joint with a motor that moves a joint.
     int mover(int joint) const { return links[joint].coupled() ? links[joint].driver : joint; }
+    // The joints with motors that move a fingertip, ascending: the driver of a coupled joint may lie in another finger.
+    std::vector<int> movers(int finger) const {
+        std::vector<int> out;
+        for (int j = tips[finger].link; j >= 0; j = links[j].parent) out.push_back(mover(j));
+        std::sort(out.begin(), out.end());
+        out.erase(std::unique(out.begin(), out.end()), out.end());
+        return out;
+    }
+    // How many of some fingers the motor of each joint moves, (M,).
+    std::vector<int> users(const std::vector<int>& fingers) const {
+        std::vector<int> out(joints());
+        for (int i : fingers)
+            for (int j : movers(i)) ++out[j];
+        return out;
+    }
+    std::vector<int> all_fingers() const {
+        std::vector<int> out(fingers());
+        std::iota(out.begin(), out.end(), 0);
+        return out;
+    }
     // The finger whose tip is on a link; -1: none.
     int finger_at(int link) const {
         for (int i = fingers() - 1; i >= 0; --i)
