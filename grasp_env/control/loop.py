@@ -290,7 +290,6 @@ class ForceLoop:
     def limits(self, fingers: Indices) -> ForceLimits:
         """The motors' limits on the forces of some fingers (n,) at the contacts of now: what their links' weight leaves."""
         seen, kinematics = self.seen, self.scene.kinematics
-        free = np.flatnonzero(kinematics.drivers == np.arange(len(seen.angles)))
         jacobian = np.empty((len(fingers), 4, len(seen.angles)))
         frames = seen.rotation @ contact_frames(seen.normals[fingers])
         for row, finger, frame in zip(jacobian, fingers, frames, strict=True):
@@ -300,8 +299,8 @@ class ForceLoop:
             # omega . n = (omega x o) . (n x o), and n x o = t
             row[3] = frame[:, 2] @ (kinematics.link_jacobian(seen.angles, link, touch + frame[:, 1]) - moves)
         return ForceLimits(
-            jacobian=jacobian[:, :, free], torque_limit=kinematics.torque_limits[free],
-            torque_bias=seen.gravity_torques[free],
+            jacobian=jacobian[:, :, kinematics.motors], torque_limit=kinematics.torque_limits[kinematics.motors],
+            torque_bias=seen.gravity_torques[kinematics.motors],
         )  # fmt: skip
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:

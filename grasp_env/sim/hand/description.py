@@ -95,7 +95,7 @@ class HandDescription:
     def _coupled(self, angles: tuple[float, ...]) -> tuple[float, ...]:
         """Angles (M,) at which coupled joints follow theirs."""
         return tuple(
-            angle if link.mimic is None else link.mimic.ratio * angles[driver] + link.mimic.offset
+            angle if link.mimic is None else link.mimic.angle(angles[driver])
             for link, angle, driver in zip(self.links, angles, self.drivers, strict=True)
         )
 

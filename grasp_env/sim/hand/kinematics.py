@@ -26,6 +26,7 @@ class HandKinematics:
         home: Rest posture [rad], (M,).
         lower, upper: Joint limits [rad], (M,), -inf and inf where there are none, such that joints coupled to them keep theirs.
         torque_limits: [N m], (M,). drivers: The joint that drives each, (M,): its own number but for coupled ones.
+        motors: The joints that have one, ascending.
         tip_links: The number of each fingertip's link, (N,); tip_radii: [m], (N,).
         carries: Whether a joint's motor moves a fingertip, (N, M) bool.
         reach: Most that a tip can be away from the origin of its finger's first joint [m], (N,).
@@ -42,6 +43,7 @@ class HandKinematics:
         numbers = {link.name: index for index, link in enumerate(hand.links)}
         parents = [numbers.get(link.parent, -1) for link in hand.links]
         self.drivers: Indices = np.array(hand.drivers, dtype=np.int64)
+        self.motors: Indices = np.flatnonzero(self.drivers == np.arange(hand.joint_count))
         self.lower, self.upper = _ranges(hand)
         self.tree = core.Tree.make(
             [
@@ -149,7 +151,7 @@ class HandKinematics:
             What a force of 1 N on a tip accelerates it at most, (N,) [1/kg]; for joints with springs of their own all at once what
             1 N m does, as a bound, (M,) [1/(kg m^2)]; 0 where nothing moves.
         """
-        free = np.flatnonzero(self.drivers == np.arange(self.hand.joint_count))
+        free = self.motors
         inverse = np.linalg.inv(self.mass_matrix(angles)[np.ix_(free, free)])
         tips = np.empty(self.hand.finger_count)
         for finger in range(self.hand.finger_count):
@@ -256,10 +258,7 @@ def _ranges(hand: HandDescription) -> tuple[Array, Array]:
                 f"hand {hand.name!r}: the limits of joint {hand.links[driver].joint!r} and of those coupled to it leave it no range"
             )
         if link.mimic is not None:
-            ends = (
-                link.mimic.ratio * lower[driver] + link.mimic.offset,
-                link.mimic.ratio * upper[driver] + link.mimic.offset,
-            )
+            ends = link.mimic.angle(lower[driver]), link.mimic.angle(upper[driver])
             lower[index], upper[index] = min(ends), max(ends)
     return lower, upper
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linprog
 
 from grasp_env._check import Array
 from grasp_env.sim.hand.solids import beneath, few_corners, hull_of, outline
@@ -99,7 +100,5 @@ def freed(link: Link, ball: Ball, direction: Array) -> Link:
 
 def _best(gain: Sequence[float] | Array, rows: Array, sides: Array) -> Array | None:
     """The x with rows @ x <= sides at which gain @ x is largest; None: there is none."""
-    from scipy.optimize import linprog
-
     found = linprog(-np.asarray(gain), A_ub=rows, b_ub=sides, bounds=[(None, None)] * rows.shape[1])
     return None if found.x is None or not found.success else np.asarray(found.x)

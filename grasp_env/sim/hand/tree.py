@@ -104,6 +104,10 @@ class Mimic:
             raise InvalidInputError(f"{name}: ratio=0.0 does not move the joint; make it fixed")
         _fix(self, joint=word(self.joint, "mimic: joint"), ratio=ratio, offset=offset)
 
+    def angle(self, driver: float) -> float:
+        """Of the coupled joint where the other one is at `driver` [rad], of sliding joints [m]."""
+        return self.ratio * driver + self.offset
+
 
 @dataclass(frozen=True)
 class Link:

@@ -490,6 +490,6 @@ def _driven(joints: list[UrdfJoint]) -> list[UrdfJoint]:
     for joint in joints:
         mimic = joint.mimic
         while mimic is not None and (before := by_name[mimic.joint].mimic) is not None:
-            mimic = Mimic(before.joint, mimic.ratio * before.ratio, mimic.ratio * before.offset + mimic.offset)
+            mimic = Mimic(before.joint, mimic.ratio * before.ratio, mimic.angle(before.offset))
         driven.append(replace(joint, mimic=mimic))
     return driven
