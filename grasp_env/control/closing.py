@@ -6,12 +6,9 @@ import numpy as np
 
 from grasp_env.control.loop import ForceLoop, critically_damped
 from grasp_env.errors import SimulationError
-from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.scene import Scene
 from grasp_env.task.motion import resting_target
 
-CLEARANCE = START_CLEARANCE
-"""[m] between tips and object before the fingers close."""
 CLOSING_TIME, SETTLING_TIME = 4.0, 0.6
 """[s] at most until every finger touches, and until the hand carries the weight at rest."""
 _STILL, _PLACED = 2e-3, 3e-5  # [m/s], [m] of the object, below which it is at rest in its place
@@ -19,11 +16,8 @@ _QUIET, _SETTLED = 8, 4  # control ticks in a row
 _SLOW, _ENERGY = 0.1, 1e-5  # [rad/s], [J] of the fingers
 _WEIGHT_ERROR = 0.01
 _BESIDE, _GONE = 1e-3, 5e-3  # [m] of the object: still in its place if it stays there, being lost
-_NEARLY, _END, _STRAY = (
-    1.0 - 1e-6,
-    5e-3,
-    0.05,
-)  # of a torque limit; [rad] from a joint's limit; [N] of links on the object
+_NEARLY = 1.0 - 1e-6  # of a torque limit
+_END, _STRAY = 5e-3, 0.05  # [rad] from a joint's limit; [N] of links on the object
 _JIG = 100.0  # [rad/s], critically damped: what holds the object until the hand does
 
 

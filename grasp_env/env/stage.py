@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from grasp_env.config import EnvConfig
-from grasp_env.control.closing import CLEARANCE, close_hand, take_over
+from grasp_env.control.closing import close_hand, take_over
 from grasp_env.control.loop import ForceLoop
 from grasp_env.errors import GraspError, SimulationError
 from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
+from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping import place_hand, plan_grasp
 from grasp_env.sim.hand.description import HANDS, HandDescription
@@ -47,29 +49,24 @@ class Stage:
         self.config, self._loop = config, loop
         self._given = config.hand if isinstance(config.hand, HandDescription) else HANDS[config.hand]()
         self._fixed = self._given.placed or bool(config.contact_points)
+        self._visible = gui, visuals
+        self._nominal: HandKinematics | None = None
+        self._scene: Scene | None = None
         self.redrawn = 0
         self.item = self._described()
-        scene: Scene | None = None
-        failures: list[GraspError] = []
-        for seed in range(1 if self._fixed else PLACINGS):
-            try:
-                hand = self._given if self._fixed else place_hand(self._given, self.item, seed=seed)
-                self._nominal = self.kinematics = HandKinematics(hand)
-                if scene is None:
-                    scene = Scene(self._grasp_of(self.item), gui=gui, visuals=visuals)
-                else:
-                    scene.load(self._grasp_of(self.item))
-                self.scene = scene
-                close_hand(scene, self._loop)
-                scene.keep("closed")
-                self._settle(self.item)
-                scene.keep("settled")
-                return
-            except GraspError as error:
-                failures.append(error)
-        if scene is not None:
-            scene.close()
-        raise failures[-1]
+        try:
+            self._hold(self.item, keep=True)
+        except GraspError:
+            if self._scene is not None:
+                self._scene.close()
+            raise
+        self._nominal = self.kinematics
+
+    @property
+    def scene(self) -> Scene:
+        """The simulation."""
+        assert self._scene is not None
+        return self._scene
 
     def set(self, rng: np.random.Generator) -> None:
         """The hand holds the object of the next episode at rest: the same, or one drawn from `rng`.
@@ -132,27 +129,48 @@ class Stage:
         }
         return replace(drawn, **kept)
 
-    def _hold(self, item: ObjectDescription) -> None:
-        """The hand holds another object: where it held the first, else, if nobody placed it, where it is placed for this one.
+    def _hold(self, item: ObjectDescription, keep: bool = False) -> None:
+        """The hand holds an object: where it held the first, else, if nobody placed it, where it is placed for this one.
+
+        Args:
+            item: The object.
+            keep: The states "closed" and "settled".
 
         Raises:
             GraspError: nowhere.
         """
-        touching = set(self._nominal.hand.finger_names)  # what is observed of them keeps its shape
-        same = replace(self._given, fingertips=tuple(tip for tip in self._given.fingertips if tip.name in touching))
-        self.kinematics = self._nominal
         failures: list[GraspError] = []
-        for seed in range(1 if self._fixed else 1 + PLACINGS):
+        for place in self._places(item):
             try:
-                if seed:
-                    self.kinematics = HandKinematics(place_hand(same, item, seed=seed - 1, least=len(touching)))
-                self.scene.load(self._grasp_of(item))
+                self.kinematics = place()
+                grasp = self._grasp_of(item)
+                if self._scene is None:
+                    self._scene = Scene(grasp, *self._visible)
+                else:
+                    self._scene.load(grasp)
                 close_hand(self.scene, self._loop)
+                if keep:
+                    self.scene.keep("closed")
                 self._settle(item)
+                if keep:
+                    self.scene.keep("settled")
                 return
             except GraspError as error:
                 failures.append(error)
         raise failures[-1]
+
+    def _places(self, item: ObjectDescription) -> Iterator[Callable[[], HandKinematics]]:
+        """Where the hand may hold an object, each found when it is asked for."""
+        hand, least, nominal = self._given, None, self._nominal
+        if nominal is not None:
+            yield lambda: nominal
+            touching = set(nominal.hand.finger_names)  # what is observed of them keeps its shape
+            tips = tuple(tip for tip in hand.fingertips if tip.name in touching)
+            hand, least = replace(hand, fingertips=tips), len(touching)
+        elif self._fixed:
+            yield lambda: HandKinematics(hand)
+        for seed in range(0 if self._fixed else PLACINGS):
+            yield lambda seed=seed: HandKinematics(place_hand(hand, item, seed=seed, least=least))
 
     def _grasp_of(self, item: ObjectDescription) -> SceneConfig:
         config = self.config
@@ -170,7 +188,7 @@ class Stage:
             engine=engine_of(config.engine),
             physics_rate=config.physics_rate,
             substeps=config.physics_rate // config.control_rate,
-            clearance=CLEARANCE,
+            clearance=START_CLEARANCE,
         )
 
     def _settle(self, item: ObjectDescription) -> None:
