@@ -16,7 +16,7 @@ from training.cli import main
 from training.report.holds import build_env_report
 from training.runs import Run
 from training.runs.statistics import mean_interval, wilson
-from training.trials import hold_rates as env_evaluation
+from training.trials import holds
 from training.trials.hold_metrics import cell_metrics, choose, env_metrics, failures, paired
 from training.trials.hold_plan import CONTROLLERS, NO_START, SCENARIO_LABELS, Cell, plan
 from training.trials.hold_rates import evaluate_env
@@ -219,19 +219,19 @@ def test_workers_do_not_matter_and_an_interrupted_run_goes_on(tmp_path, monkeypa
     cells = [Cell("objects", "paper", 5, SHORT), Cell("objects", "pd", 2, {**SHORT, "controller": "pd"})]
     one = run("one", 1, cells)
 
-    real = env_evaluation.run_jobs
+    real = holds.run_jobs
 
     def stopped(here: Run, jobs: list[Any], workers: int) -> Any:
         yield from real(here, jobs[:1], workers)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(env_evaluation, "run_jobs", stopped)
+    monkeypatch.setattr(holds, "run_jobs", stopped)
     with pytest.raises(KeyboardInterrupt):
         run("two", 2, cells)
     assert (tmp_path / "two/trials/objects/paper.npz").is_file()
     assert not (tmp_path / "two/run.json").exists()
     written = (tmp_path / "two/trials/objects/paper.npz").stat().st_mtime_ns
-    monkeypatch.setattr(env_evaluation, "run_jobs", real)
+    monkeypatch.setattr(holds, "run_jobs", real)
     with pytest.raises(InvalidInputError, match="begun with other"):
         run("two", 2, cells[:1])
     two = run("two", 2, cells)

@@ -16,7 +16,7 @@ from training.cli import main
 from training.report.build import build_report
 from training.report.hands import build_hands_report, build_transfer_report
 from training.runs import Run
-from training.trials import hand_trials
+from training.trials import holds
 from training.trials.hand_metrics import chance, hand_metrics, transfer_metrics
 from training.trials.hand_plan import BOTH, ENGINES, Scenario, hands_plan, short_name, transfer_plan
 from training.trials.hand_trials import evaluate_hands, evaluate_transfer, run_chunk
@@ -155,18 +155,18 @@ def test_transfer_in_small_goes_on_where_it_was_interrupted(tmp_path: Path, monk
     pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
     plan = [Scenario(f"four_finger/{name}", "four_finger", name, BOTH, 1, SHORT) for name in ("objects", "estimated")]
     config = TransferConfig(out=str(tmp_path), name="t", workers=1, quick=True)
-    real = hand_trials.run_jobs
+    real = holds.run_jobs
 
     def stopped(run: Run, jobs: list[Any], workers: int) -> Any:
         yield from real(run, jobs[:1], workers)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(hand_trials, "run_jobs", stopped)
+    monkeypatch.setattr(holds, "run_jobs", stopped)
     with pytest.raises(KeyboardInterrupt):
         evaluate_transfer(config, QUIET, plan)
     assert (tmp_path / "t/trials/four_finger/objects.npz").is_file()
     assert not (tmp_path / "t/run.json").exists()
-    monkeypatch.setattr(hand_trials, "run_jobs", real)
+    monkeypatch.setattr(holds, "run_jobs", real)
     with pytest.raises(InvalidInputError, match="begun with other"):
         evaluate_transfer(config, QUIET, plan[:1])
     run = evaluate_transfer(config, QUIET, plan)

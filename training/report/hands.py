@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from training.report.holds import CAUSE_COLOURS, NUMBERS, interval
+from training.report.holds import NUMBERS, cause_bars, interval
 from training.report.page import (
     Columns,
     Picture,
@@ -216,18 +216,4 @@ def _label(row: dict[str, Any]) -> str:
 
 def causes(rows: list[dict[str, Any]]) -> Figure:
     """Share of episodes that were not held, by cause, for every scenario and engine."""
-    figure, axes = new_figure(9.6, 1.2 + 0.24 * len(rows))
-    left = np.zeros(len(rows))
-    for cause, colour in CAUSE_COLOURS.items():
-        share = np.array([100 * row["failures"].get(cause, 0) / row["episodes"] for row in rows])
-        if share.any():
-            axes.barh(np.arange(len(rows)), share, left=left, color=colour, label=cause.replace("_", " "))
-            left += share
-    axes.set(
-        yticks=np.arange(len(rows)), yticklabels=list(map(_label, rows)), xlabel="episodes not held [%]", xlim=(0, 100)
-    )
-    axes.tick_params(axis="y", labelsize=6)
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-    if left.any():
-        axes.legend(fontsize=8, frameon=False)
-    return figure
+    return cause_bars(rows, list(map(_label, rows)), (9.6, 1.2), 6)

@@ -251,24 +251,35 @@ def drift_ecdf(trials: dict[str, Trials]) -> Figure:
     return figure
 
 
-def failure_bars(metrics: dict[str, Any]) -> Figure:
-    """Share of episodes that were not held, by cause, for every cell but the swept ones."""
-    chosen = {name for best in metrics["chosen"].values() for name in best.values()}
-    rows = [row for row in metrics["cells"] if row["swept"] is None or row["name"] in chosen]
-    figure, axes = new_figure(8.8, 0.9 + 0.24 * len(rows))
+def cause_bars(rows: list[dict[str, Any]], labels: list[str], size: tuple[float, float], letters: int) -> Figure:
+    """Share of episodes that were not held, by cause, a bar a row.
+
+    Args:
+        rows: with failures and episodes.
+        labels: of the bars.
+        size: width, and height without the bars [inches].
+        letters: size of the labels [points].
+    """
+    figure, axes = new_figure(size[0], size[1] + 0.24 * len(rows))
     left = np.zeros(len(rows))
     for cause, colour in CAUSE_COLOURS.items():
         share = np.array([100 * row["failures"].get(cause, 0) / row["episodes"] for row in rows])
         if share.any():
             axes.barh(np.arange(len(rows)), share, left=left, color=colour, label=cause.replace("_", " "))
             left += share
-    labels = [_cell_label(row) for row in rows]
     axes.set(yticks=np.arange(len(rows)), yticklabels=labels, xlabel="episodes not held [%]", xlim=(0, 100))
-    axes.tick_params(axis="y", labelsize=7)
+    axes.tick_params(axis="y", labelsize=letters)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     if left.any():
         axes.legend(fontsize=8, frameon=False)
     return figure
+
+
+def failure_bars(metrics: dict[str, Any]) -> Figure:
+    """Share of episodes that were not held, by cause, for every cell but the swept ones."""
+    chosen = {name for best in metrics["chosen"].values() for name in best.values()}
+    rows = [row for row in metrics["cells"] if row["swept"] is None or row["name"] in chosen]
+    return cause_bars(rows, [_cell_label(row) for row in rows], (8.8, 0.9), 7)
 
 
 def _cell_label(row: dict[str, Any]) -> str:

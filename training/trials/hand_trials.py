@@ -5,10 +5,8 @@ from __future__ import annotations
 import time
 import warnings
 from dataclasses import asdict
-from itertools import chain
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from grasp_env._extras import need
@@ -17,9 +15,9 @@ from grasp_env.errors import GraspError
 from grasp_env.sim import HandDescription
 from training.data.episodes import episode
 from training.runs import Run, default_name, provenance
-from training.runs.workers import Job, begin, progress, run_jobs
+from training.runs.workers import begin
 from training.trials.hand_plan import ENGINES, PRESETS, Scenario, hands_plan, transfer_plan
-from training.trials.holds import columns, run_trial, settings_of
+from training.trials.holds import roll_out, run_trial, settings_of
 from training.trials.settings import HandsConfig, TransferConfig
 
 CHUNK = 2
@@ -76,11 +74,7 @@ def _roll_out(kind: str, config: Any, plan: list[Scenario], console: Console | N
     run = Run.create(config.out, config.name or default_name(kind))
     begun = {"seed": config.seed, "quick": config.quick, "scenarios": [asdict(scenario) for scenario in plan]}
     begin(run, begun, "hands, engines, episodes, seed or settings")
-    jobs = [job for job in _jobs(plan, config.seed) if not job.done(run)]
-    with progress(console) as bar:
-        task = bar.add_task("episodes", total=sum(len(job.calls) for job in jobs))
-        for job, _ in run_jobs(run, jobs, config.workers):
-            bar.update(task, advance=1, description=f"{job}, {CHUNK} seeds at a time")
+    roll_out(run, plan, CHUNK, run_chunk, config, console)
     settings = {**asdict(config), "name": run.folder.name}
     run.write_json("run.json", {"kind": kind, **provenance(), **begun, "speed": _speeds(plan), "config": settings})
     return run
@@ -99,22 +93,6 @@ def _tell_repairs(name: str, console: Console) -> None:
         HandDescription.from_urdf(name)
     for warning in told:
         console.print(f"repaired: {warning.message}", highlight=False, soft_wrap=True)
-
-
-def _jobs(plan: list[Scenario], seed: int) -> list[Job]:
-    """A job per scenario, trials/<name>, its episodes of the seeds seed, seed + 1, ... in chunks."""
-    out = []
-    for scenario in plan:
-        seeds = range(seed, seed + scenario.episodes)
-        chunks = [list(seeds[k : k + CHUNK]) for k in range(0, len(seeds), CHUNK)]
-        out.append(
-            Job(f"trials/{scenario.name}", [(run_chunk, (asdict(scenario), chunk)) for chunk in chunks], _joined)
-        )
-    return out
-
-
-def _joined(chunks: list[list[dict[str, Any]]]) -> dict[str, np.ndarray]:
-    return columns(list(chain.from_iterable(chunks)))
 
 
 def _speeds(plan: list[Scenario]) -> dict[str, dict[str, float]]:

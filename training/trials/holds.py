@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import functools
 import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
@@ -18,6 +21,8 @@ from grasp_env.sim.grasping.points import grasp_points
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import random_object
 from training.data.episodes import episode
+from training.runs import Run
+from training.runs.workers import Job, progress, run_jobs
 from training.trials.hold_plan import NO_START, NOT_PLACED, Cell
 
 _REDRAWS = 100
@@ -89,6 +94,31 @@ def torque_limit() -> float:
 def run_chunk(cell: dict[str, Any], seeds: list[int]) -> list[dict[str, Any]]:
     """The trials of some seeds, for a worker process."""
     return [run_trial(cell["settings"], cell["random_objects"], seed) for seed in seeds]
+
+
+def roll_out(
+    run: Run, parts: Sequence[Any], chunk: int, work: Callable[..., Any], config: Any, console: Console
+) -> None:
+    """What is not there yet of a plan, over spawned workers: a file trials/<name> for each part, kept as it is done.
+
+    Args:
+        run: receives the files.
+        parts: dataclasses with a name and a number of episodes, whose seeds are config.seed, config.seed + 1, ...
+        chunk: seeds that a worker is given at a time.
+        work: (part as a dictionary, seeds) to rows of `run_trial`.
+        config: seed and workers.
+        console: for the progress.
+    """
+    jobs = []
+    for part in parts:
+        seeds = range(config.seed, config.seed + part.episodes)
+        calls = [(work, (asdict(part), list(seeds[k : k + chunk]))) for k in range(0, len(seeds), chunk)]
+        jobs.append(Job(f"trials/{part.name}", calls, lambda rows: columns(list(chain.from_iterable(rows)))))
+    left = [job for job in jobs if not job.done(run)]
+    with progress(console) as bar:
+        task = bar.add_task("episodes", total=sum(len(job.calls) for job in left))
+        for job, _ in run_jobs(run, left, config.workers):
+            bar.update(task, advance=1, description=f"{job}, {chunk} seeds at a time")
 
 
 def columns(rows: list[dict[str, Any]]) -> dict[str, np.ndarray]:
