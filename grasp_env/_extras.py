@@ -13,6 +13,7 @@ EXTRAS = {
     "cli": ("rich", "tyro"),
     "sim": ("PIL", "gymnasium", "pybullet", "trimesh"),
     "mujoco": ("mujoco",),
+    "live": ("viser",),
     "train": ("stable_baselines3", "tensorboard", "torch"),
     "report": ("PIL", "imageio", "jinja2", "matplotlib"),
     "video": ("imageio_ffmpeg", "moviepy"),
