@@ -1,6 +1,7 @@
-"""Contacts, grasps and wrenches, their files and frames. numpy; `advice` also needs scipy."""
+"""Contacts, grasps and wrenches, their files and frames. numpy; `advise` also needs scipy."""
 
 from grasp_env.grasp import presets, wrench
+from grasp_env.grasp.advice import advise
 from grasp_env.grasp.files import load_grasp, save_grasp
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
@@ -8,6 +9,7 @@ from grasp_env.grasp.transforms import gravity_wrench, transform_wrench, transfo
 
 __all__ = [
     "Grasp",
+    "advise",
     "gravity_wrench",
     "load_grasp",
     "null_space_basis",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import linprog
 
 from grasp_env._check import Array
 from grasp_env.grasp.grasp import Grasp, as_grasp
@@ -51,6 +50,8 @@ def has_force_closure(grasp: Grasp, flipped: Array | None = None) -> bool:
         grasp: the contacts; rank(G) = 6, as of every `Grasp`.
         flipped: (N,) bool, contacts whose normals are taken the other way round.
     """
+    from scipy.optimize import linprog  # here: geometry alone needs numpy only
+
     models = as_grasp(grasp).models
     angles = 2.0 * np.pi * np.arange(_EDGES) / _EDGES
     sign = np.ones(grasp.n_contacts) if flipped is None else np.where(flipped, -1.0, 1.0)
