@@ -6,7 +6,6 @@ import sys
 from collections.abc import Sequence
 
 from grasp_env._extras import need
-from grasp_env._files import shown_path
 from grasp_env.errors import GraspError
 
 
@@ -25,6 +24,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"grasp: {error}\n")
         return 2
     except OSError as error:  # a disk that is full, a folder that is closed, a name too long: of whatever file
+        from grasp_env._files import shown_path
+
         sys.stderr.write(f"grasp: {shown_path(error.filename)}: {error.strerror or error}; choose another path\n")
         return 2
     except KeyboardInterrupt:

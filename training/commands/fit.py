@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -88,23 +87,21 @@ class Fit:
         tyro.conf.arg(name=""),
     ] = field(default_factory=FourFinger)
 
+    @staticmethod
+    def spelled_out(words: list[str]) -> list[str]:
+        """The options, behind the model that they leave out where they are some of its own.
+
+        Example:
+            >>> Fit.spelled_out(["--seed", "1"]), Fit.spelled_out(["any_grasp"])
+            (['four_finger', '--seed', '1'], ['any_grasp'])
+        """
+        bare = bool(words) and words[0].startswith("--") and words[0] != "--help"
+        return ["four_finger", *words] if bare else words
+
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         with interruptible(orderly=False):  # until the training itself takes them
             self.model.execute()
-
-
-def spelled_out(arguments: Sequence[str] | None) -> list[str]:
-    """The command line with `fit four_finger` where it says `fit` and goes on with an option.
-
-    Example:
-        >>> spelled_out(["fit", "--seed", "1"])
-        ['fit', 'four_finger', '--seed', '1']
-    """
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    if words[:1] == ["fit"] and words[1:2] and words[1].startswith("--") and words[1] != "--help":
-        words.insert(1, "four_finger")
-    return words
 
 
 def _command() -> str:
