@@ -182,6 +182,19 @@ class ForcePipeline:
         """(6, 3N) G of the last optimum in cone coordinates. The same array at each call."""
         return self.held.cone_matrix
 
+    def to_object_frame(self, force: ContactForces) -> Array:
+        """Contact forces (N, 3) [N] of the last `solve` as vectors in object coordinates (N, 3) [N].
+
+        Example:
+            >>> from grasp_env.grasp import presets
+            >>> grasp, wrench = presets.tripod(), np.array([0, 0, -2.0, 0, 0, 0])
+            >>> pipeline = ForcePipeline(grasp)
+            >>> solution = pipeline.solve(grasp.positions, grasp.normals, wrench)
+            >>> pipeline.to_object_frame(solution.force).sum(axis=0).round(9) + 0.0   # they carry the weight
+            array([0., 0., 2.])
+        """
+        return np.einsum("nij,nj->ni", self.frames, as_array(force, self._shape, "force", ranges.SIZE))
+
     def reset(self) -> None:
         """Forgets all calls: the next solve gives the bits that the first ever gave."""
         self.core.reset()
