@@ -1,0 +1,48 @@
+"""
+Solve your own contacts
+=======================
+
+Three fingertips carry a mug of 0.3 kg; the contacts come from a drawing, in millimetres and with normals that point out of the
+object. To learn: let ``advise`` look at your numbers before you trust a force; it names both mistakes. In C++: ``01_first_solve.cpp``.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from grasp_env.force import optimize_force
+from grasp_env.grasp import Grasp, advise, gravity_wrench
+
+angles = np.radians([0, 130, 230])  # around the mug, 80 mm across
+drawing = 40 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(3)])
+outward = drawing / 40
+
+print("as drawn:")
+for text in advise(Grasp.from_contacts(drawing, outward, friction=0.6)):
+    print(f"- {text}")
+
+grasp = Grasp.from_contacts(drawing / 1000, -outward, friction=0.6)  # metres, normals INTO the object
+assert advise(grasp) == []
+
+weight = gravity_wrench(0.3)  # the force [N] and moment [N m] that act ON the mug
+solution = optimize_force(grasp, weight)
+solution.raise_for_status()  # an error unless the force is proven optimal
+print(f"\nin metres, inward: {solution.status.value}, squeezes with {solution.total_normal_force:.2f} N in all")
+print("contact   normal        o        t   [N]")
+for k, (normal, o, t) in enumerate(solution.force.round(3) + 0.0):
+    print(f"{k:7d} {normal:8.3f} {o:8.3f} {t:8.3f}")
+
+# the fingers' forces in the object's own axes: with the weight they sum to nothing
+vectors = grasp.to_object_frame(solution.force)
+print("fingers + weight:", (vectors.sum(axis=0) + weight[:3]).round(9) + 0.0, "N")
+assert abs(vectors.sum(axis=0) + weight[:3]).max() < 1e-9
+
+fig, ax = plt.subplots(figsize=(8, 4.5), subplot_kw={"projection": "3d"}, layout="constrained")
+ring = np.linspace(0, 2 * np.pi, 100)
+for height in (-50, 50):
+    ax.plot(40 * np.cos(ring), 40 * np.sin(ring), height, color="0.7")
+ax.quiver(*drawing.T, *(15 * vectors.T), color="tab:blue", pivot="tip", label="fingers' forces")
+ax.quiver(0, 0, 0, *(15 * weight[:3]), color="tab:red", label="weight")
+ax.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]", title="15 mm per newton")
+ax.set_aspect("equal")
+ax.legend()
+plt.show()

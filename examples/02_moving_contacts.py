@@ -1,0 +1,59 @@
+"""
+Contacts that move, at 1 kHz
+============================
+
+Four fingers hold a cuboid that is turned; their tips roll, so that every tick has other contacts. To learn: a ``ForcePipeline`` takes
+the contacts of now in one compiled call; other calls give the same forces many times slower. In C++: ``02_moving_contacts.cpp``.
+"""
+
+from time import perf_counter
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from grasp_env.force import ForceOptimizer, ForcePipeline, joint_torques, optimize_force
+from grasp_env.grasp import Grasp, gravity_wrench, presets
+
+nominal = presets.paper_cuboid()  # a thumb below, three fingers above; friction 0.4
+# velocities of the contact points by the joints, object frame [m]: three rows a contact, three joints a finger
+jacobian = np.kron(np.eye(4), [[0.05, 0, 0], [0.01, -0.02, -0.03], [0.06, 0.05, 0.03]])
+
+
+def world(seconds):
+    """Contact points [m], inward normals and the wrench [N, N m] of now, all in the object's frame."""
+    roll, turn = 6 * seconds + np.arange(4), np.pi * seconds  # the tips by a millimetre, the cuboid about y
+    points = nominal.positions + 1e-3 * np.column_stack([np.sin(roll), np.cos(roll), np.zeros(4)])
+    normals = nominal.normals + 1e-2 * np.column_stack([np.sin(roll), np.zeros((4, 2))])
+    rotation = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return points, normals, gravity_wrench(0.5, com=[0.005, 0, 0.01], rotation=rotation)
+
+
+pipeline = ForcePipeline(nominal, method="newton", initial="previous")
+optimizer = ForceOptimizer(nominal, method="newton", initial="previous")
+stamps, margins, torques = np.empty((1000, 4)), np.empty((1000, 4)), np.empty((1000, 12))
+for tick in range(1000):
+    points, normals, wrench = world(1e-3 * tick)
+    begin = perf_counter()
+    solution = pipeline.solve(points, normals, wrench)
+    piped = perf_counter()
+    optimizer.move_to(Grasp.from_contacts(points, normals, 0.4))  # knows more: limits, soft contacts
+    optimizer.solve(wrench)
+    moved = perf_counter()
+    optimize_force(Grasp.from_contacts(points, normals, 0.4), wrench, method="newton")
+    stamps[tick] = begin, piped, moved, perf_counter()
+    margins[tick] = 0.4 * solution.force[:, 0] - np.hypot(*solution.force[:, 1:].T)  # [N] from slipping
+    torques[tick] = joint_torques(jacobian, pipeline.to_object_frame(solution.force))
+
+pipe, moved, anew = np.median(1e6 * np.diff(stamps), axis=0)
+print(f"median: ForcePipeline {pipe:.1f} us, ForceOptimizer.move_to {moved:.1f} us, all anew {anew:.1f} us")
+print(f"largest joint torque {abs(torques).max():.3f} N m, least friction margin {margins.min():.3f} N")
+assert margins.min() > 0 and 3 * pipe < anew
+
+fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")
+left.plot(margins, label=["thumb", "finger 1", "finger 2", "finger 3"])
+right.plot(torques)
+left.set(xlabel="time [ms]", ylabel="friction margin [N]", ylim=0)
+right.set(xlabel="time [ms]", ylabel="torques of 12 joints [N m]")
+left.legend()
+plt.show()

@@ -1,0 +1,67 @@
+"""Every file of `examples/` is short, says what it shows in the form that the gallery reads, and runs to its end."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "examples"
+EXAMPLES = sorted(FOLDER.glob("*.py"))
+LINES = 60
+"""That an example stays below, docstring and imports included."""
+SECONDS = 60
+"""Most for one of them; all together take about a minute of one core."""
+each = pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+
+
+def test_they_read_in_order() -> None:
+    numbers = [int(found[1]) for path in EXAMPLES if (found := re.match(r"(\d\d)_", path.name))]
+    assert len(set(numbers)) == len(numbers)
+
+
+@each
+def test_an_example_is_short_and_says_what_it_shows(path: Path) -> None:
+    source = path.read_text(encoding="utf-8")
+    assert len(source.splitlines()) < LINES
+    assert max(map(len, source.splitlines())) <= 140
+    said = ast.get_docstring(ast.parse(source))
+    assert said, "no docstring"
+    title, line, *text = said.splitlines()
+    assert re.fullmatch("=+", line), "its title is underlined with ="
+    assert len(line) == len(title)
+    assert text[0] == "" and text[1] and "" not in text[1:], "then one paragraph"  # noqa: PT018
+    assert "To learn:" in said
+
+
+@each
+def test_an_example_uses_what_everybody_may(path: Path) -> None:
+    """Nothing private, and something that fails where its own output is wrong."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    names = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+    names |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+    names |= {alias.name for node in nodes if isinstance(node, ast.Import | ast.ImportFrom) for alias in node.names}
+    assert not [name for name in names if re.search(r"(^|\.)_", name)]
+    assert any(isinstance(node, ast.Assert) for node in nodes)
+
+
+@each
+def test_an_example_runs(path: Path, tmp_path: Path) -> None:
+    """As a user runs it, elsewhere, without a display; a warning is an error."""
+    plain = {name: value for name, value in os.environ.items() if name not in ("LD_PRELOAD", "DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-W", "error", path],
+        cwd=tmp_path,
+        env={**plain, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"},
+        capture_output=True,
+        text=True,
+        timeout=SECONDS,
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) >= 2
