@@ -44,6 +44,6 @@ except RankDeficientGraspError as error:
 fig, ax = plt.subplots(figsize=(8, 4.5), layout="constrained")
 ax.plot(forces, label=["thumb", "finger 1", "finger 2", "finger 3"])
 ax.axvspan(400, 600, color="0.92", label="finger 3 is off")
-ax.set(xlabel="time [ms]", ylabel="normal force [N]", xlim=(0, 1000), ylim=0)
+ax.set(xlabel="time [ms]", ylabel="normal force [N]", xlim=(0, 1000), ylim=(0, 7))
 ax.legend(ncols=5, loc="upper center")
 plt.show()

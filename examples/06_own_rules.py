@@ -53,6 +53,6 @@ fig, (top, bottom) = plt.subplots(2, 1, figsize=(8, 4.5), sharex=True, layout="c
 top.plot(times, np.transpose(forces), label=["x", "y", "z"])
 top.set(ylabel="force to balance [N]")
 top.legend(ncols=3, loc="upper right")
-bottom.plot(times, drift, color="0.3")
-bottom.set(xlabel="time [s]", ylabel="drift [mm]", ylim=0)
+bottom.plot(times, iterations, color="0.3")
+bottom.set(xlabel="time [s]", ylabel="iterations of the flow", ylim=0)
 plt.show()
