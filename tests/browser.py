@@ -53,9 +53,9 @@ class Browser:
                 return answer["result"]
 
     def show(
-        self, path: Path, width: int, height: int, *, scale: float = 1.0, media: str = "", **features: str
+        self, path: Path | str, width: int, height: int, *, scale: float = 1.0, media: str = "", **features: str
     ) -> None:
-        """Opens a file in a window of that size, for `media` "screen" or "print", with media features (prefers_...)."""
+        """Opens a file, or an address, in a window of that size, for `media` "screen" or "print", with media features (prefers_...)."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -66,7 +66,7 @@ class Browser:
         wanted = [{"name": name.replace("_", "-"), "value": value} for name, value in features.items()]
         self.call("Emulation.setEmulatedMedia", media=media, features=wanted)
         self._seen.discard("Page.loadEventFired")
-        self.call("Page.navigate", url=path.absolute().as_uri())
+        self.call("Page.navigate", url=path if isinstance(path, str) else path.absolute().as_uri())
         while "Page.loadEventFired" not in self._seen:
             self._next()
 
@@ -113,13 +113,21 @@ class Browser:
 
 
 @contextmanager
-def browser(executable: str) -> Iterator[Browser]:
-    """A browser without network, its profile in a temporary folder; ended and removed at the end."""
+def browser(executable: str, *, local: bool = False) -> Iterator[Browser]:
+    """A browser without network, its profile in a temporary folder; ended and removed at the end.
+
+    Args:
+        executable: its path.
+        local: it reaches servers on 127.0.0.1, and draws WebGL in software.
+    """
+    rules, graphics = "MAP * ~NOTFOUND", ["--disable-gpu"]
+    if local:
+        rules, graphics = f"{rules}, EXCLUDE 127.0.0.1", ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     (child_read, write), (read, child_write) = os.pipe(), os.pipe()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [
-            executable, "--headless", "--disable-gpu", "--no-first-run", "--remote-debugging-pipe", "--hide-scrollbars",
-            "--host-resolver-rules=MAP * ~NOTFOUND", "--disable-background-networking", "--disable-dev-shm-usage",
+            executable, "--headless", *graphics, "--no-first-run", "--remote-debugging-pipe", "--hide-scrollbars",
+            f"--host-resolver-rules={rules}", "--disable-background-networking", "--disable-dev-shm-usage",
             f"--user-data-dir={profile}", *(["--no-sandbox"] if os.geteuid() == 0 else []), "about:blank",
         ]  # fmt: skip
         # the protocol has its pipe at descriptors 3 and 4: put there by a process that then becomes the browser

@@ -103,6 +103,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
     "training": {
         "runs": set(),
         "peers": set(),
+        "live": set(),
         "data": set(),
         "demo": {"runs", "data"},
         "cases": {"data"},
@@ -112,7 +113,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "rl": {"runs", "data", "report"},
         "study": {"runs", "cases", "trials", "report"},
         "bench": {"runs", "data", "peers", "report"},
-        "commands": {"runs", "demo", "fit", "trials", "report", "rl", "study", "bench"},
+        "commands": {"runs", "demo", "fit", "trials", "report", "rl", "study", "bench", "live"},
     },
 }
 """The rooms of a package, the lowest first, and those that each may look into."""

@@ -18,6 +18,7 @@ from grasp_env.errors import UnknownNameError
 COMMANDS: dict[str, tuple[str, str]] = {
     "solve": ("Solve", "Optimise one grasp force and print it."),
     "hand": ("Hand", "Read a hand's URDF, and say what was repaired in it."),
+    "live": ("Live", "Show a grasp in the browser, to be pulled at."),
     "demo": ("Demo", "Save a picture or a video of the simulated hand."),
     "evaluate": ("Evaluate", "Compare starts, hands or engines, and write a report."),
     "report": ("Report", "Rebuild a run's report from its saved trials."),
