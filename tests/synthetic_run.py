@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from training.cases.set_table import SETS
-from training.cases.start_table import LABELS, LEARNED
+from training.cases.start_table import LEARNED, STARTS
 from training.runs import Run
 from training.runs.statistics import spread
 from training.trials.arrays import BUDGETS, LEVELS, METHODS, SCENARIOS
@@ -29,7 +29,7 @@ def synthetic_run(folder: Path, seed: int = 0) -> tuple[Run, dict[str, Any]]:
         trials = _trials(rng, name)
         run.write_arrays(f"trials/{name}.npz", trials)
         for method in METHODS:
-            starts[method][name] = {key: _row(trials, method, key) for key in LABELS}
+            starts[method][name] = {key: _row(trials, method, key) for key in STARTS}
     timing = _timing(rng)
     run.write_arrays("timing.npz", timing)
     run.write_arrays("rollouts.npz", _rollouts(rng))
@@ -45,16 +45,16 @@ def synthetic_run(folder: Path, seed: int = 0) -> tuple[Run, dict[str, Any]]:
             for name in USED
         },
         "starts": starts,
-        "events": {"rollout_changes": {event: {key: starts["reduced_flow"]["ball"][key] for key in LABELS} for event in ("lost", "landed")}},
+        "events": {"rollout_changes": {event: {key: starts["reduced_flow"]["ball"][key] for key in STARTS} for event in ("lost", "landed")}},
         "timing": {
             "repeats": 3, "wrenches": CASES,
-            "start": {key: _both(timing[f"{key}/start_us"]) for key in LABELS},
-            "total": {m: {key: _both(timing[f"{m}/{key}/total_us"]) for key in LABELS} for m in METHODS},
+            "start": {key: _both(timing[f"{key}/start_us"]) for key in STARTS},
+            "total": {m: {key: _both(timing[f"{m}/{key}/total_us"]) for key in STARTS} for m in METHODS},
         },
         "table_one": _table_one(),
         "continuity": {
             key: {"slope": spread(rng.lognormal(0, 0.3, 50)), "kink": spread(rng.lognormal(-3, 1, 50)), "jump_max": 1e-4}
-            for key in (*LABELS, "optimum")
+            for key in (*STARTS, "optimum")
         },
         "guarantee": {
             "learned_fixed": {"n": 1000, "worse": 0, "excess_max": -1e-9, "magnitudes": [1e-3, 1e3],
@@ -85,7 +85,7 @@ def synthetic_run(folder: Path, seed: int = 0) -> tuple[Run, dict[str, Any]]:
 def _trials(rng: np.random.Generator, name: str) -> dict[str, np.ndarray]:
     n, contacts = CASES, 4
     out = {"optimum/objective": np.ones(n), "optimum/force": 1 + rng.random((n, contacts, 3))}
-    for key in LABELS:
+    for key in STARTS:
         applies = not (name == "random_3" and key == "learned_fixed")
         scale = SPEED.get(key, 8.0)
         gap = scale * 1e-3 * rng.lognormal(0, 1, n)
@@ -130,7 +130,7 @@ def _both(values: np.ndarray) -> dict[str, Any]:
 
 def _timing(rng: np.random.Generator) -> dict[str, np.ndarray]:
     out = {}
-    for key in LABELS:
+    for key in STARTS:
         out[f"{key}/start_us"] = rng.lognormal(1.5, 0.1, (3, CASES))
         for method in METHODS:
             out[f"{method}/{key}/total_us"] = 5 + SPEED.get(key, 8.0) * rng.lognormal(0, 0.3, (3, CASES))

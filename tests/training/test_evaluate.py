@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import threading
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,12 @@ import pytest
 from rich.console import Console
 
 from grasp_env.errors import InvalidInputError
+from grasp_env.force import RULES, Objective
+from grasp_env.force.initial import SingleValue, StartRule
+from training.cases.given import Given
 from training.cases.set_table import SETS
-from training.cases.start_table import LABELS, LEARNED
+from training.cases.start_table import FITTED, LEARNED, STARTS
+from training.cases.starts import make_starts
 from training.cli import main
 from training.fit.settings import FitConfig
 from training.runs import Run
@@ -21,18 +26,54 @@ from training.runs.words import number
 from training.trials import comparison as evaluate_module
 from training.trials.arrays import SCENARIOS
 from training.trials.claims import claims, wins
+from training.trials.compare import cases_of, compare
 from training.trials.comparison import evaluate, plan
-from training.trials.metrics import metrics_of
+from training.trials.metrics import metrics_of, start_metrics
 from training.trials.settings import EvaluateConfig
 
 SMALL: dict[str, Any] = {"wrenches": 6, "timed": 4, "repeats": 2, "guarded": 60, "paths": 1, "episodes": 1, "steps": 10}
 
 
+OWN = """
+import numpy as np
+from grasp_env.force import LinearCombination
+
+class Sometimes:
+    def __call__(self, grasp, wrench):
+        if wrench[0] > 0.0:
+            raise ArithmeticError("not to the right")
+        return LinearCombination()(grasp, wrench)
+
+def unbalanced(grasp, wrench):
+    return np.tile([1.0, 0.0, 0.0], (grasp.n_contacts, 1))
+
+def outside(grasp, wrench):
+    return -(grasp.pseudoinverse @ wrench).reshape(-1, 3)
+
+two = 2
+"""
+GIVEN = ("sometimes", "unbalanced", "outside", "squeeze")
+"""Names of the starts that the run is given, the last from Python."""
+
+
+def squeezing() -> dict[str, Any]:
+    """A rule that only this process can name."""
+    return {"squeeze": lambda grasp, wrench: SingleValue()(grasp, wrench)}
+
+
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Run:
+def own(tmp_path_factory) -> tuple[str, ...]:
+    path = tmp_path_factory.mktemp("own") / "my_rules.py"
+    path.write_text(OWN)
+    return f"sometimes={path}:Sometimes", f"unbalanced={path}:unbalanced", f"outside={path}:outside"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, own) -> Run:
     out = tmp_path_factory.mktemp("runs")
     fit = FitConfig(steps=200, samples=8192, hidden=(32, 32), batch_size=512, threads=1)
-    found = evaluate(EvaluateConfig(out=str(out), name="small", fit=fit, **SMALL), Console(quiet=True))
+    config = EvaluateConfig(out=str(out), name="small", fit=fit, start=own, **SMALL)
+    found = evaluate(config, Console(quiet=True), squeezing())
     found.write_json("metrics.json", metrics_of(found))  # the pages have tests of their own
     return Run.open(out / "small", "metrics.json")
 
@@ -63,7 +104,7 @@ def test_metrics_say_what_the_trials_say(run, metrics):
         assert basis["iterations"] == sets["ball"]["linear_combination"]["iterations"]
         assert basis["gap_after"]["0"]["median"] == pytest.approx(basis["start_gap"]["median"])
     found = set(metrics["starts"]["reduced_flow"]["ball"])
-    assert found | {"learned_any"} == set(LABELS)
+    assert found == {*STARTS, FITTED, *GIVEN}
     assert metrics["table_one"]["rows"]["optimum"]["sum"] == pytest.approx(9.36, abs=0.01)
     for row in metrics["table_one"]["rows"].values():
         assert row["balance"] == pytest.approx(0.6, abs=1e-6)
@@ -73,7 +114,7 @@ def test_metrics_say_what_the_trials_say(run, metrics):
 
 def test_every_start_ends_at_the_optimum_of_the_ball(run):
     trials = run.read_arrays("trials/ball.npz")
-    for key in LABELS:
+    for key in STARTS:
         if f"newton/{key}/status" in trials:
             assert set(trials[f"newton/{key}/status"].tolist()) <= {0, 3, 4}
 
@@ -86,6 +127,77 @@ def test_learned_starts_keep_their_guarantee(metrics):
                     assert rows[key]["worse_than_basis"]["count"] == 0
                     assert rows[key]["margin_min"] > 0.0
     assert all(row["worse"] == 0 for row in metrics["guarantee"].values())
+
+
+def test_given_starts_stand_with_the_others_and_what_they_do_wrong_is_counted(run, metrics):
+    """In every set, by every method, timed, on the hand; nothing that they raise or return stops the run."""
+    assert list(metrics["run"]["given"]) == [FITTED, *GIVEN]
+    for sets in metrics["starts"].values():
+        for name, rows in sets.items():
+            mine, ours = rows["squeeze"], rows["single_value"]  # the same rule
+            assert {**mine, "worse_than_basis": None} == ours
+            for key, why in (("unbalanced", "out of balance"), ("outside", "outside the cones")):
+                assert rows[key]["no_start"] == rows[key]["cases"] == rows["squeeze"]["cases"]
+                assert rows[key]["reasons"] == {why: rows[key]["cases"]}
+            right = int((run.read_arrays(f"trials/{name}.npz")["case/wrench"][:, 0] > 0.0).sum())
+            assert rows["sometimes"]["no_start"] == right
+            assert rows["sometimes"]["reasons"] == ({"ArithmeticError: not to the right": right} if right else {})
+    for rows in metrics["timing"]["total"].values():
+        assert (rows["squeeze"]["best"]["n"], rows["outside"]["best"]["n"]) == (SMALL["timed"], 0)
+    for rows in metrics["rollouts"].values():
+        assert rows["squeeze"]["held"] == rows["squeeze"]["episodes"]
+        assert rows["outside"]["held"] == 0
+        assert rows["outside"]["failures"]
+    said = {row["claim"].split(":")[0]: row for row in claims(metrics) if row["kind"] == "given"}
+    assert {name: row["met"] for name, row in said.items()} == {
+        "learned fitted": True, "squeeze": True, "sometimes": False, "unbalanced": False, "outside": False,
+    }  # fmt: skip
+    assert "ArithmeticError" in said["sometimes"]["measured"]
+
+
+def test_a_rule_of_the_package_without_a_row_is_compared_too(monkeypatch):
+    """One entry of `RULES` is all that a new rule needs."""
+    monkeypatch.setitem(RULES, "newest", StartRule("newest", SingleValue))
+    rules = Given().rules(Objective())
+    assert list(rules) == ["newest"]
+    trials = compare("ball", cases_of("ball", 2, 0), make_starts(Objective(), rules), {}, Objective())
+    assert start_metrics(trials, "newton")["newest"]["cases"] == 2
+
+
+@pytest.mark.parametrize(
+    ("start", "told"),
+    [
+        ("lagrange={}:unbalanced", "the name lagrange is taken"),
+        ("optimum={}:unbalanced", "the name optimum is taken"),
+        ("a/b={}:unbalanced", "needs a name of letters"),
+        ("mine=nowhere_at_all:rule", "nowhere_at_all is not there"),
+        ("mine=nowhere.py:rule", "nowhere.py is not there"),
+        ("mine={}:two", "is no rule but of type int: a rule takes"),
+        ("mine={}:three", "has no 'three'; it has LinearCombination, Sometimes, unbalanced, outside"),
+        ("mine={}", "is no start: give NAME=module:rule"),
+        ("mine=", "is no start"),
+        ("mine=.", "holds no saved model"),
+        ("mine=there.json", "there.json"),
+    ],
+)
+def test_a_start_that_is_none_is_told_before_anything_runs(own, tmp_path, start, told, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    file = own[0].partition("=")[2].rpartition(":")[0]
+    assert main(["evaluate", "--out", str(tmp_path), "--start", start.format(file)]) == 2
+    assert told in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_all_faults_of_starts_are_told_at_once():
+    with pytest.raises(
+        InvalidInputError, match=r"the name mine is taken.*x=y is no start.*mine is no rule but of type int"
+    ):
+        Given.of(("mine=pathlib:Path", "x=y"), {"mine": 3})
+    lock = threading.Lock()
+    with pytest.raises(InvalidInputError, match="cannot be sent to the worker processes"):
+        Given.of((), {"mine": lambda grasp, wrench: lock})
+    with pytest.raises(InvalidInputError, match="at most 8 starts"):
+        Given.of((), {f"start_{k}": max for k in range(9)})
 
 
 def test_metrics_rebuild_without_solving(run, metrics, monkeypatch):
@@ -190,6 +302,7 @@ def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
             "out": str(tmp_path),
             "name": "half",
             "fit": FitConfig(**{**config["fit"], "hidden": tuple(config["fit"]["hidden"])}),
+            "start": tuple(config["start"]),
         }
     )
     with pytest.raises(InvalidInputError, match="other settings"):
@@ -202,10 +315,11 @@ def test_an_interrupted_run_goes_on(run, tmp_path, monkeypatch):
 
     monkeypatch.setattr(evaluate_module, "run_jobs", stop)
     with pytest.raises(KeyboardInterrupt):
-        evaluate(wanted, Console(quiet=True))
+        evaluate(wanted, Console(quiet=True), squeezing())
     assert set(asked) == {job for job in plan() if not job.startswith("trials/")} | {"trials/constant"}
     assert half.read_json("plan.json") == plan_before
-    again = evaluate_module.work("trials/constant", wanted, half.path(evaluate_module.MODEL))
+    given = Given.of((f"{FITTED}={half.path(evaluate_module.MODEL)}", *wanted.start), squeezing())
+    again = evaluate_module.work("trials/constant", wanted, given)
     first = run.read_arrays("trials/constant.npz")
     assert again.keys() == first.keys()
     for name, array in first.items():

@@ -43,7 +43,7 @@ def ball(models, starts):
 
 
 def test_all_starts_are_there(ball, starts):
-    assert set(starts_in(ball[1])) == set(starts) == set(STARTS) - {"learned_fitted"}
+    assert set(starts_in(ball[1])) == set(starts) == set(STARTS)
     assert set(BUILDERS) == set(How.__args__)
 
 

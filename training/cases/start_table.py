@@ -1,11 +1,13 @@
 """The starts that the evaluation compares: one row each, with all that tables, figures and clocks ask of it. Imports nothing heavy.
 
-A new start is a new row of `STARTS`; one that is made in a new way needs a class here and its line in `starts.BUILDERS`, too.
+A new start is a new row of `STARTS`; one that is made in a new way needs a class here and its line in `starts.BUILDERS`, too. What
+has no row here was given to a run (`given.py`): a rule of a user's, one of `grasp_env.force.RULES`, the model that the run fitted.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain
 
@@ -35,7 +37,7 @@ class Nearest:
 
 @dataclass(frozen=True)
 class Model:
-    """A saved model: one that ships with the package, or, without a name, the one that the run fits.
+    """A saved model that ships with the package.
 
     Attributes:
         shipped: its name in the package.
@@ -66,7 +68,12 @@ class Remembering:
     models: tuple[str, ...]
 
 
-How = Named | Previous | Nearest | Model | Alone | Stepped | Remembering
+@dataclass(frozen=True)
+class Given:
+    """What the run was given under this name."""
+
+
+How = Named | Previous | Nearest | Model | Alone | Stepped | Remembering | Given
 
 
 @dataclass(frozen=True)
@@ -102,6 +109,7 @@ class Row:
 
 STARTS: dict[str, Row] = {
     "single_value": Row("single value", "single value", ("#767677", "#a4a4a5"), Named("single_value")),
+    "phase_one": Row("phase one, the deepest force", "phase one", ("#6b7a12", "#b5c44a"), Named("phase_one")),
     "lagrange": Row("Lagrange", "Lagrange", ("#93651d", "#d3a04f"), Named("lagrange")),
     "linear_combination_printed": Row(
         "12-basis, as printed", "12-basis, printed", ("#3f87c9", "#8cc4f5"), Named("linear_combination_printed"), dashed=True
@@ -148,9 +156,6 @@ STARTS: dict[str, Row] = {
         "learned, with the previous solution", "learned + previous", ("#c2187a", "#ff80c4"),
         Remembering(("learned_any", "learned_fixed")), dashed=True, main=True,
     ),
-    "learned_fitted": Row(
-        "learned, fitted in this run", "learned, fitted", ("#8a5a44", "#d9a58c"), Model(""), dashed=True, main=True
-    ),
 }  # fmt: skip
 """Every start, in the order of the tables."""
 
@@ -177,12 +182,36 @@ def check(rows: dict[str, Row]) -> None:
 
 
 check(STARTS)
-LABELS = {key: row.label for key, row in STARTS.items()}
-SHORT = {key: row.short for key, row in STARTS.items()}
 MAIN = tuple(key for key, row in STARTS.items() if row.main)
 LEARNED = tuple(key for key, row in STARTS.items() if row.learned)
-MODELS = tuple(key for key, row in STARTS.items() if isinstance(row.how, Model))
-SHIPPED = {key: row.how.shipped for key, row in STARTS.items() if isinstance(row.how, Model) and row.how.shipped}
+SHIPPED = {key: row.how.shipped for key, row in STARTS.items() if isinstance(row.how, Model)}
 """The models' names in the package."""
-COLD = tuple(key for key, row in STARTS.items() if not row.remembers)
-"""The starts that no previous solution helps."""
+FITTED = "learned_fitted"
+"""Under which name a run is given the model that it fits."""
+GIVEN_COLOURS = (
+    ("#8a5a44", "#d9a58c"), ("#006d9c", "#7fd4ff"), ("#a8326e", "#ffb0d8"), ("#4b6b00", "#c8e86a"), ("#5c4bc4", "#b9b0ff"),
+    ("#00706b", "#6fe8da"), ("#9c4a00", "#ffc48a"), ("#5f5f00", "#dede7a"),
+)  # fmt: skip
+"""Of given starts, on a light and on a dark page, in their order: a run compares no more of them."""
+
+
+def row_of(key: str) -> Row:
+    """What tables say of a start; a given one is called by its name.
+
+    Example:
+        >>> row_of("lagrange").label, row_of("my_rule").label, row_of("my_rule").main
+        ('Lagrange', 'my rule', True)
+    """
+    return STARTS.get(key) or Row(
+        key.replace("_", " "), key.replace("_", " "), GIVEN_COLOURS[0], Given(), dashed=True, main=True
+    )
+
+
+def given_in(keys: Iterable[str]) -> list[str]:
+    """Those that were given to a run."""
+    return [key for key in keys if key not in STARTS]
+
+
+def main_of(keys: Iterable[str]) -> list[str]:
+    """Those that stand in what cannot show all, in the order of the tables."""
+    return [key for key in keys if row_of(key).main]

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from grasp_env.force import (
     optimize_forces,
 )
 from grasp_env.force.basis import starter
+from grasp_env.force.initial import CompiledRule, asked, is_rule
 from grasp_env.force.record import FORCE, record_size
 from grasp_env.force.repair import Correction, carry_over
 from grasp_env.grasp import Grasp, presets, wrench
@@ -29,7 +29,7 @@ from grasp_env.grasp.wrench import MAGNITUDE_LENGTH
 from policies import LearnedInitialForce
 from training.cases import start_table as table
 from training.cases.sets import HELD_OUT
-from training.cases.start_table import MODELS, SHIPPED, STARTS
+from training.cases.start_table import SHIPPED, STARTS
 
 Start = Callable[[Grasp, Wrench, "ContactForces | None"], ContactForces]
 """(grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3) [N]."""
@@ -47,17 +47,14 @@ class DoesNotApply(Exception):
     """The start knows nothing about this grasp, or needs a previous solution: skipped, and counted as such."""
 
 
-def load_models(fitted: str | Path | None = None) -> dict[str, LearnedInitialForce]:
-    """The saved models by start: those that ship with the package, and one fitted in this run.
+def load_models() -> dict[str, LearnedInitialForce]:
+    """The models that ship with the package, by start."""
+    return {key: LearnedInitialForce.pretrained(name) for key, name in SHIPPED.items()}
 
-    Args:
-        fitted: where that one lies; None: there is none.
-    """
-    models = {key: LearnedInitialForce.pretrained(name) for key, name in SHIPPED.items()}
-    if fitted is not None:
-        (key,) = set(MODELS) - set(SHIPPED)
-        models[key] = LearnedInitialForce.load(fitted)
-    return models
+
+def models_in(rules: Mapping[str, InitialForceRule]) -> dict[str, LearnedInitialForce]:
+    """Those of the rules that are saved models."""
+    return {key: rule for key, rule in rules.items() if isinstance(rule, LearnedInitialForce)}
 
 
 @dataclass(frozen=True)
@@ -83,13 +80,29 @@ class Made:
         """Of a rule that does not look at the previous solution; a control loop may have it by a name, or unguarded."""
         return cls(lambda grasp, load, before: rule(grasp, load), {"initial": timed or rule}, rule)
 
+    @classmethod
+    def given(cls, rule: InitialForceRule, objective: Objective) -> Made:
+        """Of a saved model, where it knows the grasp, or of a callable of anybody's, whatever that does."""
+        compiled = rule if is_rule(rule, CompiledRule) else None
+
+        def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
+            if isinstance(rule, LearnedInitialForce) and not everywhere(rule) and not near_fixed(grasp):
+                raise DoesNotApply
+            if compiled is None:
+                return asked(rule, rule, grasp, load.copy())
+            previous = as_solution(before) if compiled.remembers and before is not None else None
+            return asked(rule, compiled.start, grasp, load.copy(), objective, previous)[1]
+
+        alone = None if compiled is not None and compiled.remembers else lambda grasp, load: start(grasp, load, None)
+        return cls(start, {"initial": rule}, alone)
+
 
 class Workshop:
-    """What starts are made of: Phi, the saved models, and the starts made so far."""
+    """What starts are made of: Phi, rules by name, and the starts made so far."""
 
-    def __init__(self, objective: Objective, models: dict[str, LearnedInitialForce]) -> None:
-        self.objective, self.models = objective, models
-        self.made: dict[str, Made] = {}
+    def __init__(self, objective: Objective, rules: Mapping[str, InitialForceRule]) -> None:
+        self.objective, self.rules = objective, rules
+        self.models, self.made = models_in(rules), dict[str, Made]()
 
     @functools.cached_property
     def stored(self) -> Stored:
@@ -122,9 +135,9 @@ def everywhere(model: LearnedInitialForce) -> bool:
     return model.checkpoint.kind == "any_grasp"
 
 
-def _model(shop: Workshop, key: str, how: table.Model) -> Made | None:
-    model = shop.models.get(key)
-    return model and Made.of(model if everywhere(model) else OnFixedGrasp(model), model)
+def _given(shop: Workshop, key: str, how: table.Given | table.Model) -> Made | None:
+    rule = shop.rules.get(key)
+    return None if rule is None else Made.given(rule, shop.objective)
 
 
 def _alone(shop: Workshop, key: str, how: table.Alone) -> Made | None:
@@ -144,33 +157,27 @@ def _remembering(shop: Workshop, key: str, how: table.Remembering) -> Made | Non
     if not known:
         return None
     model = shop.models[known[0]]
-    model = type(model)(model.checkpoint, model.objective, True)
-
-    def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
-        if not everywhere(model) and not near_fixed(grasp):
-            raise DoesNotApply
-        return model.start(grasp, load, shop.objective, None if before is None else as_solution(before))[1]
-
-    return Made(start, {"initial": model})
+    return Made.given(type(model)(model.checkpoint, model.objective, True), shop.objective)
 
 
 BUILDERS: dict[type, Callable[[Workshop, str, Any], Made | None]] = {
-    table.Named: _named, table.Previous: _previous, table.Nearest: _nearest, table.Model: _model, table.Alone: _alone,
-    table.Stepped: _stepped, table.Remembering: _remembering,
+    table.Named: _named, table.Previous: _previous, table.Nearest: _nearest, table.Model: _given, table.Alone: _alone,
+    table.Stepped: _stepped, table.Remembering: _remembering, table.Given: _given,
 }  # fmt: skip
 """By the class of a row's `how`: the start, None where its model is not there."""
 
 
-def make_starts(objective: Objective, models: dict[str, LearnedInitialForce]) -> dict[str, Made]:
-    """Every start of `STARTS`, in its order.
+def make_starts(objective: Objective, rules: Mapping[str, InitialForceRule]) -> dict[str, Made]:
+    """Every start of `STARTS`, in its order, then those given.
 
     Args:
         objective: Phi.
-        models: see `load_models`; starts of those that are not there are left out.
+        rules: saved models and whatever else was given, by start; starts of models that are not there are left out.
     """
-    shop = Workshop(objective, models)
-    for key, row in STARTS.items():
-        made = BUILDERS[type(row.how)](shop, key, row.how)
+    shop = Workshop(objective, rules)
+    for key in (*STARTS, *table.given_in(rules)):
+        how = table.row_of(key).how
+        made = BUILDERS[type(how)](shop, key, how)
         if made is not None:
             shop.made[key] = made
     return shop.made

@@ -31,6 +31,7 @@ class Evaluate(EvaluateConfig):
     episodes: int = 0
     hands: tuple[str, ...] = ()
     engines: tuple[str, ...] = ("bullet",)
+    start: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
         pass  # checked where the evaluation's own settings are made of these

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from training.cases.set_table import TOLERANCE
+from training.cases.start_table import main_of
 from training.report.page import Columns, Fold, Picture, Section, Table, at, present, shown
-from training.report.starts import MAIN, label, matrix, pair, set_label, short, steps
+from training.report.starts import label, matrix, pair, set_label, short, starts_of, steps
 from training.runs.words import number, percent, small
 from training.trials.arrays import LIMIT
 
@@ -87,7 +88,7 @@ def _budgets(rows: dict[str, Any]) -> Table:
 
 def _events(metrics: dict[str, Any], name: str) -> Table:
     events = at(metrics, "events", name) or {}
-    used = [key for key in MAIN if any(key in rows for rows in events.values())]
+    used = main_of(dict.fromkeys(key for rows in events.values() for key in rows))
     out = []
     for event, rows in events.items():
         count = max((at(row, "cases") or 0 for row in rows.values()), default=0)
@@ -113,7 +114,9 @@ def newton_section(metrics: dict[str, Any]) -> Section:
         "A Newton step costs more than a step of the flow and gains more: a good start saves the flow many steps and Newton "
         "few. Microseconds are whole public Python calls on the fixed grasp.",
     )
-    sets = matrix(metrics, "newton", MAIN, f"Newton: iterations to {small(TOLERANCE)}, median / p99")
+    sets = matrix(
+        metrics, "newton", main_of(starts_of(metrics)), f"Newton: iterations to {small(TOLERANCE)}, median / p99"
+    )
     return Section("newton", "Newton beside the reduced flow", notes, present([table, sets]))
 
 
@@ -189,6 +192,7 @@ def feasibility_section(metrics: dict[str, Any], pictures: list[Picture]) -> Sec
     blocks = present(
         [
             summary,
+            _reasons(metrics),
             _guarantee(metrics),
             _continuity(metrics),
             *pictures,
@@ -238,6 +242,19 @@ _PARTS = (
     ("raw", "inside"), ("raw", "residual_max"), ("margin_min",), ("residual_max",), ("worse_than_basis", "count"),
     ("worse_than_basis", "of"),
 )  # fmt: skip
+
+
+def _reasons(metrics: dict[str, Any]) -> Table:
+    """Why starts have no force, over all sets."""
+    counts: dict[tuple[str, str], list[Any]] = {}
+    for rows in (at(metrics, "starts", "reduced_flow") or {}).values():
+        for key, row in rows.items():
+            for text, count in (at(row, "reasons") or {}).items():
+                kind, _, message = text.partition(": ")
+                entry = counts.setdefault((key, kind), [0, message])
+                entry[0] += count
+    out = [[label(key), number(count), kind, message or "–"] for (key, kind), (count, message) in counts.items()]
+    return Table("Cases without a start, over all sets, and why", ("start", "cases", "why", "first message"), out)
 
 
 def _guarantee(metrics: dict[str, Any]) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,22 +10,23 @@ from matplotlib.ticker import MaxNLocator
 
 from grasp_env.grasp.wrench import paper_path
 from training.cases.set_table import TOLERANCE
-from training.cases.start_table import LABELS
-from training.report.starts import MAIN, short
-from training.report.style import INK, WIDTH, Drawing, colour, decades, entry, line_style, new_figure
+from training.cases.start_table import given_in, main_of
+from training.report.starts import short
+from training.report.style import INK, WIDTH, Drawing, colour, decades, entry, line_style, new_figure, tones
 from training.runs.words import small
-from training.trials.arrays import BUDGETS, NOT_APPLICABLE, SCENARIO_LABELS, Trials
+from training.trials.arrays import BUDGETS, NOT_APPLICABLE, SCENARIO_LABELS, Trials, starts_in
 
 FLOOR = 1e-7
 """Gaps below are drawn there."""
-_FAN = ("linear_combination", "previous_tangent", "network", "learned_any", "learned_previous", "learned_fitted")
+_FAN = ("linear_combination", "previous_tangent", "network", "learned_any", "learned_previous")
 _FAN_MORE = ("basis_tangent", "nearest_tangent")
 """Where the others are few."""
 
 
-def fan(trials: Trials, starts: tuple[str, ...] = _FAN) -> Drawing | None:
+def fan(trials: Trials, every: bool = False) -> Drawing | None:
     """Median and p10 to p90 of the gap after k accepted steps of the reduced flow, per start; None without traces."""
-    found = _traces(trials, starts)
+    tone = tones(starts_in(trials))
+    found = _traces(trials, list(tone) if every else [*_FAN, *given_in(tone)])
     if len(found) < 3:
         found |= _traces(trials, _FAN_MORE)
     if not found:
@@ -36,7 +38,7 @@ def fan(trials: Trials, starts: tuple[str, ...] = _FAN) -> Drawing | None:
         reached = np.flatnonzero(high <= 0.1 * TOLERANCE)
         last = max(last, int(reached[0]) if len(reached) else rows.shape[1] - 1)
         steps = _spread(rows.shape[1])
-        style = line_style(key)
+        style = line_style(tone[key])
         if len(rows) > 1:
             axes.fill_between(1 + steps, low[steps], high[steps], color=style["color"], alpha=0.13, linewidth=0)
         axes.plot(1 + steps, middle[steps], **style)
@@ -47,10 +49,10 @@ def fan(trials: Trials, starts: tuple[str, ...] = _FAN) -> Drawing | None:
     )  # fmt: skip
     decades(axes.xaxis)
     decades(axes.yaxis)
-    return Drawing(figure, [entry(short(key), key) for key in found])
+    return Drawing(figure, [entry(short(key), tone[key]) for key in found])
 
 
-def _traces(trials: Trials, starts: tuple[str, ...]) -> dict[str, np.ndarray]:
+def _traces(trials: Trials, starts: Sequence[str]) -> dict[str, np.ndarray]:
     """(m, k) gaps per start, of the cases that it has a start for."""
     out = {}
     for key in starts:
@@ -78,9 +80,8 @@ def steps_of(trials: Trials, start: str, method: str = "reduced_flow") -> np.nda
 def ecdf(trials: Trials) -> Drawing | None:
     """Share of cases solved to 1e-4 within k accepted steps, every start; None without any."""
     figure, axes = new_figure(WIDTH, 3.2)
-    found = {
-        key: counts for key in LABELS if (counts := steps_of(trials, key)) is not None and np.isfinite(counts).any()
-    }
+    tone = tones(starts_in(trials))
+    found = {key: counts for key in tone if (counts := steps_of(trials, key)) is not None and np.isfinite(counts).any()}
     end = 1 + max((counts[np.isfinite(counts)].max() for counts in found.values()), default=1.0)
     for key, counts in found.items():
         levels, many = np.unique(counts[np.isfinite(counts)], return_counts=True)
@@ -89,7 +90,9 @@ def ecdf(trials: Trials) -> Drawing | None:
             keep = np.unique(np.searchsorted(share, np.linspace(0, share[-1], 150)).clip(max=len(levels) - 1))
             levels, share = levels[keep], share[keep]
         first = share[0] * (levels[0] == 0)
-        axes.step(np.r_[1, levels + 1, 1.1 * end], np.r_[first, share, share[-1]], where="post", **line_style(key))
+        axes.step(
+            np.r_[1, levels + 1, 1.1 * end], np.r_[first, share, share[-1]], where="post", **line_style(tone[key])
+        )
     axes.set(
         xscale="log",
         xlabel=f"1 + accepted steps to a gap of {small(TOLERANCE)}",
@@ -98,25 +101,25 @@ def ecdf(trials: Trials) -> Drawing | None:
     )
     axes.set_xlim(0.95, 1.1 * end)
     decades(axes.xaxis)
-    return Drawing(figure, [entry(short(key), key) for key in found]) if found else None
+    return Drawing(figure, [entry(short(key), tone[key]) for key in found]) if found else None
 
 
-def budget(trials: Trials, starts: tuple[str, ...] = MAIN) -> Drawing | None:
+def budget(trials: Trials) -> Drawing | None:
     """Median (line) and p95 (dots) of the gap that is left after a budget of steps; None without any."""
     figure, axes = new_figure(WIDTH, 3.2)
-    legend = []
-    for key in starts:
+    legend, tone = [], tones(starts_in(trials))
+    for key in main_of(tone):
         rows = trials.get(f"reduced_flow/{key}/gap_after")
         if rows is None or not np.isfinite(rows).any():
             continue
         rows = np.maximum(rows[np.isfinite(rows).all(axis=1)], FLOOR)
-        style = line_style(key)
+        style = line_style(tone[key])
         axes.plot(range(len(BUDGETS)), np.median(rows, axis=0), marker="o", markersize=3.5, **style)
         axes.plot(
             range(len(BUDGETS)), np.percentile(rows, 95, axis=0), linestyle=":", marker="^", markersize=3,
             linewidth=0.8, color=style["color"],
         )  # fmt: skip
-        legend.append(entry(short(key), key))
+        legend.append(entry(short(key), tone[key]))
     axes.axhline(TOLERANCE, color=INK, linewidth=0.8, linestyle=":")
     axes.set(yscale="log", xlabel="steps allowed", ylabel="relative gap of Phi", ylim=(0.5 * FLOOR, None))
     axes.set_xticks(range(len(BUDGETS)), [str(count) for count in BUDGETS])
@@ -129,7 +132,8 @@ def profile(sets: list[Trials]) -> Drawing | None:
 
     The factor is of 1 + steps. Where a start does not exist or does not apply it counts as not solved.
     """
-    keys = [key for key in LABELS if any(steps_of(trials, key) is not None for trials in sets)]
+    tone = tones(dict.fromkeys(key for trials in sets for key in starts_in(trials)))
+    keys = [key for key in tone if any(steps_of(trials, key) is not None for trials in sets)]
     if not keys:
         return None
     table = np.concatenate([_all_steps(trials, keys) for trials in sets])
@@ -142,8 +146,8 @@ def profile(sets: list[Trials]) -> Drawing | None:
     grid = np.geomspace(1, 1000, 120)
     for k, key in enumerate(keys):
         share = (ratios[:, k, None] <= grid * (1 + 1e-9)).mean(axis=0)
-        axes.step(grid, share, where="post", **line_style(key))
-        legend.append(entry(short(key), key))
+        axes.step(grid, share, where="post", **line_style(tone[key]))
+        legend.append(entry(short(key), tone[key]))
     axes.set(
         xscale="log", xlabel="factor of the fewest 1 + steps", ylabel="share of cases", ylim=(0, 1.02), xlim=(1, 1000)
     )
@@ -169,7 +173,8 @@ _SCENARIOS = ("finger_0", "finger_1", "finger_3", "finger_2", "other_0", "other_
 
 def violins(timing: Trials) -> Drawing | None:
     """Latency per start: above the line start and reduced flow, below it start and Newton; the bar is the median."""
-    keys = [key for key in LABELS if f"reduced_flow/{key}/total_us" in timing]
+    tone = tones(name.split("/")[0] for name in timing if name.endswith("/start_us"))
+    keys = [key for key in tone if np.isfinite(timing[f"reduced_flow/{key}/total_us"]).any()]
     if not keys:
         return None
     figure, axes = new_figure(WIDTH, 0.9 + 0.34 * len(keys))
@@ -177,7 +182,7 @@ def violins(timing: Trials) -> Drawing | None:
         for method, side in (("reduced_flow", -1.0), ("newton", 1.0)):
             values = timing.get(f"{method}/{key}/total_us")
             if values is not None and np.isfinite(values).any():
-                _half(axes, row, side, _best(values), colour(key))
+                _half(axes, row, side, _best(values), colour(tone[key]))
     axes.set(xscale="log", xlabel="microseconds per call, best of the repeats", ylim=(len(keys) - 0.4, -0.6))
     axes.set_yticks(range(len(keys)), [short(key) for key in keys])
     axes.tick_params(axis="y", length=0)
@@ -209,9 +214,10 @@ def continuity(metrics: dict[str, Any]) -> Drawing | None:
     rows = {key: row for key, row in (metrics.get("continuity") or {}).items() if row["slope"]["median"] is not None}
     if not rows:
         return None
+    tone = tones(key for key in metrics["continuity"] if key != "optimum")
     figure, axes = new_figure(WIDTH, 0.9 + 0.26 * len(rows))
     for k, (key, row) in enumerate(rows.items()):
-        tint = colour("ink" if key == "optimum" else key)
+        tint = colour(tone.get(key, "ink"))
         middle, p99, most = (row["slope"][part] for part in ("median", "p99", "max"))
         axes.plot([middle, p99], [k, k], color=tint, linewidth=3, alpha=0.5, solid_capstyle="butt")
         axes.plot([middle], [k], marker="o", markersize=5, color=tint)
@@ -244,19 +250,26 @@ def start_against_optimum(trials: Trials) -> Drawing:
     """Normal forces of the paper's start and of learned ones beside the optimum along W_ext(t) (the paper's Fig. 4)."""
     optimum = trials["optimum/force"]
     times = np.arange(len(optimum)) * 0.01
-    shown = [key for key in ("linear_combination", "learned_fixed", "learned_any") if f"{key}/force" in trials]
+    tone = tones(starts_in(trials))
+    shown = [
+        key
+        for key in ("linear_combination", "learned_fixed", "learned_any", *given_in(tone))
+        if f"{key}/force" in trials
+    ]
     figure, axes = new_figure(WIDTH, 4.2, rows=2, columns=2)
     for finger, panel in enumerate(axes.ravel()[: optimum.shape[1]]):
         panel.plot(times, optimum[:, finger, 0], color=INK, linewidth=1.6)
         for key in shown:
-            panel.plot(times, trials[f"{key}/force"][:, finger, 0], color=colour(key), linestyle="--", linewidth=1.2)
+            panel.plot(
+                times, trials[f"{key}/force"][:, finger, 0], color=colour(tone[key]), linestyle="--", linewidth=1.2
+            )
         panel.set_title(FINGERS[finger], fontsize=10)
         panel.set(ylim=(0, None))
     for panel in axes[1]:
         panel.set_xlabel("time [s]")
     for panel in axes[:, 0]:
         panel.set_ylabel("normal force [N]")
-    return Drawing(figure, [entry("optimum", "ink"), *((f"start: {short(key)}", key, True) for key in shown)])
+    return Drawing(figure, [entry("optimum", "ink"), *((f"start: {short(key)}", tone[key], True) for key in shown)])
 
 
 def rollout(rollouts: Trials, start: str = "linear_combination") -> Drawing | None:

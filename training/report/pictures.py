@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from training.cases.start_table import LABELS
+from training.cases.start_table import given_in
 from training.demo.loops import ANIMATIONS, STILL, still_of
 from training.report import figures
 from training.report.page import Picture, at, data_uri
@@ -99,7 +99,7 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
             "Convergence on the paper's constant wrench (its Fig. 3)",
             "",
             "Convergence curves of the reduced flow on the paper's constant wrench, one per start.",
-            lambda: figures.fan(constant, tuple(LABELS)),
+            lambda: figures.fan(constant, every=True),
         )
     if "optimum/force" in path:
         yield (
@@ -116,7 +116,7 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
             "Normal force of each finger over time: optimum and starts; the 12-basis lies above the optimum.",
             lambda: figures.start_against_optimum(path),
         )
-    for start in ("linear_combination", "learned_fixed"):
+    for start in ("linear_combination", "learned_fixed", *given_in(at(metrics, "run", "given") or {})):
         yield (
             f"rollout-{start}",
             f"Roll-outs, start: {short(start)}",

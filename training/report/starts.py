@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from training.cases.set_table import GROUPS, TOLERANCE
-from training.cases.start_table import LABELS, MAIN, SHORT
-from training.report.page import Cell, Fold, Section, Table, at, present, pretty
+from training.cases.start_table import main_of, row_of
+from training.report.page import Cell, Columns, Fold, Section, Table, at, present, pretty
 from training.runs.words import number, percent, small
 from training.trials.arrays import LIMIT
 
@@ -17,13 +18,13 @@ FEW = 0.01
 
 
 def label(start: str) -> str:
-    """What a start is called in tables; of one that this version does not know, its key."""
-    return pretty(LABELS.get(start, start.replace("_", " ")))
+    """What a start is called in tables."""
+    return pretty(row_of(start).label)
 
 
 def short(start: str) -> str:
     """What a start is called in headings and legends."""
-    return pretty(SHORT.get(start, start.replace("_", " ")))
+    return pretty(row_of(start).short)
 
 
 def set_label(metrics: dict[str, Any], name: str) -> str:
@@ -50,6 +51,12 @@ def pair(row: dict[str, Any] | None) -> str:
     return f"{steps(at(row, 'median'))} / {steps(at(row, 'p99'))}"
 
 
+def starts_of(metrics: dict[str, Any]) -> list[str]:
+    """Every start of a run, in its order."""
+    sets = (at(metrics, "starts", "reduced_flow") or {}).values()
+    return list(dict.fromkeys(key for rows in sets for key in rows))
+
+
 def wins_section(metrics: dict[str, Any]) -> Section:
     """Set by set: which start needs the fewest iterations."""
     notes = (
@@ -60,9 +67,14 @@ def wins_section(metrics: dict[str, Any]) -> Section:
         "learned start can only tie. Where it is far (jumps), or belongs to other contacts, or does not exist (a cold start), "
         "the others are compared.",
     )
-    main = matrix(metrics, "reduced_flow", MAIN, f"Reduced flow: iterations to {small(TOLERANCE)}, median / p99")
+    main = matrix(
+        metrics,
+        "reduced_flow",
+        main_of(starts_of(metrics)),
+        f"Reduced flow: iterations to {small(TOLERANCE)}, median / p99",
+    )
     everything = [
-        matrix(metrics, "reduced_flow", tuple(LABELS), title, group)
+        matrix(metrics, "reduced_flow", starts_of(metrics), title, group)
         for group, title in _groups(metrics).items()
     ]  # fmt: skip
     blocks = present([main, _winners(metrics), Fold("All starts, one table per kind of case", present(everything))])
@@ -70,7 +82,7 @@ def wins_section(metrics: dict[str, Any]) -> Section:
 
 
 def matrix(
-    metrics: dict[str, Any], method: str, starts: tuple[str, ...], caption: str, group: str | None = None
+    metrics: dict[str, Any], method: str, starts: Sequence[str], caption: str, group: str | None = None
 ) -> Table:
     """A row per set, a column per start, the best of each row marked; starts that no set has are left out."""
     sets = {
@@ -145,22 +157,18 @@ def _marked(row: dict[str, Any] | None) -> str:
 
 
 def _winners(metrics: dict[str, Any]) -> Table:
-    rows = [
-        [
-            pretty(row.get("label") or row["set"]),
-            pair(row.get("basis")),
-            pair(row.get("previous")),
-            pair(row.get("learned")),
-            short(at(row, "learned", "start") or "–"),
-            {"learned": "learned", "previous": "previous", "basis": "12-basis + Newton"}.get(
-                row["winner"], row["winner"] or "–"
-            ),
-        ]
-        for row in metrics.get("wins", [])
-    ]
-    columns = ("cases", "12-basis, best control", "previous solution", "best learned", "which", "fewest iterations")
+    wins = metrics.get("wins", [])
+    kinds = {"basis": "12-basis, best control", "previous": "previous solution", "learned": "best learned"}
+    kinds |= {"given": "best given"} if any("given" in row for row in wins) else {}
+    names = {"basis": "12-basis + Newton"}
+    columns: Columns = (
+        ("cases", lambda row: pretty(row.get("label") or row["set"])),
+        *((heading, lambda row, kind=kind: pair(row.get(kind))) for kind, heading in kinds.items()),
+        *((f"which {kind}", lambda row, kind=kind: short(at(row, kind, "start") or "–")) for kind in kinds if kind in ("learned", "given")),
+        ("fewest iterations", lambda row: names.get(row["winner"], row["winner"] or "–")),
+    )  # fmt: skip
     title = (
         "Learned against the previous solution and the 12-basis, each at its best: the 12-basis with up to four Newton steps that "
         "are not counted, as the learned layers are not; tie: within one iteration"
     )
-    return Table(title, columns, rows)
+    return Table.of(title, columns, [(row,) for row in wins])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,12 +14,13 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from training.cases.start_table import STARTS
+from training.cases.start_table import GIVEN_COLOURS, STARTS, given_in
 from training.runs.words import small
 
 INK, LINE = "#000000", "#d5d8dd"
 THEME: dict[str, tuple[str, str]] = {
     **{key: row.colours for key, row in STARTS.items()},
+    **{f"given_{k}": colours for k, colours in enumerate(GIVEN_COLOURS)},
     "finger_0": ("#b3261f", "#ff7469"),
     "finger_1": ("#1f5fa9", "#4f9df1"),
     "finger_2": ("#946300", "#e0b040"),
@@ -30,7 +31,7 @@ THEME: dict[str, tuple[str, str]] = {
 }
 """Colours on a light and on a dark page, each used once: the SVG has them as CSS variables --c-<name>."""
 COLOURS = {name: light for name, (light, _) in THEME.items()}
-DASHED = frozenset(key for key, row in STARTS.items() if row.dashed)
+DASHED = frozenset(key for key in THEME if key.startswith("given_") or (key in STARTS and STARTS[key].dashed))
 WIDTH = 4.6
 """[in] of a figure: 331 points, so that its text is 10 pixels high on a phone of 360 and 13 in a column of a page."""
 _STYLE: Any = {
@@ -85,13 +86,25 @@ def colour(name: str) -> str:
     return INK if name == "ink" else COLOURS.get(name, COLOURS["other_1"])
 
 
+def tones(starts: Iterable[str]) -> dict[str, str]:
+    """The name in `THEME` of every start of a run, in its order; those that it was given have the reserved ones in turn.
+
+    Example:
+        >>> tones(["lagrange", "mine", "yours"])
+        {'lagrange': 'lagrange', 'mine': 'given_0', 'yours': 'given_1'}
+    """
+    starts = list(starts)
+    given = {key: f"given_{k % len(GIVEN_COLOURS)}" for k, key in enumerate(given_in(starts))}
+    return {key: given.get(key, key) for key in starts}
+
+
 def line_style(name: str) -> dict[str, Any]:
     """How a start's line is drawn."""
     return {
         "color": colour(name),
         "linestyle": (0, (3, 1.6)) if name in DASHED else "-",
-        "linewidth": 2.0 if name.startswith(("learned", "network")) else 1.3,
-        "zorder": 3 if name.startswith(("learned", "network")) else 2,
+        "linewidth": 2.0 if name.startswith(("learned", "network", "given")) else 1.3,
+        "zorder": 3 if name.startswith(("learned", "network", "given")) else 2,
     }
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from training.cases.set_table import SETS, TOLERANCE
-from training.cases.start_table import COLD, LABELS, LEARNED, SHIPPED
+from training.cases.start_table import FITTED, LEARNED, SHIPPED, given_in, row_of
 from training.runs.claims import Claim, claim
 from training.runs.words import small
 from training.trials.arrays import HOLD_SCENARIOS, LIMIT
@@ -39,12 +39,12 @@ Metrics = dict[str, Any]
 
 def claims(metrics: Metrics) -> list[Claim]:
     """All claims."""
-    parts = (_fixed, _cold, _smooth, _any, _time, _fastest, _models, _guarantees, _holds, _references)
+    parts = (_fixed, _cold, _smooth, _any, _time, _fastest, _models, _guarantees, _given, _holds, _references)
     return [row for part in parts for row in part(metrics)]
 
 
 def wins(metrics: Metrics) -> list[dict[str, Any]]:
-    """Per set, which of previous solution, learned start (without memory) and 12-basis needs the fewest iterations, each at its best.
+    """Per set, which of previous solution, learned (without memory), 12-basis and given starts needs the fewest iterations, each at its best.
 
     The 12-basis' best is mostly the control: followed by Newton steps, which are not counted, as the learned layers are not.
 
@@ -57,6 +57,7 @@ def wins(metrics: Metrics) -> list[dict[str, Any]]:
             "previous": (PREVIOUS, "previous_pseudoinverse"),
             "learned": MEMORYLESS,
             "basis": (BASIS, "basis_tangent", "basis_newton"),
+            **({"given": own} if (own := given_in(rows)) else {}),
         }
         known = {kind: [_numbers(rows, key) for key in keys if _applies(rows, key)] for kind, keys in entries.items()}
         found = {kind: min(rows, key=lambda row: (row["median"], row["p99"])) for kind, rows in known.items() if rows}
@@ -138,10 +139,10 @@ def _below(ours: float, theirs: float) -> bool:
 
 def _fixed(metrics: Metrics) -> Iterator[Claim]:
     """What the network of the fixed grasp is worth before any Newton step: what the project was made for."""
-    for key in (NETWORK, "learned_fitted"):
+    for key in (NETWORK, FITTED):
         row, paper = _row(metrics, "ball", key), _row(metrics, "ball", BASIS)
         if row is not None or key == NETWORK:
-            text = f"{LABELS[key]}: iterations of the flow to {TOLERANCE:g}, held-out ball"
+            text = f"{row_of(key).label}: iterations of the flow to {TOLERANCE:g}, held-out ball"
             said, inside = "", row is not None and row["margin_min"] > 0
             if row is not None:
                 basis = f"; 12-basis: {_said(paper, 'median', 'p99')}" if paper else ""
@@ -157,12 +158,12 @@ def _cold(metrics: Metrics) -> Iterator[Claim]:
             said = f"; previous solution: {_said(before, 'median', 'p99')}"
             also = all(_below(row["iterations"][q], before["iterations"][q]) for q in ("median", "p99"))
         more = "" if name == "rollout_cold" else ", both below the previous solution's"
-        yield _judged(f"{LABELS[ANY]}: {SETS[name].label}", row, COLD_LIMITS, more=more, said=said, also=also)
+        yield _judged(f"{row_of(ANY).label}: {SETS[name].label}", row, COLD_LIMITS, more=more, said=said, also=also)
 
 
 def _smooth(metrics: Metrics) -> Iterator[Claim]:
     for name in ("smooth", "trajectories", "rollout_moving"):
-        text = f"{LABELS['learned_previous']}: {SETS[name].label}"
+        text = f"{row_of('learned_previous').label}: {SETS[name].label}"
         yield _judged(text, _row(metrics, name, "learned_previous"), SMOOTH_LIMITS)
 
 
@@ -176,7 +177,7 @@ def _any(metrics: Metrics) -> Iterator[Claim]:
             said = f"{_count(ours)} against {_count(theirs)}, starting gap {100 * gap:.3g} %, worse in {worse['count']} of {worse['of']}"
             met = row["no_start"] == 0 and ours <= theirs / FEWER and gap <= START_GAP and worse["count"] == 0
         asked = f"median <= 1/{FEWER} of the basis's, starting gap <= {100 * START_GAP:g} % in the median, never worse"
-        yield claim(f"{LABELS[ANY]}: {SETS[name].label}, against the basis recomputed for each", asked, said, met)
+        yield claim(f"{row_of(ANY).label}: {SETS[name].label}, against the basis recomputed for each", asked, said, met)
 
 
 def _time(metrics: Metrics) -> Iterator[Claim]:
@@ -191,16 +192,27 @@ def _time(metrics: Metrics) -> Iterator[Claim]:
     yield claim(text, "p50 at most half of the 12-basis's, p99 lower", said, met)
 
 
+def is_cold(metrics: Metrics, key: str) -> bool:
+    """Whether no previous solution helps a start."""
+    given = metrics["run"].get("given", {}).get(key, {})
+    return not (row_of(key).remembers or given.get("remembers"))
+
+
 def _fastest(metrics: Metrics) -> Iterator[Claim]:
     """Who is the fastest to a certified solve without a previous solution, whoever it is, and what the network has to do with it."""
     totals = metrics["timing"]["total"]
-    rows = {(m, key): row["best"] for m in totals for key, row in totals[m].items() if key in COLD and row["best"]["n"]}
+    rows = {
+        (m, key): row["best"]
+        for m in totals
+        for key, row in totals[m].items()
+        if is_cold(metrics, key) and row["best"]["n"]
+    }
     ours, paper = (rows.get(("newton", key)) for key in ("learned_fixed", BASIS))
     said = met = None
     if ours is not None and paper is not None:
         first = min(rows, key=lambda who: (rows[who]["median"], rows[who]["p99"]))
         said = "winner: " + "; ".join(
-            f"{LABELS[key]}, {METHOD_NAMES[method]}: p50 {rows[method, key]['median']:.3g}, p99 {rows[method, key]['p99']:.3g} us"
+            f"{row_of(key).label}, {METHOD_NAMES[method]}: p50 {rows[method, key]['median']:.3g}, p99 {rows[method, key]['p99']:.3g} us"
             for method, key in dict.fromkeys((first, ("newton", "learned_fixed"), ("newton", BASIS)))
         )
         met = all(ours[q] <= factor * paper[q] for q, factor in FASTER.items())
@@ -211,13 +223,16 @@ def _fastest(metrics: Metrics) -> Iterator[Claim]:
 
 def _models(metrics: Metrics) -> Iterator[Claim]:
     models = metrics["run"]["models"]
-    for key in ("learned_fixed", "learned_fitted"):
+    for key in ("learned_fixed", FITTED):
         if key in models:
             seconds = training_seconds(models[key])
             said = None if seconds is None else f"{seconds:.0f} s"
             met = None if seconds is None else seconds <= TRAINING_SECONDS
             yield claim(
-                f"{LABELS[key]}: processor time of training", f"at most {TRAINING_SECONDS / 60:g} minutes", said, met
+                f"{row_of(key).label}: processor time of training",
+                f"at most {TRAINING_SECONDS / 60:g} minutes",
+                said,
+                met,
             )
     size = sum(models[key].get("bytes", 0) for key in SHIPPED if key in models)
     yield claim(
@@ -238,21 +253,37 @@ def training_seconds(card: dict[str, Any]) -> float | None:
 def _guarantees(metrics: Metrics) -> Iterator[Claim]:
     for key, row in metrics["guarantee"].items():
         low, high = row["magnitudes"]
-        text = f"{LABELS[key]}: starts worse in Phi than the 12-basis's, wrenches of {low:g} to {high:g} N"
+        text = f"{row_of(key).label}: starts worse in Phi than the 12-basis's, wrenches of {low:g} to {high:g} N"
         yield claim(text, "0", f"{row['worse']} of {row['n']}", row["worse"] == 0, "guarantee")
-    for key in LEARNED:
+    for key in dict.fromkeys((*LEARNED, *metrics["run"]["models"])):
         rows = [rows[key] for rows in metrics["starts"][FLOW].values() if key in rows and rows[key]["cases"]]
-        if rows:
+        margins = [row["margin_min"] for row in rows if row["margin_min"] is not None]
+        if margins:
             worse, total = (sum(row["worse_than_basis"][part] for row in rows) for part in ("count", "of"))
-            margin = min(row["margin_min"] for row in rows if row["margin_min"] is not None)
             balance = max(row["residual_max"] for row in rows if row["residual_max"] is not None)
             yield claim(
-                f"{LABELS[key]}: strictly feasible, balanced and never worse than the 12-basis, all sets",
+                f"{row_of(key).label}: strictly feasible, balanced and never worse than the 12-basis, all sets",
                 f"margin > 0, balance to {small(BALANCE)} of the largest force, 0 worse",
-                f"margin {margin:.2g}, balance {balance:.1e}, {worse} of {total} worse",
-                margin > 0.0 and balance <= BALANCE and worse == 0,
+                f"margin {min(margins):.2g}, balance {balance:.1e}, {worse} of {total} worse",
+                min(margins) > 0.0 and balance <= BALANCE and worse == 0,
                 "guarantee",
             )
+
+
+def _given(metrics: Metrics) -> Iterator[Claim]:
+    """What is asked of every start that a run was given: that there is one."""
+    for key in given_in(metrics["starts"][FLOW]["ball"]):
+        rows = [rows[key] for rows in metrics["starts"][FLOW].values() if rows[key]["cases"]]
+        asked, missing = (sum(row[part] for row in rows) for part in ("cases", "no_start"))
+        why: dict[str, int] = {}
+        for row in rows:
+            for text, count in row["reasons"].items():
+                kind = text.partition(": ")[0]
+                why[kind] = why.get(kind, 0) + count
+        said = ", ".join(f"{count} {kind}" for kind, count in why.items())
+        text = f"{row_of(key).label}: a balanced force inside the cones wherever it is asked, all sets"
+        measured = f"{missing} of {asked} cases without{f' ({said})' if said else ''}"
+        yield claim(text, "0 cases without", measured if asked else None, missing == 0, "given")
 
 
 def _holds(metrics: Metrics) -> Iterator[Claim]:

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces
-from grasp_env.errors import InfeasibleStartError
+from grasp_env import ranges
+from grasp_env._check import Array, ContactForces, as_array
+from grasp_env.errors import GraspError, InfeasibleStartError
 from grasp_env.force import ForceOptimizer, Objective
 from grasp_env.grasp import Grasp
 from policies import LearnedInitialForce
@@ -30,6 +31,8 @@ from training.trials.arrays import (
     Trials,
 )
 
+REASON = 120
+"""Characters of why a start has no force."""
 OPTIMUM = 1e-10
 """Relative certified gap of the optima that gaps are taken to."""
 
@@ -107,8 +110,8 @@ def compare(
         The arrays of a trials file, n cases, M the most contacts of one; beyond a case's own contacts, and where there is no start, nan:
         "case/n_contacts", "/group", "/event" (n,), "/wrench" (n, 6), "/positions", "/normals" (n, M, 3), "/friction" (n, M),
         "/before" (n, M, 3) the previous optimum in the case's contact frames; "optimum/force" (n, M, 3), "/objective" (n,).
-        Per start "<start>/gap" (n,) of Phi, "/margin" and "/residual" (n,) over its largest component, of models the same "raw_..."
-        before the repair, and "/force" (n, M, 3) in the sets of `FORCES_KEPT`.
+        Per start "<start>/gap" (n,) of Phi, "/margin" and "/residual" (n,) over its largest component, "/reason" (n,) why there is
+        none, of models "raw_..." what the network says before the repair, and "/force" (n, M, 3) in the sets of `FORCES_KEPT`.
         Per method and start "<method>/<start>/status" (n,) at a gap of 1e-4, a position in `STATUS`; "/iterations" (n,) to 1e-4 and
         "/iterations_to" (n, levels), -1: never; "/gap_after" (n, budgets), a run that has ended keeps its last gap; of the flow
         "/trace" (TRACED, TRACE + 1) gaps of the iterates.
@@ -126,10 +129,12 @@ def compare(
         put("optimum/objective", best)
         for key, start in starts.items():
             try:
-                force = start(grasp, load, before)
-            except (DoesNotApply, InfeasibleStartError) as error:
+                force = attempt(start, grasp, load, before)
+            except (DoesNotApply, GraspError) as error:
                 for method in METHODS:
                     put(f"{method}/{key}/status", NOT_APPLICABLE if isinstance(error, DoesNotApply) else NO_START)
+                if isinstance(error, GraspError):
+                    put(f"{key}/reason", why_none(error))
                 continue
             for column, value in zip(QUALITY, quality(grasp, load, force, best, objective), strict=True):
                 put(f"{key}/{column}", value)
@@ -142,14 +147,40 @@ def compare(
             for method in METHODS:
                 try:
                     run = solver.gaps(method, grasp, load, force, best)
-                except InfeasibleStartError:  # out of balance by more than rounding: no start of this method
+                except (
+                    InfeasibleStartError
+                ):  # outside, or out of balance by more than rounding: no start of this method
                     put(f"{method}/{key}/status", NO_START)
+                    put(f"{key}/reason", "out of balance" if out[f"{key}/margin"][k] > 0.0 else "outside the cones")
                     continue
                 for column, value in _run(*run, LEVELS[method]).items():
                     put(f"{method}/{key}/{column}", value)
                 if method == METHODS[0] and k < TRACED:
                     put(f"{method}/{key}/trace", _at(run[0], np.arange(TRACE + 1)))
     return out
+
+
+def attempt(start: Start, grasp: Grasp, load: Array, before: ContactForces | None) -> ContactForces:
+    """The force (N, 3) [N] of a start, which may be anybody's.
+
+    Raises:
+        DoesNotApply: it knows nothing of this case.
+        GraspError: it has none, fails, or returns something else; `why_none` says which.
+    """
+    try:
+        return as_array(start(grasp, load, before), (grasp.n_contacts, 3), "a start", ranges.SIZE)
+    except (DoesNotApply, GraspError):
+        raise
+    except Exception as error:
+        raise InfeasibleStartError(str(error)) from error
+
+
+def why_none(error: GraspError) -> str:
+    """Why a start has no force, in a few words; what it raised stands first, before a colon."""
+    cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
+    if isinstance(cause, InfeasibleStartError):
+        return "has none"
+    return f"{type(cause).__name__}: {cause!s}"[:REASON]
 
 
 def quality(
@@ -165,7 +196,7 @@ QUALITY = ("margin", "residual", "gap")
 """What `quality` gives."""
 
 
-def _put(out: Trials, k: int, name: str, value: float | Array) -> None:
+def _put(out: Trials, k: int, name: str, value: float | str | Array) -> None:
     """A number of case k, or what it has for its own contacts."""
     if isinstance(value, np.ndarray):
         out[name][k, : len(value)] = value
@@ -210,6 +241,7 @@ def _blank(
     for key in starts:
         for column in (*QUALITY, *(f"raw_{name}" for name in (QUALITY if key in models else ()))):
             out[f"{key}/{column}"] = empty()
+        out[f"{key}/reason"] = np.full(count, "", f"U{REASON}")
         if name in FORCES_KEPT:
             out[f"{key}/force"] = empty(most, 3)
         for method in METHODS:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import functools
 import time
-from dataclasses import asdict
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 
-from grasp_env.force import AdaptiveStep, Objective
+from grasp_env.force import AdaptiveStep, InitialForceRule, Objective
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce
 from policies.learned import PRETRAINED
+from training.cases.given import Given, model_path
 from training.cases.set_table import SETS
 from training.cases.sets import fixed_cases
-from training.cases.start_table import SHIPPED
-from training.cases.starts import Start, load_models, make_starts
+from training.cases.start_table import FITTED, SHIPPED, given_in
+from training.cases.starts import Made, load_models, make_starts, models_in
 from training.demo.loops import record_animations
 from training.runs import Run, provenance
 from training.runs.workers import Job, begin, progress, run_jobs
@@ -36,20 +38,31 @@ ROLLED = {"single_value": "single_value", "linear_combination": "linear_combinat
 """The starts of the roll-outs besides the models, and what the environment calls them."""
 
 
-def evaluate(config: EvaluateConfig, console: Console | None = None) -> Run:
+def evaluate(
+    config: EvaluateConfig,
+    console: Console | None = None,
+    starts: Mapping[str, InitialForceRule | str | Path] | None = None,
+) -> Run:
     """Runs what is not there yet; all trials lie in `<out>/<name>` afterwards.
 
+    Args:
+        config: what is compared.
+        console: for progress; None: stderr.
+        starts: starts of your own by name, besides those of `config.start`: rules, or paths of saved models.
+
     Raises:
-        InvalidInputError: the folder cannot be written, the run is finished, or was begun with other settings.
+        InvalidInputError: a start is none, the folder cannot be written, the run is finished, or was begun with other settings.
     """
     console, begun = console or Console(stderr=True), time.perf_counter()
     config = config.resolved()
+    given = Given.of(config.start, starts)
     run = Run.create(config.out, config.name)
     settings = {key: value for key, value in asdict(config).items() if key not in ("out", "name", "workers")}
-    begin(run, {"kind": "starts", **settings}, "settings")
+    begin(run, {"kind": "starts", **settings, "starts": given.said()}, "settings")
     run.write_json("config.json", asdict(config))
-    fitted = _fit(run, config, console) if config.fit_seconds or config.fit.steps else None
-    jobs = [Job(job, [(work, (job, config, fitted))], _only) for job in plan()]
+    if config.fit_seconds or config.fit.steps:
+        given = replace(given, texts=(f"{FITTED}={_fit(run, config, console)}", *given.texts))
+    jobs = [Job(job, [(work, (job, config, given))], _only) for job in plan()]
     jobs = [job for job in jobs if not job.done(run)]
     seconds: dict[str, float] = {}
     with progress(console) as bar:
@@ -62,7 +75,7 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> Run:
             start = time.perf_counter()
             wrenches = np.array([case.wrench for case in fixed_cases("ball", config.timed, config.seed)])
             timing = time_calls(
-                wrenches, load_models(fitted), objective(config), config.repeats, lambda: bar.advance(task)
+                wrenches, _rules(given, objective(config)), objective(config), config.repeats, lambda: bar.advance(task)
             )
             run.write_arrays("timing.npz", timing)
             seconds["timing"] = time.perf_counter() - start
@@ -70,7 +83,7 @@ def evaluate(config: EvaluateConfig, console: Console | None = None) -> Run:
     run.write_arrays("rollouts.npz", {key: value for arrays in parts for key, value in arrays.items()})
     record_animations(run, LearnedInitialForce.pretrained(), quick=config.quick, seed=config.seed)
     seconds["all"] = time.perf_counter() - begun
-    run.write_json("run.json", about(run, config, fitted, seconds))
+    run.write_json("run.json", about(run, config, given, seconds))
     return run
 
 
@@ -85,15 +98,16 @@ def _only(answers: list[Trials]) -> Trials:
     return arrays
 
 
-def work(job: str, config: EvaluateConfig, fitted: Path | None) -> Trials:
+def work(job: str, config: EvaluateConfig, given: Given) -> Trials:
     """One job, in a worker: its arrays."""
-    models, starts = _starts(fitted, config.fit.force_weight, config.fit.barrier_weight)
     phi = objective(config)
+    rules, starts = _starts(given, phi)
+    models = models_in(rules)
     kind, _, name = job.partition("/")
     if kind == "trials":
         return compare(name, cases_of(name, config.wrenches, config.seed), starts, models, phi)
     if kind == "rollouts":
-        return rollouts.roll_out_scenario(name, {**ROLLED, **models}, config.episodes, config.seed, phi, config.steps)
+        return rollouts.roll_out_scenario(name, {**ROLLED, **rules}, config.episodes, config.seed, phi, config.steps)
     if kind == "continuity":
         return continuity(starts, phi, config.paths, config.seed)
     return guarantee(models, config.guarded, config.seed)
@@ -104,17 +118,28 @@ def objective(config: EvaluateConfig) -> Objective:
     return Objective(config.fit.force_weight, config.fit.barrier_weight)
 
 
-def about(run: Run, config: EvaluateConfig, fitted: Path | None, seconds: dict[str, float]) -> dict[str, Any]:
-    """What run.json says: machine, settings, models."""
-    rule = AdaptiveStep()
-    files = {key: PRETRAINED / name for key, name in SHIPPED.items()} | ({"learned_fitted": fitted} if fitted else {})
-    models = {key: {**model.checkpoint.card, "bytes": _bytes(files[key])} for key, model in load_models(fitted).items()}
+def about(run: Run, config: EvaluateConfig, given: Given, seconds: dict[str, float]) -> dict[str, Any]:
+    """What run.json says: machine, settings, models, starts that were given."""
+    rule, rules, said = AdaptiveStep(), _rules(given, objective(config)), given.said()
+    files = {key: PRETRAINED / name for key, name in SHIPPED.items()}
+    files |= {key: path for key, what in said.items() if (path := model_path(what)) is not None}
+    models = {
+        key: {**model.checkpoint.card, "bytes": _bytes(files[key]) if key in files else None}
+        for key, model in models_in(rules).items()
+    }
     return {
         "kind": "starts",
         **provenance(),
         "quick": config.quick,
         "config": asdict(config),
         "models": models,
+        "given": {
+            key: {
+                "what": said.get(key, "a rule of grasp_env.force"),
+                "remembers": bool(getattr(rules[key], "remembers", False)),
+            }
+            for key in given_in(rules)
+        },
         "grasp": config.fit.preset,
         "friction": float(presets.preset(config.fit.preset).friction[0]),
         "force_weight": config.fit.force_weight,
@@ -122,7 +147,7 @@ def about(run: Run, config: EvaluateConfig, fitted: Path | None, seconds: dict[s
         "rollouts": rollouts.settings(),
         "step_rule": {"name": type(rule).__name__, **vars(rule)},
         "seconds": seconds,
-        "fit": run.read_json("fit.json") if fitted is not None else None,
+        "fit": run.read_json("fit.json") if FITTED in rules else None,
     }
 
 
@@ -142,12 +167,15 @@ def _fit(run: Run, config: EvaluateConfig, console: Console) -> Path:
     return stem
 
 
+def _rules(given: Given, phi: Objective) -> dict[str, InitialForceRule]:
+    """The models of the package, then what was given."""
+    return {**load_models(), **given.rules(phi)}
+
+
 @functools.cache
-def _starts(
-    fitted: Path | None, force_weight: float, barrier_weight: float
-) -> tuple[dict[str, LearnedInitialForce], dict[str, Start]]:
-    models = load_models(fitted)
-    return models, make_starts(Objective(force_weight, barrier_weight), models)
+def _starts(given: Given, phi: Objective) -> tuple[dict[str, InitialForceRule], dict[str, Made]]:
+    rules = _rules(given, phi)
+    return rules, make_starts(phi, rules)
 
 
 def _bytes(stem: Path) -> int:

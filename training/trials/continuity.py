@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from grasp_env._check import Array, ContactForces
-from grasp_env.errors import InfeasibleStartError
+from grasp_env.errors import GraspError
 from grasp_env.force import ForceOptimizer, Objective
 from grasp_env.grasp import Grasp, presets, wrench
 from training.cases.sets import HELD_OUT
 from training.cases.starts import DoesNotApply, Start, newton_optimizer, scaled
 from training.trials.arrays import Trials
-from training.trials.compare import OPTIMUM
+from training.trials.compare import OPTIMUM, attempt
 
 POINTS = 401
 """Of a path."""
@@ -74,6 +74,6 @@ def _optimum(newton: ForceOptimizer) -> Start:
 
 def _force(start: Start, grasp: Grasp, load: Array, before: ContactForces | None) -> ContactForces:
     try:
-        return start(grasp, load, before)
-    except (DoesNotApply, InfeasibleStartError):
+        return attempt(start, grasp, load, before)
+    except (DoesNotApply, GraspError):
         return np.full((grasp.n_contacts, 3), np.nan)

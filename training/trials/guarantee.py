@@ -11,7 +11,7 @@ from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.wrench import magnitude, sample_magnitudes
 from policies import LearnedInitialForce
 from training.cases.sets import HELD_OUT
-from training.cases.start_table import MODELS
+from training.cases.starts import everywhere
 from training.data.grasps import EVALUATION
 from training.trials.arrays import MAGNITUDES, Trials
 
@@ -71,16 +71,16 @@ def guarantee(models: dict[str, LearnedInitialForce], count: int, seed: int) -> 
         "<start>/<grasp>/excess" and "/magnitude" (about count,).
     """
     out: Trials = {}
-    for key, model in models.items():
+    for place, (key, model) in enumerate(models.items()):
         sets: dict[str, list[Grasp]] = {"fixed": [presets.paper_cuboid()]}
-        if key == "learned_any":
+        if everywhere(model):
             rng = np.random.default_rng([HELD_OUT, seed, 1 << 23])
             sets |= {
                 name: [EVALUATION.closed(rng, n) for _ in range(_GRASPS_EACH)] for name, n in RANDOM_GRASPS.items()
             }
         for name, grasps in sets.items():
             parts = [
-                never_worse(model, grasp, max(1, count // len(grasps)), [HELD_OUT, seed, MODELS.index(key), k])
+                never_worse(model, grasp, max(1, count // len(grasps)), [HELD_OUT, seed, place, k])
                 for k, grasp in enumerate(grasps)
             ]
             out[f"{key}/{name}/excess"] = np.concatenate([part[0] for part in parts])

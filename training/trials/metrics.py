@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from training.cases.set_table import SETS
-from training.cases.start_table import LEARNED, MODELS
+from training.cases.start_table import LEARNED, STARTS
 from training.runs.statistics import spread
 from training.trials.arrays import (
     BUDGETS,
@@ -100,6 +100,16 @@ def iterations_to(column: Column) -> dict[str, Any]:
     }
 
 
+def reasons(said: np.ndarray) -> dict[str, int]:
+    """Why cases have no start, and how many: what was raised counts by its kind, with the first message."""
+    counts: dict[str, int] = {}
+    first: dict[str, str] = {}
+    for text in said[said != ""].tolist():
+        kind = first.setdefault(text.partition(": ")[0], text)
+        counts[kind] = counts.get(kind, 0) + 1
+    return counts
+
+
 def raw_metrics(trials: Trials, key: str) -> dict[str, Any] | None:
     """A network's own output before the repair; None where it applies to no case."""
     gaps = trials[f"{key}/raw_gap"]
@@ -126,6 +136,7 @@ PER_START: dict[str, Callable[[Column], Any]] = {
     "cases": lambda column: int((column.status != NOT_APPLICABLE).sum()),
     "not_applicable": lambda column: int((column.status == NOT_APPLICABLE).sum()),
     "no_start": lambda column: int((column.status == NO_START).sum()),
+    "reasons": lambda column: reasons(column.start("reason")),
     "not_converged": lambda column: int(((column.status == 1) | (column.status == 2)).sum()),
     "iterations": lambda column: spread(censored(column.run("iterations"))),
     "start_gap": lambda column: spread(column.start("gap")[column.exists]),
@@ -136,7 +147,9 @@ PER_START: dict[str, Callable[[Column], Any]] = {
     "margin_min": lambda column: _extreme(column.start("margin"), np.nanmin),
     "residual_max": lambda column: _extreme(column.start("residual"), np.nanmax),
     "raw": lambda column: raw_metrics(column.trials, column.key) if f"{column.key}/raw_gap" in column.trials else None,
-    "worse_than_basis": lambda column: worse_than_basis(column.trials, column.key) if column.key in LEARNED else None,
+    "worse_than_basis": lambda column: (
+        worse_than_basis(column.trials, column.key) if column.key in LEARNED or column.key not in STARTS else None
+    ),
 }
 """Of every start, by every method, on every set."""
 
@@ -185,8 +198,8 @@ def break_even(timing: Trials, models: dict[str, dict[str, Any]]) -> dict[str, A
         return float(np.nanmedian(np.nanmin(timing[f"{METHODS[0]}/{key}/total_us"], axis=0)))
 
     out: dict[str, Any] = {}
-    for key in MODELS:
-        if f"{METHODS[0]}/{key}/total_us" not in timing or key not in models:
+    for key in models:
+        if not np.isfinite(timing.get(f"{METHODS[0]}/{key}/total_us", np.nan)).any():
             continue
         seconds = training_seconds(models[key])
         saved = typical(BASIS) - typical(key)
@@ -228,22 +241,21 @@ def continuity_metrics(paths: Trials) -> dict[str, Any]:
 def guarantee_metrics(trials: Trials) -> dict[str, Any]:
     """How often a model's start was worse than the 12-basis's, over six decades of magnitude."""
     out: dict[str, Any] = {}
-    for key in MODELS:
+    for key in dict.fromkeys(name.split("/")[0] for name in trials):
         grasps = {
             name.split("/")[1]: trials[name] for name in trials if name.startswith(f"{key}/") and "excess" in name
         }
-        if grasps:
-            rows = {
-                name: {"n": int(e.size), "worse": int(worse(e).sum()), "excess_max": _extreme(e, np.nanmax)}
-                for name, e in grasps.items()
-            }
-            out[key] = {
-                "n": sum(row["n"] for row in rows.values()),
-                "worse": sum(row["worse"] for row in rows.values()),
-                "excess_max": _extreme(np.concatenate(list(grasps.values())), np.nanmax),
-                "magnitudes": list(MAGNITUDES),
-                "grasps": rows,
-            }
+        rows = {
+            name: {"n": int(e.size), "worse": int(worse(e).sum()), "excess_max": _extreme(e, np.nanmax)}
+            for name, e in grasps.items()
+        }
+        out[key] = {
+            "n": sum(row["n"] for row in rows.values()),
+            "worse": sum(row["worse"] for row in rows.values()),
+            "excess_max": _extreme(np.concatenate(list(grasps.values())), np.nanmax),
+            "magnitudes": list(MAGNITUDES),
+            "grasps": rows,
+        }
     return out
 
 
@@ -256,31 +268,38 @@ def rollout_metrics(rollouts: Trials) -> dict[str, Any]:
         starts = dict.fromkeys(key for found, key, _ in keys if found == scenario)
         for start in starts:
             episodes = sorted((e for s, k, e in keys if (s, k) == (scenario, start)), key=int)
-            pick = [{c: rollouts[f"{scenario}/{start}/{e}/{c}"] for c in _COLUMNS} for e in episodes]
-            failures = [str(rows["failure"]) for rows in pick if str(rows["failure"])]
-            error = np.concatenate([rows["force_error"] for rows in pick])
-            commanded = np.concatenate([rows["commanded_force"] for rows in pick])
+            begun = [e for e in episodes if f"{scenario}/{start}/{e}/time" in rollouts]
+            pick = [{c: rollouts[f"{scenario}/{start}/{e}/{c}"] for c in _COLUMNS} for e in begun]
+            failures = [text for e in episodes if (text := str(rollouts[f"{scenario}/{start}/{e}/failure"]))]
             out[scenario][start] = {
-                "episodes": len(pick),
-                "held": len(pick) - len(failures),
+                "episodes": len(episodes),
+                "held": len(episodes) - len(failures),
                 "failures": failures,
-                "contact_always": bool(all(rows["touching"].all() for rows in pick)),
-                "seconds": float(max(rows["time"][-1] for rows in pick)),
-                "max_drift_mm": float(max(rows["drift"].max() for rows in pick) * 1e3),
-                "max_tilt_deg": float(np.degrees(max(rows["tilt"].max() for rows in pick))),
-                "max_slip_distance_mm": float(max(rows["slip_distance"][-1] for rows in pick) * 1e3),
-                "force_error_p95": float(np.percentile(error, 95)),
-                "force_error_max": float(error.max()),
-                "total_normal_force_mean": float(commanded[:, :, 0].sum(axis=1).mean()),
-                "peak_torque": float(max(rows["peak_torque"].max() for rows in pick)),
-                "iterations": spread(np.concatenate([rows["iterations"] for rows in pick])),
+                **(_rolled_out(pick) if pick else {}),
             }
     return out
 
 
+def _rolled_out(pick: list[Trials]) -> dict[str, Any]:
+    """Of the episodes that began."""
+    error = np.concatenate([rows["force_error"] for rows in pick])
+    commanded = np.concatenate([rows["commanded_force"] for rows in pick])
+    return {
+        "contact_always": bool(all(rows["touching"].all() for rows in pick)),
+        "seconds": float(max(rows["time"][-1] for rows in pick)),
+        "max_drift_mm": float(max(rows["drift"].max() for rows in pick) * 1e3),
+        "max_tilt_deg": float(np.degrees(max(rows["tilt"].max() for rows in pick))),
+        "max_slip_distance_mm": float(max(rows["slip_distance"][-1] for rows in pick) * 1e3),
+        "force_error_p95": float(np.percentile(error, 95)),
+        "force_error_max": float(error.max()),
+        "total_normal_force_mean": float(commanded[:, :, 0].sum(axis=1).mean()),
+        "peak_torque": float(max(rows["peak_torque"].max() for rows in pick)),
+        "iterations": spread(np.concatenate([rows["iterations"] for rows in pick])),
+    }
+
+
 _COLUMNS = (
     "iterations", "drift", "tilt", "slip_distance", "force_error", "commanded_force", "touching", "peak_torque", "time",
-    "failure",
 )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import gymnasium as gym
 import numpy as np
 
 from grasp_env.config import EnvConfig
+from grasp_env.errors import GraspError
 from grasp_env.force import InitialForceRule, Objective
 from policies.controllers import Policy
 from training.data.episodes import episode
@@ -77,11 +78,14 @@ def roll_out_scenario(
     """A scenario from every start: a deterministic one once, a random one `episodes` times with paired seeds.
 
     Returns:
-        "<scenario>/<start>/<episode>/<column>" arrays.
+        "<scenario>/<start>/<episode>/<column>" arrays; of an episode that did not begin, "failure" alone.
     """
     out: dict[str, np.ndarray] = {}
     for k in range(episodes if scenario in RANDOM_SCENARIOS else 1):
         for key, rule in rules.items():
-            rows = roll_out(scenario, rule, seed + k, steps, objective=objective)
+            try:
+                rows = roll_out(scenario, rule, seed + k, steps, objective=objective)
+            except GraspError as error:  # the hand cannot even close its fingers with this rule
+                rows = {"failure": np.array(f"does not begin: {str(error)[:120]}")}
             out.update({f"{scenario}/{key}/{k}/{column}": value for column, value in rows.items()})
     return out
