@@ -106,7 +106,8 @@ def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Pro
         try:
             with interruptible() as interrupted:
                 watch = _Watch(training, interrupted, bar)
-                agent.learn(config.steps - agent.num_timesteps, watch, log_interval=10, reset_num_timesteps=False)
+                every = 1 if config.algorithm == "ppo" else config.envs  # PPO counts updates, SAC episodes
+                agent.learn(config.steps - agent.num_timesteps, watch, log_interval=every, reset_num_timesteps=False)
                 return watch.finish()
         finally:
             logger.close()
@@ -149,6 +150,8 @@ class _Watch(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         config, curve, steps = self._training.config, self._training.curve, self.num_timesteps
+        if config.algorithm == "ppo":  # an update comes after its rollout's row: give it one of its own
+            self.logger.dump(steps)
         if not curve or steps - curve[-1]["steps"] >= config.steps / config.curve_points:
             self._score()
         if self._interrupted() or steps - self._saved >= config.checkpoint_every:
@@ -179,6 +182,7 @@ class _Watch(BaseCallback):
         }
         for name, value in point.items():
             self.logger.record(f"score/{name}", value)
+        self.logger.dump(self.num_timesteps)  # now, not at the end of the rollout that follows
         training.curve.append({"steps": self.num_timesteps, "seconds": round(float(self._spent[0]), 2), **point})
         self._mark = _clock()  # scores are not training time
 
