@@ -3,7 +3,7 @@
 # GRASP_ARCH=x86-64-v3, GRASP_SANITIZE=ON and GRASP_ZIG=native build the core once more, in a folder of its own, and test that one.
 
 .DEFAULT_GOAL := help
-.PHONY: help install core stubs evaluate test slow sanitize check format wheel clean
+.PHONY: help install core stubs evaluate test slow docs sanitize check format wheel clean
 BIN := .venv/bin
 STAMP := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
@@ -15,6 +15,7 @@ help:
 	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about seven minutes)"
 	@echo "make test       the tests (about six minutes)"
 	@echo "make slow       the long trials"
+	@echo "make docs       these pages as a site: build/docs/html (about a minute)"
 	@echo "make sanitize   the tests of the core under AddressSanitizer and UBSan"
 	@echo "make check      format, lint, types and the stub of the core"
 	@echo "make format     format and mend what can be mended"
@@ -106,6 +107,9 @@ test: core
 
 slow: core
 	$(PYTEST) -m slow $(ARGS)
+
+docs: core
+	$(BIN)/sphinx-build -W --keep-going -n -j auto -q docs build/docs/html $(ARGS)
 
 sanitize:
 	@$(MAKE) --no-print-directory test GRASP_SANITIZE=ON ARGS="tests/core $(ARGS)"

@@ -60,14 +60,15 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     ## Action space
     By `action_mode`, `Box(-1, 1, float32)`, clipped:
-    "initial_force" (3N - 6,): an adjustment of the initial force along internal forces (null-space coordinates, times
-    `action_scale` newtons). The six directions of the four-finger hand are squeezes along the lines between two contacts
-    (thumb-middle, thumb-left, thumb-right, middle-left, middle-right, left-right), orthonormalised, and move
-    continuously with the contacts; with fewer contacts they are projected. Zero is the paper. An adjusted start is repaired: the
-    force of least Phi between the linear combination and it.
-    "contact_force" (3N,): the contact forces themselves, no solver: per finger normal in [0, 2 `action_scale`], o and t in
-    +-`action_scale`.
-    "none" (1,): ignored. Controllers that do not optimise, and methods without a start (conic, linear), ignore "initial_force".
+
+    - "initial_force" (3N - 6,): an adjustment of the initial force along internal forces (null-space coordinates, times
+      `action_scale` newtons). The six directions of the four-finger hand are squeezes along the lines between two contacts
+      (thumb-middle, thumb-left, thumb-right, middle-left, middle-right, left-right), orthonormalised, and move
+      continuously with the contacts; with fewer contacts they are projected. Zero is the paper. An adjusted start is repaired: the
+      force of least Phi between the linear combination and it.
+    - "contact_force" (3N,): the contact forces themselves, no solver: per finger normal in [0, 2 `action_scale`], o and t in
+      +-`action_scale`.
+    - "none" (1,): ignored. Controllers that do not optimise, and methods without a start (conic, linear), ignore "initial_force".
 
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:

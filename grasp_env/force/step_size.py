@@ -79,7 +79,7 @@ class ArmijoStep:
 
 @dataclass(frozen=True)
 class AdaptiveStep:
-    """Accept the first alpha, alpha * shrink, ... that decreases Phi inside the cones; then alpha *= grow.
+    """Accept the first alpha, alpha * shrink, ... that decreases Phi inside the cones; then `alpha *= grow`.
 
     Attributes:
         first: the first trial step of every solve [N / force_weight].

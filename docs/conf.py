@@ -1,0 +1,84 @@
+"""How the site is built: `make docs`. Nothing it shows comes from elsewhere when it is read."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "docs" / "extensions")]
+
+import grasp_env  # noqa: E402
+
+project = "Grasp forces"
+author = "The grasp-force authors"
+release = version = grasp_env.__version__
+project_copyright = "the grasp-force authors, MIT licence"
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "myst_parser",
+    "sphinx_design",
+    "sphinx_copybutton",
+    "sphinx_gallery.gen_gallery",
+    "mathml",
+    "docstrings",
+    "program",
+]
+exclude_patterns = ["results"]
+suppress_warnings = ["config.cache"]  # the gallery's order is a class
+nitpicky = True
+nitpick_ignore_regex = [
+    # other people's pages are not asked for when the site is built: their names are text
+    (r"py:.*", r"(numpy|np|gymnasium|gym|pybullet|mujoco|pathlib|collections|enum|os|stable_baselines3|torch)\..*"),
+    # `code` in a docstring: a link where it names something, else a word; what must be a link is a :class: or :func:
+    (r"py:obj", r".*"),
+]
+
+default_role = "py:word"
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath", "fieldlist"]
+myst_heading_anchors = 3
+myst_dmath_double_inline = True
+
+autodoc_typehints = "none"  # the docstrings say shapes, units and frames, which types do not
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+autodoc_class_signature = "mixed"
+autodoc_default_options = {"members": True}
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_use_rtype = False
+napoleon_custom_sections = [("Attributes", "params_style")]  # as arguments are: several names may share a line
+
+html_theme = "furo"
+html_title = "Grasp forces"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_show_search_summary = False  # it would fetch pages, which a browser refuses to a site on disk
+html_show_sourcelink = False
+html_copy_source = False
+html_theme_options = {
+    "navigation_with_keys": True,
+    "light_css_variables": {"color-brand-primary": "#0b5394", "color-brand-content": "#0b5394"},
+    "dark_css_variables": {"color-brand-primary": "#7db8ec", "color-brand-content": "#7db8ec"},
+}
+pygments_style, pygments_dark_style = "friendly", "github-dark"
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+sphinx_gallery_conf = {
+    "examples_dirs": str(ROOT / "examples"),
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"/\d\d_",  # what is numbered runs here; training takes too long
+    "ignore_pattern": r"(__init__|_shared)\.py|/cpp/",
+    "download_all_examples": False,
+    "show_memory": False,
+    "show_signature": False,
+    "write_computation_times": False,
+    "min_reported_time": 1e9,
+    "abort_on_example_error": True,
+    "image_scrapers": ("matplotlib",),
+    "reference_url": {},
+    "remove_config_comments": True,
+}

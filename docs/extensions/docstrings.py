@@ -1,0 +1,85 @@
+"""How docstrings are read: `code` is a word, and a link where a page has that name."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from sphinx.domains.python import PyXRefRole
+from sphinx.pycode import ModuleAnalyzer
+
+if TYPE_CHECKING:
+    from docutils import nodes
+    from sphinx.application import Sphinx
+    from sphinx.environment import BuildEnvironment
+
+ROOMS = ("grasp_env", "policies", "training")
+
+
+class Word(PyXRefRole):
+    """The default role. A word that names nothing stays text, without a warning: most backticks are code."""
+
+    def process_link(
+        self, env: BuildEnvironment, refnode: nodes.Element, has_explicit_title: bool, title: str, target: str
+    ) -> tuple[str, str]:
+        """As a reference to any Python object; one that looks like a class may stand in any module."""
+        refnode["reftype"] = "obj"
+        if target[:1].isupper() and target.isidentifier():
+            target = f".{target}"
+        return super().process_link(env, refnode, has_explicit_title, title, target)
+
+
+def constant_docs(name: str, value: Any) -> list[str]:
+    """The text below a module's constant, in whichever of our modules it stands; empty: it has none.
+
+    What Python itself says of a constant is the docstring of its type.
+    """
+    for module, found in list(sys.modules.items()):
+        if module.partition(".")[0] in ROOMS and vars(found).get(name) is value:
+            docs = ModuleAnalyzer.for_module(module).find_attr_docs().get(("", name))
+            if docs:
+                return list(docs)
+    return []
+
+
+def from_markdown(lines: list[str]) -> list[str]:
+    """Headings and tables as Gymnasium's docstrings have them, in the language that Sphinx reads."""
+    made: list[str] = []
+    for k, line in enumerate(lines):
+        if line.startswith("## "):
+            made += ["", f".. rubric:: {line[3:]}", ""]
+        elif line.startswith("| "):
+            if not lines[k - 1].startswith("|"):
+                made += ["", ".. list-table::", "   :header-rows: 1", ""]
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            made += [f"   {'*' if cell is cells[0] else ' '} - {cell}" for cell in cells]
+        elif not line.startswith("|--"):
+            made.append(line)
+    return made
+
+
+def mend(_app: Sphinx, what: str, name: str, value: Any, _options: Any, lines: list[str]) -> None:
+    """Before Google's sections are read."""
+    if what == "data":
+        lines[:] = constant_docs(name.rpartition(".")[2], value)
+    if what in ("data", "attribute", "property"):
+        lines[:0] = ["..", ""]  # a comment: what stands before a colon in the first line is taken for its type
+    if any(line.startswith("## ") for line in lines):
+        lines[:] = from_markdown(lines)
+    for k, line in enumerate(lines):
+        if not line.lstrip().startswith((">>>", "...")):
+            lines[k] = line.replace("|", r"\|")  # |x| is an absolute value here
+
+
+def skip(_app: Sphinx, _what: str, _name: str, value: Any, _skipped: bool, _options: Any) -> bool | None:
+    """A NamedTuple's fields stand under `Attributes`; what Python says of them is no documentation."""
+    said = getattr(value, "__doc__", None) or ""
+    return True if said.startswith("Alias for field number") else None
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Called by Sphinx."""
+    app.add_role_to_domain("py", "word", Word())
+    app.connect("autodoc-process-docstring", mend, priority=100)
+    app.connect("autodoc-skip-member", skip)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
