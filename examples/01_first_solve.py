@@ -2,8 +2,9 @@
 Solve your own contacts
 =======================
 
-Three fingertips carry a mug of 0.3 kg; the contacts come from a drawing, in millimetres and with normals that point out of the
-object. To learn: let ``advise`` look at your numbers before you trust a force; it names both mistakes. In C++: ``01_first_solve.cpp``.
+Three fingertips carry a mug of 0.3 kg; the contacts come from a drawing, in millimetres and with normals that point
+out of it. To learn: let ``advise`` look at your numbers before you trust a force; it names both mistakes. In C++:
+``01_first_solve.cpp``.
 """
 
 import matplotlib.pyplot as plt
@@ -36,7 +37,8 @@ vectors = grasp.to_object_frame(solution.force)
 print("fingers + weight:", (vectors.sum(axis=0) + weight[:3]).round(9) + 0.0, "N")
 assert abs(vectors.sum(axis=0) + weight[:3]).max() < 1e-9
 
-fig, ax = plt.subplots(figsize=(8, 4.5), subplot_kw={"projection": "3d", "proj_type": "ortho"}, layout="constrained")
+fig = plt.figure(figsize=(8, 4.5), layout="constrained")
+ax = fig.add_subplot(projection="3d", proj_type="ortho")
 around, height = np.meshgrid(np.linspace(0, 2 * np.pi, 61), [-50, 50])
 ax.plot_surface(40 * np.cos(around), 40 * np.sin(around), height, color="0.8", alpha=0.3)
 ax.quiver(*drawing.T, *(15 * vectors.T), color="tab:blue", pivot="tip", label="fingers")
@@ -45,6 +47,6 @@ ax.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]", title="forces, 15 mm p
 ax.set(xticks=[-40, 0, 40], yticks=[-40, 0, 40], zticks=[-50, 0, 50])
 ax.set_aspect("equal")
 ax.view_init(elev=20, azim=-60)
-ax.set_box_aspect(None, zoom=1.1)
+ax.set_box_aspect(None, zoom=1)
 ax.legend(loc="center left", bbox_to_anchor=(-0.4, 0.5))
 plt.show()

@@ -2,8 +2,8 @@
 Contacts that move, at 1 kHz
 ============================
 
-Four fingers hold a cuboid that is turned; their tips roll, so that every tick has other contacts. To learn: a ``ForcePipeline`` takes
-the contacts of now in one compiled call; other calls give the same forces many times slower. In C++: ``02_moving_contacts.cpp``.
+Four fingers hold a cuboid that is turned, and their tips roll. To learn: ``ForcePipeline`` takes the contacts of now in
+one compiled call; others give the same forces many times slower. In C++: ``02_moving_contacts.cpp``.
 """
 
 from time import perf_counter

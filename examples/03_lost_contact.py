@@ -2,8 +2,9 @@
 A contact is lost, and comes back
 =================================
 
-One of four fingers leaves the object for 0.2 s. To learn: another number of contacts is another problem, so make a ``ForcePipeline`` for
-each set that may remain beforehand, and ``reset`` it when its turn comes: no tick is late. In C++: ``03_lost_contact.cpp``.
+One of four fingers leaves the object for 0.2 s. To learn: another number of contacts is another problem, so make a
+``ForcePipeline`` for each set that may remain beforehand, and ``reset`` it when its turn comes: no tick is late. In
+C++: ``03_lost_contact.cpp``.
 """
 
 import matplotlib.pyplot as plt

@@ -3,7 +3,8 @@ What the motors can give
 ========================
 
 The load grows, and one finger's motors are weak. To learn: forces keep torque limits where any force does; with
-``elastic=True`` the rest is answered by the force that exceeds them least, and says by how much. In C++: ``04_torque_limits.cpp``.
+``elastic=True`` the rest is answered by the force that exceeds them least, and says by how much. In C++:
+``04_torque_limits.cpp``.
 """
 
 import matplotlib.pyplot as plt
@@ -13,7 +14,7 @@ from grasp_env.force import ForceLimits, ForceOptimizer, Status, contact_jacobia
 from grasp_env.grasp import presets
 
 grasp = presets.paper_cuboid()  # a thumb below, three fingers above
-# velocities of the contact points by the joints [m], three joints a finger, turned from the object's frame into the contacts'
+# velocities of the contact points by the joints [m], three a finger, turned into the contacts' frames
 levers = np.array([[0.05, 0, 0], [0.01, -0.02, -0.03], [0.06, 0.05, 0.03]])
 jacobian = contact_jacobian(grasp, np.kron(np.eye(4), levers))
 own_weight = np.tile([0.02, 0.01, 0.005], 4)  # what the links' weight asks of the joints [N m]

@@ -2,8 +2,9 @@
 Your own start rule and your own disturbance
 ============================================
 
-Both are plain functions that are handed over where they are used; no file of the package knows them. To learn: a start rule takes
-(grasp, wrench) and returns forces, ``Repair`` makes any guess balanced and feasible; a disturbance takes the times of an episode.
+Both are plain functions, handed over where they are used; no file of the package knows them. To learn: a start rule
+takes (grasp, wrench) and returns forces, and ``Repair`` makes any guess feasible; a disturbance takes the times of an
+episode.
 """
 
 import gymnasium as gym
@@ -22,7 +23,7 @@ def firm(grasp, wrench):
 
 
 def quake(times, rng, settings):
-    """Wrenches (T, 6) [N, N m] on the object at the times (T,) [s]: three tones in random directions that swell and fade."""
+    """Wrenches (T, 6) [N, N m] on the object at times (T,) [s]: tones that swell and fade."""
     tones = np.sin(2 * np.pi * times[:, None] * [2, 3.3, 5] + rng.uniform(0, 2 * np.pi, 3))
     swell = np.sin(np.pi * times / settings.duration)[:, None] ** 2
     return swell * np.column_stack([2 * tones, 0.02 * tones])

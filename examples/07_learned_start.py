@@ -2,8 +2,9 @@
 A learned start
 ===============
 
-Networks that ship with the package start the paper's flow close to its end. To learn: a model is a start rule like any other, for single
-calls, batches and the environment; one of your own comes from ``grasp fit any_grasp --quick`` and ``LearnedInitialForce.load(folder)``.
+Networks that ship with the package start the paper's flow close to its end. To learn: a model is a start rule like
+any other, for single calls, batches and the environment; one of your own comes from ``grasp fit any_grasp --quick``
+and ``LearnedInitialForce.load(folder)``.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,9 @@
 Many wrenches, many grasps
 ==========================
 
-Sixty thousand directions of a load on one grasp, and a thousand places for its thumb. To learn: ``optimize_forces`` answers whole arrays,
-side by side in the registers and on all cores, the same numbers as single calls; nothing is raised. In C++: ``08_batch.cpp``.
+Sixty thousand directions of a load on one grasp, and a thousand places for its thumb. To learn: ``optimize_forces``
+answers whole arrays, side by side in the registers and on all cores, with the numbers of single calls. In C++:
+``08_batch.cpp``.
 """
 
 from time import perf_counter

@@ -2,8 +2,9 @@
 Exact or smooth
 ===============
 
-The exact optimum squeezes least and touches the friction cones; the paper's Phi keeps off them for a price. To learn: ``barrier_weight``
-(lambda) is that price, margin against squeeze; and forces by Phi move smoothly with the wrench where exact ones have corners.
+The exact optimum squeezes least and touches the friction cones; the paper's Phi keeps off them for a price. To learn:
+``barrier_weight`` (lambda) is that price, margin against squeeze; and forces by Phi move smoothly with the wrench
+where exact ones have corners.
 """
 
 import matplotlib.pyplot as plt

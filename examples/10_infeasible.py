@@ -2,8 +2,8 @@
 When no force will do
 =====================
 
-A block lies on three fingertips, and the hand tilts. To learn: what cannot be balanced is an error, never a wrong force, and the error
-carries its proof: a twist, the motion that the weight drives and no force within the friction cones resists.
+A block lies on three fingertips, and the hand tilts. To learn: what cannot be balanced is an error that carries its
+proof, a twist: the motion that the weight drives and no force within the friction cones resists.
 """
 
 import matplotlib.pyplot as plt

@@ -2,8 +2,9 @@
 In two simulators
 =================
 
-The hand holds a cuboid that is pushed at random, in PyBullet and in MuJoCo, with the wrench measured or estimated. To learn: the
-controller needs no force sensor on the object; what the estimate lags behind shows as drift, far below a millimetre, in either engine.
+The hand holds a cuboid that is pushed at random, in PyBullet and in MuJoCo, with the wrench measured or estimated. To
+learn: the controller needs no force sensor on the object; what the estimate lags behind shows as drift, far below a
+millimetre, in either engine.
 """
 
 import gymnasium as gym

@@ -30,7 +30,7 @@ def test_they_read_in_order() -> None:
 def test_an_example_is_short_and_says_what_it_shows(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
     assert len(source.splitlines()) < LINES
-    assert max(map(len, source.splitlines())) <= 140
+    assert max(map(len, source.splitlines())) <= 120
     said = ast.get_docstring(ast.parse(source))
     assert said, "no docstring"
     title, line, *text = said.splitlines()
