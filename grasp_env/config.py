@@ -117,6 +117,15 @@ class EnvConfig:
             0.35 rad, or the task's own.
         max_contact_gap: [s] without force closure before the grasp counts as lost.
         render_size: (width, height) of pictures [pixels].
+
+    Raises:
+        UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
+        InvalidInputError: values out of range; all faults are told at once.
+
+    Example:
+        >>> config = EnvConfig(task="move", motion="lift", friction=0.6)
+        >>> config.override(friction=0.8).friction
+        0.8
     """
 
     hand: Any = "four_finger"

@@ -50,7 +50,14 @@ class InvalidInputError(GraspError):
 
 
 class UnknownNameError(GraspError, KeyError):
-    """A method, rule, preset or option name that does not exist."""
+    """A method, rule, preset or option name that does not exist.
+
+    Args:
+        kind: of name, for the message.
+        given: the name.
+        allowed: those that exist.
+        hint: the end of the message.
+    """
 
     def __init__(self, kind: str, given: object, allowed: Iterable[str], hint: str = "") -> None:
         self.given = given

@@ -17,8 +17,14 @@ class AnyGraspForce(LearnedInitialForce, kind="any_grasp"):
 
     Invariant to frame, units, order of contacts, omega and lambda by construction (`core/include/grasp/layers.hpp`).
 
+    Args:
+        checkpoint: weights, normalisation, training range and model card.
+        objective: Phi; None: the defaults.
+        remembers: whether it also starts from the previous solution.
+
     Attributes:
-        layers: (K, numbers) float32. width: of their hidden layers.
+        layers: (K, numbers) float32.
+        width: of their hidden layers.
     """
 
     def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:

@@ -11,7 +11,7 @@ from grasp_env._check import as_array, whole
 
 
 class Policy(Protocol):
-    """What `stable_baselines3.common.evaluation.evaluate_policy` needs."""
+    """What `stable_baselines3.common.evaluation.evaluate_policy` needs: `predict`, as its agents have."""
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
@@ -21,7 +21,16 @@ class Policy(Protocol):
 
 
 class ZeroPolicy:
-    """No adjustment of the initial force: the environment's own start rule, the paper's by default."""
+    """No adjustment of the initial force: the environment's own start rule, the paper's by default.
+
+    Args:
+        action_size: numbers of an action, `env.action_space.shape[0]`.
+
+    Example:
+        >>> action, _ = ZeroPolicy(6).predict(np.zeros(83))
+        >>> action
+        array([0., 0., 0., 0., 0., 0.], dtype=float32)
+    """
 
     def __init__(self, action_size: int = 6) -> None:
         self.action_size = whole(action_size, "action_size", 1, 10_000)

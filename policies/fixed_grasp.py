@@ -29,6 +29,11 @@ class FixedGraspForce(LearnedInitialForce, kind="fixed_grasp"):
     (`polish` above 0) takes those first, as many as its certificate asks. A grasp keeps its friction from call to call, so weights may be
     polynomials of the friction (`friction_degree` above 0), made numbers when the grasp is known: one perceptron per friction.
 
+    Args:
+        checkpoint: weights, normalisation, training range and model card.
+        objective: Phi; None: that of training.
+        remembers: whether it also starts from the previous solution.
+
     Attributes:
         polish: learned layers at most; 0: the network alone.
     """

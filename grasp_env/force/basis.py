@@ -25,6 +25,12 @@ class OfflineBasis:
         cone_divisor: (N, 3) of the grasp it balances. (Not the grasp itself: a basis must not keep its grasp alive.)
         objective: the Phi whose optima it holds.
         cone_forces: (13, 3N) the optima in cone coordinates, unit wrenches first, rest last.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> basis = OfflineBasis.of(presets.paper_cuboid())
+        >>> basis.forces.shape, basis.combine([1, 0.5, -0.6, -0.1, 0.2, 0]).shape
+        ((12, 4, 3), (4, 3))
     """
 
     cone_divisor: Array

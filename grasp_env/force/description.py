@@ -25,7 +25,11 @@ METRIC = np.array([3.0, 2.0, 2.0])
 
 
 def description_matrix(force: ContactForces, friction: Array) -> Array:
-    """P, the (3N, 3N) block-diagonal description matrix of forces (N, 3) (Eqs. 4 and 5).
+    """P, the (3N, 3N) block-diagonal description matrix of forces (Eqs. 4 and 5).
+
+    Args:
+        force: (N, 3) [N]: normal, o, t.
+        friction: a coefficient, or (N,).
 
     Example:
         >>> description_matrix(np.array([[10.0, 1.0, 2.0]]), np.array([0.4]))
@@ -42,6 +46,10 @@ def description_matrix(force: ContactForces, friction: Array) -> Array:
 
 def cone_margin(force: ContactForces, friction: Array) -> float:
     """Min over contacts of mu * normal - sqrt(o^2 + t^2) [N]: the least eigenvalue of P; > 0 strictly inside.
+
+    Args:
+        force: (N, 3) [N]: normal, o, t.
+        friction: a coefficient, or (N,), of round cones; see `Grasp.cone_margin` for others.
 
     Example:
         >>> cone_margin(np.array([[10.0, 3.0, 0.0]]), np.array([0.4]))

@@ -16,7 +16,13 @@ from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
 class Epsilon(NamedTuple):
-    """Answer of `epsilon`: lower <= epsilon <= upper [N per N], and the direction (6,) [N, N m] that is resisted least."""
+    """Answer of `epsilon`.
+
+    Attributes:
+        lower: certified, <= epsilon [N per N].
+        upper: certified, >= epsilon.
+        wrench: (6,) the direction that is resisted least [N, N m].
+    """
 
     lower: float
     upper: float
@@ -87,7 +93,17 @@ class GraspQuality:
 
 
 def singular_values(grasp: Grasp, length: float | None = None) -> Array:
-    """(6,) of G [N per N], decreasing: what contacts do not transmit left out, moments and torsions divided by length."""
+    """(6,) of G [N per N], decreasing: what contacts do not transmit left out, moments and torsions divided by length.
+
+    Args:
+        grasp: the contacts, any models.
+        length: [m]; None: `grasp.length`.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> singular_values(presets.tripod()).round(3)
+        array([1.732, 1.732, 1.732, 1.732, 1.225, 1.225])
+    """
     scale = as_grasp(grasp).length if length is None else positive(length, "length", ranges.LENGTH)
     transmitted = as_grasp(grasp).matrix * (grasp.models.cone_scale > 0.0).reshape(-1)
     whole = np.concatenate([transmitted, grasp.torsion_matrix * scale], axis=1)
@@ -98,7 +114,14 @@ def singular_values(grasp: Grasp, length: float | None = None) -> Array:
 def quality(
     grasp: Grasp, *, tolerance: float = 0.01, starts: int = 32, points: int = 400, seed: int = 0
 ) -> GraspQuality:
-    """The measures of `GraspQuality`; see `epsilon` for the arguments.
+    """How good the contacts are: the measures of `GraspQuality`.
+
+    Args:
+        grasp: the contacts, any models.
+        tolerance: relative gap of the bounds of both epsilons; see `worst_case`.
+        starts: see there.
+        points: see there.
+        seed: see there.
 
     Example:
         >>> from grasp_env.grasp import presets

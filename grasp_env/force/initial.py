@@ -31,7 +31,10 @@ LAGRANGE_WEIGHTS = np.array([1.0, 10.0, 10.0])
 
 
 class InitialForceRule(Protocol):
-    """A start: rule(grasp, wrench (6,)) -> force (N, 3) [N]."""
+    """A start: rule(grasp, wrench) -> force (N, 3) [N], balanced and strictly inside the cones; any function is one.
+
+    It gets the `Grasp` and the external wrench (6,) [N, N m], and raises `InfeasibleStartError` where it has no such force.
+    """
 
     def __call__(self, grasp: Grasp, wrench: Wrench, /) -> ContactForces:
         """(N, 3) [N]; raises `InfeasibleStartError` where the rule has no such force."""
@@ -145,8 +148,18 @@ def check_layers(layers: NDArray[np.float32], width: int) -> None:
 class LinearCombination:
     """The paper's start: non-negative combination of the 12 offline optima (Sec. III, Eqs. 32-34).
 
-    `printed=True` leaves out the rest force that keeps it away from P = 0 at small wrenches; it then has no start
-    at w = 0.
+    As printed it vanishes with the wrench, where P is singular, so max(0, 1 - sum E_k) times the optimum at w = 0 is added.
+
+    Attributes:
+        objective: the Phi whose optima are combined.
+        printed: leave that rest force out: no start at w = 0 then.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
+        >>> start = LinearCombination()(grasp, wrench)
+        >>> start.shape, grasp.cone_margin(start) > 0, grasp.residual(start, wrench) < 1e-12
+        ((4, 3), True, True)
     """
 
     objective: Objective = field(default_factory=Objective)
@@ -165,10 +178,19 @@ class LinearCombination:
 
 @dataclass(frozen=True)
 class SingleValue:
-    """f_0 = -G^+ w + k f_rest, k = max(1.1 k_min, 1): the singular-value start (our definition, see README).
+    """f_0 = -G^+ w + k f_rest, k = max(1.1 k_min, 1): the singular-value start (our definition: the paper gives none).
 
-    k_min is the least factor that is strictly feasible. The floor of 1 matters only for small wrenches, where
-    k_min vanishes and -G^+ w + 1.1 k_min f_rest would have a singular P.
+    k_min is the least factor that is strictly feasible, f_rest the optimum at w = 0. The floor of 1 matters only for small
+    wrenches, where k_min vanishes and -G^+ w + 1.1 k_min f_rest would have a singular P.
+
+    Attributes:
+        objective: the Phi whose optimum at w = 0 it squeezes with.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> grasp = presets.paper_cuboid()
+        >>> grasp.cone_margin(SingleValue()(grasp, [1, 0.5, -0.6, -0.1, 0.2, 0])) > 0
+        True
     """
 
     objective: Objective = field(default_factory=Objective)
@@ -188,8 +210,17 @@ class Lagrange:
     n are the unit normal forces. The solution is affine in k, so the strictly feasible k form an interval, found in
     closed form: k = max(1.1 k_min, the normal force of f_rest), at most the middle of the interval.
 
+    Attributes:
+        objective: the Phi whose optimum at w = 0 is f_rest.
+
     Raises:
         InfeasibleStartError: no k is strictly feasible, which happens on many grasps.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> grasp = presets.paper_cuboid()
+        >>> grasp.cone_margin(Lagrange()(grasp, [1, 0.5, -0.6, -0.1, 0.2, 0])) > 0
+        True
     """
 
     objective: Objective = field(default_factory=Objective)
@@ -216,7 +247,17 @@ class Lagrange:
 
 @dataclass(frozen=True)
 class PhaseOne:
-    """Any strictly feasible force, from an interior-point phase one: slow, needs no force closure."""
+    """The force deepest inside the cones, from an interior-point phase one: slow, needs no force closure.
+
+    Attributes:
+        objective: not used; every rule has one.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> grasp = presets.paper_cuboid()
+        >>> grasp.cone_margin(PhaseOne()(grasp, [1, 0.5, -0.6, -0.1, 0.2, 0])) > 0
+        True
+    """
 
     objective: Objective = field(default_factory=Objective)
 
@@ -264,10 +305,16 @@ RULES: dict[str, StartRule] = {
 def initial_rule(name: str, objective: Objective | None = None) -> InitialForceRule:
     """The rule of that name for the given Phi.
 
+    Args:
+        name: a key of `RULES`.
+        objective: Phi; None: the defaults.
+
     Raises:
         UnknownNameError: no rule of that name.
 
     Example:
+        >>> initial_rule("single_value")
+        SingleValue(objective=Objective(force_weight=1.0, barrier_weight=0.01))
         >>> initial_rule("newest")
         Traceback (most recent call last):
         grasp_env.errors.UnknownNameError: unknown initial-force rule 'newest': choose one of 'linear_combination', \

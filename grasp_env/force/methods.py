@@ -26,6 +26,7 @@ from grasp_env.grasp.grasp import Grasp
 DESCENTS = ("reduced_flow", "full_flow", "newton")
 """Methods on Phi: they take a start, a known optimum and a trace."""
 METHODS = (*DESCENTS, "conic", "linear")
+"""What `method` may be; those besides start from their own centre."""
 
 
 def make_method(grasp: Grasp, settings: Settings) -> Method:

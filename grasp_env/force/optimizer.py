@@ -76,9 +76,12 @@ class ForceOptimizer:
         correction: Correction = "tangent",
         elastic: bool = False,
     ) -> None:
-        """See `optimize_force` for the arguments.
+        """Prepares the method for the grasp.
 
         Args:
+            grasp: the contacts of now; `move_to` gives others.
+            initial: where every call starts, as in `optimize_force`; or "previous": where the last one ended.
+            method, criterion, limits, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic: see `optimize_force`.
             correction: how `initial="previous"` restores balance, "tangent" or "pseudoinverse".
         """
         checked = together(

@@ -24,6 +24,16 @@ class Repair:
     The candidate first gets the least-norm correction -G^+ (G f + w), so a candidate that is balanced stays. Then
     the force of least Phi on the segment from the combination (strictly feasible) to it is taken: never worse than
     the paper's start, and never worse than the candidate where that is feasible.
+
+    Attributes:
+        objective: Phi.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
+        >>> start = Repair()(grasp, wrench, np.tile([10.0, 0.0, 0.0], (4, 1)))      # no balance
+        >>> grasp.residual(start, wrench) < 1e-12, grasp.cone_margin(start) > 0
+        (True, True)
     """
 
     objective: Objective = field(default_factory=Objective)
@@ -58,8 +68,20 @@ def carry_over(
         correction: "pseudoinverse": the least-norm change that restores balance; "tangent": the change that is
             least in the Hessian of Phi at the previous force, which also follows the optimum to first order.
 
+    Returns:
+        (N, 3) [N], balanced and strictly inside the cones.
+
     Raises:
         UnknownNameError: another correction.
+
+    Example:
+        >>> from grasp_env.force import optimize_force
+        >>> from grasp_env.grasp import presets
+        >>> grasp, wrench = presets.paper_cuboid(), np.array([1, 0.5, -0.6, -0.1, 0.2, 0])
+        >>> before = optimize_force(grasp, wrench, method="newton")
+        >>> start = carry_over(grasp, 1.01 * wrench, before.force, Objective())
+        >>> optimize_force(grasp, 1.01 * wrench, initial=start).iterations
+        0
     """
     choice(correction, "correction", CORRECTIONS)
     wrench = as_wrench(wrench)

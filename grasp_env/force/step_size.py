@@ -39,6 +39,10 @@ class FixedStep:
         size: alpha [N / force_weight], 1e-15 to 1e12.
 
     Example:
+        >>> from grasp_env.force import optimize_force
+        >>> from grasp_env.grasp import presets
+        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], step_rule=FixedStep(0.05)).status.name
+        'OPTIMAL'
         >>> FixedStep(0.0)
         Traceback (most recent call last):
         grasp_env.errors.InvalidInputError: size must be finite and > 0, got 0.0
@@ -62,6 +66,12 @@ class ArmijoStep:
         first: the first trial step of every iteration [N / force_weight].
         shrink: factor, 0.001 to 0.999, after a rejected one.
         slope: share of alpha |d|^2 in (0, 1) by which Phi has to fall.
+
+    Example:
+        >>> from grasp_env.force import optimize_force
+        >>> from grasp_env.grasp import presets
+        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], step_rule=ArmijoStep(first=1.0)).status.name
+        'OPTIMAL'
     """
 
     first: float = 0.3
@@ -85,6 +95,14 @@ class AdaptiveStep:
         first: the first trial step of every solve [N / force_weight].
         grow: factor in [1, 1e6) after an accepted step.
         shrink: factor, 0.001 to 0.999, after a rejected one.
+
+    Example:
+        >>> from grasp_env.force import optimize_force
+        >>> from grasp_env.grasp import presets
+        >>> grasp, wrench = presets.tripod(), [1, 0, 0, 0, 0, 0]
+        >>> plain, named = optimize_force(grasp, wrench), optimize_force(grasp, wrench, step_rule=AdaptiveStep())
+        >>> plain.iterations == named.iterations            # the default
+        True
     """
 
     first: float = 0.3
@@ -114,6 +132,13 @@ class BarzilaiBorweinStep:
         first: the first trial step of every solve [N / force_weight].
         shrink: factor, 0.001 to 0.999, after a step that left a cone or did not decrease Phi.
         variant: "alternate", "long" or "short".
+
+    Example:
+        >>> from grasp_env.force import optimize_force
+        >>> from grasp_env.grasp import presets
+        >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
+        >>> optimize_force(grasp, wrench, step_rule=BarzilaiBorweinStep()).iterations < optimize_force(grasp, wrench).iterations
+        True
     """
 
     first: float = 0.3
@@ -136,6 +161,12 @@ class ExactStep:
     Attributes:
         precision: in (0, 1): the search ends where the slope has fallen to this share of the one at alpha = 0. A tenth
             takes FEWER iterations of the flow than the exact minimum, whose directions zigzag.
+
+    Example:
+        >>> from grasp_env.force import optimize_force
+        >>> from grasp_env.grasp import presets
+        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], step_rule=ExactStep(precision=0.1)).status.name
+        'OPTIMAL'
     """
 
     precision: float = 1e-3

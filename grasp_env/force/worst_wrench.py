@@ -50,6 +50,10 @@ class WrenchBall:
         moment: radius of the moments [N m], 1e-9 to 1e9.
         shape: "ellipsoid", |F|^2 / force^2 + |M|^2 / moment^2 <= 1, or "product", |F| <= force and |M| <= moment (the set of
             `grasp_env.grasp.wrench.sample_ball`).
+
+    Example:
+        >>> WrenchBall(2.0, 0.05, "product").farthest(np.array([0, 0, 1, 0, 0, 1])).round(3)
+        array([0.  , 0.  , 2.  , 0.  , 0.  , 0.05])
     """
 
     force: float

@@ -75,6 +75,15 @@ def load_grasp(path: str | Path) -> Grasp:
         GraspFileError: the file is missing, is not JSON, has an unknown, repeated or missing key, other units or
             another schema, or values that make no grasp; the message names file and field, `__cause__` is the grasp's
             own error.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "mine.json"
+        ...     text = '{"positions": [[0.04, 0, 0], [-0.02, 0.03, 0], [-0.02, -0.03, 0]], '
+        ...     _ = file.write_text(text + '"normals": [[-1, 0, 0], [0.6, -0.8, 0], [0.6, 0.8, 0]], "friction": 0.5}')
+        ...     load_grasp(file).n_contacts
+        3
     """
     file = as_path(path, GraspFileError, "a grasp's file")
     given = _read(file)

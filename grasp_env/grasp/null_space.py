@@ -24,6 +24,16 @@ def null_space_basis(grasp: Grasp, reference: Array | None = None) -> Array:
 
     Returns:
         (3N, 3N - 6) contact-frame forces (normal, o, t) stacked; G @ basis = 0, columns orthonormal.
+
+    Raises:
+        InvalidInputError: a reference of another shape, or one that the contacts do not leave internal.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> grasp = presets.paper_cuboid()
+        >>> basis = null_space_basis(grasp)
+        >>> basis.shape, bool(abs(grasp.matrix @ basis).max() < 1e-12)
+        ((12, 6), True)
     """
     if reference is None:
         reference = reference_basis(grasp)
@@ -43,6 +53,14 @@ def reference_basis(grasp: Grasp) -> Array:
     Squeezes along the lines between contact pairs (the virtual linkage of Williams and Khatib, 1993) give each
     column a meaning; where they do not span the null space (coplanar contacts, N > 4) an orthonormal basis of the
     whole null space, aligned with as many of them as there are, takes their place.
+
+    Args:
+        grasp: the grasp, whose columns they are; grasps nearby take them as `null_space_basis(nearby, reference)`.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> reference_basis(presets.tripod()).shape
+        (9, 3)
     """
     count, dimension = as_grasp(grasp).n_contacts, grasp.null_dimension
     pairs = [(i, j) for i in range(count) for j in range(i + 1, count)]

@@ -26,10 +26,15 @@ _CONTACTS: dict[str, tuple[list[list[float]], list[list[float]], float]] = {
     ),
 }
 PRESETS = tuple(_CONTACTS)
+"""The names that `preset` knows."""
 
 
 def preset(name: str, friction: float | Array | None = None) -> Grasp:
-    """The named grasp; `friction` replaces its own coefficient.
+    """The named grasp.
+
+    Args:
+        name: one of `PRESETS`.
+        friction: replaces its own coefficient: a number, (N,), or (N, 2) for elliptic cones.
 
     Raises:
         UnknownNameError: no preset of that name.
@@ -43,15 +48,39 @@ def preset(name: str, friction: float | Array | None = None) -> Grasp:
 
 
 def paper_cuboid(friction: float | Array | None = None) -> Grasp:
-    """The reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4."""
+    """The reference grasp: thumb at -z, three fingers at +z of a 0.1 m cuboid, mu = 0.4.
+
+    Args:
+        friction: another coefficient, as in `preset`.
+
+    Example:
+        >>> paper_cuboid().positions[0]
+        array([ 0.  ,  0.  , -0.05])
+    """
     return preset("paper_cuboid", friction)
 
 
 def tripod(friction: float | Array | None = None) -> Grasp:
-    """Three fingers around a disc, mu = 0.5."""
+    """Three fingers around a disc of 40 mm radius, mu = 0.5.
+
+    Args:
+        friction: another coefficient, as in `preset`.
+
+    Example:
+        >>> tripod(friction=0.8).friction
+        array([0.8, 0.8, 0.8])
+    """
     return preset("tripod", friction)
 
 
 def five_finger_cuboid(friction: float | Array | None = None) -> Grasp:
-    """Thumb against four fingers on the cuboid, mu = 0.4."""
+    """Thumb against four fingers on the cuboid, mu = 0.4.
+
+    Args:
+        friction: another coefficient, as in `preset`.
+
+    Example:
+        >>> five_finger_cuboid().matrix.shape
+        (6, 15)
+    """
     return preset("five_finger_cuboid", friction)

@@ -20,6 +20,9 @@ MAGNITUDE_LENGTH = 0.05
 def paper_path(time: ArrayLike) -> Array:
     """W_ext(t) of the paper's Sec. IV.B: time [s], scalar or (T,) -> (6,) or (T, 6) [N, N m].
 
+    Args:
+        time: [s]; the paper's example ends at 2.
+
     Example:
         >>> paper_path(0.0)
         array([1. , 1. , 3. , 0. , 0.2, 0. ])
@@ -31,7 +34,19 @@ def paper_path(time: ArrayLike) -> Array:
 
 
 def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
-    """|(force, moment / length)| [N] of wrenches (..., 6)."""
+    """|(force, moment / length)| [N] of wrenches (..., 6).
+
+    Args:
+        wrench: (6,) or (..., 6) [N, N m].
+        length: [m] that turns a moment into a force.
+
+    Returns:
+        One number for each wrench [N].
+
+    Example:
+        >>> float(magnitude([3, 0, 0, 0, 0, 0.2]))
+        5.0
+    """
     given = as_array(wrench, None, "wrench", ranges.SIZE)
     if given.shape[-1:] != (6,):
         raise InvalidInputError(f"wrench must have shape (6,) or (..., 6), got {given.shape}")
@@ -40,14 +55,41 @@ def magnitude(wrench: Array, length: float = MAGNITUDE_LENGTH) -> Array:
 
 
 def sample_ball(rng: np.random.Generator, count: int, force: float = FORCE_RADIUS, moment: float = MOMENT_RADIUS):
-    """(count, 6) wrenches, force uniform in a ball of radius `force` [N], moment in one of `moment` [N m]."""
+    """(count, 6) wrenches, force uniform in a ball of radius `force` [N], moment in one of `moment` [N m].
+
+    Args:
+        rng: what is drawn from.
+        count: how many.
+        force: largest force [N].
+        moment: largest moment [N m].
+
+    Example:
+        >>> wrenches = sample_ball(np.random.default_rng(0), 100)
+        >>> bool((np.linalg.norm(wrenches[:, :3], axis=1) <= 2.0).all())
+        True
+    """
     _check_draw(rng, count)
     force, moment = number(force, "force", ranges.SIZE), number(moment, "moment", ranges.SIZE)
     return np.concatenate([_ball(rng, count) * force, _ball(rng, count) * moment], axis=1)
 
 
 def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, high: float = 20.0) -> Array:
-    """(count, 6) wrenches, directions uniform on the 6-sphere of (force, moment / 0.05 m), log-uniform magnitude."""
+    """(count, 6) wrenches, directions uniform on the 6-sphere of (force, moment / 0.05 m), log-uniform magnitude.
+
+    Args:
+        rng: what is drawn from.
+        count: how many.
+        low: least `magnitude` [N].
+        high: largest [N].
+
+    Raises:
+        InvalidInputError: low above high, or numbers out of range.
+
+    Example:
+        >>> sizes = magnitude(sample_magnitudes(np.random.default_rng(0), 100, low=1.0, high=4.0))
+        >>> bool((sizes > 0.999).all()), bool((sizes < 4.001).all())
+        (True, True)
+    """
     _check_draw(rng, count)
     low, high = positive(low, "low", ranges.BALL), positive(high, "high", ranges.BALL)
     if low > high:
@@ -60,7 +102,18 @@ def sample_magnitudes(rng: np.random.Generator, count: int, low: float = 0.1, hi
 
 
 def sample_path(rng: np.random.Generator, count: int, step: float = 0.03) -> Array:
-    """(count, 6) wrenches of a smooth random walk in the standard ball: each moves by about `step` of a radius."""
+    """(count, 6) wrenches of a smooth random walk in the standard ball: each moves by about `step` of a radius.
+
+    Args:
+        rng: what is drawn from.
+        count: how many.
+        step: largest part of each radius by which a wrench differs from the one before, 0 to 1.
+
+    Example:
+        >>> path = sample_path(np.random.default_rng(0), 50, step=0.01)
+        >>> bool((np.linalg.norm(np.diff(path[:, :3], axis=0), axis=1) < 0.021).all())
+        True
+    """
     _check_draw(rng, count)
     step = number(step, "step", ranges.Range(0.0, 1.0))
     path = np.empty((count, 6))
@@ -83,7 +136,16 @@ def _ball(rng: np.random.Generator, count: int) -> Array:
 
 
 def constant(wrench: Wrench, count: int) -> Array:
-    """(count, 6): the same wrench `count` times."""
+    """(count, 6): the same wrench `count` times.
+
+    Args:
+        wrench: (6,) [N, N m].
+        count: how many.
+
+    Example:
+        >>> constant(PAPER_CONSTANT, 3).shape
+        (3, 6)
+    """
     return np.tile(as_wrench(wrench), (whole(count, "count", 0, ranges.NUMBERS // 6), 1))
 
 

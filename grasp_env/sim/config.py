@@ -35,6 +35,10 @@ class SceneConfig:
         substeps: Steps of the engine in one step of the scene, under the same torques; contact forces are their mean.
         clearance: Gap between tips and object at the start [m]; 0 lets them touch.
         start_angles: Of the joints at the start [rad], (M,); () are those that put the tips there.
+
+    Example:
+        >>> SceneConfig(gravity=(0.0, 0.0, 0.0)).contact_normals[0]
+        array([0., 0., 1.])
     """
 
     hand: HandDescription = field(default_factory=HandDescription.four_finger)

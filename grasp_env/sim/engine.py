@@ -40,6 +40,10 @@ class BulletEngine(Engine):
 
     Attributes:
         solver_iterations: Sweeps of its contact solver in one step.
+
+    Example:
+        >>> BulletEngine(solver_iterations=50).rate
+        250
     """
 
     solver_iterations: int = 20

@@ -40,6 +40,12 @@ class Scene:
         InvalidInputError: A finger cannot reach its contact.
         MissingExtraError: The engine is not installed.
         SimulationError: No display for the window.
+
+    Example:
+        >>> scene = Scene(SceneConfig())
+        >>> scene.look().angles.shape
+        (12,)
+        >>> scene.close()
     """
 
     def __init__(self, config: SceneConfig | None = None, gui: bool = False, visuals: bool = False) -> None:

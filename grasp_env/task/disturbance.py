@@ -28,6 +28,14 @@ class Disturbed:
     Attributes:
         wrench: (T, 6) external wrench on the object [N, N m], object frame; None: nothing.
         gravity: (T, 3) [m/s^2], world frame; None: that of the settings.
+
+    Example:
+        >>> def lighter(times, rng, settings):
+        ...     return Disturbed(gravity=np.outer(1.0 - 0.5 * times / times[-1], settings.gravity))
+        >>> import gymnasium as gym
+        >>> env = gym.make("grasp_env:FourFingerGrasp-v0", disturbance=lighter)
+        >>> _ = env.reset(seed=0)
+        >>> env.close()
     """
 
     wrench: ArrayLike | None = None

@@ -14,7 +14,12 @@ class Task:
         duration: [s] of an episode, unless given.
         disturbance: a key of `DISTURBANCES`, unless given.
         description: one line.
-        drift_limit: [m] and tilt_limit: [rad] below which the object must be for success; infinite: only not lost.
+        drift_limit: [m] below which the object must be from its place for success; infinite: only not lost.
+        tilt_limit: [rad], the same.
+
+    Example:
+        >>> TASKS["hold"].duration
+        2.0
     """
 
     duration: float

@@ -46,6 +46,10 @@ class FingerDescription:
         joint_lower: Lower limits [rad].
         joint_upper: Upper limits [rad].
         home: Rest posture [rad].
+
+    Example:
+        >>> FingerDescription("thumb", base=(0.0, 0.12, -0.1), press=(0.0, 0.0, 1.0), torque_limit=0.5).link_lengths
+        (0.035, 0.08, 0.07)
     """
 
     name: str

@@ -44,6 +44,10 @@ class CameraConfig:
             the time then.
         supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest (edges
             are smoothed afterwards), 3 finest.
+
+    Example:
+        >>> CameraConfig(width=640, direction=(1.0, 0.3, 0.0)).height
+        480
     """
 
     width: int = 480
@@ -78,6 +82,16 @@ class Camera:
     Args:
         scene: The scene to look at.
         config: View and size.
+
+    Raises:
+        InvalidInputError: Bullet does not simulate the scene.
+
+    Example:
+        >>> scene = Scene(visuals=True)
+        >>> camera = Camera(scene, CameraConfig(width=64, height=48))
+        >>> camera.capture().shape
+        (48, 64, 3)
+        >>> scene.close()
     """
 
     def __init__(self, scene: Scene, config: CameraConfig | None = None) -> None:

@@ -1,0 +1,221 @@
+"""The site: it builds without a warning, asks for nothing, fits every window, and its reference is complete."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import browser, find_browser
+
+pytest.importorskip("sphinx", reason="the extra docs is not installed")
+
+from sphinx.util.inventory import InventoryFile
+
+ROOT = Path(__file__).parents[1]
+MODULES = ("grasp_env.grasp", "grasp_env.force", "grasp_env.sim", "policies", "grasp_env.env", "grasp_env.task")
+PUBLIC = [f"{module}.{name}" for module in MODULES for name in import_module(module).__all__]
+WHOLE = ("grasp_env.config", "grasp_env.errors", "grasp_env.grasp.presets", "grasp_env.grasp.wrench")
+"""Modules without __all__: every name of theirs that is a class or a function of their own."""
+INSIDE = {"grasp_env.errors.shown"}
+PAGES = ("index.html", "mathematics.html", "api/force.html", "gallery/index.html", "search.html")
+
+SHOWN_BY = {
+    "grasp_env.force.Epsilon": "grasp_env.force.epsilon",
+    "grasp_env.force.Feasibility": "grasp_env.force.phase_one",
+    "grasp_env.force.ForceClosure": "grasp_env.force.force_closure",
+    "grasp_env.force.ForceSolution": "grasp_env.force.optimize_force",
+    "grasp_env.force.GraspQuality": "grasp_env.force.quality",
+    "grasp_env.force.LinearForces": "grasp_env.force.linear_forces",
+    "grasp_env.force.Status": "grasp_env.force.optimize_force",
+    "grasp_env.force.WorstCase": "grasp_env.force.worst_case",
+}
+"""Answers, by the call that gives them: its example shows them."""
+NO_EXAMPLE = {
+    "grasp_env.force.InitialForceRule": "a protocol",
+    "policies.Policy": "a protocol",
+    "policies.FixedGraspForce": "made by LearnedInitialForce.load, whose example shows it",
+    "policies.AnyGraspForce": "the same",
+    "grasp_env.sim.Client": "made by a Scene",
+    "grasp_env.sim.Snapshot": "read by a Scene",
+    "grasp_env.sim.Annotation": "made by an environment for its camera",
+}
+
+
+def own(module: str) -> list[str]:
+    """The public classes and functions that a module defines."""
+    found = vars(import_module(module)).items()
+    return [
+        f"{module}.{name}"
+        for name, value in found
+        if not name.startswith("_") and inspect.isroutine(value) | inspect.isclass(value) and value.__module__ == module
+    ]
+
+
+PUBLIC += [name for module in WHOLE for name in own(module) if name not in INSIDE]
+
+
+def thing(name: str) -> Any:
+    """The object of that name."""
+    module, _, last = name.rpartition(".")
+    return getattr(import_module(module), last)
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, its gallery's programs not run: other tests run them."""
+    root = tmp_path_factory.mktemp("site")
+    shutil.copytree(ROOT / "docs", root / "docs", ignore=shutil.ignore_patterns("gallery"))
+    for name in ("examples", "grasp_env", "policies", "training"):
+        (root / name).symlink_to(ROOT / name)
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-D", "plot_gallery=0", "docs", "html"]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return root / "html"
+
+
+def test_every_public_name_has_an_entry(site: Path) -> None:
+    listed = InventoryFile.loads((site / "objects.inv").read_bytes(), uri="").data
+    entries = {name for kind, names in listed.items() if kind.startswith("py:") for name in names}
+    assert set(PUBLIC) <= entries, sorted(set(PUBLIC) - entries)
+
+
+def documented(value: Any) -> str:
+    """Its own docstring, no inherited one."""
+    return inspect.cleandoc(vars(value).get("__doc__") or "") if inspect.isclass(value) else inspect.getdoc(value) or ""
+
+
+def members(value: type) -> Iterator[tuple[str, Any]]:
+    """The public methods and properties that a class defines itself."""
+    for name, member in vars(value).items():
+        called = member.__func__ if isinstance(member, staticmethod | classmethod) else member
+        if not name.startswith("_") and (
+            inspect.isfunction(called) or hasattr(called, "fget") or hasattr(called, "func")
+        ):
+            yield name, called
+
+
+def takes(call: Callable[..., Any]) -> list[str]:
+    """The names of its arguments."""
+    return [name for name in inspect.signature(call).parameters if name not in ("self", "cls")]
+
+
+def words(text: str) -> set[str]:
+    """The words of a text; args and kwargs are named without stars."""
+    return set(re.findall(r"\w+", text))
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_it_is_documented(name: str) -> None:
+    value = thing(name)
+    if not (inspect.isclass(value) or inspect.isroutine(value)):
+        return  # a constant: what the site says of it is asserted below
+    text = documented(value)
+    assert re.match(r".{15,}?[.:]\s", text + "\n", re.DOTALL), f"{name}: no summary"
+    if inspect.isroutine(value):
+        assert set(takes(value)) <= words(text), f"{name}: {set(takes(value)) - words(text)} not documented"
+        return
+    fields = [field.name for field in dataclasses.fields(value)] if dataclasses.is_dataclass(value) else []
+    fields += getattr(value, "_fields", ())
+    constructor = vars(value).get("__init__")
+    if inspect.isfunction(constructor) and not getattr(value, "_is_protocol", False):
+        text += inspect.getdoc(constructor) or ""
+        fields += takes(constructor)
+    missing = {field for field in fields if not field.startswith("_")} - words(text)
+    assert not missing, f"{name}: {missing} not documented"
+    for member, call in members(value):
+        assert inspect.getdoc(call), f"{name}.{member}: no docstring"
+
+
+CONSTANTS = [name for name in PUBLIC if not (inspect.isclass(thing(name)) or inspect.isroutine(thing(name)))]
+
+
+def test_every_constant_is_explained(site: Path) -> None:
+    text = {page: page.read_text(encoding="utf-8") for page in (site / "api").glob("*.html")}
+    for name in CONSTANTS:
+        if inspect.ismodule(thing(name)):
+            continue
+        found = [re.search(rf'id="{re.escape(name)}".*?<dd>(.*?)</dd>', page, re.DOTALL) for page in text.values()]
+        said = next(re.sub(r"<[^>]+>", "", match.group(1)).strip() for match in found if match)
+        assert len(said) > 15, name
+        assert "Built-in" not in said, name
+
+
+def has_example(name: str) -> bool:
+    """Whether its docstring, or one of its members', has one."""
+    value = thing(name)
+    texts = [documented(value)]
+    if inspect.isclass(value):
+        texts += [inspect.getdoc(member) or "" for _, member in members(value)]
+    return any(">>>" in text for text in texts)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_it_has_an_example(name: str) -> None:
+    value = thing(name)
+    if name in CONSTANTS or (inspect.isclass(value) and issubclass(value, BaseException)) or name in NO_EXAMPLE:
+        return
+    assert has_example(SHOWN_BY.get(name, name)), name
+
+
+def test_the_exceptions_are_needed() -> None:
+    for name in (*SHOWN_BY, *NO_EXAMPLE):
+        assert name in PUBLIC, name
+        assert not has_example(name), name
+
+
+def test_pytest_collects_every_module_with_examples() -> None:
+    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    rooms = re.search(r"^testpaths = (.*)$", settings, re.MULTILINE)
+    assert rooms is not None
+    assert "--doctest-modules" in settings
+    for name in PUBLIC:
+        assert f'"{name.partition(".")[0]}"' in rooms.group(1), name
+    assert not any(
+        "collect_ignore" in file.read_text(encoding="utf-8") for file in ROOT.rglob("grasp_env/**/conftest.py")
+    )
+
+
+@pytest.mark.skipif(find_browser() is None, reason="there is no Chromium")
+def test_it_asks_for_nothing_and_fits_every_window(site: Path) -> None:
+    with browser(find_browser() or "") as tab:
+        for page in PAGES:
+            for width in (390, 1280):
+                for scheme in ("light", "dark"):
+                    tab.show(site / page, width, 800, prefers_color_scheme=scheme)
+                    assert tab.value("document.documentElement.scrollWidth") <= width, (page, width)
+                    colour = tab.value("getComputedStyle(document.body).backgroundColor")
+                    assert (sum(map(int, re.findall(r"\d+", colour)[:3])) < 200) == (scheme == "dark"), (page, colour)
+        assert tab.errors == []
+        assert [request for request in tab.requests if not request.startswith("file://")] == []
+
+
+@pytest.mark.skipif(find_browser() is None, reason="there is no Chromium")
+def test_formulas_are_drawn_and_search_finds(site: Path) -> None:
+    with browser(find_browser() or "") as tab:
+        tab.show(site / "mathematics.html", 1280, 800)
+        assert tab.value("document.querySelectorAll('math').length") > 20
+        assert (
+            tab.value(
+                "Math.min(...[...document.querySelectorAll('.formula math')].map(m => m.getBoundingClientRect().height))"
+            )
+            > 10
+        )
+        tab.show(site / "search.html", 1280, 800)
+        tab.value(
+            "new Promise(done => { Search.performSearch('pipeline'); const wait = () =>"
+            " /found|matching/.test(document.querySelector('.search-summary').innerText) ? done(true) : setTimeout(wait, 20);"
+            " wait(); })"
+        )
+        assert tab.value(
+            "[...document.querySelectorAll('#search-results li a')].some(a => a.href.includes('moving_contacts'))"
+        )
+        assert tab.errors == []
