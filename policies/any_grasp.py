@@ -39,7 +39,7 @@ class AnyGraspForce(LearnedInitialForce, kind="any_grasp"):
         self._layers = core.Layers.make(self.width, self.layers.astype(np.float64))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """The same as the start: every layer stays balanced and inside the cones."""
+        """The start for a `grasp` and a `wrench` itself: every layer stays balanced and inside the cones."""
         return self(grasp, wrench)
 
     def _model(self, grasp: Grasp) -> core.Model:

@@ -16,7 +16,10 @@ class Policy(Protocol):
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
-        """(action(s), state)."""
+        """The action(s) for an `observation`, and the `state` of recurrent ones.
+
+        `episode_start` says which of several environments have begun anew, `deterministic` asks for the mean instead of a draw.
+        """
         ...
 
 
@@ -38,6 +41,9 @@ class ZeroPolicy:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
-        """Zeros of the action's shape, one row per environment where observations are batched."""
+        """Zeros of the action's shape, one row per environment where `observation` is batched, and `state`.
+
+        `episode_start` and `deterministic` change nothing.
+        """
         shape = as_array(observation, None, "observation", finite=False).shape[:-1]
         return np.zeros((*shape, self.action_size), dtype=np.float32), state

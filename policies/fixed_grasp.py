@@ -71,7 +71,7 @@ class FixedGraspForce(LearnedInitialForce, kind="fixed_grasp"):
             self._layers = core.Layers.make(width, flat(checkpoint.tensors, self.polish, "polish").astype(np.float64))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """See `LearnedInitialForce.raw`: neither repaired nor polished."""
+        """The network's force for a `grasp` and a `wrench`, neither repaired nor polished; see `LearnedInitialForce.raw`."""
         learned = self._learned(grasp)
         force = np.empty((grasp.n_contacts, 3))
         if not learned.predict(read_load(wrench), force):

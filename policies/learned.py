@@ -128,7 +128,7 @@ class LearnedInitialForce(ABC):
         return self.start(grasp, wrench, self.objective)[1]
 
     def with_objective(self, objective: Objective) -> LearnedInitialForce:
-        """The same model for another Phi, exact up to scale: Phi knows forces in units of sqrt(lambda / omega) only."""
+        """The same model for another `objective`, exact up to scale: Phi knows forces in units of sqrt(lambda / omega) only."""
         return type(self)(self.checkpoint, objective, self.remembers)
 
     def bind(
@@ -139,7 +139,15 @@ class LearnedInitialForce(ABC):
         limit: int,
         descend: Callable[[Array, Array, Array], None] | None = None,
     ) -> Loop:
-        """See `CompiledRule.bind`: start and Newton in one compiled call, or the start, and `descend` where it is no solution yet."""
+        """For optimizers: start and Newton in one compiled call, or the start, and `descend` where it is no solution yet.
+
+        Args:
+            grasp: the contacts.
+            objective: Phi.
+            tolerance: relative gap at which a start is a solution.
+            limit: most accepted steps.
+            descend: see `CompiledRule.bind`.
+        """
         rule = self if objective == self.objective else self.with_objective(objective)
         return LearnedLoop(rule._make(grasp, tolerance, limit), rule.name, rule.remembers, descend)
 
@@ -177,7 +185,7 @@ class LearnedInitialForce(ABC):
 
     @abstractmethod
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """The network's own force (N, 3) [N], balanced, perhaps outside the cones."""
+        """The network's own force (N, 3) [N] for a `grasp` and a `wrench` (6,), balanced, perhaps outside the cones."""
 
     @abstractmethod
     def _model(self, grasp: Grasp) -> core.Model:

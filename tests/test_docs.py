@@ -132,7 +132,10 @@ def test_it_is_documented(name: str) -> None:
     missing = {field for field in fields if not field.startswith("_")} - words(text)
     assert not missing, f"{name}: {missing} not documented"
     for member, call in members(value):
-        assert inspect.getdoc(call), f"{name}.{member}: no docstring"
+        said = inspect.getdoc(call) or ""
+        assert said, f"{name}.{member}: no docstring"
+        missing = set(takes(call)) - words(said) if inspect.isfunction(call) else set()
+        assert not missing, f"{name}.{member}: {missing} not documented"
 
 
 CONSTANTS = [name for name in PUBLIC if not (inspect.isclass(thing(name)) or inspect.isroutine(thing(name)))]

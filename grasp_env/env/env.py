@@ -194,6 +194,10 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         """Back to the settled grasp, with a new disturbance, and a new object where asked for; see the class.
 
         A closed environment opens anew.
+
+        Args:
+            seed: of everything that is drawn; None: goes on from the last one.
+            options: None, or {"wrench": (6,)}; see the class.
         """
         super().reset(seed=None if seed is None else whole(seed, "seed", 0))
         if self._stage is None:

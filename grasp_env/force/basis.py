@@ -83,7 +83,7 @@ class OfflineBasis:
 
     @classmethod
     def of(cls, grasp: Grasp, objective: Objective | None = None) -> OfflineBasis:
-        """`compute`, remembered as long as `grasp` lives."""
+        """`compute` for a grasp and an `objective`, remembered as long as `grasp` lives."""
         objective = as_objective(objective)
         known = _REMEMBERED.setdefault(as_grasp(grasp), {})
         if objective not in known:

@@ -130,7 +130,7 @@ class ForceLimits:
             object.__setattr__(self, name, array)
 
     def checked(self, n_contacts: int) -> LimitArrays:
-        """The limits for N contacts, every array of full shape.
+        """The limits for `n_contacts` contacts, every array of full shape.
 
         Raises:
             InvalidInputError: limits or a Jacobian of another number of contacts.
@@ -155,7 +155,12 @@ class ForceLimits:
         )
 
     def slack(self, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
-        """How far forces (N, 3) [N] and torsions (N,) [N m] are from the limits; see `LimitSlack`."""
+        """How far forces are from the limits.
+
+        Args:
+            force: (N, 3) [N]: normal, o, t.
+            torsion: (N,) [N m]; None: none.
+        """
         least, most, jac, limit, bias = self.checked(len(as_array(force, (None, 3), "force", ranges.SIZE)))
         forces = _with_torsion(force, torsion)
         torque = np.einsum("nij,ni->j", jac, forces) + bias
@@ -170,6 +175,9 @@ class ForceLimits:
 
         The order: least normal forces > 0 (0 is the cone's own limit), largest normal forces, then each limited joint's
         upper and lower torque. Columns of what a contact does not transmit are zero.
+
+        Args:
+            grasp: the contacts.
 
         Raises:
             InvalidInputError: limits of another number of contacts.
@@ -197,7 +205,14 @@ class ForceLimits:
     def violations(
         self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9
     ) -> list[str]:
-        """One text per limit that forces (N, 3) [N], torsions (N,) [N m] exceed by more than `tolerance` [N, N m]."""
+        """One text per limit that forces exceed.
+
+        Args:
+            grasp: the contacts.
+            force: (N, 3) [N]: normal, o, t.
+            torsion: (N,) [N m]; None: none.
+            tolerance: what does not count [N, N m].
+        """
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
         forces = _with_torsion(as_array(force, (grasp.n_contacts, 3), "force"), torsion)

@@ -64,7 +64,7 @@ class Objective:
         return out
 
     def value(self, x: Array) -> float:
-        """Phi at flat cone coordinates (3N,); +inf outside the open cones, and where numbers are none.
+        """Phi at flat cone coordinates `x` (3N,); +inf outside the open cones, and where numbers are none.
 
         Example:
             >>> round(Objective(1.0, 0.01).value(np.array([0.5, 0.0, 0.0])), 12)
@@ -74,14 +74,14 @@ class Objective:
         return core.phi(rows, self.weights(len(rows)))
 
     def gradient(self, x: Array) -> Array:
-        """Gradient of Phi, (3N,), strictly inside the cones."""
+        """Gradient of Phi, (3N,), at flat cone coordinates `x` strictly inside the cones."""
         rows = _contacts(x, inside=True)
         out = np.empty_like(rows)
         core.phi_gradient(rows, self.weights(len(rows)), out)
         return out.reshape(-1)
 
     def hessian(self, x: Array) -> Array:
-        """The 3 x 3 diagonal blocks of the Hessian of Phi, (N, 3, 3), strictly inside the cones."""
+        """The 3 x 3 diagonal blocks of the Hessian of Phi, (N, 3, 3), at flat cone coordinates `x` strictly inside the cones."""
         rows = _contacts(x, inside=True)
         out = np.empty((len(rows), 3, 3))
         core.phi_hessian(rows, self.weights(len(rows)), out)

@@ -160,7 +160,14 @@ class ForceOptimizer:
         return getattr(self._method, "limit_labels", ())
 
     def move_to(self, grasp: Grasp) -> None:
-        """The contacts moved: re-optimise the offline basis from the old one, keep the previous solution."""
+        """The contacts moved: re-optimise the offline basis from the old one, keep the previous solution.
+
+        Args:
+            grasp: the contacts of now; with another number of them the previous solution is forgotten.
+
+        Raises:
+            UnsupportedProblemError, InvalidInputError: as at the start; the optimizer stays where it was.
+        """
         as_grasp(grasp)
         if self.grasp.n_contacts == grasp.n_contacts and self._method.uses_basis:
             # a grasp without force closure has no basis; rules that need one will say so
@@ -227,6 +234,10 @@ class ForceOptimizer:
 
     def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
         """The initial force (N, 3) [N] that `solve` would start from.
+
+        Args:
+            wrench: (6,) external wrench [N, N m].
+            initial: a start for this call only.
 
         Raises:
             UnsupportedProblemError: the method starts from its own centre.

@@ -237,7 +237,7 @@ class ForcePipeline:
         return self.solve_ready(points, normals, wrench, adjust)
 
     def solve_ready(self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None = None) -> ForceSolution:
-        """`solve` of C-contiguous float64 arrays of the right shapes, which are not looked at."""
+        """`solve` of `points`, `normals`, `wrench` and `adjust` that are C-contiguous float64 arrays of the right shapes: not looked at."""
         record = np.empty(self._size)
         if self._solve(points, normals, wrench, adjust, record) > STALLED:
             return self._general(points, normals, wrench, adjust, record)

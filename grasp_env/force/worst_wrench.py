@@ -73,12 +73,12 @@ class WrenchBall:
         return np.repeat([float(self.force), float(self.moment)], 3)
 
     def reach(self, directions: Array) -> Array:
-        """(K,) largest n . w over the ball, of n (K, 6)."""
+        """(K,) largest n . w over the ball, of the rows n of `directions` (K, 6)."""
         parts = np.sqrt(((directions * self.radii).reshape(-1, 2, 3) ** 2).sum(axis=2))
         return parts.sum(axis=1) if self.shape == "product" else np.sqrt((parts**2).sum(axis=1))
 
     def farthest(self, direction: Array) -> Wrench:
-        """(6,) the wrench of largest n . w."""
+        """(6,) the wrench of largest n . w, n being `direction` (6,)."""
         parts = (direction * self.radii).reshape(2, 3)
         sizes = np.sqrt((parts**2).sum(axis=1, keepdims=True))
         size = sizes if self.shape == "product" else np.sqrt((sizes**2).sum())

@@ -193,7 +193,7 @@ class Grasp:
         return not self.models.torsional_friction.any()
 
     def to_cone(self, force: ContactForces) -> Array:
-        """Forces (N, 3) [N] -> flat cone coordinates VP = (u, o, t), u = mu * normal (Eq. 18): (3N,) [N].
+        """Forces `force` (N, 3) [N] -> flat cone coordinates VP = (u, o, t), u = mu * normal (Eq. 18): (3N,) [N].
 
         Example:
             >>> from grasp_env.grasp import presets
@@ -203,11 +203,20 @@ class Grasp:
         return (self._rows(force, "force") * self.models.cone_scale).reshape(-1)
 
     def to_force(self, x: Array) -> ContactForces:
-        """Flat cone coordinates (3N,) -> forces (N, 3) (normal, o, t) [N]."""
+        """Flat cone coordinates `x` (3N,) -> forces (N, 3) (normal, o, t) [N]."""
         return self._rows(x, "x") / self.models.cone_divisor
 
     def cone_margin(self, force: ContactForces) -> float:
-        """Min over contacts of u - sqrt(o^2 + t^2) in cone coordinates [N], mu * normal - |tangential| for round cones."""
+        """Min over contacts of u - sqrt(o^2 + t^2) in cone coordinates [N], mu * normal - |tangential| for round cones.
+
+        Args:
+            force: (N, 3) [N]: normal, o, t.
+
+        Example:
+            >>> from grasp_env.grasp import presets
+            >>> presets.tripod().cone_margin([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])   # mu = 0.5
+            0.9
+        """
         u, o, t = self.to_cone(force).reshape(-1, 3).T
         return float((u - np.hypot(o, t)).min())
 
@@ -234,7 +243,7 @@ class Grasp:
         )
 
     def wrench(self, force: ContactForces, torsion: Array | None = None) -> Wrench:
-        """The wrench (6,) [N, N m] that contact forces (N, 3) and torsions (N,) exert on the object: G f (+ T torsion)."""
+        """The wrench (6,) [N, N m] that contact forces `force` (N, 3) and `torsion` (N,) exert on the object: G f (+ T torsion)."""
         made = self.matrix @ as_array(force, (self.n_contacts, 3), "force", ranges.SIZE).reshape(-1)
         return (
             made
@@ -243,18 +252,30 @@ class Grasp:
         )
 
     def residual(self, force: ContactForces, wrench: Wrench, torsion: Array | None = None) -> float:
-        """Largest |component| of G f + w, moments about the contacts' centre and divided by `length` [N]."""
+        """Largest |component| of G f + w, moments about the contacts' centre and divided by `length` [N].
+
+        Args:
+            force: (N, 3) [N]: normal, o, t.
+            wrench: (6,) external wrench [N, N m].
+            torsion: (N,) [N m] of soft contacts; None: none.
+
+        Example:
+            >>> from grasp_env.grasp import presets
+            >>> grasp = presets.tripod()
+            >>> grasp.residual([[2, 0, 0], [2, 0, 0], [2, 0, 0]], [0.5, 0, 0, 0, 0, 0])
+            0.5
+        """
         error = self.matrix @ self._rows(force, "force").reshape(-1) + as_array(wrench, (6,), "wrench", ranges.SIZE)
         if torsion is not None:
             error += self.torsion_matrix @ as_array(torsion, (self.n_contacts,), "torsion", ranges.SIZE)
         return float(np.abs(self.unit_frame @ error).max())
 
     def to_object_frame(self, force: ContactForces) -> Array:
-        """Contact-frame forces (N, 3) -> object-frame vectors (N, 3) [N]."""
+        """Forces `force` (N, 3), contact frames (normal, o, t) -> vectors (N, 3) [N] along the object's axes."""
         return np.einsum("nij,nj->ni", self.frames, self._rows(force, "force"))
 
     def to_contact_frame(self, vectors: Array) -> ContactForces:
-        """Object-frame vectors (N, 3) [N] -> contact-frame forces (normal, o, t)."""
+        """Object-frame `vectors` (N, 3) [N] -> forces (N, 3), contact frames (normal, o, t)."""
         return np.einsum("nji,nj->ni", self.frames, self._rows(vectors, "vectors"))
 
     def _rows(self, value: ArrayLike, name: str) -> Array:

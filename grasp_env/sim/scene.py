@@ -76,6 +76,9 @@ class Scene:
     def load(self, config: SceneConfig) -> None:
         """Builds another object, or another grasp of it, for the same engine; no kept state is left. The hand may be elsewhere.
 
+        Args:
+            config: the other scene; its engine is not looked at.
+
         Raises:
             InvalidInputError: a finger cannot reach its contact; the scene is as before.
         """
@@ -142,7 +145,7 @@ class Scene:
         self.advance(np.clip(numbers, -limits, limits).tolist(), wrench)
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
-        """`step` without checks, for loops: torques within the limits, and what they push with."""
+        """`step` without checks, for loops: `torques` within the limits, and the external `wrench` or None."""
         self.simulator.advance(torques, wrench)
         self._read = False
 

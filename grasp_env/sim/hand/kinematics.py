@@ -126,26 +126,29 @@ class HandKinematics:
         return self.link_jacobian(angles, int(self.tip_links[finger]), place)
 
     def link_jacobian(self, angles: ArrayLike, link: int, point: ArrayLike) -> Array:
-        """The same of a point (3,) [m], world frame, of any link, by its number in the description."""
+        """The same of a `point` (3,) [m], world frame, of any `link`, by its number in the description, at joint `angles` (M,) [rad]."""
         whole(link, "link", 0, self.hand.joint_count - 1)
         out = np.empty((3, self.hand.joint_count))
         self.tree.jacobian(self._angles(angles), link, as_array(point, (3,), "point"), out)
         return out
 
     def gravity_torques(self, angles: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)) -> Array:
-        """Joint torques [N m], (M,), that carry the hand's own weight under a gravity (3,) [m/s^2], world frame."""
+        """Joint torques [N m], (M,), that carry the hand's own weight at `angles` (M,) [rad] under `gravity` (3,) [m/s^2], world frame."""
         out = np.empty(self.hand.joint_count)
         self.tree.gravity_torques(self._angles(angles), as_array(gravity, (3,), "gravity"), out)
         return out
 
     def mass_matrix(self, angles: ArrayLike) -> Array:
-        """Inertia of the hand, (M, M) [kg m^2]: its kinetic energy is 1/2 rates^T out rates. Rows and columns of coupled joints are 0."""
+        """Inertia of the hand, (M, M) [kg m^2], at `angles` (M,) [rad]: its kinetic energy is 1/2 rates^T out rates.
+
+        Rows and columns of coupled joints are 0.
+        """
         out = np.empty((self.hand.joint_count, self.hand.joint_count))
         self.tree.mass_matrix(self._angles(angles), out)
         return out
 
     def mobility(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """How light tips and joints are, for the gains of springs and dampers.
+        """How light tips and joints are at `angles` (M,) [rad], for the gains of springs and dampers.
 
         Returns:
             What a force of 1 N on a tip accelerates it at most, (N,) [1/kg]; for joints with springs of their own all at once what
@@ -186,7 +189,7 @@ class HandKinematics:
         return angles
 
     def reachable(self, tips: ArrayLike, start: ArrayLike | None = None) -> bool:
-        """Whether `solve` would find angles."""
+        """Whether `solve` would find angles for `tips` (N, 3) [m], world frame, from `start` (M,) [rad]; None: the rest posture."""
         targets = as_array(tips, (self.hand.finger_count, 3), "tips")
         if (np.square(targets - self._roots).sum(axis=1) > self.reach**2).any():
             return False
