@@ -35,6 +35,7 @@ _POSITIVE = {
         "object_mass", "friction", "friction_margin", "agent_rate", "random_time", "action_scale", "max_contact_gap", "impulse_time",
         "impulse_interval", "tilt_period", "motion_period", "payload_factor", "push_time", "estimator_time", "position_bandwidth",
         "rotation_bandwidth", "force_rate", "squeeze", "pd_stiffness", "duration", "motion_size", "max_drift", "max_tilt",
+        "render_force", "render_moment",
     ), _REAL_POSITIVE),
 }  # fmt: skip
 _NAMES: dict[str, tuple[str, ...]] = {
@@ -117,6 +118,8 @@ class EnvConfig:
             0.35 rad, or the task's own.
         max_contact_gap: [s] without force closure before the grasp counts as lost.
         render_size: (width, height) of pictures [pixels].
+        render_force, render_moment: [N], [N m] that pictures have room for: what fixes the scale of their arrows; None: the largest
+            that an episode's plan asks for, of all episodes so far.
 
     Raises:
         UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
@@ -199,6 +202,8 @@ class EnvConfig:
     max_tilt: float | None = None
     max_contact_gap: float = 0.1
     render_size: tuple[int, int] = (480, 480)
+    render_force: float | None = None
+    render_moment: float | None = None
 
     def __post_init__(self) -> None:
         # tuples survive JSON and hashing; lists from a JSON file become tuples

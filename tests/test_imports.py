@@ -98,7 +98,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "task": {"errors", "ranges", "_check", "grasp"},
         "config": {"errors", "ranges", "_check", "_files", "force", "sim", "task"},
         "control": {"errors", "core", "_check", "grasp", "force", "sim", "task", "config"},
-        "env": {"errors", "core", "_extras", "_check", "force", "sim", "task", "config", "control"},
+        "env": {"errors", "core", "_extras", "_check", "grasp", "force", "sim", "task", "config", "control"},
     },
     "training": {
         "runs": set(),

@@ -20,7 +20,7 @@ from grasp_env._check import Array, as_array, as_wrench, choice, instance, is_a,
 from grasp_env.config import EnvConfig
 from grasp_env.control.loop import ForceLoop
 from grasp_env.control.sensing import NoiseRows
-from grasp_env.env.annotate import annotate
+from grasp_env.env.annotate import Annotator
 from grasp_env.env.observation import Observer
 from grasp_env.env.plan import make_plan
 from grasp_env.env.reward import reward_terms
@@ -28,8 +28,8 @@ from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.sim import Camera, CameraConfig, Scene
+from grasp_env.sim.picture.annotation import Annotation
 from grasp_env.sim.picture.debug_lines import draw_debug
-from grasp_env.sim.picture.overlay import Annotation
 from grasp_env.task.tasks import succeeded
 
 
@@ -166,10 +166,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._stage: Stage | None = self._new_stage()
         hand = self._stage.kinematics.hand
         tips, joints = hand.finger_count, hand.joint_count
-        links = {link.name: link for link in hand.links}
         self._budget = config.max_iterations if config.iteration_budget is None else config.iteration_budget
         self._torque_limits = hand.torque_limits
-        self._colors = np.array([links[tip.link].color for tip in hand.fingertips])
+        self._annotator = Annotator(config, hand)
         self._observer = Observer(tips, joints)
         self.observation_space = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
         sizes = {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}
@@ -213,6 +212,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         if constant is not None:
             plan = replace(plan, wrench=np.tile(constant, (len(plan), 1)))
         self._plan = plan
+        if self.render_mode is not None:
+            self._annotator.expect(plan, scene, self._loop.friction)
         self._wrenches, self._targets = list(plan.wrench), list(plan.target)
         self._pushes = plan.wrench.tolist() if plan.wrench.any() else [None] * len(plan)
         self._world_pushes = plan.push if plan.push.any() else None
@@ -427,8 +428,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         """What is drawn over a picture; nothing before the first reset, or where the simulation diverged."""
         if not self._started or self._failure == "simulation_diverged":
             return None
-        time, outcome = self._tick * self._loop.dt, self._outcome
-        return annotate(self._loop, scene.look(), self._colors, time, outcome.drift, outcome.tilt, self._failure)
+        return self._annotator(self._loop, scene, self._tick * self._loop.dt, self._outcome, self._failure)
 
     def _open_stage(self) -> Stage:
         if self._stage is None:

@@ -10,8 +10,8 @@ with need("sim"):
     from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
     from grasp_env.sim.hand.kinematics import HandKinematics
     from grasp_env.sim.objects.description import ObjectDescription
+    from grasp_env.sim.picture.annotation import Annotation
     from grasp_env.sim.picture.camera import Camera, CameraConfig
-    from grasp_env.sim.picture.overlay import Annotation
     from grasp_env.sim.scene import Scene
     from grasp_env.sim.snapshot import Snapshot
 

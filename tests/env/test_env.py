@@ -19,6 +19,7 @@ from grasp_env.env import observation
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError
 from grasp_env.force import initial_rule
+from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN
 
 ZERO = np.zeros(6, dtype=np.float32)
 DOC = FourFingerGrasp.__doc__ or ""
@@ -310,3 +311,45 @@ def test_looking_changes_nothing():
         rows.append(env.step(ZERO)[0])
     env.close()
     assert np.array(rows).tobytes() == episode(5, disturbance="random")[0][1:].tobytes()
+
+
+def scales(env, seed):
+    env.reset(seed=seed)
+    found = set()
+    for _ in range(12):
+        env.step(ZERO)
+        note = env._annotation(env.scene)
+        found.add((note.force_scale, note.moment_scale))
+        drawn = [
+            note.force_scale * np.linalg.norm(note.forces, axis=1),
+            2.0 * note.force_scale * np.linalg.norm(note.wrench[:3]),
+        ]
+        assert max(map(np.max, drawn)) < 1.2 * LONGEST  # the plan knows no pose feedback
+    assert len(found) == 1
+    return found.pop()
+
+
+def test_pictures_of_an_episode_have_one_scale_and_later_ones_never_a_larger_one():
+    env = FourFingerGrasp(render_mode="rgb_array", disturbance="random", duration=0.3)
+    found = np.array([scales(env, seed) for seed in range(6)])
+    assert (np.diff(found, axis=0) <= 0.0).all()
+    assert (found[-1] < found[0]).all()
+    env.close()
+    fixed = FourFingerGrasp(render_mode="rgb_array", duration=0.3, render_force=8.0, render_moment=2.0)
+    np.testing.assert_allclose(scales(fixed, 0), [LONGEST / 8.0, LONGEST_TURN / 2.0])
+    fixed.close()
+
+
+def test_a_picture_says_what_disturbs_and_how_it_ended():
+    def push(times, rng, settings):
+        return np.tile([300.0, 0.0, 0.0, 0.0, 0.0, 0.0], (len(times), 1))
+
+    env = FourFingerGrasp(render_mode="rgb_array", disturbance=push)
+    env.reset(seed=0)
+    while not env.step(ZERO)[2]:
+        pass
+    note = env._annotation(env.scene)
+    assert (note.title, note.hand) == ("hold: push", "four finger")
+    assert note.alarm.startswith("lost: ")
+    assert note.lines[0][0] == "lost after"
+    env.close()

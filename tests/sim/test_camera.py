@@ -11,8 +11,9 @@ from oracles import pictures
 
 from grasp_env.errors import InvalidInputError, SimulationError
 from grasp_env.sim import Camera, CameraConfig, Scene, SceneConfig
+from grasp_env.sim.picture.annotation import LONGEST, WRENCH_COLOR, Annotation
 from grasp_env.sim.picture.debug_lines import draw_debug
-from grasp_env.sim.picture.overlay import LONGEST, VEIL, WRENCH_COLOR, Annotation, draw
+from grasp_env.sim.picture.overlay import VEIL, draw
 from grasp_env.sim.picture.pixels import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
 from grasp_env.sim.picture.view import View
 

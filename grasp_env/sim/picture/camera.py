@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,8 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.sim.bullet import Bullet
 from grasp_env.sim.client import bullet
 from grasp_env.sim.hand.description import Vector3
-from grasp_env.sim.picture.overlay import Annotation, draw
+from grasp_env.sim.picture.annotation import Annotation
+from grasp_env.sim.picture.overlay import draw
 from grasp_env.sim.picture.pixels import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
 from grasp_env.sim.picture.view import View
 from grasp_env.sim.scene import Scene
@@ -25,6 +27,9 @@ _LIGHT = {
     "lightSpecularCoeff": 0.08,
 }
 _TOP, _BOTTOM = (253, 253, 254), (226, 231, 238)
+DIRECTION = (0.72, 0.11, 0.72)
+"""From the object towards the camera where nothing else is asked: from the front, the right and a little above."""
+_TIP = 0.025  # [m] across of a fingertip
 _SURVEY = 160  # pixels along the longer side of the picture that finds where things are
 _SURVEY_DISTANCE = 1.2  # [m] from the nominal object, far enough for hands of half a metre
 
@@ -36,7 +41,8 @@ class CameraConfig:
     Attributes:
         width: Of the picture [pixels].
         height: Of the picture [pixels].
-        direction: From the object towards the camera, world frame; not vertical.
+        direction: From the object towards the camera, world frame; not vertical. None: `DIRECTION`, turned about the vertical
+            where more of the contacts are seen so.
         field_of_view: Vertical opening [degrees].
         margin: Part of the width and of the height left free beside and above hand and object.
         footer: Part of the height left free below them, where annotations have their text.
@@ -52,10 +58,10 @@ class CameraConfig:
 
     width: int = 480
     height: int = 480
-    direction: Vector3 = (0.72, 0.11, 0.72)
+    direction: Vector3 | None = None
     field_of_view: float = 26.0
     margin: float = 0.06
-    footer: float = 0.19
+    footer: float = 0.21
     object_opacity: float = 0.6
     supersampling: int = 1
 
@@ -70,7 +76,9 @@ class CameraConfig:
             raise InvalidInputError(f"margin={self.margin} must be in [0, 0.4] and footer={self.footer} in [0, 0.5]")
         if not 1.0 <= self.field_of_view <= 120.0:
             raise InvalidInputError(f"field_of_view={self.field_of_view} must be in [1, 120] degrees")
-        if not np.isfinite(self.direction).all() or np.hypot(self.direction[0], self.direction[2]) < 1e-3:
+        if self.direction is not None and (
+            not np.isfinite(self.direction).all() or np.hypot(self.direction[0], self.direction[2]) < 1e-3
+        ):
             raise InvalidInputError(f"direction={self.direction} must be finite and not vertical (y is up)")
 
 
@@ -112,15 +120,34 @@ class Camera:
             SimulationError: The scene is closed.
         """
         config = self.config
-        eye = _SURVEY_DISTANCE * np.array(config.direction) / np.linalg.norm(config.direction)
         shrink = _SURVEY / max(config.width, config.height)
         width, height = max(1, round(shrink * config.width)), max(1, round(shrink * config.height))
-        survey = View(tuple(eye.tolist()), (0.0, 0.0, 0.0), 40.0, width, height)
+
+        def survey_from(direction: Array) -> View:
+            eye = _SURVEY_DISTANCE * direction / np.linalg.norm(direction)
+            return View(tuple(eye.tolist()), (0.0, 0.0, 0.0), 40.0, width, height)
+
+        if config.direction is None:
+            with self._scene.simulator.object_hidden():
+                survey = max(map(survey_from, _around()), key=self._contacts_seen)  # the first of the best
+        else:
+            survey = survey_from(np.array(config.direction))
         _, depth = self._shoot(survey, width, height, shadows=False)
         drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
         wanted = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
         self.view = wanted.fitted(drawn, config.margin, config.footer) if len(drawn) else wanted
         self._fitted_to = self._scene.simulator.world
+
+    def _contacts_seen(self, view: View) -> int:
+        """How many contacts have at most their own tip before them."""
+        scene = self._scene
+        snapshot = scene.look()
+        points = snapshot.position + np.array(scene.config.contact_points) @ snapshot.rotation.T
+        _, depth = self._shoot(view, view.width, view.height, shadows=False)
+        columns, rows = view.project(points).astype(int).T
+        inside = (columns >= 0) & (columns < view.width) & (rows >= 0) & (rows < view.height)
+        before = view.unproject(depth)[rows[inside], columns[inside]]
+        return int((view.depth(points[inside]) - view.depth(before) < _TIP).sum())
 
     def capture(self, annotation: Annotation | None = None) -> np.ndarray:
         """The scene now, (height, width, 3) uint8.
@@ -157,6 +184,14 @@ class Camera:
 
     def _shoot(self, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
         return shoot(self._scene.simulator.client.number, view, width, height, shadows)
+
+
+def _around() -> Iterator[Array]:
+    """`DIRECTION`, then turned about the vertical by ever more, in steps of 45 degrees."""
+    x, y, z = DIRECTION
+    for eighths in (0, 1, -1, 2, -2, 3, -3, 4):
+        c, s = np.cos(0.25 * np.pi * eighths), np.sin(0.25 * np.pi * eighths)
+        yield np.array([c * x + s * z, y, c * z - s * x])
 
 
 def shoot(client: int, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -16,6 +16,8 @@ Color: TypeAlias = tuple[int, ...]
 WHITE = (255, 255, 255)
 INK = (38, 42, 51)
 FAINT = (112, 119, 132)
+INACTIVE = (150, 154, 162)
+ALARM = (190, 38, 30)
 
 _FINE = 2
 """Pixels drawn per delivered pixel along each side."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from grasp_env.sim.client import bullet
-from grasp_env.sim.picture.overlay import PALETTE, WRENCH_COLOR, WRENCH_STRETCH, Annotation
+from grasp_env.sim.picture.annotation import PALETTE, WRENCH_COLOR, WRENCH_STRETCH, Annotation
 
 
 def draw_debug(client: int, annotation: Annotation, lines: Sequence[int] = ()) -> list[int]:
