@@ -3,55 +3,91 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from grasp_env._extras import need
+from grasp_env.errors import InvalidInputError
 from grasp_env.grasp import load_grasp, presets
 from training.commands.rules import rule
+
+if TYPE_CHECKING:
+    import viser
+
+    from training.live.session import Page
 
 
 @dataclass(frozen=True)
 class Live:
-    """Show a grasp in the browser: drag the load and the contacts, move the sliders, watch the forces. Only this machine can open the page.
+    """Show a grasp in the browser: drag the load and the contacts, or the object in a simulated hand. Only this machine can open the page.
 
     Attributes:
-        preset: the named grasp.
-        grasp: a grasp's JSON file instead of a preset.
-        wrench: the first load on the object: fx fy fz [N] mx my mz [N m].
+        preset: bare contacts of a named grasp.
+        grasp: bare contacts of a grasp's JSON file instead.
+        wrench: the first load on bare contacts: fx fy fz [N] mx my mz [N m].
+        hand: a simulated hand instead: four_finger, three_finger, five_finger, four_finger_4dof, allegro, leap, or the path of a URDF.
+        fingertips: of a URDF, links that the fingers touch with; none: every moving link that ends a branch.
+        torque_limit: of a URDF, of all joints [N m]; 0: what the file says.
+        shape: of the object in the hand: cuboid, cylinder, sphere, capsule.
+        method: that solves: reduced_flow, full_flow, newton, conic or linear.
         port: of the page on 127.0.0.1; a taken one: the next free one, which is said; 0: any.
-        seconds: after which the page closes; 0: at Ctrl-C.
+        record: an .html file that records all that is seen, up to two minutes, and opens from disk.
+        seconds: after which the page closes; 0: at ctrl-C.
     """
 
     preset: str = "paper_cuboid"
     grasp: Path | None = None
     wrench: tuple[float, float, float, float, float, float] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
+    hand: str | None = None
+    fingertips: tuple[str, ...] = ()
+    torque_limit: float = 0.0
+    shape: str = "cuboid"
+    method: str = "newton"
     port: int = 8080
+    record: Path | None = None
     seconds: float = 0.0
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
-        need("live")
+        need(*("live",) if self.hand is None else ("live", "sim"))
+        from training.live.page import close_server, open_server
+        from training.live.session import Session, checked_record
+
+        if not 0.0 <= self.seconds < 1e9:
+            raise InvalidInputError(f"seconds must be 0 (until ctrl-C) or up to 1e9, got {self.seconds}")
+        record = checked_record(self.record)
+        server = open_server(self.port, "grasp live")
+        try:
+            page = self._bare(server) if self.hand is None else self._hand(server, self.hand)
+        except BaseException:
+            close_server(server)
+            raise
+        Session(server, page, "grasp live", record).run(self.seconds or None)
+
+    def _bare(self, server: viser.ViserServer) -> Page:
         from training.live.bare import BarePage
-        from training.live.newest import Newest
-        from training.live.page import address, close_server, open_server
         from training.live.question import Question
 
         grasp = presets.preset(self.preset) if self.grasp is None else load_grasp(self.grasp)
-        question = Question(grasp.positions, grasp.normals, float(grasp.friction[0]), np.array(self.wrench))
-        server = open_server(self.port, "grasp live")
-        try:
-            page = BarePage(server, question, rule)
-            worker = Newest(page.draw)
-            page.watch(worker.wake)
-            worker.wake()
-            sys.stdout.write(f"{address(server)}  (Ctrl-C ends it)\n")
-            sys.stdout.flush()
-            worker.wait(self.seconds or None)
-            worker.close()
-            if worker.fault is not None:
-                raise worker.fault
-        finally:
-            close_server(server)
+        friction = float(grasp.friction.mean())
+        question = Question(grasp.positions, grasp.normals, friction, np.array(self.wrench), method=self.method)
+        return BarePage(server, question, rule)
+
+    def _hand(self, server: viser.ViserServer, name: str) -> Page:
+        from grasp_env.config import EnvConfig
+        from grasp_env.sim.hand.description import HANDS, HandDescription
+        from training.live.hand import HandPage
+
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            if name in HANDS:
+                hand: str | HandDescription = name
+            else:
+                hand = HandDescription.from_urdf(name, self.fingertips or None, torque_limit=self.torque_limit or None)
+        for warning in told:
+            sys.stderr.write(f"grasp: repaired: {warning.message}\n")
+        return HandPage(server, EnvConfig(hand=hand, shape=self.shape, method=self.method), rule)

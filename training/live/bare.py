@@ -12,13 +12,15 @@ import numpy as np
 import viser
 
 from grasp_env._check import Array
-from grasp_env.force import METHODS, RULES, InitialForceRule
+from grasp_env.force import METHODS, InitialForceRule
+from grasp_env.grasp import Grasp
 from training.live import look
 from training.live.body import SHAPES, Body, body_of, shaped
+from training.live.parts import Bar, Contacts, furnish, on_drag, on_press, on_set, put
 from training.live.question import STARTLESS, Answer, Answers, Mood, Question, screw
 
-MOODS = {Mood.GOOD: (46, 140, 84), Mood.WARNING: (214, 148, 36), Mood.BAD: look.BAD}
-STARTS = (*RULES, "previous", "learned", "four_finger")
+FORCE, TURN = slice(0, 3), slice(3, 6)
+"""Of a wrench."""
 _COUNTS = (3, 8)
 _NO_LIMIT = 50.0
 """[N] at the end of the slider: no limit."""
@@ -47,20 +49,21 @@ class BarePage:
     Args:
         server: the page.
         question: what is asked first.
-        body: that the contacts lie on.
         rule: the start rule of a name.
-        wake: tells the worker that something changed.
     """
+
+    every: float | None = None
 
     def __init__(self, server: viser.ViserServer, question: Question, rule: Callable[[str], str | InitialForceRule] = str) -> None:  # fmt: skip
         self._server = server
         self._first = self._question = question
         self._ask, self._lock = Answers(rule), threading.Lock()
-        self._body = self._first_body = body_of_question(question)
+        self._body = self._first_body = _body_of(question)
         self._wake: Callable[[], None] = lambda: None
         answer = self._ask(question)
         self._scales = _scales(question, answer, self._body)
         self._grips: dict[str, Array] = {}
+        self._red = False
         self._shown: tuple[Body, int] | None = None
         self._nodes: dict[str, Any] = {}
         self._make_scene()
@@ -82,11 +85,11 @@ class BarePage:
             question, body = self._question, self._body
         answer = self._ask(question)
         with self._server.atomic():
-            if self._shown is None or self._shown[0] is not body or self._shown[1] != len(question.positions):
+            if self._shown != (body, len(question.positions)):
                 self._make_bodies(body, question)
-                self._shown = body, len(question.positions)
+                self._red = False
             self._draw_contacts(question, answer)
-            self._draw_load(question, answer)
+            self._draw_load(question)
             self._draw_screw(question, answer)
             self._tell(question, answer)
         self._server.flush()
@@ -114,12 +117,11 @@ class BarePage:
     def _pull(self, name: str, event: Any, scale: float, part: slice) -> None:
         """A ball at the head of an arrow of the load was dragged in the plane of the screen."""
         end = np.array(event.end_position)
-        centre = self._origin
         if event.phase == "start":
-            self._grips[name] = self._head(part, scale) - np.array(event.start_position)
+            self._grips[name] = scale * self.question.wrench[part] - np.array(event.start_position)
         head = end + self._grips.get(name, np.zeros(3))
         wrench = self.question.wrench.copy()
-        wrench[part] = (head - centre) / scale
+        wrench[part] = head / scale
         self._change(wrench=wrench)
         self._show_load(wrench)
 
@@ -134,13 +136,6 @@ class BarePage:
         positions, normals = question.positions.copy(), question.normals.copy()
         positions[k], normals[k] = place, inward
         self._change(positions=positions, normals=normals)
-
-    @property
-    def _origin(self) -> Array:
-        return np.zeros(3)
-
-    def _head(self, part: slice, scale: float) -> Array:
-        return self._origin + scale * self.question.wrench[part]
 
     # the panel
 
@@ -162,31 +157,19 @@ class BarePage:
             )
         with gui.add_folder("Solver"):
             self._method = gui.add_dropdown("method", [*METHODS], initial_value=question.method)
-            self._start = gui.add_dropdown("start", [*STARTS], initial_value=question.start)
+            self._start = gui.add_dropdown("start", [*look.STARTS], initial_value=question.start)
             self._weight = gui.add_slider("lambda, log10 N²", -6.0, 1.0, 0.1, math.log10(question.barrier_weight), hint="more: further inside the cones, with more squeeze")  # fmt: skip
         again = gui.add_button("Start again", color="gray")
-        self._on(self._force, lambda: self._wrench_set())
-        self._on(self._moment, lambda: self._wrench_set())
-        self._on(self._shape, lambda: self._stand(self._body_named(self._shape.value), len(self.question.positions)))
-        self._on(self._count, lambda: self._stand(self._body, int(self._count.value)))
-        self._on(self._friction, lambda: self._change(friction=float(self._friction.value)))
-        self._on(self._limit, lambda: self._change(max_normal=self._limit_value()))
-        self._on(self._method, lambda: self._change(method=self._method.value))
-        self._on(self._start, lambda: self._change(start=self._start.value))
-        self._on(self._weight, lambda: self._change(barrier_weight=10.0**self._weight.value))
-
-        @again.on_click
-        async def _(_: Any) -> None:
-            self._reset()
-
-    @staticmethod
-    def _on(handle: Any, act: Callable[[], None]) -> None:
-        """Calls `act` when somebody at the page sets `handle`; what the program sets is no event."""
-
-        @handle.on_update
-        async def _(event: Any) -> None:  # async: in the order in which events come
-            if event.client_id is not None:
-                act()
+        on_set(self._force, lambda: self._wrench_set())
+        on_set(self._moment, lambda: self._wrench_set())
+        on_set(self._shape, lambda: self._stand(self._body_named(self._shape.value), len(self.question.positions)))
+        on_set(self._count, lambda: self._stand(self._body, int(self._count.value)))
+        on_set(self._friction, lambda: self._change(friction=float(self._friction.value)))
+        on_set(self._limit, lambda: self._change(max_normal=self._limit_value()))
+        on_set(self._method, lambda: self._change(method=self._method.value))
+        on_set(self._start, lambda: self._change(start=self._start.value))
+        on_set(self._weight, lambda: self._change(barrier_weight=10.0**self._weight.value))
+        on_press(again, self._reset)
 
     def _wrench_set(self) -> None:
         self._change(wrench=np.array([*self._force.value, *self._moment.value]))
@@ -210,7 +193,7 @@ class BarePage:
         self._weight.value = math.log10(question.barrier_weight)
 
     def _tell(self, question: Question, answer: Answer) -> None:
-        colour = MOODS[answer.mood]
+        colour = look.MOODS[answer.mood]
         rest = ""
         if np.isfinite(answer.microseconds):
             rows = [
@@ -233,93 +216,56 @@ class BarePage:
     # the scene
 
     def _make_scene(self) -> None:
-        server, scales = self._server, self._scales
-        scene, nodes = server.scene, self._nodes
-        scene.set_up_direction("+y")
-        scene.world_axes.visible = False
-        server.initial_camera.position, server.initial_camera.look_at = (2.0, 1.3, 2.4), (0.0, 0.0, 0.0)
-        server.initial_camera.fov, server.initial_camera.near = math.radians(38.0), 0.02
-        scene.add_grid("/floor", plane="xz", position=(0.0, -1.0, 0.0), width=8.0, height=8.0, cell_size=0.25, section_size=1.0, cell_color=(232, 236, 241),
-                       section_color=(214, 220, 228), fade_distance=9.0, fade_strength=1.5, shadow_opacity=0.12)  # fmt: skip
-        ball = look.ball()
-        for name, colour, part, scale in (("load", look.LOAD, slice(0, 3), scales.load), ("moment", look.MOMENT, slice(3, 6), scales.moment)):  # fmt: skip
-            nodes[name] = scene.add_arrows(f"/{name}/arrow", np.zeros((1, 2, 3)), colour, shaft_radius=0.016 if part.start == 0 else 0.009,
-                                           head_radius=0.042 if part.start == 0 else 0.03, head_length=0.09)  # fmt: skip
-            grip = nodes[f"{name} grip"] = scene.add_mesh_simple(f"/{name}/grip", 0.055 * ball[0], ball[1], color=colour, opacity=0.9)  # fmt: skip
-            self._on_drag(grip, lambda event, name=name, scale=scale, part=part: self._pull(name, event, scale, part))
-        nodes["turn"] = scene.add_line_segments("/moment/turn", np.zeros((36, 2, 3)), look.MOMENT, thickness=0.014)
-        nodes["screw"] = scene.add_arrows("/screw/axis", np.zeros((1, 2, 3)), look.BAD, shaft_radius=0.014, head_radius=0.05, head_length=0.12, visible=False)  # fmt: skip
-        nodes["turns"] = scene.add_line_segments("/screw/turns", np.zeros((48, 2, 3)), look.BAD, thickness=0.02, visible=False)  # fmt: skip
-        nodes["tip"] = scene.add_arrows("/screw/tip", np.zeros((1, 2, 3)), look.BAD, shaft_radius=0.01, head_radius=0.05, head_length=0.11, visible=False)  # fmt: skip
-        nodes["status"] = scene.add_label("/status", "", position=(0.0, 0.95, 0.0), anchor="bottom-center", font_screen_scale=1.3)  # fmt: skip
-        self._make_legend()
-
-    @staticmethod
-    def _on_drag(handle: Any, act: Callable[[Any], None]) -> None:
-        @handle.on_drag
-        async def _(event: Any) -> None:
-            act(event)
-
-    def _make_legend(self) -> None:
-        """Bars of round newtons on the floor: one scale for the session."""
-        scene, scales = self._server.scene, self._scales
-        for row, (name, colour, scale, unit) in enumerate(
-            (("a finger's force", look.QUIET, scales.force, "N"), ("the load's force", look.LOAD, scales.load, "N"), ("its moment", look.MOMENT, scales.moment, "N m"))
-        ):  # fmt: skip
-            size = look.round_newtons(0.9 / scale)
-            size *= next(times for times in (5.0, 2.0, 1.0) if times * size * scale <= 0.55 or times == 1.0)
-            start = np.array([-1.1, -0.99, 0.75 + 0.16 * row])
-            scene.add_arrows(f"/legend/{row}", np.array([[start, start + [size * scale, 0.0, 0.0]]]), colour, shaft_radius=0.01, head_radius=0.03, head_length=0.06)  # fmt: skip
-            scene.add_label(f"/legend/{row}/text", f"{size:g} {unit}: {name}", position=tuple(start + [0.62, 0.0, 0.0]), anchor="center-left", font_screen_scale=0.8)  # fmt: skip
+        scales, scene, nodes = self._scales, self._server.scene, self._nodes
+        bars = (
+            Bar("force of a finger", look.QUIET, scales.force, "N"),
+            Bar("load's force", look.LOAD, scales.load, "N"),
+            Bar("load's moment", look.MOMENT, scales.moment, "N m"),
+        )
+        furnish(self._server, np.array([0.0, -0.05, 0.0]), 2.0, -0.72, bars)
+        corners, faces = look.ball()
+        for name, colour, part, scale, thick in (("load", look.LOAD, FORCE, scales.load, 1.0), ("moment", look.MOMENT, TURN, scales.moment, 0.62)):  # fmt: skip
+            nodes[name] = scene.add_arrows(f"/{name}/arrow", np.zeros((1, 2, 3)), colour, shaft_radius=0.02 * thick, head_radius=0.05 * thick, head_length=0.1 * thick)  # fmt: skip
+            grip = nodes[f"{name} grip"] = scene.add_mesh_simple(f"/{name}/grip", 0.052 * corners, faces, color=colour)
+            on_drag(grip, lambda event, name=name, scale=scale, part=part: self._pull(name, event, scale, part))
+        nodes["turn"] = scene.add_line_segments("/moment/turn", np.zeros((36, 2, 3)), look.MOMENT, thickness=0.016)
+        nodes["screw"] = scene.add_arrows("/screw/axis", np.zeros((1, 2, 3)), look.BAD, shaft_radius=0.016, head_radius=0.05, head_length=0.12, visible=False)  # fmt: skip
+        nodes["turns"] = scene.add_line_segments("/screw/turns", np.zeros((48, 2, 3)), look.BAD, thickness=0.024, visible=False)  # fmt: skip
+        nodes["tip"] = scene.add_arrows("/screw/tip", np.zeros((1, 2, 3)), look.BAD, shaft_radius=0.01, head_radius=0.06, head_length=0.12, visible=False)  # fmt: skip
+        nodes["status"] = scene.add_label("/status", "", position=(0.0, 0.92, 0.0), anchor="bottom-center", font_screen_scale=1.3)  # fmt: skip
 
     def _make_bodies(self, body: Body, question: Question) -> None:
         """What another object or another number of contacts needs anew."""
         scene, nodes, zoom = self._server.scene, self._nodes, self._scales.zoom
-        count = len(question.positions)
-        nodes["body"] = scene.add_mesh_simple("/object/body", zoom * body.mesh.vertices, body.mesh.faces, color=look.BODY, opacity=0.38, flat_shading=body.name != "sphere")  # fmt: skip
-        edges = look.sharp_edges(body.mesh)
-        nodes["edges"] = scene.add_line_segments("/object/edges", zoom * (edges if len(edges) else np.zeros((1, 2, 3))), look.EDGES, thickness=1.3, thickness_units="screen")  # fmt: skip
-        vertices, faces = look.cone()
-        still = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1))
-        zero, colours = np.zeros((count, 3)), look.colours(count)
-        nodes["cones"] = scene.add_batched_meshes_simple("/contacts/cones", vertices, faces, still, zero, batched_scales=np.ones((count, 3)), batched_colors=colours,
-                                                         opacity=0.32, side="double", lod="off", cast_shadow=False, receive_shadow=False)  # fmt: skip
-        corners, triangles = look.ball()
-        nodes["points"] = scene.add_batched_meshes_simple("/contacts/points", corners, triangles, still, zero, batched_scales=np.full((count, 3), 0.042), batched_colors=colours, lod="off")  # fmt: skip
-        self._on_drag(nodes["points"], self._slide)
-        nodes["normals"] = scene.add_line_segments("/contacts/normals", np.zeros((count, 2, 3)), look.QUIET, thickness=1.4, thickness_units="screen")  # fmt: skip
-        nodes["forces"] = scene.add_arrows("/contacts/forces", np.zeros((count, 2, 3)), colours, shaft_radius=0.014, head_radius=0.036, head_length=0.075)  # fmt: skip
+        if self._shown is None or self._shown[0] is not body:
+            edges = look.sharp_edges(body.mesh)
+            nodes["body"] = scene.add_mesh_simple("/object/body", zoom * body.mesh.vertices, body.mesh.faces, color=look.BODY, opacity=0.36,
+                                                  flat_shading=body.name != "sphere", cast_shadow=True)  # fmt: skip
+            nodes["edges"] = scene.add_line_segments("/object/edges", zoom * (edges if len(edges) else np.zeros((1, 2, 3))), look.EDGES, thickness=1.6, thickness_units="screen")  # fmt: skip
+        self._contacts = Contacts(scene, look.colours(len(question.positions)), self._scales.force)
+        on_drag(self._contacts.points, self._slide)
+        self._shown = body, len(question.positions)
 
     def _draw_contacts(self, question: Question, answer: Answer) -> None:
-        nodes, zoom, count = self._nodes, self._scales.zoom, len(question.positions)
-        places, bad = zoom * question.positions, answer.mood is Mood.BAD
-        colours = np.tile(np.array(look.BAD, np.uint8), (count, 1)) if bad else look.colours(count)
-        slope = look.CONE_HEIGHT * question.friction
-        _put(nodes["cones"], batched_positions=places, batched_wxyzs=look.along(-question.normals), batched_colors=colours,
-             batched_scales=np.tile([slope, slope, look.CONE_HEIGHT], (count, 1)))  # fmt: skip
-        _put(nodes["points"], batched_positions=places, batched_colors=colours)
-        inside = np.stack([places, places + 0.16 * question.normals], axis=1)
-        _put(nodes["normals"], points=inside)
-        _put(
-            nodes["forces"],
-            points=np.stack([places - self._scales.force * answer.forces, places], axis=1),
-            colors=colours,
+        bad = answer.mood is Mood.BAD
+        friction = np.full(len(question.positions), question.friction)
+        self._contacts.draw(
+            self._scales.zoom * question.positions, question.normals, answer.forces, friction, look.BAD if bad else None
         )
-        nodes["forces"].visible = bool(answer.forces.any())
-        nodes["body"].color = look.BAD if bad else look.BODY
+        if self._red != bad:
+            self._nodes["body"].color, self._red = look.BAD if bad else look.BODY, bad
 
-    def _draw_load(self, question: Question, answer: Answer) -> None:
+    def _draw_load(self, question: Question) -> None:
         nodes, scales = self._nodes, self._scales
-        for name, scale, part in (("load", scales.load, slice(0, 3)), ("moment", scales.moment, slice(3, 6))):
+        for name, scale, part in (("load", scales.load, FORCE), ("moment", scales.moment, TURN)):
             head = scale * question.wrench[part]
-            nodes[f"{name} grip"].position = tuple(self._origin + head)
-            _put(nodes[name], points=np.array([[self._origin, self._origin + head]]))
-        moment = question.wrench[3:]
+            nodes[f"{name} grip"].position = tuple(head)
+            put(nodes[name], points=np.array([[np.zeros(3), head]]))
+        moment = question.wrench[TURN]
         size = float(np.linalg.norm(moment))
         nodes["turn"].visible = size > 1e-9
         if size > 1e-9:
-            at = self._origin + 0.7 * scales.moment * moment
-            _put(nodes["turn"], points=look.arc(at, moment / size, 0.13, 4.8))
+            put(nodes["turn"], points=look.arc(0.7 * scales.moment * moment, moment / size, 0.13, 4.8))
 
     def _draw_screw(self, question: Question, answer: Answer) -> None:
         nodes, zoom, twist = self._nodes, self._scales.zoom, answer.twist
@@ -330,31 +276,21 @@ class BarePage:
         point, axis, turning, sliding = screw(twist, question.positions.mean(axis=0))
         at = zoom * point
         length = 0.85 if sliding >= 0.0 else -0.85
-        _put(nodes["screw"], points=np.array([[at - length * axis, at + length * axis]]))
-        sweep = min(5.2, 4.0 * turning / zoom + 0.6) if turning > 0.0 else 1e-3
-        ring = look.arc(at, axis, 0.34, sweep, 48)
-        nodes["turns"].visible = nodes["tip"].visible = turning / zoom > 0.05
-        _put(nodes["turns"], points=ring)
-        _put(nodes["tip"], points=ring[-1:] + np.array([0.0, 1.0])[None, :, None] * (ring[-1, 1] - ring[-1, 0]))
+        put(nodes["screw"], points=np.array([[at - length * axis, at + length * axis]]))
+        rate = turning / zoom  # against the sliding, at the object's size
+        nodes["turns"].visible = nodes["tip"].visible = rate > 0.05
+        ring = look.arc(at, axis, 0.34, min(5.2, 4.0 * rate + 0.6), 48)
+        put(nodes["turns"], points=ring)
+        tangent = ring[-1, 1] - ring[-1, 0]
+        put(nodes["tip"], points=np.array([[ring[-1, 1], ring[-1, 1] + 0.13 * tangent / np.linalg.norm(tangent)]]))
 
 
-def _put(handle: Any, **values: np.ndarray) -> None:
-    """Sets arrays of a node where they changed; it is not made anew."""
-    for name, value in values.items():
-        made = value if value.dtype == np.uint8 else np.asarray(value, np.float32)
-        if not np.array_equal(getattr(handle, name), made):
-            setattr(handle, name, made)
-
-
-def body_of_question(question: Question) -> Body:
-    """The body that the contacts asked about lie on."""
-    from grasp_env.grasp import Grasp
-
+def _body_of(question: Question) -> Body:
     return body_of(Grasp.from_contacts(question.positions, question.normals, question.friction))
 
 
 def _scales(question: Question, answer: Answer, body: Body) -> Scales:
     """Of the first question: its arrows are to be seen at once."""
-    load, moment = (float(np.linalg.norm(part)) for part in (question.wrench[:3], question.wrench[3:]))
+    load, moment = (float(np.linalg.norm(question.wrench[part])) for part in (FORCE, TURN))
     most = float(np.linalg.norm(answer.forces, axis=1).max(initial=0.0))
-    return Scales(1.0 / body.extent, _FORCE_LENGTH / (most or 5.0), _LOAD_LENGTH / (load or 1.0), 0.6 * _LOAD_LENGTH / (moment or 0.1))  # fmt: skip
+    return Scales(1.0 / body.extent, _FORCE_LENGTH / (most or 5.0), _LOAD_LENGTH / (load or 1.0), 0.65 * _LOAD_LENGTH / (moment or 0.1))  # fmt: skip

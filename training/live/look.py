@@ -10,14 +10,19 @@ import numpy as np
 import trimesh
 
 from grasp_env._check import Array
+from grasp_env.force import RULES
+from training.live.question import Mood
 
 FINGERS = np.array([(196, 72, 56), (42, 108, 176), (214, 148, 36), (46, 140, 84), (124, 86, 172), (60, 150, 160), (186, 92, 132), (112, 122, 62)], np.uint8)  # fmt: skip
 """Of contacts and fingers; beyond eight they repeat."""
 LOAD, MOMENT = (150, 30, 140), (206, 98, 190)
 BODY, BAD = (148, 163, 184), (214, 48, 49)
 EDGES, QUIET = (90, 104, 124), (120, 130, 145)
+MOODS = {Mood.GOOD: (46, 140, 84), Mood.WARNING: (214, 148, 36), Mood.BAD: BAD}
 CONE_HEIGHT = 0.3
 """Of drawn friction cones, in the extent of the object."""
+STARTS = (*RULES, "previous", "learned", "four_finger")
+"""Start rules to choose from, by their names on the command line."""
 _STYLE = """<style>
 .g{font:13px/1.45 system-ui,sans-serif;padding:2px 10px 6px}.g b{font-weight:600}.g p{margin:4px 0}
 .g .s{font-size:17px;font-weight:650;display:flex;align-items:center;gap:8px;margin:2px 0 4px}
@@ -32,6 +37,12 @@ _STYLE = """<style>
 def colours(count: int) -> np.ndarray:
     """(N, 3) uint8 of contacts."""
     return FINGERS[np.arange(count) % len(FINGERS)]
+
+
+def tint(color: Iterable[float]) -> tuple[int, int, int]:
+    """A colour of a description, parts in [0, 1], as bytes."""
+    red, green, blue = (round(255.0 * min(max(part, 0.0), 1.0)) for part in color)
+    return red, green, blue
 
 
 def css(colour: Iterable[int]) -> str:
@@ -78,9 +89,14 @@ def arc(centre: Array, axis: Array, radius: float, sweep: float, pieces: int = 3
     return np.stack([points[:-1], points[1:]], axis=1)
 
 
-def round_newtons(most: float) -> float:
-    """The power of ten at most `most` > 0, for a legend's bar."""
-    return 10.0 ** math.floor(math.log10(max(most, 1e-9)) + 1e-9)
+def round_number(value: float) -> float:
+    """The number of one digit nearest to `value`, for a legend's bar.
+
+    Example:
+        >>> round_number(0.0231), round_number(7.4)
+        (0.02, 7.0)
+    """
+    return float(f"{value:.0e}")
 
 
 def said(status: str, words: str, colour: Iterable[int], rest: str = "", advice: Sequence[str] = ()) -> str:
