@@ -23,7 +23,8 @@ NAMES = {
 class TrainedAgent:
     """What `grasp rl` trained: predict(observation as the environment gives it) -> (action, state).
 
-    Observations are normalised with the means and variances that were running in training, which lie in the same folder.
+    Observations are normalised with the means and variances that were running in training, which lie in the same folder. It needs the
+    extra "sim", neither torch nor stable-baselines3, whose `evaluate_policy` takes it as a model.
 
     Attributes:
         meta: of its checkpoint: algorithm, action mode, steps, seed, settings, versions.
@@ -33,6 +34,24 @@ class TrainedAgent:
         weights: of the policy, by stable-baselines3's names.
         normaliser: "mean", "var" (observation,), "epsilon", "clip".
         seed: of the samples that are not deterministic.
+
+    Example:
+        >>> import tempfile
+        >>> import gymnasium as gym
+        >>> from training.rl.settings import RLConfig
+        >>> from training.rl.train import train_seed  # what `grasp rl` does for each of its seeds
+        >>> config = RLConfig(steps=64, envs=2, rollout=32, curve_points=1, curve_episodes=1).resolved()
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     _ = train_seed(config, Path(folder) / "seed-0", seed=0, resume=False)
+        ...     agent = TrainedAgent.load(f"{folder}/seed-0")
+        >>> agent.meta["algorithm"], agent.meta["action"], agent.meta["steps"]
+        ('ppo', 'initial_force', 64)
+        >>> env = gym.make("grasp_env:FourFingerGrasp-v0", **agent.meta["env_settings"])
+        >>> observation, info = env.reset(seed=0)
+        >>> action, _ = agent.predict(observation)
+        >>> action.shape, bool(abs(action).max() <= 1.0)
+        ((6,), True)
+        >>> env.close()
     """
 
     def __init__(
