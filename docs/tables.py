@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from pathlib import Path
@@ -214,15 +215,17 @@ def hold() -> str:
 
 
 def hands() -> str:
-    """Hands by object and disturbance."""
-    rows = saved("hands")["rows"]
-    kinds = list(dict.fromkeys(row["label"] for row in rows))
-    by = {(row["hand"], row["label"]): row for row in rows}
-    lines = []
-    for hand in dict.fromkeys(row["hand"] for row in rows):
-        found = [by.get((hand, kind)) for kind in kinds]
-        lines.append([f"`{hand}`", *(f"{row['held']} of {row['episodes']}" if row else "–" for row in found)])
-    return table(["hand", *kinds], lines) + "\n" + source("hands")
+    """Hands by object and disturbance, episodes held; the cube and the sphere together."""
+    sums: dict[str, dict[str, tuple[int, int]]] = {}
+    for row in saved("hands")["rows"]:
+        kind = re.sub("^(cube|sphere) of .. mm", "cube and sphere", row["label"])
+        before = sums.setdefault(f"`{row['hand']}`", {}).get(kind, (0, 0))
+        sums[f"`{row['hand']}`"][kind] = before[0] + row["held"], before[1] + row["episodes"]
+    kinds = [
+        kind for kind in next(iter(sums.values())) if "gravity" not in kind and kind != "cube and sphere, six pushes"
+    ]
+    rows = [[hand, *(f"{found[kind][0]} of {found[kind][1]}" for kind in kinds)] for hand, found in sums.items()]
+    return table(["hand", *kinds], rows) + "\n" + source("hands")
 
 
 def rl() -> str:
