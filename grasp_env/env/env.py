@@ -28,8 +28,9 @@ from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.sim import Camera, CameraConfig, Scene
-from grasp_env.sim.picture.annotation import Annotation
+from grasp_env.sim.picture.annotation import LONGEST, Annotation
 from grasp_env.sim.picture.debug_lines import draw_debug
+from grasp_env.sim.picture.legend import room
 from grasp_env.task.tasks import succeeded
 
 
@@ -285,7 +286,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             return None
         if self._camera is None:
             width, height = self.config.render_size
-            self._camera = Camera(scene, CameraConfig(width=width, height=height))
+            margin, footer = room(width, height)
+            self._camera = Camera(scene, CameraConfig(width, height, margin=margin, footer=footer, arrows=LONGEST))
         return self._camera.capture(annotation)
 
     @property

@@ -11,7 +11,7 @@ from oracles import pictures
 
 from grasp_env.errors import InvalidInputError, SimulationError
 from grasp_env.sim import Camera, CameraConfig, Scene, SceneConfig
-from grasp_env.sim.picture.annotation import LONGEST, WRENCH_COLOR, Annotation
+from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN, WRENCH_COLOR, Annotation
 from grasp_env.sim.picture.debug_lines import draw_debug
 from grasp_env.sim.picture.overlay import VEIL, draw
 from grasp_env.sim.picture.pixels import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
@@ -172,10 +172,14 @@ def test_a_measured_force_is_a_dark_line() -> None:
 
 
 def test_the_scale_keeps_the_longest_arrow_below_its_limit() -> None:
-    for force in (0.01, 0.7, 3.0, 50.0):
+    for force in (0.7, 3.0, 50.0):
         scale = one_finger(forces=[[force, 0.0, 0.0]], scale=None).force_scale
-        assert LONGEST / 2.5 - 1e-12 <= force * scale <= LONGEST + 1e-12
-    assert one_finger(forces=[[0.0, 0.0, 0.0]], scale=None).force_scale > 0.0
+        assert force * scale == pytest.approx(LONGEST)
+    for force in (0.0, 0.01):  # near nothing is not blown up
+        assert one_finger(forces=[[force, 0.0, 0.0]], scale=None).force_scale == pytest.approx(LONGEST / 0.1)
+    weak, strong = (one_finger(wrench=[0.0, 0.0, 0.0, 0.0, 0.0, moment]).moment_scale for moment in (1e-5, 0.5))
+    assert weak == pytest.approx(LONGEST_TURN / 0.02)
+    assert 0.5 * strong == pytest.approx(LONGEST_TURN)
     assert one_finger().force_scale == 0.025
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -11,8 +12,10 @@ import imageio.v3 as imageio
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from gymnasium.wrappers import RecordVideo
 
 from grasp_env.errors import InvalidInputError
+from training.cli import main
 from training.demo.record import record
 
 ENV = "test_demo/Squares-v0"
@@ -78,6 +81,28 @@ def test_stopped_it_leaves_nothing_and_an_older_file_as_it_was(tmp_path: Path, s
         record(out, seconds=1.0, env_id=ENV, stop_at=9)
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
     assert out.read_text() == "older"
+
+
+def test_a_film_says_how_it_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.png"
+    assert main(["demo", "--video", str(out), "--seconds", "0.2", "--size", "160", "160"]) == 0
+    assert re.fullmatch(
+        r"held 0\.2 s, drift 0\.\d\d mm: .*out\.png\n", capsys.readouterr().out.replace("\n", "") + "\n"
+    )
+    told = record(out, 1.0, controller="pd", disturbance="paper_path", disturbance_scale=1.0, render_size=(160, 160))
+    assert str(told) == f"lost after {told.seconds:.1f} s: the object left its place"
+    assert told.seconds < 1.0
+
+
+def test_gymnasiums_recorder_films_it(tmp_path: Path) -> None:
+    env = gym.make("grasp_env:FourFingerGrasp-v0", render_mode="rgb_array", duration=0.1, render_size=(160, 160))
+    film = RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda episode: True, disable_logger=True)
+    for _ in range(2):
+        film.reset(seed=0)
+        while not any(film.step(film.action_space.sample())[2:4]):
+            pass
+    film.close()
+    assert sorted(path.name for path in (tmp_path / "films").iterdir()) == [f"rl-video-episode-{k}.mp4" for k in (0, 1)]
 
 
 def test_settings_reach_the_environment(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from training.commands.rules import rule
 
 @dataclass(frozen=True)
 class Demo:
-    """Roll out the hand and save a picture or a video, with forces, friction cones and wrench drawn in.
+    """Roll out the hand and save a picture or a video, with forces, friction cones and wrench drawn in; say how it ended.
 
     Attributes:
         video: .mp4, .gif or .webp for a video, .png for its last picture.
@@ -24,6 +24,7 @@ class Demo:
         hand: four_finger, three_finger, five_finger or four_finger_4dof.
         seconds: simulated time; 0: the task's own.
         initial: start rule, "learned" for the shipped network, or the path of a fitted one.
+        agent: a seed's folder of `grasp rl`, runs/rl/agent/seed-0: it acts, in the environment that it was trained in.
         size: width and height [pixels].
         seed: of the episode.
     """
@@ -36,22 +37,29 @@ class Demo:
     hand: str = "four_finger"
     seconds: float = 0.0
     initial: str = "linear_combination"
+    agent: Path | None = None
     size: tuple[int, int] = (480, 480)
     seed: int = 0
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         need("sim", "report")
+        from policies import TrainedAgent
         from training.demo.record import record
 
-        disturbance = self.disturbance or ("paper_path" if self.task == "hold" else None)
-        record(
+        agent = None if self.agent is None else TrainedAgent.load(self.agent)
+        settings = {} if agent is None else dict(agent.meta["env_settings"])
+        start = settings.pop("initial_force", None)
+        settings |= {name: getattr(self, name) for name in ("task", "motion", "shape", "hand")}
+        if self.disturbance or agent is None:
+            settings["disturbance"] = self.disturbance or ("paper_path" if self.task == "hold" else None)
+        ending = record(
             self.video,
             self.seconds or None,
-            rule(self.initial),
+            rule(self.initial) if agent is None else start,
             self.seed,
-            **{name: getattr(self, name) for name in ("task", "motion", "shape", "hand")},
-            disturbance=disturbance,
+            policy=agent,
             render_size=self.size,
+            **settings,
         )
-        Console().print(str(self.video), highlight=False)
+        Console().print(f"{ending}: {self.video}", highlight=False)

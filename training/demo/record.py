@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator
 from contextlib import closing, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +13,42 @@ import imageio.v2 as imageio
 import numpy as np
 from PIL import Image
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from grasp_env._extras import need
 from grasp_env._files import replacing
+from grasp_env.env.annotate import FAILURES
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import InitialForceRule
 from policies import Policy
 from training.data.episodes import episode
+from training.runs.workers import progress
 
 SUFFIXES = (".png", ".mp4", ".gif", ".webp")
 FRAME_RATE = 25
+
+
+@dataclass
+class Ending:
+    """How an episode ended.
+
+    Attributes:
+        seconds: simulated.
+        drift: largest [m] of the object from where it should be.
+        failure: why the object was lost, in words; "" where it was held.
+
+    Example:
+        >>> print(Ending(4.0, 1e-5), Ending(1.24, 0.03, "no force closure"), sep="; ")
+        held 4.0 s, drift 0.01 mm; lost after 1.2 s: no force closure
+    """
+
+    seconds: float = 0.0
+    drift: float = 0.0
+    failure: str = ""
+
+    def __str__(self) -> str:
+        if self.failure:
+            return f"lost after {self.seconds:.1f} s: {self.failure}"
+        return f"held {self.seconds:.1f} s, drift {1e3 * self.drift:.2f} mm"
 
 
 def record(
@@ -34,7 +60,7 @@ def record(
     env_id: str = "grasp_env:FourFingerGrasp-v0",
     policy: Policy | None = None,
     **settings: Any,
-) -> None:
+) -> Ending:
     """Rolls out the hand and saves the last frame (.png) or a video (.mp4, .gif, .webp) at 25 frames/s of simulated time.
 
     Frames go to the file one by one (of .webp, the smallest that a page shows without a player, all at the end). The file gets its name when it is complete: stopped with ctrl-C, nothing is left.
@@ -47,6 +73,9 @@ def record(
         env_id: the environment.
         policy: the agent; None: no adjustment.
         **settings: more keywords of the environment: task, shape, disturbance, render_size.
+
+    Returns:
+        How the episode ended.
 
     Raises:
         InvalidInputError: another suffix, no time, or a folder that does not exist.
@@ -62,26 +91,32 @@ def record(
         settings["duration"] = seconds
     if not out.absolute().parent.is_dir():
         raise InvalidInputError(f"the folder {out.absolute().parent} does not exist: make it first")
+    ending = Ending()
     with replacing(out) as temporary:
         env = gym.make(env_id, render_mode="rgb_array", initial_force=initial_force, **settings)
-        with closing(env), closing(_frames(env, seed, policy, out.suffix == ".png")) as frames:
+        with closing(env), closing(_frames(env, seed, policy, out.suffix == ".png", ending)) as frames:
             _write(temporary, frames)
+    return ending
 
 
-def _frames(env: gym.Env[Any, Any], seed: int, policy: Policy | None, only_last: bool) -> Generator[np.ndarray]:
-    """The pictures of one episode; a bar on a terminal shows how far it is."""
+def _frames(
+    env: gym.Env[Any, Any], seed: int, policy: Policy | None, only_last: bool, ending: Ending
+) -> Generator[np.ndarray]:
+    """The pictures of one episode, which tells `ending` how it goes; a bar on a terminal shows how far it is."""
     rate = int(env.metadata["render_fps"])
     every = max(1, round(rate / FRAME_RATE))
     duration = getattr(getattr(env.unwrapped, "config", None), "duration", None)
     steps = None if duration is None else max(1, round(duration * rate))
-    console = Console(stderr=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("recording", total=steps)
+    with progress(Console(stderr=True)) as bar:
+        task = bar.add_task("recording", total=steps)
         for place, step in enumerate(episode(env, seed, policy)):
+            info = step.info
+            ending.seconds = (place + 1) / rate
+            ending.drift = max(ending.drift, float(info.get("drift", 0.0)))
+            ending.failure = FAILURES.get(info.get("failure", ""), "")
             if step.last or (place % every == 0 and not only_last):
                 yield np.asarray(env.render())
-            progress.advance(task)
+            bar.advance(task)
 
 
 def _write(path: Path, frames: Iterator[np.ndarray]) -> None:

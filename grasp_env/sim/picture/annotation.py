@@ -27,6 +27,9 @@ WRENCH_STRETCH = 2.0
 LONGEST_TURN = math.radians(300.0)
 """The longest arc of a moment [rad]."""
 
+LEAST = 0.1, 0.02
+"""Force [N] and moment [N m] of the largest scales: what is near nothing is not blown up."""
+
 
 @dataclass(frozen=True, eq=False)
 class Annotation:
@@ -114,7 +117,7 @@ def arrow_scale(forces: Array, wrenches: Array) -> float:
         0.02
     """
     lengths = [np.linalg.norm(forces, axis=-1), WRENCH_STRETCH * np.linalg.norm(wrenches[..., :3], axis=-1)]
-    return LONGEST / max(*(float(np.max(length, initial=0.0)) for length in lengths), 1e-3)
+    return LONGEST / max(*(float(np.max(length, initial=0.0)) for length in lengths), LEAST[0])
 
 
 def arc_scale(moment: float) -> float:
@@ -124,7 +127,7 @@ def arc_scale(moment: float) -> float:
         >>> round(float(np.degrees(0.05 * arc_scale(0.1))), 6)
         150.0
     """
-    return LONGEST_TURN / max(moment, 1e-4)
+    return LONGEST_TURN / max(moment, LEAST[1])
 
 
 def round_down(value: float) -> float:

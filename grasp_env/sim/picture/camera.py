@@ -46,6 +46,7 @@ class CameraConfig:
         field_of_view: Vertical opening [degrees].
         margin: Part of the width and of the height left free beside and above hand and object.
         footer: Part of the height left free below them, where annotations have their text.
+        arrows: [m] about the object's centre that is in the picture, too.
         object_opacity: Below 1 the object lets the tips behind it be seen; drawing takes twice
             the time then.
         supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest (edges
@@ -61,7 +62,8 @@ class CameraConfig:
     direction: Vector3 | None = None
     field_of_view: float = 26.0
     margin: float = 0.06
-    footer: float = 0.21
+    footer: float = 0.19
+    arrows: float = 0.0
     object_opacity: float = 0.6
     supersampling: int = 1
 
@@ -74,6 +76,8 @@ class CameraConfig:
             raise InvalidInputError(f"object_opacity={self.object_opacity} must be in [0, 1]")
         if not (0.0 <= self.margin <= 0.4 and 0.0 <= self.footer <= 0.5):
             raise InvalidInputError(f"margin={self.margin} must be in [0, 0.4] and footer={self.footer} in [0, 0.5]")
+        if not 0.0 <= self.arrows <= 1.0:
+            raise InvalidInputError(f"arrows={self.arrows} must be in [0, 1] m")
         if not 1.0 <= self.field_of_view <= 120.0:
             raise InvalidInputError(f"field_of_view={self.field_of_view} must be in [1, 120] degrees")
         if self.direction is not None and (
@@ -134,6 +138,9 @@ class Camera:
             survey = survey_from(np.array(config.direction))
         _, depth = self._shoot(survey, width, height, shadows=False)
         drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
+        if config.arrows > 0.0:
+            ends = config.arrows * np.vstack([np.eye(3), -np.eye(3)])
+            drawn = np.vstack([drawn, self._scene.look().position + ends])
         wanted = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
         self.view = wanted.fitted(drawn, config.margin, config.footer) if len(drawn) else wanted
         self._fitted_to = self._scene.simulator.world

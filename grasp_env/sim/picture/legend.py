@@ -27,6 +27,14 @@ class _Entry(NamedTuple):
     text: str
 
 
+def room(width: int, height: int) -> tuple[float, float]:
+    """Margin and footer of a camera [parts of the height] that leave a picture's words their place."""
+    canvas = Canvas(np.zeros((height, width, 3), np.uint8))
+    pad = 8.0 * canvas.unit
+    above, below = pad + canvas.text_height(), 3.5 * pad + _told(canvas) + 2.0 * canvas.text_height(small=True)
+    return min(max(0.06, above / height), 0.2), min(max(0.06, below / height), MOST)
+
+
 def write(canvas: Canvas, view: View, annotation: Annotation) -> None:
     """Title and hand at the top, a band at the bottom; nothing in pictures too small for it.
 
@@ -37,7 +45,7 @@ def write(canvas: Canvas, view: View, annotation: Annotation) -> None:
     table = _entries(canvas, view, annotation)
     if _width(canvas, table) > right - left:
         table = [[entry] for row in table for entry in row]
-    told = small + step + 5.0 * canvas.unit if annotation.lines else 0.0
+    told = _told(canvas) if annotation.lines else 0.0
     height = told + small * len(table)
     if height + 3.0 * pad > MOST * canvas.height or _width(canvas, table) > right - left:
         return
@@ -60,6 +68,11 @@ def write(canvas: Canvas, view: View, annotation: Annotation) -> None:
     if canvas.text_width(annotation.title + annotation.hand) + 2.0 * pad < right - left:
         canvas.text(right - canvas.text_width(annotation.hand), pad, annotation.hand, FAINT)
     canvas.text(left, pad + step, annotation.alarm, ALARM)
+
+
+def _told(canvas: Canvas) -> float:
+    """Pixels that the numbers take, with their labels above them."""
+    return canvas.text_height(small=True) + canvas.text_height() + 5.0 * canvas.unit
 
 
 _GAP = 6.0  # between what is drawn and its words, and half of that between columns

@@ -19,6 +19,7 @@ CONE_LENGTH = 0.036
 """Of the drawn friction cones' sides [m]."""
 
 _TURN_RADIUS = 0.03  # of the moment's arc [m]
+_LEAST_TURN = 0.15  # [rad] that can still be seen to turn
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)
 _UNIT_CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 
@@ -81,11 +82,11 @@ def _draw_wrench(canvas: Canvas, view: View, annotation: Annotation, scale: floa
     if not annotation.wrench.any():
         return
     size = float(np.linalg.norm(moment))
-    if size > 1e-4:
+    if annotation.moment_scale * size > _LEAST_TURN:
         axis = moment / size
         first = np.cross(view.axes[1] if abs(axis @ view.axes[1]) < 0.9 else view.axes[0], axis)
         first /= np.linalg.norm(first)
-        angles = np.linspace(0.0, min(max(annotation.moment_scale * size, 0.3), 1.1 * LONGEST_TURN), 28)
+        angles = np.linspace(0.0, min(annotation.moment_scale * size, 1.1 * LONGEST_TURN), 28)
         circle = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(axis, first))
         arc = view.project(center + _TURN_RADIUS * circle)
         canvas.line(arc[:-3], (*WHITE, 220), 5.0 * canvas.unit)
