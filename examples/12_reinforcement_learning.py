@@ -4,8 +4,8 @@ Train an agent with stable-baselines3
 
 PPO adjusts the solver's start so that the paper's flow needs fewer iterations. To learn: one thread for so small a
 network, ``VecNormalize`` for observations of +-500, a TensorBoard row at every update, and the zero action, the paper's
-start, as the measure on the same episodes. The few steps of this page teach next to nothing; with the argument 65536,
-a minute of one core, the agent's starts took 29.6 iterations, the paper's 56.3.
+start, on the same episodes. The steps of this page teach next to nothing; with 65536 as argument, a minute of one
+core, the agent's starts took 29.6 iterations, the paper's 56.3.
 """
 
 import sys
@@ -22,7 +22,6 @@ from stable_baselines3.common.vec_env import VecNormalize
 STEPS = int(sys.argv[1]) if sys.argv[1:] else 4096
 FOLDER = Path("runs/example_ppo")  # `tensorboard --logdir runs/example_ppo` shows what is learned
 ENV, SETTINGS = "grasp_env:FourFingerGrasp-v0", {"disturbance": "random", "failure_cost": 10.0}
-
 torch.set_num_threads(1)  # two threads train several times slower
 plain = make_vec_env(ENV, n_envs=8, seed=0, env_kwargs=SETTINGS)  # DummyVecEnv: a process each gains nothing
 envs = VecNormalize(plain, clip_obs=10.0, gamma=0.0)  # gamma: an action changes the iterations of its own step only
@@ -45,7 +44,7 @@ def iterations(predict):
     return found
 
 
-loaded, seen = PPO.load(FOLDER / "agent", device="cpu"), VecNormalize.load(str(FOLDER / "normaliser.pkl"), plain)
+loaded, seen = PPO.load(FOLDER / "agent"), VecNormalize.load(str(FOLDER / "normaliser.pkl"), plain)
 agent = iterations(lambda observation: loaded.predict(seen.normalize_obs(observation), deterministic=True)[0])
 paper = iterations(lambda observation: np.zeros(6, dtype=np.float32))
 print(f"trained for {model.num_timesteps} steps; iterations over {len(paper)} held-out steps of the hand:")
@@ -54,7 +53,7 @@ print(f"{np.mean(agent):.1f} from the agent's starts, {np.mean(paper):.1f} from 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")
 left.plot(np.mean(plain.env_method("get_episode_rewards"), axis=0))
 left.set(xlabel="episodes of each environment", ylabel="return in training")
-right.hist([paper, agent], bins=range(0, 180, 20), label=["the paper's start", "the agent's"])
+right.hist([paper, agent], bins=range(0, 180, 20), label=["from the paper's start", "from the agent's"])
 right.set(xlabel="iterations of the solver", ylabel="steps of the hand")
 right.legend()
 plt.show()
