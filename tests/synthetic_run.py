@@ -13,6 +13,7 @@ from training.cases.start_table import LEARNED, STARTS
 from training.runs import Run
 from training.runs.statistics import spread
 from training.trials.arrays import BUDGETS, LEVELS, METHODS, SCENARIOS
+from training.trials.findings import findings
 
 SPEED = {"single_value": 60.0, "lagrange": 50.0, "linear_combination": 40.0, "learned_fixed": 0.5, "learned_any": 3.0}
 CASES = 30
@@ -79,6 +80,7 @@ def synthetic_run(folder: Path, seed: int = 0) -> tuple[Run, dict[str, Any]]:
             {"claim": "a claim without a number", "asked": "0", "measured": "not measured", "met": None},
         ],
     }  # fmt: skip
+    metrics["found"] = findings(metrics)
     return run, metrics
 
 

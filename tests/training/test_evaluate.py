@@ -28,6 +28,7 @@ from training.trials.arrays import SCENARIOS
 from training.trials.claims import claims, wins
 from training.trials.compare import cases_of, compare
 from training.trials.comparison import evaluate, plan
+from training.trials.findings import findings
 from training.trials.metrics import metrics_of, start_metrics
 from training.trials.settings import EvaluateConfig
 
@@ -261,6 +262,39 @@ def test_the_fastest_from_cold_is_named(metrics):
         assert fastest()["met"] is met
     total["newton"]["learned_fixed"]["best"].update(median=0.9)
     assert fastest()["measured"].startswith("winner: learned, fixed grasp, Newton: p50 0.9, ")
+
+
+def test_what_was_found_is_what_the_numbers_say(metrics):
+    rows, total = metrics["starts"]["reduced_flow"]["ball"], metrics["timing"]["total"]
+    rows["squeeze"]["iterations"].update(median=0.0, p99=0.0)  # fewer than any learned start
+    rows["learned_any"]["iterations"].update(median=1.0, p99=2.0)
+    rows["basis_newton"]["iterations"].update(median=1.0, p99=2.0)
+    for sets in total.values():
+        for row in sets.values():
+            row["best"].update(median=10.0, p99=12.0)
+    total["newton"]["linear_combination"]["best"].update(median=5.0, p99=6.0)
+
+    def found(about):
+        (said,) = [text for text in findings(metrics) if text.startswith(f"{about}: ")]
+        return said.replace("\xa0", " ")
+
+    assert "soonest from " in found("Fewest iterations")
+    assert "“squeeze”" in found("Fewest iterations").partition(" (median")[0]
+    assert "1 / 2, control (4 steps) 1 / 2, no gain;" in found("What is learned")
+    assert "Newton from “12-basis”, p50 / p99 5 / 6 µs" in found("Least time")
+    assert "beats every learned start in time, whichever the method (p50 10 µs)" in found("Least time")
+    total["newton"]["learned_fixed"]["best"].update(median=2.0)
+    assert "beats every learned start (p50 10 µs) but Newton from “learned, fixed” (2)." in found("Least time")
+    total["newton"]["linear_combination"]["best"].update(median=20.0)
+    assert "is beaten by every learned start, whichever the method (p50 2 to 10 µs)" in found("Least time")
+    assert verdicts(metrics, "learned, any grasp, by the flow or by Newton: faster than plain Newton") == [True]
+    total["newton"]["linear_combination"]["best"].update(median=9.0)
+    assert verdicts(metrics, "learned, any grasp, by the flow or by Newton: faster than plain Newton") == [False]
+    del rows["linear_combination"], total["newton"]["linear_combination"], rows["basis_newton"]
+    assert "12-basis" not in found("Fewest iterations") + found("Least time")
+    metrics["timing"] = {}
+    metrics["starts"]["reduced_flow"] = {}
+    assert findings(metrics) == []
 
 
 def test_what_was_not_measured_is_said(metrics):

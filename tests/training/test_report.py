@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 import shutil
@@ -12,13 +13,14 @@ from typing import Any
 
 import pytest
 from browser import Browser, browser, find_browser
-from synthetic_run import synthetic_run
+from synthetic_run import CASES, synthetic_run
 
 from grasp_env.errors import InvalidInputError
 from training.report.comparison import build_report, write_pages
+from training.report.first import charts
 from training.report.page import Table, claims_section
 from training.report.starts import STEPPED, label, matrix, network_section, pair
-from training.report.style import THEME
+from training.report.style import THEME, svg
 from training.runs import Run
 
 EXECUTABLE = find_browser()
@@ -92,7 +94,7 @@ def test_every_figure_lies_beside_the_page(made):
     names = re.findall(r"\]\(figures/([^)]+)\)", text)
     kinds = {name.split("-")[0].split(".")[0] for name in names}
     assert kinds >= {
-        "fan", "ecdf", "budget", "profile", "violins", "continuity", "constant", "forces", "against", "rollout", "rl", "hand_paper", "training",
+        "found", "fan", "ecdf", "budget", "profile", "violins", "continuity", "constant", "forces", "against", "rollout", "rl", "hand_paper", "training",
     }  # fmt: skip
     assert all(run.path(f"figures/{name}").stat().st_size > 200 for name in names)
     assert not [path for path in run.folder.rglob(".*") if path.is_file()]  # no temporary files
@@ -139,10 +141,45 @@ def test_the_network_alone_stands_beside_the_basis_with_as_many_newton_steps(mad
     assert "97" in network_section(made[1]).notes[0]  # % inside the cones before the repair
 
 
+def test_the_first_screen_says_what_was_found_before_all_else(made, page):
+    run, metrics = made
+    assert len(metrics["found"]) == 3
+    for text in (run.path("report.md").read_text(encoding="utf-8"), html.unescape(page.read_text(encoding="utf-8"))):
+        places = [text.index(said.partition(":")[2]) for said in metrics["found"]]
+        assert (
+            max(places)
+            < text.index("found-iterations")
+            < text.index("found-microseconds")
+            < text.index("a claim that is missed")
+        )
+        assert "Words used here" in text
+
+
+def test_the_chart_of_the_first_screen_has_a_line_for_every_start_given(made):
+    """In its own colour; one without a start on any case says so."""
+    metrics = json.loads(json.dumps(made[1]))
+    for sets in metrics["starts"].values():
+        for rows in sets.values():
+            rows["mine"] = rows["lagrange"]
+            rows["never"] = {**rows["lagrange"], "no_start": CASES, "iterations": {"n": 0, "median": None}}
+    metrics["run"]["given"] = {"mine": {"compiled": True}, "never": {"compiled": False}}
+    for rows in metrics["timing"]["total"].values():
+        rows["mine"] = rows["lagrange"]
+    for (name, _, caption, alt, drawing), marks in zip(
+        charts(metrics), (("mine", "never†"), ("mine", "never*†")), strict=True
+    ):
+        assert drawing is not None
+        text = svg(drawing, name, alt)
+        assert all(f">{mark}<" in text for mark in (*marks, "no start"))
+        assert "--c-given_0" in text
+        assert "mine, flow" in alt
+        assert ("†" in caption) == (name == "found-iterations")
+
+
 def test_what_a_run_lacks_is_left_out_or_a_dash(made, tmp_path):
     _, metrics = made
     metrics = json.loads(json.dumps(metrics))
-    for name in ("events", "timing", "table_one", "continuity", "guarantee", "break_even", "rollouts", "wins"):
+    for name in ("found", "events", "timing", "table_one", "continuity", "guarantee", "break_even", "rollouts", "wins"):
         del metrics[name]
     for rows in metrics["starts"]["reduced_flow"].values():
         for row in rows.values():

@@ -201,6 +201,12 @@ def test_whole_calls_start_where_the_starts_say(starts):
             )
 
 
+def test_what_is_called_compiled_is(starts):
+    for method in METHODS:
+        for key, loop in optimizers(presets.paper_cuboid(), method, starts, PHI).items():
+            assert (loop._loop is not None) == STARTS[key].compiled, (method, key)
+
+
 def test_timing(models):
     times = time_calls(wrench.sample_ball(np.random.default_rng(0), 6), models, PHI, 2)
     assert times["reduced_flow/linear_combination/total_us"].shape == (2, 6)

@@ -102,6 +102,20 @@ class Row:
         return isinstance(self.how, (Model, Remembering))
 
     @property
+    def second_order(self) -> bool:
+        """Whether it takes Newton steps, learned or plain, before a method begins; not known of one that was given."""
+        correction = getattr(self.how, "correction", "")
+        return isinstance(self.how, (Stepped, Remembering)) or correction == "tangent" or self.how == Model("any_grasp")
+
+    @property
+    def compiled(self) -> bool:
+        """Whether a control loop has it in the method's own compiled call; the others return to Python in between."""
+        return isinstance(self.how, (Model, Remembering)) or self.how in (
+            Named("linear_combination"),
+            Previous("tangent"),
+        )
+
+    @property
     def remembers(self) -> bool:
         """Whether the previous solution changes it."""
         return isinstance(self.how, (Previous, Remembering))

@@ -7,6 +7,7 @@ from typing import Any
 from grasp_env.errors import InvalidInputError
 from training.report.details import feasibility_section, newton_section, sets_section, timing_section
 from training.report.facts import caveats_section, models_section
+from training.report.first import comparison_section
 from training.report.hand import hand_section, paper_section
 from training.report.page import Picture, Section, claims_section, provenance_section, write_page
 from training.report.pictures import draw_all, loops
@@ -54,6 +55,7 @@ def _sections(run: Run, metrics: dict[str, Any]) -> list[Section | None]:
         "p10 to p90 band over the cases. Shares count cases without a start as never solved.",
     )
     return [
+        comparison_section(metrics, of("found")),
         claims_section(metrics),
         wins_section(metrics),
         network_section(metrics),

@@ -106,6 +106,7 @@ class Section:
     Attributes:
         key: its anchor.
         title: its heading.
+        lead: what was found, sentences whose words before a colon are set in bold.
         notes: paragraphs before the rest.
         blocks: tables, figures and folds, in order.
         items: a list after the paragraphs.
@@ -116,6 +117,12 @@ class Section:
     notes: Sequence[str] = ()
     blocks: Sequence[Table | Picture | Fold] = ()
     items: Sequence[str] = ()
+    lead: Sequence[str] = ()
+
+    @property
+    def led(self) -> list[tuple[str, str]]:
+        """(what it is about, what was found) of the first sentences."""
+        return [(head, text) if text else ("", head) for head, _, text in (said.partition(":") for said in self.lead)]
 
 
 def data_uri(data: bytes, kind: str) -> str:
@@ -193,7 +200,9 @@ def write_page(
         name: of the files.
         html: whether the second is written.
     """
-    kept = [section for section in sections if section is not None and (section.blocks or section.items)]
+    kept = [
+        section for section in sections if section is not None and (section.blocks or section.items or section.lead)
+    ]
     context = {"title": title, "quick": quick, "sections": kept, "light": variables(False), "dark": variables(True)}
     for kind in ("md", "html") if html else ("md",):
         run.write_text(f"{name}.{kind}", _render(f"report.{kind}.j2", context))

@@ -8,6 +8,7 @@ from typing import Any
 from training.cases.start_table import given_in
 from training.demo.loops import ANIMATIONS, STILL, still_of
 from training.report import figures
+from training.report.first import charts
 from training.report.page import Picture, at, data_uri
 from training.report.rl import learning_curves
 from training.report.starts import label, set_label, short
@@ -76,6 +77,9 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
     def trials(name: str) -> Trials:
         return arrays(f"trials/{name}.npz")
 
+    for *said, drawing in charts(metrics):
+        name, title, caption, alt = said
+        yield name, title, caption, alt, lambda drawing=drawing: drawing
     yield from _of_sets(metrics, trials)
     yield (
         "violins",

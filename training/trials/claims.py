@@ -39,7 +39,20 @@ Metrics = dict[str, Any]
 
 def claims(metrics: Metrics) -> list[Claim]:
     """All claims."""
-    parts = (_fixed, _cold, _smooth, _any, _time, _fastest, _models, _guarantees, _given, _holds, _references)
+    parts = (
+        _fixed,
+        _cold,
+        _smooth,
+        _any,
+        _time,
+        _fastest,
+        _against_newton,
+        _models,
+        _guarantees,
+        _given,
+        _holds,
+        _references,
+    )
     return [row for part in parts for row in part(metrics)]
 
 
@@ -59,7 +72,7 @@ def wins(metrics: Metrics) -> list[dict[str, Any]]:
             "basis": (BASIS, "basis_tangent", "basis_newton"),
             **({"given": own} if (own := given_in(rows)) else {}),
         }
-        known = {kind: [_numbers(rows, key) for key in keys if _applies(rows, key)] for kind, keys in entries.items()}
+        known = {kind: [numbers(rows, key) for key in keys if applies(rows, key)] for kind, keys in entries.items()}
         found = {kind: min(rows, key=lambda row: (row["median"], row["p99"])) for kind, rows in known.items() if rows}
         unbeaten = [kind for kind, own in found.items() if not any(_beats(other, own) for other in found.values())]
         winner = None if len(found) < 2 else unbeaten[0] if len(unbeaten) == 1 else "tie"
@@ -67,14 +80,15 @@ def wins(metrics: Metrics) -> list[dict[str, Any]]:
     return out
 
 
-def _applies(rows: dict[str, Any], key: str) -> bool:
+def applies(rows: dict[str, Any], key: str) -> bool:
+    """Whether a start has enough of a set's cases to speak for the set."""
     row = rows.get(key)
     return (
         row is not None and row["cases"] > 0 and row["cases"] >= SMALLEST_SHARE * (row["cases"] + row["not_applicable"])
     )
 
 
-def _numbers(rows: dict[str, Any], key: str) -> dict[str, Any]:
+def numbers(rows: dict[str, Any], key: str) -> dict[str, Any]:
     """Median and p99 of the iterations; cases without a start rank last, as never ending."""
     row, never = rows[key], float(LIMIT + 1)
     missing = row["no_start"] / row["cases"]
@@ -90,7 +104,7 @@ def _beats(one: dict[str, Any], other: dict[str, Any]) -> bool:
 
 def _row(metrics: Metrics, name: str, key: str | None) -> dict[str, Any] | None:
     rows = metrics["starts"][FLOW].get(name, {})
-    return rows[key] if key is not None and _applies(rows, key) else None
+    return rows[key] if key is not None and applies(rows, key) else None
 
 
 def _said(row: dict[str, Any], *names: str) -> str:
@@ -219,6 +233,21 @@ def _fastest(metrics: Metrics) -> Iterator[Claim]:
     text = "fastest certified solve from cold (no previous solution), fixed grasp, whole public call, same run"
     asked = f"the winner named; Newton from the network p50 <= {FASTER['median']:g}, p99 <= {FASTER['p99']:g} of Newton's from the 12-basis"
     yield claim(text, asked, said, met)
+
+
+def _against_newton(metrics: Metrics) -> Iterator[Claim]:
+    """What a model is worth in time: plain Newton from the 12-basis needs nothing learned."""
+    totals = metrics["timing"]["total"]
+    plain = totals["newton"].get(BASIS, {}).get("best", {"n": 0})
+    for key in metrics["run"]["models"]:
+        rows = {method: row for method in totals if (row := totals[method].get(key, {}).get("best", {})).get("n")}
+        said = met = None
+        if rows and plain["n"]:
+            said = ", ".join(f"{METHOD_NAMES[method]} {row['median']:.3g}" for method, row in rows.items())
+            said += f" against {plain['median']:.3g} us"
+            met = min(row["median"] for row in rows.values()) < plain["median"]
+        text = f"{row_of(key).label}, by the flow or by Newton: faster than plain Newton from the 12-basis, whole public call"
+        yield claim(text, "p50 of the faster below plain Newton's", said, met)
 
 
 def _models(metrics: Metrics) -> Iterator[Claim]:

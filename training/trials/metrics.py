@@ -28,6 +28,7 @@ from training.trials.arrays import (
     worse,
 )
 from training.trials.claims import claims, training_seconds, wins
+from training.trials.findings import findings
 
 if TYPE_CHECKING:
     from training.runs import Run
@@ -63,6 +64,7 @@ def metrics_of(run: Run) -> dict[str, Any]:
     metrics: dict[str, Any] = {name: metric(saved) for name, metric in METRICS.items()}
     metrics["wins"] = wins(metrics)
     metrics["claims"] = claims(metrics)
+    metrics["found"] = findings(metrics)
     return metrics
 
 
