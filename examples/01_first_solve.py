@@ -25,12 +25,13 @@ grasp = Grasp.from_contacts(drawing / 1000, -outward, friction=0.6)  # metres, n
 assert advise(grasp) == []
 
 weight = gravity_wrench(0.3)  # the force [N] and moment [N m] that act ON the mug
-solution = optimize_force(grasp, weight)
+solution = optimize_force(grasp, weight, method="newton")
 solution.raise_for_status()  # an error unless the force is proven optimal
 print(f"\nin metres, inward: {solution.status.value}, squeezes with {solution.total_normal_force:.2f} N in all")
 print("contact   normal        o        t   [N]")
 for k, (normal, o, t) in enumerate(solution.force.round(3) + 0.0):
     print(f"{k:7d} {normal:8.3f} {o:8.3f} {t:8.3f}")
+print(f"{solution.cone_margin:.3f} N from slipping")
 
 # the fingers' forces in the object's own axes: with the weight they sum to nothing
 vectors = grasp.to_object_frame(solution.force)

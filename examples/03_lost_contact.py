@@ -21,6 +21,7 @@ for count in (3, 4):
     grasp = Grasp.from_contacts(points[:count], normals[:count], friction=0.4)
     pipelines[count] = ForcePipeline(grasp, method="newton", initial="previous")
 
+events = {399: "four hold", 400: "one is lost", 401: "three hold", 600: "it is back", 601: "four hold"}
 forces, iterations, before = np.full((1000, 4), np.nan), np.empty(1000), 4
 for tick in range(1000):
     count = 3 if 400 <= tick < 600 else 4
@@ -31,10 +32,9 @@ for tick in range(1000):
     wrench = np.array([3 * np.sin(turn), 2 * np.cos(turn), 2, 0, 0, 0.02])  # [N, N m]
     solution = pipelines[count].solve(points[:count], normals[:count], wrench).raise_for_status()
     forces[tick, :count], iterations[tick] = solution.force[:, 0], solution.iterations
-
-events = {399: "four hold", 400: "one is lost", 401: "three hold", 600: "it is back", 601: "four hold"}
-for tick, event in events.items():
-    print(f"{tick} ms, {event:11} {iterations[tick]:.0f} iterations, normal forces {forces[tick].round(2)} N")
+    if tick in events:
+        normal = solution.force[:, 0].round(3)
+        print(f"{tick} ms, {events[tick]:11} {solution.iterations} iterations, normal forces {normal} N")
 assert np.isnan(forces[500, 3]) and iterations[401] <= iterations[400]
 
 try:  # what no force can balance is said when the grasp is made, not in the loop

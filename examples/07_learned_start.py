@@ -10,7 +10,7 @@ and ``LearnedInitialForce.load(folder)``.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from grasp_env.force import optimize_forces
+from grasp_env.force import optimize_force, optimize_forces
 from grasp_env.grasp import presets, wrench
 from policies import LearnedInitialForce
 
@@ -36,6 +36,16 @@ assert medians[2] <= medians[1] < medians[0]
 np.testing.assert_allclose(forces[1], forces[0], atol=0.5)  # the start changes how long it takes, not where it ends
 ax.set(xlabel="iterations of the flow to a gap of 1e-4", ylabel="wrenches done [%]", xlim=(-3, 150), ylim=(0, 101))
 ax.legend(loc="lower right")
+
+network = starts["four_finger, this grasp's network"]
+for size in (0.5, 1.0, 2.0):
+    load = size * np.array([1, 0.5, -0.6, -0.01, 0.02, 0])  # [N, N m]
+    learned, plain = (optimize_force(grasp, load, method="newton", initial=rule) for rule in (network, None))
+    print(
+        f"wrench x {size}: {learned.iterations} Newton steps from the network, {plain.iterations} from the 12-basis; ",
+        end="",
+    )
+    print("normal forces", *learned.force[:, 0].round(3), "N")
 
 five = presets.five_finger_cuboid()  # any_grasp reads the contacts
 batch = optimize_forces(five, held_out, method="reduced_flow", initial=starts["any_grasp, for 3 to 5 contacts"])

@@ -25,6 +25,7 @@ begin = perf_counter()
 batch = optimize_forces(grasp, loads, method="conic")
 took = perf_counter() - begin
 print(f"{len(batch)} wrenches on one grasp: {len(batch) / took / 1e6:.2f} million a second; {batch}")
+print(f"they take {batch.objective.mean():.3f} N on average, {batch.objective.max():.3f} N at most")
 np.testing.assert_allclose(batch[1234].force, optimize_force(grasp, loads[1234], method="conic").force, atol=1e-6)
 
 places = np.linspace(-0.03, 0.03, 31)  # of the thumb on the lower face [m]

@@ -37,7 +37,7 @@ def test_an_example_is_short_and_says_what_it_shows(path: Path) -> None:
     assert re.fullmatch("=+", line), "its title is underlined with ="
     assert len(line) == len(title)
     assert text[0] == "" and text[1] and "" not in text[1:], "then one paragraph"  # noqa: PT018
-    assert "To learn:" in said
+    assert "To learn:" in " ".join(text)
 
 
 @each

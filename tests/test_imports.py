@@ -35,8 +35,8 @@ def _imports(path: Path) -> set[str]:
 
 
 def _files(*parts: str) -> list[Path]:
-    """Of a package; examples are programs, which nothing imports."""
-    files = sorted(path for path in (ROOT / Path(*parts)).rglob("*.py") if path.parent.name != "examples")
+    """Of a package."""
+    files = sorted((ROOT / Path(*parts)).rglob("*.py"))
     assert files, f"no sources under {parts}"
     return files
 
