@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -109,7 +110,7 @@ class ForceOptimizer:
         # a solution is where the first call starts; the next ones start from their own previous one
         self._previous: ForceSolution | None = initial if is_a(initial, ForceSolution) else None
         self._initial: Initial | None = "previous" if is_a(initial, ForceSolution) else initial
-        self._set_grasp(grasp)
+        self._set_grasp(grasp, self.settings)
 
     @property
     def grasp(self) -> Grasp:
@@ -159,22 +160,24 @@ class ForceOptimizer:
         """What each entry of a solution's `limit_multipliers` belongs to."""
         return getattr(self._method, "limit_labels", ())
 
-    def move_to(self, grasp: Grasp) -> None:
+    def move_to(self, grasp: Grasp, limits: ForceLimits | None = None) -> None:
         """The contacts moved: re-optimise the offline basis from the old one, keep the previous solution.
 
         Args:
             grasp: the contacts of now; with another number of them the previous solution is forgotten.
+            limits: those of now, such as with the Jacobian of now; None: as they were.
 
         Raises:
             UnsupportedProblemError, InvalidInputError: as at the start; the optimizer stays where it was.
         """
         as_grasp(grasp)
+        settings = self.settings if limits is None else replace(self.settings, limits=as_limits(limits))
         if self.grasp.n_contacts == grasp.n_contacts and self._method.uses_basis:
             # a grasp without force closure has no basis; rules that need one will say so
             with suppress(InfeasibleStartError):
                 OfflineBasis.of(self.grasp, self.objective).moved_to(grasp)
         changed = self.grasp.n_contacts != grasp.n_contacts
-        self._set_grasp(grasp)
+        self._set_grasp(grasp, settings)
         if changed:
             self._previous = None
 
@@ -257,10 +260,10 @@ class ForceOptimizer:
     def _before(self, initial: Initial | None) -> ForceSolution | None:
         return initial if is_a(initial, ForceSolution) else self._previous
 
-    def _set_grasp(self, grasp: Grasp) -> None:
+    def _set_grasp(self, grasp: Grasp, settings: Settings) -> None:
         # everything that may refuse the grasp first: an optimizer is never half moved
-        method = make_method(grasp, self.settings)
-        self._grasp, self._method, self._size = grasp, method, record_size(grasp.n_contacts)
+        method = make_method(grasp, settings)
+        self.settings, self._grasp, self._method, self._size = settings, grasp, method, record_size(grasp.n_contacts)
         self._elastic: ForceProgram | None = None  # made where it is needed
         self._loop, self._name = method.loop(self._initial), self.settings.method
 
@@ -269,7 +272,7 @@ class ForceOptimizer:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self._set_grasp(self._grasp)  # compiled solvers are made anew
+        self._set_grasp(self._grasp, self.settings)  # compiled solvers are made anew
 
 
 def checked_initial(initial: Any) -> Any:

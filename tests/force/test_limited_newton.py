@@ -12,7 +12,13 @@ from force.clarabel_reference import random_grasp as random_contacts
 from force.test_hard_programs import clustered, near_closure
 from problems import random_grasp
 
-from grasp_env.errors import GraspError, InfeasibleStartError, InfeasibleWrenchError, InvalidInputError
+from grasp_env.errors import (
+    GraspError,
+    InfeasibleStartError,
+    InfeasibleWrenchError,
+    InvalidInputError,
+    UnsupportedProblemError,
+)
 from grasp_env.force import (
     ForceLimits,
     ForceOptimizer,
@@ -349,6 +355,27 @@ def test_solutions_and_optimizers_are_pickled_and_moved() -> None:
     assert after.objective == pytest.approx(
         optimize_force(moved, LOAD, method="newton", limits=limits).objective, rel=1e-4
     )
+
+
+def test_limits_move_with_the_contacts() -> None:
+    rng = np.random.default_rng(11)
+    optimizer = ForceOptimizer(CUBOID, method="newton", elastic=True, limits=ForceLimits(max_normal=50.0))
+    optimizer.solve(LOAD)
+    for _ in range(5):
+        moved = Grasp.from_contacts(CUBOID.positions + 1e-3 * rng.standard_normal((4, 3)), CUBOID.normals, 0.5)
+        limits = ForceLimits(jacobian=own_joints(rng, 4), torque_limit=rng.uniform(0.05, 0.6))
+        optimizer.move_to(moved, limits)
+        anew = optimize_force(moved, LOAD, method="newton", limits=limits, elastic=True)
+        after = optimizer.solve(LOAD)
+        assert after.status is anew.status
+        assert after.objective == pytest.approx(anew.objective, rel=1e-4 if anew.limit_excess == 0.0 else 0.02)
+        optimizer.move_to(CUBOID)  # the limits stay
+        assert len(optimizer.limit_labels) == 24
+    flow = ForceOptimizer(CUBOID)
+    with pytest.raises(UnsupportedProblemError, match="limits"):
+        flow.move_to(moved, limits)
+    assert flow.grasp is CUBOID
+    assert flow.solve(LOAD).status is Status.OPTIMAL
 
 
 def test_batches_hold_optima_proofs_and_excesses() -> None:

@@ -252,7 +252,7 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "a rule": Call(_ruled, {"force": SOLVED.force, "name": "mine", "objective": f.Objective(), "remembers": False, "start": None, "bind": None}),
         "ForceOptimizer.start": Call(_with(lambda: _optimizer("newton"), "start"), {"wrench": PAPER, "initial": "lagrange"}),
-        "ForceOptimizer.move_to": Call(_with(lambda: _optimizer("newton"), "move_to"), {"grasp": CUBOID}),
+        "ForceOptimizer.move_to": Call(_with(lambda: _optimizer("newton"), "move_to"), {"grasp": CUBOID, "limits": f.ForceLimits(max_normal=50.0)}),
         "optimize_forces": Call(
             f.optimize_forces,
             {"grasps": CUBOID, "wrenches": np.tile(PAPER, (3, 1)), "method": "newton", "workers": 1, "tolerance": 1e-4, "initial": None},
