@@ -27,7 +27,6 @@ extensions = [
     "program",
 ]
 exclude_patterns = ["results"]
-suppress_warnings = ["config.cache"]  # the gallery's order is a class
 nitpicky = True
 nitpick_ignore_regex = [
     # other people's pages are not asked for when the site is built: their names are text
@@ -73,12 +72,14 @@ sphinx_gallery_conf = {
     "filename_pattern": r"/\d\d_",  # what is numbered runs here; training takes too long
     "ignore_pattern": r"(__init__|_shared)\.py|/cpp/",
     "download_all_examples": False,
+    "notebook_extensions": set(),  # programs are programs
     "show_memory": False,
     "show_signature": False,
     "write_computation_times": False,
     "min_reported_time": 1e9,
     "abort_on_example_error": True,
     "image_scrapers": ("matplotlib",),
+    "within_subsection_order": "FileNameSortKey",
     "reference_url": {},
     "remove_config_comments": True,
 }

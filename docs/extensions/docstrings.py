@@ -1,15 +1,16 @@
-"""How docstrings are read: `code` is a word, and a link where a page has that name."""
+"""How docstrings and code are read: `code` is a word, and a link where a page has that name."""
 
 from __future__ import annotations
 
 import sys
 from typing import TYPE_CHECKING, Any
 
+from docutils import nodes
+from pygments.lexers.shell import BashLexer
 from sphinx.domains.python import PyXRefRole
 from sphinx.pycode import ModuleAnalyzer
 
 if TYPE_CHECKING:
-    from docutils import nodes
     from sphinx.application import Sphinx
     from sphinx.environment import BuildEnvironment
 
@@ -77,9 +78,19 @@ def skip(_app: Sphinx, _what: str, _name: str, value: Any, _skipped: bool, _opti
     return True if said.startswith("Alias for field number") else None
 
 
+def strip_blocks(_app: Sphinx, doctree: nodes.document) -> None:
+    """Code without the empty line at its end, which doctest wants before a fence."""
+    for block in doctree.findall(nodes.literal_block):
+        if block.astext() != block.astext().rstrip("\n"):
+            block.rawsource = block.astext().rstrip("\n")
+            block[:] = [nodes.Text(block.rawsource)]
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.add_role_to_domain("py", "word", Word())
+    app.add_lexer("console", BashLexer)  # commands without a prompt, which are no output
     app.connect("autodoc-process-docstring", mend, priority=100)
     app.connect("autodoc-skip-member", skip)
+    app.connect("doctree-read", strip_blocks)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

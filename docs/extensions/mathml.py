@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from docutils import nodes
 from latex2mathml.converter import convert
 
 if TYPE_CHECKING:
-    from docutils import nodes
     from sphinx.application import Sphinx
     from sphinx.writers.html5 import HTML5Translator
 
@@ -15,18 +15,16 @@ if TYPE_CHECKING:
 def inline(translator: HTML5Translator, node: nodes.math) -> None:
     """A formula within a line."""
     translator.body.append(convert(node.astext()))
+    raise nodes.SkipNode  # what is in it has been written
 
 
 def block(translator: HTML5Translator, node: nodes.math_block) -> None:
     """A formula of its own, in a box that scrolls where the window is narrow."""
     translator.body.append(f'<div class="formula">{convert(node.astext(), display="block")}</div>\n')
-
-
-def _done(_translator: HTML5Translator, _node: nodes.Element) -> None:
-    pass
+    raise nodes.SkipNode
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
-    app.add_html_math_renderer("latex2mathml", (inline, _done), (block, _done))
+    app.add_html_math_renderer("latex2mathml", (inline, None), (block, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
