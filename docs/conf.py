@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -66,11 +67,15 @@ pygments_style, pygments_dark_style = "friendly", "github-dark"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 
+# programs run where they are, and write files there: not in the source tree
+RUN = ROOT / "build" / "examples"
+shutil.rmtree(RUN, ignore_errors=True)
+shutil.copytree(ROOT / "examples", RUN, ignore=shutil.ignore_patterns("__pycache__", "cpp"))
+
 sphinx_gallery_conf = {
-    "examples_dirs": str(ROOT / "examples"),
+    "examples_dirs": str(RUN),
     "gallery_dirs": "gallery",
-    "filename_pattern": r"/\d\d_",  # what is numbered runs here; training takes too long
-    "ignore_pattern": r"(__init__|_shared)\.py|/cpp/",
+    "filename_pattern": r"/\d\d_",
     "download_all_examples": False,
     "notebook_extensions": set(),  # programs are programs
     "show_memory": False,
