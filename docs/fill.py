@@ -69,7 +69,7 @@ def save(path: Path) -> str:
         raise SystemExit(f"{path} is a quick run, whose numbers are not quoted: run it in full")
     RESULTS.mkdir(exist_ok=True)
     with replacing(RESULTS / f"{name}.json") as target:
-        text = json.dumps(pruned(tree, (RUN, *KEPT[name])), indent=1, sort_keys=True, allow_nan=False)
+        text = json.dumps(pruned(tree, (RUN, *KEPT[name])), indent=1, allow_nan=False)
         target.write_text(text + "\n", encoding="utf-8")
     return name
 

@@ -173,7 +173,7 @@ def solvers() -> str:
     ours = [row for row in saved("solver")["rows"] if row["solver"].startswith(("conic", "newton"))]
     told = (
         f"Of ours {sum(row['failed'] for row in ours)} failed, balance within {max(row['balance_max'] for row in ours):.0e} of the "
-        f"wrench, cones violated by at most {max(row['violation_max'] for row in ours):.0e}. {'; '.join(failed) or 'None failed'}."
+        f"wrench, cones violated by at most {number(max(row['violation_max'] for row in ours))}. {'; '.join(failed) or 'None failed'}."
     )
     return (
         table(["solver, median / p99 us", *(f"N = {count}" for count in sizes)], rows)
@@ -231,14 +231,16 @@ def hands() -> str:
 def rl() -> str:
     """Agents beside the paper's start, the previous solution and the learned start."""
     rows = []
-    for row in saved("rl")["rows"].values():
+    for key, row in saved("rl")["rows"].items():
         ratio = row["iterations_against_paper"]
         spread = " / ".join(number(row["iterations"][part]) for part in ("median", "p95", "p99"))
         against = f"{ratio['ratio']:.2f} ({ratio['low']:.2f} to {ratio['high']:.2f})"
+        if key.endswith("contact_force"):  # no solver, no iterations
+            spread = against = "–"
         rows.append(
-            [row["label"], f"{row['held']} of {row['episodes']}", spread, against, number(row["return"]["mean"])]
+            [row["label"], f"{row['held']} of {row['episodes']}", spread, against, number(row["return"]["iqm"])]
         )
-    columns = ["policy", "held", "iterations, median / p95 / p99", "of the paper's", "return"]
+    columns = ["policy", "held", "iterations, median / p95 / p99", "of the paper's", "return, interquartile mean"]
     return table(columns, rows) + "\n" + source("rl")
 
 
