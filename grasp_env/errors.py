@@ -6,10 +6,12 @@ says what was given, what is allowed and how to mend it.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from reprlib import Repr
 from typing import Any
 
+_ADDRESS = re.compile(r" at 0x[0-9a-fA-F]+")
 _NAME = type.__dict__["__name__"]
 """Of any class, whatever its own class says."""
 _SHORT = Repr()
@@ -19,11 +21,13 @@ _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 200
 
 
 def shown(value: object) -> str:
-    """What was given, for a message: its repr, shortened, and never an error itself.
+    """What was given, for a message: its repr, shortened, without addresses, and never an error itself.
 
     Example:
         >>> shown([1.0, "a"]), shown(10**10_000), shown([0.0] * 1000)[-10:]
         ("[1.0, 'a']", 'an int too long to show', ' 0.0, ...]')
+        >>> shown(object())
+        '<object object>'
     """
     try:
         shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
@@ -34,11 +38,28 @@ def shown(value: object) -> str:
             if not size <= 36:
                 return f"{type(value).__name__} of shape {tuple(shape)} and type {dtype}"
             return _SHORT.repr(value.tolist())  # type: ignore[attr-defined]
-        return _SHORT.repr(value)
+        text = _SHORT.repr(value)
+        return text if type(value) is str else _ADDRESS.sub("", text)
     except Exception:  # a repr of somebody else's
         if issubclass(type(value), int):
             return "an int too long to show"
         return f"an object of type {_NAME.__get__(type(value))}"
+
+
+def alike(given: object, allowed: Iterable[str]) -> str:
+    """A question, whether the allowed name that is most like the given one was meant; empty where none is like it.
+
+    Example:
+        >>> alike("Newtn", ["conic", "newton"]), alike("simplex", ["conic", "newton"])
+        (" did you mean 'newton'?", '')
+    """
+    from difflib import get_close_matches  # where something went wrong only
+
+    if type(given) is not str or len(given) > 100:
+        return ""
+    names = {name.lower(): name for name in allowed if type(name) is str}
+    found = get_close_matches(given.lower(), names, 1)
+    return f" did you mean {names[found[0]]!r}?" if found else ""
 
 
 class GraspError(ValueError):
@@ -62,7 +83,10 @@ class UnknownNameError(GraspError, KeyError):
     def __init__(self, kind: str, given: object, allowed: Iterable[str], hint: str = "") -> None:
         self.given = given
         self.allowed = tuple(allowed)
-        super().__init__(f"unknown {kind} {shown(given)}: choose one of {', '.join(map(repr, self.allowed))}{hint}")
+        meant = alike(given, self.allowed)
+        super().__init__(
+            f"unknown {kind} {shown(given)}:{meant} choose one of {', '.join(map(repr, self.allowed))}{hint}"
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         # process pools send errors as pickles: what was given may have none, what is told of it has
@@ -79,7 +103,8 @@ class UnknownSettingError(UnknownNameError, TypeError):
     def __init__(self, given: str, allowed: Iterable[str] = ()) -> None:
         """`given`: the keyword; without `allowed` the message itself, as `gymnasium.make` raises a TypeError again."""
         self.given, self.allowed = given, tuple(allowed)
-        named = f"got an unexpected keyword argument {shown(given)}: settings are {', '.join(map(repr, self.allowed))}"
+        meant = alike(given, self.allowed)
+        named = f"got an unexpected keyword argument {shown(given)}:{meant} settings are {', '.join(map(repr, self.allowed))}"
         GraspError.__init__(self, named if self.allowed else given)
 
 
@@ -126,7 +151,15 @@ class InfeasibleStartError(GraspError):
 
 
 class NotConvergedError(GraspError, RuntimeError):
-    """`ForceSolution.raise_for_status` on a solution that did not reach its tolerance."""
+    """`ForceSolution.raise_for_status` on a solution that did not reach its tolerance.
+
+    Attributes:
+        solution: that `ForceSolution`.
+    """
+
+    def __init__(self, message: str, solution: Any = None) -> None:
+        super().__init__(message)
+        self.solution = solution
 
 
 class ModelFileError(GraspError, OSError):

@@ -32,6 +32,7 @@ ESTIMATED = (
     "the estimate lags 5 ms, not 20, which dropped light objects: 498 of 500 random ones are held, where it were 486"
 )
 ACCEPTED: dict[str, str] = {
+    "refused: BB step": "since then a name that nearly is one is asked about: did you mean 'long'?",
     "environment: first tick, estimated": ESTIMATED,
     "environment: 4 episodes, default": GRASPED,
     "environment: 4 episodes, newton": GRASPED,

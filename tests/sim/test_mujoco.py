@@ -272,7 +272,8 @@ def test_divergence_is_an_error_without_a_word(
 
 def test_an_engine_is_one_of_few() -> None:
     with pytest.raises(
-        UnknownNameError, match="unknown engine 'bulet': choose one of 'bullet', 'mujoco', or give its settings"
+        UnknownNameError,
+        match=r"unknown engine 'bulet': did you mean 'bullet'\? choose one of 'bullet', 'mujoco', or give its settings",
     ):
         gym.make("grasp_env:FourFingerGrasp-v0", engine="bulet")
     assert EnvConfig(engine="mujoco").resolved().physics_rate == 1000
