@@ -83,6 +83,9 @@ class TrainedAgent:
         if not all(np.isfinite(part).all() for layer in (*self._hidden, self._last) for part in layer):
             raise ValueError("weights are not finite")
 
+    def __repr__(self) -> str:
+        return f"TrainedAgent({self.meta['algorithm']}, {self.meta['observation_size']} numbers to {self.meta['action_size']} actions)"
+
     @classmethod
     def load(cls, folder: str | Path, seed: int = 0) -> TrainedAgent:
         """The newest checkpoint of a seed's folder of `grasp rl`, or the checkpoint itself.

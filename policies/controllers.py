@@ -38,6 +38,9 @@ class ZeroPolicy:
     def __init__(self, action_size: int = 6) -> None:
         self.action_size = whole(action_size, "action_size", 1, 10_000)
 
+    def __repr__(self) -> str:
+        return f"ZeroPolicy({self.action_size})"
+
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:

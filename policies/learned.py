@@ -113,6 +113,9 @@ class LearnedInitialForce(ABC):
             raise ModelFileError(f"model file {file}: {error.strerror or error}") from None
         return file
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.name})"
+
     @property
     def name(self) -> str:
         """What solutions say of their start."""

@@ -15,6 +15,7 @@ from grasp_env.control.solver import GeneralPipeline, make_pipeline
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceLimits, ForceSolution, InitialForceRule, Objective, OfflineBasis, optimize_force
+from grasp_env.force.initial import rule_name
 from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.grasp.contact import contact_frames
 from grasp_env.grasp.grasp import Grasp
@@ -83,6 +84,9 @@ class ForceLoop:
         self.objective = Objective(config.force_weight, config.barrier_weight)
         self.dt = 1.0 / config.control_rate
         self._noise: NoiseRows | None = None
+
+    def __repr__(self) -> str:
+        return f"ForceLoop({self.config.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
         """A new object or a new grasp: everything that depends on it."""

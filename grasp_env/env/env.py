@@ -188,6 +188,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._failure = ""
         self._upright = np.array(config.gravity)
 
+    def __repr__(self) -> str:
+        return f"FourFingerGrasp({self.config.task}, {self.config.disturbance}, {self._loop!r})"
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:

@@ -100,7 +100,10 @@ def is_rule(value: object, kind: type[T]) -> TypeIs[T]:
 
 
 def rule_name(rule: Any) -> str:
-    """What solutions call the start of a rule or a callable."""
+    """What solutions call a start: a rule's own name, or that of a callable or its class."""
+    text = as_text(rule)
+    if text is not None:
+        return text
     for name in ("name", "__name__"):
         with suppress(Exception):  # an attribute of somebody else's
             found = as_text(getattr(rule, name, None))
@@ -282,7 +285,7 @@ class StartRule:
     """
 
     label: str
-    make: Callable[[Objective], InitialForceRule]
+    make: Callable[[Objective], InitialForceRule] = field(repr=False)
     needs: str = "closure"
 
     def __call__(self, objective: Objective) -> InitialForceRule:

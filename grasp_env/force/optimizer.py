@@ -19,7 +19,7 @@ from grasp_env.errors import (
     shown,
 )
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.initial import RULES, InitialForceRule
+from grasp_env.force.initial import RULES, InitialForceRule, rule_name
 from grasp_env.force.limits import ForceLimits, as_limits
 from grasp_env.force.method import CRITERIA, Settings, readable
 from grasp_env.force.methods import METHODS, make_method
@@ -120,6 +120,10 @@ class ForceOptimizer:
     @grasp.setter
     def grasp(self, grasp: Grasp) -> None:
         self.move_to(grasp)
+
+    def __repr__(self) -> str:
+        start = "its own start" if self._initial is None else rule_name(self._initial)
+        return f"ForceOptimizer({self.grasp.n_contacts} contacts, {self.method} from {start})"
 
     @property
     def initial(self) -> Initial | None:

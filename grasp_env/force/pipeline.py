@@ -200,6 +200,9 @@ class ForcePipeline:
         self.core.reset()
         self._hold(self.grasp, None)
 
+    def __repr__(self) -> str:
+        return f"ForcePipeline({self.grasp.n_contacts} contacts, {self.method} from {self.initial})"
+
     def solve(self, points: Array, normals: Array, wrench: Wrench, *, adjust: Array | None = None) -> ForceSolution:
         """The optimal force on the contacts of now.
 

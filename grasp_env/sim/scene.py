@@ -58,6 +58,9 @@ class Scene:
         self._build(angles)
         self.keep()
 
+    def __repr__(self) -> str:
+        return f"Scene({self.config.hand.name} around a {self.config.object.shape}, {type(self.simulator).__name__})"
+
     @property
     def timestep(self) -> float:
         """Simulated time of one step [s]."""

@@ -87,6 +87,9 @@ class HandKinematics:
         self._within, self._beyond = core.Reach.make(self.tree), core.Reach.make(self.tree, limited=False)
         self._starts = _other_starts(self.lower, self.upper)
 
+    def __repr__(self) -> str:
+        return f"HandKinematics({self.hand.name}, {self.hand.joint_count} joints, {self.hand.finger_count} fingertips)"
+
     def links(self, angles: ArrayLike) -> tuple[Array, Array]:
         """Where the links are, world frame, for joint angles (M,) [rad]: link frame to world frame (M, 3, 3), origins (M, 3) [m].
 

@@ -117,6 +117,9 @@ class Camera:
         self._background = gradient(size[1], size[0], _TOP, _BOTTOM)
         self.fit()
 
+    def __repr__(self) -> str:
+        return f"Camera({self.config.width} x {self.config.height} pixels of {self._scene!r})"
+
     def fit(self) -> None:
         """Stand where all that is drawn now fills the picture.
 
