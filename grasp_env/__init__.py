@@ -5,7 +5,6 @@ heavy itself: pybullet loads with the first environment.
 """
 
 import sys
-from importlib.abc import MetaPathFinder
 from importlib.util import find_spec
 from typing import Any
 
@@ -20,7 +19,7 @@ def _register() -> None:
         registration.register(id="FourFingerGrasp-v0", entry_point="grasp_env.env:FourFingerGrasp")
 
 
-class _Watch(MetaPathFinder):
+class _Watch:
     """Registers after Gymnasium is imported: importing it here would cost whoever only solves a tenth of a second."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> Any:
