@@ -182,7 +182,8 @@ class ForceSolution(Solution):
         if self.status is not Status.OPTIMAL:
             raise NotConvergedError(
                 f"{self.method} ended after {self.iterations} iterations with a relative gap of "
-                f"{self.optimality_gap:.3g}: {self.status.help}"
+                f"{self.optimality_gap:.3g}: {self.status.help}",
+                self,
             )
         return self
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
-from rich.console import Console
+import tyro
 
 from grasp_env._extras import need
+from grasp_env.task import DISTURBANCES, MOTIONS, TASKS
+from training.commands.options import left_out, listed, one_of
 from training.commands.rules import rule
 
 
@@ -17,12 +20,12 @@ class Demo:
 
     Attributes:
         video: .mp4, .gif or .webp for a video, .png for its last picture.
-        task: hold, move, payload or six_directions.
-        disturbance: none, constant, paper_path, random, impulses or tilting_gravity; empty: the task's own, for hold the paper's path.
-        motion: of move: lift, shake or rotate.
-        shape: cuboid, cylinder, sphere, capsule.
-        hand: four_finger, three_finger, five_finger or four_finger_4dof.
-        seconds: simulated time; 0: the task's own.
+        task: what is asked of the grasp.
+        disturbance: what acts on the object.
+        motion: of the object, of task move.
+        shape: of the object.
+        hand: a built-in one.
+        seconds: simulated time.
         initial: start rule, "learned" for the shipped network, or the path of a fitted one.
         agent: a seed's folder of `grasp rl`, runs/rl/agent/seed-0: it acts, in the environment that it was trained in.
         size: width and height [pixels].
@@ -30,20 +33,22 @@ class Demo:
     """
 
     video: Path = Path("hand.mp4")
-    task: str = "hold"
-    disturbance: str = ""
-    motion: str = "lift"
-    shape: str = "cuboid"
-    hand: str = "four_finger"
-    seconds: float = 0.0
+    task: Annotated[str, one_of(TASKS)] = "hold"
+    disturbance: Annotated[str, one_of(DISTURBANCES), left_out("the task's own, of hold paper_path")] = ""
+    motion: Annotated[str, one_of(MOTIONS)] = "lift"
+    shape: Annotated[str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH")] = "cuboid"
+    hand: Annotated[str, listed("grasp_env.sim", "HANDS")] = "four_finger"
+    seconds: Annotated[float, left_out("the task's own")] = 0.0
     initial: str = "linear_combination"
     agent: Path | None = None
-    size: tuple[int, int] = (480, 480)
+    size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (480, 480)
     seed: int = 0
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         need("sim", "report")
+        from rich.console import Console
+
         from policies import TrainedAgent
         from training.demo.record import record
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from grasp_env._extras import need
+from grasp_env.errors import InvalidInputError
 from training.commands.claims import print_claims
+from training.commands.options import one_of
+from training.trials.hand_plan import ENGINES
 from training.trials.settings import EnvEvaluateConfig, EvaluateConfig, HandsConfig, TransferConfig
 
 
@@ -24,13 +27,13 @@ class Evaluate(EvaluateConfig):
             in MuJoCo).
         episodes: per start of each random scenario, or of each main scenario; 0: 10, of env 500, of env --hands 100, of transfer 300.
         hands: of env and transfer: names, or paths of URDFs; none: the four-finger hand, of transfer also allegro and leap.
-        engines: of env --hands: bullet, mujoco, bullet_1000, noslip, pyramidal, soft.
+        engines: of env --hands, in which they hold.
     """
 
     what: tyro.conf.Positional[Literal["starts", "env", "transfer"]] = "starts"
     episodes: int = 0
     hands: tuple[str, ...] = ()
-    engines: tuple[str, ...] = ("bullet",)
+    engines: tuple[Annotated[str, one_of(ENGINES)], ...] = ("bullet",)
     start: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
@@ -38,6 +41,10 @@ class Evaluate(EvaluateConfig):
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
+        if self.engines != ("bullet",) and not (self.what == "env" and self.hands):
+            raise InvalidInputError(
+                f"--engines belongs to `grasp evaluate env --hands ...`, got {' '.join(self.engines)}"
+            )
         need("sim", "report", *(["mujoco"] if self.what == "transfer" else []))
         from training.report.build import build_report, report_path
         from training.trials.comparison import evaluate

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 
+from grasp_env.grasp.presets import PRESETS
+from training.commands.options import one_of
 from training.fit.settings import AnyFitConfig, FitConfig
 from training.runs.interrupts import interruptible
 
@@ -22,10 +24,12 @@ class FourFinger(FitConfig):
     """Train a network for one grasp: wrench and friction to the initial force. Two files are saved.
 
     Attributes:
+        preset: the named grasp to learn.
         out: their common stem.
         resume: go on with the interrupted training that lies beside it, same settings.
     """
 
+    preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
     out: Path = Path("runs/fit/four_finger")
     resume: bool = False
 

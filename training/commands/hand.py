@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +42,7 @@ class Hand:
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         need("sim")
-        from grasp_env._check import whole
+        from grasp_env._check import choice, whole
         from grasp_env.sim.hand.description import HANDS, HandDescription
 
         whole(self.size, "size", 16, 4096)
@@ -52,6 +53,8 @@ class Hand:
                     raise InvalidInputError(f"{self.hand} is no file: it has its own fingertips and torque limits")
                 hand = HANDS[self.hand]()
             else:
+                if not os.path.lexists(self.hand) and not os.path.splitext(self.hand)[1]:
+                    choice(self.hand, "hand", HANDS, ", or give the path of a .urdf file")
                 limit = self.torque_limit or None
                 hand = HandDescription.from_urdf(self.hand, self.fingertips or None, torque_limit=limit)
         console = Console()

@@ -6,13 +6,15 @@ import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
+from grasp_env.force import METHODS
 from grasp_env.grasp import load_grasp, presets
+from training.commands.options import Wrench, left_out, listed, one_of
 from training.commands.rules import rule
 
 if TYPE_CHECKING:
@@ -32,21 +34,21 @@ class Live:
         hand: a simulated hand instead: four_finger, three_finger, five_finger, four_finger_4dof, allegro, leap, or the path of a URDF.
         fingertips: of a URDF, links that the fingers touch with; none: every moving link that ends a branch.
         torque_limit: of a URDF, of all joints [N m]; 0: what the file says.
-        shape: of the object in the hand: cuboid, cylinder, sphere, capsule.
-        method: that solves: reduced_flow, full_flow, newton, conic or linear.
+        shape: of the object in the hand.
+        method: that solves.
         port: of the page on 127.0.0.1; a taken one: the next free one, which is said; 0: any.
         record: an .html file that records all that is seen, up to two minutes, and opens from disk.
         seconds: after which the page closes; 0: at ctrl-C.
     """
 
-    preset: str = "paper_cuboid"
-    grasp: Path | None = None
-    wrench: tuple[float, float, float, float, float, float] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
-    hand: str | None = None
+    preset: Annotated[str, one_of(presets.PRESETS)] = "paper_cuboid"
+    grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
+    wrench: Wrench = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
+    hand: Annotated[str | None, left_out("bare contacts", "NAME|FILE")] = None
     fingertips: tuple[str, ...] = ()
     torque_limit: float = 0.0
-    shape: str = "cuboid"
-    method: str = "newton"
+    shape: Annotated[str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH")] = "cuboid"
+    method: Annotated[str, one_of(METHODS)] = "newton"
     port: int = 8080
     record: Path | None = None
     seconds: float = 0.0

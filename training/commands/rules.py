@@ -6,18 +6,19 @@ from os.path import isfile
 
 from grasp_env.errors import UnknownNameError
 from grasp_env.force import RULES, InitialForceRule
-from policies import LearnedInitialForce
-from policies.learned import MODELS
 
 
 def rule(name: str) -> str | InitialForceRule:
     """A rule's name, "learned" for the model of any grasp, "four_finger" for that of one, or the path of a saved model."""
+    if name in RULES or name == "previous":
+        return name
+    from policies import LearnedInitialForce
+    from policies.learned import MODELS
+
     if name == "learned":
         return LearnedInitialForce.pretrained()
     if name in MODELS:
         return LearnedInitialForce.pretrained(name)
-    if name in RULES or name == "previous":
-        return name
     if name.endswith((".json", ".safetensors")) or isfile(f"{name}.json"):
         return LearnedInitialForce.load(name)
     raise UnknownNameError(

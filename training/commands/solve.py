@@ -6,55 +6,71 @@ import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from grasp_env.errors import InfeasibleWrenchError
-from grasp_env.force import ForceLimits, optimize_force
-from grasp_env.grasp import load_grasp, presets
-from grasp_env.grasp.advice import advise
+from grasp_env.errors import GraspError, InvalidInputError
+from grasp_env.force import METHODS, RULES, ForceLimits, optimize_force
+from grasp_env.force.method import CRITERIA
+from grasp_env.grasp import Grasp, advise, load_grasp, save_grasp
+from grasp_env.grasp.presets import PRESETS, preset
+from training.commands.answers import write_json
+from training.commands.options import Wrench, left_out, one_of
 from training.commands.rules import rule
-from training.commands.solution import print_solution
+from training.commands.solution import numbers, print_solution
 
 
 @dataclass(frozen=True)
 class Solve:
     """Optimise one grasp force and print it.
 
+    Your own contacts: `grasp solve --save-grasp my.json` writes a file to start from; change positions [m], normals (INTO the object)
+    and friction in it, then `grasp solve --grasp my.json --wrench 0 0 -5 0 0 0`. What looks wrong about the contacts is told on stderr.
+
     Attributes:
-        wrench: external wrench on the object: fx fy fz [N] mx my mz [N m].
-        preset: the named grasp.
-        grasp: a grasp's JSON file (positions, normals, friction, ...) instead of a preset.
+        wrench: what acts on the object besides the fingers: force fx fy fz [N], moment mx my mz [N m] about the object frame's origin.
+        preset: a named grasp.
+        grasp: a grasp's JSON file instead of a preset.
+        save_grasp: also write the grasp as such a file.
         friction: replaces the preset's or the file's coefficient.
-        initial: start rule, "learned" for the shipped network, or the path of a fitted one; of the methods on Phi.
-        method: reduced_flow, full_flow, newton, conic or linear.
-        criterion: what conic makes least, sum or max of the normal forces.
-        barrier_weight: lambda [N^2].
-        tolerance: relative gap; 0: the method's own (1e-4, conic 1e-6).
-        min_normal, max_normal: limits of every normal force [N].
-        json: print JSON for machines.
+        initial: start of the methods on Phi: linear_combination (the paper's), single_value, lagrange, phase_one, "learned" for the
+            shipped network, or the path of a fitted one.
+        method: reduced_flow and full_flow (the paper's) and newton make Phi least, conic and linear the normal forces.
+        criterion: what conic makes least: sum or maximum of the normal forces.
+        barrier_weight: lambda of Phi [N^2]: more of it holds further from slipping, and squeezes more.
+        tolerance: relative gap to the certified bound.
+        min_normal: least normal force of every contact [N].
+        max_normal: largest normal force of every contact [N].
+        json: print one JSON object, errors too.
     """
 
-    wrench: tuple[float, float, float, float, float, float] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
-    preset: str = "paper_cuboid"
-    grasp: Path | None = None
-    friction: float | None = None
-    initial: str | None = None
-    method: str = "reduced_flow"
-    criterion: str = "sum"
+    wrench: Wrench = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
+    preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
+    grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
+    save_grasp: Annotated[Path | None, left_out("nothing is written", "FILE")] = None
+    friction: Annotated[float | None, left_out("its own", "MU")] = None
+    initial: Annotated[str | None, left_out("linear_combination", "RULE|FILE")] = None
+    method: Annotated[str, one_of(METHODS)] = "reduced_flow"
+    criterion: Annotated[str, one_of(CRITERIA)] = "sum"
     barrier_weight: float = 0.01
-    tolerance: float = 0.0
+    tolerance: Annotated[float, left_out("1e-4, of conic 1e-6", "GAP")] = 0.0
     min_normal: float = 0.0
-    max_normal: float = math.inf
+    max_normal: Annotated[float, left_out("no limit", "FLOAT")] = math.inf
     json: bool = False
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
-        if self.grasp is None:
-            grasp = presets.preset(self.preset, self.friction)
-        else:
-            grasp = load_grasp(self.grasp)
-            grasp = grasp if self.friction is None else grasp.with_friction(self.friction)
+        grasp, title = self._grasp()
+        if self.save_grasp is not None:
+            sys.stderr.write(f"grasp: {save_grasp(grasp, self.save_grasp)} has the contacts\n")
+        if self.initial == "previous":
+            raise InvalidInputError(
+                "a single solve has no previous solution: leave --initial out, or choose one of "
+                f"{', '.join(map(repr, RULES))}, 'learned'; from solve to solve ForceOptimizer(grasp, initial='previous') remembers"
+            )
+        advice = advise(grasp)
+        sys.stderr.writelines(f"grasp: look again: {text}\n" for text in advice)
         limited = (self.min_normal, self.max_normal) != (0.0, math.inf)
         try:
             solution = optimize_force(
@@ -67,10 +83,19 @@ class Solve:
                 barrier_weight=self.barrier_weight,
                 tolerance=self.tolerance or None,
             )
-        except InfeasibleWrenchError:
-            for advice in advise(grasp):
-                sys.stderr.write(f"grasp: {advice}\n")
+            if not self.json:
+                print_solution(solution, grasp, title)
+            solution.raise_for_status()
+        except GraspError as error:
+            found = getattr(error, "solution", None)
+            vars(error)["numbers"] = {"advice": advice} if found is None else numbers(found, grasp, advice)
             raise
-        title = self.preset if self.grasp is None else self.grasp.name
-        print_solution(solution, grasp, title, self.json)
-        solution.raise_for_status()
+        if self.json:
+            write_json(numbers(solution, grasp, advice))
+
+    def _grasp(self) -> tuple[Grasp, str]:
+        """The contacts, and what they are called."""
+        if self.grasp is None:
+            return preset(self.preset, self.friction), self.preset
+        grasp = load_grasp(self.grasp)
+        return grasp if self.friction is None else grasp.with_friction(self.friction), self.grasp.name
