@@ -79,7 +79,7 @@ class Bench:
         console = Console(stderr=True)
         with console.status("starting") as status:
             if sys.stderr.isatty():
-                options["tick"] = status.update
+                options["tick"] = lambda text: status.update(text[: console.width - 4])  # one line
             result = run(**options)
         path = show.save(result, self.out)
         if self.json:

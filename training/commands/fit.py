@@ -42,12 +42,10 @@ class FourFinger(FitConfig):
         ball, flow = (checkpoint.card["held_out_gap"][name] for name in ("ball", "ball, friction of the grasp"))
         path = _save(checkpoint, self.out)
         most = 100 * sum(ball["newton steps"][steps] for steps in ("0", "1"))
-        Console().print(
+        _print(
             f"{path}{_quick(self.quick)}: on the standard ball a gap of {ball['gap']['median']:.1e} median, {ball['gap']['p99']:.1e} p99, "
             f"{most:.0f} % certified within one Newton step; alone {flow['flow iterations']['median']:g} iterations of the flow median, "
-            f"{flow['flow iterations']['p99']:g} p99",
-            highlight=False,
-            soft_wrap=True,
+            f"{flow['flow iterations']['p99']:g} p99"
         )
 
 
@@ -74,7 +72,7 @@ class AnyGrasp(AnyFitConfig):
             median, _, p99 = gaps["after each layer"][-1]
             told.append(f"{start} start {median:.1e} median, {p99:.1e} p99")
         path = _save(checkpoint, self.out)
-        Console().print(f"{path}{_quick(self.quick)}: held-out gap: {'; '.join(told)}", highlight=False, soft_wrap=True)
+        _print(f"{path}{_quick(self.quick)}: held-out gap: {'; '.join(told)}")
 
 
 @dataclass(frozen=True)
@@ -110,6 +108,12 @@ class Fit:
 
 def _command() -> str:
     return " ".join(["grasp", *sys.argv[1:]])
+
+
+def _print(text: str) -> None:
+    """One line, which a terminal shows in as many as it needs, broken between words."""
+    console = Console(highlight=False)
+    console.print(text, soft_wrap=not console.is_terminal)
 
 
 def _quick(quick: bool) -> str:

@@ -73,7 +73,7 @@ class StartsTask:
         """See `loop.Task`."""
         half = len(row) // 2
         told = [" ".join(f"{gap:.0e}" for gap in part[-3:]) for part in (row[:half], row)]
-        return f"held-out gaps (median, p90, p99) from the basis {told[0]}, carried {told[1]}"
+        return f"gaps, median p90 p99: basis {told[0]}, carried {told[1]}"
 
 
 @torch.no_grad()

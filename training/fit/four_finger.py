@@ -78,8 +78,8 @@ class NetworkTask:
 
     def note(self, row: list[float]) -> str:
         """See `loop.Task`."""
-        ball, whole = (" ".join(f"{value:.1e}" for value in part) for part in (row[:3], row[3:]))
-        return f"held-out gap (median, p95, p99) on the ball {ball}, on the whole range {whole}"
+        ball, whole = (" ".join(f"{value:.0e}" for value in part) for part in (row[:3], row[3:]))
+        return f"gaps, median p95 p99: ball {ball}, all {whole}"
 
 
 def gaps(network: Network, samples: Tensor) -> Tensor:

@@ -13,14 +13,13 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
 from torch import Tensor, nn
 
 from training.fit.settings import AnyFitConfig, FitConfig
 from training.fit.state import Progress, StateFile
 from training.runs import provenance
 from training.runs.interrupts import interruptible
+from training.runs.workers import progress
 
 MARKS = 20
 """Scores on held-out data, and saved states, per training."""
@@ -169,13 +168,13 @@ def _next_mark(done: float) -> float:
 
 @contextmanager
 def _telling(task: Task, plan: Plan) -> Iterator[Callable[[Progress, list[float]], None]]:
-    console = Console(stderr=True)
-    columns = TextColumn(plan.words), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn()
-    with Bar(*columns, console=console, disable=not (plan.words and console.is_terminal)) as bar:
-        shown = bar.add_task(plan.words, total=1.0, note="")
+    console = Console(stderr=True, quiet=not plan.words)
+    total = plan.steps or round(plan.seconds)
+    with progress(console) as bar:
+        shown = bar.add_task(f"{plan.words}, {'steps' if plan.steps else 'seconds'}", total=total)
 
         def tell(now: Progress, row: list[float]) -> None:
-            bar.update(shown, completed=min(1.0, plan.done(now)), note=task.note(row))
+            bar.update(shown, completed=round(total * min(1.0, plan.done(now))), note=task.note(row))
             if plan.words and not console.is_terminal:
                 sys.stderr.write(f"{plan.words}: step {now.step}, {now.seconds:.0f} s: {task.note(row)}\n")
 

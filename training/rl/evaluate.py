@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import track
 
 from grasp_env.errors import InvalidInputError
 from policies import LearnedInitialForce, ZeroPolicy
@@ -18,6 +17,7 @@ from training.rl.score import score
 from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.runs import Run, provenance
 from training.runs.statistics import iqm_interval, mean_interval, ratio_interval, spread, wilson
+from training.runs.workers import progress
 
 PAPER = "zero"
 BASELINES = {
@@ -66,10 +66,9 @@ def evaluate_runs(
     for key, several in agents.items():
         jobs += [(key, agent, agent.meta["env_settings"], None) for agent in several]
     trials: dict[str, list[dict[str, np.ndarray]]] = {}
-    for key, policy, settings, rule in track(
-        jobs, "held-out episodes", console=console, disable=not console.is_terminal
-    ):
-        trials.setdefault(key, []).append(score(policy, settings, seeds, rule))
+    with progress(console) as bar:
+        for key, policy, settings, rule in bar.track(jobs, description="held-out episodes"):
+            trials.setdefault(key, []).append(score(policy, settings, seeds, rule))
     curve = score(zero, base, range(CURVE_SEED, CURVE_SEED + RLConfig(**_config(agents)).curve_episodes))
     report = {
         **provenance(),

@@ -13,8 +13,10 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Column
+from rich.text import Text
 
 from grasp_env.errors import InvalidInputError
 from training.runs import Run
@@ -71,16 +73,29 @@ def _timed(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[An
     return function(*arguments), time.perf_counter() - begun
 
 
-def progress(console: Console) -> Progress:
+class Bars(Progress):
+    """Bars as wide as the terminal, and beneath them what a task has to say in its field `note`; no line is wrapped."""
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        """What is drawn, from the top."""
+        yield self.make_tasks_table(self.tasks)
+        for task in self.tasks:
+            if task.fields.get("note"):
+                yield Text(task.fields["note"], style="dim", no_wrap=True, overflow="ellipsis")
+
+
+def progress(console: Console) -> Bars:
     """The bar of everything that takes long; where nobody looks, none."""
+    # the bar takes what the rest leaves; numbers and times are never cut, a name longer than half a line of 80 is
+    name = Column(no_wrap=True, overflow="ellipsis", max_width=max(8, console.width - 48))
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        TextColumn("{task.description}", table_column=name),
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(table_column=Column(no_wrap=True)),
+        TimeElapsedColumn(table_column=Column(no_wrap=True)),
+        TimeRemainingColumn(table_column=Column(no_wrap=True)),
     )
-    return Progress(*columns, console=console, transient=False, disable=not console.is_terminal)
+    return Bars(*columns, console=console, transient=False, disable=not console.is_terminal, expand=True)
 
 
 @contextmanager
