@@ -35,11 +35,13 @@ def help_of(*words: str) -> str:
 
 
 class ProgramHelp(SphinxDirective):
-    """Every sub-command under a heading of its own, with the sub-commands that it has."""
+    """The program's own page, then every sub-command under a heading of its own, with the sub-commands that it has."""
 
     def run(self) -> list[nodes.Node]:
         """The sections."""
-        return [self._section(name) for name in LISTED.findall(help_of())]
+        text = help_of()
+        page = nodes.literal_block(text, text, language="text")
+        return [page, *(self._section(name) for name in LISTED.findall(text))]
 
     def _section(self, *words: str) -> nodes.section:
         text = help_of(*words)
