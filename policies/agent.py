@@ -106,7 +106,13 @@ class TrainedAgent:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.float32], Any]:
-        """The action(s) in [-1, 1] for one observation (size,) or several (n, size).
+        """The action(s) in [-1, 1] for one observation (size,) or several (n, size), and `state`.
+
+        Args:
+            observation: as the environment gives it.
+            state: given back as it is: agents have no memory.
+            episode_start: not looked at.
+            deterministic: the mean; False: a draw, as in training.
 
         Raises:
             InvalidInputError: an observation of another size.
