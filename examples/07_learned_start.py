@@ -2,9 +2,10 @@
 A learned start
 ===============
 
-Networks that ship with the package start the paper's flow close to its end. To learn: a model is a start rule like
-any other, for single calls, batches and the environment; one of your own comes from ``grasp fit any_grasp --quick``
-and ``LearnedInitialForce.load(folder)``.
+Networks that ship with the package start the paper's flow close to its end. To learn: a model is a start rule like any
+other, for single calls, batches and the environment. One of your own: ``grasp fit any_grasp --out runs/fit/mine``, then
+``LearnedInitialForce.load("runs/fit/mine")``, or ``grasp evaluate --start mine=runs/fit/mine`` beside all others.
+In C++: ``07_learned_start.cpp``.
 """
 
 import matplotlib.pyplot as plt

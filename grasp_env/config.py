@@ -45,6 +45,7 @@ _NAMES: dict[str, tuple[str, ...]] = {
 _HINTS = {
     "hand": ", or give a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')",
     "disturbance": ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]",
+    "initial_force": "; a rule(grasp, wrench) of your own is handed to the environment: gym.make(..., initial_force=rule)",
 }
 _LENGTHS = {"disturbance_value": 6, "gravity": 3}
 _SIGNED = ("friction_error", "disturbance_scale")

@@ -113,7 +113,12 @@ class ForcePipeline:
             check_layers(layered.layers, layered.width)
             self.initial = layered.name
         else:
-            self.initial = choice(initial, "start of a pipeline", STARTS, ", or give a rule of learned layers")
+            self.initial = choice(
+                initial,
+                "start of a pipeline",
+                STARTS,
+                ", or a rule of learned layers; any other rule starts a ForceOptimizer",
+            )
         if set(grasp.models.names) != {"hard"}:
             raise UnsupportedProblemError(
                 f"a ForcePipeline knows hard contacts, got {grasp.models.names}: use a ForceOptimizer and its move_to"

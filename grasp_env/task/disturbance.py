@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from grasp_env import ranges
 from grasp_env._check import Array, as_array
-from grasp_env.errors import InvalidInputError, shown
+from grasp_env.errors import GraspError, InvalidInputError, shown
 from grasp_env.grasp.wrench import paper_path
 from grasp_env.task.motion import blend
 
@@ -54,10 +54,19 @@ def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings:
     """(T, 6) external wrench [N, N m], object frame, and (T, 3) gravity [m/s^2], world frame, of a disturbance.
 
     Raises:
-        InvalidInputError: it returned something else, or what is not finite.
+        InvalidInputError: it failed, or returned something else, or what is not finite.
     """
-    made, rows = rule(times.copy(), rng, settings), len(times)
-    name = f"what the disturbance {getattr(rule, '__name__', None) or shown(rule)} returns"
+    called, rows = f"the disturbance {getattr(rule, '__name__', None) or shown(rule)}", len(times)
+    try:
+        made = rule(times.copy(), rng, settings)
+    except GraspError:
+        raise
+    except Exception as error:  # somebody else's
+        raise InvalidInputError(
+            f"{called} fails with {type(error).__name__}: {str(error)[:200]}; a disturbance takes (times, rng, settings) and returns "
+            "(T, 6) wrenches [N, N m], a row per tick"
+        ) from error
+    name = f"what {called} returns"
     if made is None:
         raise InvalidInputError(
             f"{name} must be (T, 6) wrenches [N, N m] or a Disturbed, got None: does it end in a return?"

@@ -168,6 +168,17 @@ def test_what_a_disturbance_returns_is_checked(returned: object, message: str) -
         disturb(gives, TIMES, rng(), EnvConfig())  # type: ignore[arg-type]
 
 
+def test_a_disturbance_that_fails_is_named() -> None:
+    def still(times: np.ndarray) -> np.ndarray:
+        return np.zeros((len(times), 6))
+
+    with pytest.raises(
+        InvalidInputError, match=r"still fails with TypeError: .*takes \(times, rng, settings\)"
+    ) as caught:
+        disturb(still, TIMES, rng(), EnvConfig())  # type: ignore[arg-type]
+    assert isinstance(caught.value.__cause__, TypeError)
+
+
 def test_what_is_no_disturbance() -> None:
     for given in ("wind", ["none"], 5, np.zeros((501, 6))):
         with pytest.raises(UnknownNameError, match=r"unknown disturbance.*'none'.*or give a function"):

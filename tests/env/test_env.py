@@ -17,7 +17,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check
 from grasp_env.config import ACTION_MODES, EnvConfig
 from grasp_env.env import observation
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import GraspError
+from grasp_env.errors import GraspError, UnknownNameError
 from grasp_env.force import initial_rule
 from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN
 
@@ -206,6 +206,11 @@ def test_contact_forces_as_actions_hold_the_object():
         assert not terminated
     np.testing.assert_allclose(info["measured_force"], force, atol=0.05)
     env.close()
+
+
+def test_a_rule_in_a_config_is_sent_to_the_environment():
+    with pytest.raises(UnknownNameError, match=r"gym.make\(\.\.\., initial_force=rule\)"):
+        EnvConfig(initial_force=lambda grasp, wrench: np.ones((4, 3)))  # type: ignore[arg-type]
 
 
 def test_initial_force_takes_any_rule():
