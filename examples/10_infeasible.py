@@ -41,9 +41,7 @@ assert [degrees for degrees, arrows in found.items() if arrows.shape == (6,)] ==
 
 corners = 1e3 * np.array([[-0.04, 0.04, 0.04, -0.04, -0.04], [0, 0, 0.04, 0.04, 0]])  # x and z [mm]
 fig, axes = plt.subplots(1, 2, figsize=(8, 4.5), sharey=True, layout="constrained")
-for ax, degrees, what in zip(
-    axes, (20, 30), ("held: forces of the fingers", "not held: the motion that proves it"), strict=True
-):
+for ax, degrees, what in zip(axes, (20, 30), ("held, by these forces", "not held: the proof"), strict=True):
     cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     turn = np.array([[cos, sin], [-sin, cos]])  # from the block's x and z to the picture
     ax.fill(*(turn @ corners), color="0.85")
