@@ -12,7 +12,9 @@ from oracles import pictures
 from grasp_env.errors import InvalidInputError, SimulationError
 from grasp_env.sim import Camera, CameraConfig, Scene, SceneConfig
 from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN, WRENCH_COLOR, Annotation
+from grasp_env.sim.picture.camera import DIRECTION
 from grasp_env.sim.picture.debug_lines import draw_debug
+from grasp_env.sim.picture.legend import room
 from grasp_env.sim.picture.overlay import VEIL, draw
 from grasp_env.sim.picture.pixels import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
 from grasp_env.sim.picture.view import View
@@ -254,3 +256,32 @@ def test_smooth_edges_come_nearer_to_the_true_coverage(angle: float) -> None:
 def test_debug_lines_without_a_window_do_nothing(scene: Scene) -> None:
     lines = draw_debug(scene.simulator.client.number, one_finger())
     assert len(draw_debug(scene.simulator.client.number, one_finger(), lines)) == 2
+
+
+def test_contacts_are_looked_at_from_where_they_are_seen(scene: Scene) -> None:
+    camera = Camera(scene, CameraConfig(width=96, height=96))
+    away = View((0.0, 1.2, 1e-3), (0.0, 0.0, 0.0), 40.0, 160, 160)  # from above, through the palm
+    with scene.simulator.object_hidden():
+        assert camera._contacts_seen(dataclasses.replace(away, eye=(0.86, 0.13, 0.86))) == 4
+        assert camera._contacts_seen(away) < 4
+    np.testing.assert_allclose(camera.view.axes[2], np.array(DIRECTION) / np.linalg.norm(DIRECTION), atol=1e-6)
+    asked = Camera(scene, CameraConfig(width=96, height=96, direction=(0.0, 0.5, 1.0)))
+    np.testing.assert_allclose(asked.view.axes[2], np.array([0.0, 0.5, 1.0]) / np.hypot(0.5, 1.0), atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(480, 480), (320, 320), (320, 240), (1280, 720), (200, 400)])
+def test_words_have_their_place_beside_hand_and_arrows(scene: Scene, size: tuple[int, int]) -> None:
+    margin, footer = room(*size)
+    camera = Camera(scene, CameraConfig(*size, margin=margin, footer=footer, arrows=LONGEST, object_opacity=1.0))
+    view, image = camera.view, np.full((size[1], size[0], 3), 120, np.uint8)
+    none = np.zeros((0, 3))
+    note = Annotation(none, none, none, none[:, 0], none[:, 0], np.zeros(6), np.zeros(3), none,
+                      [("drift", "0.00 mm")] * 5, title="hold: random wrench", hand="four finger")  # fmt: skip
+    plain = round(255 - (1.0 - VEIL) * (255 - 120))
+    words = (draw(image, note, view) != plain).any(axis=2)
+    assert words[: size[1] // 8].any()
+    assert words[-size[1] // 8 :].any()
+    _, depth = camera._shoot(view, *size, shadows=False)
+    assert not (words & (depth < BACKGROUND_DEPTH)).any()
+    ends = view.project(np.vstack([0.95 * LONGEST * np.eye(3), -0.95 * LONGEST * np.eye(3)])).astype(int)
+    assert not words[ends[:, 1], ends[:, 0]].any()

@@ -16,6 +16,7 @@ import pytest
 from safetensors.numpy import load_file
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import policies.agent_files
 import policies.checkpoint
@@ -23,8 +24,7 @@ import training.rl.checkpoint
 import training.rl.train
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError, ModelFileError
-from policies import ZeroPolicy
-from policies.agent import TrainedAgent
+from policies import TrainedAgent, ZeroPolicy
 from policies.agent_files import checkpoints, find_checkpoint, read_meta
 from training.cli import main
 from training.rl.agent import build
@@ -74,6 +74,23 @@ def test_a_run_leaves_a_report_and_no_pickle(ppo):
             assert all(file[name].dtype != object for name in file.files)
 
 
+def events(folder):
+    """{name: steps} of the TensorBoard files of a seed."""
+    found = EventAccumulator(str(folder / "tensorboard"))
+    found.Reload()
+    return {name: [event.step for event in found.Scalars(name)] for name in found.Tags()["scalars"]}
+
+
+def test_every_update_is_logged_at_its_own_step(ppo, sac):
+    found = events(ppo / "seed-3")
+    assert found["rollout/iterations"] == [48, 96]
+    assert found["train/loss"] == found["train/std"] == [48, 96]  # the last one, too
+    assert found["score/iterations"] == [0, 96]
+    found = events(sac / "seed-0")
+    assert found["score/iterations"] == [0, 96]
+    assert found["train/critic_loss"] == [96]
+
+
 def test_sources_pickle_nothing():
     root = Path(training.rl.train.__file__).parent
     for path in (*root.glob("*.py"), *root.parents[1].glob("policies/agent*.py")):
@@ -96,6 +113,16 @@ def test_training_begins_at_the_paper(algorithm):
     shaken = agent.predict(np.zeros((500, 83), dtype=np.float32), deterministic=False)[0]
     assert shaken.std() == pytest.approx(config.deviation, rel=0.1)
     envs.close()
+
+
+def test_an_agent_is_filmed_in_its_own_environment(ppo, tmp_path, capsys):
+    film = tmp_path / "agent.png"
+    words = ["demo", "--agent", str(ppo / "seed-3"), "--video", str(film), "--seconds", "0.1", "--size", "160", "160"]
+    assert main(words) == 0
+    assert capsys.readouterr().out.startswith("held 0.1 s")
+    assert film.stat().st_size > 2000
+    assert main([*words, "--hand", "three_finger"]) != 0  # it sees other numbers
+    assert "observation must be (83,)" in capsys.readouterr().err
 
 
 def test_the_agent_is_stable_baselines3s_and_is_scored_by_the_same_evaluator(ppo, sac):
