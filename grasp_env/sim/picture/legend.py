@@ -31,7 +31,7 @@ def room(width: int, height: int) -> tuple[float, float]:
     """Margin and footer of a camera [parts of the height] that leave a picture's words their place."""
     canvas = Canvas(np.zeros((height, width, 3), np.uint8))
     pad = 8.0 * canvas.unit
-    above, below = pad + canvas.text_height(), 3.5 * pad + _told(canvas) + 2.0 * canvas.text_height(small=True)
+    above, below = pad + canvas.text_height(), 4.5 * pad + _told(canvas) + 2.0 * canvas.text_height(small=True)
     return min(max(0.06, above / height), 0.2), min(max(0.06, below / height), MOST)
 
 
