@@ -114,6 +114,12 @@ class TrainedAgent:
             episode_start: not looked at.
             deterministic: the mean; False: a draw, as in training.
 
+        Args:
+            observation: as the environment gives it.
+            state: given back: an agent remembers nothing.
+            episode_start: not asked for.
+            deterministic: the mean action; else a sample, as in training.
+
         Raises:
             InvalidInputError: an observation of another size.
         """
