@@ -75,6 +75,8 @@ shutil.copytree(ROOT / "examples", RUN, ignore=shutil.ignore_patterns("__pycache
 sphinx_gallery_conf = {
     "examples_dirs": str(RUN),
     "gallery_dirs": "gallery",
+    "backreferences_dir": "gallery/backreferences",
+    "doc_module": ("grasp_env", "policies"),
     "filename_pattern": r"/\d\d_",
     "download_all_examples": False,
     "notebook_extensions": set(),  # programs are programs

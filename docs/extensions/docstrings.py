@@ -78,6 +78,13 @@ def skip(_app: Sphinx, _what: str, _name: str, value: Any, _skipped: bool, _opti
     return True if said.startswith("Alias for field number") else None
 
 
+def add_examples(app: Sphinx, what: str, name: str, _value: Any, _options: Any, lines: list[str]) -> None:
+    """The gallery's programs that use a class or function, as pictures below it."""
+    found = app.srcdir / "gallery" / "backreferences" / f"{name}.examples"
+    if what in ("class", "function") and found.is_file() and found.read_text(encoding="utf-8").strip():
+        lines += ["", f".. minigallery:: {name}", "   :add-heading: In the gallery", "   :heading-level: ^", ""]
+
+
 def strip_blocks(_app: Sphinx, doctree: nodes.document) -> None:
     """Code without the empty line at its end, which doctest wants before a fence."""
     for block in doctree.findall(nodes.literal_block):
@@ -91,6 +98,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_role_to_domain("py", "word", Word())
     app.add_lexer("console", BashLexer)  # commands without a prompt, which are no output
     app.connect("autodoc-process-docstring", mend, priority=100)
+    app.connect("autodoc-process-docstring", add_examples, priority=900)
     app.connect("autodoc-skip-member", skip)
     app.connect("doctree-read", strip_blocks)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
