@@ -115,6 +115,10 @@ def _told(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> G
     return error
 
 
+class GraspWarning(UserWarning):
+    """Contacts that are valid but look like a mistake; `grasp_env.grasp.advise` says more of them."""
+
+
 class RankDeficientGraspError(GraspError):
     """rank(G) < 6: the contacts cannot balance every wrench, whatever their forces."""
 
@@ -158,6 +162,7 @@ class NotConvergedError(GraspError, RuntimeError):
     """
 
     def __init__(self, message: str, solution: Any = None) -> None:
+        """`message`: what happened."""
         super().__init__(message)
         self.solution = solution
 

@@ -28,6 +28,7 @@ from grasp_env.force.record import CODE, CONVERGED, LIMITS_EXCEEDED, REFUSED, re
 from grasp_env.force.repair import CORRECTIONS, Correction
 from grasp_env.force.solution import ForceSolution
 from grasp_env.force.step_size import StepRule, checked_rule
+from grasp_env.grasp.advice import warn_of
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 if TYPE_CHECKING:
@@ -110,6 +111,7 @@ class ForceOptimizer:
         # a solution is where the first call starts; the next ones start from their own previous one
         self._previous: ForceSolution | None = initial if is_a(initial, ForceSolution) else None
         self._initial: Initial | None = "previous" if is_a(initial, ForceSolution) else initial
+        warn_of(grasp)
         self._set_grasp(grasp, self.settings)
 
     @property

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
+
 import numpy as np
 
 from grasp_env._check import Array
+from grasp_env.errors import GraspWarning
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 LARGEST_LENGTH = 5.0
@@ -39,6 +43,19 @@ def advise(grasp: Grasp) -> list[str]:
     """
     as_grasp(grasp)
     return [*_normals(grasp), *_sizes(grasp), *_coincident(grasp), *_condition(grasp)]
+
+
+def warn_of(grasp: Grasp) -> None:
+    """Warns of the two commonest mistakes, normals that all point outwards and millimetres: a few microseconds.
+
+    For where a grasp is first met, not for every call: the warning is a `GraspWarning` at the line outside of this package.
+    """
+    outwards = np.vecdot(grasp.normals, grasp.positions - grasp.centre)
+    if grasp.length > LARGEST_LENGTH or outwards.min() > 1e-9 * grasp.length:
+        level, frame = 1, sys._getframe()
+        while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("grasp_env."):
+            level, frame = level + 1, frame.f_back
+        warnings.warn("; ".join([*_normals(grasp), *_sizes(grasp)]), GraspWarning, stacklevel=level)
 
 
 def has_force_closure(grasp: Grasp, flipped: Array | None = None) -> bool:

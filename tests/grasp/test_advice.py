@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from problems import GRASPS, pyramid_margin, random_grasp
 
+from grasp_env.errors import GraspWarning
+from grasp_env.force import ForceOptimizer, ForcePipeline, optimize_force
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.advice import advise, has_force_closure
 from grasp_env.grasp.transforms import transformed
@@ -103,3 +105,28 @@ def test_a_far_origin() -> None:
     far = transformed(presets.tripod(), np.eye(3), [2.0, 0.0, 0.0])
     assert "the object frame's origin is 2 m away" in _only(far)
     assert advise(transformed(presets.tripod(), np.eye(3), [0.2, 0.0, 0.0])) == []
+
+
+def test_who_solves_without_asking_is_warned_at_his_own_line() -> None:
+    good = presets.tripod()
+    wrong = {
+        "normals must point INTO the object": Grasp.from_contacts(good.positions, -good.normals, 0.5),
+        "divide millimetres by 1000": Grasp.from_contacts(1000.0 * good.positions, good.normals, 0.5),
+    }
+    for text, grasp in wrong.items():
+        for solve in (lambda grasp: optimize_force(grasp, np.zeros(6)), ForceOptimizer, ForcePipeline):
+            with pytest.warns(GraspWarning, match=text) as told:
+                solve(grasp)
+            assert [warning.filename for warning in told] == [__file__]
+
+
+@pytest.mark.parametrize("name", GRASPS)
+def test_good_grasps_are_solved_in_silence(name: str) -> None:
+    ForceOptimizer(GRASPS[name], method="newton")
+
+
+def test_a_control_loop_is_not_warned_again() -> None:
+    grasp = presets.tripod()
+    optimizer = ForceOptimizer(grasp, method="newton")
+    optimizer.move_to(Grasp.from_contacts(grasp.positions, -grasp.normals, 0.5))
+    optimizer.solve(np.zeros(6))

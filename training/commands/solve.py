@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
-from grasp_env.errors import GraspError, InvalidInputError
-from grasp_env.force import METHODS, RULES, ForceLimits, optimize_force
+from grasp_env.errors import GraspError, GraspWarning, InvalidInputError
+from grasp_env.force import METHODS, RULES, ForceLimits, ForceSolution, optimize_force
 from grasp_env.force.method import CRITERIA
 from grasp_env.grasp import Grasp, advise, load_grasp, save_grasp
 from grasp_env.grasp.presets import PRESETS, preset
@@ -71,18 +72,8 @@ class Solve:
             )
         advice = advise(grasp)
         sys.stderr.writelines(f"grasp: look again: {text}\n" for text in advice)
-        limited = (self.min_normal, self.max_normal) != (0.0, math.inf)
         try:
-            solution = optimize_force(
-                grasp,
-                np.array(self.wrench),
-                initial=None if self.initial is None else rule(self.initial),
-                method=self.method,
-                criterion=self.criterion,
-                limits=ForceLimits(min_normal=self.min_normal, max_normal=self.max_normal) if limited else None,
-                barrier_weight=self.barrier_weight,
-                tolerance=self.tolerance or None,
-            )
+            solution = self._solution(grasp)
             if not self.json:
                 print_solution(solution, grasp, title)
             solution.raise_for_status()
@@ -99,3 +90,18 @@ class Solve:
             return preset(self.preset, self.friction), self.preset
         grasp = load_grasp(self.grasp)
         return grasp if self.friction is None else grasp.with_friction(self.friction), self.grasp.name
+
+    def _solution(self, grasp: Grasp) -> ForceSolution:
+        limited = (self.min_normal, self.max_normal) != (0.0, math.inf)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", GraspWarning)  # all advice is told
+            return optimize_force(
+                grasp,
+                np.array(self.wrench),
+                initial=None if self.initial is None else rule(self.initial),
+                method=self.method,
+                criterion=self.criterion,
+                limits=ForceLimits(min_normal=self.min_normal, max_normal=self.max_normal) if limited else None,
+                barrier_weight=self.barrier_weight,
+                tolerance=self.tolerance or None,
+            )
