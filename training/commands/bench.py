@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -15,6 +14,8 @@ from rich.console import Console
 from grasp_env import ranges
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError, shown
+from training.commands.answers import write_json
+from training.commands.options import left_out
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ class Bench:
         seed: of the problems.
         out: folder for the JSON, figures and generated C code.
         compare: an earlier JSON of the same kind to set beside.
-        json: print JSON for machines.
+        json: print one JSON object, errors too.
     """
 
     what: tyro.conf.Positional[Literal["solver", "scaling", "batch", "env", "core"]]
@@ -43,9 +44,9 @@ class Bench:
     seed: int = 0
     quick: bool = False
     out: Path = Path("runs/bench")
-    baseline: Path | None = None
+    baseline: Annotated[Path | None, left_out("none", "FOLDER")] = None
     start: int = 0
-    compare: Path | None = None
+    compare: Annotated[Path | None, left_out("none", "FILE")] = None
     json: bool = False
 
     def execute(self) -> None:
@@ -83,7 +84,7 @@ class Bench:
             result = run(**options)
         path = show.save(result, self.out)
         if self.json:
-            sys.stdout.write(json.dumps(result, allow_nan=False, default=str) + "\n")
+            write_json(result)
             return
         show.show(result, Console())
         if self.compare is not None:

@@ -7,7 +7,7 @@ import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
@@ -16,6 +16,7 @@ from rich.table import Table
 from grasp_env._extras import need
 from grasp_env._files import replacing
 from grasp_env.errors import InvalidInputError
+from training.commands.options import left_out
 
 if TYPE_CHECKING:
     from grasp_env.sim.hand.description import HandDescription
@@ -33,10 +34,10 @@ class Hand:
         size: of the picture's height [pixels].
     """
 
-    hand: tyro.conf.Positional[str]
+    hand: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")]
     fingertips: tuple[str, ...] = ()
     torque_limit: float = 0.0
-    draw: Path | None = None
+    draw: Annotated[Path | None, left_out("no picture", "FILE")] = None
     size: int = 640
 
     def execute(self) -> None:

@@ -50,7 +50,7 @@ class Live:
     shape: Annotated[str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH")] = "cuboid"
     method: Annotated[str, one_of(METHODS)] = "newton"
     port: int = 8080
-    record: Path | None = None
+    record: Annotated[Path | None, left_out("nothing is recorded", "FILE")] = None
     seconds: float = 0.0
 
     def execute(self) -> None:
