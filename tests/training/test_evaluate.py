@@ -189,6 +189,11 @@ def test_a_start_that_is_none_is_told_before_anything_runs(own, tmp_path, start,
     assert not list(tmp_path.iterdir())
 
 
+def test_starts_belong_to_the_comparison_of_starts(capsys):
+    assert main(["evaluate", "env", "--start", "mine=pathlib:Path"]) == 2
+    assert "--start belongs to" in capsys.readouterr().err
+
+
 def test_all_faults_of_starts_are_told_at_once():
     with pytest.raises(
         InvalidInputError, match=r"the name mine is taken.*x=y is no start.*mine is no rule but of type int"

@@ -176,6 +176,30 @@ def test_the_chart_of_the_first_screen_has_a_line_for_every_start_given(made):
         assert ("†" in caption) == (name == "found-iterations")
 
 
+def test_texts_follow_the_settings_and_numbers_of_the_run(made, tmp_path):
+    """One repeat is no best of several; what the previous solution leaves, and which starts take Newton steps, is this run's."""
+    metrics = json.loads(json.dumps(made[1]))
+
+    def told(name: str) -> str:
+        write_pages(Run(tmp_path / name), metrics)
+        return (tmp_path / name / "report.md").read_text(encoding="utf-8")
+
+    text = told("several")
+    assert "Best of 3 repeats per wrench" in text
+    assert "best of 3 on 30" in text
+    metrics["timing"]["repeats"] = 1
+    for rows in metrics["starts"]["reduced_flow"].values():
+        rows["previous_tangent"]["iterations"].update(median=0.0, p99=0.0)
+        del rows["nearest_tangent"]
+    text = told("once")
+    assert "best of" not in text.lower().replace("★ marks the best of a row", "")
+    assert "called once" in text
+    assert "there nothing is left to gain" in text
+    assert "Newton; previous, tangent; network + Newton" in text
+    metrics["starts"]["reduced_flow"]["smooth"]["previous_tangent"]["iterations"].update(p99=50.0)
+    assert "there is something left to gain" in told("left")
+
+
 def test_what_a_run_lacks_is_left_out_or_a_dash(made, tmp_path):
     _, metrics = made
     metrics = json.loads(json.dumps(metrics))

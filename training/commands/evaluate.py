@@ -57,6 +57,10 @@ class Evaluate(EvaluateConfig):
             "transfer": (TransferConfig, evaluate_transfer),
         }
         kind, measure = kinds[self.what]
+        if self.start and self.what != "starts":
+            raise InvalidInputError(
+                f"--start belongs to `grasp evaluate starts`, which compares starts, got `grasp evaluate {self.what}`: leave it out"
+            )
         settings = {name: getattr(self, name) for name in kind.__dataclass_fields__}
         if not self.episodes:
             del settings["episodes"]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from training.cases.set_table import TOLERANCE
-from training.cases.start_table import main_of
+from training.cases.start_table import LEARNED, main_of
 from training.report.page import Columns, Fold, Picture, Section, Table, at, present, shown
 from training.report.starts import label, matrix, pair, set_label, short, starts_of, steps
 from training.runs.words import number, percent, small
@@ -111,13 +111,28 @@ def newton_section(metrics: dict[str, Any]) -> Section:
     ]
     table = Table.of(f"Held-out ball, to a relative gap of {small(TOLERANCE)}: median / p99", columns, measured)
     notes = (
-        "A Newton step costs more than a step of the flow and gains more: a good start saves the flow many steps and Newton "
-        "few. Microseconds are whole public Python calls on the fixed grasp.",
+        *_saved(flow, newton),
+        "Microseconds are whole public Python calls on the fixed grasp.",
     )
     sets = matrix(
         metrics, "newton", main_of(starts_of(metrics)), f"Newton: iterations to {small(TOLERANCE)}, median / p99"
     )
     return Section("newton", "Newton beside the reduced flow", notes, present([table, sets]))
+
+
+def _saved(flow: dict[str, Any], newton: dict[str, Any]) -> list[str]:
+    """What the learned starts spare each method, in the median."""
+    told = []
+    for key in LEARNED:
+        pairs = [
+            [at(rows, one, "iterations", "median") for one in ("linear_combination", key)] for rows in (flow, newton)
+        ]
+        if all(value is not None for values in pairs for value in values):
+            (a, b), (c, d) = pairs
+            told.append(
+                f"{label(key)} spares the flow {number(a - b)} of {number(a)} steps and Newton {number(c - d)} of {number(c)}"
+            )
+    return [f"In the median, against the 12-basis: {'; '.join(told)}."] if told else []
 
 
 def _micro(row: dict[str, Any] | None) -> str:
@@ -146,17 +161,23 @@ def timing_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
         columns = [("start", label), *of("start alone", "start"), *whole[0], *ratios, *whole[1]]
         return Table.of(caption, columns, [(key,) for key in timing.get("start") or {}])
 
+    repeats = timing.get("repeats")
+    several = repeats is None or repeats > 1
+    repeated = (
+        f"Best of {number(repeats)} repeats per wrench; all repeats are in the folded table."
+        if several
+        else "Each was called once per wrench."
+    )
     notes = (
         "Public Python calls on this machine, one thread, warm-up not counted, one start "
         "at a time in blocks that take turns, as in a loop that does nothing else, on "
         f"every wrench ({number(timing.get('wrenches'))} of the held-out ball, fixed grasp). “Start alone” includes inference "
         f"and repair; “with …” is the whole call to a certified gap of {small(TOLERANCE)}; where the solver has the start compiled, as the "
-        "12-basis, it never returns to Python in between and can be shorter than the start alone. Best of "
-        f"{number(timing.get('repeats'))} repeats per wrench; all repeats are in the folded table.",
+        f"12-basis, it never returns to Python in between and can be shorter than the start alone. {repeated}",
     )
     blocks = present([
         table("Microseconds per call: median, then p99", "best"), *pictures, _break_even(metrics),
-        Fold("Every repeat counted", present([table("Microseconds per call, all repeats", "raw")])),
+        Fold("Every repeat counted", present([table("Microseconds per call, all repeats", "raw")] if several else [])),
     ])  # fmt: skip
     return Section("time", "Microseconds, training time and break-even", notes, blocks)
 
@@ -180,8 +201,8 @@ def _break_even(metrics: dict[str, Any]) -> Table:
 def feasibility_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
     """What networks say before and after the repair, the guarantee, and how continuous the starts are."""
     notes = (
-        "Raw: what the network says. Every start that is handed out is strictly inside the cones and balanced: the repair moves "
-        "along the segment to a classical start and keeps the better in Phi. Lower Phi does not always mean fewer steps of the "
+        "Raw: what a network says. What a model hands out should be strictly inside the cones and balanced: its repair moves along the "
+        "segment to a classical start and keeps the better in Phi; the claims count whether it is. Lower Phi does not always mean fewer steps of the "
         "flow: the guarantee is about Phi.",
         "Continuity: force change per wrench change |df| / |dw| (moments / 0.05 m) along straight paths that cross sign changes of "
         "wrench components, where the 12-basis has kinks. Kink: change of that slope from one step to the next, which does not "

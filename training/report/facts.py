@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from training.cases.start_table import given_in, row_of
 from training.report.page import Fold, Picture, Section, Table, at, flat, present
-from training.report.starts import label
+from training.report.starts import label, pair, short, starts_of
 from training.runs.words import number
 from training.trials.claims import training_seconds
 
@@ -41,6 +42,30 @@ def models_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
     return Section("models", "The models", (), present([Table(caption, columns, rows, words=2), *pictures, *cards]))
 
 
+def _steps_inside(metrics: dict[str, Any]) -> list[str]:
+    """Which of this run's starts take Newton steps that no iteration counts."""
+    keys = starts_of(metrics)
+    given = given_in(keys)
+    inside, without = (
+        [key for key in keys if key not in given and row_of(key).second_order is one] for one in (True, False)
+    )
+    if not inside:
+        return []
+    layered = at(metrics, "starts", "reduced_flow", "ball", "learned_any", "iterations")
+    unknown = f" Not known: {'; '.join(map(short, given))}." if given else ""
+    out = [
+        f"Newton steps, learned or plain, before the first iteration is counted: {'; '.join(map(short, inside))}. None: "
+        f"{'; '.join(map(short, without)) or '–'}.{unknown} The 12-basis and the network after so many Newton steps are controls: what such "
+        "steps do is not what was learned."
+    ]
+    if at(layered, "median") is not None:
+        out.append(
+            f"The any-grasp model is a few learned layers, each about as much work as a Newton step: the {pair(layered)} iterations of the flow "
+            "that it leaves on the held-out ball are not all its work. Compare microseconds, and the columns of Newton."
+        )
+    return out
+
+
 def _range(card: dict[str, Any]) -> str:
     """Magnitudes of the training wrenches."""
     low, high = at(card, "config", "low"), at(card, "config", "high")
@@ -49,19 +74,14 @@ def _range(card: dict[str, Any]) -> str:
 
 def caveats_section(metrics: dict[str, Any]) -> Section:
     """What the numbers do not say."""
-    quick = at(metrics, "run", "quick")
+    quick, several = at(metrics, "run", "quick"), (at(metrics, "timing", "repeats") or 0) > 1
     items = [
         "This is a quick run: few cases, wide intervals, p99 near the maximum. Do not quote its numbers." if quick else "",
         "Table I of the paper cannot be reproduced (its contacts, weights and step size are not printed); it is no acceptance test.",
         "The previous solution cannot help on a cold start (there is none), after a large jump of the wrench (it is far), or for "
-        "other contacts (its forces belong to contacts that are gone). On smooth paths with the tangent correction it needs 0 "
-        "iterations: there nothing is left to learn, and a learned start can only tie.",
+        "other contacts (its forces belong to contacts that are gone).",
         "On independent draws the “previous” starts come from an unrelated wrench: a jump, not what a control loop meets at every tick.",
-        "The any-grasp model, the tangent-corrected previous and nearest solutions and whatever is called “Newton” take second-order "
-        "steps before the flow begins; the network of the fixed grasp, single value, Lagrange, the plain 12-basis and the G⁺ variants do not. "
-        "The 12-basis and the network after as many Newton steps are there so that those are not counted as what was learned.",
-        "The any-grasp model is a few learned layers, each about as much work as a Newton step: its 0 iterations of the flow are not "
-        "free. Compare microseconds, and the columns of Newton.",
+        *_steps_inside(metrics),
         "A start of lower Phi does not always need fewer steps: the flow follows the projected gradient, and a little gap along a "
         "badly conditioned direction takes longer than a larger one along a good direction.",
         "The 12-basis is recomputed for every grasp of the sets with other contacts; its offline work is not in its microseconds, "
@@ -69,7 +89,8 @@ def caveats_section(metrics: dict[str, Any]) -> Section:
         "Iterations are counted to a gap against a Newton optimum; the microseconds are of calls that stop by their own certified "
         "gap, as a user's do.",
         "A start that does not exist or does not apply is counted, and in no percentile; compare starts on the same cases only.",
-        "Microseconds are of this machine at that time, from Python; best of the repeats leaves out what other processes took.",
+        "Microseconds are of this machine at that time, from Python"
+        + ("; the best of the repeats leaves out what other processes took." if several else ", called once: they hold what other processes took."),
         "The fixed-grasp model and the stored solutions apply where all contacts are near those of their grasp; the rest is counted (‡).",
         "In the simulation contacts are rigid and the model is exact: the hand holds better than a real one would.",
         "One objective (one ω and λ) unless a table says otherwise; where the barrier is weaker the flow takes longer from every start.",

@@ -183,7 +183,7 @@ def violins(timing: Trials) -> Drawing | None:
             values = timing.get(f"{method}/{key}/total_us")
             if values is not None and np.isfinite(values).any():
                 _half(axes, row, side, _best(values), colour(tone[key]))
-    axes.set(xscale="log", xlabel="microseconds per call, best of the repeats", ylim=(len(keys) - 0.4, -0.6))
+    axes.set(xscale="log", xlabel="microseconds per call", ylim=(len(keys) - 0.4, -0.6))
     axes.set_yticks(range(len(keys)), [short(key) for key in keys])
     axes.tick_params(axis="y", length=0)
     decades(axes.xaxis)

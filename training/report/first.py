@@ -55,7 +55,9 @@ def charts(metrics: dict[str, Any]) -> Iterator[tuple[str, str, str, str, Drawin
     yield "found-iterations", "Iterations", f"{what} Cases: {cases}.{absent}", _alt(counted), chart
     marks = {key: "*" * (key in handed) + mark for key, mark in marks.items()}
     chart = _chart(timed, metrics, "microseconds of the whole call", marks)
-    repeats = f"best of {number(at(metrics, 'timing', 'repeats'))} on {number(at(metrics, 'timing', 'wrenches'))} of these wrenches"
+    repeats = at(metrics, "timing", "repeats")
+    repeats = f"best of {number(repeats)}" if repeats != 1 else "called once"
+    repeats += f" on {number(at(metrics, 'timing', 'wrenches'))} of these wrenches"
     text = f"The whole call from Python, to a certified gap of {small(TOLERANCE)}, {repeats}.{star}"
     yield "found-microseconds", "Microseconds", text, _alt(timed), chart
 

@@ -25,7 +25,7 @@ def paper_section(metrics: dict[str, Any], pictures: list[Picture]) -> Section:
         ])  # fmt: skip
     notes = (
         "Table I of the paper cannot be reproduced: the paper prints neither its contact positions, nor ω, λ or the step size, nor "
-        "what its single-value and Lagrange starts are (ours are defined in the README); no placement on opposite faces that was "
+        "what its single-value and Lagrange starts are (ours are defined in the package: SingleValue and Lagrange); no placement on opposite faces that was "
         "searched gives its linear-combination row. What can be compared: the balance 0.6 in every row, the order of the starts, "
         "the ratios of steps and sums. Where our order differs, the definitions and the placement differ.",
     )
@@ -64,9 +64,16 @@ def hand_section(metrics: dict[str, Any], pictures: list[Picture], loops: list[P
         for key, row in starts.items()
     ]
     notes = (
-        f"Roll-outs of FourFingerGrasp-v0{_settings(at(metrics, 'run', 'rollouts'))}: at full size its 1 N m about z takes 153 N of "
-        "normal force and joint torques of 9 N m.",
-        "The optimum is the same whatever the start, so the hand holds as well from any: what differs are the iterations.",
+        f"Roll-outs of FourFingerGrasp-v0{_settings(at(metrics, 'run', 'rollouts'))}{_full(at(metrics, 'table_one', 'path_normal'))}.",
+        "The optimum is the same whatever the start: what differs are the iterations"
+        + (
+            ", and here also how many episodes are held: see what failed in the table."
+            if any(
+                len({row["held"] / max(1, row["episodes"]) for row in starts.values()}) > 1
+                for starts in (metrics.get("rollouts") or {}).values()
+            )
+            else ", not what is held."
+        ),
     )
     table = Table.of("The simulated hand, per scenario and start", ROLLOUTS, items, words=2)
     return Section(
@@ -75,6 +82,11 @@ def hand_section(metrics: dict[str, Any], pictures: list[Picture], loops: list[P
         notes,
         present([*loops, *pictures, Fold("Every scenario and start", present([table]))]),
     )
+
+
+def _full(most: float | None) -> str:
+    """Why the path is not followed at its full size."""
+    return "" if most is None else f": at full size its optima take up to {number(most)} N of normal force in all"
 
 
 def _settings(made: dict[str, Any] | None) -> str:

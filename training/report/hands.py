@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from training.report.first import found_section
+from training.report.glossary import HOLDS as GLOSSARY
 from training.report.holds import NUMBERS, cause_bars, interval
 from training.report.page import (
     Columns,
@@ -64,7 +67,7 @@ def build_hands_report(run: Run) -> dict[str, Any]:
 
 
 def _build(
-    run: Run, title: str, measure: Callable[..., dict[str, Any]], sections: Callable[..., list[Section]]
+    run: Run, title: str, measure: Callable[..., dict[str, Any]], sections: Callable[..., list[Section | None]]
 ) -> dict[str, Any]:
     facts = run.read_json("run.json")
     trials = {scenario["name"]: run.read_arrays(f"trials/{scenario['name']}.npz") for scenario in facts["scenarios"]}
@@ -72,7 +75,7 @@ def _build(
     run.write_json("metrics.json", metrics)
     rows = metrics["rows"]
     pictures = [
-        png(run, "figures/rates.png", rates(rows), "Hold rates", "Episodes held, with 95 % intervals."),
+        png(run, "figures/rates.png", *(table_of_rates(rows) if _is_table(rows) else rates(rows))),
         png(run, "figures/causes.png", causes(rows), "Failures by cause", "Episodes that were not held, by cause."),
         png(run, "figures/margins.png", margins(rows), "Torque margins", "How near torques come to their limits."),
     ]
@@ -80,23 +83,31 @@ def _build(
     return metrics
 
 
-def _transfer_sections(metrics: dict[str, Any], pictures: list[Picture]) -> list[Section]:
+def _transfer_sections(metrics: dict[str, Any], pictures: list[Picture]) -> list[Section | None]:
     return [
+        found_section(metrics["found"], (), GLOSSARY),
         claims_section(metrics),
-        Section("findings", "What holds in one engine and falls in the other", (_CONTACTS,), (), metrics["findings"]),
+        Section(
+            "findings",
+            "What holds in one engine and falls in the other",
+            (_CONTACTS,) if {"pyramidal", "soft"} <= {row["engine"] for row in metrics["rows"]} else (),
+            (),
+            metrics["findings"],
+        ),
         Section("rates", "Hold rates side by side", (_PROTOCOL, _ENGINES), [_table(metrics, TRANSFER), *pictures]),
         Section("speed", "Speed", (), [_speeds(metrics)]),
         *_ends(metrics),
     ]
 
 
-def _hand_sections(metrics: dict[str, Any], pictures: list[Picture]) -> list[Section]:
+def _hand_sections(metrics: dict[str, Any], pictures: list[Picture]) -> list[Section | None]:
     causes = (
         "Causes: dropped or drifted; torque (lost within half a second after torques had to be cut while the object was in its place: no force within the limits balanced the wrench); closure lost; not placed; "
         "no start (the fingers did not close, or the grasp did not settle), with the reasons that showed; simulation diverged."
     )
     return [
-        Section("rates", "Hold rates", (_PROTOCOL, _OBJECTS, causes), [_table(metrics, HANDS), *pictures]),
+        found_section(metrics["found"], pictures[:1], GLOSSARY),
+        Section("rates", "Hold rates", (_PROTOCOL, _OBJECTS, causes), [_table(metrics, HANDS), *pictures[1:]]),
         Section("speed", "Speed", (), [_speeds(metrics)]),
         *_ends(metrics),
     ]
@@ -157,8 +168,48 @@ HANDS: Columns = (
 )
 
 
-def rates(rows: list[dict[str, Any]]) -> Figure:
-    """Hold rates with intervals, a line for every scenario, a colour for every engine."""
+def _is_table(rows: list[dict[str, Any]]) -> bool:
+    """Whether several hands met the same scenarios in one engine."""
+    return len({row["hand"] for row in rows}) > 1 and len({row["engine"] for row in rows}) == 1
+
+
+def table_of_rates(rows: list[dict[str, Any]]) -> tuple[Figure, str, str]:
+    """Hold rates as a heat map: a line for every hand, a column for every scenario, the numbers in it; and what it is called."""
+    hands, labels = (list(dict.fromkeys(row[key] for row in rows)) for key in ("hand", "label"))
+    rate = np.full((len(hands), len(labels)), np.nan)
+    figure, axes = new_figure(9.6, 1.9 + 0.36 * len(hands))
+    for row in rows:
+        place = hands.index(row["hand"]), labels.index(row["label"])
+        rate[place] = row["rate"]
+        dark = row["rate"] > 0.6
+        axes.text(
+            *place[::-1],
+            f"{row['held']}/{row['episodes']}",
+            ha="center",
+            va="center",
+            fontsize=8,
+            color="white" if dark else "black",
+        )
+    axes.imshow(rate, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+    axes.set_xticks(range(len(labels)), [_broken(label) for label in labels], fontsize=7)
+    axes.set_yticks(range(len(hands)), hands, fontsize=8)
+    axes.tick_params(length=0, top=True, labeltop=True, bottom=False, labelbottom=False)
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)
+    return (
+        figure,
+        "Hold rates",
+        "Episodes held, of as many; the darker the more. Empty: not asked. The table has the intervals.",
+    )
+
+
+def _broken(label: str, wanted: int = 13) -> str:
+    """A label over several lines."""
+    return "\n".join(textwrap.wrap(label, wanted))
+
+
+def rates(rows: list[dict[str, Any]]) -> tuple[Figure, str, str]:
+    """Hold rates with intervals, a line for every scenario, a colour for every engine; and what it is called."""
     places = {name: k for k, name in enumerate(dict.fromkeys(row["scenario"] for row in rows))}
     labels = {row["scenario"]: f"{row['hand']}: {row['label']}" for row in rows}
     figure, axes = new_figure(9.6, 1.2 + 0.42 * len(places))
@@ -181,7 +232,7 @@ def rates(rows: list[dict[str, Any]]) -> Figure:
     axes.set_ylim(len(places) - 0.4, -0.6)
     axes.grid(axis="x", linewidth=0.4)
     figure.legend(fontsize=8, frameon=False, loc="outside upper center", ncols=3)
-    return figure
+    return figure, "Hold rates", "Episodes held, with 95 % intervals."
 
 
 def margins(rows: list[dict[str, Any]]) -> Figure:

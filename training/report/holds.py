@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from training.report.first import found_section
+from training.report.glossary import HOLDS
 from training.report.page import (
     Columns,
     Picture,
@@ -93,7 +95,7 @@ def _protocol(metrics: dict[str, Any]) -> list[str]:
     ]
 
 
-def _sections(metrics: dict[str, Any], pictures: dict[str, Picture]) -> list[Section]:
+def _sections(metrics: dict[str, Any], pictures: dict[str, Picture]) -> list[Section | None]:
     cells = metrics["cells"]
     resolved = {cell["scenario"]: cell["resolved"] for cell in metrics["run"]["cells"]}
 
@@ -122,11 +124,12 @@ def _sections(metrics: dict[str, Any], pictures: dict[str, Picture]) -> list[Sec
     lost, more = metrics["failures"], f", here the first {_LISTED}" if len(metrics["failures"]) > _LISTED else ""
     told = [[row["cell"], str(row["seed"]), row["cause"], row["object"], row["how"]] for row in lost[:_LISTED]]
     return [
+        found_section(metrics["found"], (), HOLDS),
         claims_section(metrics),
         Section("protocol", "How it was measured", (), (), _protocol(metrics)),
         of("Random objects, random wrench", f"{objects['duration']:g} s against the random wrench." if objects else "", "objects", figure="drift_ecdf"),
         _section("The same episodes.", Table.of("By shape", SHAPES, by_shape, words=2)),
-        of("Six directions", f"{push}the baselines and the estimated wrench on a part of the seeds.", "six_directions"),
+        of("Six directions", f"{push}{_fewer(cells)}", "six_directions"),
         of("The paper's W_ext(t)", "Nothing is random: one episode each" + (f"; the joints allow {limit:g} N m." if limit else "."), "path_0.25", "path_1"),
         of("One error at a time", "The random wrench again.", *ERRORS),
         *(sweep(scenario, "rate_against_squeeze" if scenario == "all" else "") for scenario in CURVES),
@@ -137,6 +140,13 @@ def _sections(metrics: dict[str, Any], pictures: dict[str, Picture]) -> list[Sec
         ),
         provenance_section(metrics["run"]),
     ]  # fmt: skip
+
+
+def _fewer(cells: list[dict[str, Any]]) -> str:
+    """Whether all controllers met as many pushes."""
+    counts = {row["controller"]: row["episodes"] for row in cells if row["scenario"] == "six_directions"}
+    part = [CONTROLLER_LABELS[key] for key, count in counts.items() if count < max(counts.values())]
+    return f"a part of the seeds alone: {', '.join(part)}." if part else "the same seeds for all."
 
 
 def _section(note: str, table: Table, picture: Picture | None = None) -> Section:

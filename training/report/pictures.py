@@ -81,10 +81,11 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
         name, title, caption, alt = said
         yield name, title, caption, alt, lambda drawing=drawing: drawing
     yield from _of_sets(metrics, trials)
+    best = "Best of the repeats per wrench" if (at(metrics, "timing", "repeats") or 2) > 1 else "One call per wrench"
     yield (
         "violins",
         "Microseconds per call, held-out ball",
-        "Best of the repeats per wrench. Above each line the start and the reduced flow, below it, pale, the start and Newton; the "
+        f"{best}. Above each line the start and the reduced flow, below it, pale, the start and Newton; the "
         "bar is the median.",
         "Half violins of microseconds per call for every start, with the reduced flow and with Newton; the table has the numbers.",
         lambda: figures.violins(arrays("timing.npz")),
@@ -110,14 +111,14 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
             "forces",
             "Optimal forces along W_ext(t), full size",
             "",
-            "Normal and tangential forces of the four fingers over two seconds; smooth, the thumb's largest.",
+            "Normal and tangential forces of the four fingers over two seconds.",
             lambda: figures.forces_over_time(path),
         )
         yield (
             "against",
             "Starts against the optimum along W_ext(t) (its Fig. 4)",
             "",
-            "Normal force of each finger over time: optimum and starts; the 12-basis lies above the optimum.",
+            "Normal force of each finger over time: optimum and starts.",
             lambda: figures.start_against_optimum(path),
         )
     for start in ("linear_combination", "learned_fixed", *given_in(at(metrics, "run", "given") or {})):

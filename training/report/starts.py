@@ -63,9 +63,7 @@ def wins_section(metrics: dict[str, Any]) -> Section:
         f"Iterations (accepted steps) to a relative gap of {small(TOLERANCE)} in Phi, median / p99; ★ marks the best of a row, by the median, "
         f"then by the p99. † the start does not exist on more than {100 * FEW:g} % of these cases (they are in no percentile), ‡ it "
         "does not apply to a part of them: neither can be the best. A dash: it does not apply there at all, or was not measured.",
-        "On cases that follow each other smoothly the previous solution with the tangent correction is hard to beat: there a "
-        "learned start can only tie. Where it is far (jumps), or belongs to other contacts, or does not exist (a cold start), "
-        "the others are compared.",
+        *smooth_text(metrics),
     )
     main = matrix(
         metrics,
@@ -79,6 +77,28 @@ def wins_section(metrics: dict[str, Any]) -> Section:
     ]  # fmt: skip
     blocks = present([main, _winners(metrics), Fold("All starts, one table per kind of case", present(everything))])
     return Section("wins", "Where each start wins", notes, blocks)
+
+
+def smooth_text(metrics: dict[str, Any]) -> list[str]:
+    """What the previous solution leaves to others where cases follow each other smoothly, by this run's numbers."""
+    key, names = "previous_tangent", ("smooth", "trajectories", "rollout_moving")
+    found = {name: at(metrics, "starts", "reduced_flow", name, key, "iterations") for name in names}
+    found = {name: row for name, row in found.items() if at(row, "median") is not None}
+    if not found:
+        return []
+    told = "; ".join(f"{set_label(metrics, name)}: {pair(row)}" for name, row in found.items())
+    most = max(row["p99"] for row in found.values())
+    left = (
+        "there nothing is left to gain"
+        if most == 0
+        else "there is little left to gain"
+        if most < 10
+        else "there is something left to gain"
+    )
+    return [
+        f"Where cases follow each other smoothly the previous solution with the tangent correction leaves the flow median / p99 iterations ({told}): {left}. "
+        "It is far after a jump, belongs to other contacts after a change of contact, and does not exist on a cold start."
+    ]
 
 
 def matrix(
@@ -120,7 +140,7 @@ def network_section(metrics: dict[str, Any]) -> Section:
     raw = at(rows, "learned_fixed", "raw", "inside")
     notes = (
         "No Newton step, learned or not, helps the network here; it is put back towards the 12-basis's combination only where it lies "
-        f"outside the cones: inside before that {percent(raw)} of these cases. A start after k Newton steps stands beside "
+        f"outside the cones{f' (inside before that: {percent(raw)} of these cases)' if raw is not None else ''}. A start after k Newton steps stands beside "
         "the 12-basis after as many, each step as long as lowers Phi most: what the steps do is not what was learned.",
     )
     columns = (

@@ -12,6 +12,7 @@ from training.runs.claims import Claim, claim
 from training.runs.statistics import mean_interval
 from training.trials.arrays import Trials
 from training.trials.hand_plan import ENGINE_LABELS, short_name
+from training.trials.hold_findings import hands_found, transfer_found
 from training.trials.hold_metrics import Episodes, cell_metrics, failures, paired, rate_text
 from training.trials.hold_plan import NOT_STARTED
 
@@ -63,13 +64,15 @@ def hand_metrics(scenarios: list[dict[str, Any]], trials: dict[str, Trials]) -> 
                 against["chance"] = chance(against["only_this"], against["only_base"])
             rows.append({**named, "engine": engine, **cell_metrics(mine), **own, "against": against})
             lost += [{**row, "engine": engine} for row in failures(scenario["name"], mine)]
-    return {"rows": rows, "failures": lost}
+    return {"rows": rows, "failures": lost, "found": hands_found(rows)}
 
 
 def transfer_metrics(scenarios: list[dict[str, Any]], trials: dict[str, Trials]) -> dict[str, Any]:
     """`hand_metrics` with the claims about engines and what is found of them."""
     metrics = hand_metrics(scenarios, trials)
-    return {**metrics, "findings": list(findings(metrics["rows"])), "claims": list(_transfer_claims(metrics["rows"]))}
+    rows = metrics["rows"]
+    own = {"found": transfer_found(rows), "findings": list(findings(rows)), "claims": list(_transfer_claims(rows))}
+    return {**metrics, **own}
 
 
 def chance(one: int, other: int) -> float:

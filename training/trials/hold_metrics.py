@@ -10,6 +10,7 @@ import numpy as np
 from training.runs.claims import Claim, claim
 from training.runs.statistics import mean_interval, wilson
 from training.trials.arrays import Trials
+from training.trials.hold_findings import holds_found
 from training.trials.hold_plan import (
     BASELINES,
     CONTROLLER_LABELS,
@@ -164,6 +165,7 @@ def env_metrics(cells: list[dict[str, Any]], trials: dict[str, Trials]) -> dict[
         "failures": [row for cell in cells for row in failures(cell["name"], trials[cell["name"]])],
     }
     metrics["claims"] = list(claims(named, metrics["shapes"], chosen))
+    metrics["found"] = holds_found(metrics)
     return metrics
 
 

@@ -138,7 +138,7 @@ PER_START: dict[str, Callable[[Column], Any]] = {
     "cases": lambda column: int((column.status != NOT_APPLICABLE).sum()),
     "not_applicable": lambda column: int((column.status == NOT_APPLICABLE).sum()),
     "no_start": lambda column: int((column.status == NO_START).sum()),
-    "reasons": lambda column: reasons(column.start("reason")),
+    "reasons": lambda column: reasons(column.trials.get(f"{column.key}/reason", np.empty(0, str))),
     "not_converged": lambda column: int(((column.status == 1) | (column.status == 2)).sum()),
     "iterations": lambda column: spread(censored(column.run("iterations"))),
     "start_gap": lambda column: spread(column.start("gap")[column.exists]),
@@ -214,8 +214,8 @@ def break_even(timing: Trials, models: dict[str, dict[str, Any]]) -> dict[str, A
     return out
 
 
-def table_one(trials: Trials) -> dict[str, Any]:
-    """Normal forces (N) and steps on the constant wrench, ours beside the paper's."""
+def table_one(trials: Trials, path: Trials | None = None) -> dict[str, Any]:
+    """Normal forces (N) and steps on the constant wrench, ours beside the paper's; of the path the largest total."""
     rows: dict[str, Any] = {}
     for key, paper in PAPER_TABLE.items():
         steps = None if key == "optimum" else int(trials[f"{METHODS[0]}/{key}/iterations"][0])
@@ -224,7 +224,8 @@ def table_one(trials: Trials) -> dict[str, Any]:
         rows[key]["balance"] = float(normals[0] - normals[1:].sum())
         rows[key]["paper"] = {**paper, "sum": round(sum(paper["normals"]), 2)}
         rows[key]["paper"]["balance"] = round(paper["normals"][0] - sum(paper["normals"][1:]), 2)
-    return {"wrench": trials["case/wrench"][0].tolist(), "rows": rows}
+    most = float(path["optimum/force"][:, :, 0].sum(axis=1).max()) if path else None
+    return {"wrench": trials["case/wrench"][0].tolist(), "rows": rows, "path_normal": most}
 
 
 def continuity_metrics(paths: Trials) -> dict[str, Any]:
@@ -330,7 +331,7 @@ METRICS: dict[str, Callable[[Saved], Any]] = {
         name: found for name, trials in saved.trials.items() if (found := event_metrics(name, trials))
     },
     "timing": lambda saved: timing_metrics(saved.timing),
-    "table_one": lambda saved: table_one(saved.trials["constant"]),
+    "table_one": lambda saved: table_one(saved.trials["constant"], saved.trials.get("paper_path")),
     "continuity": lambda saved: continuity_metrics(saved.run.read_arrays("continuity.npz")),
     "guarantee": lambda saved: guarantee_metrics(saved.run.read_arrays("guarantee.npz")),
     "rollouts": lambda saved: rollout_metrics(saved.run.read_arrays("rollouts.npz")),
