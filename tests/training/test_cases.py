@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from grasp_env.config import EnvConfig
+from grasp_env.errors import InvalidInputError
 from grasp_env.force import Objective, phase_one
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
 from training.cases.grasps import DISPLACEMENT, FRICTIONS, grasp_cases
 from training.cases.recorded import IMPACT, SLIP, record, recorded_cases, without
-from training.cases.set_table import GROUPS, SETS
+from training.cases.set_table import GROUPS, SETS, SetInfo
 from training.cases.sets import DIRECTION_SIZES, directions, fixed_cases
 from training.cases.start_table import STARTS
 from training.cases.starts import STORED, carried, near_fixed
@@ -29,6 +30,14 @@ RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
 
 def test_every_set_belongs_to_a_group():
     assert {info.group for info in SETS.values()} == set(GROUPS)
+
+
+@pytest.mark.parametrize("grasp", ["fixed", "near", "random", "recorded"])
+def test_a_set_that_nobody_makes_is_told(monkeypatch, grasp):
+    """A row alone would otherwise be filled with the cases of another set."""
+    monkeypatch.setitem(SETS, "newest", SetInfo("newest", "paper", grasp, "none"))
+    with pytest.raises(InvalidInputError, match="set 'newest': say in "):
+        cases_of("newest", 3, 0)
 
 
 @pytest.mark.parametrize("name", [name for name, info in SETS.items() if info.grasp != "recorded"])

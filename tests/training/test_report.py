@@ -22,11 +22,14 @@ from training.report.page import Table, claims_section
 from training.report.starts import STEPPED, label, matrix, network_section, pair
 from training.report.style import THEME, svg
 from training.runs import Run
+from training.trials.hold_metrics import CELL_METRICS
+from training.trials.metrics import METRICS, PER_START
 
 EXECUTABLE = find_browser()
 needs_browser = pytest.mark.skipif(
     EXECUTABLE is None, reason="no Chromium here: install Debian's (apt-get install chromium) or run .ci/run"
 )
+ROOT = Path(__file__).parents[2]
 PAGE_LIMIT = 6e6
 """[bytes] of the page, all pictures in it."""
 
@@ -198,6 +201,15 @@ def test_texts_follow_the_settings_and_numbers_of_the_run(made, tmp_path):
     assert "Newton; previous, tangent; network + Newton" in text
     metrics["starts"]["reduced_flow"]["smooth"]["previous_tangent"]["iterations"].update(p99=50.0)
     assert "there is something left to gain" in told("left")
+
+
+@pytest.mark.parametrize("name", [*PER_START, *CELL_METRICS, *METRICS])
+def test_every_metric_is_shown(name):
+    """A metric that no table asks for would be computed and told to nobody."""
+    rooms = [ROOT / "training" / room for room in ("report", "trials")]
+    texts = [path.read_text(encoding="utf-8") for room in rooms for path in room.glob("*.py")]
+    uses = sum(len(re.findall(rf"[\"']{name}[\"']", text)) for text in texts)
+    assert uses >= 2, f"{name} stands in its table of metrics alone: show it in a `Columns` of training/report"
 
 
 def test_what_a_run_lacks_is_left_out_or_a_dash(made, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from grasp_env.errors import InvalidInputError
 from grasp_env.grasp import presets, wrench
 from training.cases.sets import Case, along, generator
 from training.data.grasps import EVALUATION, slid
@@ -30,8 +31,10 @@ def grasp_cases(name: str, count: int, seed: int) -> list[Case]:
     elif name == "positions":
         for group in range(max(1, count // _PER_GRASP)):
             cases += along(slid(rng, fixed, 0.0, DISPLACEMENT), wrench.sample_ball(rng, _PER_GRASP), group)
-    else:
+    elif name.startswith("random_"):
         for group in range(count):
             grasp = EVALUATION.closed(rng, int(name.split("_")[1]))
             cases.append(Case(grasp, wrench.sample_ball(rng, 1)[0], None, group))
+    else:
+        raise InvalidInputError(f"no grasps are known for the set {name!r}: say in grasp_cases how they are made")
     return cases

@@ -11,7 +11,7 @@ import numpy as np
 
 from grasp_env._check import ContactForces, Wrench
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import GraspError
+from grasp_env.errors import GraspError, InvalidInputError
 from grasp_env.force import LinearCombination
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
@@ -99,11 +99,13 @@ def recorded_cases(name: str, count: int, seed: int) -> list[Case]:
         for k, problems in enumerate(record(max(len(HANDS), -(-count // 8)), rng, "impulses")):
             for i in rng.choice(len(problems) - 1, min(4, len(problems) - 1), replace=False).tolist():
                 cases += changes_of(rng, problems[i], problems[i + 1], k)
-    else:
+    elif name in ("rollout_impulses", "rollout_fixed"):
         own: dict[str, Any] = {"hands": ("four_finger",), "randomise": ()} if name == "rollout_fixed" else {}
         for k, problems in enumerate(record(-(-count // 5), rng, "impulses", **own)):
             pairs = pairwise(problems)
             cases += [Case(*now, old, k, "impulse") for old, now in pairs if _distance(old[1], now[1]) >= IMPACT]
+    else:
+        raise InvalidInputError(f"no roll-outs are known for the set {name!r}: say in recorded_cases how they are made")
     return cases[:count]
 
 

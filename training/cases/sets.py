@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env._check import Array, Wrench
+from grasp_env.errors import InvalidInputError
 from grasp_env.grasp import Grasp, presets, wrench
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
 from training.cases.set_table import SETS
@@ -81,7 +82,9 @@ def fixed_cases(name: str, count: int, seed: int) -> list[Case]:
     elif name == "paper_path":
         paths = [wrench.paper_path(np.arange(200) * 0.01)]
     else:
-        scale = {"ball": 1.0, "ball_double": 2.0, "ball_half": 0.5}[name]
+        scale = {"ball": 1.0, "ball_double": 2.0, "ball_half": 0.5}.get(name)
+        if scale is None:
+            raise InvalidInputError(f"no wrenches are known for the set {name!r}: say in fixed_cases how they are made")
         paths = [scale * wrench.sample_ball(rng, count)]
     return [case for group, path in enumerate(paths) for case in along(grasp, path, group)]
 

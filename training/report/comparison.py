@@ -51,8 +51,8 @@ def _sections(run: Run, metrics: dict[str, Any]) -> list[Section | None]:
         return [picture for picture in pictures if picture.name.split("-")[0] in names]
 
     notes = (
-        "All figures: the flow's accepted steps, the same step rule for all starts, gaps to a Newton optimum. Fans: median and "
-        "p10 to p90 band over the cases. Shares count cases without a start as never solved.",
+        "All figures: the flow's accepted steps, the same step rule for all starts, gaps to a Newton optimum. Shares "
+        "count cases without a start as never solved.",
     )
     return [
         comparison_section(metrics, of("found")),

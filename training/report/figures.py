@@ -10,11 +10,11 @@ from matplotlib.ticker import MaxNLocator
 
 from grasp_env.grasp.wrench import paper_path
 from training.cases.set_table import TOLERANCE
-from training.cases.start_table import given_in, main_of
+from training.cases.start_table import given_in
 from training.report.starts import short
 from training.report.style import INK, WIDTH, Drawing, colour, decades, entry, line_style, new_figure, tones
 from training.runs.words import small
-from training.trials.arrays import BUDGETS, NOT_APPLICABLE, SCENARIO_LABELS, Trials, starts_in
+from training.trials.arrays import SCENARIO_LABELS, Trials, starts_in
 
 FLOOR = 1e-7
 """Gaps below are drawn there."""
@@ -23,25 +23,55 @@ _FAN_MORE = ("basis_tangent", "nearest_tangent")
 """Where the others are few."""
 
 
-def fan(trials: Trials, every: bool = False) -> Drawing | None:
-    """Median and p10 to p90 of the gap after k accepted steps of the reduced flow, per start; None without traces."""
+def fan(trials: Trials) -> Drawing | None:
+    """Gap after k accepted steps of the reduced flow, a small panel per start: median, p10 to p90, dotted the 12-basis's median."""
     tone = tones(starts_in(trials))
-    found = _traces(trials, list(tone) if every else [*_FAN, *given_in(tone)])
+    found = _traces(trials, [*_FAN, *given_in(tone)])
     if len(found) < 3:
         found |= _traces(trials, _FAN_MORE)
     if not found:
         return None
-    figure, axes = new_figure(WIDTH, 3.2)
-    last = 8
-    for key, rows in found.items():
+    lines = -(-len(found) // 2)
+    figure, axes = new_figure(WIDTH, 0.5 + 1.15 * lines, rows=lines, columns=2, share_all=True)
+    base, last = found.get("linear_combination"), 8
+    for panel, (key, rows) in zip(np.ravel(axes), found.items(), strict=False):
         low, middle, high = np.percentile(rows, [10, 50, 90], axis=0)
-        reached = np.flatnonzero(high <= 0.1 * TOLERANCE)
-        last = max(last, int(reached[0]) if len(reached) else rows.shape[1] - 1)
+        last = max(last, _reached(high))
+        steps, tint = _spread(rows.shape[1]), colour(tone[key])
+        if base is not None and rows is not base:
+            panel.plot(1 + steps, np.median(base, axis=0)[steps], color=INK, linewidth=0.9, linestyle=":")
+        panel.fill_between(1 + steps, low[steps], high[steps], color=tint, alpha=0.25, linewidth=0)
+        panel.plot(1 + steps, middle[steps], color=tint, linewidth=2.0)
+        panel.set_title(short(key), fontsize=9.5)
+    for panel in np.ravel(axes)[len(found) :]:
+        panel.set_visible(False)
+    first = np.ravel(axes)[0]
+    first.set(xscale="log", yscale="log", xlim=(1, 1.15 * last + 1), ylim=(0.5 * FLOOR, None))
+    for panel in np.ravel(axes):
+        decades(panel.xaxis)
+        panel.set_yticks([1e-6, TOLERANCE, 1e-2, 1.0], [small(gap) for gap in (1e-6, TOLERANCE, 1e-2, 1.0)])
+    figure.supxlabel("1 + accepted steps", fontsize=10)
+    figure.supylabel("relative gap of Phi", fontsize=10)
+    return Drawing(figure)
+
+
+def _reached(gaps: np.ndarray) -> int:
+    """After how many steps the gaps (k,) are well below the tolerance."""
+    reached = np.flatnonzero(gaps <= 0.1 * TOLERANCE)
+    return int(reached[0]) if len(reached) else len(gaps) - 1
+
+
+def convergence(trials: Trials) -> Drawing | None:
+    """The gap of every start after k accepted steps of the reduced flow, of one case."""
+    tone = tones(starts_in(trials))
+    found = _traces(trials, list(tone))
+    if not found:
+        return None
+    figure, axes = new_figure(WIDTH, 3.2)
+    for key, rows in found.items():
         steps = _spread(rows.shape[1])
-        style = line_style(tone[key])
-        if len(rows) > 1:
-            axes.fill_between(1 + steps, low[steps], high[steps], color=style["color"], alpha=0.13, linewidth=0)
-        axes.plot(1 + steps, middle[steps], **style)
+        axes.plot(1 + steps, np.median(rows, axis=0)[steps], **line_style(tone[key]))
+    last = max(8, *(_reached(np.median(rows, axis=0)) for rows in found.values()))
     axes.axhline(TOLERANCE, color=INK, linewidth=0.8, linestyle=":")
     axes.set(
         xscale="log", yscale="log", xlabel="1 + accepted steps", ylabel="relative gap of Phi", xlim=(1, 1.15 * last + 1),
@@ -66,104 +96,6 @@ def _traces(trials: Trials, starts: Sequence[str]) -> dict[str, np.ndarray]:
 def _spread(count: int, wanted: int = 60) -> np.ndarray:
     """At most about `wanted` of range(count), dense at its beginning: what a logarithmic axis shows."""
     return np.unique(np.round(np.geomspace(1, count, wanted)).astype(int)) - 1
-
-
-def steps_of(trials: Trials, start: str, method: str = "reduced_flow") -> np.ndarray | None:
-    """Iterations to 1e-4 of the cases that a start applies to, infinite where there is no start or 1e-4 is not reached."""
-    status = trials.get(f"{method}/{start}/status")
-    if status is None or not (status != NOT_APPLICABLE).any():
-        return None
-    counts = trials[f"{method}/{start}/iterations"].astype(float)
-    return np.where(counts < 0, np.inf, counts)[status != NOT_APPLICABLE]
-
-
-def ecdf(trials: Trials) -> Drawing | None:
-    """Share of cases solved to 1e-4 within k accepted steps, every start; None without any."""
-    figure, axes = new_figure(WIDTH, 3.2)
-    tone = tones(starts_in(trials))
-    found = {key: counts for key in tone if (counts := steps_of(trials, key)) is not None and np.isfinite(counts).any()}
-    end = 1 + max((counts[np.isfinite(counts)].max() for counts in found.values()), default=1.0)
-    for key, counts in found.items():
-        levels, many = np.unique(counts[np.isfinite(counts)], return_counts=True)
-        share = np.cumsum(many) / len(counts)
-        if len(levels) > 150:
-            keep = np.unique(np.searchsorted(share, np.linspace(0, share[-1], 150)).clip(max=len(levels) - 1))
-            levels, share = levels[keep], share[keep]
-        first = share[0] * (levels[0] == 0)
-        axes.step(
-            np.r_[1, levels + 1, 1.1 * end], np.r_[first, share, share[-1]], where="post", **line_style(tone[key])
-        )
-    axes.set(
-        xscale="log",
-        xlabel=f"1 + accepted steps to a gap of {small(TOLERANCE)}",
-        ylabel="share of cases",
-        ylim=(0, 1.02),
-    )
-    axes.set_xlim(0.95, 1.1 * end)
-    decades(axes.xaxis)
-    return Drawing(figure, [entry(short(key), tone[key]) for key in found]) if found else None
-
-
-def budget(trials: Trials) -> Drawing | None:
-    """Median (line) and p95 (dots) of the gap that is left after a budget of steps; None without any."""
-    figure, axes = new_figure(WIDTH, 3.2)
-    legend, tone = [], tones(starts_in(trials))
-    for key in main_of(tone):
-        rows = trials.get(f"reduced_flow/{key}/gap_after")
-        if rows is None or not np.isfinite(rows).any():
-            continue
-        rows = np.maximum(rows[np.isfinite(rows).all(axis=1)], FLOOR)
-        style = line_style(tone[key])
-        axes.plot(range(len(BUDGETS)), np.median(rows, axis=0), marker="o", markersize=3.5, **style)
-        axes.plot(
-            range(len(BUDGETS)), np.percentile(rows, 95, axis=0), linestyle=":", marker="^", markersize=3,
-            linewidth=0.8, color=style["color"],
-        )  # fmt: skip
-        legend.append(entry(short(key), tone[key]))
-    axes.axhline(TOLERANCE, color=INK, linewidth=0.8, linestyle=":")
-    axes.set(yscale="log", xlabel="steps allowed", ylabel="relative gap of Phi", ylim=(0.5 * FLOOR, None))
-    axes.set_xticks(range(len(BUDGETS)), [str(count) for count in BUDGETS])
-    decades(axes.yaxis)
-    return Drawing(figure, legend) if legend else None
-
-
-def profile(sets: list[Trials]) -> Drawing | None:
-    """Performance profile over all cases: share solved within a factor of the fewest steps that any start needs.
-
-    The factor is of 1 + steps. Where a start does not exist or does not apply it counts as not solved.
-    """
-    tone = tones(dict.fromkeys(key for trials in sets for key in starts_in(trials)))
-    keys = [key for key in tone if any(steps_of(trials, key) is not None for trials in sets)]
-    if not keys:
-        return None
-    table = np.concatenate([_all_steps(trials, keys) for trials in sets])
-    table = table[np.isfinite(table).any(axis=1)]
-    if not len(table):
-        return None
-    ratios = (1 + table) / (1 + table.min(axis=1, keepdims=True))
-    figure, axes = new_figure(WIDTH, 3.2)
-    legend = []
-    grid = np.geomspace(1, 1000, 120)
-    for k, key in enumerate(keys):
-        share = (ratios[:, k, None] <= grid * (1 + 1e-9)).mean(axis=0)
-        axes.step(grid, share, where="post", **line_style(tone[key]))
-        legend.append(entry(short(key), tone[key]))
-    axes.set(
-        xscale="log", xlabel="factor of the fewest 1 + steps", ylabel="share of cases", ylim=(0, 1.02), xlim=(1, 1000)
-    )
-    decades(axes.xaxis)
-    return Drawing(figure, legend) if legend else None
-
-
-def _all_steps(trials: Trials, keys: list[str]) -> np.ndarray:
-    """(n, len(keys)) iterations of all cases, infinite where there are none."""
-    count = len(trials["optimum/objective"])
-    out = np.full((count, len(keys)), np.inf)
-    for k, key in enumerate(keys):
-        counts = trials.get(f"reduced_flow/{key}/iterations")
-        if counts is not None:
-            out[:, k] = np.where(counts < 0, np.inf, counts)
-    return out
 
 
 FINGERS = ("thumb", "middle finger", "left finger", "right finger")

@@ -184,6 +184,10 @@ CELLS: Columns = (
     *NUMBERS,
     ("held more than the paper's [%]", _difference("held", 100.0)),
     ("normal force more [N]", _difference("normal_force", 1.0)),
+    ("drift, mean over an episode [mm]", lambda row: interval(row["mean_drift_mm"])),
+    ("slip, mean [mm]", lambda row: interval(row["slip_mm"])),
+    ("started", shown("started")),
+    ("objects redrawn", shown("unreachable")),
 )
 SHAPES: Columns = (
     ("controller", lambda key, shape, row: CONTROLLER_LABELS[key]),

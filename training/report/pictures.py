@@ -7,7 +7,7 @@ from typing import Any
 
 from training.cases.start_table import given_in
 from training.demo.loops import ANIMATIONS, STILL, still_of
-from training.report import figures
+from training.report import figures, shares
 from training.report.first import charts
 from training.report.page import Picture, at, data_uri
 from training.report.rl import learning_curves
@@ -104,7 +104,7 @@ def _catalogue(run: Run, metrics: dict[str, Any]) -> Iterator[_Entry]:
             "Convergence on the paper's constant wrench (its Fig. 3)",
             "",
             "Convergence curves of the reduced flow on the paper's constant wrench, one per start.",
-            lambda: figures.fan(constant, every=True),
+            lambda: figures.convergence(constant),
         )
     if "optimum/force" in path:
         yield (
@@ -154,9 +154,21 @@ def _learning(results: dict[str, Any] | None) -> Iterator[_Entry]:
 def _of_sets(metrics: dict[str, Any], trials: Callable[[str], Trials]) -> Iterator[_Entry]:
     """The figures that compare starts on sets of cases."""
     for kind, names, title, caption, draw in (
-        ("fan", _FANS, "Convergence", "", figures.fan),
-        ("ecdf", _ECDFS, "Share solved within so many steps", "", figures.ecdf),
-        ("budget", _BUDGETS, "Gap left after a budget of steps", "● median, ▲ p95.", figures.budget),
+        (
+            "fan",
+            _FANS,
+            "Convergence",
+            "Median, and a band from p10 to p90 of the cases; dotted the 12-basis's median.",
+            figures.fan,
+        ),
+        ("ecdf", _ECDFS, "Share solved within so many steps", "", shares.ecdf),
+        (
+            "budget",
+            _BUDGETS,
+            "Gap left after a budget of steps",
+            "Median of the gap; the tables of the set have the p95.",
+            shares.budget,
+        ),
     ):
         for name in names:
             if trials(name):
@@ -173,4 +185,4 @@ def _of_sets(metrics: dict[str, Any], trials: Callable[[str], Trials]) -> Iterat
             text = f"Performance profile, {title}: all cases of {len(names)} sets"
             note = "Share of cases solved within a factor of the fewest steps; starts that do not apply count as not solved."
             key = f"profile-{title.split()[0]}"
-            yield key, text, note, text, lambda names=names: figures.profile([trials(name) for name in names])
+            yield key, text, note, text, lambda names=names: shares.profile([trials(name) for name in names])

@@ -63,12 +63,12 @@ class Drawing:
 
 
 def new_figure(
-    width: float, height: float, rows: int = 1, columns: int = 1, *, share: bool = True
+    width: float, height: float, rows: int = 1, columns: int = 1, *, share: bool = True, share_all: bool = False
 ) -> tuple[Figure, Any]:
-    """A figure of the house style, size in inches, and its axes; rows share their x axis unless told otherwise."""
+    """A figure of the house style, size in inches, and its axes; rows share their x axis unless told otherwise, or all share both."""
     with rc_context(_STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
-        axes = figure.subplots(rows, columns, sharex=rows > 1 and share)
+        axes = figure.subplots(rows, columns, sharex=share_all or (rows > 1 and share), sharey=share_all)
     for axis in np.ravel(axes):
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(color=LINE, linewidth=0.6)

@@ -61,7 +61,6 @@ CELL_METRICS: dict[str, Callable[[Episodes], Any]] = {
     "slip_mm": lambda cell: mean_interval(cell.of("slip_distance", cell.held, 1e3)),
     "normal_force": lambda cell: mean_interval(cell.of("normal_force", cell.started)),
     "peak_torque": lambda cell: float(cell.of("peak_torque", cell.started).max(initial=0.0)),
-    "peak_torque_mean": lambda cell: mean_interval(cell.of("peak_torque", cell.started)),
     "iterations": lambda cell: mean_interval(cell.of("iterations", cell.started)),
 }
 """Of every cell: drift, tilt and slip of the episodes that were held, squeeze, torque and iterations of those that started."""
