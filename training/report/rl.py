@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from training.report.first import found_section
+from training.report.glossary import LEARNING
 from training.report.page import Fold, Picture, Section, Table, at, flat, png, present, write_page
 from training.report.style import INK, WIDTH, Drawing, colour, entry, new_figure
 from training.runs import Run
@@ -22,6 +24,7 @@ _COLOURS = {
     "sac/contact_force": "lagrange",
 }
 """Names of `style.THEME`."""
+ALGORITHMS = {"sac": "Soft actor-critic", "ppo": "Proximal policy optimisation"}
 
 
 def write_report(run: Run, found: dict[str, Any]) -> None:
@@ -35,21 +38,70 @@ def write_report(run: Run, found: dict[str, Any]) -> None:
     text = "Thin: training seeds, thick: their mean; dashed: the zero policy, the paper's start, on the same episodes. All of the deterministic policy."
     picture = png(run, "learning_curve.png", all_curves(found), "Learning curves", text)
     title = "Reinforcement learning on FourFingerGrasp-v0"
-    write_page(run, title, found["quick"], [rl_section(found, [picture])], "rl", html=False)
+    sections = [found_section(learning_found(found), (), LEARNING), rl_section(found, [picture])]
+    write_page(run, title, found["quick"], sections, "rl", html=False)
+
+
+def learning_found(found: dict[str, Any]) -> list[str]:
+    """What the agents came to beside the paper's start, in up to three sentences from the run's own numbers."""
+    rows, agents = dict(_items(found.get("rows"))), dict(_items(found.get("training")))
+    rows = {key: row for key, row in rows.items() if isinstance(row, dict)}
+    solving = {
+        key: row["iterations_against_paper"] for key, row in rows.items()
+        if not key.endswith("contact_force") and at(row, "iterations_against_paper", "ratio") is not None and key != "zero"
+    }  # fmt: skip
+    out = []
+    for about, keys in (
+        ("Agents", [key for key in solving if key in agents]),
+        ("Other starts", [key for key in solving if key not in agents]),
+    ):
+        if keys:
+            told = "; ".join(
+                f"{_label(rows, key)} {_interval(solving[key], 'ratio')}, {_against(solving[key])}" for key in keys
+            )
+            out.append(f"{about}: iterations per episode, in parts of the paper's start's with 95 % intervals: {told}.")
+    trained = [key for key in agents if at(rows, key, "return", "iqm") is not None]
+    if trained:
+        told = "; ".join(_outcome(rows, key) for key in (*trained, *(["zero"] if "zero" in rows else [])))
+        out.append(f"Held and return: {told}.")
+    return out
+
+
+def _against(row: dict[str, Any]) -> str:
+    """In words, by the interval."""
+    low, high = at(row, "low"), at(row, "high")
+    if low is None or high is None:
+        return "no interval"
+    return "fewer" if high < 1.0 else "more" if low > 1.0 else "no clear difference"
+
+
+def _outcome(rows: dict[str, Any], key: str) -> str:
+    row = rows[key]
+    return f"{_label(rows, key)} {number(at(row, 'held'))} of {number(at(row, 'episodes'))}, return {_interval(at(row, 'return'), 'iqm')}"
+
+
+def _label(rows: dict[str, Any], key: str) -> str:
+    return f"“{at(rows, key, 'label') or key}”"
 
 
 def rl_section(found: dict[str, Any] | None, pictures: list[Picture]) -> Section | None:
     """Agents beside the paper's, the learned and the previous start on the same held-out episodes; None without a file."""
     if not found:
         return None
+    keys = [key for key, _ in _items(found.get("training"))]
+    names = [text for name, text in ALGORITHMS.items() if any(key.startswith(f"{name}/") for key in keys)]
     notes = [
-        "Soft actor-critic and proximal policy optimisation on FourFingerGrasp-v0, scored by the same evaluator as every other "
-        "start. A policy that does nothing is the paper's start: the curves begin there. It need not win.",
+        f"{' and '.join(names) or 'Agents'} on FourFingerGrasp-v0, scored by the same evaluator as every other start. A policy that does "
+        "nothing is the paper's start, where the curves of agents that adjust it begin. None need win.",
         *_protocol(found),
         "What an agent sees is the wrench of one control tick ago; the learned start and the previous solution, which the solver "
-        "calls itself, see the wrench of now. Agents without solver make no iterations by construction: their held rate, squeeze "
-        "and drift are what compares; their curves do not start at the paper.",
+        "calls itself, see the wrench of now.",
     ]
+    if any(key.endswith("/contact_force") for key in keys):
+        notes.append(
+            "Agents without solver make no iterations by construction: their held rate, squeeze and drift are what compares; their curves do "
+            "not start at the paper."
+        )
     if found.get("quick"):
         notes.insert(0, "A quick run: too short to say anything about learning.")
     settings = {key: value for key, value in found.items() if key not in ("rows", "training", "quick")}
