@@ -274,8 +274,9 @@ def _reasons(metrics: dict[str, Any]) -> Table:
                 kind, _, message = text.partition(": ")
                 entry = counts.setdefault((key, kind), [0, message])
                 entry[0] += count
-    out = [[label(key), number(count), kind, message or "–"] for (key, kind), (count, message) in counts.items()]
-    return Table("Cases without a start, over all sets, and why", ("start", "cases", "why", "first message"), out)
+    out = [[label(key), kind, message or "–", number(count)] for (key, kind), (count, message) in counts.items()]
+    columns = ("start", "why", "first message", "cases")
+    return Table("Cases without a start, over all sets, and why", columns, out, words=3)
 
 
 def _guarantee(metrics: dict[str, Any]) -> Table:

@@ -128,9 +128,10 @@ def raw_metrics(trials: Trials, key: str) -> dict[str, Any] | None:
 
 def worse_than_basis(trials: Trials, key: str) -> dict[str, int]:
     """How often a start is worse in Phi than the 12-basis of the same grasp; one that does not exist is."""
-    base = f"{METHODS[0]}/{key}/status"
-    both = (trials[base] != NOT_APPLICABLE) & np.isfinite(trials[f"{BASIS}/gap"])
+    status = trials[f"{METHODS[0]}/{key}/status"]
+    both = (status != NOT_APPLICABLE) & np.isfinite(trials[f"{BASIS}/gap"])
     ratio = (1.0 + trials[f"{key}/gap"][both]) / (1.0 + trials[f"{BASIS}/gap"][both]) - 1.0
+    ratio[status[both] == NO_START] = np.nan  # out of balance: its Phi is of another wrench
     return {"count": int(worse(ratio).sum()), "of": int(both.sum())}
 
 
