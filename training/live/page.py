@@ -48,9 +48,8 @@ def open_server(port: int, label: str) -> viser.ViserServer:
     # viser can lend a page to the world through a tunnel of its makers: not this one
     for kind in (messages.ShareUrlRequest, messages.ShareUrlDisconnect):
         server._websock_server.unregister_handler(kind)
-    server.gui.configure_theme(
-        control_layout="collapsible", control_width="medium", show_logo=False, show_share_button=False, brand_color=(150, 30, 140)
-    )  # fmt: skip
+    server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(150, 30, 140))
+    server.gui.main_panel.dock_right()
     return server
 
 

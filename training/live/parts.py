@@ -81,7 +81,13 @@ def furnish(server: viser.ViserServer, centre: Array, size: float, floor: float,
     scene.add_light_directional("/light/sun", color=(255, 250, 242), intensity=2.0, position=(2.0, 6.0, 3.5), cast_shadow=True)  # fmt: skip
     camera, eye = server.initial_camera, centre + 2.15 * size * away
     camera.fov, camera.near = math.radians(36.0), 0.02
-    camera.position, camera.look_at = (float(eye[0]), float(eye[1]), float(eye[2])), tuple(centre.tolist())
+    camera.position, camera.look_at = eye, centre
+
+    @server.on_client_connect
+    async def _(client: viser.ClientHandle) -> None:
+        if client.camera.aspect < 1.0:  # a narrow window: from farther away
+            client.camera.position = centre + (eye - centre) / max(client.camera.aspect, 0.4)
+
     scene.add_grid("/floor", plane="xz", position=(0.0, floor, 0.0), width=10.0, height=10.0, cell_size=0.25, section_size=1.0,
                    cell_color=(226, 231, 238), section_color=(205, 212, 222), fade_distance=4.0 * size, fade_strength=1.6, shadow_opacity=0.16)  # fmt: skip
     front = np.array([away[0], 0.0, away[2]]) / np.hypot(away[0], away[2])

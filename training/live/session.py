@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
+import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -30,7 +33,7 @@ class Page(Protocol):
         ...
 
     def draw(self) -> None:
-        """Draws what is now; always called by one thread."""
+        """Draws what is now; called by one thread at a time."""
         ...
 
 
@@ -48,24 +51,29 @@ class Session:
         self._server, self._page, self._name = server, page, name
         self._whole = record
         self._recorders: list[Recorder] = []
-        self._pressed = threading.Event()
+        self._presses, self._over = deque[None](), threading.Event()
         self._button = server.gui.add_button("Record", color="gray", hint=f"up to {MOST_RECORDED:.0f} s, to one HTML file in this folder")  # fmt: skip
         self._note = server.gui.add_markdown("")
         self._wake: Callable[[], None] = lambda: None
         on_press(self._button, self._press)
 
+    def stop(self) -> None:
+        """Ends `run`, from another thread."""
+        self._over.set()
+
     def run(self, seconds: float | None) -> None:
         """Shows it for so long; None: until ctrl-C."""
+        self._page.draw()
         worker = Newest(self._draw, self._page.every)
         try:
             if self._whole is not None:
                 self._recorders.append(Recorder(self._server, self._whole, self._name))
             self._wake = worker.wake
             self._page.watch(worker.wake)
-            worker.wake()
+            worker.wake()  # for what somebody was quick to do
             sys.stdout.write(f"{address(self._server)}  (Ctrl-C ends it)\n")
             sys.stdout.flush()
-            worker.wait(seconds)
+            self._wait(worker, seconds)
         finally:
             worker.close()
             close_server(self._server)
@@ -74,22 +82,38 @@ class Session:
         if worker.fault is not None:
             raise worker.fault
 
+    def _wait(self, worker: Newest, seconds: float | None) -> None:
+        """Until the time is over, the worker ended by a fault, or `stop`."""
+        end = math.inf if seconds is None else time.monotonic() + seconds
+        while (
+            time.monotonic() < end
+            and worker.wait(0.0)
+            and not self._over.wait(min(0.2, max(0.0, end - time.monotonic())))
+        ):
+            pass
+
     def _press(self) -> None:
-        self._pressed.set()
+        self._presses.append(None)
         self._wake()
 
     def _draw(self) -> None:
         full = [recorder for recorder in self._recorders if not recorder.frame()]
         self._page.draw()
-        if self._pressed.is_set():
-            self._pressed.clear()
-            full += [recorder for recorder in self._recorders if recorder.path != self._whole and recorder not in full]
-            if not full:
+        for recorder in full:
+            self._end(recorder)
+        while self._presses:
+            self._presses.popleft()
+            running = [recorder for recorder in self._recorders if recorder.path != self._whole]
+            if running:
+                self._end(running[0])
+            else:
                 self._recorders.append(Recorder(self._server, _unused(self._name), self._name))
                 self._button.label, self._note.content = "Stop and save", "recording …"
-        for recorder in full:
-            self._recorders.remove(recorder)
-            self._save(recorder)
+
+    def _end(self, recorder: Recorder) -> None:
+        self._recorders.remove(recorder)
+        self._save(recorder)
+        if recorder.path != self._whole:
             self._button.label, self._note.content = "Record", f"saved: {recorder.path.name}"
 
     def _save(self, recorder: Recorder) -> None:
