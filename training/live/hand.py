@@ -245,16 +245,13 @@ class HandPage:
         self._contacts = Contacts(scene, self._colours, _FORCE_LENGTH)
 
     def _move(self, view: View) -> None:
-        zoom, drawn = self._zoom, view.annotation
+        zoom = self._zoom
         for node, rotation, origin in zip(self._links, view.frames, view.origins, strict=True):
             _place(node, rotation, zoom * origin)
         _place(self._object, view.rotation, zoom * view.position)
         bad = view.mood is Mood.BAD
-        active = drawn.active > 0.0
-        friction = np.where(active, drawn.friction, 0.0)
-        self._contacts.draw(
-            zoom * drawn.points, drawn.normals, drawn.forces * active[:, None], friction, look.BAD if bad else None
-        )
+        friction = np.where(view.active, view.friction, 0.0)  # no cone where nothing touches
+        self._contacts.draw(zoom * view.points, view.inwards, view.forces, friction, look.BAD if bad else None)
         if self._red != bad:
             self._body.color, self._red = look.BAD if bad else look.BODY, bad
         pulled = bool(view.push.any())

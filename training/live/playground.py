@@ -6,15 +6,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from grasp_env._check import Array
 from grasp_env.config import EnvConfig
 from grasp_env.control.loop import ForceLoop
-from grasp_env.env.annotate import annotate
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError
 from grasp_env.force import InitialForceRule
-from grasp_env.sim.picture.overlay import PALETTE, Annotation
 from grasp_env.sim.scene import Scene
 from grasp_env.task.motion import resting_target
 from training.live.question import Mood
@@ -31,7 +30,8 @@ class View:
 
     Attributes:
         mood, status, words: as of an `Answer`.
-        annotation: contacts, cones, commanded and measured forces, the balanced wrench, world frame.
+        points, inwards, forces: (N, 3) contacts [m], unit normals into the object, commanded forces on it [N], world frame.
+        active: (N,) whether the finger is in contact, as far as the controller knows. friction: that it believes in.
         margins: (N,) friction * normal - |tangential| of the commanded forces [N]; 0 without contact.
         normals: (N, 2) commanded and measured normal force [N].
         frames, origins: (M, 3, 3), (M, 3) of the links, world frame [m].
@@ -46,7 +46,11 @@ class View:
     mood: Mood
     status: str
     words: str
-    annotation: Annotation
+    points: Array
+    inwards: Array
+    forces: Array
+    active: NDArray[np.bool_]
+    friction: float
     margins: Array
     normals: Array
     frames: Array
@@ -154,16 +158,15 @@ class Playground:
         """What is to be shown now."""
         loop, snapshot = self._loop, self.scene.look()
         outcome = loop.outcome(self._target, self._error, self._measured)
-        count = len(loop.force)
-        colors = np.array([PALETTE[k % len(PALETTE)] for k in range(count)])
-        annotation = annotate(loop, snapshot, colors, self._tick * loop.dt, outcome.drift, outcome.tilt, self.lost)
-        active = annotation.active > 0.0
-        force = loop.force
-        margins = np.where(active, loop.friction * force[:, 0] - np.hypot(force[:, 1], force[:, 2]), 0.0)
-        mood, status, words = self._said()
+        active = np.zeros(len(loop.force), dtype=bool)
+        active[loop.fingers] = True
+        force = np.where(active[:, None], loop.force, 0.0)
         rotation, position = snapshot.rotation.copy(), snapshot.position.copy()
+        mood, status, words = self._said()
         return View(
-            mood, status, words, annotation, margins, np.column_stack([np.where(active, force[:, 0], 0.0), self._measured[:, 0]]),
+            mood, status, words, snapshot.touch.copy(), snapshot.normals @ rotation.T,
+            np.einsum("nij,nj->ni", rotation @ loop.frames, force), active, loop.friction,
+            loop.friction * force[:, 0] - np.hypot(force[:, 1], force[:, 2]), np.column_stack([force[:, 0], self._measured[:, 0]]),
             snapshot.frames.copy(), snapshot.origins.copy(), position, rotation, position + rotation @ self._grip,
             rotation @ self._pushed()[:3], float(loop.effort.margin), outcome.drift, outcome.tilt, loop.iterations, self._tick * loop.dt,
         )  # fmt: skip
