@@ -87,6 +87,7 @@ class HandPage:
     def _later(self, name: str, act: Callable[[], None]) -> None:
         """The worker does it before its next drawing; of several of one name the last."""
         with self._lock:
+            self._todo.pop(name, None)  # the last of all, too
             self._todo[name] = act
         self._wake()
 
