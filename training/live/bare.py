@@ -63,7 +63,7 @@ class BarePage:
         answer = self._ask(question)
         self._scales = _scales(question, answer, self._body)
         self._grips: dict[str, Array] = {}
-        self._red = False
+        self._red, self._dragged = False, np.zeros(0)
         self._shown: tuple[Body, int] | None = None
         self._nodes: dict[str, Any] = {}
         self._make_scene()
@@ -92,6 +92,8 @@ class BarePage:
             self._draw_load(question)
             self._draw_screw(question, answer)
             self._tell(question, answer)
+            if question.wrench is self._dragged:  # the numbers follow the mouse, and leave alone who types them
+                self._show_load(question.wrench)
         self._server.flush()
 
     # what is set and dragged
@@ -122,8 +124,8 @@ class BarePage:
         head = end + self._grips.get(name, np.zeros(3))
         wrench = self.question.wrench.copy()
         wrench[part] = head / scale
+        self._dragged = wrench
         self._change(wrench=wrench)
-        self._show_load(wrench)
 
     def _slide(self, event: Any) -> None:
         """A contact was dragged: it goes where the ray from the eye meets the object."""
@@ -206,7 +208,7 @@ class BarePage:
                 ("total normal force", f"{answer.normal_forces.sum():.2f} N"),
                 ("iterations", str(answer.iterations)),
                 ("certified gap", f"{100.0 * answer.gap:.1g} %" if math.isfinite(answer.gap) else "–"),
-                ("bound ≤ optimum ≤ value", f"{answer.bound:.4g} … {answer.objective:.4g}"),
+                ("optimum within", f"{answer.bound:.6g} … {answer.objective:.6g}"),
                 ("one solve", f"{answer.microseconds:.1f} µs"),
             ]
             rest += look.table((), facts) + f'<p style="opacity:.62">{question.method}{start}</p>'

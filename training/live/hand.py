@@ -17,6 +17,7 @@ from grasp_env._check import Array
 from grasp_env.config import EnvConfig
 from grasp_env.errors import GraspError
 from grasp_env.force import METHODS, RULES, InitialForceRule
+from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH
 from training.live import look
 from training.live.parts import Bar, Contacts, furnish, on_drag, on_press, on_set, put
@@ -49,6 +50,7 @@ class HandPage:
         self._server, self._rule = server, rule
         self._ground = Playground(config, rule(config.initial_force))
         self._given, self._config = config, self._ground.config
+        self._placed, self._strength = self._ground.scene.config.hand, 1.0
         self._lock = threading.Lock()
         self._todo: dict[str, Callable[[], None]] = {}  # of the worker, who alone touches the simulation
         self._wake: Callable[[], None] = lambda: None
@@ -122,12 +124,13 @@ class HandPage:
 
     def _rebuild(self) -> None:
         settings = {"shape": self._shape.value, "method": self._method.value, "initial_force": self._start.value}
+        self._strength = 0.01 * self._motors.value
         self._later("rebuild", lambda: self._build(settings))
 
     def _build(self, settings: dict[str, str]) -> None:
         """Another object or solver: the hand takes hold anew; where it cannot, it keeps what it has, and says why."""
         same = settings["shape"] == self._config.shape
-        hand = self._ground.scene.config.hand if same else self._given.hand
+        hand = self._placed if same else self._given.hand
         size = self._config.size if same else self._given.size if settings["shape"] == self._given.shape else ()
         start = settings["initial_force"]
         named = start if start in (*RULES, "previous") else "linear_combination"
@@ -149,6 +152,8 @@ class HandPage:
         self._trouble = ""
         self._ground.close()
         self._ground, self._config = ground, ground.config
+        if not same:
+            self._placed = _weaker(ground.scene.config.hand, 1.0 / self._strength)
         self._make_bodies()
 
     # the panel
@@ -160,11 +165,14 @@ class HandPage:
         with gui.add_folder("Pull the object with the mouse"):
             self._push = gui.add_slider("most pull, N", 1.0, 40.0, 0.5, self._ground.most_push, hint="of the spring between the object and the mouse")  # fmt: skip
             again = gui.add_button("Take hold again")
-        with gui.add_folder("Object"):
+        with gui.add_folder("Object and hand"):
             shapes = [config.shape] if config.shape == "mesh" else [*SHAPES_WITHOUT_MESH]
             self._shape = gui.add_dropdown("shape", shapes, initial_value=config.shape)
             self._mass = gui.add_slider("mass, kg", 0.02, 1.0, 0.01, min(max(config.object_mass, 0.02), 1.0))
             self._friction = gui.add_slider("friction", 0.05, 1.2, 0.01, min(max(config.friction, 0.05), 1.2))
+            self._motors = gui.add_slider(
+                "motors, %", 2, 100, 1, 100, hint="of the torques that the hand's joints have"
+            )
         with gui.add_folder("Solver"):
             self._method = gui.add_dropdown("method", [*METHODS], initial_value=config.method)
             self._start = gui.add_dropdown("start", [*look.STARTS], initial_value=config.initial_force)
@@ -172,7 +180,7 @@ class HandPage:
         on_press(again, self._reset)
         on_set(self._mass, self._change_object)
         on_set(self._friction, self._change_object)
-        for choice in (self._shape, self._method, self._start):
+        for choice in (self._shape, self._motors, self._method, self._start):
             on_set(choice, self._rebuild)
 
     def _tell(self, view: View) -> None:
@@ -260,6 +268,14 @@ class HandPage:
             self._arrow.visible = pulled
         if pulled:
             put(self._arrow, points=np.array([[zoom * view.grip, zoom * view.grip + _FORCE_LENGTH * view.push]]))
+
+
+def _weaker(hand: str | HandDescription, strength: float) -> HandDescription:
+    """The hand with a part of its torques."""
+    described = HANDS[hand]() if isinstance(hand, str) else hand
+    return replace(
+        described, links=tuple(replace(link, torque_limit=strength * link.torque_limit) for link in described.links)
+    )
 
 
 def _place(node: Any, rotation: Array, origin: Array) -> None:

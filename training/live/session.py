@@ -18,6 +18,9 @@ from training.live.newest import Newest
 from training.live.page import address, close_server
 from training.live.parts import MOST_RECORDED, Recorder, on_press
 
+_PATIENCE = 5e-4
+"""[s] that one of the threads, which draws or which listens, waits for the other: Python's own 5 ms is a quarter of what a redraw may take."""
+
 
 class Page(Protocol):
     """What a session draws.
@@ -63,6 +66,8 @@ class Session:
 
     def run(self, seconds: float | None) -> None:
         """Shows it for so long; None: until ctrl-C."""
+        patience = sys.getswitchinterval()
+        sys.setswitchinterval(_PATIENCE)
         self._page.draw()
         worker = Newest(self._draw, self._page.every)
         try:
@@ -77,6 +82,7 @@ class Session:
         finally:
             worker.close()
             close_server(self._server)
+            sys.setswitchinterval(patience)
             for recorder in self._recorders:
                 self._save(recorder)
         if worker.fault is not None:
