@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from problems import GRASPS, pyramid_margin, random_grasp
@@ -122,11 +124,15 @@ def test_who_solves_without_asking_is_warned_at_his_own_line() -> None:
 
 @pytest.mark.parametrize("name", GRASPS)
 def test_good_grasps_are_solved_in_silence(name: str) -> None:
-    ForceOptimizer(GRASPS[name], method="newton")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ForceOptimizer(GRASPS[name], method="newton")
 
 
 def test_a_control_loop_is_not_warned_again() -> None:
     grasp = presets.tripod()
     optimizer = ForceOptimizer(grasp, method="newton")
-    optimizer.move_to(Grasp.from_contacts(grasp.positions, -grasp.normals, 0.5))
-    optimizer.solve(np.zeros(6))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        optimizer.move_to(Grasp.from_contacts(grasp.positions, -grasp.normals, 0.5))
+        optimizer.solve(np.zeros(6))
