@@ -157,6 +157,10 @@ class InfeasibleStartError(GraspError):
 class NotConvergedError(GraspError, RuntimeError):
     """`ForceSolution.raise_for_status` on a solution that did not reach its tolerance.
 
+    Args:
+        message: what is told.
+        solution: the one meant.
+
     Attributes:
         solution: that `ForceSolution`.
     """
