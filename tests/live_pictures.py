@@ -21,7 +21,6 @@ from training.live.page import address, close_server, open_server
 from training.live.question import Question
 
 SIZE = 1200, 760
-COLOURS = 200
 
 
 def contacts(server: Any) -> BarePage:
@@ -47,14 +46,13 @@ def picture(tab: Browser, out: Path, make: Any, start: Any, end: Any, words: str
         )
         with dragged(tab, on_screen(tab, server, start), on_screen(tab, server, end)):
             until(tab, f"document.body.innerText.includes('{words}')")
-        until(tab, "document.fonts.status === 'loaded'")
-        tab.picture(out, whole=False)
+            tab.picture(out, whole=False)
     finally:
         worker.close()
         close_server(server)
         tab.show("about:blank", *SIZE)
     with Image.open(out) as shot:
-        small = shot.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        small = shot.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=2, dither=Image.Dither.NONE)
     small.save(out, optimize=True)
 
 
