@@ -214,7 +214,7 @@ def test_meshes_that_cannot_be_used(tmp_path):
         np.array([np.nan, 0, 0, 0, 0, 0]), np.array([0, 0, np.inf, 0, 0, 0]), np.array([0, 0, 0, 0, 0, -np.inf]),
         np.zeros(5), np.zeros((1, 6)), np.float32(0.0), "x", None, {}, [None] * 6, [object()],
     ],
-    ids=str,
+    ids=lambda action: re.sub(" at 0x.*", "", str(action)),  # the same in every process
 )  # fmt: skip
 def test_wrong_actions_change_nothing(action):
     env = FourFingerGrasp(disturbance="random")
