@@ -327,7 +327,7 @@ def test_ctrl_c_ends_the_command_in_one_line(tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
-    [(("--seconds", "-1"), "seconds"), (("--record", "x.gif"), ".html"), (("--preset", "cube"), "paper_cuboid"), (("--hand", "nothing.urdf"), "nothing.urdf")],
+    [(("--seconds", "-1"), "seconds"), (("--record", "x.gif"), ".html"), (("--grasp", "missing.json"), "missing.json"), (("--hand", "nothing.urdf"), "nothing.urdf")],
 )  # fmt: skip
 def test_what_cannot_be_shown_is_an_error(arguments, said):
     with _command(*arguments) as process:
