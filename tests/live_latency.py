@@ -7,7 +7,7 @@ import sys
 import time
 
 import numpy as np
-from live_client import LiveClient, live_client
+from live_client import EYE, LiveClient, live_client
 
 PACE = 0.05
 """[s] between two events: viser's page sends no more often while something is dragged."""
@@ -35,16 +35,21 @@ def load_dragged(client: LiveClient, events: int) -> list[float]:
 
 
 def contact_dragged(client: LiveClient, events: int) -> list[float]:
-    """A contact is dragged over its face; the contacts' new places are the answer."""
+    """A contact is dragged over its face; its place under the mouse is the answer."""
     times = []
     first = client.nodes["/contacts/points"]["batched_positions"].reshape(-1, 3)[1].copy()
     client.drag("/contacts/points", "start", first, first, 1)
     for k in range(events):
         angle = 2.0 * np.pi * k / 60.0
         end = first + 0.1 * np.array([np.sin(angle), np.cos(angle), 0.0]) + 1e-5 * k
-        before = client.nodes["/contacts/points"]["batched_positions"]
         begin = client.drag("/contacts/points", "update", end, end, 1)
-        times.append(client.until(lambda seen, before=before: seen.nodes["/contacts/points"]["batched_positions"] is not before) - begin)  # fmt: skip
+
+        def under(seen: LiveClient, end: np.ndarray = end) -> bool:
+            ray = (end - EYE) / np.linalg.norm(end - EYE)
+            place = seen.nodes["/contacts/points"]["batched_positions"].reshape(-1, 3)[1]
+            return bool(np.linalg.norm(np.cross(place - EYE, ray)) < 1e-3)  # events are 10 mm of the page apart
+
+        times.append(client.until(under) - begin)
         time.sleep(max(0.0, PACE - times[-1]))
     client.drag("/contacts/points", "end", first, first, 1)
     return times
