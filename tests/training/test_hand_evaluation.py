@@ -131,7 +131,7 @@ def test_hands_must_exist_and_differ(kind: Any, tmp_path: Path):
 def test_commands_refuse_what_is_no_engine(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["evaluate", "env", "--hands", "four_finger", "--engines", "havok", "--out", str(tmp_path)]) == 2
     assert "havok" in capsys.readouterr().err
-    with pytest.raises(InvalidInputError, match="unknown engine 'havok': choose one of 'bullet', 'mujoco'"):
+    with pytest.raises(UnknownNameError, match="unknown engine 'havok': choose one of 'bullet', 'mujoco'"):
         HandsConfig(hands=("four_finger",), engines=("havok",))
     with pytest.raises(InvalidInputError, match="at least one hand and one engine"):
         HandsConfig(hands=())

@@ -18,7 +18,8 @@ import pytest
 from live_client import EYE, LiveClient, live_client
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.grasp import Grasp, presets
+from grasp_env.grasp import Grasp, presets, save_grasp
+from training.cli import main
 from training.commands.rules import rule
 from training.live.bare import BarePage
 from training.live.body import SHAPES, body_of, shaped
@@ -336,3 +337,11 @@ def test_what_cannot_be_shown_is_an_error(arguments, said):
     assert out == ""
     assert said in err
     assert err.count("\n") == 1
+
+
+def test_contacts_that_the_page_cannot_show_are_refused(tmp_path, capsys):
+    grasp = presets.tripod()
+    soft = Grasp.from_contacts(grasp.positions, grasp.normals, 0.5, contact_model="soft", torsional_friction=0.005)
+    save_grasp(soft, tmp_path / "soft.json")
+    assert main(["live", "--grasp", str(tmp_path / "soft.json"), "--port", "0", "--seconds", "1"]) == 2
+    assert "hard contacts" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from grasp_env._extras import need
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, UnsupportedProblemError
 from grasp_env.force import METHODS
 from grasp_env.grasp import load_grasp, presets
 from training.commands.options import Wrench, left_out, listed, one_of
@@ -75,7 +75,13 @@ class Live:
         from training.live.question import Question
 
         grasp = presets.preset(self.preset) if self.grasp is None else load_grasp(self.grasp)
-        friction = float(grasp.friction.mean())
+        if set(grasp.models.names) != {"hard"} or np.ptp(grasp.models.friction) > 0.0:
+            raise UnsupportedProblemError(
+                f"the page shows hard contacts with one round friction, got {', '.join(sorted(set(grasp.models.names)))} contacts with "
+                f"friction {np.unique(grasp.models.friction).tolist()}: solve this grasp with grasp solve --grasp, or give a file without "
+                "contact_model and with one number as friction"
+            )
+        friction = float(grasp.friction[0])
         question = Question(grasp.positions, grasp.normals, friction, np.array(self.wrench), method=self.method)
         return BarePage(server, question, rule)
 
