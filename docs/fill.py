@@ -61,7 +61,9 @@ def _short(tree: Any) -> Any:
 def save(path: Path) -> str:
     """Keeps what the tables need of a run's file; the name that it has in docs/results."""
     tree = json.loads(path.read_text(encoding="utf-8"))
-    kind = "rl" if "training" in tree else tree.get("kind") or tree["run"]["kind"]
+    named = {"training": "rl", "table_one": "reproduce"}  # runs that do not say of what kind they are
+    kind = tree.get("kind") or tree.get("run", {}).get("kind")
+    kind = kind or next((kind for key, kind in named.items() if key in tree), None)
     name = "env_speed" if kind == "env" and "rows" in tree else {"env": "hold"}.get(kind, kind)
     if name not in KEPT:
         raise SystemExit(f"{path} is a run of {kind!r}; tables are made of {', '.join(KEPT)}")

@@ -9,6 +9,7 @@ import pytest
 
 from docs import fill
 from docs.tables import KEPT, RESULTS, TABLES
+from grasp_env.force import RULES
 
 ROOT = Path(__file__).parents[1]
 
@@ -53,3 +54,9 @@ def test_quick_runs_and_other_files_are_not_kept(tmp_path):
     quick.write_text(json.dumps({"kind": "core"}), encoding="utf-8")
     with pytest.raises(SystemExit, match="'core'"):
         fill.save(quick)
+
+
+def test_the_choice_of_a_start_names_every_rule():
+    page = (ROOT / "docs" / "choosing.md").read_text(encoding="utf-8")
+    missing = [name for name in RULES if name not in page and f"`{name}`" not in page]
+    assert missing == ["linear_combination"]  # the default, there by its description
