@@ -112,7 +112,7 @@ def _entries(canvas: Canvas, view: View, annotation: Annotation) -> Sequence[Seq
     measured = _Entry(bar[0], lambda at: canvas.line(np.array([at, at + bar]), INK, 1.4 * unit), "measured")
     return (
         [
-            _Entry(bar[0], lambda at: canvas.arrow(at, at + bar, INK, 3.2 * unit), f"finger {newtons:g} N"),
+            _Entry(bar[0], lambda at: canvas.arrow(at, at + bar, INK, 3.2 * unit), f"commanded {newtons:g} N"),
             measured if annotation.measured is not None else _Entry(0.0, lambda at: None, ""),
             _Entry(18.0 * unit, draw_cone, "friction cone"),
         ],
