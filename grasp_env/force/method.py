@@ -128,7 +128,8 @@ def given_start(name: str, force: ArrayLike, count: int) -> Start:
     try:
         return Start(name, as_array(force, (count, 3), "initial force"))
     except InvalidInputError as error:
-        raise InfeasibleStartError(f"initial-force rule {name!r}: {error}") from None
+        told = "it returned None: does it end in a return?" if force is None else error
+        raise InfeasibleStartError(f"initial-force rule {name!r}: {told}") from None
 
 
 def refused_start(grasp: Grasp, wrench: Wrench, start: Start) -> InfeasibleStartError:

@@ -152,7 +152,7 @@ _SQUEEZE = np.array(
     [
         (lambda good: good[:3], r"initial force must have shape \(4, 3\), got \(3, 3\)"),
         (lambda good: good.reshape(-1), r"initial force must have shape \(4, 3\), got \(12,\)"),
-        (lambda _: None, "initial force must"),
+        (lambda _: None, "it returned None: does it end in a return"),
         (lambda _: "strong", "initial force must be numbers"),
         (lambda good: np.where(np.eye(4, 3) > 0.0, np.nan, good), "initial force must be finite, got .*nan"),
         (lambda good: good + np.inf, "initial force must be finite, got .*inf"),
