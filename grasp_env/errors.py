@@ -140,9 +140,9 @@ class InfeasibleWrenchError(GraspError):
         if message or solution is None or solution.certificate is None:
             return message
         return (
-            f"no force strictly inside the limits balances wrench {solution.wrench.tolist()}; the twist "
-            f"{[round(v, 6) for v in solution.certificate.tolist()]} separates it (error.solution.certificate): add contacts, raise "
-            "the friction, widen the limits, or change the wrench"
+            f"no force strictly inside the friction cones, and limits where there are any, balances wrench {solution.wrench.tolist()}; the "
+            f"twist {[round(v, 6) for v in solution.certificate.tolist()]} separates it (error.solution.certificate): add contacts, raise "
+            "the friction, widen limits (elastic=True answers with the least excess of them), or change the wrench"
         )
 
 

@@ -16,8 +16,9 @@ from grasp_env.force import METHODS, RULES, ForceLimits, ForceSolution, optimize
 from grasp_env.force.method import CRITERIA
 from grasp_env.grasp import Grasp, advise, load_grasp, save_grasp
 from grasp_env.grasp.presets import PRESETS, preset
+from grasp_env.grasp.wrench import PAPER_CONSTANT
 from training.commands.answers import write_json
-from training.commands.options import Wrench, left_out, one_of
+from training.commands.options import left_out, one_of
 from training.commands.rules import rule
 from training.commands.solution import numbers, print_solution
 
@@ -46,7 +47,10 @@ class Solve:
         json: print one JSON object, errors too.
     """
 
-    wrench: Wrench = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
+    wrench: Annotated[
+        tuple[float, float, float, float, float, float] | None,
+        left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}", "FX FY FZ MX MY MZ"),
+    ] = None
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
     grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
     save_grasp: Annotated[Path | None, left_out("nothing is written", "FILE")] = None
@@ -63,6 +67,8 @@ class Solve:
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         grasp, title = self._grasp()
+        wrench = self._wrench()
+        title = f"{title}, wrench {' '.join(f'{part:g}' for part in wrench)}"
         if self.save_grasp is not None:
             sys.stderr.write(f"grasp: {save_grasp(grasp, self.save_grasp)} has the contacts\n")
         if self.initial == "previous":
@@ -73,7 +79,7 @@ class Solve:
         advice = advise(grasp)
         sys.stderr.writelines(f"grasp: look again: {text}\n" for text in advice)
         try:
-            solution = self._solution(grasp)
+            solution = self._solution(grasp, wrench)
             if not self.json:
                 print_solution(solution, grasp, title)
             solution.raise_for_status()
@@ -91,13 +97,22 @@ class Solve:
         grasp = load_grasp(self.grasp)
         return grasp if self.friction is None else grasp.with_friction(self.friction), self.grasp.name
 
-    def _solution(self, grasp: Grasp) -> ForceSolution:
+    def _wrench(self) -> tuple[float, ...]:
+        """What acts on the object; the paper's belongs to the presets only."""
+        if self.wrench is None and self.grasp is not None:
+            raise InvalidInputError(
+                "--grasp needs --wrench FX FY FZ MX MY MZ, what acts on the object besides the fingers [N, N m]: its weight in the "
+                "object's own frame, for example --wrench 0 0 -5 0 0 0"
+            )
+        return tuple(map(float, PAPER_CONSTANT)) if self.wrench is None else self.wrench
+
+    def _solution(self, grasp: Grasp, wrench: tuple[float, ...]) -> ForceSolution:
         limited = (self.min_normal, self.max_normal) != (0.0, math.inf)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", GraspWarning)  # all advice is told
             return optimize_force(
                 grasp,
-                np.array(self.wrench),
+                np.array(wrench),
                 initial=None if self.initial is None else rule(self.initial),
                 method=self.method,
                 criterion=self.criterion,

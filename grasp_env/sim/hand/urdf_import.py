@@ -30,6 +30,7 @@ from grasp_env.sim.hand.meshes import read_mesh
 from grasp_env.sim.hand.solids import hull_of, outline
 from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
+from grasp_env.sim.hand.units import look_again
 from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, names_of
 
 Tips: TypeAlias = Sequence[str] | dict[str, tuple[Sequence[float], float]] | None
@@ -152,6 +153,7 @@ class _Importer:
         collision, visual = self._shapes(root, None)
         palm = Palm(root, collision, visual, self.links[root].color or (0.17, 0.19, 0.23))
         links = [self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name]) for link in moving]
+        self.repairs += look_again(links, tips)
         self.hand = UrdfHand(reader.name, palm, tuple(links), tuple(tips), tuple(self.repairs))
 
     def _shapes(self, name: str, carrier: str | None) -> tuple[tuple[Geometry, ...], tuple[Geometry, ...]]:
