@@ -154,6 +154,28 @@ def test_given_starts_stand_with_the_others_and_what_they_do_wrong_is_counted(ru
         "learned fitted": True, "squeeze": True, "sometimes": False, "unbalanced": False, "outside": False,
     }  # fmt: skip
     assert "ArithmeticError" in said["sometimes"]["measured"]
+    for key in ("unbalanced", "outside"):  # a constant force that balances nothing is not smooth but none
+        assert metrics["continuity"][key]["slope"]["n"] == 0
+    assert metrics["continuity"]["squeeze"]["slope"] == metrics["continuity"]["single_value"]["slope"]
+
+
+def test_a_given_start_is_measured_against_the_basis(metrics):
+    def against(name):
+        (row,) = [row for row in claims(metrics) if row["claim"].startswith(f"{name} against the 12-basis")]
+        return row
+
+    rows, total = metrics["starts"]["reduced_flow"]["ball"], metrics["timing"]["total"]["reduced_flow"]
+    rows["squeeze"]["iterations"].update(median=3.0, p99=9.0)
+    rows["linear_combination"]["iterations"].update(median=4.0, p99=8.0)
+    total["linear_combination"]["best"].update(median=5.0, p99=6.0)
+    total["squeeze"]["best"].update(median=4.0, p99=7.0)
+    told = "median 3, p99 9 against median 4, p99 8; p50 4 against 5 us, p99 7 against 6 us"
+    assert (against("squeeze")["measured"], against("squeeze")["met"]) == (told, True)
+    total["squeeze"]["best"].update(median=5.5)
+    assert against("squeeze")["met"] is False
+    count = rows["outside"]["cases"]
+    assert (against("outside")["measured"], against("outside")["met"]) == (f"no start on {count} of {count}", False)
+    assert against("learned fitted")["kind"] == "reference"
 
 
 def test_a_rule_of_the_package_without_a_row_is_compared_too(monkeypatch):
@@ -283,9 +305,17 @@ def test_what_was_found_is_what_the_numbers_say(metrics):
         (said,) = [text for text in findings(metrics) if text.startswith(f"{about}: ")]
         return said.replace("\xa0", " ")
 
+    assert "“squeeze” 0 / 0 iterations and 10 / 12 µs" in found("Given starts")
+    count = rows["outside"]["cases"]
+    assert f"“outside” gave no start on {count} of {count} wrenches" in found("Given starts")
     assert "soonest from " in found("Fewest iterations")
     assert "“squeeze”" in found("Fewest iterations").partition(" (median")[0]
     assert "1 / 2, control (4 steps) 1 / 2, no gain;" in found("What is learned")
+    rows["basis_newton"]["iterations"].update(median=2.0, p99=25.0)
+    assert "control (4 steps) 2 / 25, a gain of 1 in the median and a gain in the tail;" in found("What is learned")
+    rows["basis_newton"]["iterations"].update(median=1.0, p99=1.0)
+    assert "control (4 steps) 1 / 1, a loss of 1 in the tail alone;" in found("What is learned")
+    rows["basis_newton"]["iterations"].update(p99=2.0)
     assert "Newton from “12-basis”, p50 / p99 5 / 6 µs" in found("Least time")
     assert "beats every learned start in time, whichever the method (p50 10 µs)" in found("Least time")
     total["newton"]["learned_fixed"]["best"].update(median=2.0)

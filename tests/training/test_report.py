@@ -17,11 +17,13 @@ from synthetic_run import CASES, synthetic_run
 
 from grasp_env.errors import InvalidInputError
 from training.report.comparison import build_report, write_pages
+from training.report.details import newton_section
 from training.report.first import charts
 from training.report.page import Table, claims_section
-from training.report.starts import STEPPED, label, matrix, network_section, pair
+from training.report.starts import STEPPED, label, matrix, network_section, pair, wins_section
 from training.report.style import THEME, svg
 from training.runs import Run
+from training.trials.claims import wins
 from training.trials.hold_metrics import CELL_METRICS
 from training.trials.metrics import METRICS, PER_START
 
@@ -177,6 +179,26 @@ def test_the_chart_of_the_first_screen_has_a_line_for_every_start_given(made):
         assert "--c-given_0" in text
         assert "mine, flow" in alt
         assert ("†" in caption) == (name == "found-iterations")
+
+
+def test_a_start_that_fails_everywhere_is_counted_where_others_have_numbers(made):
+    metrics = json.loads(json.dumps(made[1]))
+    none = {"cases": CASES, "no_start": CASES, "not_applicable": 0, "iterations": {"n": 0, "median": None}}
+    for sets in metrics["starts"].values():
+        for rows in sets.values():
+            rows["never"] = none
+    metrics["wins"] = wins(metrics)
+    told = f"no start on {CASES} of {CASES}"
+    main, best, _ = wins_section(metrics).blocks
+    assert isinstance(main, Table)
+    assert isinstance(best, Table)
+    assert {row[main.columns.index("never")].text for row in main.cells} == {told}
+    assert {row[best.columns.index("best given")].text for row in best.cells} == {told}
+    newton = newton_section(metrics).blocks[0]
+    assert isinstance(newton, Table)
+    assert [row[1].text for row in newton.cells if row[0].text == "never"] == [told]
+    some = {"median": 3.0, "p99": 5001.0, "cases": CASES, "no_start": 1}
+    assert pair(some) == f"3, no start on 1 of {CASES}"
 
 
 def test_texts_follow_the_settings_and_numbers_of_the_run(made, tmp_path):

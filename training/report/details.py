@@ -8,7 +8,7 @@ from typing import Any
 from training.cases.set_table import TOLERANCE
 from training.cases.start_table import LEARNED, main_of
 from training.report.page import Columns, Fold, Picture, Section, Table, at, present, shown
-from training.report.starts import label, matrix, pair, set_label, short, starts_of, steps
+from training.report.starts import label, matrix, pair, pair_of, set_label, short, starts_of, steps
 from training.runs.words import number, percent, small
 from training.trials.arrays import LIMIT
 
@@ -92,7 +92,7 @@ def _events(metrics: dict[str, Any], name: str) -> Table:
     out = []
     for event, rows in events.items():
         count = max((at(row, "cases") or 0 for row in rows.values()), default=0)
-        out.append([event or "(none)", number(count), *(pair(at(rows, key, "iterations")) for key in used)])
+        out.append([event or "(none)", number(count), *(pair_of(at(rows, key)) for key in used)])
     caption = f"Reduced flow by event: iterations to {small(TOLERANCE)}, median / p99"
     return Table(caption, ("event", "cases", *(short(key) for key in used)), out)
 
@@ -103,12 +103,10 @@ def newton_section(metrics: dict[str, Any]) -> Section:
     both = (("reduced flow", "reduced_flow", flow), ("Newton", "newton", newton))
     columns: Columns = (
         ("start", label),
-        *((f"{name}, iterations", lambda key, rows=rows: pair(at(rows, key, "iterations"))) for name, _, rows in both),
+        *((f"{name}, iterations", lambda key, rows=rows: pair_of(at(rows, key))) for name, _, rows in both),
         *((f"{name} [µs]", lambda key, m=method: _micro(at(metrics, "timing", "total", m, key, "best"))) for name, method, _ in both),
     )  # fmt: skip
-    measured = [
-        (key,) for key in flow if any(at(rows, key, "iterations", "median") is not None for rows in (flow, newton))
-    ]
+    measured = [(key,) for key in flow if any(pair_of(at(rows, key)) != "–" for rows in (flow, newton))]
     table = Table.of(f"Held-out ball, to a relative gap of {small(TOLERANCE)}: median / p99", columns, measured)
     notes = (
         *_saved(flow, newton),
@@ -204,7 +202,7 @@ def feasibility_section(metrics: dict[str, Any], pictures: list[Picture]) -> Sec
         "Raw: what a network says. What a model hands out should be strictly inside the cones and balanced: its repair moves along the "
         "segment to a classical start and keeps the better in Phi; the claims count whether it is. Lower Phi does not always mean fewer steps of the "
         "flow: the guarantee is about Phi.",
-        "Continuity: force change per wrench change |df| / |dw| (moments / 0.05 m) along straight paths that cross sign changes of "
+        "Continuity, over the steps on both sides of which there is a start: force change per wrench change |df| / |dw| (moments / 0.05 m) along straight paths that cross sign changes of "
         "wrench components, where the 12-basis has kinks. Kink: change of that slope from one step to the next, which does not "
         "shrink with the step where a start has a kink. Jump: |df| across a step 100 times finer at the steepest place; it goes to "
         "zero where the start is continuous.",
@@ -295,7 +293,11 @@ def _guarantee(metrics: dict[str, Any]) -> Table:
 
 CONTINUITY: Columns = (
     ("start", lambda key, row: label(key)),
-    ("slope, median", shown("slope", "median")),
+    ("steps", shown("slope", "n")),
+    (
+        "slope, median",
+        lambda key, row: number(at(row, "slope", "median")) if at(row, "slope", "n") != 0 else "no start",
+    ),
     ("p99", shown("slope", "p99")),
     ("max", shown("slope", "max")),
     ("kink, p99", shown("kink", "p99")),

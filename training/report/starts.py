@@ -10,6 +10,7 @@ from training.cases.start_table import main_of, row_of
 from training.report.page import Cell, Columns, Fold, Section, Table, at, present, pretty
 from training.runs.words import number, percent, small
 from training.trials.arrays import LIMIT
+from training.trials.claims import lacking
 
 STEPPED = ("linear_combination", "basis_tangent", "basis_newton_2", "network", "network_newton_1", "network_newton_2")
 """The 12-basis and the network of the fixed grasp, each after no, one and two plain Newton steps."""
@@ -45,10 +46,19 @@ def steps(value: float | None) -> str:
 
 
 def pair(row: dict[str, Any] | None) -> str:
-    """Median / p99 of iterations; a dash where there are none."""
+    """Median / p99 of iterations, where too many cases have no start that instead; a dash where there are none."""
     if at(row, "median") is None:
         return "–"
+    never = [bool(at(row, "no_start")) and at(row, part) > LIMIT for part in ("median", "p99")]
+    if row is not None and any(never):
+        return lacking(row) if never[0] else f"{steps(row['median'])}, {lacking(row)}"
     return f"{steps(at(row, 'median'))} / {steps(at(row, 'p99'))}"
+
+
+def pair_of(row: dict[str, Any] | None) -> str:
+    """`pair` of a start's row; without a single run, on how many cases it gave no start."""
+    runs = pair(at(row, "iterations"))
+    return lacking(row) or runs if runs == "–" else runs
 
 
 def starts_of(metrics: dict[str, Any]) -> list[str]:
@@ -110,7 +120,7 @@ def matrix(
         for name, rows in (at(metrics, "starts", method) or {}).items()
         if group is None or at(metrics, "sets", name, "group") == group
     }
-    used = [key for key in starts if any(at(rows, key, "iterations", "median") is not None for rows in sets.values())]
+    used = [key for key in starts if any(pair_of(at(rows, key)) != "–" for rows in sets.values())]
     out = []
     for name, rows in sets.items():
         ranks = {key: _rank(at(rows, key)) for key in used}
@@ -171,9 +181,9 @@ def _rank(row: dict[str, Any] | None) -> tuple[float, float] | None:
 
 
 def _marked(row: dict[str, Any] | None) -> str:
-    text = pair(at(row, "iterations"))
+    text = pair_of(row)
     absent, skipped = _missing(row)
-    return text if text == "–" else text + "†" * (absent > FEW) + "‡" * (skipped > 5 * FEW)
+    return text if at(row, "iterations", "median") is None else text + "†" * (absent > FEW) + "‡" * (skipped > 5 * FEW)
 
 
 def _winners(metrics: dict[str, Any]) -> Table:

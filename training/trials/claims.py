@@ -89,11 +89,22 @@ def applies(rows: dict[str, Any], key: str) -> bool:
 
 
 def numbers(rows: dict[str, Any], key: str) -> dict[str, Any]:
-    """Median and p99 of the iterations; cases without a start rank last, as never ending."""
+    """Median and p99 of the iterations; cases without a start rank last, as never ending, and are counted beside."""
     row, never = rows[key], float(LIMIT + 1)
     missing = row["no_start"] / row["cases"]
     median = never if missing >= 0.5 else row["iterations"]["median"]
-    return {"start": key, "median": median, "p99": never if missing >= 0.01 else row["iterations"]["p99"]}
+    p99 = never if missing >= 0.01 else row["iterations"]["p99"]
+    return {"start": key, "median": median, "p99": p99, "cases": row["cases"], "no_start": row["no_start"]}
+
+
+def lacking(row: dict[str, Any] | None) -> str:
+    """In words, on how many of its cases a start gave none; empty where it always did.
+
+    Example:
+        >>> lacking({"cases": 30, "no_start": 7}), lacking({"cases": 30, "no_start": 0}), lacking(None)
+        ('no start on 7 of 30', '', '')
+    """
+    return f"no start on {row['no_start']} of {row['cases']}" if row and row.get("no_start") else ""
 
 
 def _beats(one: dict[str, Any], other: dict[str, Any]) -> bool:
@@ -313,6 +324,31 @@ def _given(metrics: Metrics) -> Iterator[Claim]:
         text = f"{row_of(key).label}: a balanced force inside the cones wherever it is asked, all sets"
         measured = f"{missing} of {asked} cases without{f' ({said})' if said else ''}"
         yield claim(text, "0 cases without", measured if asked else None, missing == 0, "given")
+        yield _against_basis(metrics, key)
+
+
+def _against_basis(metrics: dict[str, Any], key: str) -> Claim:
+    """What a start is worth beside the paper's, in iterations and in microseconds: as measured."""
+    row, paper = _row(metrics, "ball", key), _row(metrics, "ball", BASIS)
+    total = (metrics.get("timing") or {}).get("total", {}).get(FLOW, {})
+    times = [total.get(one, {}).get("best", {"n": 0}) for one in (key, BASIS)]
+    said = met = None
+    if row is not None and paper is not None:
+        met = bool(row["iterations"]["n"]) and not row["no_start"]
+        met = met and row["iterations"]["median"] <= paper["iterations"]["median"]
+        said = (
+            f"{_said(row, 'median', 'p99')} against {_said(paper, 'median', 'p99')}"
+            if row["iterations"]["n"]
+            else lacking(row)
+        )
+        if all(time["n"] for time in times):
+            a, b = times
+            said += (
+                f"; p50 {a['median']:.3g} against {b['median']:.3g} us, p99 {a['p99']:.3g} against {b['p99']:.3g} us"
+            )
+            met = met and a["median"] <= b["median"]
+    text = f"{row_of(key).label} against the 12-basis: iterations of the flow and microseconds of the whole call, held-out ball"
+    return claim(text, "in the median no more of either, 0 cases without a start", said, met, "reference")
 
 
 def _holds(metrics: Metrics) -> Iterator[Claim]:

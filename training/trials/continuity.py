@@ -7,7 +7,7 @@ import numpy as np
 from grasp_env._check import Array, ContactForces
 from grasp_env.errors import GraspError
 from grasp_env.force import ForceOptimizer, Objective
-from grasp_env.grasp import Grasp, presets, wrench
+from grasp_env.grasp import presets, wrench
 from training.cases.sets import HELD_OUT
 from training.cases.starts import DoesNotApply, Start, newton_optimizer, scaled
 from training.trials.arrays import Trials
@@ -29,7 +29,7 @@ def straight_paths(count: int, seed: int) -> Array:
 
 
 def continuity(starts: dict[str, Start], objective: Objective, count: int, seed: int) -> Trials:
-    """Slope, kink and jump of every start, and of the optimum, along straight paths on the fixed grasp.
+    """Slope, kink and jump of every start, and of the optimum, along straight paths on the fixed grasp; nan where there is no start.
 
     Args:
         starts: see `make_starts`; those with memory get the optimum of the point before.
@@ -54,7 +54,7 @@ def continuity(starts: dict[str, Start], objective: Objective, count: int, seed:
         optima = [newton.solve(load).force for load in path]
         for key, start in every.items():
             forces = np.stack([
-                _force(start, grasp, load, optima[k - 1] if k else None) for k, load in enumerate(path)
+                _force(start, newton, load, optima[k - 1] if k else None) for k, load in enumerate(path)
             ])  # fmt: skip
             moves = np.diff(forces.reshape(POINTS, -1), axis=0) / steps[p]
             out[f"{key}/slope"][p] = slopes = np.linalg.norm(moves, axis=1)
@@ -63,7 +63,7 @@ def continuity(starts: dict[str, Start], objective: Objective, count: int, seed:
                 k = int(np.nanargmax(slopes))
                 share = np.linspace(0.0, 1.0, FINER + 1)[:, None]
                 fine = path[k] + share * (path[k + 1] - path[k])
-                close = np.stack([_force(start, grasp, load, optima[k - 1] if k else optima[0]) for load in fine])
+                close = np.stack([_force(start, newton, load, optima[k - 1] if k else optima[0]) for load in fine])
                 out[f"{key}/jump"][p] = np.linalg.norm(np.diff(close.reshape(FINER + 1, -1), axis=0), axis=1).max()
     return out
 
@@ -72,8 +72,12 @@ def _optimum(newton: ForceOptimizer) -> Start:
     return lambda grasp, load, before: newton.solve(load).force
 
 
-def _force(start: Start, grasp: Grasp, load: Array, before: ContactForces | None) -> ContactForces:
+def _force(start: Start, newton: ForceOptimizer, load: Array, before: ContactForces | None) -> ContactForces:
+    """The force (N, 3) of a start that a method can begin from, nan where there is none."""
+    grasp = newton.grasp
     try:
-        return attempt(start, grasp, load, before)
+        force = attempt(start, grasp, load, before)
+        newton.solve(load, initial=force)  # refuses what is outside the cones or out of balance
     except (DoesNotApply, GraspError):
         return np.full((grasp.n_contacts, 3), np.nan)
+    return force

@@ -1,4 +1,4 @@
-"""What a comparison found, in three sentences, from the run's own numbers: nothing is said that they do not say."""
+"""What a comparison found, in three sentences and one more of the starts it was given, from the run's own numbers: nothing is said that they do not say."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ from training.cases.set_table import TOLERANCE
 from training.cases.start_table import LEARNED, given_in, row_of
 from training.runs.words import number, small
 from training.trials.arrays import LIMIT
-from training.trials.claims import ANY, BASIS, FLOW, NETWORK, applies, is_cold, numbers
+from training.trials.claims import ANY, BASIS, FLOW, NETWORK, applies, is_cold, lacking, numbers
 
 NEWTON = "newton"
 CONTROLS = {NETWORK: (BASIS, 0), ANY: ("basis_newton", 4)}
 """Of a start: the 12-basis after as many plain Newton steps as it may take inside, and how many those are."""
 SAME = 0.03
 """Part by which two medians of microseconds may differ and still be called the same."""
+CLEAR = 1.5
+"""Iterations by which one start differs clearly from another; a smaller difference is told with its size."""
 CONTROLLED = ("ball", "random_4")
 Metrics = dict[str, Any]
 
 
 def findings(metrics: Metrics) -> list[str]:
     """Who needs the fewest iterations, who the least time, what of it is learned; what was not measured is left out."""
-    return [said for part in (_iterations, _time, _learned) if (said := part(metrics))]
+    return [said for part in (_iterations, _time, _learned, _given) if (said := part(metrics))]
 
 
 def _iterations(metrics: Metrics) -> str:
@@ -97,13 +99,36 @@ def _learned(metrics: Metrics) -> str:
 
 
 def _gain(ours: dict[str, Any], theirs: dict[str, Any]) -> str:
-    """Where one needs clearly fewer iterations than the other."""
-    median, tail = theirs["median"] - ours["median"], theirs["p99"] - ours["p99"]
-    if median >= 1.5:
-        return "a gain in the median" + (" and in the tail" if tail >= 1.5 else ", none in the tail")
-    if median <= -1.5:
-        return "no gain but a loss"
-    return "a gain in the tail alone" if tail >= 1.5 else "a loss in the tail" if tail <= -1.5 else "no gain"
+    """Where one needs fewer iterations than the other; a difference below `CLEAR` has its size."""
+    said = []
+    for part, where in (("median", "median"), ("p99", "tail")):
+        fewer = round(theirs[part] - ours[part], 1)
+        if fewer:
+            size = "" if abs(fewer) >= CLEAR else f" of {number(abs(fewer))}"
+            said.append(f"a {'gain' if fewer > 0 else 'loss'}{size} in the {where}")
+    return f"{said[0]} alone" if len(said) == 1 else " and ".join(said) or "no gain"
+
+
+def _given(metrics: Metrics) -> str:
+    """Each start that the run was given, beside the paper's; where it gave none is counted."""
+    rows = metrics["starts"].get(FLOW, {}).get("ball", {})
+    total = (metrics.get("timing") or {}).get("total", {}).get(FLOW, {})
+    told = []
+    for key in given_in(rows):
+        row, best = rows[key], total.get(key, {}).get("best", {"n": 0})
+        if not row["cases"]:
+            continue
+        parts = [f"{_pair(row['iterations'])} iterations"] if row["iterations"]["n"] else []
+        parts += [_us(best)] if parts and best["n"] else []
+        gave = f"gave {lacking(row)} wrenches" if row["no_start"] else ""
+        told.append(f"{_names([key])} {_and([text for text in (' and '.join(parts), gave) if text])}")
+    if not told:
+        return ""
+    basis = ""
+    if applies(rows, BASIS):
+        best = total.get(BASIS, {}).get("best", {"n": 0})
+        basis = f"; the 12-basis {_pair(numbers(rows, BASIS))} iterations{f' and {_us(best)}' if best['n'] else ''}"
+    return f"Given starts: with the flow, median / p99, {'; '.join(told)}{basis}."
 
 
 def _least(found: dict[str, dict[str, Any]]) -> tuple[list[str], dict[str, Any]]:
@@ -114,10 +139,13 @@ def _least(found: dict[str, dict[str, Any]]) -> tuple[list[str], dict[str, Any]]
 
 
 def _pair(row: dict[str, Any]) -> str:
-    return "\xa0/\xa0".join(
+    median, p99 = (
         f">\xa0{LIMIT}" if row[part] > LIMIT else number(round(row[part], 1 if row[part] < 10 else 0))
         for part in ("median", "p99")
     )
+    if row.get("no_start") and row["p99"] > LIMIT:
+        return lacking(row) if row["median"] > LIMIT else f"{median}, {lacking(row)}"
+    return f"{median}\xa0/\xa0{p99}"
 
 
 def _us(row: dict[str, Any]) -> str:
