@@ -18,6 +18,7 @@ from synthetic_run import CASES, synthetic_run
 from grasp_env.errors import InvalidInputError
 from training.report.comparison import build_report, write_pages
 from training.report.details import newton_section
+from training.report.facts import caveats_section
 from training.report.first import charts
 from training.report.page import Table, claims_section
 from training.report.starts import STEPPED, label, matrix, network_section, pair, wins_section
@@ -113,6 +114,7 @@ def test_both_texts_say_every_claim_missed_ones_first(made, page):
         assert text.index("a claim that is missed") < text.index("a claim without") < text.index("a claim that is met")
     assert "<&>" not in page.read_text(encoding="utf-8")  # escaped
     (table,) = claims_section(metrics).blocks
+    assert isinstance(table, Table)
     assert [row[0].text for row in table.cells] == ["NO", "not measured", "yes"]
 
 
@@ -181,6 +183,29 @@ def test_the_chart_of_the_first_screen_has_a_line_for_every_start_given(made):
         assert ("†" in caption) == (name == "found-iterations")
 
 
+def test_a_saved_model_that_was_given_is_no_callable_of_python(made):
+    metrics = json.loads(json.dumps(made[1]))
+    for method, sets in metrics["starts"].items():
+        for rows in sets.values():
+            rows |= dict.fromkeys(("net", "layered", "rule"), rows["lagrange"])
+        metrics["timing"]["total"][method] |= dict.fromkeys(
+            ("net", "layered", "rule"), metrics["timing"]["total"][method]["lagrange"]
+        )
+    known = {"net": (True, False), "layered": (True, True), "rule": (False, None)}
+    metrics["run"]["given"] = {key: {"compiled": one, "second_order": other} for key, (one, other) in known.items()}
+    _, (*_, drawing) = charts(metrics)
+    assert drawing is not None
+    text = svg(drawing, "found", "")
+    assert ">net<" in text
+    assert ">rule*<" in text
+    (told,) = [text for text in caveats_section(metrics).items if text.startswith("Newton steps")]
+    inside, _, rest = told.partition(" None: ")
+    none, _, unknown = rest.partition(" Not known: ")
+    assert inside.endswith("; layered.")
+    assert none.endswith("; net.")
+    assert unknown.startswith("rule. ")
+
+
 def test_a_start_that_fails_everywhere_is_counted_where_others_have_numbers(made):
     metrics = json.loads(json.dumps(made[1]))
     none = {"cases": CASES, "no_start": CASES, "not_applicable": 0, "iterations": {"n": 0, "median": None}}
@@ -211,7 +236,7 @@ def test_texts_follow_the_settings_and_numbers_of_the_run(made, tmp_path):
 
     text = told("several")
     assert "Best of 3 repeats per wrench" in text
-    assert "best of 3 on 30" in text
+    assert "best of 3 on 30 wrenches of the held-out ball" in text  # however many of them were compared
     metrics["timing"]["repeats"] = 1
     for rows in metrics["starts"]["reduced_flow"].values():
         rows["previous_tangent"]["iterations"].update(median=0.0, p99=0.0)

@@ -135,6 +135,13 @@ def everywhere(model: LearnedInitialForce) -> bool:
     return model.checkpoint.kind == "any_grasp"
 
 
+def steps_inside(rule: InitialForceRule) -> bool | None:
+    """Whether a given start takes Newton steps, learned or plain, before a method begins; None: not known of a callable."""
+    if not isinstance(rule, LearnedInitialForce):
+        return None
+    return everywhere(rule) or bool(getattr(rule, "polish", 0))
+
+
 def _given(shop: Workshop, key: str, how: table.Given | table.Model) -> Made | None:
     rule = shop.rules.get(key)
     return None if rule is None else Made.given(rule, shop.objective)

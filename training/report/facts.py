@@ -46,13 +46,15 @@ def _steps_inside(metrics: dict[str, Any]) -> list[str]:
     """Which of this run's starts take Newton steps that no iteration counts."""
     keys = starts_of(metrics)
     given = given_in(keys)
-    inside, without = (
-        [key for key in keys if key not in given and row_of(key).second_order is one] for one in (True, False)
-    )
+    known = {
+        key: at(metrics, "run", "given", key, "second_order") if key in given else row_of(key).second_order
+        for key in keys
+    }
+    inside, without, unsaid = ([key for key in keys if known[key] is one] for one in (True, False, None))
     if not inside:
         return []
     layered = at(metrics, "starts", "reduced_flow", "ball", "learned_any", "iterations")
-    unknown = f" Not known: {'; '.join(map(short, given))}." if given else ""
+    unknown = f" Not known: {'; '.join(map(short, unsaid))}." if unsaid else ""
     out = [
         f"Newton steps, learned or plain, before the first iteration is counted: {'; '.join(map(short, inside))}. None: "
         f"{'; '.join(map(short, without)) or '–'}.{unknown} The 12-basis and the network after so many Newton steps are controls: what such "

@@ -43,7 +43,8 @@ def charts(metrics: dict[str, Any]) -> Iterator[tuple[str, str, str, str, Drawin
     """(name, title, caption, alt, drawing) of the two halves: iterations, and microseconds of the whole call."""
     keys = [key for key in (*SHOWN, *given_in(starts_of(metrics))) if key in starts_of(metrics)]
     lacking = {key for key in keys if at(metrics, "starts", METHODS[0], "ball", key, "no_start")}
-    handed = {key for key in keys if not (row_of(key).compiled or at(metrics, "run", "given", key, "compiled"))}
+    compiled = {key for key in keys if row_of(key).compiled or at(metrics, "run", "given", key, "compiled")}
+    handed = {*keys} - compiled - {*(at(metrics, "run", "models") or {})}
     counted = {key: {m: at(metrics, "starts", m, "ball", key, "iterations") for m in METHODS} for key in keys}
     timed = {key: {m: at(metrics, "timing", "total", m, key, "best") for m in METHODS} for key in keys}
     what = "Dot: median, whisker: p99; the numbers are these."
@@ -57,7 +58,7 @@ def charts(metrics: dict[str, Any]) -> Iterator[tuple[str, str, str, str, Drawin
     chart = _chart(timed, metrics, "microseconds of the whole call", marks)
     repeats = at(metrics, "timing", "repeats")
     repeats = f"best of {number(repeats)}" if repeats != 1 else "called once"
-    repeats += f" on {number(at(metrics, 'timing', 'wrenches'))} of these wrenches"
+    repeats += f" on {number(at(metrics, 'timing', 'wrenches'))} wrenches of the held-out ball"
     text = f"The whole call from Python, to a certified gap of {small(TOLERANCE)}, {repeats}.{star}"
     yield "found-microseconds", "Microseconds", text, _alt(timed), chart
 

@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from grasp_env.force import AdaptiveStep, InitialForceRule, Objective
+from grasp_env.force.initial import CompiledRule, is_rule
 from grasp_env.grasp import presets
 from policies import LearnedInitialForce
 from policies.learned import PRETRAINED
@@ -20,7 +21,7 @@ from training.cases.given import Given, model_path
 from training.cases.set_table import SETS
 from training.cases.sets import fixed_cases
 from training.cases.start_table import FITTED, SHIPPED, given_in
-from training.cases.starts import Made, load_models, make_starts, models_in
+from training.cases.starts import Made, load_models, make_starts, models_in, steps_inside
 from training.demo.loops import record_animations
 from training.runs import Run, provenance
 from training.runs.workers import Job, begin, progress, run_jobs
@@ -137,6 +138,8 @@ def about(run: Run, config: EvaluateConfig, given: Given, seconds: dict[str, flo
             key: {
                 "what": said.get(key, "a rule of grasp_env.force"),
                 "remembers": bool(getattr(rules[key], "remembers", False)),
+                "compiled": is_rule(rules[key], CompiledRule),
+                "second_order": steps_inside(rules[key]),
             }
             for key in given_in(rules)
         },
