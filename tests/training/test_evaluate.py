@@ -16,7 +16,7 @@ from grasp_env.force import RULES, Objective
 from grasp_env.force.initial import SingleValue, StartRule
 from training.cases.given import Given
 from training.cases.set_table import SETS
-from training.cases.start_table import FITTED, LEARNED, STARTS
+from training.cases.start_table import FITTED, LEARNED, STARTS, row_of
 from training.cases.starts import make_starts
 from training.cli import main
 from training.fit.settings import FitConfig
@@ -30,6 +30,7 @@ from training.trials.compare import cases_of, compare
 from training.trials.comparison import evaluate, plan
 from training.trials.findings import findings
 from training.trials.metrics import metrics_of, start_metrics
+from training.trials.rollouts import roll_out_scenario
 from training.trials.settings import EvaluateConfig
 
 SMALL: dict[str, Any] = {"wrenches": 6, "timed": 4, "repeats": 2, "guarded": 60, "paths": 1, "episodes": 1, "steps": 10}
@@ -133,6 +134,8 @@ def test_learned_starts_keep_their_guarantee(metrics):
 def test_given_starts_stand_with_the_others_and_what_they_do_wrong_is_counted(run, metrics):
     """In every set, by every method, timed, on the hand; nothing that they raise or return stops the run."""
     assert list(metrics["run"]["given"]) == [FITTED, *GIVEN]
+    known = {key: (row["compiled"], row["second_order"]) for key, row in metrics["run"]["given"].items()}
+    assert known == {FITTED: (True, False), **dict.fromkeys(GIVEN, (False, None))}
     for sets in metrics["starts"].values():
         for name, rows in sets.items():
             mine, ours = rows["squeeze"], rows["single_value"]  # the same rule
@@ -178,11 +181,25 @@ def test_a_given_start_is_measured_against_the_basis(metrics):
     assert against("learned fitted")["kind"] == "reference"
 
 
+def test_what_a_start_raises_is_told_by_its_given_name_and_cut_between_words():
+    def raises(grasp, wrench):
+        raise ValueError("many words " * 30)
+
+    (why,) = (str(told) for told in roll_out_scenario("gravity", {"boom": raises}, 1, 0, Objective(), 5).values())
+    assert why.startswith("does not begin: initial-force rule 'boom' fails with ValueError: many words")
+    assert why.endswith(("many …", "words …"))
+    starts = make_starts(Objective(), {"boom": raises})
+    (text,) = set(compare("ball", cases_of("ball", 2, 0), starts, {}, Objective())["boom/reason"].tolist())
+    assert text.startswith("ValueError: many words")
+    assert text.endswith(("many …", "words …"))
+
+
 def test_a_rule_of_the_package_without_a_row_is_compared_too(monkeypatch):
     """One entry of `RULES` is all that a new rule needs."""
-    monkeypatch.setitem(RULES, "newest", StartRule("newest", SingleValue))
+    monkeypatch.setitem(RULES, "newest", StartRule("the newest of all", SingleValue))
     rules = Given().rules(Objective())
     assert list(rules) == ["newest"]
+    assert (row_of("newest").label, row_of("newest").short) == ("the newest of all", "the newest of all")
     trials = compare("ball", cases_of("ball", 2, 0), make_starts(Objective(), rules), {}, Objective())
     assert start_metrics(trials, "newton")["newest"]["cases"] == 2
 
@@ -199,6 +216,7 @@ def test_a_rule_of_the_package_without_a_row_is_compared_too(monkeypatch):
         ("mine={}:three", "has no 'three'; it has LinearCombination, Sometimes, unbalanced, outside"),
         ("mine={}", "is no start: give NAME=module:rule"),
         ("mine=", "is no start"),
+        ("mine=runs/fit/foo_finger", "no such file or saved model is there (runs/fit/foo_finger.json is missing, too)"),
         ("mine=.", "holds no saved model"),
         ("mine=there.json", "there.json"),
     ],
@@ -218,7 +236,8 @@ def test_starts_belong_to_the_comparison_of_starts(capsys):
 
 def test_all_faults_of_starts_are_told_at_once():
     with pytest.raises(
-        InvalidInputError, match=r"the name mine is taken.*x=y is no start.*mine is no rule but of type int"
+        InvalidInputError,
+        match=r"the name mine is taken.*x=y: no such file or saved model is there.*mine is no rule but of type int",
     ):
         Given.of(("mine=pathlib:Path", "x=y"), {"mine": 3})
     lock = threading.Lock()

@@ -24,7 +24,7 @@ from grasp_env.force import RULES, InitialForceRule, Objective
 from policies import LearnedInitialForce
 from training.cases.start_table import GIVEN_COLOURS, STARTS, Named
 
-HOW = "NAME=module:rule, NAME=file.py:rule or NAME=folder of a saved model"
+HOW = "NAME=module:rule, NAME=file.py:rule or NAME=saved model's path"
 """What a text may be."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_-]{0,39}")
 _TAKEN = {*STARTS, "case", "optimum", "basis", "path", "reduced_flow", "newton"}
@@ -126,6 +126,10 @@ def _read(text: str) -> InitialForceRule:
     if path is not None:
         return LearnedInitialForce.load(path)
     place, _, attribute = what.rpartition(":")
+    if what and not place and not os.path.exists(what):
+        raise InvalidInputError(
+            f"--start {text}: no such file or saved model is there ({what}.json is missing, too): give {HOW}"
+        )
     if not place or not attribute:
         raise InvalidInputError(f"--start {text} is no start: give {HOW}")
     module = _imported(place, text)

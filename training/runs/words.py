@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 
 def number(value: float | None, digits: int = 3) -> str:
     """A number with `digits` significant digits and no exponent between 1e-4 and 1e6; an absent one as a dash.
@@ -42,3 +44,15 @@ def small(value: float) -> str:
     if value <= 0:
         return "0"
     return f"{value:g}" if 0.05 < value < 1e5 else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
+
+
+def shortened(text: str, most: int) -> str:
+    """A message of anybody's on one line of at most `most` characters, cut between words.
+
+    Example:
+        >>> shortened("the wrench points to the right", 20), shortened("short", 20), shortened("x" * 30, 10)
+        ('the wrench points …', 'short', 'xxxxxxxx …')
+    """
+    whole = " ".join(text.split())
+    short = textwrap.shorten(whole, most, placeholder=" …")
+    return short if len(short) > most // 2 or len(whole) <= most else f"{whole[: most - 2]} …"

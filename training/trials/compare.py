@@ -16,6 +16,7 @@ from policies import LearnedInitialForce
 from training.cases.set_table import SETS
 from training.cases.sets import Case, Problem, fixed_cases
 from training.cases.starts import DoesNotApply, Start, carried, newton_optimizer, phi_options
+from training.runs.words import shortened
 from training.trials.arrays import (
     AT,
     BUDGETS,
@@ -180,7 +181,7 @@ def why_none(error: GraspError) -> str:
     cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
     if isinstance(cause, InfeasibleStartError):
         return "has none"
-    return f"{type(cause).__name__}: {cause!s}"[:REASON]
+    return shortened(f"{type(cause).__name__}: {cause!s}", REASON)
 
 
 def quality(

@@ -10,8 +10,10 @@ import numpy as np
 from grasp_env.config import EnvConfig
 from grasp_env.errors import GraspError
 from grasp_env.force import InitialForceRule, Objective
+from grasp_env.force.initial import rule_name
 from policies.controllers import Policy
 from training.data.episodes import episode
+from training.runs.words import shortened
 from training.trials.arrays import PATH_SCALE, RANDOM_SCENARIOS, SCENARIOS
 
 _SCALARS = (
@@ -86,6 +88,7 @@ def roll_out_scenario(
             try:
                 rows = roll_out(scenario, rule, seed + k, steps, objective=objective)
             except GraspError as error:  # the hand cannot even close its fingers with this rule
-                rows = {"failure": np.array(f"does not begin: {str(error)[:120]}")}
+                why = str(error).replace(repr(rule_name(rule)), repr(key))  # whoever gave it knows it by that name
+                rows = {"failure": np.array(f"does not begin: {shortened(why, 120)}")}
             out.update({f"{scenario}/{key}/{k}/{column}": value for column, value in rows.items()})
     return out

@@ -34,8 +34,8 @@ class EvaluateConfig:
         workers: processes; 0: one per core. The results do not depend on it, the timings are taken by one alone.
         fit_seconds: fit a network of the fixed grasp for so long and compare it, too; 0: none.
         fit: how that network is fitted.
-        start: starts of your own that are compared with the others, each NAME=module:rule, NAME=file.py:rule or NAME=folder of a saved
-            model; a rule takes (grasp, wrench) and returns an (N, 3) force.
+        start: starts of your own that are compared with the others, each NAME=module:rule, NAME=file.py:rule or NAME=saved
+            model's path; a rule takes (grasp, wrench) and returns an (N, 3) force.
     """
 
     out: str = "runs"
