@@ -100,13 +100,14 @@ def _learned(metrics: Metrics) -> str:
 
 def _gain(ours: dict[str, Any], theirs: dict[str, Any]) -> str:
     """Where one needs fewer iterations than the other; a difference below `CLEAR` has its size."""
-    said = []
+    said: dict[str, list[str]] = {}
     for part, where in (("median", "median"), ("p99", "tail")):
         fewer = round(theirs[part] - ours[part], 1)
         if fewer:
             size = "" if abs(fewer) >= CLEAR else f" of {number(abs(fewer))}"
-            said.append(f"a {'gain' if fewer > 0 else 'loss'}{size} in the {where}")
-    return f"{said[0]} alone" if len(said) == 1 else " and ".join(said) or "no gain"
+            said.setdefault(f"a {'gain' if fewer > 0 else 'loss'}{size}", []).append(f"in the {where}")
+    told = [f"{what} {' and '.join(places)}" for what, places in said.items()]
+    return " and ".join(told) + " alone" * (sum(map(len, said.values())) == 1) or "no gain"
 
 
 def _given(metrics: Metrics) -> str:
