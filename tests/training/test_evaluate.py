@@ -25,11 +25,12 @@ from training.runs.statistics import ratio_interval, spread
 from training.runs.words import number
 from training.trials import comparison as evaluate_module
 from training.trials.arrays import SCENARIOS
-from training.trials.claims import claims, wins
+from training.trials.claims import claims
 from training.trials.compare import cases_of, compare
 from training.trials.comparison import evaluate, plan
 from training.trials.findings import findings
 from training.trials.metrics import metrics_of, start_metrics
+from training.trials.ranks import wins
 from training.trials.rollouts import roll_out_scenario
 from training.trials.settings import EvaluateConfig
 

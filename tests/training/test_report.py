@@ -24,9 +24,9 @@ from training.report.page import Table, claims_section
 from training.report.starts import STEPPED, label, matrix, network_section, pair, wins_section
 from training.report.style import THEME, svg
 from training.runs import Run
-from training.trials.claims import wins
 from training.trials.hold_metrics import CELL_METRICS
 from training.trials.metrics import METRICS, PER_START
+from training.trials.ranks import wins
 
 EXECUTABLE = find_browser()
 needs_browser = pytest.mark.skipif(

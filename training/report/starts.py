@@ -10,7 +10,7 @@ from training.cases.start_table import main_of, row_of
 from training.report.page import Cell, Columns, Fold, Section, Table, at, present, pretty
 from training.runs.words import number, percent, small
 from training.trials.arrays import LIMIT
-from training.trials.claims import lacking
+from training.trials.ranks import lacking
 
 STEPPED = ("linear_combination", "basis_tangent", "basis_newton_2", "network", "network_newton_1", "network_newton_2")
 """The 12-basis and the network of the fixed grasp, each after no, one and two plain Newton steps."""

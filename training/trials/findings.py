@@ -9,7 +9,8 @@ from training.cases.set_table import TOLERANCE
 from training.cases.start_table import LEARNED, given_in, row_of
 from training.runs.words import number, small
 from training.trials.arrays import LIMIT
-from training.trials.claims import ANY, BASIS, FLOW, NETWORK, applies, is_cold, lacking, numbers
+from training.trials.claims import is_cold
+from training.trials.ranks import ANY, BASIS, FLOW, NETWORK, applies, lacking, numbers
 
 NEWTON = "newton"
 CONTROLS = {NETWORK: (BASIS, 0), ANY: ("basis_newton", 4)}

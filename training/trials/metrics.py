@@ -27,8 +27,9 @@ from training.trials.arrays import (
     starts_in,
     worse,
 )
-from training.trials.claims import claims, training_seconds, wins
+from training.trials.claims import claims, training_seconds
 from training.trials.findings import findings
+from training.trials.ranks import wins
 
 if TYPE_CHECKING:
     from training.runs import Run
