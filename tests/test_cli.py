@@ -25,6 +25,7 @@ ROOT = Path(__file__).parents[1]
 LARGE = ("--wrench", "1000", "500", "-600", "-100", "200", "0")
 """Too large for the flow to reach its tolerance."""
 LIMITED = ("--method", "newton", "--max-normal", "5", "--wrench", "0", "0", "50", "0", "0", "0")
+LOAD = ["--wrench", "0", "0", "-1", "0", "0", "0"]
 """No force within the limit balances it."""
 
 
@@ -210,7 +211,7 @@ def test_suspicious_contacts_are_told_whatever_comes_out(tmp_path: Path, capsys:
         '{"positions": [[40, 0, 0], [-20, 30, 0], [-20, -30, 0]], "friction": 0.5, '
         '"normals": [[1, 0, 0], [-0.6, 0.8, 0], [-0.6, -0.8, 0]]}'
     )
-    for words in (["solve", "--grasp", str(file)], ["solve", "--grasp", str(file), *LIMITED]):
+    for words in (["solve", "--grasp", str(file), *LOAD], ["solve", "--grasp", str(file), *LOAD, *LIMITED]):
         _, told, people = answer(words, capsys)
         for text in ("normals must point INTO the object", "divide millimetres by 1000"):
             assert text in people
@@ -221,8 +222,10 @@ def test_a_file_to_start_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     file = tmp_path / "my.json"
     assert main(["solve", "--preset", "tripod", "--save-grasp", str(file)]) == 0
     assert np.array_equal(load_grasp(file).positions, presets.tripod().positions)
-    assert main(["solve", "--grasp", str(file)]) == 0
-    assert "my.json: optimal" in capsys.readouterr().out
+    assert main(["solve", "--grasp", str(file)]) == 2  # the wrench of another object would say nothing
+    assert "--grasp needs --wrench" in capsys.readouterr().err
+    assert main(["solve", "--grasp", str(file), *LOAD]) == 0
+    assert "my.json, wrench 0 0 -1 0 0 0: optimal" in " ".join(capsys.readouterr().out.split())
     assert "--save-grasp my.json" in page(["solve", "--help"], capsys)
 
 
@@ -246,7 +249,7 @@ def test_soft_contacts_show_their_torsion(tmp_path: Path, capsys: pytest.Capture
     plain = presets.tripod()
     soft = Grasp.from_contacts(plain.positions, plain.normals, 0.5, contact_model="soft", torsional_friction=0.005)
     file = save_grasp(soft, tmp_path / "soft.json")
-    _, out, _ = said(["solve", "--grasp", str(file), "--method", "newton"], capsys)
+    _, out, _ = said(["solve", "--grasp", str(file), *LOAD, "--method", "newton"], capsys)
     assert "torsion [N m]" in out
 
 

@@ -329,7 +329,10 @@ def test_iteration_limits_never_leave_the_limits() -> None:
 
 def test_the_proof_tells_itself() -> None:
     limits = ForceLimits(jacobian=own_joints(np.random.default_rng(8), 4), torque_limit=0.02)
-    with pytest.raises(InfeasibleWrenchError, match="no force strictly inside the friction cones, and limits where there are any, balances wrench") as caught:
+    with pytest.raises(
+        InfeasibleWrenchError,
+        match="no force strictly inside the friction cones, and limits where there are any, balances wrench",
+    ) as caught:
         optimize_force(CUBOID, 3.0 * LOAD, method="newton", limits=limits)
     again = pickle.loads(pickle.dumps(caught.value))
     assert "separates it" in str(again) == str(again)

@@ -238,6 +238,17 @@ def test_all_repairs_are_told_at_once(tmp_path: Path) -> None:
     assert min(np.linalg.eigvalsh(inertia_matrix(hand.links[0].inertia))) > 0.0
 
 
+def test_degrees_grams_and_millimetres_are_told(tmp_path: Path) -> None:
+    strange = SMALL.replace('lower="-1" upper="1"', 'lower="-30" upper="90"').replace(
+        'mass value="0.1"', 'mass value="100"'
+    )
+    strange = strange.replace('radius="0.01"', 'radius="10"')
+    with pytest.warns(UserWarning) as told:
+        read(tmp_path, strange)
+    for words in ("'bend' are wider than two turns", "'finger' weigh more than 5 kg", "have a radius above 0.2 m"):
+        assert words in str(told[0].message)
+
+
 def test_a_link_without_mass_and_shape_gets_a_gram(tmp_path: Path) -> None:
     text = CHAINED.replace(f'<link name="base">{INERTIAL}</link>', '<link name="base"/>')
     with pytest.warns(UserWarning, match=r"base \(1 g\)"):
