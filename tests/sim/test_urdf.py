@@ -243,7 +243,7 @@ def test_degrees_grams_and_millimetres_are_told(tmp_path: Path) -> None:
         'mass value="0.1"', 'mass value="100"'
     )
     strange = strange.replace('radius="0.01"', 'radius="10"')
-    with pytest.warns(UserWarning) as told:
+    with pytest.warns(UserWarning, match="look again") as told:
         read(tmp_path, strange)
     for words in ("'bend' are wider than two turns", "'finger' weigh more than 5 kg", "have a radius above 0.2 m"):
         assert words in str(told[0].message)
