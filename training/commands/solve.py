@@ -22,6 +22,9 @@ from training.commands.options import left_out, one_of
 from training.commands.rules import rule
 from training.commands.solution import numbers, print_solution
 
+_UNSAID = (math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
+"""No wrench was given."""
+
 
 @dataclass(frozen=True)
 class Solve:
@@ -48,9 +51,9 @@ class Solve:
     """
 
     wrench: Annotated[
-        tuple[float, float, float, float, float, float] | None,
+        tuple[float, float, float, float, float, float],
         left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}", "FX FY FZ MX MY MZ"),
-    ] = None
+    ] = _UNSAID
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
     grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
     save_grasp: Annotated[Path | None, left_out("nothing is written", "FILE")] = None
@@ -99,12 +102,13 @@ class Solve:
 
     def _wrench(self) -> tuple[float, ...]:
         """What acts on the object; the paper's belongs to the presets only."""
-        if self.wrench is None and self.grasp is not None:
+        unsaid = all(map(math.isnan, self.wrench))
+        if unsaid and self.grasp is not None:
             raise InvalidInputError(
                 "--grasp needs --wrench FX FY FZ MX MY MZ, what acts on the object besides the fingers [N, N m]: its weight in the "
                 "object's own frame, for example --wrench 0 0 -5 0 0 0"
             )
-        return tuple(map(float, PAPER_CONSTANT)) if self.wrench is None else self.wrench
+        return PAPER_CONSTANT if unsaid else self.wrench
 
     def _solution(self, grasp: Grasp, wrench: tuple[float, ...]) -> ForceSolution:
         limited = (self.min_normal, self.max_normal) != (0.0, math.inf)
