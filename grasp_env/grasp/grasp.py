@@ -206,8 +206,22 @@ class Grasp:
         """Flat cone coordinates `x` (3N,) -> forces (N, 3) (normal, o, t) [N]."""
         return self._rows(x, "x") / self.models.cone_divisor
 
+    def cone_margins(self, force: ContactForces) -> Array:
+        """How far each contact is from slipping, (N,): u - sqrt(o^2 + t^2) in cone coordinates [N], mu * normal - |tangential| for round cones.
+
+        Args:
+            force: (N, 3) [N]: normal, o, t.
+
+        Example:
+            >>> from grasp_env.grasp import presets
+            >>> presets.tripod().cone_margins([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])   # mu = 0.5
+            array([0.9, 1. , 1. ])
+        """
+        u, o, t = self.to_cone(force).reshape(-1, 3).T
+        return u - np.hypot(o, t)
+
     def cone_margin(self, force: ContactForces) -> float:
-        """Min over contacts of u - sqrt(o^2 + t^2) in cone coordinates [N], mu * normal - |tangential| for round cones.
+        """The least of `cone_margins` [N].
 
         Args:
             force: (N, 3) [N]: normal, o, t.
@@ -217,8 +231,7 @@ class Grasp:
             >>> presets.tripod().cone_margin([[2, 0.1, 0], [2, 0, 0], [2, 0, 0]])   # mu = 0.5
             0.9
         """
-        u, o, t = self.to_cone(force).reshape(-1, 3).T
-        return float((u - np.hypot(o, t)).min())
+        return float(self.cone_margins(force).min())
 
     @property
     def n_contacts(self) -> int:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from grasp_env.force import ForceSolution, Status
 from grasp_env.grasp import Grasp
 
@@ -46,9 +44,8 @@ def print_solution(solution: ForceSolution, grasp: Grasp, title: str) -> None:
     columns = ["contact", "normal [N]", "o [N]", "t [N]", "margin [N]"]
     soft = bool(grasp.models.torsional_friction.any())
     table = Table(*columns, *(["torsion [N m]"] if soft else []), title=f"{title}: {solution.status.value}")
-    x = grasp.to_cone(solution.force).reshape(-1, 3)
-    for k, (force, torsion) in enumerate(zip(solution.force, solution.torsion, strict=True)):
-        margin = x[k, 0] - float(np.hypot(x[k, 1], x[k, 2]))
+    margins = grasp.cone_margins(solution.force)
+    for k, (force, margin, torsion) in enumerate(zip(solution.force, margins, solution.torsion, strict=True)):
         row = [*(f"{value:.4f}" for value in force), f"{margin:.4f}", *([f"{torsion:.6f}"] if soft else [])]
         table.add_row(str(k), *row)
     console = Console(highlight=False)

@@ -175,7 +175,7 @@ def _timed(optimizer: ForceOptimizer, wrench: Array) -> tuple[ForceSolution, flo
 
 def _told(question: Question, grasp: Grasp, solution: ForceSolution, microseconds: float, advice: tuple[str, ...]) -> Answer:  # fmt: skip
     force = solution.force
-    margins = question.friction * force[:, 0] - np.hypot(force[:, 1], force[:, 2])
+    margins = grasp.cone_margins(force)
     mood, status, words = Mood.GOOD, "held", "The fingers balance the load, every force inside its friction cone."
     if solution.status is Status.LIMITS_EXCEEDED:
         mood, status = Mood.BAD, "beyond the limit"
@@ -187,7 +187,7 @@ def _told(question: Question, grasp: Grasp, solution: ForceSolution, microsecond
     elif solution.status is not Status.OPTIMAL:
         mood, status, words = Mood.WARNING, "held, not optimal", solution.status.help
     return Answer(
-        mood, status, words, np.einsum("nij,nj->ni", grasp.frames, force), force[:, 0].copy(), margins, solution.iterations,
+        mood, status, words, grasp.to_object_frame(force), force[:, 0].copy(), margins, solution.iterations,
         solution.optimality_gap, solution.objective, solution.lower_bound, microseconds, None, advice,
     )  # fmt: skip
 
