@@ -12,6 +12,39 @@ import numpy as np
 import viser
 from browser import Browser
 
+from grasp_env.grasp import presets
+from training.commands.rules import rule
+from training.live.bare import BarePage
+from training.live.newest import Newest
+from training.live.page import address, close_server, open_server
+from training.live.question import Question
+
+
+def bare(server: viser.ViserServer) -> BarePage:
+    """The page of bare contacts, the paper's grasp under the paper's wrench."""
+    grasp = presets.paper_cuboid()
+    return BarePage(
+        server, Question(grasp.positions, grasp.normals, 0.4, np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])), rule
+    )
+
+
+@contextmanager
+def opened(tab: Browser, make: Any, size: tuple[int, int]) -> Iterator[tuple[viser.ViserServer, Any, Newest]]:
+    """A page served and drawn by its worker, in the tab once it says that the object is held; closed at the end."""
+    server = open_server(0, "grasp live")
+    page = make(server)
+    page.draw()
+    worker = Newest(page.draw, page.every)
+    page.watch(worker.wake)
+    try:
+        tab.show(address(server), *size)
+        until(tab, "document.body.innerText.includes('held') && document.querySelector('canvas') !== null")
+        yield server, page, worker
+    finally:
+        worker.close()
+        close_server(server)
+        tab.show("about:blank", *size)
+
 
 def until(tab: Browser, condition: str, seconds: float = 60.0) -> None:
     """Waits in the page until a JavaScript condition holds."""

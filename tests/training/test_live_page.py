@@ -13,18 +13,14 @@ import numpy as np
 import pytest
 import viser
 from browser import Browser, browser, find_browser
-from live_tab import dragged, on_screen, until
+from live_tab import bare, dragged, on_screen, opened, until
 from PIL import Image
 
 from grasp_env.config import EnvConfig
-from grasp_env.grasp import presets
 from training.commands.rules import rule
-from training.live.bare import BarePage
 from training.live.hand import HandPage
-from training.live.newest import Newest
 from training.live.page import address, close_server, open_server
 from training.live.parts import Recorder
-from training.live.question import Question
 
 EXECUTABLE = find_browser()
 pytestmark = pytest.mark.skipif(
@@ -47,30 +43,12 @@ def shown(tab: Browser, make: Any) -> Iterator[tuple[viser.ViserServer, Any]]:
     """A page in the tab; at the end nothing was asked of anyone else, and nothing complained of."""
     tab.requests.clear()
     tab.errors.clear()
-    server = open_server(0, "grasp live")
-    page = make(server)
-    page.draw()
-    worker = Newest(page.draw, page.every)
-    page.watch(worker.wake)
-    try:
-        tab.show(address(server), *SIZE)
-        until(tab, "document.body.innerText.includes('held') && document.querySelector('canvas') !== null")
+    with opened(tab, make, SIZE) as (server, page, worker):
         yield server, page
         assert {request.split("/")[2] for request in tab.requests if request.startswith("http")} == {address(server).split("/")[2]}  # fmt: skip
         assert all(request.startswith(("http://127.0.0.1:", "blob:http://127.0.0.1:")) for request in tab.requests)
         assert [error for error in tab.errors if not any(known in error for known in OF_VISER)] == []
-    finally:
-        worker.close()
-        close_server(server)
-        tab.show("about:blank", *SIZE)
     assert worker.fault is None
-
-
-def bare(server: viser.ViserServer) -> BarePage:
-    grasp = presets.paper_cuboid()
-    return BarePage(
-        server, Question(grasp.positions, grasp.normals, 0.4, np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])), rule
-    )
 
 
 def pixels(tab: Browser, out: Path) -> np.ndarray:
