@@ -15,7 +15,7 @@ EXTRAS = {
     "mujoco": ("mujoco",),
     "live": ("viser",),
     "train": ("stable_baselines3", "tensorboard", "torch"),
-    "report": ("PIL", "imageio", "jinja2", "matplotlib"),
+    "report": ("PIL", "imageio", "jinja2", "matplotlib", "pandas", "pyarrow"),
     "video": ("imageio_ffmpeg", "moviepy"),
 }
 """What each brings, as it is imported."""
