@@ -1,0 +1,60 @@
+"""Functions of shards for the tests of the map; workers import this module."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+
+from training.results.table import pd, table
+
+
+def squares(shard: tuple[int, int]) -> pd.DataFrame:
+    """Rows of a few numbers, of a generator of the shard's own."""
+    first, count = shard
+    rng = np.random.default_rng(first)
+    return table([{"case": f"shard {first}", "problem": k, "gap": rng.random()} for k in range(count)])
+
+
+def slow_first(shard: tuple[int, Path]) -> pd.DataFrame:
+    """The first shard ends last."""
+    place, folder = shard
+    while place == 0 and len(list(folder.iterdir())) < 3:
+        pass
+    (folder / str(place)).touch()
+    return table([{"problem": place}])
+
+
+def dies_once(shard: tuple[int, Path]) -> pd.DataFrame:
+    """A worker is killed in the middle of its work, the first time only."""
+    place, folder = shard
+    mark = folder / "died"
+    if place == 1 and not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    with (folder / "calls").open("a") as file:
+        file.write(f"{place}\n")
+    return table([{"problem": place}])
+
+
+def dies(shard: int) -> pd.DataFrame:
+    """A worker is killed whenever it tries."""
+    os.kill(os.getpid(), signal.SIGKILL)
+    raise AssertionError
+
+
+def fails(shard: tuple[int, Path]) -> pd.DataFrame:
+    """The third shard fails until a file is there."""
+    place, folder = shard
+    with (folder / "calls").open("a") as file:
+        file.write(f"{place}\n")
+    if place == 2 and not (folder / "mended").exists():
+        raise RuntimeError("out of luck")
+    return table([{"problem": place}])
+
+
+def threads(shard: int) -> pd.DataFrame:
+    """How many threads the libraries of a worker may use."""
+    return table([{"problem": shard, "workers": int(os.environ.get("OMP_NUM_THREADS", 0))}])

@@ -1,0 +1,205 @@
+"""Run folders: where a command's outputs go, written whole or not at all, with what is needed to repeat it."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from grasp_env._files import read_json, replacing
+from grasp_env.errors import GraspError, InvalidInputError
+
+if TYPE_CHECKING:
+    from training.results.table import pd
+
+_PACKAGES = ("numpy", "scipy", "pandas", "torch", "gymnasium", "stable-baselines3", "pybullet", "mujoco", "ray")
+
+
+class Run:
+    """One folder `<out>/<name>` of outputs; every file appears under its name only when it is complete."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @classmethod
+    def create(cls, out: str | Path, name: str) -> Run:
+        """Makes the folder and checks that it can be written, before any work is done.
+
+        Raises:
+            InvalidInputError: the folder cannot be made or written, or holds a finished run.
+        """
+        folder = Path(out) / name
+        if (folder / "run.json").exists():
+            raise InvalidInputError(f"{folder} holds a finished run: choose another name or remove it")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            probe = folder / f".probe-{os.getpid()}"
+            probe.write_bytes(b"")
+            probe.unlink()
+        except OSError as error:
+            raise InvalidInputError(f"cannot write to {folder} ({error.strerror}): choose another --out") from None
+        return cls(folder)
+
+    @classmethod
+    def open(cls, folder: str | Path, needs: str) -> Run:
+        """An existing run that holds the file `needs`.
+
+        Raises:
+            InvalidInputError: there is no such run.
+        """
+        folder = Path(folder)
+        if not os.path.isfile(folder / needs):
+            raise InvalidInputError(f"{folder} is not a finished run: {needs} is missing; run `grasp evaluate` first")
+        return cls(folder)
+
+    def path(self, name: str) -> Path:
+        """Path of a file of this run; its folder exists."""
+        path = self.folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def write(self, name: str, writer: Callable[[Path], object]) -> Path:
+        """Calls writer(temporary path), then renames: an interrupted write leaves no half file."""
+        path = self.path(name)
+        with replacing(path) as temporary:
+            writer(temporary)
+        return path
+
+    def write_text(self, name: str, text: str) -> Path:
+        """Writes a text file."""
+        return self.write(name, lambda path: path.write_text(text, encoding="utf-8"))
+
+    def write_json(self, name: str, value: Any) -> Path:
+        """Writes JSON; not-a-number and infinity are refused."""
+        return self.write_text(name, json.dumps(value, indent=2, allow_nan=False, default=_plain) + "\n")
+
+    def read_json(self, name: str) -> Any:
+        """Reads JSON; raises `InvalidInputError` where the file is none."""
+        return read_json(self.path(name), InvalidInputError, "the run's file")
+
+    def save(self, rows: pd.DataFrame, about: dict[str, Any]) -> None:
+        """Writes rows.parquet, rows.csv and, last, run.json, which makes the run a finished one.
+
+        Args:
+            rows: the table of the run.
+            about: its kind and settings; machine, versions, commit and the meaning of the columns are added.
+        """
+        from training.results import table  # training alone needs no pandas
+
+        table.write(self.path("rows.parquet"), rows)
+        table.write_csv(self.path("rows.csv"), rows)
+        self.write_json("run.json", {**about, **provenance(), "columns": table.described(rows.columns)})
+
+    def load(self) -> tuple[pd.DataFrame, dict[str, Any]]:
+        """The rows and what run.json says of them."""
+        from training.results import table
+
+        return table.read(self.path("rows.parquet")), self.read_json("run.json")
+
+    def begin(self, plan: dict[str, Any]) -> None:
+        """Notes in plan.json what decides the results of this run, or checks that an interrupted run was begun with the same.
+
+        Raises:
+            InvalidInputError: it was begun with another plan.
+        """
+        if not self.path("plan.json").is_file():
+            self.write_json("plan.json", plan)
+            return
+        before, now = self.read_json("plan.json"), json.loads(json.dumps(plan, default=_plain))
+        if before != now:
+            other = [key for key in {**before, **now} if before.get(key) != now.get(key)]
+            raise InvalidInputError(
+                f"{self.folder} was begun with other settings ({', '.join(other)}): repeat its command to continue it, or choose "
+                "another --name"
+            )
+
+
+@contextmanager
+def understood(folder: Path, again: str) -> Iterator[None]:
+    """Whatever goes wrong while a run's files are made use of is their fault: they were changed, or another version's.
+
+    Args:
+        folder: the run's.
+        again: how such files are made.
+
+    Raises:
+        InvalidInputError: anything went wrong; the project's own errors stay.
+    """
+    try:
+        yield
+    except GraspError:
+        raise
+    except Exception as error:
+        raise InvalidInputError(
+            f"{folder} lacks what is needed of it ({type(error).__name__}: {str(error)[:200]}): its files were changed, or another "
+            f"version made them; {again}"
+        ) from error
+
+
+def default_name(kind: str) -> str:
+    """`<kind>-<date>-<time>`."""
+    return f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def provenance() -> dict[str, Any]:
+    """Machine, versions, commit and command of this process."""
+    return {
+        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "time": time.strftime("%Y-%m-%d %H:%M:%S %Z"),
+        "machine": {
+            "processor": _processor(),
+            "cores": os.cpu_count(),
+            "system": f"{platform.system()} {platform.release()}",
+            "python": platform.python_version(),
+        },
+        "versions": {name: _version(name) for name in _PACKAGES},
+        "commit": _commit(),
+    }
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"cannot write {type(value).__name__} as JSON")
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _commit() -> str:
+    try:
+        here = Path(__file__).parent
+        run = subprocess.run(
+            ["git", "-C", str(here), "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=10
+        )
+        return run.stdout.strip() or "unknown"
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"

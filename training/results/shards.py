@@ -1,0 +1,224 @@
+"""The one map for long work: a function over shards, inline, in processes of this machine, or on a Ray cluster.
+
+The rows are the same, in the same order, whatever runs them. Times are never measured inside the map.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from grasp_env._extras import need
+from grasp_env.errors import InvalidInputError, SimulationError
+from training.results import table
+from training.results.bars import progress
+from training.results.table import pd
+
+ON = "inline, processes, ray or ray://HOST:PORT"
+"""Where shards may run."""
+ATTEMPTS = 3
+"""Times in a row that workers may be killed without a shard being finished in between."""
+THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+"""One thread of BLAS and torch for each worker; the libraries read these when they are loaded."""
+
+Work = Callable[[Any], "pd.DataFrame"]
+"""The rows of a shard; a function of a module, so that workers can import it."""
+Answer = tuple["pd.DataFrame", float]
+"""The rows of a shard, and the processor time that they took [s]."""
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """The outcome of a map.
+
+    Attributes:
+        rows: of all shards, in their order.
+        on: where they ran.
+        workers: how many ran side by side.
+        wall_seconds: from the first shard's start to the last one's end; starting Ray is not included.
+        cpu_seconds: processor time of the shards that ran now; kept ones cost nothing.
+    """
+
+    rows: pd.DataFrame
+    on: str
+    workers: int
+    wall_seconds: float
+    cpu_seconds: float
+
+
+def map_shards(
+    function: Work,
+    shards: Mapping[str, Any],
+    *,
+    on: str = "processes",
+    workers: int = 0,
+    keep: Path | None = None,
+    label: str = "shards",
+    console: Console | None = None,
+) -> Mapped:
+    """Calls a function on every shard and joins the rows in the order of the shards.
+
+    Args:
+        function: takes a shard and returns its rows. It must depend on nothing but the shard.
+        shards: by name, picklable. The longest should come first: they are started in this order.
+        on: "inline" (this process), "processes" (spawned on this machine), "ray" (the cluster of RAY_ADDRESS, or the one that runs
+            on this machine) or "ray://HOST:PORT" (the Ray client server of another machine).
+        workers: processes; 0: one for each core. The rows do not depend on it. Ray uses the cores of its cluster.
+        keep: folder that keeps finished shards, so that an interrupted map goes on; None: nothing is kept.
+        label: for the progress bar.
+        console: for the progress bar; None: stderr.
+
+    Raises:
+        InvalidInputError: `on` is none of these, or there is no such cluster.
+        SimulationError: workers were killed again and again without finishing a shard.
+    """
+    if on not in ("inline", "processes", "ray") and not on.startswith("ray://"):
+        raise InvalidInputError(f"on must be {ON}, got {on!r}")
+    files = {name: keep and keep / f"{name.replace('/', '-')}.parquet" for name in shards}
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
+    found = {name: table.read(file) for name, file in files.items() if file and file.is_file()}
+    left = {name: shard for name, shard in shards.items() if name not in found}
+    count = 1 if on == "inline" else min(workers or os.cpu_count() or 1, max(1, len(left)))
+    cpu, begun = 0.0, time.perf_counter()
+    with progress(console) as bar, _runner(on, count) as run:
+        task = bar.add_task(label, total=len(shards), completed=len(found))
+        if on.startswith("ray"):
+            count, begun = run.workers, time.perf_counter()
+        for name, (rows, seconds) in run(function, left):
+            found[name], cpu = rows, cpu + seconds
+            if file := files[name]:
+                table.write(file, rows)
+            bar.update(task, advance=1, description=f"{label}: {name}")
+        wall = time.perf_counter() - begun
+    return Mapped(table.join(found[name] for name in shards), on, count, wall, cpu)
+
+
+def _call(function: Work, shard: Any) -> Answer:
+    """One shard, wherever it runs."""
+    begun = time.process_time()
+    rows = table.table(function(shard))
+    return rows, time.process_time() - begun
+
+
+@dataclass(frozen=True)
+class _Runner:
+    """How shards are run: `run` yields (name, answer) as they are finished."""
+
+    run: Callable[[Work, dict[str, Any]], Iterator[tuple[str, Answer]]]
+    workers: int
+
+    def __call__(self, function: Work, shards: dict[str, Any]) -> Iterator[tuple[str, Answer]]:
+        return self.run(function, shards)
+
+
+@contextmanager
+def _runner(on: str, workers: int) -> Iterator[_Runner]:
+    if on == "inline":
+        yield _Runner(lambda function, shards: ((name, _call(function, shard)) for name, shard in shards.items()), 1)
+    elif on == "processes":
+        yield _Runner(lambda function, shards: _processes(function, shards, workers), workers)
+    else:
+        with _ray(on) as runner:
+            yield runner
+
+
+def _processes(function: Work, shards: dict[str, Any], workers: int) -> Iterator[tuple[str, Answer]]:
+    """Spawned processes; the shards of one that was killed run again in new ones."""
+    left, attempts = dict(shards), 0
+    while left:
+        pool, problem = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _ignore_interrupts), None
+        attempts += 1
+        try:
+            with _one_thread():
+                waiting = {pool.submit(_call, function, shard): name for name, shard in left.items()}
+            for future in as_completed(waiting):
+                if future.cancelled():
+                    continue
+                failed = future.exception()
+                if failed is None:
+                    attempts = 0
+                    del left[waiting[future]]
+                    yield waiting[future], future.result()
+                elif problem is None:  # what has begun may end and is kept, nothing else begins
+                    problem = failed
+                    for other in waiting:
+                        other.cancel()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+        if problem is not None and not isinstance(problem, BrokenProcessPool):
+            raise problem
+        if attempts == ATTEMPTS:
+            raise SimulationError(
+                f"worker processes were killed {ATTEMPTS} times in a row while {', '.join(sorted(left))[:200]} ran, most likely for "
+                "want of memory: use fewer workers; finished shards are kept"
+            )
+
+
+@contextmanager
+def _ray(on: str) -> Iterator[_Runner]:
+    """Tasks of a Ray cluster, which runs the shards of a lost worker or node again."""
+    need("ray")
+    import ray  # pyright: ignore[reportMissingImports]
+
+    try:
+        ray.init(
+            address=on if on.startswith("ray://") else "auto",
+            runtime_env={"env_vars": THREADS},
+            logging_level="error",
+            log_to_driver=False,
+        )
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        raise InvalidInputError(
+            f"no Ray cluster was found for --on {on} ({str(error)[:200]}): start one with `ray start --head`, set RAY_ADDRESS, or use "
+            "--on processes"
+        ) from error
+    try:
+
+        def run(function: Work, shards: dict[str, Any]) -> Iterator[tuple[str, Answer]]:
+            task = ray.remote(num_cpus=1, max_retries=ATTEMPTS)(_call)
+            waiting: dict[Any, str] = {task.remote(function, shard): name for name, shard in shards.items()}
+            while waiting:
+                done, _ = ray.wait(list(waiting))
+                for reference in done:
+                    yield waiting.pop(reference), ray.get(reference)
+
+        yield _Runner(run, int(ray.cluster_resources().get("CPU", 1)))
+    finally:
+        ray.shutdown()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Processes that are started in the block compute with one thread each."""
+    before = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(THREADS)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _ignore_interrupts() -> None:
+    """A worker leaves an interrupt to its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def names(shards: Sequence[Any]) -> dict[str, Any]:
+    """Shards by their number, where they have no better name."""
+    return {f"{place:05d}": shard for place, shard in enumerate(shards)}

@@ -1,0 +1,182 @@
+"""A table of results: rows with typed columns, written as Parquet and CSV with a JSON of settings beside them, and its summary."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from grasp_env._extras import need
+from grasp_env._files import replacing
+from grasp_env.errors import InvalidInputError
+from training.results.columns import COLUMNS, KEYS
+from training.results.statistics import iqm, iqm_interval, mean_interval, median_interval, wilson
+
+with need("report"):
+    import pandas as pd
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet as pq
+
+DTYPES = {"text": "string", "whole": "Int64", "real": "float64", "flag": "boolean"}
+STATISTICS: dict[str, tuple[str, Callable[[NDArray[np.float64]], float]]] = {
+    "median": ("median", lambda x: float(np.median(x))),
+    "low": ("lower end of the 95 % interval of the median", lambda x: median_interval(x)[0]),
+    "high": ("upper end of the 95 % interval of the median", lambda x: median_interval(x)[1]),
+    "p90": ("90th percentile", lambda x: float(np.percentile(x, 90))),
+    "p95": ("95th percentile", lambda x: float(np.percentile(x, 95))),
+    "p99": ("99th percentile", lambda x: float(np.percentile(x, 99))),
+    "min": ("least", lambda x: float(x.min())),
+    "max": ("largest", lambda x: float(x.max())),
+    "sum": ("sum", lambda x: float(x.sum())),
+    "mean": ("mean", lambda x: float(x.mean())),
+    "mean_low": ("lower end of the 95 % bootstrap interval of the mean", lambda x: mean_interval(x)[0]),
+    "mean_high": ("upper end of the 95 % bootstrap interval of the mean", lambda x: mean_interval(x)[1]),
+    "rate_low": ("lower end of the 95 % Wilson interval of the rate", lambda x: wilson(int(x.sum()), len(x))[0]),
+    "rate_high": ("upper end of the 95 % Wilson interval of the rate", lambda x: wilson(int(x.sum()), len(x))[1]),
+    "iqm": ("interquartile mean", iqm),
+    "iqm_low": ("lower end of the 95 % bootstrap interval of the interquartile mean", lambda x: iqm_interval(x)[0]),
+    "iqm_high": ("upper end of the 95 % bootstrap interval of the interquartile mean", lambda x: iqm_interval(x)[1]),
+}  # fmt: skip
+"""Statistics of finite values (n,), n > 0. "missing", the number of rows without a value, is the one besides."""
+
+
+def table(rows: Iterable[Mapping[str, Any]] | pd.DataFrame) -> pd.DataFrame:
+    """Rows as a table: the columns in the order of `COLUMNS`, each with its type; columns without any value are left out.
+
+    Raises:
+        InvalidInputError: a column is not in `COLUMNS`, or a value does not fit its kind.
+
+    Example:
+        >>> table([{"iterations": 3, "case": "ball"}, {"case": "smooth"}])
+             case  iterations
+        0    ball           3
+        1  smooth        <NA>
+    """
+    made = rows if isinstance(rows, pd.DataFrame) else pd.DataFrame(list(rows))
+    unknown = [name for name in made.columns if name not in COLUMNS]
+    if unknown:
+        raise InvalidInputError(
+            f"unknown columns {', '.join(map(str, unknown))}: add them to COLUMNS in training/results/columns.py"
+        )
+    ordered = made[[name for name in COLUMNS if name in made.columns]].dropna(axis=1, how="all")
+    try:
+        typed = {name: ordered[name].astype(DTYPES[COLUMNS[name].kind]) for name in ordered.columns}
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(f"a value does not fit the kind of its column: {error}") from error
+    return pd.DataFrame(typed, index=ordered.index).reset_index(drop=True)
+
+
+def join(parts: Iterable[pd.DataFrame]) -> pd.DataFrame:
+    """Tables one below the other."""
+    # columns that a part lacks come back as objects, which `table` types again
+    below = [part.astype(object) for part in parts]
+    return table(pd.concat(below, ignore_index=True) if below else [])
+
+
+def write(path: Path, rows: pd.DataFrame) -> None:
+    """Writes a Parquet file; equal tables give equal bytes."""
+    with replacing(path) as temporary:
+        pq.write_table(pa.Table.from_pandas(rows, preserve_index=False), temporary, compression="zstd")
+
+
+def write_csv(path: Path, rows: pd.DataFrame) -> None:
+    """Writes a CSV file with a header; missing values are empty."""
+    with replacing(path) as temporary:
+        pyarrow.csv.write_csv(
+            pa.Table.from_pandas(rows, preserve_index=False),
+            temporary,
+            pyarrow.csv.WriteOptions(quoting_style="needed"),
+        )
+
+
+def read(path: Path) -> pd.DataFrame:
+    """Reads a Parquet or CSV file that `write`, `write_csv` or a summary's `write_csv` made.
+
+    Raises:
+        InvalidInputError: the file is missing or is no such table.
+    """
+    try:
+        rows = pd.read_csv(path, dtype=None) if path.suffix == ".csv" else pq.read_table(path).to_pandas()
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise InvalidInputError(
+            f"cannot read the table {path}: {str(error)[:200]}; give a run's rows.parquet"
+        ) from error
+    kinds = {name: DTYPES[COLUMNS[name].kind] for name in rows.columns if name in COLUMNS}
+    try:
+        return rows.astype(kinds)
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(f"the table {path} holds a value of a wrong kind: {str(error)[:200]}") from error
+
+
+def numbers(rows: pd.DataFrame, name: str) -> NDArray[np.float64]:
+    """(n,) the values of a column of numbers or flags, nan where one is missing."""
+    series: Any = rows[name]
+    return series.to_numpy(np.float64, na_value=np.nan)
+
+
+def summary(rows: pd.DataFrame) -> pd.DataFrame:
+    """One row for each combination of keys, with the statistics of every column.
+
+    Returns:
+        The keys that the table has, `n` the number of rows, and `<column>_<statistic>` for every statistic of `COLUMNS`. Groups
+        stand in the order in which they first appear; a group without a finite value has missing statistics.
+
+    Example:
+        >>> rows = table([{"case": "ball", "held": True}, {"case": "ball", "held": False}, {"case": "jump", "held": True}])
+        >>> summary(rows)[["case", "n", "held_sum", "held_mean"]]
+           case  n  held_sum  held_mean
+        0  ball  2       1.0        0.5
+        1  jump  1       1.0        1.0
+    """
+    keys = [name for name in KEYS if name in rows.columns]
+    values = {name: numbers(rows, name) for name in rows.columns if COLUMNS[name].statistics}
+    out = []
+    groups = rows.groupby(keys, sort=False, dropna=False).indices if keys else {(): np.arange(len(rows))}
+    for places in groups.values():
+        row: dict[str, Any] = {name: rows[name].iloc[places[0]] for name in keys} | {"n": len(places)}
+        for name, column in values.items():
+            some = column[places]
+            finite = some[np.isfinite(some)]
+            for statistic in COLUMNS[name].statistics:
+                if statistic == "missing":
+                    row[f"{name}_missing"] = int(np.isnan(some).sum())
+                else:
+                    row[f"{name}_{statistic}"] = STATISTICS[statistic][1](finite) if len(finite) else np.nan
+        out.append(row)
+    made = pd.DataFrame(out).dropna(axis=1, how="all")
+    return made.astype({name: DTYPES[COLUMNS[name].kind] for name in keys if name in made.columns})
+
+
+def described(columns: Iterable[str]) -> dict[str, str]:
+    """Unit and meaning of columns, of a table or of its summary.
+
+    Example:
+        >>> described(["drift_mean"])
+        {'drift_mean': '[mm] mean: largest distance of the object from where it was grasped, where it was held'}
+    """
+    out = {}
+    for name in columns:
+        base, statistic = name, ""
+        while base not in COLUMNS and "_" in base:
+            base, _, last = base.rpartition("_")
+            statistic = f"{last}_{statistic}".strip("_")
+        if base not in COLUMNS:
+            out[name] = {"n": "number of rows"}.get(name, "")
+            continue
+        column = COLUMNS[base]
+        said = {"missing": "rows without a value"}.get(statistic) or STATISTICS.get(statistic, ("",))[0]
+        unit = f"[{column.unit}] " if column.unit else ""
+        out[name] = f"{unit}{said}{': ' if said else ''}{column.text}"
+    return out
+
+
+def chosen(rows: pd.DataFrame, query: str) -> pd.DataFrame:
+    """The rows that a query of `pandas.DataFrame.query` selects; none where a column that it names is missing."""
+    names = set(re.findall(r"[A-Za-z_]\w*", re.sub(r"'[^']*'|\"[^\"]*\"", "", query)))
+    lacking = (names & {*COLUMNS}) - {*rows.columns}
+    return rows.iloc[:0] if lacking else rows.query(query)

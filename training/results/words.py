@@ -1,0 +1,58 @@
+"""Numbers in words, the same in every report and terminal."""
+
+from __future__ import annotations
+
+import textwrap
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with `digits` significant digits and no exponent between 1e-4 and 1e6; an absent one as a dash.
+
+    Example:
+        >>> number(1234.5678), number(0.00012345), number(None), number(42)
+        ('1235', '0.000123', '–', '42')
+    """
+    if value is None:
+        return "–"
+    if value == 0 or (float(value).is_integer() and abs(value) < 1e7):
+        return f"{value:.0f}"
+    if 10**digits <= abs(value) < 1e6:
+        return f"{value:.0f}"
+    return f"{value:.{digits}g}" if 1e-4 <= abs(value) < 1e6 else f"{value:.{digits - 1}e}"
+
+
+def percent(value: float | None) -> str:
+    """A part as a percentage with three significant digits; an absent one as a dash.
+
+    Example:
+        >>> percent(0.0123456), percent(3e-8), percent(None)
+        ('1.23 %', '3.0e-06 %', '–')
+    """
+    if value is None:
+        return "–"
+    scaled = 100.0 * value
+    return "0 %" if scaled == 0 else f"{scaled:.3g} %" if abs(scaled) >= 1e-3 else f"{scaled:.1e} %"
+
+
+def small(value: float) -> str:
+    """A power of ten and its like, as on a logarithmic axis.
+
+    Example:
+        >>> small(1e-4), small(100.0), small(0.1)
+        ('1e-4', '100', '0.1')
+    """
+    if value <= 0:
+        return "0"
+    return f"{value:g}" if 0.05 < value < 1e5 else f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
+
+
+def shortened(text: str, most: int) -> str:
+    """A message of anybody's on one line of at most `most` characters, cut between words.
+
+    Example:
+        >>> shortened("the wrench points to the right", 20), shortened("short", 20), shortened("x" * 30, 10)
+        ('the wrench points …', 'short', 'xxxxxxxx …')
+    """
+    whole = " ".join(text.split())
+    short = textwrap.shorten(whole, most, placeholder=" …")
+    return short if len(short) > most // 2 or len(whole) <= most else f"{whole[: most - 2]} …"
