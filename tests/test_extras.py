@@ -101,11 +101,6 @@ COMMANDS = {
     "report nowhere": "report",
     "reproduce": "report",
     "demo --video hand.gif": "sim,report",
-    "bench solver": "report",
-    "bench scaling": "report",
-    "bench batch": "report",
-    "bench core": "report",
-    "bench env": "sim,report",
 }
 
 

@@ -25,7 +25,7 @@ def test_a_file_is_told_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[
     told = capsys.readouterr().out
     for word in (
         "bend",
-        "0.5 x bend + 0.1",
+        "0.5 x bend +0.1",
         "-1.000 rad",
         "1 N m",
         "8.0",

@@ -16,7 +16,9 @@ from training.commands.rules import rule
 
 @dataclass(frozen=True)
 class Demo:
-    """Roll out the hand and save a picture or a video, with forces, friction cones and wrench drawn in; say how it ended.
+    """Roll out the hand, save a picture or a video, and say how it ended.
+
+    Forces, friction cones and wrench are drawn in.
 
     Attributes:
         video: .mp4, .gif or .webp for a video, .png for its last picture.

@@ -18,7 +18,9 @@ from training.trials.settings import EnvEvaluateConfig, EvaluateConfig, HandsCon
 
 @dataclass(frozen=True)
 class Evaluate(EvaluateConfig):
-    """Compare and write a report: starts of the optimisation, hands, or engines. An interrupted run goes on by its name.
+    """Compare starts, hands or engines, and write a report.
+
+    An interrupted run goes on by its name.
 
     Attributes:
         what: starts (every start on every set of cases by both methods, times, continuity, roll-outs: about five minutes on two

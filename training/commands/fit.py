@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FourFinger(FitConfig):
-    """Train a network for one grasp: wrench and friction to the initial force. Two files are saved.
+    """Train a network for one grasp: wrench and friction to the initial force.
+
+    Two files are saved.
 
     Attributes:
         preset: the named grasp to learn.
@@ -51,7 +53,9 @@ class FourFinger(FitConfig):
 
 @dataclass(frozen=True)
 class AnyGrasp(AnyFitConfig):
-    """Train the layers that start any grasp of 3 to 5 contacts, on random grasps. Two files are saved.
+    """Train the layers that start any grasp of 3 to 5 contacts, on random grasps.
+
+    Two files are saved.
 
     Attributes:
         out: their common stem.
@@ -75,6 +79,7 @@ class AnyGrasp(AnyFitConfig):
         _print(f"{path}{_quick(self.quick)}: held-out gap: {'; '.join(told)}")
 
 
+@tyro.conf.configure(tyro.conf.CascadeSubcommandArgs)  # `grasp fit --seed 1` is `grasp fit four_finger --seed 1`
 @dataclass(frozen=True)
 class Fit:
     """Train a model of the initial force, and save it with its model card.
@@ -88,17 +93,6 @@ class Fit:
         | Annotated[AnyGrasp, tyro.conf.subcommand("any_grasp")],
         tyro.conf.arg(name=""),
     ] = field(default_factory=FourFinger)
-
-    @staticmethod
-    def spelled_out(words: list[str]) -> list[str]:
-        """The options, behind the model that they leave out where they are some of its own.
-
-        Example:
-            >>> Fit.spelled_out(["--seed", "1"]), Fit.spelled_out(["any_grasp"])
-            (['four_finger', '--seed', '1'], ['any_grasp'])
-        """
-        bare = bool(words) and words[0].startswith("--") and words[0] != "--help"
-        return ["four_finger", *words] if bare else words
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""

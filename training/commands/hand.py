@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Hand:
-    """Read a hand from a URDF as `HandDescription.from_urdf` does; print its joints, fingertips and links, and all that was repaired.
+    """Read a hand's URDF, and say what was repaired in it.
+
+    Prints the joints, fingertips and links that `HandDescription.from_urdf` reads.
 
     Attributes:
         hand: path of a URDF, or the name of a hand: allegro, leap, four_finger, ...
@@ -86,13 +89,11 @@ def _joints(hand: HandDescription) -> Table:
     for link in hand.links:
         far, strong = ("m", "N") if link.sliding else ("rad", "N m")
         ends = ("-", "-") if math.isinf(link.lower) else (f"{link.lower:.3f} {far}", f"{link.upper:.3f} {far}")
-        coupled = ""
-        if link.mimic is not None:
-            coupled = f"{link.mimic.ratio:g} x {link.mimic.joint}"
-            coupled += (
-                f" {'+' if link.mimic.offset > 0.0 else '-'} {abs(link.mimic.offset):g}" if link.mimic.offset else ""
-            )
-        table.add_row(link.joint, link.name, *ends, "" if coupled else f"{link.torque_limit:g} {strong}", coupled)
+        motor = (f"{link.torque_limit:g} {strong}", "")
+        if link.mimic is not None:  # another joint's motor moves it
+            offset = f" {link.mimic.offset:+g}" if link.mimic.offset else ""
+            motor = ("", f"{link.mimic.ratio:g} x {link.mimic.joint}{offset}")
+        table.add_row(link.joint, link.name, *ends, *motor)
     return table
 
 
@@ -108,17 +109,11 @@ def _fingers(hand: HandDescription) -> Table:
 
 
 def _links(hand: HandDescription) -> Table:
-    table = _table(
-        f"{1e3 * sum(link.mass for link in hand.links):.0f} g move",
-        "link",
-        "mass, g",
-        "touches with",
-        "corners of hulls",
-        "looks",
-    )
+    grams = 1e3 * sum(link.mass for link in hand.links)
+    table = _table(f"{grams:.0f} g move", "link", "mass, g", "touches with", "corners of hulls", "looks")
     for body in (hand.palm, *hand.links):
-        kinds = [shape.kind for shape in body.collision]
-        touches = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
+        kinds = Counter(shape.kind for shape in body.collision)
+        touches = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
         corners = " ".join(str(len(shape.corners)) for shape in body.collision if shape.kind == "hull")
         mass = "" if body is hand.palm else f"{1e3 * body.mass:.2f}"  # type: ignore[union-attr]
         table.add_row(body.name, mass, touches, corners, str(len(body.visual)))

@@ -25,7 +25,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Live:
-    """Show a grasp in the browser: drag the load and the contacts, or the object in a simulated hand. Only this machine can open the page.
+    """Show a grasp in the browser, to be pulled at.
+
+    Drag the load and the contacts, or the object in a simulated hand.
+
+    Only this machine can open the page.
 
     Attributes:
         preset: bare contacts of a named grasp.

@@ -1,4 +1,4 @@
-"""How options say what they take: closed lists, which help and a shell's completion show, and what may be left out."""
+"""Types of options: closed lists, which help and a shell's completion show, and options that may be left out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from grasp_env.errors import MissingExtraError
 
 
 def one_of(names: Iterable[str]) -> tyro.constructors.PrimitiveConstructorSpec[str]:
-    """What makes an `Annotated[str, ...]` one of these names, which stand elsewhere."""
+    """Makes an `Annotated[str, ...]` one of these names, as `Literal` does of names that are written out."""
     allowed = tuple(names)
     return tyro.constructors.PrimitiveConstructorSpec(
         nargs=1,
@@ -25,19 +25,16 @@ def one_of(names: Iterable[str]) -> tyro.constructors.PrimitiveConstructorSpec[s
 
 
 def left_out(otherwise: str, what: str | None = None) -> Any:
-    """An option whose default is no value of its own: what holds without it, and what it takes."""
+    """Shows `otherwise` as the default of an option whose default is no value of its own, and `what` as what it takes."""
     return tyro.conf.arg(metavar=what, help_behavior_hint=f"(default: {otherwise})")
 
 
-Wrench = Annotated[
-    tuple[float, float, float, float, float, float],
-    tyro.conf.arg(metavar="FX FY FZ MX MY MZ"),
-]
-"""Six numbers, called by their names."""
+Wrench = Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="FX FY FZ MX MY MZ")]
+"""Force [N] and moment [N m]."""
 
 
 def listed(module: str, table: str) -> Any:
-    """`one_of` the names in a module's table, which may need an extra: without that, text, and the command names the extra."""
+    """`one_of` the names in a module's table. Without the extra that the module needs any text, as the command then names the extra."""
     try:
         return one_of(getattr(import_module(module), table))
     except MissingExtraError:

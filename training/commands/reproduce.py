@@ -13,7 +13,9 @@ from grasp_env._extras import need
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Study what the paper leaves open (weights, step rules), its reduction and its claims: tables and figures.
+    """Study what the paper leaves open, its reduction and its claims.
+
+    Writes tables and figures of weights, step rules and claims.
 
     Attributes:
         out: the folder that gets a run.

@@ -11,7 +11,9 @@ from training.rl.settings import RLConfig
 
 @dataclass(frozen=True)
 class RL(RLConfig):
-    """Train PPO or SAC on FourFingerGrasp-v0, score it beside the paper's start, and write a report.
+    """Train PPO or SAC on FourFingerGrasp-v0.
+
+    The agent is scored beside the paper's start, and a report is written.
 
     Attributes:
         out: folder of the run: seed-<seed>/ with checkpoints and TensorBoard events, rl.md, rl.json, learning_curve.png.

@@ -7,37 +7,27 @@ from typing import Any
 from grasp_env.force import ForceSolution, Status
 from grasp_env.grasp import Grasp
 
+ALWAYS = (
+    "wrench", "method", "initial", "iterations", "trials", "objective", "lower_bound", "equilibrium_residual", "limit_excess",
+)  # fmt: skip
+WITH_A_FORCE = ("force", "torsion", "optimality_gap", "cone_margin", "multipliers", "total_normal_force")
+"""Numbers that are null where no force balances the wrench."""
+
 
 def numbers(solution: ForceSolution, grasp: Grasp, advice: list[str]) -> dict[str, Any]:
-    """What a solution says, and what proves it, as JSON has it."""
+    """The numbers of a solution and those that certify it, for `write_json`."""
     none = solution.status is Status.INFEASIBLE
-    told: dict[str, Any] = {
-        "status": solution.status.value,
-        "force": None if none else solution.force.tolist(),
-        "force_in_object_frame": None if none else grasp.to_object_frame(solution.force).tolist(),
-        "torsion": None if none else solution.torsion.tolist(),
-        "wrench": solution.wrench.tolist(),
-        "method": solution.method,
-        "initial": solution.initial,
-        "iterations": solution.iterations,
-        "trials": solution.trials,
-        "objective": solution.objective,
-        "lower_bound": solution.lower_bound,
-        "optimality_gap": None if none else solution.optimality_gap,
-        "equilibrium_residual": solution.equilibrium_residual,
-        "cone_margin": None if none else solution.cone_margin,
-        "limit_excess": solution.limit_excess,
-        "multipliers": None if none else solution.multipliers.tolist(),
-        "total_normal_force": None if none else solution.total_normal_force,
-        "advice": advice,
-    }
+    told: dict[str, Any] = {"status": solution.status.value, "advice": advice}
+    told |= {name: getattr(solution, name) for name in ALWAYS}
+    told |= {name: None if none else getattr(solution, name) for name in WITH_A_FORCE}
+    told["force_in_object_frame"] = None if none else grasp.to_object_frame(solution.force)
     if solution.certificate is not None:
-        told["separating_twist"] = solution.certificate.tolist()
+        told["separating_twist"] = solution.certificate
     return told
 
 
 def print_solution(solution: ForceSolution, grasp: Grasp, title: str) -> None:
-    """Prints forces, status and certificates of `solution` to stdout."""
+    """Prints forces, status and certificates of a solution to stdout."""
     from rich.console import Console
     from rich.table import Table
 

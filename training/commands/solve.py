@@ -18,7 +18,7 @@ from grasp_env.grasp import Grasp, advise, load_grasp, save_grasp
 from grasp_env.grasp.presets import PRESETS, preset
 from grasp_env.grasp.wrench import PAPER_CONSTANT
 from training.commands.answers import write_json
-from training.commands.options import left_out, one_of
+from training.commands.options import Wrench, left_out, one_of
 from training.commands.rules import rule
 from training.commands.solution import numbers, print_solution
 
@@ -30,8 +30,13 @@ _UNSAID = (math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
 class Solve:
     """Optimise one grasp force and print it.
 
-    Your own contacts: `grasp solve --save-grasp my.json` writes a file to start from; change positions [m], normals (INTO the object)
-    and friction in it, then `grasp solve --grasp my.json --wrench 0 0 -5 0 0 0`. What looks wrong about the contacts is told on stderr.
+    To use your own contacts, write a file to start from:
+    `grasp solve --save-grasp my.json`
+
+    Change positions [m], normals (INTO the object) and friction in it. Then:
+    `grasp solve --grasp my.json --wrench 0 0 -5 0 0 0`
+
+    Advice about contacts that look wrong goes to stderr.
 
     Attributes:
         wrench: what acts on the object besides the fingers: force fx fy fz [N], moment mx my mz [N m] about the object frame's origin.
@@ -50,10 +55,7 @@ class Solve:
         json: print one JSON object, errors too.
     """
 
-    wrench: Annotated[
-        tuple[float, float, float, float, float, float],
-        left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}", "FX FY FZ MX MY MZ"),
-    ] = _UNSAID
+    wrench: Annotated[Wrench, left_out(f"of a preset {' '.join(f'{part:g}' for part in PAPER_CONSTANT)}")] = _UNSAID
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
     grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
     save_grasp: Annotated[Path | None, left_out("nothing is written", "FILE")] = None
