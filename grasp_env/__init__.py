@@ -1,44 +1,35 @@
 """Grasp-force optimisation in a simulated hand: `grasp_env.grasp`, `grasp_env.force`, and a Gymnasium environment.
 
-Importing registers `FourFingerGrasp-v0` with Gymnasium as soon as that is imported, before or after, and imports nothing
-heavy itself: pybullet loads with the first environment.
+Importing registers `FourFingerGrasp-v0` with Gymnasium, whichever of the two is imported first. It imports nothing heavy
+itself: Gymnasium is left to those who use it, and pybullet loads with the first environment.
 """
 
 import sys
-from importlib.util import find_spec
 from typing import Any
 
 __version__ = "0.1.0"
 
-_REGISTRY = "gymnasium.envs.registration"
 
-
-def _register() -> None:
-    registration = sys.modules[_REGISTRY]
-    if "FourFingerGrasp-v0" not in registration.registry:
-        registration.register(id="FourFingerGrasp-v0", entry_point="grasp_env.env:FourFingerGrasp")
+def _register() -> bool:
+    """Registers the environment if Gymnasium's registry is there."""
+    registration = sys.modules.get("gymnasium.envs.registration")
+    if not hasattr(registration, "register"):
+        return False
+    if "FourFingerGrasp-v0" not in registration.registry:  # type: ignore[union-attr]
+        registration.register(id="FourFingerGrasp-v0", entry_point="grasp_env.env:FourFingerGrasp")  # type: ignore[union-attr]
+    return True
 
 
 class _Watch:
-    """Registers after Gymnasium is imported: importing it here would cost whoever only solves a tenth of a second."""
+    """Registers while Gymnasium is imported later. It finds no module itself, and leaves once it has registered.
 
-    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> Any:
-        if fullname != _REGISTRY:
-            return None
-        sys.meta_path.remove(self)
-        spec = find_spec(fullname)
-        if spec is not None and spec.loader is not None:
-            run = spec.loader.exec_module
+    Gymnasium has no plugins since 1.0, and to import it here would cost everybody who only solves 30 to 100 ms.
+    """
 
-            def run_and_register(module: Any) -> None:
-                run(module)
-                _register()
-
-            spec.loader.exec_module = run_and_register
-        return spec
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> None:
+        if _register():  # a new list: the search under way still reads the old one
+            sys.meta_path = [finder for finder in sys.meta_path if finder is not self]
 
 
-if _REGISTRY in sys.modules:
-    _register()
-else:
+if not _register():
     sys.meta_path.insert(0, _Watch())

@@ -216,7 +216,20 @@ def test_the_solver_pulls_in_no_simulator_and_no_network(module: str) -> None:
         [sys.executable, "-c", script], check=True, cwd=ROOT, timeout=120, capture_output=True, text=True
     )
     loaded = {name.split(".")[0] for name in done.stdout.split()}
-    assert not loaded & {"pybullet", "torch", "stable_baselines3", "matplotlib", "policies", "training"}
+    assert not loaded & {"gymnasium", "pybullet", "torch", "stable_baselines3", "matplotlib", "policies", "training"}
+
+
+@pytest.mark.parametrize(
+    "imports",
+    ["grasp_env, gymnasium", "gymnasium, grasp_env", "grasp_env.force, gymnasium", "grasp_env.env", "gymnasium.envs.registration, grasp_env"],
+)  # fmt: skip
+def test_the_environment_is_registered_whatever_is_imported_first(imports: str) -> None:
+    script = f"""
+import sys, {imports}, gymnasium
+assert gymnasium.spec("FourFingerGrasp-v0").entry_point == "grasp_env.env:FourFingerGrasp"
+assert not [finder for finder in sys.meta_path if type(finder).__module__ == "grasp_env"]
+"""
+    subprocess.run([sys.executable, "-W", "error", "-c", script], check=True, cwd=ROOT, timeout=120)
 
 
 HARD = """
