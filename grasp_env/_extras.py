@@ -16,6 +16,7 @@ EXTRAS = {
     "live": ("viser",),
     "train": ("stable_baselines3", "tensorboard", "torch"),
     "report": ("PIL", "imageio", "jinja2", "matplotlib", "pandas", "pyarrow"),
+    "ray": ("ray",),
     "video": ("imageio_ffmpeg", "moviepy"),
 }
 """What each brings, as it is imported."""

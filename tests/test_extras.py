@@ -14,14 +14,25 @@ from grasp_env import _extras
 from grasp_env._extras import EXTRAS, need
 from grasp_env.errors import MissingExtraError
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 ROOT = Path(__file__).parents[1]
-PYPROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+OPTIONAL: dict[str, list[str]] = PROJECT["optional-dependencies"]
 
 
-def _required(name: str) -> set[str]:
-    """Distributions of one list of pyproject.toml, without those of extras it names."""
-    (listed,) = re.findall(rf"^{name} = \[(.*?)\](?: #.*)?$", PYPROJECT, re.MULTILINE | re.DOTALL)
-    return {name for name in re.findall(r"\"([\w.-]+)", listed) if name != "grasp-force"}
+def _names(requirements: list[str]) -> set[str]:
+    """Distributions of a list of requirements, without those of extras it names."""
+    return {re.split(r"[^\w.-]", one)[0] for one in requirements} - {"grasp-force"}
+
+
+def _brought(extra: str) -> set[str]:
+    """An extra and all that it names."""
+    named = re.findall(r"grasp-force\[(.*?)\]", " ".join(OPTIONAL[extra]))
+    return {extra}.union(*(_brought(name) for listed in named for name in listed.split(",")))
 
 
 def _without(names: tuple[str, ...], script: str) -> subprocess.CompletedProcess[str]:
@@ -41,22 +52,26 @@ sys.meta_path[sys.meta_path.index(PathFinder)] = Finder
 HEAVY = tuple(name for extra in ("sim", "train", "report", "video") for name in EXTRAS[extra])
 
 
-def test_the_solver_needs_three_packages() -> None:
-    assert _required("dependencies") == {"numpy", "scipy", "safetensors"}
+def test_the_table_is_what_pip_installs() -> None:
+    assert _names(PROJECT["dependencies"]) == {"numpy", "scipy", "safetensors"}
+    homes = packages_distributions() | {"ray": ["ray"]}  # which only clusters need
+    for extra, modules in EXTRAS.items():
+        asked = _names(OPTIONAL[extra])
+        found = [{home.lower().replace("_", "-") for home in homes[name]} for name in modules]
+        assert all(some & asked for some in found)  # MuJoCo is one module of several distributions
+        assert asked <= set().union(*found)
+    assert _brought("all") == {"all", *EXTRAS} - {"ray"}
+    assert _brought("train") == {"train", "sim", "cli"}
+    assert _brought("live") == {"live", "sim", "cli"}
 
 
-@pytest.mark.parametrize("extra", EXTRAS)
-def test_the_table_is_what_pip_installs(extra: str) -> None:
-    homes, asked = packages_distributions(), _required(extra)
-    found = [{home.lower().replace("_", "-") for home in homes[name]} for name in EXTRAS[extra]]
-    assert all(some & asked for some in found)  # MuJoCo is one module of several distributions
-    assert asked <= set().union(*found)
-
-
-def test_all_are_in_all() -> None:
-    (line,) = re.findall(r"^all = \[\"grasp-force\[(.*)\]\"\]$", PYPROJECT, re.MULTILINE)
-    assert set(line.split(",")) | {"cli"} == set(EXTRAS)  # train and report bring cli
-    assert PYPROJECT.count('"grasp-force[cli]"') == 2
+@pytest.mark.parametrize("page", ["README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))])  # fmt: skip
+def test_pages_install_extras_that_exist_and_torch_for_the_cpu_first(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for command in re.finditer(r"pip install [^`\n]*\[(.*?)\]", text):
+        brought = set().union(*(_brought(name) for name in command[1].split(",")))
+        first = text.find("pip install torch --index-url https://download.pytorch.org/whl/cpu")
+        assert "train" not in brought or 0 <= first < command.start(), command[0]
 
 
 IMPORTS = {
@@ -151,7 +166,7 @@ def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Non
 
 
 def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    need(*EXTRAS)
+    need(*(extra for extra in EXTRAS if extra != "ray"))
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(MissingExtraError) as told:
         need("sim", "report")
@@ -165,4 +180,4 @@ def test_where_pybullet_has_no_wheel_another_python_is_asked_for(monkeypatch: py
     with pytest.raises(MissingExtraError, match=r"wheels for CPython 3\.10 and 3\.11 only") as told:
         need("sim")
     assert "\n" not in str(told.value)
-    assert re.search(r"\"pybullet>=[\d.]+; python_version < '3\.12'\"", PYPROJECT)
+    assert [one for one in OPTIONAL["sim"] if re.fullmatch(r"pybullet>=[\d.]+; python_version < '3\.12'", one)]

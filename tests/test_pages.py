@@ -70,14 +70,6 @@ def test_make_targets_exist(page):
             assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
 
 
-@every_page
-def test_extras_exist(page):
-    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    for words in commands(page, "pip"):
-        for extra in re.findall(r"\[(\w+)\]", " ".join(words)):
-            assert re.search(rf"^{extra} = \[", project, re.MULTILINE), extra
-
-
 @cache
 def asked_help(*words: str) -> str:
     """What a sub-command prints of itself."""
