@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import statistics
 import subprocess
 import sys
 from pathlib import Path
+from subprocess import PIPE
 from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from processes import start
 
 from grasp_env.force import METHODS, RULES
 from grasp_env.grasp import Grasp, load_grasp, presets, save_grasp
@@ -111,6 +114,26 @@ def test_faults_and_interrupts_have_their_own_codes(
         assert (found, told["error"]["exit_code"], told["error"]["kind"]) == (code, code, type(error).__name__)
         assert ("Traceback" in people, "interrupted" in people, "x: disk full" in people) == (code == 1, code == 130, code == 2)  # fmt: skip
     assert {code for code, *_ in ENDS.values()} | {0, 1, 130} == set(EXIT_CODES)
+
+
+def test_ctrl_c_ends_the_program_where_the_tests_ignore_it() -> None:
+    script = """
+import sys, time
+from training.cli import main
+from training.commands.solve import Solve
+Solve.execute = lambda self: (print("begun", flush=True), time.sleep(30.0))
+sys.exit(main(["solve"]))
+"""
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with start([sys.executable, "-c", script], cwd=ROOT, text=True, stdout=PIPE, stderr=PIPE) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "begun\n"
+            process.send_signal(signal.SIGINT)
+            _, people = process.communicate(timeout=20)
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert (process.returncode, people) == (130, "grasp: interrupted\n")
 
 
 def test_answers_for_machines_certify(capsys: pytest.CaptureFixture[str]) -> None:

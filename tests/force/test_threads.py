@@ -119,7 +119,7 @@ def test_processes_after_use(way: str) -> None:
     deadline.start()
     for child in children:
         given.append(answers.get())
-        child.join()
+        child.join(60.0)
     deadline.cancel()
     assert [child.exitcode for child in children] == [0, 0]
     mine = optimizer.solve(LOADS[1]).force, ForceOptimizer(GRASP, method="conic").solve(LOADS[1]).force, expected
@@ -143,6 +143,7 @@ import numpy as np
 from grasp_env.force import ForceOptimizer, optimize_forces
 from grasp_env.grasp import presets
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored, where a background job runs the tests
 grasp, method, workers, many, count = presets.paper_cuboid(), sys.argv[1], eval(sys.argv[2]), sys.argv[3] == "grasps", int(sys.argv[4])
 loads = np.random.default_rng(0).standard_normal((count, 6)) * [1, 1, 1, 0.05, 0.05, 0.05]
 grasps = [grasp] * count if many else grasp
@@ -191,7 +192,11 @@ def test_an_interrupt_ends_a_loop() -> None:
         while time.perf_counter() < begun + 20.0:
             optimizer.solve(LOADS[0])
 
-    threading.Timer(0.1, lambda: signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)).start()
-    with pytest.raises(KeyboardInterrupt):
-        loop()
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        threading.Timer(0.1, lambda: signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt):
+            loop()
+    finally:
+        signal.signal(signal.SIGINT, handler)
     np.testing.assert_array_equal(optimizer.solve(LOADS[0]).force, forces("newton", LOADS[:1])[0])
