@@ -23,7 +23,7 @@ from grasp_env.force.methods import DESCENTS, METHODS
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
 from grasp_env.force.pipeline import ForcePipeline
-from grasp_env.force.repair import Repair, carry_over
+from grasp_env.force.repair import Repair, carry_over, start_replaced
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep
 from grasp_env.force.torques import contact_jacobian, joint_torques
@@ -100,5 +100,6 @@ __all__ = [
     "phase_one",
     "quality",
     "singular_values",
+    "start_replaced",
     "worst_case",
 ]

@@ -90,6 +90,11 @@ class OfflineBasis:
             known[objective] = cls.compute(grasp, objective)
         return known[objective]
 
+    @staticmethod
+    def known(grasp: Grasp) -> list[OfflineBasis]:
+        """Those that `of` has made for this `grasp` so far, one for each Phi."""
+        return list(_REMEMBERED.get(as_grasp(grasp), {}).values())
+
     def moved_to(self, grasp: Grasp) -> OfflineBasis:
         """The basis of a nearby grasp, each optimum carried over by the tangent correction and re-optimised.
 

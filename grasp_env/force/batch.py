@@ -43,7 +43,8 @@ class ForceSolutions(Sequence[ForceSolution]):
     Attributes:
         records: (M, 20 + 7N) one row per problem, see `record.py`.
         method: the method's name.
-        initial: the name of the start rule. (A single call also says where a wrench is outside a learned one's training range.)
+        initial: the name of the start rule. (A single call also says where a wrench is outside a learned one's training
+            range, or where the combination took the place of what a network predicted.)
     """
 
     def __init__(
@@ -324,9 +325,10 @@ def _one(
             return None
         solution = found
     record[:] = solution._record
-    if optimizer.settings.limits is not None or solution.status is Status.INFEASIBLE:
+    special = solution.status is Status.INFEASIBLE or solution.start_replaced
+    if special or optimizer.settings.limits is not None:
         known[position] = solution
-    return None if solution.status is Status.INFEASIBLE else solution.initial
+    return None if special else solution.initial
 
 
 CHUNK, GRASPS = 4096, 64

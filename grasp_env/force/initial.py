@@ -16,8 +16,8 @@ from grasp_env.errors import GraspError, InfeasibleStartError, InvalidInputError
 from grasp_env.force.basis import OfflineBasis, starter
 from grasp_env.force.method import Loop, Settings, Start, given_start, infeasible_error
 from grasp_env.force.objective import Objective, as_objective
-from grasp_env.force.repair import Repair, carry_over
-from grasp_env.force.solution import ForceSolution
+from grasp_env.force.repair import Repair, carry_over, start_replaced
+from grasp_env.force.solution import ForceSolution, combination_for
 from grasp_env.grasp.grasp import Grasp
 
 if TYPE_CHECKING:
@@ -360,7 +360,10 @@ class RuleStarts:
             if asked(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
                 # made for another Phi, in which its guarantees hold: give them in this one
                 force = Repair(objective)(grasp, wrench, force)
-            return given_start(rule_name(initial), force, grasp.n_contacts)
+            start = given_start(rule_name(initial), force, grasp.n_contacts)
+            if not is_a(initial, LinearCombination) and start_replaced(grasp, wrench, start.force):
+                return Start(combination_for(start.name), start.force)
+            return start
         except InfeasibleStartError as error:
             from grasp_env.force.feasibility import phase_one
 

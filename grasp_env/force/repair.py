@@ -9,10 +9,12 @@ import numpy as np
 
 from grasp_env import ranges
 from grasp_env._check import ContactForces, Wrench, as_array, as_wrench, choice
-from grasp_env.force.basis import starter
+from grasp_env.force.basis import OfflineBasis, starter
 from grasp_env.force.objective import Objective, as_objective
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
+SAME = 1e-12
+"""Part of the largest component to which two forces are the same."""
 Correction = Literal["tangent", "pseudoinverse"]
 CORRECTIONS: tuple[Correction, ...] = ("tangent", "pseudoinverse")
 
@@ -23,7 +25,8 @@ class Repair:
 
     The candidate first gets the least-norm correction -G^+ (G f + w), so a candidate that is balanced stays. Then
     the force of least Phi on the segment from the combination (strictly feasible) to it is taken: never worse than
-    the paper's start, and never worse than the candidate where that is feasible.
+    the paper's start, and never worse than the candidate where that is feasible. Where the combination itself has least Phi,
+    nothing is left of the candidate: `start_replaced` tells.
 
     Attributes:
         objective: Phi.
@@ -53,6 +56,32 @@ class Repair:
         out = np.empty(flat.shape)
         starter(grasp, self.objective).repair(as_wrench(wrench), flat, out)
         return out
+
+
+def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
+    """Whether a start is the paper's combination, so that nothing is left of the guess that `Repair` was given.
+
+    Without a wrench the combination is the optimum itself, which any good start may be: False then. The combinations of every Phi
+    for which this `Grasp` object has a 12-basis are compared: `Repair` makes one, and a start that needed none costs nothing here.
+    Rounding counts as the same, 1e-12 of the largest component.
+
+    Args:
+        grasp: the contacts.
+        wrench: (6,) [N, N m].
+        force: (N, 3) the start [N].
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
+        >>> guesses = [np.tile([squeeze, 0.0, 0.0], (4, 1)) for squeeze in (1.0, 10.0)]
+        >>> [start_replaced(grasp, wrench, Repair()(grasp, wrench, guess)) for guess in guesses]
+        [False, True]
+    """
+    load, start = as_wrench(wrench), as_array(force, (as_grasp(grasp).n_contacts, 3), "force", ranges.SIZE)
+    same = SAME * np.abs(start).max()
+    return bool(load.any()) and any(
+        np.abs(basis.combine(load) - start).max() <= same for basis in OfflineBasis.known(grasp)
+    )
 
 
 def carry_over(

@@ -65,6 +65,12 @@ STATUSES = {
     LIMITS_EXCEEDED: Status.LIMITS_EXCEEDED,
 }
 """By code."""
+_REPLACED = "linear_combination (", " was replaced)"
+
+
+def combination_for(name: str) -> str:
+    """`ForceSolution.initial` where the paper's combination took the place of the start of that name."""
+    return name.join(_REPLACED)
 
 
 class Priced(Protocol):
@@ -84,7 +90,7 @@ class ForceSolution(Solution):
         initial_force: (N, 3) the start [N].
         torsion: (N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft.
         method: the method's name.
-        initial: the name of the start rule.
+        initial: the name of the start rule; "linear_combination (NAME was replaced)" where `start_replaced`.
         objective_trace: Phi of every iterate, when asked for; else empty.
         certificate: (6,) for INFEASIBLE: a twist v with G_i^T v in the dual cone of every contact and v . w > 0
             (= 0: only forces on the boundary of the cones balance it); see `Feasibility`.
@@ -122,6 +128,16 @@ class ForceSolution(Solution):
     def status(self) -> Status:
         """How the optimisation ended."""
         return STATUSES[self.code]
+
+    @property
+    def start_replaced(self) -> bool:
+        """True if the solve began from the paper's combination although a rule of yours or a learned start was asked.
+
+        Nothing was left of the force that the rule had in mind: `Repair` discards a candidate where no force on the way to it has
+        less Phi than the combination. Such a start costs what the paper's costs.
+        """
+        begin, end = _REPLACED
+        return self.initial.startswith(begin) and self.initial.endswith(end)
 
     @property
     def iterations(self) -> int:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from problems import GRASPS, PAPER_WRENCH, closure_grasps
@@ -10,13 +14,18 @@ from scipy.optimize import minimize_scalar
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import (
     RULES,
+    ForceOptimizer,
     Lagrange,
     LinearCombination,
     Objective,
     OfflineBasis,
+    PhaseOne,
+    Repair,
     cone_margin,
     initial_rule,
     optimize_force,
+    optimize_forces,
+    start_replaced,
 )
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
@@ -168,3 +177,53 @@ def test_grasp_without_closure_has_no_basis_but_phase_one_has_a_start() -> None:
     _assert_start(grasp, down, initial_rule("phase_one")(grasp, down))
     with pytest.raises(InfeasibleStartError, match="no force strictly inside the cones"):
         initial_rule("phase_one")(grasp, -down)
+
+
+def squeezing(newtons: float) -> Callable[[Grasp, np.ndarray], np.ndarray]:
+    """A rule of somebody who guesses so much force along every normal."""
+
+    def squeeze(grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
+        return Repair()(grasp, wrench, np.tile([newtons, 0.0, 0.0], (grasp.n_contacts, 1)))
+
+    return squeeze
+
+
+@pytest.mark.parametrize("method", ["reduced_flow", "newton"])
+@pytest.mark.parametrize("newtons", [1.0, 10.0, np.nan])
+@pytest.mark.parametrize("weight", [0.01, 0.02])
+def test_a_guess_of_which_nothing_is_left_is_told(method: str, newtons: float, weight: float) -> None:
+    """Also by a rule that repairs in another Phi than the one that is solved; without a wrench there is nothing to replace."""
+    grasp, rule, told = GRASPS["cuboid, 4"], squeezing(newtons), newtons != 1.0
+    optimizer = ForceOptimizer(grasp, method=method, initial=rule, barrier_weight=weight)
+    loads = wrenches.sample_ball(np.random.default_rng(0), 30)
+    for wrench in loads:
+        solution = optimizer.solve(wrench)
+        assert solution.start_replaced is told
+        assert solution.initial == ("linear_combination (squeeze was replaced)" if told else "squeeze")
+        assert pickle.loads(pickle.dumps(solution)).start_replaced is told
+        paper = LinearCombination()(grasp, wrench)
+        assert told == (np.abs(solution.initial_force - paper).max() < 1e-9)
+        assert start_replaced(grasp, wrench, solution.initial_force) is told
+    batch = optimize_forces(grasp, loads, method=method, initial=rule, barrier_weight=weight)
+    assert batch.initial == ("linear_combination" if told else "squeeze")
+    assert all(each.start_replaced is told for each in batch)
+    assert optimizer.solve(np.zeros(6)).start_replaced is False
+
+
+def test_each_wrench_of_a_batch_says_whether_its_start_was_replaced() -> None:
+    grasp, rule, loads = GRASPS["cuboid, 4"], squeezing(3.0), wrenches.sample_ball(np.random.default_rng(0), 60)
+    batch = optimize_forces(grasp, loads, initial=rule)
+    single = [ForceOptimizer(grasp, method="newton", initial=rule).solve(load) for load in loads]
+    assert batch.initial == "squeeze"
+    assert [each.initial for each in batch] == [each.initial for each in single]
+    assert 5 < sum(each.start_replaced for each in batch) < 55
+
+
+@pytest.mark.parametrize(
+    "rule", [None, "linear_combination", LinearCombination(), "single_value", Lagrange(), PhaseOne()]
+)
+def test_starts_that_were_asked_for_are_not_called_replaced(rule: Any) -> None:
+    for wrench in (PAPER_WRENCH, np.zeros(6)):
+        solution = optimize_force(GRASPS["cuboid, 4"], wrench, initial=rule)
+        assert not solution.start_replaced
+        assert "replaced" not in solution.initial

@@ -25,6 +25,7 @@ from grasp_env.force import (
     ForceOptimizer,
     LinearCombination,
     Objective,
+    SingleValue,
     Status,
     carry_over,
     initial_rule,
@@ -185,7 +186,7 @@ class Rule:
     name, remembers = "mine", False
 
     def __call__(self, grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
-        return LinearCombination()(grasp, wrench)
+        return SingleValue()(grasp, wrench)
 
 
 def failing(**parts: object) -> Rule:
