@@ -2,8 +2,8 @@
 A learned start
 ===============
 
-Networks that ship with the package start the paper's flow close to its end. To learn: a model is a start rule like any
-other, for single calls, batches and the environment. One of your own: ``grasp fit any_grasp --out runs/fit/mine``, then
+A network that ships with the package starts the paper's flow close to its end. To learn: a model is a start rule like any
+other, for single calls, batches and the environment. One of your own: ``grasp fit --out runs/fit/mine``, then
 ``LearnedInitialForce.load("runs/fit/mine")``, or ``grasp evaluate --start mine=runs/fit/mine`` beside all others.
 In C++: ``07_learned_start.cpp``.
 """
@@ -18,11 +18,8 @@ from policies import LearnedInitialForce
 grasp = presets.paper_cuboid()
 held_out = wrench.sample_ball(np.random.default_rng(1), 2000)  # none of them was trained on; 2 N, 0.05 N m at most
 
-starts = {
-    "the paper's 12-basis": "linear_combination",
-    "four_finger, this grasp's network": LearnedInitialForce.pretrained("four_finger"),
-    "any_grasp, for 3 to 5 contacts": LearnedInitialForce.pretrained("any_grasp"),
-}
+network = LearnedInitialForce.pretrained()
+starts = {"the paper's 12-basis": "linear_combination", "four_finger, this grasp's network": network}
 fig, ax = plt.subplots(figsize=(8, 4.5), layout="constrained")
 forces, medians = [], []
 for name, rule in starts.items():
@@ -33,12 +30,11 @@ for name, rule in starts.items():
     medians.append(median)
     print(f"{name:35} iterations: median {median:3.0f}, 99 % within {most:3.0f}")
     ax.step(np.sort(batch.iterations), np.linspace(0, 100, len(held_out)), where="post", label=name)
-assert medians[2] <= medians[1] < medians[0]
+assert medians[1] < 0.25 * medians[0]
 np.testing.assert_allclose(forces[1], forces[0], atol=0.5)  # the start changes how long it takes, not where it ends
 ax.set(xlabel="iterations of the flow to a gap of 1e-4", ylabel="wrenches done [%]", xlim=(-3, 150), ylim=(0, 101))
 ax.legend(loc="lower right")
 
-network = starts["four_finger, this grasp's network"]
 for size in (0.5, 1.0, 2.0):
     load = size * np.array([1, 0.5, -0.6, -0.01, 0.02, 0])  # [N, N m]
     learned, plain = (optimize_force(grasp, load, method="newton", initial=rule) for rule in (network, None))
@@ -48,9 +44,7 @@ for size in (0.5, 1.0, 2.0):
     )
     print("normal forces", *learned.force[:, 0].round(3), "N")
 
-five = presets.five_finger_cuboid()  # any_grasp reads the contacts
-batch = optimize_forces(five, held_out, method="reduced_flow", initial=starts["any_grasp, for 3 to 5 contacts"])
-print(f"five fingers, any_grasp: median {np.median(batch.iterations):.0f}")
-assert np.median(batch.iterations) < 5
+# the network knows four contacts: with five the solve starts from the 12-basis, and says so
+print("five fingers:", optimize_force(presets.five_finger_cuboid(), load, initial=network).initial)
 
 plt.show()

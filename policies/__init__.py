@@ -2,9 +2,7 @@
 
 from typing import TYPE_CHECKING, Any
 
-from policies.any_grasp import AnyGraspForce
 from policies.controllers import Policy, ZeroPolicy
-from policies.fixed_grasp import FixedGraspForce
 from policies.learned import LearnedInitialForce
 
 if TYPE_CHECKING:
@@ -23,4 +21,4 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-__all__ = ["AnyGraspForce", "FixedGraspForce", "LearnedInitialForce", "Policy", "TrainedAgent", "ZeroPolicy"]
+__all__ = ["LearnedInitialForce", "Policy", "TrainedAgent", "ZeroPolicy"]

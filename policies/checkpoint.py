@@ -19,10 +19,9 @@ from safetensors.numpy import load, save
 from grasp_env._files import as_path, digest, replacing
 from grasp_env.errors import ModelFileError, shown
 
-SCHEMA = "grasp-force/initial-force/3"
-KINDS = ("fixed_grasp", "any_grasp")
+SCHEMA = "grasp-force/initial-force/4"
 MOST_TEXT, MOST_WEIGHTS = 1 << 20, 1 << 26
-"""Bytes of either file: the shipped ones have 10 and 50 thousand."""
+"""Largest of either file, in bytes: the shipped ones have 6 and 63 thousand."""
 MOST_CONTACTS = 64
 """Of a model of one grasp."""
 FAULTS = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
@@ -35,14 +34,12 @@ class Checkpoint:
     """A trained initial force.
 
     Attributes:
-        kind: "fixed_grasp" (`fixed_grasp.py`) or "any_grasp" (`any_grasp.py`), which say what it must hold.
         tensors: arrays by name, float32 or float64.
         numbers: shape and normalisation, as JSON has them.
         ranges: (least, most) of what was seen in training, by name.
         card: data, seed, command, time, scores, versions: for people.
     """
 
-    kind: str
     tensors: dict[str, np.ndarray]
     numbers: dict[str, Any]
     ranges: dict[str, tuple[float, float]]
@@ -55,7 +52,6 @@ class Checkpoint:
         blob = save({name: np.ascontiguousarray(value) for name, value in self.tensors.items()})
         body = {
             "schema": SCHEMA,
-            "kind": self.kind,
             "weights": digest(blob),
             "numbers": self.numbers,
             "ranges": {name: list(pair) for name, pair in self.ranges.items()},
@@ -74,7 +70,7 @@ class Checkpoint:
             path: either of the two files, or their common stem.
 
         Raises:
-            ModelFileError: missing, no regular file, too large, not JSON, another schema or kind, changed, numbers that are not finite
+            ModelFileError: missing, no regular file, too large, not JSON, another schema, changed, numbers that are not finite
                 in float32.
         """
         stem = _stem(path)
@@ -86,19 +82,13 @@ class Checkpoint:
                 f"model weights {file} do not match the sha256 in their .json: the file is truncated or was changed; {_AGAIN}"
             )
         try:
-            kind = meta["kind"]
-            if kind not in KINDS:
-                raise ModelFileError(f"model {stem} is of kind {str(kind)[:40]!r}, this version knows {KINDS}")
             checkpoint = cls(
-                kind=kind,
                 tensors=load(blob),
                 numbers=dict(meta["numbers"]),
                 ranges={str(name): _pair(pair) for name, pair in meta["ranges"].items()},
                 card=dict(meta["card"]),
             )
         except (SafetensorError, *FAULTS) as error:
-            if isinstance(error, ModelFileError):
-                raise
             raise malformed(stem, error) from None
         for name, value in checkpoint.tensors.items():
             if value.dtype not in (np.float32, np.float64) or not (np.abs(value) <= np.finfo(np.float32).max).all():
@@ -113,7 +103,7 @@ class Checkpoint:
         if got != shapes:
             wrong = sorted(name for name in {*got, *shapes} if got.get(name) != shapes.get(name))
             raise ModelFileError(
-                f"{self.kind} model: tensors {', '.join(name[:40] for name in wrong[:4])} do not fit its numbers; {_AGAIN}"
+                f"model: tensors {', '.join(name[:40] for name in wrong[:4])} do not fit its numbers; {_AGAIN}"
             )
 
 

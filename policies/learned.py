@@ -2,47 +2,60 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import Array, ContactForces, Wrench, as_array, choice, flag
+from grasp_env._check import Array, ContactForces, Wrench, as_array, flag
 from grasp_env._files import as_path
 from grasp_env.errors import InfeasibleStartError, ModelFileError
-from grasp_env.force import ForceSolution, Objective, OfflineBasis
+from grasp_env.force import ForceSolution, LinearCombination, Objective, OfflineBasis
 from grasp_env.force.basis import core_contacts
 from grasp_env.force.method import Loop, readable
 from grasp_env.force.objective import as_objective
-from grasp_env.force.record import CODE, FORCE, LIMIT, REFUSED, WRENCH, record_size
-from grasp_env.grasp import Grasp
+from grasp_env.force.record import CODE, FORCE, LIMIT, REFUSED, record_size
+from grasp_env.force.solution import combination_for
+from grasp_env.grasp import Grasp, null_space_basis
 from grasp_env.grasp.grasp import as_grasp
-from policies.checkpoint import Checkpoint, replace
+from policies.checkpoint import FAULTS, MOST_CONTACTS, Checkpoint, malformed, number, replace, whole
+from policies.features import Features
 
 PRETRAINED = Path(__file__).parent / "pretrained"
-MODELS = ("any_grasp", "four_finger")
 OUTSIDE = " (outside its training range)"
+MOST_DEGREE = 8
+"""Largest degree of the polynomials of the friction that weights may be."""
 
 
-_KINDS: dict[str, type[LearnedInitialForce]] = {}
-"""What a checkpoint of a kind is loaded as: subclasses enter themselves."""
-
-
-class LearnedInitialForce(ABC):
+class LearnedInitialForce:
     """An initial-force rule: rule(grasp, wrench) -> (N, 3) force [N], balanced and strictly feasible.
 
-    Two kinds: `FixedGraspForce` knows one grasp, a network from the wrench to null-space coordinates; `AnyGraspForce` reads the grasp,
-    a few learned Newton layers from the 12-basis' combination. Either's start is never worse in Phi than the 12-basis of the grasp
-    AS IT IS NOW, per call, by construction, at any wrench and whatever the weights say: the two are compared in every call, also
-    where `newton` goes on and certifies the solution anyhow.
+    A network that was trained on one grasp predicts internal forces from the wrench and the friction. Where contacts have moved a
+    little, the null space moves along continuously. The start is the network's force, or the best on the segment from the
+    12-basis' combination where that has less Phi. So it is never worse in Phi than the 12-basis of the grasp AS IT IS NOW, per
+    call, by construction, at any wrench and whatever the weights say: the two are compared in every call. `newton` goes on from it
+    in the same compiled call and certifies the solution.
+
+    A grasp keeps its friction from call to call, so weights may be polynomials of the friction (`friction_degree` above 0), which
+    become numbers when the grasp is known: one perceptron per friction.
+
+    Args:
+        checkpoint: weights, normalisation, training range and model card.
+        objective: Phi; None: that of training.
+        remembers: whether it also starts from the previous solution, where that has less Phi.
 
     Attributes:
-        checkpoint: weights, normalisation, training range and model card.
-        objective: Phi, that of training unless `with_objective` set another.
-        remembers: whether it also starts from the previous solution, where that has less Phi.
+        checkpoint, objective, remembers: as given.
+        sizes: of the network's stages, inputs and outputs included.
+        features: how its inputs are normalised.
+        n_contacts: of the grasp that it knows.
+
+    Raises:
+        ModelFileError: the checkpoint does not describe such a model.
 
     Example:
         >>> from grasp_env.force import optimize_force
@@ -50,57 +63,67 @@ class LearnedInitialForce(ABC):
         >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
         >>> optimize_force(grasp, wrench).iterations > 10
         True
-        >>> optimize_force(grasp, wrench, initial=LearnedInitialForce.pretrained("four_finger")).iterations < 10
-        True
-        >>> anywhere = LearnedInitialForce.pretrained()
-        >>> optimize_force(presets.five_finger_cuboid(), wrench, initial=anywhere).iterations < 3
+        >>> optimize_force(grasp, wrench, initial=LearnedInitialForce.pretrained()).iterations < 10
         True
     """
 
-    def __init_subclass__(cls, kind: str) -> None:
-        _KINDS[kind] = cls
-
     def __init__(self, checkpoint: Checkpoint, objective: Objective | None = None, remembers: bool = False) -> None:
+        try:
+            numbers = checkpoint.numbers
+            sizes = list(numbers["sizes"])
+            stages = whole(len(sizes), "the number of sizes", 2, core.MOST_STAGES + 1)
+            self.sizes = tuple(whole(sizes[k], f"sizes[{k}]", 1, core.WIDEST) for k in range(stages))
+            self.features = _features(numbers["features"])
+            self.n_contacts = whole(numbers["n_contacts"], "n_contacts", 3, MOST_CONTACTS)
+            weights = (number(numbers[name], name, 0.0) for name in ("force_weight", "barrier_weight"))
+            self._trained = Objective(*weights)
+            self._degree = whole(numbers["friction_degree"], "friction_degree", 0, MOST_DEGREE)
+            self._ranges = checkpoint.ranges["magnitude"], checkpoint.ranges["friction"]
+            outputs = 3 * self.n_contacts - 6
+            if (self.sizes[0], self.sizes[-1]) != (core.NETWORK_FEATURES, outputs):
+                raise ValueError(f"sizes {self.sizes} for {self.n_contacts} contacts")
+        except FAULTS as error:
+            raise malformed("of an initial force", error) from None
+        shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs)}
+        for layer, (a, b) in enumerate(pairwise(self.sizes)):
+            powers = self._degree + 1
+            shapes |= {f"layers.{layer}.weight": (powers, b, a), f"layers.{layer}.bias": (powers, b)}
+        checkpoint.expect(shapes)
         self.checkpoint = checkpoint
-        self.objective = as_objective(objective)
+        self.objective = self._trained if objective is None else as_objective(objective)
         self.remembers = flag(remembers, "remembers")
+        self._reference = checkpoint.tensors["reference"].astype(np.float64)
+        self._made: tuple[float, core.Network] | None = None
         self._prepared: tuple[Grasp, core.Learned] | None = None
 
     @staticmethod
     def load(path: str | Path, *, remembers: bool = False) -> LearnedInitialForce:
-        """The model saved at `path` (either file or their stem), of either kind.
+        """The model saved at `path` (either file or their stem).
 
         Args:
             path: of a model that `grasp fit` saved.
             remembers: start from the previous solution where that is better: for control loops.
 
         Raises:
-            ModelFileError: missing, truncated, changed, of another schema, or not what its kind asks for.
+            ModelFileError: missing, truncated, changed, of another schema, or not what a model must hold.
         """
-        checkpoint = Checkpoint.load(path)
-        return _KINDS[checkpoint.kind](checkpoint, remembers=remembers)
+        return LearnedInitialForce(Checkpoint.load(path), remembers=remembers)
 
     @staticmethod
-    def pretrained(name: str = "any_grasp", *, remembers: bool = False) -> LearnedInitialForce:
-        """A model that ships with the package.
+    def pretrained(*, remembers: bool = False) -> LearnedInitialForce:
+        """The model that ships with the package: for the contacts of `presets.paper_cuboid()`, a network of 64 x 64.
 
         Args:
-            name: "any_grasp": three to five hard contacts anywhere; "four_finger": the contacts of `presets.paper_cuboid()`,
-                a network of 64 x 64.
             remembers: see `load`.
-
-        Raises:
-            UnknownNameError: another name.
         """
-        return LearnedInitialForce.load(PRETRAINED / choice(name, "pretrained model", MODELS), remembers=remembers)
+        return LearnedInitialForce.load(PRETRAINED / "four_finger", remembers=remembers)
 
     def export(self, path: str | Path, grasp: Grasp) -> Path:
         """Writes what C++ programs read: the model for the contacts of one grasp, and this rule's Phi.
 
         Args:
             path: of the file; `grasp::ModelFile::load` reads it.
-            grasp: hard contacts that this model knows. `any_grasp` models also go on from every start of a
-                `grasp::Pipeline`, whose contacts move.
+            grasp: hard contacts that this model knows.
 
         Raises:
             InfeasibleStartError: contacts that this model does not know.
@@ -108,7 +131,7 @@ class LearnedInitialForce(ABC):
         """
         file = as_path(path, ModelFileError, "a model's file")
         try:
-            replace(file, self._hard_model(as_grasp(grasp)).save())
+            replace(file, self._model(as_grasp(grasp)).save())
         except OSError as error:
             raise ModelFileError(f"model file {file}: {error.strerror or error}") from None
         return file
@@ -119,7 +142,7 @@ class LearnedInitialForce(ABC):
     @property
     def name(self) -> str:
         """What solutions say of their start."""
-        return f"learned_{self.checkpoint.kind}{'_previous' if self.remembers else ''}"
+        return f"learned_fixed_grasp{'_previous' if self.remembers else ''}"
 
     def __call__(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """The start (N, 3) [N].
@@ -128,7 +151,7 @@ class LearnedInitialForce(ABC):
             InfeasibleStartError: contacts that this model does not know, a grasp without force closure, or a wrench that
                 is not finite.
         """
-        return self.start(grasp, wrench, self.objective)[1]
+        return self._started(grasp, wrench, self.objective, None)[1]
 
     def with_objective(self, objective: Objective) -> LearnedInitialForce:
         """The same model for another `objective`, exact up to scale: Phi knows forces in units of sqrt(lambda / omega) only."""
@@ -142,7 +165,7 @@ class LearnedInitialForce(ABC):
         limit: int,
         descend: Callable[[Array, Array, Array], None] | None = None,
     ) -> Loop:
-        """For optimizers: start and Newton in one compiled call, or the start, and `descend` where it is no solution yet.
+        """For optimizers: start and Newton in one compiled call, or the start and then `descend`.
 
         Args:
             grasp: the contacts.
@@ -157,7 +180,10 @@ class LearnedInitialForce(ABC):
     def start(
         self, grasp: Grasp, wrench: Wrench, objective: Objective, previous: ForceSolution | None = None
     ) -> tuple[str, ContactForces]:
-        """The start's name, which says when wrench or grasp are outside the training range, and its force (N, 3) [N].
+        """For optimizers: the start's name and its force (N, 3) [N].
+
+        The name says when wrench or grasp are outside the training range, and when nothing of the prediction was kept. For another
+        number of contacts, as where a hand loses one, the start is the 12-basis' combination, and the name says that, too.
 
         Args:
             grasp: the contacts.
@@ -167,32 +193,43 @@ class LearnedInitialForce(ABC):
                 contacts is not used.
 
         Raises:
-            InfeasibleStartError: see `__call__`.
+            InfeasibleStartError: soft or frictionless contacts, no force closure, or a wrench that is not finite.
         """
+        if as_grasp(grasp).n_contacts != self.n_contacts:
+            return combination_for(self.name), LinearCombination(objective)(grasp, wrench)
+        return self._started(grasp, wrench, objective, previous)
+
+    def _started(
+        self, grasp: Grasp, wrench: Wrench, objective: Objective, previous: ForceSolution | None
+    ) -> tuple[str, ContactForces]:
         rule = self if objective == self.objective else self.with_objective(objective)
         learned = rule._learned(grasp)
         record = np.empty(record_size(grasp.n_contacts))
         before = None
         if self.remembers and previous is not None and previous.n_contacts == grasp.n_contacts:
             before = np.array(previous._record)
-        if learned.start(read_load(wrench), before, record) == REFUSED:
-            raise InfeasibleStartError(
-                f"a wrench needs finite numbers up to {core.LARGEST:g}, got {np.asarray(wrench).tolist()}"
-            )
+        load = read_load(wrench)
+        if learned.start(load, before, record) == REFUSED:
+            raise _not_finite(load)
         force = record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(-1, 3)
-        return self.name + OUTSIDE * (not learned.covers(record[WRENCH : WRENCH + 6])), force
+        return _said(self.name, learned.outside, learned.replaced), force
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
         """Whether grasp and wrench lie in the training range; elsewhere the start is still safe, and solutions say so."""
-        return not self.start(grasp, wrench, self.objective)[0].endswith(OUTSIDE)
+        return self._learned(grasp).covers(read_load(wrench))
 
-    @abstractmethod
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
-        """The network's own force (N, 3) [N] for a `grasp` and a `wrench` (6,), balanced, perhaps outside the cones."""
+        """The network's own force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced, perhaps outside the cones.
 
-    @abstractmethod
-    def _model(self, grasp: Grasp) -> core.Model:
-        """What the core's start reads besides the contacts."""
+        Raises:
+            InfeasibleStartError: see `__call__`.
+        """
+        learned = self._learned(grasp)
+        force = np.empty((grasp.n_contacts, 3))
+        load = read_load(wrench)
+        if not learned.predict(load, force):
+            raise _not_finite(load)
+        return force
 
     def _learned(self, grasp: Grasp) -> core.Learned:
         """The start alone on a grasp, kept for the last one."""
@@ -201,21 +238,75 @@ class LearnedInitialForce(ABC):
             prepared = self._prepared = grasp, self._make(as_grasp(grasp), 0.0, 0)
         return prepared[1]
 
-    def _hard_model(self, grasp: Grasp) -> core.Model:
+    def _model(self, grasp: Grasp) -> core.Model:
+        """What the core's start reads besides the contacts."""
         if set(grasp.models.names) != {"hard"}:
             raise InfeasibleStartError(
                 f"this model knows hard contacts, the grasp has {grasp.models.names}: use initial='linear_combination'"
             )
-        return self._model(grasp)
+        if grasp.n_contacts != self.n_contacts:
+            raise InfeasibleStartError(
+                f"this model knows {self.n_contacts} contacts, the grasp has {grasp.n_contacts}; "
+                "use initial='linear_combination', or fit a model of your grasp"
+            )
+        (_, most), (low, high) = self._ranges
+        friction, scale = float(grasp.friction.mean()), self._scale(grasp.n_contacts)
+        known = low <= friction <= high  # of a grasp only the friction is looked at
+        nearest = min(max(friction, low), high) if self._degree else friction  # beyond, polynomials know nothing
+        model = core.Model.make(self._network(nearest))
+        model.normalise(**asdict(self.features))
+        model.place(np.ascontiguousarray(null_space_basis(grasp, self._reference)), nearest, scale)
+        model.trained_on(self.features.length, np.zeros(3), most * scale if known else -1.0)
+        return model
+
+    def _scale(self, count: int) -> float:
+        """sqrt(lambda / omega), mean over the contacts, over that of training."""
+        weights, trained = self.objective.weights(count), self._trained.weights(count)
+        return float(np.sqrt((weights[:, 1] / weights[:, 0]).mean() * trained[0, 0] / trained[0, 1]))
+
+    def _network(self, friction: float) -> core.Network:
+        """The network of a friction, kept for the last one: contacts move more often than they change it."""
+        made = self._made  # one tuple, read once: threads may share a rule
+        if made is None or (made[0] != friction and self._degree):
+            made = self._made = friction, core.Network.make(self.sizes, self._weights(friction))
+        return made[1]
+
+    def _weights(self, friction: float) -> Array:
+        """The weights at that friction, as the core reads them: stage by stage (inputs x outputs), then the bias."""
+        feature = (friction - self.features.friction_mean) / self.features.friction_scale
+        feature = min(max(feature, -1e3), 1e3)  # far beyond training, where powers are no numbers any more
+        powers, parts = feature ** np.arange(self._degree + 1), list[Array]()
+        for layer in range(len(self.sizes) - 1):
+            for name in ("weight", "bias"):
+                coefficients = self.checkpoint.tensors[f"layers.{layer}.{name}"].astype(np.float64)
+                parts.append(np.tensordot(powers, coefficients, 1).T.ravel())
+        most = float(np.finfo(np.float32).max)
+        return np.concatenate(parts).clip(-most, most)
 
     def _make(self, grasp: Grasp, tolerance: float, limit: int) -> core.Learned:
-        model = self._hard_model(grasp)
+        model = self._model(grasp)
         basis = OfflineBasis.of(grasp, self.objective).cone_forces
         return core.Learned.make(core_contacts(grasp, self.objective), tolerance, limit, basis, model)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # the prepared grasp is a cache; sub-process environments get the checkpoint
         return type(self), (self.checkpoint, self.objective, self.remembers)
+
+
+def _features(numbers: dict[str, object]) -> Features:
+    """The saved normalisation; what divides is above 0."""
+    mean = ("log_mean", "friction_mean")
+    return Features(**{name: number(v, name, -np.inf if name in mean else 0.0) for name, v in numbers.items()})
+
+
+def _said(name: str, outside: bool, replaced: bool) -> str:
+    """The name of a start, with what happened to it."""
+    name += OUTSIDE * outside
+    return combination_for(name) if replaced else name
+
+
+def _not_finite(wrench: Array) -> InfeasibleStartError:
+    return InfeasibleStartError(f"a wrench needs finite numbers up to {core.LARGEST:g}, got {wrench.tolist()}")
 
 
 def read_load(wrench: Any) -> Array:
@@ -240,12 +331,13 @@ class LearnedLoop(Loop):
         self.call, self.remembers = learned.solve if descend is None else self._descended, remembers
         self.solution = self.stopped = ForceSolution
         self.many = learned.solve_many if descend is None else None
-        self._learned, self._descend, self._names = learned, descend, (name, name + OUTSIDE)
+        self._learned, self._descend = learned, descend
+        self._names = [_said(name, outside, replaced) for replaced in (False, True) for outside in (False, True)]
 
     @property
     def name(self) -> str:  # type: ignore[override]
         """Of the last start."""
-        return self._names[self._learned.outside]
+        return self._names[2 * self._learned.replaced + self._learned.outside]
 
     carried = name  # type: ignore[assignment]
 

@@ -15,7 +15,13 @@ from training.runs.statistics import spread
 from training.trials.arrays import BUDGETS, LEVELS, METHODS, SCENARIOS
 from training.trials.findings import findings
 
-SPEED = {"single_value": 60.0, "lagrange": 50.0, "linear_combination": 40.0, "learned_fixed": 0.5, "learned_any": 3.0}
+SPEED = {
+    "single_value": 60.0,
+    "lagrange": 50.0,
+    "linear_combination": 40.0,
+    "learned_fixed": 0.5,
+    "learned_previous": 3.0,
+}
 CASES = 30
 CURVE = {"columns": ["step", "seconds", "median", "p95", "p99"], "rows": [[k, k, 1e-3, 1e-2, 0.1] for k in range(9)]}
 USED = ("constant", "paper_path", "ball", "smooth", "jump_50", "random_4", "random_3", "rollout_changes")
@@ -63,7 +69,6 @@ def synthetic_run(folder: Path, seed: int = 0) -> tuple[Run, dict[str, Any]]:
         },
         "break_even": {
             "learned_fixed": {"training_seconds": 900.0, "saved_us": 6.5, "basis_offline_us": 180.0, "calls": 1.4e8},
-            "learned_any": {"training_seconds": None, "saved_us": -2.0, "basis_offline_us": 180.0, "calls": None},
         },
         "rollouts": {"constant": {"linear_combination": {
             "episodes": 1, "held": 1, "failures": [], "max_drift_mm": 0.1, "max_tilt_deg": 0.02, "max_slip_distance_mm": 0.0,

@@ -156,13 +156,13 @@ CLOSED = {
     "solve": {"--method": METHODS, "--preset": PRESETS, "--criterion": ("sum", "max")},
     "demo": {"--task": ("hold", "move"), "--disturbance": ("random",), "--motion": ("lift",), "--shape": ("cuboid",)},
     "evaluate": {"--engines": ("bullet", "noslip")},
-    "fit four_finger": {"--preset": PRESETS},
+    "fit": {"--preset": PRESETS},
     "rl": {"--algorithm": ("ppo", "sac"), "--action": ("initial_force",)},
     "live": {"--preset": PRESETS},
 }
 
 
-@pytest.mark.parametrize("name", ["", *COMMANDS, "fit four_finger"])
+@pytest.mark.parametrize("name", ["", *COMMANDS])
 def test_help_lists_choices_and_fits_eighty_columns(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

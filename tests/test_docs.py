@@ -42,8 +42,6 @@ SHOWN_BY = {
 NO_EXAMPLE = {
     "grasp_env.force.InitialForceRule": "a protocol",
     "policies.Policy": "a protocol",
-    "policies.FixedGraspForce": "made by LearnedInitialForce.load, whose example shows it",
-    "policies.AnyGraspForce": "the same",
     "grasp_env.sim.Client": "made by a Scene",
     "grasp_env.sim.Snapshot": "read by a Scene",
     "grasp_env.sim.Annotation": "made by an environment for its camera",

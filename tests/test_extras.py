@@ -81,9 +81,7 @@ IMPORTS = {
     "from grasp_env.control.loop import ForceLoop": "sim",
     "import gymnasium; gymnasium.make('grasp_env:FourFingerGrasp-v0')": "sim",
     "import policies.network": "train",
-    "import policies.newton_layers": "train",
     "import training.fit.four_finger": "train",
-    "import training.fit.any_grasp": "train",
 }
 
 
@@ -106,7 +104,6 @@ for statement, extra in {IMPORTS}.items():
 
 COMMANDS = {
     "fit": "train",
-    "fit any_grasp": "train",
     "rl": "sim,train,report",
     "rl --compare nowhere": "sim,train,report",
     "evaluate": "sim,report",

@@ -43,13 +43,13 @@ def test_public_classes_say_what_they_are(kind: type) -> None:
 
 def _objects() -> list[Any]:
     grasp = presets.paper_cuboid()
-    models = [LearnedInitialForce.pretrained(name) for name in ("any_grasp", "four_finger")]
+    model = LearnedInitialForce.pretrained()
     rules = [initial_rule(name) for name in RULES]
-    starts: list[Any] = [None, "previous", *models, *rules, lambda grasp, wrench: np.ones((4, 3)), np.ones((4, 3))]
+    starts: list[Any] = [None, "previous", model, *rules, lambda grasp, wrench: np.ones((4, 3)), np.ones((4, 3))]
     config = EnvConfig().resolved()
-    return [*models, *rules, *RULES.values(), *(ForceOptimizer(grasp, method="newton", initial=start) for start in starts),
-            ForcePipeline(grasp), ForcePipeline(grasp, method="newton", initial=models[0]), ZeroPolicy(), ForceLoop(config, models[0]),
-            HandKinematics(HandDescription.four_finger()), optimize_force(grasp, WRENCH, initial=models[0]), grasp, config]  # fmt: skip
+    return [model, *rules, *RULES.values(), *(ForceOptimizer(grasp, method="newton", initial=start) for start in starts),
+            ForcePipeline(grasp), ZeroPolicy(), ForceLoop(config, model),
+            HandKinematics(HandDescription.four_finger()), optimize_force(grasp, WRENCH, initial=model), grasp, config]  # fmt: skip
 
 
 def test_no_object_is_shown_by_its_address() -> None:

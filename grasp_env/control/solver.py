@@ -9,7 +9,6 @@ import numpy as np
 from grasp_env._check import Array, Wrench
 from grasp_env.config import EnvConfig
 from grasp_env.force import ForceOptimizer, ForceSolution, InitialForceRule, Repair
-from grasp_env.force.initial import LayeredRule, is_rule
 from grasp_env.force.pipeline import PIPELINE_METHODS, STARTS, ForcePipeline
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
@@ -68,7 +67,7 @@ def make_pipeline(
         "max_iterations": config.max_iterations if config.iteration_budget is None else config.iteration_budget,
     }
     named = isinstance(initial_force, str) and initial_force in STARTS
-    if (named or is_rule(initial_force, LayeredRule)) and config.method in PIPELINE_METHODS:
+    if named and config.method in PIPELINE_METHODS:
         return ForcePipeline(grasp, **options)
     if config.method in ("conic", "linear"):
         options["initial"] = None

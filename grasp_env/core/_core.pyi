@@ -284,20 +284,11 @@ class Conic:
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
         """Best seconds of `passes` calls each, into (M,)."""
 
-LAYER_FEATURES: int = 11
-
-LAYER_REACH: float = 0.9
-
-MOST_LAYERS: int = 64
-
 NETWORK_FEATURES: int = 8
 
 MOST_STAGES: int = 8
 
 WIDEST: int = 1024
-
-def layer_size(width: int) -> int:
-    """Numbers of one learned layer; 0: too wide."""
 
 class Network:
     """A float32 perceptron with activation v/2 (1 + v / sqrt(1 + v^2))."""
@@ -308,20 +299,11 @@ class Network:
         sizes: inputs, hidden ..., outputs; weights: of each stage (inputs x outputs), then its bias, flat.
         """
 
-class Layers:
-    """Learned Newton layers."""
-
-    @staticmethod
-    def make(width: int, weights: object) -> Layers:
-        """weights: (K, layer_size(width)), see layers.hpp."""
-
 class Model:
-    """
-    A trained model on contacts as they are now: a network, layers, or both.
-    """
+    """A trained model on contacts as they are now."""
 
     @staticmethod
-    def make(network: Network | None, layers: Layers | None) -> Model: ...
+    def make(network: Network) -> Model: ...
 
     def normalise(self, length: float, floor: float, log_mean: float, log_scale: float, friction_mean: float, friction_scale: float) -> None:
         """Of the network's features, see policies/features.py."""
@@ -356,19 +338,16 @@ class Learned:
 
     def start(self, wrench: object | None, previous: object | None, record: object) -> int:
         """
-        The start into a record; returns `converged` where it is certified, `limit` where a descent has to go on from the
-        initial force in it. previous: the record of another wrench's optimum, or None.
+        The start into a record; returns `limit`, for a descent has to go on from it.
+        previous: the record of another wrench's optimum, or None.
         """
 
     def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
-        """
-        The start, and Newton from it unless it is certified, into a record; returns the code.
-        """
+        """The start, and Newton from it, into a record; returns the code."""
 
     def predict(self, wrench: object, force: object) -> bool:
         """
-        The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network.
-        False: not finite.
+        The network's own force (N, 3) [N], perhaps outside the cones. False: not finite.
         """
 
     def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
@@ -385,6 +364,12 @@ class Learned:
     @property
     def outside(self) -> bool:
         """Whether the last wrench was not covered."""
+
+    @property
+    def replaced(self) -> bool:
+        """
+        Whether nothing of the last prediction was kept: the combination was taken.
+        """
 
 CLEAR: float = 1e-09
 
@@ -436,9 +421,6 @@ class Pipeline:
         """
         Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.
         """
-
-    def set_layers(self, layers: Layers) -> None:
-        """Learned layers that go on from every start."""
 
     def solve(self, points: object | None, normals: object | None, wrench: object | None, adjust: object | None, record: object) -> int:
         """

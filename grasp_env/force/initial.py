@@ -8,11 +8,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_text, as_wrench, choice, is_a
-from grasp_env.errors import GraspError, InfeasibleStartError, InvalidInputError
+from grasp_env.errors import GraspError, InfeasibleStartError
 from grasp_env.force.basis import OfflineBasis, starter
 from grasp_env.force.method import Loop, Settings, Start, given_start, infeasible_error
 from grasp_env.force.objective import Objective, as_objective
@@ -78,19 +76,6 @@ class CompiledRule(InitialForceRule, Protocol):
         ...
 
 
-@runtime_checkable
-class LayeredRule(CompiledRule, Protocol):
-    """A rule made of learned Newton layers (`core/include/grasp/layers.hpp`), which a `ForcePipeline` takes within its call.
-
-    Attributes:
-        name: of the start. layers: (K, numbers) float32. width: of their hidden layers.
-    """
-
-    name: str
-    layers: NDArray[np.float32]
-    width: int
-
-
 def is_rule(value: object, kind: type[T]) -> TypeIs[T]:
     """Whether an object is of one of the protocols above; one whose attributes fail is of none."""
     try:
@@ -127,24 +112,6 @@ def asked(rule: Any, ask: Callable[..., Any], *given: Any) -> Any:
             f"initial-force rule {rule_name(rule)!r} fails with {type(error).__name__}: {str(error)[:200]}; a rule takes "
             "(grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
         ) from error
-
-
-def check_layers(layers: NDArray[np.float32], width: int) -> None:
-    """Raises `InvalidInputError` unless the core can read these learned layers."""
-    whole = isinstance(width, int) and 0 < width <= core.WIDEST
-    numbers = core.layer_size(width) if whole else 0
-    fits = isinstance(layers, np.ndarray) and layers.dtype == np.float32 and layers.ndim == 2
-    if not (
-        numbers
-        and fits
-        and layers.shape[1] == numbers
-        and len(layers) <= core.MOST_LAYERS
-        and np.isfinite(layers).all()
-    ):
-        raise InvalidInputError(
-            f"learned layers must be a finite float32 array (K, {numbers}), K up to {core.MOST_LAYERS}, for a width of 1 to {core.WIDEST}, "
-            f"got {getattr(layers, 'dtype', type(layers).__name__)} {getattr(layers, 'shape', '')} for width {width!r}"
-        )
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from grasp_env import core, ranges
 from grasp_env._check import Array, ContactForces, Wrench, as_array, as_wrench, choice
 from grasp_env.errors import InfeasibleStartError, UnsupportedProblemError
 from grasp_env.force.basis import OfflineBasis, core_contacts
-from grasp_env.force.initial import LayeredRule, check_layers, is_rule
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.optimizer import MAX_ITERATIONS, ForceOptimizer
 from grasp_env.force.record import CODE, REFUSED, STALLED, record_size
@@ -83,7 +82,7 @@ class ForcePipeline:
         grasp: Grasp,
         *,
         method: str = "reduced_flow",
-        initial: str | LayeredRule = "linear_combination",
+        initial: str = "linear_combination",
         force_weight: Weight = 1.0,
         barrier_weight: Weight = 0.01,
         tolerance: float | None = None,
@@ -96,8 +95,7 @@ class ForcePipeline:
         Args:
             grasp: the nominal grasp, hard contacts (round or elliptic cones) with force closure.
             method: "reduced_flow" or "newton".
-            initial: "linear_combination"; "previous": the last optimum carried over, never worse than the former; or a rule made of
-                learned Newton layers (`policies.LearnedInitialForce.pretrained("any_grasp")`), which go on from either.
+            initial: "linear_combination"; "previous": the last optimum carried over, never worse than the former.
             force_weight, barrier_weight, tolerance, max_iterations, step_rule: see `optimize_force`.
             reference: (3N, 3N - 6) directions of `adjust`, object frame; None: `reference_basis` of the nominal grasp.
 
@@ -108,17 +106,7 @@ class ForcePipeline:
         """
         as_grasp(grasp)
         method = choice(method, "method of a pipeline", PIPELINE_METHODS)
-        layered = initial if is_rule(initial, LayeredRule) else None
-        if layered is not None:
-            check_layers(layered.layers, layered.width)
-            self.initial = layered.name
-        else:
-            self.initial = choice(
-                initial,
-                "start of a pipeline",
-                STARTS,
-                ", or a rule of learned layers; any other rule starts a ForceOptimizer",
-            )
+        self.initial = choice(initial, "start of a pipeline", STARTS, "; any other starts a ForceOptimizer")
         if set(grasp.models.names) != {"hard"}:
             raise UnsupportedProblemError(
                 f"a ForcePipeline knows hard contacts, got {grasp.models.names}: use a ForceOptimizer and its move_to"
@@ -139,10 +127,8 @@ class ForcePipeline:
             if reference is None
             else as_array(reference, (3 * count, grasp.null_dimension), "reference")
         )
-        remembers = self.initial == "previous" if layered is None else layered.remembers
-        self._layers = None if layered is None else (layered.layers, layered.width)
         self._shape, self._coordinates, self._size = (count, 3), (grasp.null_dimension,), record_size(count)
-        self._remembers = remembers
+        self._remembers = self.initial == "previous"
         self._make()
 
     def _make(self) -> None:
@@ -161,9 +147,6 @@ class ForcePipeline:
         x, frames, cone_matrix, rows, basis_frames = (arrays[name] for name in Held._fields[:5])
         self.held = Held(x, frames, cone_matrix, rows, basis_frames, grasp.models.cone_divisor, weights, tangents)
         self._solve = self.core.solve
-        if self._layers is not None:
-            layers, width = self._layers
-            self.core.set_layers(core.Layers.make(width, np.array(layers, dtype=np.float64, order="C")))
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name not in ("core", "_solve", "held")}

@@ -154,22 +154,21 @@ def table() -> dict[str, tuple[Callable[..., Any], dict[str, Any], frozenset[str
             run = run.func
         out[name] = run, given, frozenset(call.given)
     bare, empty = _core.Newton.make(calls.contacts(), 1e-6, 50), np.full(calls.SIZE, -7.0)
-    fresh = _core.Model.make(None, None)
+    network = _core.Network.make([8, 6], np.zeros(54))
+    fresh = _core.Model.make(network)
     wrench, blob = np.ones(6), calls.model().save()
     out |= {
         "Newton.solve before a basis": (bare.solve, {"wrench": wrench, "previous": None, "record": empty}, frozenset()),
-        "Model.make": (_core.Model.make, {"network": None, "layers": None}, frozenset()),
+        "Model.make": (_core.Model.make, {"network": network}, frozenset()),
         "Model.normalise": (fresh.normalise, NORMALISATION, frozenset()),
         "Model.place": (fresh.place, {"null_space": np.ones((12, 6)), "friction": 0.4, "scale": 1.0}, frozenset()),
         "Model.load": (_core.Model.load, {"bytes": blob}, frozenset()),
         "Model.save": (fresh.save, {}, frozenset()),
         "all_finite": (_core.all_finite, {"array": wrench}, frozenset({"array"})),
         "normalise": (_core.normalise, {"normals": calls.SAMPLE.normals.copy()}, frozenset()),
-        "layer_size": (_core.layer_size, {"width": 4}, frozenset()),
         "record_size": (_core.record_size, {"contacts": 4}, frozenset()),
         "Solution": (_core.Solution, {"record": empty, "method": "", "initial": ""}, frozenset()),
         "Network.make sizes": (_core.Network.make, {"sizes": [8, 6], "weights": np.zeros(54)}, frozenset()),
-        "Pipeline.set_layers": (calls.pipeline().set_layers, {"layers": _core.Layers.make(1, calls.LAYER_WEIGHTS)}, frozenset()),
     }  # fmt: skip
     return out
 

@@ -22,7 +22,6 @@ SAMPLE = sample(COUNT)
 LOADS = wrenches(np.random.default_rng(0), 3)
 SIZE = _core.record_size(COUNT)
 INTERNAL = reference_of(SAMPLE)
-LAYER_WEIGHTS = 0.1 * np.random.default_rng(1).standard_normal((2, _core.layer_size(1)))
 RULE = np.array([2.0, 0.3, 1.5, 0.5, 0.0])
 
 
@@ -75,11 +74,8 @@ def pipeline() -> _core.Pipeline:
 
 
 def model(placed: bool = True) -> _core.Model:
-    """A network of these contacts, and layers."""
-    rng = np.random.default_rng(0)
-    made = _core.Model.make(
-        _core.Network.make([8, 6], 0.1 * rng.standard_normal(54)), _core.Layers.make(1, LAYER_WEIGHTS)
-    )
+    """A network of these contacts."""
+    made = _core.Model.make(_core.Network.make([8, 6], 0.1 * np.random.default_rng(0).standard_normal(54)))
     made.normalise(0.05, 0.2, 0.5, 1.3, 0.4, 0.12)
     if placed:
         made.place(INTERNAL, 0.5, 1.0)
@@ -227,7 +223,6 @@ def calls() -> dict[str, Call]:
         "Conic.solve_many": Call(partial(c.solve_many, previous=None), {"wrenches": LOADS}, {"records": many}),
         "Conic.times": Call(partial(c.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
         "Network.make": Call(partial(_core.Network.make, [8, 6]), {"weights": np.full(54, 0.1)}, {}),
-        "Layers.make": Call(partial(_core.Layers.make, 1), {"weights": LAYER_WEIGHTS}, {}, frozenset({"weights"})),
         "Model.trained_on": Call(partial(model().trained_on, length=1.0, largest=1.0), {"centre": np.zeros(3)}, {}),
         "Learned.make": Call(partial(_core.Learned.make, contacts(), TOLERANCE, LIMIT, model=model()), basis, {}),
         "Learned.start": Call(start.start, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),

@@ -6,7 +6,7 @@ import _core_test as insides
 import numpy as np
 import pytest
 from samples import Sample, sample, wrenches
-from test_learned import KINDS, learned
+from test_learned import learned
 from test_pipeline import path, pipeline
 
 from grasp_env.force.step_size import AdaptiveStep
@@ -47,10 +47,9 @@ def test_descents(count: int, calls: int, form: str) -> None:
 @COUNTED
 @many
 @counts
-@pytest.mark.parametrize("kind", KINDS)
-def test_learned_starts(count: int, calls: int, kind: str) -> None:
-    s, (sizes, layers) = sample(count), KINDS[kind]
-    made = learned(s, LAYOUTS[count], 1, sizes, 0.1, layers, 1e-4)
+def test_learned_starts(count: int, calls: int) -> None:
+    s = sample(count)
+    made = learned(s, LAYOUTS[count], 1, 0.1, 1e-4)
     loads = wrenches(np.random.default_rng(count), 12, 3.0)
     forces = np.array([made.solve(load)[20 : 20 + 3 * count] for load in loads])
     assert made.allocations(loads, forces, calls // 5) == 0

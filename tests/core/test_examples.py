@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     flags = " ".join(["-O0", *FLAGS, SHADOW["g++"]])
     configure = ["-DGRASP_EXAMPLES=ON", "-DCMAKE_BUILD_TYPE=None", f"-DCMAKE_CXX_COMPILER={tool('g++')}"]
     succeed(tool("cmake"), "-S", CORE, "-B", folder, *configure, f"-DCMAKE_CXX_FLAGS={flags}")
-    LearnedInitialForce.pretrained("four_finger").export(folder / "four.model", presets.paper_cuboid())
+    LearnedInitialForce.pretrained().export(folder / "four.model", presets.paper_cuboid())
     return folder
 
 

@@ -30,7 +30,7 @@ def program(name: str, folder: Path, *flags: str, compiler: str = "g++") -> Path
 
 
 def model(folder: Path) -> Path:
-    return LearnedInitialForce.pretrained("four_finger").export(folder / "four.model", presets.paper_cuboid())
+    return LearnedInitialForce.pretrained().export(folder / "four.model", presets.paper_cuboid())
 
 
 def test_bytes_by_chance(tmp_path: Path) -> None:

@@ -32,13 +32,12 @@ def options_of(name: str) -> dict:
         "conic to 1e-9": {"method": "conic", "tolerance": 1e-9},
         "flow": {"method": "reduced_flow"},
         "limits": {"method": "newton", "limits": ForceLimits(max_normal=100.0)},
-        "network": {"method": "newton", "initial": LearnedInitialForce.pretrained("four_finger")},
-        "layers": {"method": "newton", "initial": LearnedInitialForce.pretrained("any_grasp")},
+        "network": {"method": "newton", "initial": LearnedInitialForce.pretrained()},
     }
     return kinds[name]
 
 
-KINDS = ("newton", "newton to 1e-8", "other weights", "conic", "conic to 1e-9", "flow", "limits", "network", "layers")
+KINDS = ("newton", "newton to 1e-8", "other weights", "conic", "conic to 1e-9", "flow", "limits", "network")
 
 
 @pytest.mark.parametrize("kind", KINDS)

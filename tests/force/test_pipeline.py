@@ -18,7 +18,6 @@ from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Repair, Status,
 from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.force.record import REFUSED, record_size
 from grasp_env.grasp import Grasp, null_space_basis, presets
-from policies import LearnedInitialForce
 
 NOMINAL = {3: presets.tripod(), 4: presets.paper_cuboid(), 5: presets.five_finger_cuboid()}
 SMALL = (1e-3, 0.02)
@@ -285,15 +284,6 @@ def test_status_of_a_flow_cut_short() -> None:
     assert (solution.status, solution.iterations) == (Status.ITERATION_LIMIT, 3)
     np.testing.assert_allclose(solution.force, general.force, rtol=1e-9)  # the same steps, another rounding
     np.testing.assert_allclose(pipeline.x, grasp.to_cone(solution.force), rtol=1e-12)
-
-
-def test_a_learned_start_is_kept_where_the_flow_is_cut_short() -> None:
-    grasp, rule = NOMINAL[4], LearnedInitialForce.pretrained()
-    settings = {"initial": rule, "max_iterations": 0, "tolerance": 1e-13}
-    solution = ForcePipeline(grasp, **settings).solve(grasp.positions, grasp.normals, 20 * PAPER_WRENCH)
-    general = ForceOptimizer(grasp, **settings).solve(20 * PAPER_WRENCH)
-    assert solution.initial == rule.name
-    assert solution.objective == pytest.approx(general.objective, rel=1e-3)
 
 
 def test_what_a_pipeline_is_not_made_for() -> None:

@@ -40,10 +40,10 @@ def torques_of(env: gym.Env[Any, Any]) -> Iterator[list[np.ndarray]]:
         pybullet.setJointMotorControlArray = original
 
 
-def first_tick(seed: int, rule: bool | None = None, adjust: float = 0.0, **settings: Any) -> list[Outcome]:
+def first_tick(seed: int, learned: bool = False, adjust: float = 0.0, **settings: Any) -> list[Outcome]:
     """A reset and one control tick, which is one agent step here."""
-    if rule is not None:
-        settings["initial_force"] = LearnedInitialForce.pretrained("any_grasp", remembers=rule)
+    if learned:
+        settings["initial_force"] = LearnedInitialForce.pretrained()
     import gymnasium as gym  # the other groups need the solver only
 
     env = gym.make(ENV, **{"agent_rate": 250, **settings})
@@ -123,7 +123,7 @@ def cases() -> dict[str, Case]:
         "newton": {},
         "newton from previous": {"initial_force": "previous"},
         "newton, adjusted": {"adjust": 0.3},
-        "newton from learned": {"rule": False},
+        "newton from learned": {"learned": True},
         "reduced_flow": FLOW,
         "reduced_flow from single_value": {**FLOW, "initial_force": "single_value"},
         "full_flow": {**FLOW, "method": "full_flow"},

@@ -12,7 +12,6 @@ from golden.record import Outcome, attempt, of_solution
 
 from grasp_env.force import BarzilaiBorweinStep, ForcePipeline
 from grasp_env.grasp import Grasp
-from policies import LearnedInitialForce
 
 
 def path(grasp: Grasp, steps: int, size: tuple[float, float], smooth: bool) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -31,13 +30,9 @@ def path(grasp: Grasp, steps: int, size: tuple[float, float], smooth: bool) -> l
     return out
 
 
-def walk(
-    name: str, size: tuple[float, float], smooth: bool, adjust: float = 0.0, rule: bool | None = None, **options: Any
-) -> list[Outcome]:
-    """Twelve solves along a path, the last six after `reset`; `rule`: a learned start that remembers or does not."""
+def walk(name: str, size: tuple[float, float], smooth: bool, adjust: float = 0.0, **options: Any) -> list[Outcome]:
+    """Twelve solves along a path, the last six after `reset`."""
     grasp = GRASPS[name]
-    if rule is not None:
-        options["initial"] = LearnedInitialForce.pretrained("any_grasp", remembers=rule)
     pipeline, rows = ForcePipeline(grasp, **options), []
     rng = np.random.default_rng(22)
     loads = PAPER + wrenches(23, 12, 0.3 if smooth else 1.0)
@@ -111,11 +106,6 @@ def cases() -> dict[str, Case]:
             )
         text, options = f"{method} from {initial}, {name}, adjusted", {"method": method, "initial": initial, "tolerance": 1e-12}  # fmt: skip
         out.append(Case(text, lambda n=name, o=options: walk(n, SMALL, True, 2.0, **o), tight=True, start=BASIS))
-    for method, rule in product(("reduced_flow", "newton"), (False, True)):
-        text = f"{method} from learned layers{', remembering' if rule else ''}"
-        out.append(Case(text, lambda m=method, r=rule: walk("cuboid", SMALL, True, rule=r, method=m)))
-        options = {"method": method, "tolerance": 1e-12}
-        out.append(Case(f"{text}, tight", lambda r=rule, o=options: walk("5 uneven", LARGE, False, rule=r, **o), True))
     weights = {"force_weight": (1.0, 2.0, 0.5, 3.0), "barrier_weight": 0.1, "tolerance": 1e-12}
     out.append(Case("newton, unequal weights", lambda: walk("cuboid", SMALL, True, method="newton", **weights), True, BASIS))  # fmt: skip
     out.append(Case("reduced_flow by BB", lambda: walk("cuboid", SMALL, True, step_rule=BarzilaiBorweinStep()), start=BASIS))  # fmt: skip

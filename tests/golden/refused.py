@@ -28,7 +28,6 @@ from grasp_env.force import (
     phase_one,
 )
 from grasp_env.grasp import Grasp, presets
-from policies import LearnedInitialForce
 
 CUBOID, SOFT = GRASPS["cuboid"], GRASPS["soft"]
 GOOD = np.array([[9.0, 0.0, 0.0], [3.6, 0.0, 0.0], [2.7, 0.0, 0.0], [2.7, 0.0, 0.0]])
@@ -121,7 +120,6 @@ def _calls() -> dict[str, Callable[[], object]]:
         "pipeline on soft": lambda: ForcePipeline(SOFT),
         "pipeline without closure": lambda: ForcePipeline(GRASPS["floor"]),
         "pipeline, adjust of five": lambda: ForcePipeline(CUBOID).solve(points, normals, PAPER, adjust=np.zeros(5)),
-        "pretrained": lambda: LearnedInitialForce.pretrained("fist"),
     }  # fmt: skip
 
 

@@ -84,8 +84,8 @@ def _pipeline() -> f.ForcePipeline:
 
 
 @cache
-def _learned(name: str) -> LearnedInitialForce:
-    return LearnedInitialForce.pretrained(name)
+def _learned() -> LearnedInitialForce:
+    return LearnedInitialForce.pretrained()
 
 
 def _chain(first: Callable[..., Any], *rest: str) -> Callable[..., Any]:
@@ -237,8 +237,8 @@ def calls(folder: Path) -> dict[str, Call]:
         "optimize_force, limits": _solve("newton", limits=f.ForceLimits(max_normal=50.0)),
         "optimize_force, conic limits": _solve("conic", limits=f.ForceLimits(max_normal=50.0)),
         "optimize_force, elastic": _solve("newton", limits=f.ForceLimits(max_normal=2.0), elastic=True),
-        "optimize_force, learned": _solve("newton", initial=_learned("four_finger")),
-        "optimize_force, learned flow": _solve("reduced_flow", initial=_learned("any_grasp")),
+        "optimize_force, learned": _solve("newton", initial=_learned()),
+        "optimize_force, learned flow": _solve("reduced_flow", initial=_learned()),
         "optimize_force, from a force": _solve("newton", initial=FORCE, wrench=np.zeros(6)),
         **{
             f"ForceOptimizer.solve, {m}": Call(
@@ -269,10 +269,6 @@ def calls(folder: Path) -> dict[str, Call]:
             f.ForcePipeline,
             {"grasp": CUBOID, "method": "newton", "initial": "previous", "force_weight": 1.0, "barrier_weight": 0.01,
              "tolerance": 1e-4, "max_iterations": 500, "step_rule": None, "reference": None},
-        ),
-        "ForcePipeline, learned": Call(
-            f.ForcePipeline,
-            {"grasp": CUBOID, "method": "reduced_flow", "initial": _learned("any_grasp"), "reference": None},
         ),
         "ForcePipeline.solve": Call(
             _with(_pipeline, "solve"),
@@ -342,16 +338,14 @@ def calls(folder: Path) -> dict[str, Call]:
         "worst_case": Call(f.worst_case, {"grasp": CUBOID, "wrenches": np.tile(PAPER, (2, 1)), "limits": None, **worst}),
         "worst_case, ball": Call(f.worst_case, {"grasp": CUBOID, "wrenches": f.WrenchBall(1.0, 0.05), "limits": None, **worst}, 0.3),
         "WrenchBall": Call(f.WrenchBall, {"force": 1.0, "moment": 0.05, "shape": "product"}),
-        "pretrained": Call(LearnedInitialForce.pretrained, {"name": "four_finger", "remembers": False}, 0.3),
+        "pretrained": Call(LearnedInitialForce.pretrained, {"remembers": False}, 0.3),
         **{
-            f"{name}, {method}": Call(_with(lambda n=name: _learned(n), method), state)
-            for name in ("any_grasp", "four_finger")
-            for method in ("__call__", "covers", "raw")
+            f"learned, {method}": Call(_with(_learned, method), state) for method in ("__call__", "covers", "raw")
         },
         "learned solve": Call(
-            lambda wrench: f.optimize_force(CUBOID, wrench, method="newton", initial=_learned("any_grasp")), {"wrench": PAPER}
+            lambda wrench: f.optimize_force(CUBOID, wrench, method="newton", initial=_learned()), {"wrench": PAPER}
         ),
-        "with_objective": Call(_with(lambda: _learned("any_grasp"), "with_objective"), {"objective": f.Objective(2.0, 0.02)}),
+        "with_objective": Call(_with(_learned, "with_objective"), {"objective": f.Objective(2.0, 0.02)}),
         "EnvConfig": Call(EnvConfig, settings, 10.0),
         "MujocoEngine": Call(MujocoEngine, asdict(MujocoEngine())),
         "BulletEngine": Call(BulletEngine, {"solver_iterations": 20}),

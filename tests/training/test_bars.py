@@ -23,8 +23,7 @@ ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 FIT = ["--steps", "4", "--samples", "400", "--batch-size", "64", "--quick"]
 COMMANDS = {
     "demo": ["demo", "--video", "hand.gif", "--seconds", "0.2", "--size", "64", "64"],
-    "fit": ["fit", "four_finger", *FIT, "--hidden", "8", "--out", "model"],
-    "fit any_grasp": ["fit", "any_grasp", *FIT, "--grasps", "20", "--held-out", "40", "--layers", "1", "--out", "any"],
+    "fit": ["fit", *FIT, "--hidden", "8", "--out", "model"],
 }
 
 

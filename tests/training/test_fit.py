@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import sys
 from collections import namedtuple
 from itertools import pairwise
 from typing import Any
@@ -18,31 +19,17 @@ from grasp_env.errors import InvalidInputError, ModelFileError
 from grasp_env.force import Objective, optimize_force
 from grasp_env.grasp import null_space_basis, presets, reference_basis
 from grasp_env.grasp.wrench import magnitude, sample_ball
-from policies.checkpoint import Checkpoint
+from policies import LearnedInitialForce
 from policies.features import N_FEATURES, Features
-from policies.fixed_grasp import FixedGraspForce
 from policies.network import Network, activation
-from policies.newton_layers import phi
 from training.cli import main
-from training.data.any_grasp import UNIT, make_pool
-from training.data.grasps import random_grasps
 from training.data.one_grasp import label, sample
-from training.fit import any_grasp as fit_any_module
-from training.fit.any_grasp import fit_any
-from training.fit.four_finger import fit
-from training.fit.loop import optimise
-from training.fit.settings import AnyFitConfig, FitConfig
+from training.fit.four_finger import NetworkTask, fit
+from training.fit.settings import FitConfig
+from training.fit.soap import Soap
+from training.fit.state import Progress, StateFile
 
 FIXED: dict[str, Any] = {"steps": 40, "samples": 4096, "hidden": (16,), "batch_size": 256}
-ANY: dict[str, Any] = {
-    "steps": 6,
-    "samples": 1200,
-    "grasps": 60,
-    "held_out": 80,
-    "layers": 2,
-    "width": 8,
-    "batch_size": 64,
-}
 
 
 @pytest.fixture
@@ -70,30 +57,6 @@ def test_labels_are_optima_and_the_metric_is_the_gap():
         exact = basis.T @ (best.force.reshape(-1) - particular)
         value = objective.value(here.to_cone(particular + basis @ (exact + step)))
         assert value / best.objective - 1.0 == pytest.approx(1e-6, rel=0.1)
-
-
-def test_random_grasps_have_closure_and_repeat():
-    one, two = (random_grasps(np.random.default_rng(3), 30, Objective()) for _ in range(2))
-    assert {grasp.n_contacts for grasp, _ in one} == {3, 4, 5}
-    for (a, basis), (b, same) in zip(one, two, strict=True):
-        np.testing.assert_array_equal(a.matrix, b.matrix)
-        np.testing.assert_array_equal(basis, same)
-        for k in range(12):
-            unit = np.eye(6)[k % 6] * (1.0 if k < 6 else -1.0)
-            assert a.residual(a.to_force(basis[k]), unit) < 1e-9
-            assert a.cone_margin(a.to_force(basis[k])) > 0.0
-
-
-def test_samples_balance_and_no_start_beats_its_label():
-    pool = make_pool(np.random.default_rng(0), 40, 400)
-    problems = pool.problems(torch.arange(len(pool)))
-    for start in pool.starts.values():
-        made = torch.einsum("brnk,bnk->br", problems.rows, start) * UNIT
-        assert (made + pool.wrench).abs().max() < 1e-9 * pool.wrench.abs().max()
-        gap = phi(problems, start) / pool.least - 1.0
-        assert torch.isfinite(gap).all()
-        assert gap.min() > -1e-9
-    assert pool.refused <= 4
 
 
 def test_samples_share_the_frictions_and_the_ball():
@@ -126,7 +89,7 @@ def test_the_file_holds_the_network_of_every_friction(small_scores):
         weight, bias = (torch.from_numpy(checkpoint.tensors[f"layers.{layer}.{name}"]) for name in ("weight", "bias"))
         with torch.no_grad():
             parameter.copy_(torch.cat([weight.mT, bias[:, None]], 1).reshape(parameter.shape))
-    model, features = FixedGraspForce(checkpoint), Features()
+    model, features = LearnedInitialForce(checkpoint), Features()
     wrenches = sample_ball(np.random.default_rng(3), 20)
     for friction in (0.25, 0.4, 0.57):
         grasp = presets.paper_cuboid().with_friction(friction)
@@ -146,24 +109,10 @@ def test_the_activation_has_its_derivative():
     torch.testing.assert_close(activation(x), 0.5 * x * (1 + x / torch.sqrt(1 + x * x)))
 
 
-def test_layers_learn_more_than_newton_steps():
-    checkpoint = fit_any(
-        AnyFitConfig(**{**ANY, "steps": 60, "samples": 6000, "grasps": 300, "held_out": 400, "width": 16})
-    )
-    for gaps in checkpoint.card["held_out_gap"].values():
-        learned, plain = gaps["after each layer"][-1], gaps["after as many plain Newton steps"][-1]
-        assert learned[1] < plain[1] < gaps["start"][1]  # p90
-    assert checkpoint.ranges["magnitude"][1] == pytest.approx(300.0)
-
-
-@pytest.mark.parametrize(("run", "settings"), [(fit, FitConfig(**FIXED)), (fit_any, AnyFitConfig(**ANY))])
-def test_the_same_bits_also_after_an_interrupt(run, settings, tmp_path, monkeypatch, small_scores):
-    whole = _checkpoint(run(settings))
-    module, name = (
-        ("training.fit.four_finger", "NetworkTask") if run is fit else ("training.fit.any_grasp", "StartsTask")
-    )
-    task = getattr(__import__(module, fromlist=[name]), name)
-    real, calls = task.loss, []
+def test_the_same_bits_also_after_an_interrupt(tmp_path, monkeypatch, small_scores):
+    settings, out = FitConfig(**FIXED), tmp_path / "model"
+    whole = fit(settings).checkpoint
+    real, calls = NetworkTask.loss, []
 
     def interrupted(self, rng):
         calls.append(1)
@@ -171,62 +120,44 @@ def test_the_same_bits_also_after_an_interrupt(run, settings, tmp_path, monkeypa
             os.kill(os.getpid(), signal.SIGTERM)
         return real(self, rng)
 
-    monkeypatch.setattr(task, "loss", interrupted)
+    monkeypatch.setattr(NetworkTask, "loss", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        run(settings, out=tmp_path / "model")
+        fit(settings, out=out)
     assert len(calls) == 4
     with pytest.raises(InvalidInputError, match="unfinished training: add --resume"):
-        run(settings, out=tmp_path / "model")
-    again = _checkpoint(run(settings, out=tmp_path / "model", resume=True))
+        fit(settings, out=out)
+    with pytest.raises(InvalidInputError, match=r"other settings \(seed was 0, is 1\)"):
+        fit(FitConfig(**FIXED, seed=1), out=out, resume=True)
+    again = fit(settings, out=out, resume=True).checkpoint
     assert whole.tensors.keys() == again.tensors.keys()
     for key, value in whole.tensors.items():
         np.testing.assert_array_equal(value, again.tensors[key])
 
 
-def _checkpoint(result) -> Checkpoint:
-    return getattr(result, "checkpoint", result)
-
-
-def test_a_state_is_refused_if_foreign_truncated_or_changed(tmp_path, monkeypatch):
-    settings = AnyFitConfig(**ANY)
-    monkeypatch.setattr(fit_any_module, "optimise", _interrupt_at_once)
-    with pytest.raises(KeyboardInterrupt):
-        fit_any(settings, out=tmp_path / "model")
-    state = tmp_path / "model.state.safetensors"
-    whole = state.read_bytes()
-    with pytest.raises(InvalidInputError, match=r"other settings \(seed was 0, is 1\)"):
-        fit_any(AnyFitConfig(**ANY, seed=1), out=tmp_path / "model", resume=True)
+def test_a_state_is_refused_if_truncated_or_changed(tmp_path):
+    network, settings, out = Network(N_FEATURES, (4,), 6, 0), {"seed": 0}, tmp_path / "model"
+    file, rng, now = StateFile(out, settings), np.random.default_rng(0), Progress(3, 1.0, 1.0, [[0.0, 0.0]])
+    file.save(network, Soap(network.parameters(), 0.1), rng, now)
+    assert file.restore(network, Soap(network.parameters(), 0.1), rng) == now
+    whole = file.path.read_bytes()
     changed = bytearray(whole)
     changed[-3] ^= 1
     for blob in (whole[:-100], b"", bytes(changed), b"PK\x03\x04" + whole[:50]):
-        state.write_bytes(blob)
+        file.path.write_bytes(blob)
         with pytest.raises(ModelFileError, match="truncated or was changed"):
-            fit_any(settings, out=tmp_path / "model", resume=True)
+            StateFile.begin(out, settings, resume=True)
     with pytest.raises(ModelFileError, match="nothing to resume"):
-        fit_any(settings, out=tmp_path / "other", resume=True)
-
-
-def _interrupt_at_once(task, plan):
-    real = task.loss
-
-    def loss(rng):
-        os.kill(os.getpid(), signal.SIGINT)
-        return real(rng)
-
-    task.loss = loss
-    return optimise(task, plan)
+        StateFile.begin(tmp_path / "other", settings, resume=True)
 
 
 def test_no_room_and_no_permission_are_said_before_work(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("")
     monkeypatch.setattr("training.fit.four_finger.label", _no_work)
-    monkeypatch.setattr("training.fit.any_grasp.make_pool", _no_work)
-    for model in ("four_finger", "any_grasp"):
-        assert main(["fit", model, "--out", str(tmp_path / "file" / "model")]) == 2
-        assert "choose another --out" in capsys.readouterr().err
+    assert main(["fit", "--out", str(tmp_path / "file" / "model")]) == 2
+    assert "choose another --out" in capsys.readouterr().err
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10, 10, 1_000_000))
-    assert main(["fit", "any_grasp", "--out", str(tmp_path / "model")]) == 2
+    assert main(["fit", "--out", str(tmp_path / "model")]) == 2
     assert "1 MB free" in capsys.readouterr().err
 
 
@@ -236,15 +167,12 @@ def _no_work(*args, **keywords):
 
 def test_quick_says_so_and_the_command_saves_both_files(tmp_path, capsys, small_scores):
     arguments = ["--quick", "--steps", "5", "--samples", "1000", "--batch-size", "64", "--out", str(tmp_path / "m.v2")]
-    assert main(["fit", *arguments, "--hidden", "8"]) == 0  # without a name: the fixed grasp
+    assert main(["fit", *arguments, "--hidden", "8"]) == 0
     assert "quick" in capsys.readouterr().out
     meta = json.loads((tmp_path / "m.v2.json").read_text())
-    assert meta["kind"] == "fixed_grasp"
     assert meta["card"]["quick"] is True
+    assert meta["card"]["command"] == " ".join(["grasp", *sys.argv[1:]])
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m.v2.json", "m.v2.safetensors"]
-    arguments[-1] = str(tmp_path / "any")
-    assert main(["fit", "any_grasp", *arguments, "--grasps", "30", "--held-out", "40", "--layers", "1"]) == 0
-    assert Checkpoint.load(tmp_path / "any").card["quick"] is True
 
 
 @pytest.mark.parametrize(
@@ -259,26 +187,17 @@ def test_quick_says_so_and_the_command_saves_both_files(tmp_path, capsys, small_
         {"steps": -1},
         {"learning_rate": float("nan")},
         {"tail": 0.0},
+        {"low": 0.0},
+        {"friction_low": 0.9},
+        {"hidden": (0,)},
+        {"hidden": ()},
+        {"threads": 0},
+        {"degree": -1},
     ],
 )
-@pytest.mark.parametrize("config", [FitConfig, AnyFitConfig])
-def test_wrong_settings(config, wrong):
-    with pytest.raises(InvalidInputError, match=next(iter(wrong))):
-        config(**wrong)
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"low": 0.0}, {"friction_low": 0.9}, {"hidden": (0,)}, {"hidden": ()}, {"threads": 0}, {"degree": -1}]
-)
-def test_wrong_settings_of_the_fixed_grasp(wrong):
+def test_wrong_settings(wrong):
     with pytest.raises(InvalidInputError, match=next(iter(wrong))):
         FitConfig(**wrong)
-
-
-@pytest.mark.parametrize("wrong", [{"layers": 0}, {"width": 0}, {"grasps": 1}, {"held_out": 3}, {"gap_floor": 0.0}])
-def test_wrong_settings_of_any_grasp(wrong):
-    with pytest.raises(InvalidInputError, match=next(iter(wrong))):
-        AnyFitConfig(**wrong)
 
 
 def test_an_unknown_preset_is_told(tmp_path, capsys):

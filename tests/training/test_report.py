@@ -130,7 +130,7 @@ def test_the_best_start_of_a_row_is_marked_and_one_that_is_missing_is_not(made):
     metrics = json.loads(json.dumps(made[1]))
     rows = metrics["starts"]["reduced_flow"]
     rows["ball"]["learned_fixed"]["no_start"] = 15  # of 30: its median says nothing about them
-    table = matrix(metrics, "reduced_flow", ("linear_combination", "learned_fixed", "learned_any"), "iterations")
+    table = matrix(metrics, "reduced_flow", ("linear_combination", "learned_fixed", "learned_previous"), "iterations")
     names = list(rows)
     for name, row in zip(names, table.cells, strict=True):
         kinds = [cell.kind for cell in row[1:]]
@@ -351,7 +351,7 @@ def test_it_is_readable_in_light_and_dark(chromium, page, scheme, background):
     for selector, prop, least in (
         ("body", "color", 7.0), ("a", "color", 4.5), (".bad", "color", 4.5), (".good", "color", 4.5), (".open", "color", 4.5),
         ("figure svg text", "fill", 7.0), *((f".legend [style*='--c-{name})']", "borderTopColor", 3.0) for name in (
-            "linear_combination", "learned_fixed", "learned_any", "previous_tangent", "single_value", "lagrange"
+            "linear_combination", "learned_fixed", "previous_tangent", "single_value", "lagrange"
         )),
     ):  # fmt: skip
         ratio = chromium.value(f"({LUMINANCE})({style(selector, prop)}, '{background}')")

@@ -14,7 +14,6 @@ from policies import LearnedInitialForce
 from training.cases.sets import fixed_cases
 from training.cases.start_table import LEARNED, SHIPPED, STARTS, How, Row, Stepped, check
 from training.cases.starts import BUILDERS, DoesNotApply, load_models, make_starts, near_fixed
-from training.data.grasps import EVALUATION
 from training.runs.statistics import spread
 from training.trials.arrays import BUDGETS, LEVELS, LIMIT, METHODS, STATUS, starts_in, worse
 from training.trials.compare import cases_of, compare
@@ -255,13 +254,8 @@ def test_phi_of_many_forces():
 @pytest.mark.parametrize("part", range(10))
 @pytest.mark.parametrize("key", SHIPPED)
 def test_never_worse_on_a_million_wrenches(models, key, part):
-    grasps = [presets.paper_cuboid()]
-    if key == "learned_any":
-        rng = np.random.default_rng([8, part])
-        grasps += [EVALUATION.closed(rng, count) for count in (3, 4, 5) for _ in range(3)]
-    for grasp in grasps:
-        excess, _ = never_worse(models[key], grasp, 100_000 // len(grasps), [7, part])
-        assert not worse(excess).any(), grasp
+    excess, _ = never_worse(models[key], presets.paper_cuboid(), 100_000, [7, part])
+    assert not worse(excess).any()
 
 
 def test_spread_and_censoring():

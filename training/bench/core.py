@@ -23,7 +23,6 @@ ROWS = {
     "newton_python": "the same, ForceOptimizer.solve from Python",
     "newton_default": "the same to 1e-4, the default",
     "newton_previous": "ForceOptimizer.solve to 1e-8, initial='previous', wrenches on a smooth path",
-    "learned_any": "newton to 1e-4 from the learned layers of any grasp, ForceOptimizer.solve from Python",
     "conic": "conic to 1e-6, compiled call",
     "conic_python": "the same, ForceOptimizer.solve from Python",
     "pipeline_newton": "moving contacts to certified force: ForcePipeline(method='newton').solve on a smooth path",

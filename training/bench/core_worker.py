@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 import grasp_env
 from grasp_env.force import ForceOptimizer, ForcePipeline, phase_one
 from grasp_env.grasp import Grasp
-from policies import LearnedInitialForce
 from training.bench.grasps import problems
 from training.runs import provenance
 
@@ -168,7 +167,6 @@ ROWS: dict[str, Callable[[Case], Timed]] = {
     "newton_python": python(method="newton", tolerance=1e-8),
     "newton_default": python(method="newton", tolerance=1e-4),
     "newton_previous": python(on_path=True, method="newton", tolerance=1e-8, initial="previous"),
-    "learned_any": lambda case: python(method="newton", initial=LearnedInitialForce.pretrained())(case),
     "conic": compiled("conic", 1e-6),
     "conic_python": python(method="conic", tolerance=1e-6),
     "pipeline_newton": pipeline("newton"),

@@ -105,7 +105,7 @@ class Row:
     def second_order(self) -> bool:
         """Whether it takes Newton steps, learned or plain, before a method begins; not known of one that was given."""
         correction = getattr(self.how, "correction", "")
-        return isinstance(self.how, (Stepped, Remembering)) or correction == "tangent" or self.how == Model("any_grasp")
+        return isinstance(self.how, (Stepped, Remembering)) or correction == "tangent"
 
     @property
     def compiled(self) -> bool:
@@ -163,12 +163,9 @@ STARTS: dict[str, Row] = {
         "network, two Newton steps", "network + 2 Newton", ("#5a1f7a", "#c08af5"), Stepped("network", 2)
     ),
     "learned_fixed": Row("learned, fixed grasp", "learned, fixed", ("#b3261e", "#ff7468"), Model("four_finger"), main=True),
-    "learned_any": Row(
-        "learned, any grasp", "learned, any", ("#d1500a", "#ffa05c"), Model("any_grasp"), main=True
-    ),
     "learned_previous": Row(
         "learned, with the previous solution", "learned + previous", ("#c2187a", "#ff80c4"),
-        Remembering(("learned_any", "learned_fixed")), dashed=True, main=True,
+        Remembering(("learned_fixed",)), dashed=True, main=True,
     ),
 }  # fmt: skip
 """Every start, in the order of the tables."""

@@ -49,7 +49,7 @@ class DoesNotApply(Exception):
 
 def load_models() -> dict[str, LearnedInitialForce]:
     """The models that ship with the package, by start."""
-    return {key: LearnedInitialForce.pretrained(name) for key, name in SHIPPED.items()}
+    return {key: LearnedInitialForce.pretrained() for key in SHIPPED}
 
 
 def models_in(rules: Mapping[str, InitialForceRule]) -> dict[str, LearnedInitialForce]:
@@ -86,7 +86,7 @@ class Made:
         compiled = rule if is_rule(rule, CompiledRule) else None
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
-            if isinstance(rule, LearnedInitialForce) and not everywhere(rule) and not near_fixed(grasp):
+            if isinstance(rule, LearnedInitialForce) and not near_fixed(grasp):
                 raise DoesNotApply
             if compiled is None:
                 return asked(rule, rule, grasp, load.copy())
@@ -130,16 +130,9 @@ def _nearest(shop: Workshop, key: str, how: table.Nearest) -> Made:
     return Made.of(Nearest(shop.stored, correction))
 
 
-def everywhere(model: LearnedInitialForce) -> bool:
-    """Whether a model knows other grasps than the fixed one."""
-    return model.checkpoint.kind == "any_grasp"
-
-
 def steps_inside(rule: InitialForceRule) -> bool | None:
-    """Whether a given start takes Newton steps, learned or plain, before a method begins; None: not known of a callable."""
-    if not isinstance(rule, LearnedInitialForce):
-        return None
-    return everywhere(rule) or bool(getattr(rule, "polish", 0))
+    """Whether a given start takes Newton steps before a method begins; None: not known of a callable."""
+    return False if isinstance(rule, LearnedInitialForce) else None
 
 
 def _given(shop: Workshop, key: str, how: table.Given | table.Model) -> Made | None:

@@ -9,18 +9,15 @@ from grasp_env.force import RULES, InitialForceRule
 
 
 def rule(name: str) -> str | InitialForceRule:
-    """A rule's name, "learned" for the model of any grasp, "four_finger" for that of one, or the path of a saved model."""
+    """A rule's name, "learned" for the shipped model, or the path of a saved one."""
     if name in RULES or name == "previous":
         return name
     from policies import LearnedInitialForce
-    from policies.learned import MODELS
 
     if name == "learned":
         return LearnedInitialForce.pretrained()
-    if name in MODELS:
-        return LearnedInitialForce.pretrained(name)
     if name.endswith((".json", ".safetensors")) or isfile(f"{name}.json"):
         return LearnedInitialForce.load(name)
     raise UnknownNameError(
-        "initial-force rule", name, (*RULES, "previous", "learned", *MODELS), ", or give a saved model's path"
+        "initial-force rule", name, (*RULES, "previous", "learned"), ", or give a saved model's path"
     )

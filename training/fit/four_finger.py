@@ -19,14 +19,14 @@ from grasp_env.grasp import Grasp, presets, reference_basis
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS, sample_ball
 from policies.checkpoint import Checkpoint
 from policies.features import N_FEATURES, Features
-from policies.fixed_grasp import FixedGraspForce
+from policies.learned import LearnedInitialForce
 from policies.network import Network
 from training.data.one_grasp import BALL, LABEL_GAP, Dataset, label, sample
-from training.fit.loop import Plan, card, optimise
+from training.fit.loop import Plan, optimise
 from training.fit.scores import scores
 from training.fit.settings import FitConfig
-from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
+from training.runs import provenance
 from training.runs.words import small
 
 FRICTIONS, AT_ONCE = 256, 16
@@ -124,7 +124,7 @@ def fit(
     """
     config = config.resolved()
     grasp = presets.preset(config.preset)
-    state = StateFile.begin(out, {"kind": "fixed_grasp", **asdict(config)}, resume)
+    state = StateFile.begin(out, asdict(config), resume)
     torch.set_num_threads(config.threads)
     reference, features = reference_basis(grasp), Features()
     objective = Objective(config.force_weight, config.barrier_weight)
@@ -141,10 +141,9 @@ def fit(
     torch.manual_seed(config.seed)
     network = Network(N_FEATURES, config.hidden, reference.shape[1], config.degree)
     words = f"fit {config.preset}{' (quick)' if config.quick else ''}" if progress else ""
-    plan = Plan(config.seconds, config.steps, config.learning_rate, Soap, config.seed, state, resume, words, cpu=True)
+    plan = Plan(config.seconds, config.steps, config.learning_rate, config.seed, state, resume, words)
     now = optimise(NetworkTask(config, network, train, held_out), plan)
     checkpoint = Checkpoint(
-        kind="fixed_grasp",
         tensors={
             **{name: np.ascontiguousarray(value) for name, value in network.tensors().items()},
             "reference": reference,
@@ -156,12 +155,11 @@ def fit(
             "n_contacts": grasp.n_contacts,
             "force_weight": config.force_weight,
             "barrier_weight": config.barrier_weight,
-            "polish": 0,
         },
         ranges={"magnitude": magnitudes, "friction": friction},
         card=_card(config, grasp, command, now),
     )
-    model, ball = FixedGraspForce(checkpoint), sample_ball(held_out_rng, HELD_OUT)
+    model, ball = LearnedInitialForce(checkpoint), sample_ball(held_out_rng, HELD_OUT)
     checkpoint.card["held_out_gap"] = {
         "ball": scores(model, grasp, ball, held_out_rng.uniform(*friction, HELD_OUT)),
         "range": scores(model, grasp, *sample(held_out_rng, HELD_OUT, magnitudes, friction, HELD_OUT, 0.0)),
@@ -171,12 +169,24 @@ def fit(
 
 
 def _card(config: FitConfig, grasp: Grasp, command: str, now: Progress) -> dict[str, Any]:
-    columns = [f"{which} p{p}" for which in ("ball", "range") for p in PERCENTILES]
+    made, columns = provenance(), [f"{which} p{p}" for which in ("ball", "range") for p in PERCENTILES]
     return {
+        "quick": config.quick,
         "what": "initial grasp force of one grasp, from wrench and friction",
         "grasp": {"preset": config.preset, "positions": grasp.positions.tolist(), "normals": grasp.normals.tolist()},
         "data": f"{config.samples} generated wrenches, {100 * BALL:g} % of them from the standard ball (force {FORCE_RADIUS:g} N, moment "
         f"{MOMENT_RADIUS:g} N m), labelled by Newton to a relative gap of {small(LABEL_GAP)}; others held out",
-        **card(config, command, now, columns, config.threads),
+        "command": command,
+        "config": asdict(config),
+        "optimisation_steps": now.step,
+        "seconds": round(now.seconds, 1),
+        "cpu_seconds": round(now.cpu_seconds, 1),
+        "time": made["time"],
+        "machine": made["machine"] | {"torch threads": config.threads, "gpu": False},
+        "versions": {name: made["versions"][name] for name in ("torch", "numpy")},
+        "curve": {
+            "columns": ["step", "seconds", *columns],
+            "rows": [" ".join(f"{value:.3g}" for value in row) for row in now.curve],
+        },
         "limits": "one grasp (small displacements of its contacts only), the ranges above; everything else through the repair",
     }

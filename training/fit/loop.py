@@ -1,4 +1,4 @@
-"""The optimisation loop of every model: warm-up and cosine, a held-out curve, saved states, orderly interrupts."""
+"""The optimisation loop: warm-up and cosine, a held-out curve, saved states, orderly interrupts."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-import torch
 from rich.console import Console
 from torch import Tensor, nn
 
-from training.fit.settings import AnyFitConfig, FitConfig
+from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
-from training.runs import provenance
 from training.runs.interrupts import interruptible
 from training.runs.workers import progress
 
@@ -55,32 +53,28 @@ class Plan:
     """How long and how.
 
     Attributes:
-        seconds: time for the optimisation steps.
+        seconds: processor time for the optimisation steps: fair where other programs share the cores.
         steps: a number of steps instead; 0: time decides.
         learning_rate: peak.
-        optimiser: (parameters, lr) -> Adam or `Soap`.
         seed: of the batches.
         state: where the training is saved; None: nowhere.
         resume: go on from there.
-        cpu: count seconds of processor time: fair where other programs share the cores.
         words: what it is called where its scores are told on stderr (a bar on terminals, else lines); empty: nowhere.
     """
 
     seconds: float
     steps: int
     learning_rate: float
-    optimiser: Callable[..., torch.optim.Optimizer]
     seed: int
     state: StateFile | None = None
     resume: bool = False
     words: str = ""
-    cpu: bool = False
 
     def done(self, now: Progress) -> float:
         """0 to 1 (and beyond)."""
         if self.steps:
             return now.step / self.steps
-        return (now.cpu_seconds if self.cpu else now.seconds) / self.seconds
+        return now.cpu_seconds / self.seconds
 
 
 def optimise(task: Task, plan: Plan) -> Progress:
@@ -93,7 +87,7 @@ def optimise(task: Task, plan: Plan) -> Progress:
         KeyboardInterrupt: after an interrupt or SIGTERM; the training as it was then is saved.
     """
     rng = np.random.default_rng([plan.seed, 2])
-    optimiser = plan.optimiser(task.module.parameters(), lr=plan.learning_rate)
+    optimiser = Soap(task.module.parameters(), lr=plan.learning_rate)
     now, mark = Progress(), 0.0
     if plan.state is not None and plan.resume:
         now = plan.state.restore(task.module, optimiser, rng)
@@ -125,36 +119,6 @@ def optimise(task: Task, plan: Plan) -> Progress:
             optimiser.step()
             now.step += 1
             now.seconds, now.cpu_seconds = since[0] + time.perf_counter(), since[1] + time.process_time()
-
-
-def card(
-    config: FitConfig | AnyFitConfig, command: str, now: Progress, columns: list[str], threads: int = 1
-) -> dict[str, Any]:
-    """What every model's card says of how it was made.
-
-    Args:
-        config: all settings.
-        command: that trained it.
-        now: how far the training went.
-        columns: of its curve, behind step and seconds.
-        threads: of torch.
-    """
-    made = provenance()
-    return {
-        "quick": config.quick,
-        "command": command,
-        "config": asdict(config),
-        "optimisation_steps": now.step,
-        "seconds": round(now.seconds, 1),
-        "cpu_seconds": round(now.cpu_seconds, 1),
-        "time": made["time"],
-        "machine": made["machine"] | {"torch threads": threads, "gpu": False},
-        "versions": {name: made["versions"][name] for name in ("torch", "numpy")},
-        "curve": {
-            "columns": ["step", "seconds", *columns],
-            "rows": [" ".join(f"{value:.3g}" for value in row) for row in now.curve],
-        },
-    }
 
 
 def _schedule(done: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
-from policies.fixed_grasp import FixedGraspForce
+from policies import LearnedInitialForce
 from training.cases.set_table import TOLERANCE
 from training.cases.starts import NetworkAlone, newton_optimizer, phi_options
 from training.runs.statistics import spread
@@ -21,7 +21,7 @@ EXACT = 1e-10
 
 
 def scores(
-    model: FixedGraspForce, grasp: Grasp, wrenches: np.ndarray, frictions: np.ndarray, flow: bool = False
+    model: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray, frictions: np.ndarray, flow: bool = False
 ) -> dict[str, Any]:
     """Summaries over wrenches (B, 6) on a grasp with frictions (B,), each through the model as it is used.
 

@@ -57,13 +57,14 @@ class FitConfig:
     quick: bool = False
 
     def __post_init__(self) -> None:
-        _check_fit(self)
-        for name, least in (("threads", 1), ("degree", 0)):
-            if getattr(self, name) < least:
-                raise InvalidInputError(f"{name} must be >= {least}, got {getattr(self, name)}")
+        check_counts(self, {"batch_size": 1, "seed": 0, "steps": 0, "threads": 1, "degree": 0})
+        check_counts(self, {"samples": 2 * self.batch_size})
+        seconds = number(self.seconds, "seconds", ranges.Range(-1e9, 1e9, "s"))
+        if not seconds > 0.0 and self.steps <= 0:
+            raise InvalidInputError(f"give seconds > 0 or steps > 0, got seconds={self.seconds}, steps={self.steps}")
         if not self.hidden or min(self.hidden) < 1:
             raise InvalidInputError(f"hidden must be widths >= 1, got {self.hidden}")
-        for name in ("tail", "force_weight", "barrier_weight"):
+        for name in ("learning_rate", "tail", "force_weight", "barrier_weight"):
             positive(getattr(self, name), name)
         for name in ("low", "friction_low"):
             low, high = getattr(self, name), getattr(self, name.replace("low", "high"))
@@ -77,65 +78,3 @@ class FitConfig:
         if not self.quick:
             return self
         return replace(self, seconds=min(self.seconds, 25.0), samples=min(self.samples, 100_000))
-
-
-@dataclass(frozen=True)
-class AnyFitConfig:
-    """How the model for any grasp is fitted.
-
-    Attributes:
-        seconds: time for the optimisation steps; data generation comes on top (about a minute).
-        steps: a fixed number of optimisation steps instead (then the result does not depend on the machine's speed).
-        grasps: random ones to train on.
-        samples: labelled wrenches on them.
-        held_out: wrenches on other grasps, a quarter as many.
-        layers: learned Newton layers.
-        width: of their hidden layers.
-        batch_size: wrenches per optimisation step.
-        learning_rate: peak of the one-cycle schedule.
-        gap_floor: relative gaps below it count as none.
-        tail: exponent of the gap in the loss: larger cares more about the worst wrenches, towards 0 it is the logarithm.
-        seed: of data, weights and batches.
-        quick: less of everything: ends within a minute, and says so.
-    """
-
-    seconds: float = 600.0
-    steps: int = 0
-    grasps: int = 20_000
-    samples: int = 300_000
-    held_out: int = 6000
-    layers: int = 4
-    width: int = 32
-    batch_size: int = 512
-    learning_rate: float = 1e-2
-    gap_floor: float = 1e-5
-    tail: float = 0.15
-    seed: int = 0
-    quick: bool = False
-
-    def __post_init__(self) -> None:
-        _check_fit(self)
-        check_counts(self, {"grasps": 2, "held_out": 40, "layers": 1, "width": 1})
-        for name in ("gap_floor", "tail"):
-            positive(getattr(self, name), name)
-
-    def resolved(self) -> AnyFitConfig:
-        """The settings in force."""
-        if not self.quick:
-            return self
-        return replace(
-            self,
-            seconds=min(self.seconds, 25.0),
-            grasps=min(self.grasps, 1500),
-            samples=min(self.samples, 30_000),
-            held_out=min(self.held_out, 1500),
-        )
-
-
-def _check_fit(config: FitConfig | AnyFitConfig) -> None:
-    check_counts(config, {"batch_size": 1, "seed": 0, "steps": 0})
-    check_counts(config, {"samples": 2 * config.batch_size})
-    seconds = number(config.seconds, "seconds", ranges.Range(-1e9, 1e9, "s"))
-    if not seconds > 0.0 and config.steps <= 0:
-        raise InvalidInputError(f"give seconds > 0 or steps > 0, got seconds={config.seconds}, steps={config.steps}")
-    positive(config.learning_rate, "learning_rate")

@@ -21,7 +21,7 @@ EDGES, QUIET = (90, 104, 124), (120, 130, 145)
 MOODS = {Mood.GOOD: (46, 140, 84), Mood.WARNING: (214, 148, 36), Mood.BAD: BAD}
 CONE_HEIGHT = 0.3
 """Of drawn friction cones, in the extent of the object."""
-STARTS = (*RULES, "previous", "learned", "four_finger")
+STARTS = (*RULES, "previous", "learned")
 """Start rules to choose from, by their names on the command line."""
 _STYLE = """<style>
 .g{font:13px/1.45 system-ui,sans-serif;padding:2px 10px 6px}.g b{font-weight:600}.g p{margin:4px 0}

@@ -6,7 +6,7 @@ from typing import Any
 
 from training.cases.start_table import given_in, row_of
 from training.report.page import Fold, Picture, Section, Table, at, flat, present
-from training.report.starts import label, pair, short, starts_of
+from training.report.starts import label, short, starts_of
 from training.runs.words import number
 from training.trials.claims import training_seconds
 
@@ -53,19 +53,12 @@ def _steps_inside(metrics: dict[str, Any]) -> list[str]:
     inside, without, unsaid = ([key for key in keys if known[key] is one] for one in (True, False, None))
     if not inside:
         return []
-    layered = at(metrics, "starts", "reduced_flow", "ball", "learned_any", "iterations")
     unknown = f" Not known: {'; '.join(map(short, unsaid))}." if unsaid else ""
-    out = [
-        f"Newton steps, learned or plain, before the first iteration is counted: {'; '.join(map(short, inside))}. None: "
+    return [
+        f"Newton steps before the first iteration is counted: {'; '.join(map(short, inside))}. None: "
         f"{'; '.join(map(short, without)) or '–'}.{unknown} The 12-basis and the network after so many Newton steps are controls: what such "
         "steps do is not what was learned."
     ]
-    if at(layered, "median") is not None:
-        out.append(
-            f"The any-grasp model is a few learned layers, each about as much work as a Newton step: the {pair(layered)} iterations of the flow "
-            "that it leaves on the held-out ball are not all its work. Compare microseconds, and the columns of Newton."
-        )
-    return out
 
 
 def _range(card: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ from training.trials.arrays import SCENARIO_LABELS, Trials, starts_in
 
 FLOOR = 1e-7
 """Gaps below are drawn there."""
-_FAN = ("linear_combination", "previous_tangent", "network", "learned_any", "learned_previous")
+_FAN = ("linear_combination", "previous_tangent", "network", "learned_previous")
 _FAN_MORE = ("basis_tangent", "nearest_tangent")
 """Where the others are few."""
 
@@ -183,11 +183,7 @@ def start_against_optimum(trials: Trials) -> Drawing:
     optimum = trials["optimum/force"]
     times = np.arange(len(optimum)) * 0.01
     tone = tones(starts_in(trials))
-    shown = [
-        key
-        for key in ("linear_combination", "learned_fixed", "learned_any", *given_in(tone))
-        if f"{key}/force" in trials
-    ]
+    shown = [key for key in ("linear_combination", "learned_fixed", *given_in(tone)) if f"{key}/force" in trials]
     figure, axes = new_figure(WIDTH, 4.2, rows=2, columns=2)
     for finger, panel in enumerate(axes.ravel()[: optimum.shape[1]]):
         panel.plot(times, optimum[:, finger, 0], color=INK, linewidth=1.6)

@@ -16,7 +16,7 @@ from training.report.style import INK, WIDTH, Drawing, colour, decades, new_figu
 from training.runs.words import number, small
 from training.trials.arrays import METHODS
 
-SHOWN = ("linear_combination", "basis_newton", "previous_tangent", "network", "learned_fixed", "learned_any")
+SHOWN = ("linear_combination", "basis_newton", "previous_tangent", "network", "learned_fixed")
 """The paper's start, the control with as many plain Newton steps, and what is compared with them; given starts follow."""
 NAMES = {"reduced_flow": "flow", "newton": "Newton"}
 MARKS = {"reduced_flow": ("o", 5.5, 2.6, -0.2), "newton": ("D", 4.5, 1.1, 0.2)}

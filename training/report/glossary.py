@@ -16,7 +16,7 @@ TERMS: dict[str, str] = {
     "12-basis": "The paper's start: a combination, never negative, of the optimal forces of twelve unit wrenches, made once per grasp.",
     "control": "The 12-basis after as many plain Newton steps as a learned start may take inside: what is better than that is learned.",
     "network alone": "What a network of one grasp says, without any step; put back towards the 12-basis where it lies outside the cones.",
-    "learned, fixed / any": "The shipped models: four_finger, a network of one grasp; any_grasp, up to four learned Newton layers for any grasp.",
+    "learned, fixed": "The shipped model: four_finger, a network of one grasp.",
     "previous": "The last solution, carried over to the new wrench.",
     "tangent, G⁺": "How a solution is carried over: along a Newton step of Φ within balance (tangent), or the shortest way (G⁺).",
     "cold": "Without a previous solution.",

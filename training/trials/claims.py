@@ -10,7 +10,7 @@ from training.cases.start_table import FITTED, LEARNED, SHIPPED, given_in, row_o
 from training.runs.claims import Claim, claim
 from training.runs.words import small
 from training.trials.arrays import HOLD_SCENARIOS, LIMIT
-from training.trials.ranks import ANY, BASIS, FLOW, NETWORK, PREVIOUS, applies, lacking
+from training.trials.ranks import BASIS, FLOW, NETWORK, PREVIOUS, applies, lacking
 
 DRIFT_LIMIT = 1.0
 """[mm] the hold criterion."""
@@ -20,12 +20,8 @@ ALONE: dict[str, float] = {"median": 8, "p99": 60}
 FASTER = {"median": 0.85, "p99": 0.95}
 """Time of a certified solve from the network, in parts of Newton's from the 12-basis, whole public call."""
 MODEL_BYTES, TRAINING_SECONDS = 2_000_000, 900.0
-COLD_LIMITS: dict[str, float] = {"median": 4, "p99": 25}
-"""Iterations of the any-grasp model where the previous solution is far, of another grasp, or not there."""
 SMOOTH_LIMITS: dict[str, float] = {"median": 0, "p99": 7}
 """Of the model with the previous solution, on smooth paths."""
-FEWER, START_GAP = 4, 0.005
-"""On random grasps: how many times fewer iterations than from the basis, and the median gap at the start."""
 BALANCE = 1e-9
 """Largest imbalance of a start, in parts of its largest force."""
 Metrics = dict[str, Any]
@@ -35,9 +31,7 @@ def claims(metrics: Metrics) -> list[Claim]:
     """All claims."""
     parts = (
         _fixed,
-        _cold,
         _smooth,
-        _any,
         _time,
         _fastest,
         _against_newton,
@@ -112,34 +106,10 @@ def _fixed(metrics: Metrics) -> Iterator[Claim]:
             yield _judged(text, row, ALONE, more=", every start inside the cones", said=said, also=inside)
 
 
-def _cold(metrics: Metrics) -> Iterator[Claim]:
-    for name in ("jump_50", "rollout_cold", "rollout_impulses", "rollout_fixed", "rollout_changes"):
-        row, before = _row(metrics, name, ANY), _row(metrics, name, PREVIOUS)
-        said, also = "", True
-        if row is not None and before is not None and before["iterations"]["n"]:
-            said = f"; previous solution: {_said(before, 'median', 'p99')}"
-            also = all(_below(row["iterations"][q], before["iterations"][q]) for q in ("median", "p99"))
-        more = "" if name == "rollout_cold" else ", both below the previous solution's"
-        yield _judged(f"{row_of(ANY).label}: {SETS[name].label}", row, COLD_LIMITS, more=more, said=said, also=also)
-
-
 def _smooth(metrics: Metrics) -> Iterator[Claim]:
     for name in ("smooth", "trajectories", "rollout_moving"):
         text = f"{row_of('learned_previous').label}: {SETS[name].label}"
         yield _judged(text, _row(metrics, name, "learned_previous"), SMOOTH_LIMITS)
-
-
-def _any(metrics: Metrics) -> Iterator[Claim]:
-    for name in ("random_4", "random_3", "random_5"):
-        row, paper = _row(metrics, name, ANY), _row(metrics, name, BASIS)
-        said = met = None
-        if row is not None and paper is not None:
-            ours, theirs = row["iterations"]["median"], paper["iterations"]["median"]
-            gap, worse = row["start_gap"]["median"], row["worse_than_basis"]
-            said = f"{_count(ours)} against {_count(theirs)}, starting gap {100 * gap:.3g} %, worse in {worse['count']} of {worse['of']}"
-            met = row["no_start"] == 0 and ours <= theirs / FEWER and gap <= START_GAP and worse["count"] == 0
-        asked = f"median <= 1/{FEWER} of the basis's, starting gap <= {100 * START_GAP:g} % in the median, never worse"
-        yield claim(f"{row_of(ANY).label}: {SETS[name].label}, against the basis recomputed for each", asked, said, met)
 
 
 def _time(metrics: Metrics) -> Iterator[Claim]:

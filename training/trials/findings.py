@@ -10,10 +10,10 @@ from training.cases.start_table import LEARNED, given_in, row_of
 from training.runs.words import number, small
 from training.trials.arrays import LIMIT
 from training.trials.claims import is_cold
-from training.trials.ranks import ANY, BASIS, FLOW, NETWORK, applies, lacking, numbers
+from training.trials.ranks import BASIS, FLOW, NETWORK, applies, lacking, numbers
 
 NEWTON = "newton"
-CONTROLS = {NETWORK: (BASIS, 0), ANY: ("basis_newton", 4)}
+CONTROLS = {NETWORK: (BASIS, 0), "network_newton_2": ("basis_newton_2", 2)}
 """Of a start: the 12-basis after as many plain Newton steps as it may take inside, and how many those are."""
 SAME = 0.03
 """Part by which two medians of microseconds may differ and still be called the same."""

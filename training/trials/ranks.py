@@ -9,9 +9,9 @@ from training.trials.arrays import LIMIT
 
 FLOW = "reduced_flow"
 BASIS, PREVIOUS = "linear_combination", "previous_tangent"
-ANY, NETWORK = "learned_any", "network"
-MEMORYLESS = ("learned_fixed", ANY)
-"""The shipped models."""
+NETWORK = "network"
+MEMORYLESS = ("learned_fixed",)
+"""The shipped model."""
 SMALLEST_SHARE = 0.5
 """Of a set's cases that a start must apply to, to speak for the set."""
 Metrics = dict[str, Any]
@@ -20,7 +20,7 @@ Metrics = dict[str, Any]
 def wins(metrics: Metrics) -> list[dict[str, Any]]:
     """Per set, which of previous solution, learned (without memory), 12-basis and given starts needs the fewest iterations, each at its best.
 
-    The 12-basis' best is mostly the control: followed by Newton steps, which are not counted, as the learned layers are not.
+    The 12-basis' best is mostly the control: followed by Newton steps, which are not counted.
 
     "winner" is None where only one of them applies. One beats another by a median at least 1.5 lower, or by a p99 more than a tenth (and more than 1) lower at the same median.
     """

@@ -28,18 +28,9 @@ Network make_network(const std::vector<int>& sizes, nb::handle weights) {
     return Network(sizes, singles(in(weights, count), count).data());
 }
 
-Layers make_layers(int width, nb::handle weights) {
-    const int each = Layers::numbers(width);
-    if (!each) throw nb::value_error("layers are 1 to WIDEST wide");
-    const Numbers rows = in(weights, -1, each);
-    if (rows.length(0) > MOST_LAYERS) throw nb::value_error("at most MOST_LAYERS layers");
-    return Layers(int(rows.length(0)), width, singles(rows, rows.length(0) * each).data());
-}
-
-Model make_model(const std::optional<Network>& network, const std::optional<Layers>& layers) {
+Model make_model(const Network& network) {
     Model model;
-    if (network) model.network = *network;
-    if (layers) model.layers = *layers;
+    model.network = network;
     return model;
 }
 
@@ -94,17 +85,12 @@ void times(Learned& learned, nb::handle wrenches, int passes, nb::handle records
 }  // namespace
 
 void bind_learned(nb::module_& m) {
-    m.attr("LAYER_FEATURES") = LAYER_FEATURES, m.attr("LAYER_REACH") = LAYER_REACH, m.attr("MOST_LAYERS") = MOST_LAYERS;
     m.attr("NETWORK_FEATURES") = NETWORK_FEATURES, m.attr("MOST_STAGES") = MOST_STAGES, m.attr("WIDEST") = WIDEST;
-    m.def(
-        "layer_size", [](int width) { return Layers::numbers(width); }, "width"_a, "Numbers of one learned layer; 0: too wide.");
     nb::class_<Network>(m, "Network", "A float32 perceptron with activation v/2 (1 + v / sqrt(1 + v^2)).")
         .def_static("make", &make_network, "sizes"_a, "weights"_a,
                     "sizes: inputs, hidden ..., outputs; weights: of each stage (inputs x outputs), then its bias, flat.");
-    nb::class_<Layers>(m, "Layers", "Learned Newton layers.")
-        .def_static("make", &make_layers, "width"_a, "weights"_a, "weights: (K, layer_size(width)), see layers.hpp.");
-    nb::class_<Model>(m, "Model", "A trained model on contacts as they are now: a network, layers, or both.")
-        .def_static("make", &make_model, "network"_a.none(), "layers"_a.none())
+    nb::class_<Model>(m, "Model", "A trained model on contacts as they are now.")
+        .def_static("make", &make_model, "network"_a)
         .def("normalise", &normalise, "length"_a, "floor"_a, "log_mean"_a, "log_scale"_a, "friction_mean"_a, "friction_scale"_a,
              "Of the network's features, see policies/features.py.")
         .def("place", &place, "null_space"_a, "friction"_a, "scale"_a,
@@ -121,17 +107,18 @@ void bind_learned(nb::module_& m) {
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "basis"_a, "model"_a,
                     "basis: (13, 3N) the offline optima, cone coordinates.")
         .def("start", &called<&Learned::start>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
-             "The start into a record; returns `converged` where it is certified, `limit` where a descent has to go on from the\n"
-             "initial force in it. previous: the record of another wrench's optimum, or None.")
+             "The start into a record; returns `limit`, for a descent has to go on from it.\n"
+             "previous: the record of another wrench's optimum, or None.")
         .def("solve", &called<&Learned::solve>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
-             "The start, and Newton from it unless it is certified, into a record; returns the code.")
+             "The start, and Newton from it, into a record; returns the code.")
         .def("predict", &predict, "wrench"_a, "force"_a,
-             "The network's own force (N, 3) [N], perhaps outside the cones; the combination without a network.\n"
-             "False: not finite.")
+             "The network's own force (N, 3) [N], perhaps outside the cones. False: not finite.")
         .def("solve_many", &solve_many<Learned>, "wrenches"_a, "previous"_a.none(), "records"_a, SOLVE_MANY)
         .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` solves each, into (M,).")
         .def(
             "covers", [](const Learned& learned, nb::handle wrench) { return learned.covers(in(wrench, 6).data()); }, "wrench"_a,
             "Whether wrench, contacts and friction lie in the training range.")
-        .def_prop_ro("outside", &Learned::outside, "Whether the last wrench was not covered.");
+        .def_prop_ro("outside", &Learned::outside, "Whether the last wrench was not covered.")
+        .def_prop_ro("replaced", &Learned::replaced,
+                     "Whether nothing of the last prediction was kept: the combination was taken.");
 }

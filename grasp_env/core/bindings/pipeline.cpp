@@ -82,7 +82,6 @@ void bind_pipeline(nb::module_& m) {
                 p.set_basis(in(basis, 13, 3 * count).data(), in(frames, count, 3, 3).data());
             },
             "basis"_a, "frames"_a, "Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.")
-        .def("set_layers", &Pipeline::set_layers, "layers"_a, "Learned layers that go on from every start.")
         .def("solve", &solve, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "adjust"_a.none(), "record"_a,
              "Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or None into a record; returns the code.")
         .def("carry", &carry, "points"_a, "normals"_a, "wrench"_a, "force"_a,

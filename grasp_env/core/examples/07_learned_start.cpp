@@ -1,5 +1,5 @@
 // A learned start: Newton from what a network predicts, far from the last wrench. The same in Python: examples/07_learned_start.py,
-// where `LearnedInitialForce.pretrained("four_finger").export("four.model", grasp)` makes the file:
+// where `LearnedInitialForce.pretrained().export("four.model", grasp)` makes the file:
 //
 //     07_learned_start four.model
 #include <grasp/grasp.hpp>

@@ -34,11 +34,6 @@ public:
     }
     nb::object last() const { return array(on_->held().x); }
     nb::object basis() const { return array(on_->held().basis, {13, size_t(3 * count())}); }
-    void set_layers(int width, const In& weights) {
-        const double* from = numbers(weights, weights.size());
-        const std::vector<float> single(from, from + weights.size());
-        on_->set_layers(Layers(int(weights.size() / Layers::numbers(width)), width, single.data()));
-    }
     void reset() { on_->reset(); }
     void forget() { on_->forget(); }
 
@@ -78,7 +73,6 @@ void bind_pipeline(nb::module_& m) {
         .def("carry", &P::carry)
         .def_prop_ro("last", &P::last)
         .def_prop_ro("basis", &P::basis)
-        .def("set_layers", &P::set_layers)
         .def("reset", &P::reset)
         .def("forget", &P::forget)
         .def("allocations", &P::allocations_in, "points"_a, "normals"_a, "wrenches"_a, "adjust"_a, "calls"_a);

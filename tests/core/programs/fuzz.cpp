@@ -148,14 +148,13 @@ template <class Solver, class F> void ask(const char* name, Bytes& from, Solver&
 
 grasp::Model small_model(Bytes& from, int count) {
     grasp::Model model;
-    const int outputs = std::max(3 * count - 6, 1), sizes[] = {8, 3, outputs}, width = 2;
+    const int outputs = std::max(3 * count - 6, 1), sizes[] = {8, 3, outputs};
     const auto floats = [&](std::size_t many) {
         std::vector<float> out(many);
         for (float& v : out) v = from.left() ? float(from.signed_fraction()) : 0.1f;
         return out;
     };
     model.network = grasp::Network(sizes, floats(grasp::Network::numbers(sizes)).data());
-    if (from.one_in(2)) model.layers = grasp::Layers(2, width, floats(2 * grasp::Layers::numbers(width)).data());
     model.normalisation = {0.05, 0.2, 0.5, 1.3, 0.4, 0.12};
     model.friction = 0.4;
     for (int k = 0; k < 3 * count * outputs; ++k) model.null_space.push_back(k % 7 == 0 ? 0.5 : 0.0);

@@ -192,6 +192,8 @@ public:
     }
     // Whether the last wrench was one that training did not cover: the start is safe there, too, but perhaps no good.
     bool outside() const { return on_->outside(); }
+    // Whether nothing of the last prediction was kept: the start was the combination.
+    bool replaced() const { return on_->replaced(); }
     const Contacts& contacts() const { return on_->contacts; }
 
 private:
@@ -214,8 +216,6 @@ public:
     // As new: also the offline basis is that of the nominal contacts again.
     void reset() { on_->reset(), Solutions::forget(); }
     void forget() { on_->forget(), Solutions::forget(); }
-    // Learned layers of a model go on from every start.
-    void refine_by(const Model& model) { on_->set_layers(model.layers); }
     // Those of the last call, whose frames (n, o, t) forces are written in.
     const Contacts& contacts() const { return on_->contacts(); }
 

@@ -1,8 +1,8 @@
 // A trained model for the contacts of one grasp as one file, written by Python (`LearnedInitialForce.export`), read without it.
 //
-// Little-endian: "GRASPM1\n", a hash of all that follows, then doubles: how many sizes and the sizes of the network, count and width
-// of the layers, the other numbers of `Model`, the null space's length and its numbers; then the weights of network and layers
-// as floats. A file may come from anywhere: what is read is bounded by its length, and every number is looked at.
+// Little-endian: "GRASPM2\n", a hash of all that follows, then doubles: how many sizes and the sizes of the network, the other
+// numbers of `Model`, the null space's length and its numbers; then the weights of the network as floats. A file may come from
+// anywhere: what is read is bounded by its length, and every number is looked at.
 #pragma once
 #include <bit>
 #include <cstdint>
@@ -19,20 +19,19 @@ static_assert(std::endian::native == std::endian::little, "model files hold litt
 
 class ModelFile {
 public:
-    static constexpr std::size_t LARGEST_FILE = std::size_t(1) << 26;  // bytes; the shipped models have 70 thousand
+    static constexpr std::size_t LARGEST_FILE = std::size_t(1) << 26;  // bytes; the shipped model has 22 thousand
 
     static std::string write(const Model& model) {
         ModelFile file;
         const auto sizes = model.network.sizes();
         file.put(double(sizes.size()));
         for (const int size : sizes) file.put(double(size));
-        file.put(model.layers.count()), file.put(model.layers.width());
         const auto numbers = packed(model);
         for (const double value : numbers) file.put(value);
         file.put(double(model.null_space.size()));
         for (const double value : model.null_space) file.put(value);
         std::vector<float> weights;
-        model.network.write(weights), model.layers.write(weights);
+        model.network.write(weights);
         for (const float value : weights) file.put(value);
         const std::uint64_t check = hash(file.bytes_);
         return std::string(MAGIC) + std::string(reinterpret_cast<const char*>(&check), sizeof check) + file.bytes_;
@@ -54,23 +53,19 @@ public:
         file.left_ = bytes;
         std::vector<int> sizes(std::size_t(file.whole(MOST_STAGES + 1)));
         for (int& size : sizes) size = file.whole(WIDEST);
-        const int layers = file.whole(MOST_LAYERS), width = file.whole(WIDEST);
-        const std::size_t network = sizes.empty() ? 0 : Network::numbers(sizes);
-        const std::size_t each = layers ? std::size_t(Layers::numbers(width)) : 0;
-        file.good_ = file.good_ && (sizes.empty() || network) && (layers == 0 || each);
+        const std::size_t network = Network::numbers(sizes);
         Model model;
         auto numbers = packed(model);
         for (double& value : numbers) value = file.number();
         unpack(numbers, model);
         const int inside = file.whole(int(MOST_NULL));
-        if (!file.good_ || file.left_.size() != sizeof(double) * inside + sizeof(float) * (network + layers * each)) return {};
+        if (!file.good_ || !network || file.left_.size() != sizeof(double) * inside + sizeof(float) * network) return {};
         model.null_space.resize(inside);
         for (double& value : model.null_space) value = file.number();
-        std::vector<float> weights(network + layers * each);
+        std::vector<float> weights(network);
         for (float& value : weights) value = file.take<float>();
-        if (!file.good_ || !(model.scale > 0.0) || (network && !model.normalisation.good())) return {};
-        if (network) model.network = Network(sizes, weights.data());
-        if (layers) model.layers = Layers(layers, width, weights.data() + network);
+        if (!file.good_ || !(model.scale > 0.0) || !model.normalisation.good()) return {};
+        model.network = Network(sizes, weights.data());
         return model;
     }
 
@@ -89,7 +84,7 @@ public:
     }
 
 private:
-    static constexpr std::string_view MAGIC = "GRASPM1\n";
+    static constexpr std::string_view MAGIC = "GRASPM2\n";
     static constexpr std::size_t MOST_NULL = LARGEST_FILE / sizeof(double);
     std::string bytes_;
     std::string_view left_;

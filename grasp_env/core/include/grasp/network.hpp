@@ -1,4 +1,4 @@
-// Small perceptrons in float32, many contacts at a time; the activation v/2 (1 + v / sqrt(1 + v^2)) costs no exponential.
+// Small perceptrons in float32; the activation v/2 (1 + v / sqrt(1 + v^2)) costs no exponential.
 #pragma once
 #include <algorithm>
 #include <span>
@@ -13,11 +13,6 @@ typedef float Floats __attribute__((vector_size(4 * FLOATS)));
 // Bounds of what a file may ask for.
 inline constexpr int MOST_STAGES = 8, WIDEST = 1024;
 
-inline Floats load_floats(const float* from) {
-    Floats v;
-    __builtin_memcpy(&v, from, sizeof v);
-    return v;
-}
 inline Floats activation(Floats v) {
     const Floats square = 1.0f + v * v;
     Floats root{};
@@ -25,7 +20,7 @@ inline Floats activation(Floats v) {
     return 0.5f * v * (1.0f + v / root);
 }
 
-// to = f(from W + bias) for rows of numbers; W (inputs x outputs) in rows of whole registers.
+// to = f(from W + bias); W (inputs x outputs) in rows of whole registers.
 class Dense {
 public:
     Dense() = default;
@@ -36,22 +31,20 @@ public:
         spread(bias, outputs, bias_.data());
     }
 
-    // What it was made of goes on at the end of `flat`.
-    void write_weights(std::vector<float>& flat) const {
+    // Appends the weights and the bias to `flat`.
+    void write(std::vector<float>& flat) const {
         for (int i = 0; i < inputs_; ++i) write(&weights_[std::size_t(i) * row_], flat);
+        write(bias_.data(), flat);
     }
-    void write_bias(std::vector<float>& flat) const { write(bias_.data(), flat); }
 
     int padded() const { return FLOATS * row_; }  // outputs rounded up to whole registers
-    const Floats* bias() const { return bias_.data(); }
 
-    // R rows, `from` apart by `stride` numbers and `to` by `padded()`; begin: what the sums start from, the bias or more.
-    template <int R, bool hidden> void operator()(const float* from, int stride, const Floats* begin, float* to) const {
+    // hidden: whether the activation follows.
+    template <bool hidden> void operator()(const float* from, float* to) const {
         int b = 0;
-        for (; b + 8 / R <= row_; b += 8 / R) tile<R, 8 / R, hidden>(from, stride, begin, b, to);
-        if constexpr (R < 4)
-            for (; b + 4 / R <= row_; b += 4 / R) tile<R, 4 / R, hidden>(from, stride, begin, b, to);
-        for (; b < row_; ++b) tile<R, 1, hidden>(from, stride, begin, b, to);
+        for (; b + 8 <= row_; b += 8) tile<8, hidden>(from, b, to);
+        for (; b + 4 <= row_; b += 4) tile<4, hidden>(from, b, to);
+        for (; b < row_; ++b) tile<1, hidden>(from, b, to);
     }
 
 private:
@@ -68,38 +61,32 @@ private:
         __builtin_memcpy(to, from, sizeof(float) * count);
     }
 
-    // R rows by K registers of outputs, which stay in registers throughout; few take turns, as a sum waits for the one before.
-    template <int R, int K, bool hidden>
-    void tile(const float* from, int stride, const Floats* begin, int first, float* to) const {
-        constexpr int TURNS = 8 / (R * K);
-        Floats sums[TURNS][R][K] = {};
-        for (int r = 0; r < R; ++r)
-            for (int k = 0; k < K; ++k) sums[0][r][k] = begin[first + k];
+    // K registers of outputs, which stay in registers throughout; few take turns, as a sum waits for the one before.
+    template <int K, bool hidden> void tile(const float* from, int first, float* to) const {
+        constexpr int TURNS = 8 / K;
+        Floats sums[TURNS][K] = {};
+        for (int k = 0; k < K; ++k) sums[0][k] = bias_[first + k];
         const Floats* w = weights_.data() + first;
         int i = 0;
         for (; i + TURNS <= inputs_; i += TURNS)
 #pragma GCC unroll 8
             for (int turn = 0; turn < TURNS; ++turn, w += row_)
 #pragma GCC unroll 8
-                for (int r = 0; r < R; ++r)
-#pragma GCC unroll 8
-                    for (int k = 0; k < K; ++k) sums[turn][r][k] += from[stride * r + i + turn] * w[k];
+                for (int k = 0; k < K; ++k) sums[turn][k] += from[i + turn] * w[k];
         for (; i < inputs_; ++i, w += row_)
-            for (int r = 0; r < R; ++r)
-                for (int k = 0; k < K; ++k) sums[0][r][k] += from[stride * r + i] * w[k];
-        for (int r = 0; r < R; ++r)
-            for (int k = 0; k < K; ++k) {
-                Floats v = sums[0][r][k];
-                for (int turn = 1; turn < TURNS; ++turn) v += sums[turn][r][k];
-                if (hidden) v = activation(v);
-                __builtin_memcpy(to + padded() * r + FLOATS * (first + k), &v, sizeof v);
-            }
+            for (int k = 0; k < K; ++k) sums[0][k] += from[i] * w[k];
+        for (int k = 0; k < K; ++k) {
+            Floats v = sums[0][k];
+            for (int turn = 1; turn < TURNS; ++turn) v += sums[turn][k];
+            if (hidden) v = activation(v);
+            __builtin_memcpy(to + FLOATS * (first + k), &v, sizeof v);
+        }
     }
 };
 
 class Network {
 public:
-    Network() = default;  // none
+    Network() = default;
     // sizes: inputs, hidden ..., outputs, for which `numbers` is not 0; flat: of each stage (inputs x outputs), then its bias
     Network(std::span<const int> sizes, const float* flat) {
         for (std::size_t stage = 0; stage + 1 < sizes.size(); ++stage) {
@@ -124,12 +111,11 @@ public:
         return total;
     }
 
-    bool empty() const { return stages_.empty(); }
-    int inputs() const { return empty() ? 0 : sizes_.front(); }
-    int outputs() const { return empty() ? 0 : sizes_.back(); }
+    int inputs() const { return sizes_.empty() ? 0 : sizes_.front(); }
+    int outputs() const { return sizes_.empty() ? 0 : sizes_.back(); }
     std::span<const int> sizes() const { return sizes_; }
     void write(std::vector<float>& flat) const {
-        for (const Dense& stage : stages_) stage.write_weights(flat), stage.write_bias(flat);
+        for (const Dense& stage : stages_) stage.write(flat);
     }
 
     // features: (inputs,); the outputs stay until the next call.
@@ -138,8 +124,8 @@ public:
         for (std::size_t stage = 0; stage < stages_.size(); ++stage) {
             const Dense& dense = stages_[stage];
             float* to = (stage % 2 ? other_ : one_).data();
-            if (stage + 1 < stages_.size()) dense.template operator()<1, true>(from, 0, dense.bias(), to);
-            else dense.template operator()<1, false>(from, 0, dense.bias(), to);
+            if (stage + 1 < stages_.size()) dense.template operator()<true>(from, to);
+            else dense.template operator()<false>(from, to);
             from = to;
         }
         return from;

@@ -4,7 +4,7 @@
 #include "adjust.hpp"
 #include "basis.hpp"
 #include "flow.hpp"
-#include "learned.hpp"
+#include "newton.hpp"
 
 namespace grasp {
 
@@ -44,7 +44,7 @@ public:
         : contacts(nominal), newton(nominal.count, options), held(nominal.count), remembers(remembers),
           nominal_(basis, basis + 39 * nominal.count), nominal_frames_(frames, frames + 9 * nominal.count),
           space_(nominal.count, reference), adjusted_(3 * nominal.count), spare_(newton.starter.basis), last_(newton.cones),
-          turned_(newton.cones.field()), safe_(newton.cones.field()), refiner_(newton.cones, {}) {
+          turned_(newton.cones.field()), safe_(newton.cones.field()) {
         if (flows) flow_.emplace(newton.cones, *flows, Form::reduced);
         reset();
     }
@@ -64,9 +64,6 @@ public:
         std::copy(basis, basis + 39 * contacts.count, held.basis.begin());
         std::copy(frames, frames + 9 * contacts.count, held.basis_frames.begin());
     }
-
-    // Learned layers that go on from every start; none: none do.
-    void set_layers(const Layers& layers) { refiner_ = {newton.cones, layers}; }
 
     // REFUSED: the general path has to say why, and the last optimum stays.
     Code solve(const Load& load, double* row) {
@@ -131,7 +128,6 @@ private:
     std::array<Field, 13> spare_;
     Tangents<V, B> last_;  // those of the last optimum
     Field turned_, safe_;
-    Refiner<V, B> refiner_;
 
     // Contacts of now and the start there, in newton.x; false where there is none.
     bool begin(const Load& load) {
@@ -146,11 +142,6 @@ private:
         const bool carried = remembers && turn_last();
         newton.x = carried ? turned_ : safe_;
         if (carried) starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
-        if (refiner_.layers.layers.count()) {
-            starter.turn(newton.cones, starter.basis[12], starter.basis_tangents, turned_);
-            refiner_(newton.cones, newton.system, turned_, w, newton.options.tolerance, false, remembers ? &safe_ : nullptr,
-                     newton.x);
-        }
         return true;
     }
 

@@ -126,6 +126,7 @@ public:
     virtual bool predict(const double* wrench, double* force) = 0;
     virtual bool covers(const double* wrench) const = 0;
     virtual bool outside() const = 0;
+    virtual bool replaced() const = 0;
 
 protected:
     Learned(const Contacts& contacts, const Options& options) : contacts(contacts), options(options) {}
@@ -142,7 +143,6 @@ public:
     virtual void reset() = 0;
     virtual void forget() = 0;
     virtual void set_basis(const double* basis, const double* frames) = 0;
-    virtual void set_layers(const Layers& layers) = 0;
     virtual Code solve(const Load& load, double* row) = 0;
     virtual Carried carry(const Load& load, double* force) = 0;
     virtual Carried carry_from(const Load& load, const double* then, const double* frames, double* force) = 0;
@@ -347,7 +347,7 @@ public:
     void solve_many(const Many& many) override {
         on_.newton.options = options;
         const auto begin = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
-            return on_.begin_descent(many.wrench(k), many.call(k, contacts.count).force, w, record);
+            return on_.begin(many.wrench(k), many.call(k, contacts.count).force, w, record);
         };
         newton_many(on_.newton, many, begin, [&](std::ptrdiff_t k, const Record& record) {
             on_.solve(many.wrench(k), many.call(k, contacts.count).force, record);
@@ -356,6 +356,7 @@ public:
     bool predict(const double* wrench, double* force) override { return on_.predict(wrench, force); }
     bool covers(const double* wrench) const override { return on_.covers(wrench); }
     bool outside() const override { return on_.outside; }
+    bool replaced() const override { return on_.replaced; }
 
 private:
     LearnedOn<V, B> on_;
@@ -369,7 +370,6 @@ public:
     void reset() override { on_.reset(); }
     void forget() override { on_.forget(); }
     void set_basis(const double* basis, const double* frames) override { on_.set_basis(basis, frames); }
-    void set_layers(const Layers& layers) override { on_.set_layers(layers); }
     Code solve(const Load& load, double* row) override { return on_.solve(load, row); }
     Carried carry(const Load& load, double* force) override { return on_.carry(load, force); }
     Carried carry_from(const Load& load, const double* then, const double* frames, double* force) override {
