@@ -22,7 +22,10 @@ from grasp_env.errors import GraspError, InvalidInputError
 if TYPE_CHECKING:
     from training.results.table import pd
 
-_PACKAGES = ("numpy", "scipy", "pandas", "torch", "gymnasium", "stable-baselines3", "pybullet", "mujoco", "ray")
+_PACKAGES = (
+    "numpy", "scipy", "pandas", "torch", "gymnasium", "stable-baselines3", "pybullet", "mujoco", "ray",
+    "clarabel", "qoco", "qocogen", "moreau", "ecos",
+)  # fmt: skip
 
 
 class Run:
@@ -153,8 +156,10 @@ def default_name(kind: str) -> str:
 
 def provenance() -> dict[str, Any]:
     """Machine, versions, commit and command of this process."""
+    program = Path(sys.argv[0])
+    name = f"python -m {program.parent.name}" if program.name == "__main__.py" else program.name
     return {
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": " ".join([name, *sys.argv[1:]]),
         "time": time.strftime("%Y-%m-%d %H:%M:%S %Z"),
         "machine": {
             "processor": _processor(),
