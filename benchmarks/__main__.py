@@ -1,0 +1,86 @@
+"""`python -m benchmarks NAME`, or `make bench ARGS="NAME"`: runs a benchmark, saves its rows and prints their summary."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from importlib import import_module
+
+from grasp_env._extras import need
+from grasp_env.errors import GraspError, UnknownNameError
+
+BENCHMARKS = {
+    "scaling": "cost against contacts",
+    "batch": "solves per second on one core and on all",
+}
+"""Every benchmark is the `BENCHMARK` of the module of its name."""
+USAGE = f"""usage: python -m benchmarks NAME [OPTIONS]
+
+{"".join(f"  {name:8} {text}{os.linesep}" for name, text in BENCHMARKS.items())}
+python -m benchmarks NAME --help lists the options.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one benchmark.
+
+    Args:
+        arguments: words of the command line; None: those of this process.
+
+    Returns:
+        0; 130 if it was interrupted; 2 where something given is wrong: stderr says what in one line, and with --json stdout as JSON.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        sys.stdout.write(USAGE)
+        return 0
+    try:
+        execute(*words)
+    except GraspError as error:
+        sys.stderr.write(f"benchmarks: {error}\n")
+        if "--json" in words:
+            described = {"kind": type(error).__name__, "message": str(error), "exit_code": 2}
+            sys.stdout.write(json.dumps({"error": described}) + "\n")
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("benchmarks: interrupted\n")
+        return 130
+    return 0
+
+
+def execute(name: str, *words: str) -> None:
+    """Runs the benchmark of that name, with options.
+
+    Raises:
+        GraspError: there is no such benchmark, or something given to it is wrong.
+    """
+    if name not in BENCHMARKS:
+        raise UnknownNameError("benchmark", name, BENCHMARKS)
+    need("report")
+    import tyro
+
+    from benchmarks import show
+    from benchmarks.settings import Options, checked, tick
+    from training.results import Run, default_name
+
+    benchmark = import_module(f"benchmarks.{name}").BENCHMARK
+    usual = replace(benchmark.settings, **benchmark.quick) if "--quick" in words else benchmark.settings
+    options = Options[type(usual)]
+    given = tyro.cli(options, prog=f"python -m benchmarks {name}", default=Options(usual), args=words)
+    checked(given.settings)
+    kind = "env_speed" if name == "env" else name  # the kind "env" are hold rates
+    before = None if given.compare is None else show.earlier(given.compare, kind)
+    run = Run.create(given.out, given.name or default_name(kind))
+    rows = benchmark.run(given.settings)
+    tick("")
+    about = {"kind": kind, "quick": given.quick, "settings": asdict(given.settings), "load": os.getloadavg()}
+    run.save(rows, about | {"missing": show.lacking(rows), "claims": [asdict(claim) for claim in benchmark.claims]})
+    written = (show.as_json if given.json else show.as_text)(benchmark, rows, run.read_json("run.json"), before)
+    sys.stdout.write(written if given.json else f"{written}{run.folder}\n")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,107 @@
+"""What every benchmark is made of, and the settings that several share."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from shutil import get_terminal_size
+from typing import Annotated, Any, Generic, TypeVar
+
+import tyro
+
+from grasp_env import ranges
+from grasp_env.errors import InvalidInputError, shown
+from training.results.claims import Claim
+from training.results.table import pd
+
+RANGES = {"contacts": (3, ranges.CONTACTS), "wrenches": (8, 10_000_000), "seed": (0, ranges.SEED), "start": (0, 1000)}
+"""Allowed values of settings that are whole numbers; the others take 1 to 100,000."""
+
+
+def tick(text: str) -> None:
+    """Tells a terminal what runs, on one line that the next overwrites."""
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\033[K{text[: get_terminal_size().columns - 1]}\r")
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is timed.
+
+    Attributes:
+        contacts: numbers of contacts.
+        wrenches: problems for each number of contacts, shared out over four grasps.
+        rounds: in which the contestants take turns, so that a busy second of the machine hits all alike.
+        passes: of a round; the time of a problem is the best of rounds * passes calls.
+        seed: of the problems.
+    """
+
+    contacts: tuple[int, ...]
+    wrenches: int
+    rounds: int
+    passes: int
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A benchmark, by name in `benchmarks.__main__.BENCHMARKS`.
+
+    Attributes:
+        run: takes settings, returns rows with columns of `training.results.columns`. A row with a `reason` says what
+            could not be measured, and why.
+        settings: the usual ones, a dataclass whose fields are the options.
+        quick: changes to them for a small version, whose numbers are rough.
+        shown: columns of the summary that are printed besides its keys.
+        claims: about the summary.
+        words: meaning of values of the column `method`.
+        notes: takes the summary, returns lines to print below it.
+    """
+
+    run: Callable[[Any], pd.DataFrame]
+    settings: Any
+    quick: Mapping[str, Any]
+    shown: tuple[str, ...]
+    claims: tuple[Claim, ...] = ()
+    words: Mapping[str, str] = field(default_factory=dict)
+    notes: Callable[[pd.DataFrame], Iterable[str]] = lambda summary: ()
+
+
+Settings = TypeVar("Settings")
+
+
+@dataclass(frozen=True)
+class Options(Generic[Settings]):
+    """Times, side by side in one run.
+
+    Attributes:
+        settings: of the benchmark.
+        quick: a small version, whose numbers are rough.
+        out: folder of runs.
+        name: of this run's folder in it; empty: kind and time.
+        compare: folder of an earlier run of the same kind to set beside.
+        json: print one JSON object, errors too.
+    """
+
+    settings: tyro.conf.OmitArgPrefixes[Settings]
+    quick: bool = False
+    out: Path = Path("runs")
+    name: str = ""
+    compare: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    json: bool = False
+
+
+def checked(settings: Any) -> None:
+    """Refuses settings out of their ranges.
+
+    Raises:
+        InvalidInputError: a whole number is out of its range.
+    """
+    for name in (part.name for part in fields(settings)):
+        value = getattr(settings, name)
+        least, most = RANGES.get(name, (1, 100_000))
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, int) and not least <= number <= most:
+                raise InvalidInputError(f"{name} must be at least {least}, at most {most}, got {shown(number)}")
