@@ -15,6 +15,7 @@ from grasp_env.errors import GraspError, UnknownNameError
 BENCHMARKS = {
     "scaling": "cost against contacts",
     "batch": "solves per second on one core and on all",
+    "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
 }
 """Every benchmark is the `BENCHMARK` of the module of its name."""
 USAGE = f"""usage: python -m benchmarks NAME [OPTIONS]

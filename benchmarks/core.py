@@ -1,0 +1,161 @@
+"""This checkout beside an earlier one: the same problems, the same calls, in short processes that take turns on one core.
+
+What is timed is `core_side.ROWS`. Every process writes its rows; here they are joined.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.core_side import ROWS
+from benchmarks.problem import problems
+from benchmarks.settings import Benchmark, Effort, tick
+from grasp_env.errors import GraspError, InvalidInputError
+from grasp_env.force import phase_one
+from grasp_env.grasp import Grasp
+from training.results.claims import Claim
+from training.results.table import join, pd
+
+SIDE = Path(__file__).with_name("core_side.py")
+STEP = 0.03
+"""Between neighbours on a path [rad]: 200 calls go round once."""
+SHIFT, TILT = 2e-3, 0.05
+"""How far contacts move on a path [m], how far their normals tilt [rad]."""
+CALL, RATIO, FIRST = "call", "now over baseline, by rounds", "first solve of a process, newton"
+
+
+@dataclass(frozen=True)
+class Settings(Effort):
+    """How much is timed.
+
+    Attributes:
+        baseline: folder of another checkout with its own .venv (git worktree add PATH COMMIT; make -C PATH install); None: only
+            this one is timed.
+    """
+
+    baseline: Path | None = None
+
+
+def run(settings: Settings, names: tuple[str, ...] = tuple(ROWS)) -> pd.DataFrame:
+    """Times all rows in rounds, this checkout and the baseline in turns, never both at once.
+
+    Returns:
+        For each side and method a row for each problem, the best of all rounds, and where there are two sides, in `apart` how far their
+        objectives differ; for each round the ratio of their medians; for each process its first solve. A row with a reason for what a
+        side cannot time.
+
+    Raises:
+        InvalidInputError: the baseline is no installed checkout.
+        GraspError: a process ended.
+    """
+    sides = {"now": (SIDE.parents[1], Path(sys.executable))}
+    if settings.baseline is not None:
+        root = settings.baseline.absolute()
+        sides["baseline"] = root, root / ".venv/bin/python"
+    for root, python in sides.values():
+        if not (root / "grasp_env").is_dir() or not python.exists():
+            mend = f"git worktree add {root} COMMIT, make -C {root} install"
+            raise InvalidInputError(f"{root} is no installed checkout with a grasp_env and a {python}: {mend}")
+    parts, first = [], []
+    with tempfile.TemporaryDirectory() as scratch:
+        file, out = Path(scratch, "problems.npz"), Path(scratch, "rows")
+        for count in settings.contacts:
+            tick(f"{count} contacts: problems")
+            np.savez(file, **arrays(settings.seed, count, settings.wrenches))
+            for turn in range(settings.rounds):
+                for side, (root, python) in sides.items():
+                    tick(f"{count} contacts, round {turn + 1} of {settings.rounds}: {side}")
+                    words = [str(out), str(file), str(settings.passes), str(time.monotonic()), *names]
+                    about, *lines = process(python, root, words)
+                    first.append({"case": FIRST, "side": side, "milliseconds": about["milliseconds"]})
+                    parts.append(pd.DataFrame(lines).assign(side=side, contacts=count, turn=turn))
+    return join([*joined(pd.concat([part.astype(object) for part in parts], ignore_index=True)), pd.DataFrame(first)])
+
+
+def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
+    """The problems of the other benchmarks, and a path round each grasp on which it keeps force closure."""
+    rng, out = np.random.default_rng([seed, count, 1]), {}
+    for group, (grasp, loads) in enumerate(problems(seed, count, wrenches)):
+        angle = STEP * np.arange(len(loads))[:, None, None]
+        phase, shift, tilt = rng.uniform(0.0, 2.0 * np.pi, (count, 1)), *rng.uniform(-1.0, 1.0, (2, count, 3))
+        part = 1.0  # of the way: halved until closure is kept
+        while True:
+            points = grasp.positions + part * SHIFT * shift * np.sin(angle + phase)
+            normals = grasp.normals + part * TILT * tilt * np.cos(angle + phase)
+            normals /= np.sqrt((normals**2).sum(axis=2, keepdims=True))
+            path = (Grasp.from_contacts(p, n, grasp.friction) for p, n in zip(points, normals, strict=True))
+            if all(phase_one(moved, np.zeros(6)).feasible for moved in path):
+                break
+            part *= 0.5
+        turning = np.cos(angle[:, 0]) * loads[0] + np.sin(angle[:, 0]) * loads[1]
+        found = {"positions": grasp.positions, "normals": grasp.normals, "friction": grasp.friction, "wrenches": loads}
+        found |= {"path_points": points, "path_normals": normals, "path_wrenches": turning}
+        out |= {f"{group}/{name}": value for name, value in found.items()}
+    return out
+
+
+def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:
+    """The lines that a process of `core_side.py` in a checkout writes to the file that is its first word.
+
+    Raises:
+        InvalidInputError: it imports grasp_env from elsewhere.
+        GraspError: it ended otherwise.
+    """
+    kept = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    command = [str(python), "-c", SIDE.read_text(encoding="utf-8"), *words]
+    done = subprocess.run(command, cwd=root, env=kept | {"OPENBLAS_NUM_THREADS": "1"}, capture_output=True, text=True)
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["nothing said"])[-1]
+        raise GraspError(f"the process in {root} ended: {last}")
+    lines = [json.loads(line) for line in Path(words[0]).read_text(encoding="utf-8").splitlines()]
+    if not os.path.samefile(lines[0]["root"], root):
+        raise InvalidInputError(f"{python} imports grasp_env from elsewhere: {lines[0]['root']}")
+    return lines
+
+
+def joined(lines: Any) -> list[pd.DataFrame]:
+    """The lines of all processes as rows: the best of the rounds, how far objectives differ, ratios of each round, and what is lacking."""
+    keys = ["contacts", "method", "problem"]
+    lines = lines.reindex(columns=[*keys, "side", "turn", "microseconds", "objective", "reason"])
+    lacking = lines.loc[lines["reason"].notna(), ["contacts", "method", "side", "reason"]].drop_duplicates()
+    lines = lines[~lines["method"].isin(lacking["method"])].astype({"microseconds": float, "objective": float})
+    best = lines.groupby([*keys, "side"], sort=False, as_index=False).agg({"microseconds": "min", "objective": "last"})
+    best["failed"] = best["objective"].isna()
+    if "baseline" not in set(best["side"]):
+        return [best.drop(columns="objective").assign(case=CALL), lacking]
+    other = best.merge(best[best["side"] == "baseline"], on=keys, how="left")
+    best["apart"] = (other["objective_x"] / other["objective_y"] - 1.0).abs()
+    # the sides of a method one below the other
+    pairs = [rows for _, rows in best.drop(columns="objective").assign(case=CALL).groupby(keys[:2], sort=False)]
+    medians = lines.pivot_table("microseconds", ["contacts", "method", "turn"], "side", "median", sort=False)
+    ratios = (medians["now"] / medians["baseline"]).rename("ratio").reset_index()
+    return [*pairs, ratios.rename(columns={"turn": "problem"}).assign(case=RATIO), lacking]
+
+
+def _slower(name: str) -> Claim:
+    return Claim(
+        f"{name}: time over the baseline's", f"case == '{RATIO}' and method == '{name}'", "ratio_median", "<=", 1.05
+    )
+
+
+BENCHMARK = Benchmark(
+    run,
+    Settings((3, 4, 5, 8, 16, 50), wrenches=400, rounds=10, passes=2),
+    quick={"wrenches": 80, "rounds": 2},
+    shown=("microseconds_median", "microseconds_p99", "failed_sum", "apart_max", "ratio_median", "ratio_low", "ratio_high", "milliseconds_median"),
+    claims=(
+        *map(_slower, ROWS),
+        Claim("first solve of a new process", f"case == '{FIRST}' and side == 'now'", "milliseconds_median", "<=", 500.0, unit="ms"),
+    ),
+    words={name: label for name, (label, _) in ROWS.items()},
+)  # fmt: skip

@@ -1,0 +1,149 @@
+"""One side of the benchmark `core`: `python -c <this source> OUT PROBLEMS PASSES BEGIN ROW...` in any checkout.
+
+It imports numpy and what old checkouts have of `grasp_env`, and writes its rows as lines of JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+WARM_UP = 20
+"""Calls before the clock starts, for every row."""
+Case = dict[str, Any]
+"""A grasp and its problems: wrenches (n, 6), and points (n, N, 3), normals and wrenches along a smooth path."""
+Answers = tuple[Any, list[float]]
+"""Seconds (n,) of each call, the best of the passes, and the objectives (n,), nan where not optimal."""
+
+
+def timed(passes: int, call: Any, calls: list[Any], restart: Callable[[], Any] = lambda: None) -> Answers:
+    """`call(*calls[k])`, a solve with the reading of `.force` and `.status`; a pass begins with `restart()` and an untimed call."""
+    solves = not hasattr(call(*calls[0]), "length")  # or makes a grasp
+    for given in calls[:WARM_UP]:
+        call(*given)
+    best = np.full(len(calls), np.inf)
+    for _ in range(passes):
+        restart()
+        call(*calls[0])
+        for k, given in enumerate(calls):
+            begin = time.perf_counter_ns()
+            found = call(*given)
+            if solves:
+                force, status = found.force, found.status  # noqa: F841
+            best[k] = min(best[k], time.perf_counter_ns() - begin)
+    restart()
+    found = [call(*given) for given in calls]
+    if not solves:
+        return 1e-9 * best, [grasp.length for grasp in found]
+    return 1e-9 * best, [solution.objective if solution.status.name == "OPTIMAL" else np.nan for solution in found]
+
+
+def python(case: Case, passes: int, grasp: str = "grasp", wrenches: str = "wrenches", **options: Any) -> Answers:
+    """`ForceOptimizer(grasp, **options).solve(wrench)`."""
+    from grasp_env.force import ForceOptimizer
+
+    optimizer = ForceOptimizer(case[grasp], **options)
+    loads = [(wrench.copy(),) for wrench in case[wrenches]]
+    return timed(passes, optimizer.solve, loads, lambda: setattr(optimizer, "previous", None))
+
+
+def compiled(case: Case, passes: int, **options: Any) -> Answers:
+    """The compiled call alone, start and certificate included, timed in C++; its objectives are those from Python."""
+    from grasp_env.force import ForceOptimizer
+
+    method: Any = ForceOptimizer(case["grasp"], **options)._method
+    loads, best = case["wrenches"], np.empty(len(case["wrenches"]))
+    records = np.zeros((len(loads), 20 + 7 * len(case["positions"])))
+    method.solver.times(loads[:WARM_UP], 1, records[:WARM_UP], best[:WARM_UP])
+    method.solver.times(loads, passes, records, best)
+    return best, python(case, 1, **options)[1]
+
+
+def pipeline(case: Case, passes: int, method: str) -> Answers:
+    """`ForcePipeline(grasp, method=method).solve(points, normals, wrench)` along the path."""
+    from grasp_env.force import ForcePipeline
+
+    made = ForcePipeline(case["grasp"], method=method)
+    path = zip(case["path_points"], case["path_normals"], case["path_wrenches"], strict=True)
+    return timed(passes, made.solve, list(path), made.reset)
+
+
+def making(case: Case, passes: int, name: str, third: Any) -> Answers:
+    """A constructor of `Grasp` along the path."""
+    path = zip(case["path_points"], case["path_normals"], strict=True)
+    return timed(passes, getattr(type(case["grasp"]), name), [(*contacts, third) for contacts in path])
+
+
+ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
+    "newton": ("Newton on Phi to 1e-8, compiled call", lambda *given: compiled(*given, method="newton", tolerance=1e-8)),
+    "newton_python": ("the same, ForceOptimizer.solve from Python", lambda *given: python(*given, method="newton", tolerance=1e-8)),
+    "newton_default": ("the same to 1e-4, the default", lambda *given: python(*given, method="newton", tolerance=1e-4)),
+    "newton_previous": (
+        "ForceOptimizer.solve to 1e-8, initial='previous', wrenches on a smooth path",
+        lambda *given: python(*given, wrenches="path_wrenches", method="newton", tolerance=1e-8, initial="previous"),
+    ),
+    "conic": ("conic to 1e-6, compiled call", lambda *given: compiled(*given, method="conic", tolerance=1e-6)),
+    "conic_python": ("the same, ForceOptimizer.solve from Python", lambda *given: python(*given, method="conic", tolerance=1e-6)),
+    "pipeline_newton": ("moving contacts to certified force, ForcePipeline.solve by newton", lambda *given: pipeline(*given, method="newton")),
+    "from_contacts": ("Grasp.from_contacts", lambda case, passes: making(case, passes, "from_contacts", case["friction"])),
+    "unchecked": ("Grasp.unchecked", lambda case, passes: making(case, passes, "unchecked", case["grasp"].models)),
+    "flow": ("the paper's flow, ForceOptimizer.solve", lambda *given: python(*given, method="reduced_flow")),
+    "pipeline_flow": ("moving contacts, ForcePipeline.solve by reduced_flow", lambda *given: pipeline(*given, method="reduced_flow")),
+    "soft": ("soft contacts, newton to 1e-4, ForceOptimizer.solve", lambda *given: python(*given, grasp="soft", method="newton", tolerance=1e-4)),
+    "max": ("least largest normal force, conic to 1e-6, ForceOptimizer.solve", lambda *given: python(*given, method="conic", criterion="max")),
+}  # fmt: skip
+"""What is timed: a label, and a function of a case and the number of passes."""
+
+
+def cases(path: str) -> Iterator[Case]:
+    """The problems that the driver wrote, with the grasps made of them."""
+    from grasp_env.grasp import Grasp
+
+    arrays = np.load(path)
+    for group in sorted({name.partition("/")[0] for name in arrays.files}):
+        case: Case = {name.partition("/")[2]: arrays[name] for name in arrays.files if name.startswith(f"{group}/")}
+        contacts = case["positions"], case["normals"], case["friction"]
+        case["grasp"] = Grasp.from_contacts(*contacts)
+        gamma = 0.1 * case["friction"] * case["grasp"].length
+        case["soft"] = Grasp.from_contacts(*contacts, contact_model="soft", torsional_friction=gamma)
+        yield case
+
+
+def lines(problems: str, passes: int, names: tuple[str, ...]) -> Iterator[dict[str, Any]]:
+    """Microseconds and objective of all problems, or the reason why a row cannot be timed here."""
+    made = list(cases(problems))
+    for name in names:
+        try:
+            found = [ROWS[name][1](case, passes) for case in made]
+        except Exception as error:
+            yield {"method": name, "reason": f"{type(error).__name__}: {error}"}
+            continue
+        seconds, values = (np.concatenate(part) for part in zip(*found, strict=True))
+        for problem, (taken, value) in enumerate(zip(seconds.tolist(), values.tolist(), strict=True)):
+            objective = value if np.isfinite(value) else None
+            yield {"method": name, "problem": problem, "microseconds": 1e6 * taken, "objective": objective}
+
+
+def main(out: str, problems: str, passes: str, begin: str, *names: str) -> None:
+    """Notes first where it imports from, and how long after `begin` (CLOCK_MONOTONIC [s]) a first solve was done."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    import grasp_env
+    from grasp_env.force import optimize_force
+    from grasp_env.grasp import presets
+
+    force = optimize_force(presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0], method="newton").force
+    first = 1e3 * (time.monotonic() - float(begin)) if np.isfinite(force).all() else None
+    about = {"root": os.path.dirname(os.path.dirname(os.path.abspath(grasp_env.__file__))), "milliseconds": first}
+    with open(out, "w", encoding="utf-8") as file:
+        file.writelines(json.dumps(line) + "\n" for line in (about, *lines(problems, int(passes), names)))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
