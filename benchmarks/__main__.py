@@ -13,6 +13,7 @@ from grasp_env._extras import need
 from grasp_env.errors import GraspError, UnknownNameError
 
 BENCHMARKS = {
+    "solver": "our solvers beside Clarabel, QOCO, QOCOGEN, Moreau, ... from the extra [bench]",
     "scaling": "cost against contacts",
     "batch": "solves per second on one core and on all",
     "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
