@@ -16,6 +16,7 @@ BENCHMARKS = {
     "solver": "our solvers beside Clarabel, QOCO, QOCOGEN, Moreau, ... from the extra [bench]",
     "scaling": "cost against contacts",
     "batch": "solves per second on one core and on all",
+    "env": "steps per second of the environment beside bare PyBullet, resets, memory",
     "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
 }
 """Every benchmark is the `BENCHMARK` of the module of its name."""
