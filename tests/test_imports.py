@@ -1,4 +1,4 @@
-"""One direction: training -> policies -> grasp_env; the solver needs neither simulator, gymnasium nor torch."""
+"""One direction: benchmarks -> training -> policies -> grasp_env; the solver needs neither simulator, gymnasium nor torch."""
 
 from __future__ import annotations
 
@@ -47,7 +47,11 @@ def _roots(path: Path) -> set[str]:
 
 @pytest.mark.parametrize(
     ("package", "forbidden"),
-    [("grasp_env", {"policies", "training"}), ("policies", {"training"})],
+    [
+        ("grasp_env", {"policies", "training", "benchmarks"}),
+        ("policies", {"training", "benchmarks"}),
+        ("training", {"benchmarks"}),
+    ],
 )
 def test_packages_never_import_upwards(package: str, forbidden: set[str]) -> None:
     guilty = {str(path.relative_to(ROOT)): _roots(path) & forbidden for path in _files(package)}
@@ -101,8 +105,8 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "env": {"errors", "core", "_extras", "_check", "grasp", "force", "sim", "task", "config", "control"},
     },
     "training": {
+        "results": set(),
         "runs": set(),
-        "peers": set(),
         "live": set(),
         "data": set(),
         "demo": {"runs", "data"},
@@ -112,8 +116,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "report": {"runs", "demo", "cases", "trials"},
         "rl": {"runs", "data", "report"},
         "study": {"runs", "cases", "trials", "report"},
-        "bench": {"runs", "data", "peers", "report"},
-        "commands": {"runs", "demo", "fit", "trials", "report", "rl", "study", "bench", "live"},
+        "commands": {"runs", "demo", "fit", "trials", "report", "rl", "study", "live"},
     },
 }
 """The rooms of a package, the lowest first, and those that each may look into."""
@@ -157,7 +160,7 @@ def test_rooms_look_one_way(package: str) -> None:
     assert found == rooms, "an arrow that nothing needs any more"
 
 
-@pytest.mark.parametrize("package", ["grasp_env", "policies", "training"])
+@pytest.mark.parametrize("package", ["grasp_env", "policies", "training", "benchmarks"])
 def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
     left = _arrows(package)
     while free := [name for name, targets in left.items() if not targets & set(left)]:
@@ -185,7 +188,7 @@ print(*sorted(sys.modules))
 
 
 def test_pybullet_is_imported_in_one_file() -> None:
-    users = {str(path.relative_to(ROOT)) for part in ("grasp_env", "policies", "training") for path in _files(part)
+    users = {str(path.relative_to(ROOT)) for part in ("grasp_env", "policies", "training", "benchmarks") for path in _files(part)
              if _roots(path) & {"pybullet", "pybullet_data", "pybullet_utils"}}  # fmt: skip
     assert users == {str(Path("grasp_env", "sim", "client.py"))}
 

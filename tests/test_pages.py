@@ -17,6 +17,8 @@ from training.cli import main
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+RESULTS = re.compile(r"<!-- results: .*?<!-- /results -->", re.DOTALL)
+"""Tables of saved runs, which say by which command of their time they were made."""
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OPTIONFLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 OTHERS = ("cd", "git", "python")
@@ -34,7 +36,7 @@ def commands(page: Path, program: str) -> Iterator[list[str]]:
     """The words after a program's name, in console blocks and in the text."""
     text = page.read_text(encoding="utf-8")
     lines = [line for code in blocks(page, "console") for line in code.splitlines()]
-    lines += re.findall(rf"`({program} [^`\n]+)`", re.sub(BLOCK, "", text))
+    lines += re.findall(rf"`({program} [^`\n]+)`", re.sub(BLOCK, "", re.sub(RESULTS, "", text)))
     for line in lines:
         words = shlex.split(line, comments=True)
         if words[:1] == [program]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.problem import closed_grasps
 from grasp_env.force import Objective, Status, optimize_force
-from training.bench.grasps import closed_grasps
 
 OBJECTIVE = Objective()
 

@@ -25,7 +25,6 @@ from grasp_env.grasp import load_grasp, presets, save_grasp
 from grasp_env.sim import HandDescription
 from grasp_env.sim.objects.description import ObjectDescription
 from policies.agent import TrainedAgent
-from training.bench.show import compare
 from training.cli import main
 from training.runs import Run
 
@@ -55,7 +54,6 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "agent": agent,
     "run": lambda path: Run(path.parent).read_json(path.name),
     "arrays": lambda path: Run(path.parent).read_arrays(path.name),
-    "benchmark": lambda path: compare({"kind": "solver", "rows": []}, path, None),  # type: ignore[arg-type]
 }
 
 
@@ -202,9 +200,6 @@ def test_the_command_reads_a_pipe_and_refuses_a_device(tmp_path: Path) -> None:
         ("solve", "--barrier-weight", "1e-300"),
         ("solve", "--wrench", "1e300", "0", "0", "0", "0", "0"),
         ("solve", "--max-normal", "-1"),
-        ("bench", "batch", "--wrenches", "-5"),
-        ("bench", "solver", "--contacts", "2"),
-        ("bench", "solver", "--seed", "-1"),
         ("evaluate", "starts", "--wrenches", "0"),
         ("evaluate", "env", "--episodes", "-1"),
         ("fit", "--seconds", "nan"),
@@ -212,7 +207,6 @@ def test_the_command_reads_a_pipe_and_refuses_a_device(tmp_path: Path) -> None:
         ("report", "/dev"),
         ("report", "a" * 300),
         ("solve", "--initial", "a" * 300),
-        ("bench", "batch", "--wrenches", "10", "--compare", "a" * 300),
         ("demo", "--seconds", "inf", "--video", "hand.gif"),
     ],
     ids=" ".join,

@@ -248,27 +248,3 @@ def test_quick_run_from_the_command_line(tmp_path, capsys):
     assert out.startswith("QUICK RUN")
     assert "random objects against a random wrench" in out
     assert "QUICK RUN" in (tmp_path / "q/report.md").read_text()
-
-
-def test_bench_in_small(monkeypatch):
-    from training.bench import env as bench
-
-    got = bench.steps_beside_bare({}, 0, 2)
-    assert 0.0 < got["bare_us"] < got["us"]
-    assert got["ratio"] == pytest.approx(got["us"] / got["bare_us"])
-    parts = bench.breakdown(bench.make({}), 0, 1)
-    assert sum(part["share"] for part in parts) == pytest.approx(1.0)
-    assert {part["part"] for part in parts} >= {"bare_writes", "bare_reads", "optimise", "tick", "info"}
-    assert bench.reset_times({"randomise": ("mass",)}, 0, 3)["median_ms"] > 0.0
-    weight = bench.memory_of({}, 20, 1)
-    assert 0.0 < weight["per_env_mib"] < 200.0
-
-
-@pytest.mark.slow
-def test_bench_from_the_command_line(tmp_path, capsys):
-    assert main(["bench", "env", "--quick", "--json", "--out", str(tmp_path)]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert len(result["claims"]) == 7
-    saved = tmp_path / "env.json"
-    assert main(["bench", "env", "--quick", "--out", str(tmp_path / "b"), "--compare", str(saved)]) == 0
-    assert "now / before" in capsys.readouterr().out
