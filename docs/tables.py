@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from training.runs.words import number
-from training.study.study import LAMBDA, RULE_LABELS
+from training.report.reproduce import RULES as RULE_LABELS
+from training.reproduce import LAMBDA
 from training.trials.hold_plan import CONTROLLER_LABELS, CONTROLLERS, SCENARIO_LABELS
 
 RESULTS = Path(__file__).parent / "results"

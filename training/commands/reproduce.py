@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-
-from rich.console import Console
 
 from grasp_env._extras import need
 
 
 @dataclass(frozen=True)
 class Reproduce:
-    """Study what the paper leaves open, its reduction and its claims.
+    """Study what the paper leaves open, and its Table I.
 
-    Writes tables and figures of weights, step rules and claims.
+    Weights, step rules, rates and costs: a table of rows and a page.
 
     Attributes:
         out: the folder that gets a run.
@@ -28,7 +25,10 @@ class Reproduce:
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         need("report")
-        from training.study.reproduce import reproduce
+        from training.report.page import write
+        from training.reproduce import run
+        from training.results import Run, default_name
 
-        metrics = reproduce(self.out, self.quick, sys.stderr.isatty())
-        Console().print(str(Path(metrics["folder"]) / "report.md"), highlight=False)
+        folder = Run.create(self.out, default_name("reproduce"))
+        folder.save(run(self.quick), {"kind": "reproduce", "quick": self.quick})
+        print(write(folder))

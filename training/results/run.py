@@ -16,12 +16,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from grasp_env._check import together, whole
 from grasp_env._files import read_json, replacing
 from grasp_env.errors import GraspError, InvalidInputError
 
 if TYPE_CHECKING:
     from training.results.table import pd
 
+MAX_COUNT = 1_000_000_000
+"""Largest number of anything that a setting counts."""
 _PACKAGES = (
     "numpy", "scipy", "pandas", "torch", "gymnasium", "stable-baselines3", "pybullet", "mujoco", "ray",
     "clarabel", "qoco", "qocogen", "moreau", "ecos",
@@ -147,6 +150,15 @@ def understood(folder: Path, again: str) -> Iterator[None]:
             f"{folder} lacks what is needed of it ({type(error).__name__}: {str(error)[:200]}): its files were changed, or another "
             f"version made them; {again}"
         ) from error
+
+
+def check_counts(config: Any, least: dict[str, int]) -> None:
+    """Checks that these settings of a record are integers between their least values and `MAX_COUNT`.
+
+    Raises:
+        InvalidInputError: naming every setting that is not.
+    """
+    together(*(lambda n=n, low=low: whole(getattr(config, n), n, low, MAX_COUNT) for n, low in least.items()))
 
 
 def default_name(kind: str) -> str:
