@@ -16,27 +16,27 @@ class RL(RLConfig):
     The agent is scored beside the paper's start, and a report is written.
 
     Attributes:
-        out: folder of the run: seed-<seed>/ with checkpoints and TensorBoard events, rl.md, rl.json, learning_curve.png.
+        out: folder of the run: seed-<seed>/ with checkpoints and TensorBoard events, rows.parquet, rows.csv, run.json, report.html.
         resume: go on from the last whole checkpoint of each seed; the other options as before, but for --steps: more go on from a finished run.
         compare: folders of finished runs: nothing is trained, one report of them all goes to `out`.
+        on: where seeds run: inline, processes, ray or ray://HOST:PORT; empty: inline for one seed, else a process for each. Ray needs
+            an --out that all its machines share.
     """
 
     out: Path = Path("runs/rl/agent")
     resume: bool = False
     compare: tuple[Path, ...] = ()
+    on: str = ""
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         config = RLConfig(**{name: getattr(self, name) for name in RLConfig.__dataclass_fields__})
-        from training.runs import Run
+        need("sim", "train", "report")
+        from training.report.page import write
+        from training.rl.train import compare, train
 
         if self.compare:
-            need("sim", "train", "report")
-            from training.rl.evaluate import evaluate_runs
-
-            runs = [Run.open(folder, "run.json").folder for folder in self.compare]
-            evaluate_runs(runs, Run.create(self.out.parent, self.out.name).folder, config.episodes, config.quick)
+            run = compare(self.compare, self.out, config, self.on)
         else:
-            from training.rl.train import train
-
-            train(config, self.out, self.resume)
+            run = train(config, self.out, self.resume, self.on)
+        print(write(run))

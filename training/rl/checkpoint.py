@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -20,12 +21,13 @@ from policies.agent_files import (
     read_tensors,
     write_checkpoint,
 )
-from training.rl.agent import arrays, restore, tensors
-from training.rl.envs import first_seed
+from training.results import provenance
+from training.rl.agent import arrays, first_seed, restore
 from training.rl.settings import RLConfig
-from training.runs import provenance
 
 FOLDER = "checkpoints"
+_TENSORS = ("policy", "optimiser")
+"""What is written as safetensors; the rest as npz."""
 _FREE = ("steps", "seed", "seeds", "episodes", "curve_points", "curve_episodes", "checkpoint_every", "quick")
 """Settings in which a resumed training may differ from its checkpoint: they do not change what is learned."""
 _SPARE = 50_000_000
@@ -34,7 +36,7 @@ _SPARE = 50_000_000
 
 @dataclass
 class Training:
-    """One agent in training.
+    """One agent in training; as a `Policy`, it acts deterministically on raw observations.
 
     Attributes:
         folder: of its seed: checkpoints and TensorBoard events.
@@ -42,8 +44,8 @@ class Training:
         seed: of this training.
         agent: as `agent.build` makes it.
         envs: what it sees.
-        seconds, cpu_seconds: spent on training.
-        curve: of held-out scores so far.
+        spent: (wall, processor) time spent on training [s].
+        curve: rows of the episodes that scored the agent so far, with "training_steps".
     """
 
     folder: Path
@@ -51,13 +53,20 @@ class Training:
     seed: int
     agent: PPO | SAC
     envs: VecNormalize
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
+    spent: np.ndarray = field(default_factory=lambda: np.zeros(2))
     curve: list[dict[str, Any]] = field(default_factory=list)
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[np.ndarray, Any]:
+        """See `Policy`."""
+        seen: Any = self.envs.normalize_obs(np.asarray(observation))
+        return self.agent.predict(seen, deterministic=deterministic)[0], state
 
     def save(self) -> Path:
         """Writes a whole checkpoint under `<folder>/checkpoints`."""
         agent, config = self.agent, self.config
+        seconds, cpu_seconds = self.spent.round(2).tolist()
         meta = {
             "algorithm": config.algorithm,
             "action": config.action,
@@ -67,11 +76,15 @@ class Training:
             "config": asdict(config),
             "env_settings": config.env_settings,
             "provenance": provenance(),
-            **{name: getattr(self, name) for name in _FACTS},
+            "updates": agent._n_updates,
+            "episodes": agent._episode_num,
+            "seconds": seconds,
+            "cpu_seconds": cpu_seconds,
+            "curve": self.curve,
         }
-        return write_checkpoint(
-            self.folder / FOLDER, agent.num_timesteps, meta, tensors(agent), arrays(agent, self.envs)
-        )
+        held = arrays(agent, self.envs)
+        tensors = {stem: held.pop(stem) for stem in _TENSORS}
+        return write_checkpoint(self.folder / FOLDER, agent.num_timesteps, meta, tensors, held)
 
     def resume(self) -> None:
         """Restores the newest checkpoint of the folder; episodes start anew, from seeds not used before.
@@ -80,18 +93,14 @@ class Training:
             ModelFileError: no whole checkpoint, or one that does not fit.
             InvalidInputError: it was trained with other settings.
         """
-        found = find_checkpoint(self.folder)
-        meta = check_settings(self.folder, self.config, self.seed)
-        saved = {stem: read_tensors(found, meta, stem) for stem in ("policy", "optimiser")}
-        stems = ("normaliser", "state", *(("replay",) if self.config.algorithm == "sac" else ()))
-        saved |= {stem: read_arrays(found, meta, stem) for stem in stems}
-        restore(self.agent, self.envs, saved, first_seed(self.seed, meta["steps"]))
-        self.envs.seed(first_seed(self.seed, meta["steps"]))
-        for name in _FACTS:
-            setattr(self, name, meta[name])
-
-
-_FACTS = ("seconds", "cpu_seconds", "curve")
+        found, meta = find_checkpoint(self.folder), check_settings(self.folder, self.config, self.seed)
+        stems = ("normaliser", *(("replay",) if self.config.algorithm == "sac" else ()))
+        saved = {stem: read_tensors(found, meta, stem) for stem in _TENSORS}
+        restore(self.agent, self.envs, saved | {stem: read_arrays(found, meta, stem) for stem in stems})
+        agent = self.agent
+        agent.num_timesteps, agent._n_updates, agent._episode_num = meta["steps"], meta["updates"], meta["episodes"]
+        agent.set_random_seed(first_seed(self.seed, meta["steps"]))  # every generator, those of the environments too
+        self.spent, self.curve = np.array([meta["seconds"], meta["cpu_seconds"]]), meta["curve"]
 
 
 def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
@@ -100,13 +109,9 @@ def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
     meta = read_meta(found)
     now = {**asdict(config), "env_settings": config.env_settings}
     before = {**meta["config"], "env_settings": meta["env_settings"]}
-    wrong = {
-        name: (before.get(name), value)
-        for name, value in now.items()
-        if name not in _FREE and before.get(name) != value
-    }
+    wrong = {name: value for name, value in now.items() if name not in _FREE and before.get(name) != value}
     if wrong or meta["seed"] != seed:
-        told = ", ".join(f"{name} {old!r}, now {new!r}" for name, (old, new) in wrong.items())
+        told = ", ".join(f"{name} {before.get(name)!r}, now {value!r}" for name, value in wrong.items())
         raise InvalidInputError(
             f"{found} was trained with other settings ({told or 'another seed'}): give the same, or another --out"
         )
@@ -114,14 +119,14 @@ def check_settings(folder: Path, config: RLConfig, seed: int) -> dict[str, Any]:
 
 
 def check_space(out: Path, config: RLConfig) -> None:
-    """Refuses to start where the disk cannot take the checkpoints: two of the seed in training, one of each other.
+    """Refuses to start where the disk cannot take the checkpoints: two of every seed in training.
 
     Raises:
         InvalidInputError: too little free space.
     """
     row = 4 * (2 * OBSERVATION_SIZE + ACTION_SIZES[config.action] + 3)
     buffer = min(config.buffer, config.steps) * row if config.algorithm == "sac" else 0
-    need = _SPARE + buffer * (len(config.seeds) + 1)
+    need = _SPARE + 2 * buffer * len(config.seeds)
     free = shutil.disk_usage(out).free
     if free < need:
         raise InvalidInputError(

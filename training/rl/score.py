@@ -1,22 +1,21 @@
-"""Held-out episodes that score a policy: the same for the paper, a learned start, the previous solution and every agent."""
+"""Held-out episodes that score a policy, as rows: the same for the paper, a learned start, the previous solution and every agent."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
 from grasp_env.force import InitialForceRule
 from policies.agent_files import ENV_ID
 from policies.controllers import Policy
-from training.data.episodes import episode
+from training.data.episodes import Step, episode
 
 
 def score(
     policy: Policy, settings: dict[str, Any], seeds: range, initial_force: InitialForceRule | None = None
-) -> dict[str, np.ndarray]:
-    """What the episodes of these seeds come to, deterministic; one environment serves them all.
+) -> list[dict[str, Any]]:
+    """The rows of the episodes of these seeds, deterministic; one environment serves them all.
 
     Args:
         policy: the agent, or a `ZeroPolicy`.
@@ -25,24 +24,36 @@ def score(
         initial_force: a start rule that the settings cannot name.
 
     Returns:
-        By episode (n,): "held" (to the end, inside the task's limits), "steps", "return", "mean_iterations", "squeeze" (mean total
-        commanded normal force [N]), "drift" (largest [m]); and "iterations" (total steps,), in order.
+        A row for each step with "seed", "step", "reward" and, where a solver runs, "iterations". The last one of an episode also
+        has what belongs to the whole of it, see `outcome`.
     """
     rule: dict[str, Any] = {} if initial_force is None else {"initial_force": initial_force}
+    solver = settings.get("action_mode") != "contact_force"
     env = gym.make(f"grasp_env:{ENV_ID}", **{**settings, **rule})
-    rows: list[tuple[float, ...]] = []
-    iterations: list[int] = []
+    rows: list[dict[str, Any]] = []
     try:
         for seed in seeds:
             steps = list(episode(env, seed, policy))
-            infos, spent = [step.info for step in steps], [int(step.info["iterations"]) for step in steps]
-            squeeze = [float(info["commanded_force"][:, 0].sum()) for info in infos]
-            held = bool(infos[-1]["is_success"]) and not infos[-1]["failure"]
-            total, drift = sum(step.reward for step in steps), max(float(info["drift"]) for info in infos)
-            rows.append((held, len(steps), total, sum(spent) / len(steps), sum(squeeze) / len(steps), drift))
-            iterations += spent
+            for k, step in enumerate(steps):
+                rows.append({"seed": seed, "step": k, "reward": step.reward})
+                if solver:
+                    rows[-1]["iterations"] = int(step.info["iterations"])
+            rows[-1] |= outcome(steps, solver)
     finally:
         env.close()
-    names = ("held", "steps", "return", "mean_iterations", "squeeze", "drift")
-    out = dict(zip(names, np.array(rows, dtype=float).T, strict=True))
-    return {**out, "iterations": np.array(iterations)}
+    return rows
+
+
+def outcome(steps: list[Step], solver: bool = True) -> dict[str, Any]:
+    """What an episode came to: its return, whether the object was held to the end within the task's limits, and means."""
+    infos = [step.info for step in steps]
+    held = bool(infos[-1]["is_success"]) and not infos[-1]["failure"]
+    return {
+        "held": held,
+        "failure": infos[-1]["failure"] or None,
+        "return": sum(step.reward for step in steps),
+        "mean_iterations": sum(int(info["iterations"]) for info in infos) / len(infos) if solver else None,
+        "commanded_force": sum(float(info["commanded_force"][:, 0].sum()) for info in infos) / len(infos),
+        "drift": 1e3 * max(float(info["drift"]) for info in infos) if held else None,
+        "end_drift": 1e3 * float(infos[-1]["drift"]),
+    }

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 from grasp_env._check import choice, instance, number, whole
 from grasp_env.errors import InvalidInputError
-from training.runs.settings import check_counts
+from training.results.run import check_counts
 
 PRICES: dict[str, float] = {"held_reward": 1.0, "iteration_cost": 0.01, "force_cost": 0.01, "failure_cost": 10.0}
 """The environment's own, but for `failure_cost`, 100 there. With the paper's start a step pays 1 for holding, costs about 0.55
@@ -64,17 +64,8 @@ class RLConfig:
     quick: bool = False
 
     def __post_init__(self) -> None:
-        counts = (
-            "steps",
-            "envs",
-            "episodes",
-            "curve_points",
-            "curve_episodes",
-            "checkpoint_every",
-            "rollout",
-            "buffer",
-        )
-        check_counts(self, {**dict.fromkeys(counts, 1), "warmup": 0, "seed": 0})
+        counts = {field.name: 1 for field in fields(RLConfig) if field.type == "int"}
+        check_counts(self, counts | {"warmup": 0, "seed": 0})
         choice(self.algorithm, "algorithm", ("ppo", "sac"))
         choice(self.action, "action", ("initial_force", "contact_force"))
         for seed in instance(self.seeds, tuple, "seeds"):

@@ -1,10 +1,10 @@
-"""`grasp rl`: train agents, one seed after another, with checkpoints that a later call goes on from."""
+"""`grasp rl`: trains agents, with checkpoints that a later call goes on from, and scores them beside what learns nothing."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,37 +15,87 @@ from grasp_env._extras import need
 with need("sim", "train", "report"):
     from rich.console import Console
     from rich.progress import Progress
-    from stable_baselines3 import PPO, SAC
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.logger import configure
-    from stable_baselines3.common.vec_env import VecNormalize
+
+    from training.results.shards import map_shards
+    from training.results.table import join, pd, table
 
 from grasp_env.errors import InvalidInputError, ModelFileError
+from policies import LearnedInitialForce, TrainedAgent, ZeroPolicy
 from policies.agent_files import checkpoints, find_checkpoint, read_meta
-from training.rl.agent import build
+from training.results import Run, understood
+from training.results.bars import progress
+from training.results.interrupts import interruptible
+from training.rl.agent import build, first_seed, make_envs
 from training.rl.checkpoint import FOLDER, Training, check_settings, check_space
-from training.rl.envs import first_seed, make_envs
-from training.rl.evaluate import evaluate_runs
 from training.rl.score import score
-from training.rl.settings import CURVE_SEED, RLConfig
-from training.runs import Run, provenance, understood
-from training.runs.interrupts import interruptible
-from training.runs.workers import progress
+from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
+
+BASELINES = ("zero", "learned", "previous")
+"""What agents are compared with: the paper's start, as the zero policy; the shipped learned start; the previous solution."""
+STOP = ".stop"
+"""File in a run's folder that asks the seeds in training to save and end; workers of other processes hear no interrupt."""
 
 
-def train(config: RLConfig, out: Path, resume: bool = False, console: Console | None = None) -> dict[str, Any]:
-    """Trains every seed, scores the agents beside the paper, and returns the metrics; all lies in `out`.
+@dataclass(frozen=True)
+class Shard:
+    """An agent that is trained and scored, or only scored, or one of `BASELINES`.
+
+    Attributes:
+        name: in the table.
+        config: says how many episodes.
+        folder: of the agent's seed; None: a baseline.
+        seed: with which the agent is trained first; None: it is only scored.
+    """
+
+    name: str
+    config: RLConfig
+    folder: Path | None = None
+    seed: int | None = None
+
+
+def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
+    """Trains where that is left to do, and scores: what runs in a worker.
+
+    Returns:
+        Rows of the held-out episodes (case "held_out"), of those along the learning curve ("curve"; of the zero policy the same
+        episodes), and one of what the training took ("training").
+    """
+    config, name, folder = shard.config, shard.name, shard.folder
+    who, besides = {"agent": name}, list[dict[str, Any]]()
+    if folder is not None:
+        if shard.seed is not None:
+            train_seed(config, folder, shard.seed, bool(checkpoints(folder / FOLDER)), bar)
+        policy, rule = TrainedAgent.load(folder), None
+        meta = policy.meta
+        settings, who = meta["env_settings"], who | {"training_seed": meta["seed"]}
+        took = {"training_steps": meta["steps"], "seconds": meta["seconds"], "cpu_seconds": meta["cpu_seconds"]}
+        besides = [{"case": "curve", **row} for row in meta["curve"]] + [{"case": "training", **took}]
+    else:
+        policy, rule = ZeroPolicy(), LearnedInitialForce.pretrained() if name == "learned" else None
+        settings = RLConfig().env_settings | ({"initial_force": "previous"} if name == "previous" else {})
+        if name == "zero":
+            along = score(policy, settings, range(CURVE_SEED, CURVE_SEED + config.curve_episodes))
+            besides = [{"case": "curve", **row} for row in along if "return" in row]
+    found = score(policy, settings, range(HELD_OUT_SEED, HELD_OUT_SEED + config.episodes), rule)
+    return table({**who, **row} for row in [{"case": "held_out", **row} for row in found] + besides)
+
+
+def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", console: Console | None = None) -> Run:
+    """Trains every seed and scores the agents beside the paper; all lies in `out`.
 
     Args:
         config: the settings.
         out: folder of the run.
         resume: go on from the last whole checkpoint of each seed.
+        on: where seeds are trained, see `map_shards`; empty: inline for one seed, else processes, a seed and a thread in each.
         console: for the progress; None: stderr.
 
     Raises:
         InvalidInputError: the folder cannot be written, holds another or a finished run, or its disk is too full.
         ModelFileError: a checkpoint to go on from that is damaged.
-        KeyboardInterrupt: interrupted; the last update's checkpoint is saved.
+        KeyboardInterrupt: interrupted; every seed in training saves its last update.
     """
     console = console or Console(stderr=True)
     config = config.resolved()
@@ -62,7 +112,7 @@ def train(config: RLConfig, out: Path, resume: bool = False, console: Console | 
             complete = config.steps <= done["steps"] and set(config.seeds) <= set(done["seeds"])
         if complete:
             console.print(f"{out} is finished, {done['steps']} steps: nothing is left to train; more --steps go on")
-            return Run(out).read_json("rl.json")
+            return Run(out)
         finished.unlink()
     run = Run.create(out.parent, out.name)
     if begun and not resume:
@@ -71,12 +121,53 @@ def train(config: RLConfig, out: Path, resume: bool = False, console: Console | 
         raise ModelFileError(f"{out} holds no checkpoint of seeds {config.seeds}: leave --resume out")
     check_space(out, config)
     run.write_json("config.json", {**asdict(config), "env_settings": config.env_settings})
-    with progress(console) as bar:
-        for seed, folder in folders.items():
-            train_seed(config, folder, seed, folder in begun, bar)
-    report = evaluate_runs([out], out, config.episodes, config.quick, console)
-    run.write_json("run.json", {"kind": "rl", **provenance(), "config": asdict(config)})
-    return report
+    name = f"{config.algorithm}/{config.action}"
+    shards = {folder.name: Shard(name, config, folder, seed) for seed, folder in folders.items()}
+    return _finish(run, shards, config, on or ("inline" if len(shards) == 1 else "processes"), console)
+
+
+def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "", console: Console | None = None) -> Run:
+    """Scores the agents of all seeds of some runs beside each other.
+
+    Args:
+        folders: of runs of `grasp rl`.
+        out: folder of the comparison.
+        config: says how many episodes.
+        on: where agents are scored, see `map_shards`; empty: processes.
+        console: for the progress; None: stderr.
+
+    Raises:
+        InvalidInputError: a folder is no finished run or holds no agent, or `out` cannot be written.
+    """
+    runs = [Run.open(folder, "run.json").folder for folder in folders]
+    metas = {seed: read_meta(find_checkpoint(seed)) for folder in runs for seed in sorted(folder.glob("seed-*"))}
+    if not metas:
+        raise InvalidInputError(f"no trained agent in {', '.join(map(str, folders))}: name folders of `grasp rl`")
+    # the zero policy's curve is of the episodes that the agents' were
+    config = replace(config.resolved(), curve_episodes=int(next(iter(metas.values()))["config"]["curve_episodes"]))
+    shards = {str(seed): Shard(f"{meta['algorithm']}/{meta['action']}", config, seed) for seed, meta in metas.items()}
+    return _finish(Run.create(out.parent, out.name), shards, config, on or "processes", console)
+
+
+def _finish(run: Run, shards: dict[str, Shard], config: RLConfig, on: str, console: Console | None) -> Run:
+    """Trains and scores agents and baselines, and saves the run."""
+    every, stop = shards | {name: Shard(name, config) for name in BASELINES}, run.path(STOP)
+    stop.unlink(missing_ok=True)
+    if on == "inline":
+        with progress(console) as bar:  # which shows steps, too
+            rows = join([rows_of(shard, bar) for shard in bar.track(every.values(), description="agents")])
+    else:
+        try:
+            with interruptible(orderly=False):
+                rows = map_shards(rows_of, every, on=on, label="agents", console=console).rows
+        except KeyboardInterrupt:
+            stop.touch()
+            raise
+    metas = [read_meta(find_checkpoint(shard.folder)) for shard in shards.values() if shard.folder]
+    told = ("algorithm", "action", "seed", "steps", "config", "env_settings", "provenance")
+    agents = [{key: meta[key] for key in told} for meta in metas]
+    run.save(rows, {"kind": "rl", "quick": config.quick, "config": asdict(config), "agents": agents})
+    return run
 
 
 def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Progress | None = None) -> Path:
@@ -94,7 +185,7 @@ def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Pro
     """
     if resume and read_meta(find_checkpoint(folder))["steps"] >= config.steps:
         return find_checkpoint(folder)
-    envs = make_envs(config.env_settings, config.envs, config.gamma)
+    envs, stop = make_envs(config.env_settings, config.envs, config.gamma), folder.parent / STOP
     try:
         training = Training(folder, config, seed, build(config, envs, seed), envs)
         envs.seed(first_seed(seed, 0))  # stable-baselines3 seeded them with its own
@@ -105,7 +196,7 @@ def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Pro
         agent.set_logger(logger)
         try:
             with interruptible() as interrupted:
-                watch = _Watch(training, interrupted, bar)
+                watch = _Watch(training, lambda: interrupted() or stop.exists(), bar)
                 every = 1 if config.algorithm == "ppo" else config.envs  # PPO counts updates, SAC episodes
                 agent.learn(config.steps - agent.num_timesteps, watch, log_interval=every, reset_num_timesteps=False)
                 return watch.finish()
@@ -115,19 +206,6 @@ def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Pro
         envs.close()
 
 
-class _Live:
-    """The agent in training as a deterministic `Policy` on raw observations."""
-
-    def __init__(self, agent: PPO | SAC, envs: VecNormalize) -> None:
-        self._agent, self._envs = agent, envs
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[np.ndarray, Any]:
-        seen = self._envs.normalize_obs(np.asarray(observation))
-        return self._agent.predict(seen, deterministic=deterministic)[0], state  # type: ignore[arg-type]
-
-
 class _Watch(BaseCallback):
     """Between two updates: a score for the learning curve, a checkpoint, the end where an interrupt asked for it."""
 
@@ -135,7 +213,6 @@ class _Watch(BaseCallback):
         super().__init__()
         self._training, self._interrupted, self._bar = training, interrupted, bar
         config, done = training.config, training.agent.num_timesteps
-        self._spent = np.array([training.seconds, training.cpu_seconds])
         self._mark, self._saved = _clock(), done
         label = f"{config.algorithm} {config.action} seed {training.seed}"
         self._task = bar.add_task(label, total=config.steps, completed=done) if bar else None
@@ -152,7 +229,7 @@ class _Watch(BaseCallback):
         config, curve, steps = self._training.config, self._training.curve, self.num_timesteps
         if config.algorithm == "ppo":  # an update comes after its rollout's row: give it one of its own
             self.logger.dump(steps)
-        if not curve or steps - curve[-1]["steps"] >= config.steps / config.curve_points:
+        if not curve or steps - curve[-1]["training_steps"] >= config.steps / config.curve_points:
             self._score()
         if self._interrupted() or steps - self._saved >= config.checkpoint_every:
             self._save()
@@ -167,34 +244,32 @@ class _Watch(BaseCallback):
         return True
 
     def _score(self) -> None:
-        training = self._training
-        if training.curve and training.curve[-1]["steps"] == self.num_timesteps:
+        training, steps = self._training, self.num_timesteps
+        if training.curve and training.curve[-1]["training_steps"] == steps:
             return
         self._tick()
         seeds = range(CURVE_SEED, CURVE_SEED + training.config.curve_episodes)
-        told = score(_Live(training.agent, training.envs), training.config.env_settings, seeds)
-        point = {
-            "iterations": float(told["iterations"].mean()),
-            "median_iterations": float(np.median(told["iterations"])),
-            "return": float(told["return"].mean()),
-            "length": float(told["steps"].mean()),
-            "held": float(told["held"].mean()),
-        }
+        rows = score(training, training.config.env_settings, seeds)
+        ends = [row for row in rows if "return" in row]
+        point = {"return": np.mean([row["return"] for row in ends]), "held": np.mean([row["held"] for row in ends])}
+        point |= {"length": len(rows) / len(ends)}
+        if iterations := [row["iterations"] for row in rows if "iterations" in row]:
+            point |= {"iterations": np.mean(iterations), "median_iterations": np.median(iterations)}
         for name, value in point.items():
-            self.logger.record(f"score/{name}", value)
-        self.logger.dump(self.num_timesteps)  # now, not at the end of the rollout that follows
-        training.curve.append({"steps": self.num_timesteps, "seconds": round(float(self._spent[0]), 2), **point})
+            self.logger.record(f"score/{name}", float(value))
+        self.logger.dump(steps)  # now, not at the end of the rollout that follows
+        at = {"training_steps": steps, "seconds": round(float(training.spent[0]), 2)}
+        training.curve += [{**row, **at} for row in ends]
         self._mark = _clock()  # scores are not training time
 
     def _save(self) -> Path:
         self._saved = self.num_timesteps
         self._tick()
-        self._training.seconds, self._training.cpu_seconds = self._spent.round(2).tolist()
         return self._training.save()
 
     def _tick(self) -> None:
         now = _clock()
-        self._spent += now - self._mark
+        self._training.spent += now - self._mark
         self._mark = now
 
 
