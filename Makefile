@@ -12,7 +12,7 @@ EDITABLE := $(PIP) --no-build-isolation -C build-dir=build/core -e
 ZIG := echo "taking a C++ compiler from PyPI" && $(PIP) ziglang
 
 help:
-	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about seven minutes)"
+	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about a minute)"
 	@echo "make bench      timings: ARGS=\"solver|scaling|batch|env|core [OPTIONS]\", runs/<name>/rows.csv"
 	@echo "make test       the tests (about six minutes)"
 	@echo "make slow       the long trials"

@@ -20,7 +20,7 @@ from training.results.table import pd, table
 KINDS: dict[str, dict[str, Any]] = {
     "newton": {"method": "newton"},
     "newton, tolerance 1e-8": {"method": "newton", "tolerance": 1e-8},
-    "newton from four_finger": {"method": "newton", "initial": LearnedInitialForce.pretrained("four_finger")},
+    "newton from four_finger": {"method": "newton", "initial": LearnedInitialForce.pretrained()},
     "newton within limits": {"method": "newton", "limits": ForceLimits(max_normal=20.0)},
     "conic": {"method": "conic"},
 }

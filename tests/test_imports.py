@@ -106,17 +106,15 @@ ROOMS: dict[str, dict[str, set[str]]] = {
     },
     "training": {
         "results": set(),
-        "runs": set(),
         "live": set(),
         "data": set(),
-        "demo": {"runs", "data"},
-        "cases": {"data"},
-        "fit": {"runs", "data", "cases"},
-        "trials": {"runs", "data", "demo", "cases", "fit"},
-        "report": {"runs", "demo", "cases", "trials"},
-        "rl": {"runs", "data", "report"},
-        "study": {"runs", "cases", "trials", "report"},
-        "commands": {"runs", "demo", "fit", "trials", "report", "rl", "study", "live"},
+        "demo": {"results", "data"},
+        "compare": {"results", "data"},
+        "fit": {"results", "data", "compare"},
+        "report": {"results", "compare"},
+        "rl": {"results", "data", "report"},
+        "reproduce": {"results"},
+        "commands": {"results", "demo", "fit", "compare", "report", "rl", "reproduce", "live"},
     },
 }
 """The rooms of a package, the lowest first, and those that each may look into."""
@@ -169,13 +167,12 @@ def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
     assert left == {}
 
 
-def test_metrics_import_numpy_only() -> None:
-    """Numbers are made of saved arrays: neither solver, simulator, networks nor pictures are loaded for them."""
+def test_tables_and_claims_are_read_without_solver_and_simulator() -> None:
     script = """
 import sys
-for name in ("scipy", "torch", "gymnasium", "pybullet", "matplotlib", "safetensors", "rich"):
+for name in ("torch", "gymnasium", "pybullet", "matplotlib", "safetensors", "ray"):
     sys.modules[name] = None
-import training.trials.metrics, training.trials.hold_metrics
+import training.results.table, training.results.claims
 print(*sorted(sys.modules))
 """
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=120, capture_output=True, text=True)

@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 from docs import fill
-from docs.tables import KEPT, RESULTS, TABLES
+from docs.fill import PROVENANCE, RESULTS, TABLES
+from grasp_env.errors import InvalidInputError
 from grasp_env.force import RULES
+from training.results.run import Run
+from training.results.table import described, read, table
 
 ROOT = Path(__file__).parents[1]
 
@@ -20,40 +23,48 @@ def test_no_table_differs_from_its_saved_run(capsys):
 
 def test_every_table_can_be_made_and_stands_on_some_page():
     pages = "".join(page.read_text(encoding="utf-8") for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")))
-    for name, table in TABLES.items():
-        assert "| --- |" in table()
+    for name, make in TABLES.items():
+        assert "| --- |" in make()
         assert f"<!-- results: {name} -->" in pages, f"no page has the table {name}"
 
 
-def test_saved_runs_are_those_that_tables_know_and_are_full_ones():
-    files = {path.stem for path in RESULTS.glob("*.json")}
-    assert files == set(KEPT)
-    for name in files:
-        run = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
-        told = run.get("run") or run.get("provenance") or run
-        assert "--quick" not in told["command"]
-        assert len(told["commit"]) >= 7, f"{name} does not say which commit was measured"
+def test_saved_runs_are_full_ones_whose_columns_are_documented():
+    for file in RESULTS.glob("*.json"):
+        about, means = json.loads(file.read_text(encoding="utf-8")), read(file.with_suffix(".csv"))
+        assert about["kind"] == file.stem
+        assert "--quick" not in about["command"]
+        assert len(about["commit"]) >= 7, f"{file.stem} does not say which commit was measured"
+        assert all(described(means.columns).values()), described(means.columns)
+        assert len(means) > 0
 
 
 def test_a_block_is_filled_between_its_marks_only():
     text = "before\n<!-- results: batch -->\nold\n<!-- /results -->\nafter\n"
-    now, changed = fill.filled(text)
+    new, changed = fill.filled(text)
     assert changed == ["batch"]
-    assert now.startswith("before\n<!-- results: batch -->\n| ")
-    assert now.endswith("<!-- /results -->\nafter\n")
-    assert fill.filled(now) == (now, [])
+    assert new.startswith("before\n<!-- results: batch -->\n| ")
+    assert new.endswith("<!-- /results -->\nafter\n")
+    assert fill.filled(new) == (new, [])
     with pytest.raises(SystemExit, match="no table 'unknown'"):
         fill.filled("<!-- results: unknown -->\n<!-- /results -->")
 
 
-def test_quick_runs_and_other_files_are_not_kept(tmp_path):
-    quick = tmp_path / "metrics.json"
-    quick.write_text(json.dumps({"run": {"kind": "starts", "quick": True}}), encoding="utf-8")
+def test_a_run_is_kept_as_its_summary_and_quick_ones_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(fill, "RESULTS", tmp_path / "results")
+    folder = Run.create(tmp_path, "run")
+    rows = table([{"case": "a", "held": True}, {"case": "a", "held": False}])
+    folder.save(rows, {"kind": "env", "settings": {"hands": ["/home/me/robots/hand.urdf", "allegro"]}})
+    assert fill.save(folder.folder) == "env"
+    kept = json.loads((tmp_path / "results" / "env.json").read_text())
+    assert {*kept} <= {*PROVENANCE}
+    assert kept["settings"]["hands"] == ["hand.urdf", "allegro"]  # a path says something about one machine only
+    assert read(tmp_path / "results" / "env.csv")[["n", "held_sum"]].to_numpy().tolist() == [[2, 1.0]]
+    quick = Run.create(tmp_path, "quick")
+    quick.save(rows, {"kind": "env", "quick": True})
     with pytest.raises(SystemExit, match="quick run"):
-        fill.save(quick)
-    quick.write_text(json.dumps({"kind": "core"}), encoding="utf-8")
-    with pytest.raises(SystemExit, match="'core'"):
-        fill.save(quick)
+        fill.save(quick.folder)
+    with pytest.raises(InvalidInputError, match="is not a finished run"):
+        fill.save(tmp_path / "nothing")
 
 
 def test_the_choice_of_a_start_names_every_rule():

@@ -26,7 +26,7 @@ from grasp_env.sim import HandDescription
 from grasp_env.sim.objects.description import ObjectDescription
 from policies.agent import TrainedAgent
 from training.cli import main
-from training.runs import Run
+from training.results import Run
 
 
 def agent(path: Path) -> Any:

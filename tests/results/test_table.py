@@ -26,8 +26,12 @@ def test_files_keep_every_value_and_type(tmp_path):
     rows = made()
     write(tmp_path / "rows.parquet", rows)
     write_csv(tmp_path / "rows.csv", rows)
-    for name in ("rows.parquet", "rows.csv"):
-        pd.testing.assert_frame_equal(read(tmp_path / name), rows, check_exact=True)
+    pd.testing.assert_frame_equal(read(tmp_path / "rows.parquet"), rows, check_exact=True)
+    pd.testing.assert_frame_equal(read(tmp_path / "rows.csv"), rows, rtol=1e-6)  # seven digits
+    odd = table([{"start_gap": value} for value in (1e-300, -2.5, 0.0, np.inf, 123456789.123, 1e300)])
+    write_csv(tmp_path / "odd.csv", odd)
+    pd.testing.assert_frame_equal(read(tmp_path / "odd.csv"), odd, rtol=1e-6)
+    (tmp_path / "odd.csv").unlink()
     write(tmp_path / "again.parquet", rows)
     assert (tmp_path / "again.parquet").read_bytes() == (tmp_path / "rows.parquet").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again.parquet", "rows.csv", "rows.parquet"]
@@ -97,6 +101,15 @@ def test_a_claim_holds_in_every_row_of_its_query(claim, measured, met):
     })  # fmt: skip
     (judged,) = judge([claim], rows)
     assert (judged.measured, judged.met) == (measured, met)
+
+
+def test_a_claim_is_missed_where_some_cases_have_no_number():
+    few = Claim("few steps", "start == 'net'", "iterations_median", "<=", 8)
+    for missing, met in ((0, True), (1, False)):
+        rows = pd.DataFrame(
+            {"start": ["net", "paper"], "iterations_median": [4.0, 45.0], "iterations_missing": [missing, 0]}
+        )
+        assert judge([few], rows)[0].met is met
 
 
 def test_a_missing_number_is_a_missed_claim_and_missed_claims_come_first():

@@ -58,3 +58,8 @@ def fails(shard: tuple[int, Path]) -> pd.DataFrame:
 def threads(shard: int) -> pd.DataFrame:
     """How many threads the libraries of a worker may use."""
     return table([{"problem": shard, "workers": int(os.environ.get("OMP_NUM_THREADS", 0))}])
+
+
+def process(shard: tuple[int, Path]) -> pd.DataFrame:
+    """Which process runs a shard."""
+    return table([{"problem": shard[0], "bytes": os.getpid()}])

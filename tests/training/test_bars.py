@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
-
-from training.runs.workers import progress
 from training.trials import hand_plan, hold_plan
+
+from training.results.bars import progress
 
 ROOT = Path(__file__).parents[2]
 ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")

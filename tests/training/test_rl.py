@@ -17,6 +17,8 @@ from safetensors.numpy import load_file
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from training.rl.envs import first_seed, make_envs
+from training.trials.rollouts import roll_out
 
 import policies.agent_files
 import policies.checkpoint
@@ -28,11 +30,9 @@ from policies import TrainedAgent, ZeroPolicy
 from policies.agent_files import checkpoints, find_checkpoint, read_meta
 from training.cli import main
 from training.rl.agent import build
-from training.rl.envs import first_seed, make_envs
 from training.rl.score import score
 from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
 from training.rl.train import train, train_seed
-from training.trials.rollouts import roll_out
 
 TINY: dict[str, Any] = {
     "steps": 96, "envs": 2, "episodes": 2, "curve_points": 1, "curve_episodes": 1, "rollout": 48, "warmup": 32,

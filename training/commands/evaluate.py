@@ -1,72 +1,118 @@
-"""`grasp evaluate`: compare starts, or measure how well the hand holds."""
+"""`grasp evaluate`: compare starts, controllers, hands or engines."""
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
 import tyro
 
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
-from training.commands.claims import print_claims
 from training.commands.options import one_of
-from training.trials.hand_plan import ENGINES
-from training.trials.settings import EnvEvaluateConfig, EvaluateConfig, HandsConfig, TransferConfig
+from training.compare.scenarios import ENGINES
+
+OWN = {
+    "starts": ("wrenches", "timed", "repeats", "episodes", "steps", "start", "solver"),
+    "env": ("hands", "engines", "episodes"),
+    "transfer": ("hands", "episodes"),
+}
+"""Options that belong to some of the comparisons only."""
 
 
 @dataclass(frozen=True)
-class Evaluate(EvaluateConfig):
-    """Compare starts, hands or engines, and write a report.
+class Evaluate:
+    """Compare starts, controllers, hands or engines: a table and a report.
 
     An interrupted run goes on by its name.
 
     Attributes:
-        what: starts (every start on every set of cases by both methods, times, continuity, roll-outs: about five minutes on two
-            cores, fits nothing unless told to), env (hold rates over random objects and wrenches, failures, the squeeze that
-            robustness costs; with --hands these hands against objects and disturbances) or transfer (the same hands in Bullet and
-            in MuJoCo).
-        episodes: per start of each random scenario, or of each main scenario; 0: 10, of env 500, of env --hands 100, of transfer 300.
+        what: starts (every start on every set of cases by both methods, times, roll-outs: about a minute on two cores), env (how often
+            controllers hold random objects; with --hands how often these hands hold objects: hours) or transfer (the same hands
+            in Bullet and in MuJoCo: hours).
+        out: folder of runs.
+        name: of this run; empty: <what>-<date>-<time>. The name of an interrupted run continues it.
+        seed: of everything held out, or of the first episode.
+        quick: a small version that ends within a minute and says that it is quick.
+        on: where the work is done: inline, processes (of this machine), ray (the cluster of RAY_ADDRESS or of this machine) or
+            ray://HOST:PORT. The rows do not depend on it; times are always measured alone, in this process.
+        workers: processes; 0: one for each core.
+        wrenches: of starts: number of cases of a full set; the other sets have their share of it.
+        timed: of starts: number of wrenches whose calls are timed.
+        repeats: of starts: how often each of those calls is timed.
+        episodes: of each random scenario, or of each main scenario; 0: 10 of starts, 500 of env, 100 of env --hands, 300 of transfer.
+        steps: of starts: of each roll-out, at 50 per second.
+        start: of starts: starts of your own that are compared with the others, each NAME=module:rule, NAME=file.py:rule or NAME=saved
+            model's path; a rule takes (grasp, wrench) and returns an (N, 3) force.
+        solver: of starts: solvers of your own, each NAME=module:Class or NAME=file.py:Class; solve(problem) returns the (N, 3) forces.
         hands: of env and transfer: names, or paths of URDFs; none: the four-finger hand, of transfer also allegro and leap.
-        engines: of env --hands, in which they hold.
+        engines: of env --hands, the engines in which they hold.
     """
 
     what: tyro.conf.Positional[Literal["starts", "env", "transfer"]] = "starts"
+    out: str = "runs"
+    name: str = ""
+    seed: int = 0
+    quick: bool = False
+    on: str = "processes"
+    workers: int = 0
+    wrenches: int = 1000
+    timed: int = 500
+    repeats: int = 7
     episodes: int = 0
+    steps: int = 100
+    start: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    solver: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     hands: tuple[str, ...] = ()
     engines: tuple[Annotated[str, one_of(ENGINES)], ...] = ("bullet",)
-    start: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-
-    def __post_init__(self) -> None:
-        pass  # checked where the evaluation's own settings are made of these
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
-        if self.engines != ("bullet",) and not (self.what == "env" and self.hands):
-            raise InvalidInputError(
-                f"--engines belongs to `grasp evaluate env --hands ...`, got {' '.join(self.engines)}"
-            )
+        self._check()
         need("sim", "report", *(["mujoco"] if self.what == "transfer" else []))
-        from training.report.build import build_report, report_path
-        from training.trials.comparison import evaluate
-        from training.trials.hand_trials import evaluate_hands, evaluate_transfer
-        from training.trials.hold_rates import evaluate_env
+        from training.report.page import judged, write
+        from training.results.claims import lines
+        from training.results.run import Run, default_name
 
-        kinds: dict[str, tuple[Any, Any]] = {
-            "starts": (EvaluateConfig, evaluate),
-            "env": (HandsConfig, evaluate_hands) if self.hands else (EnvEvaluateConfig, evaluate_env),
-            "transfer": (TransferConfig, evaluate_transfer),
-        }
-        kind, measure = kinds[self.what]
-        if self.start and self.what != "starts":
+        kind = "hands" if self.what == "env" and self.hands else self.what
+        folder = Run.create(self.out, self.name or default_name(kind))
+        rows, about = self._measure(kind, folder)
+        folder.save(rows, about)
+        sys.stderr.write(f"report: {write(folder)}\n")
+        if self.quick:
+            sys.stdout.write("QUICK RUN: few trials; do not quote.\n")
+        sys.stdout.writelines(f"{line}\n" for line in lines(judged(folder)))
+
+    def _check(self) -> None:
+        """Refuses options that belong to another comparison."""
+        unused = {name for names in OWN.values() for name in names} - {*OWN[self.what]}
+        if self.what == "env" and not self.hands:
+            unused |= {"engines"}
+        given = [item.name for item in fields(self) if item.name in unused and getattr(self, item.name) != item.default]
+        if given:
+            where = [what for what, names in OWN.items() if given[0] in names]
+            hands = " --hands ..." if given[0] == "engines" else ""
             raise InvalidInputError(
-                f"--start belongs to `grasp evaluate starts`, which compares starts, got `grasp evaluate {self.what}`: leave it out"
+                f"--{given[0]} belongs to `grasp evaluate {where[0]}{hands}`, got `grasp evaluate {self.what}`: leave it out, or name "
+                "that comparison"
             )
-        settings = {name: getattr(self, name) for name in kind.__dataclass_fields__}
-        if not self.episodes:
-            del settings["episodes"]
-        run = measure(kind(**settings))
-        metrics = build_report(run)
-        sys.stderr.write(f"report: {report_path(run)}\n")
-        print_claims(metrics)
+
+    def _measure(self, kind: str, folder: Any) -> tuple[Any, dict[str, Any]]:
+        """The rows of the comparison and what run.json says of them."""
+        shared = {"on": self.on, "workers": self.workers}
+        if kind == "starts":
+            from training.compare.comparison import StartsConfig, run
+            from training.compare.given import Given
+
+            own = {name: getattr(self, name) for name in ("wrenches", "timed", "repeats", "steps", "seed", "quick")}
+            config = StartsConfig(**own, episodes=self.episodes or StartsConfig.episodes)
+            given = Given.of(self.start, self.solver)
+            folder.begin({"kind": kind, **vars(config.resolved()), "given": dict(given.names)})
+            return run(config, given, folder, **shared)
+        from training.compare.holds import HoldsConfig
+        from training.compare.holds import run as hold
+
+        config = HoldsConfig(kind, self.hands, self.engines, self.episodes, self.seed, self.quick)
+        folder.begin(vars(config))
+        return hold(config, folder, **shared)

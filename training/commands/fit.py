@@ -12,7 +12,7 @@ from rich.console import Console
 from grasp_env.grasp.presets import PRESETS
 from training.commands.options import one_of
 from training.fit.settings import FitConfig
-from training.runs.interrupts import interruptible
+from training.results.interrupts import interruptible
 
 
 @dataclass(frozen=True)

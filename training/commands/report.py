@@ -1,34 +1,50 @@
-"""`grasp report`: rebuild a report."""
+"""`grasp report`: the page of a run, or two runs side by side."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from grasp_env._extras import need
-from training.commands.claims import print_claims
+from grasp_env.errors import InvalidInputError
 
 
 @dataclass(frozen=True)
 class Report:
-    """Rebuild a run's report from its saved trials; nothing is solved.
+    """Make a run's page again from its table, or set two runs side by side; nothing is solved.
 
     Attributes:
         run: the run's folder.
+        compare: two run folders A B: what differs, with 95 % intervals, goes to compare.html in B and to the terminal.
     """
 
-    run: tyro.conf.Positional[Path]
+    run: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = None
+    compare: Annotated[tuple[Path, Path] | None, tyro.conf.arg(metavar="A B")] = None
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
+        if (self.run is None) == (self.compare is None):
+            raise InvalidInputError(
+                "name one run's folder, `grasp report runs/NAME`, or two to compare, `grasp report --compare runs/A runs/B`"
+            )
         need("report")
-        from training.report.build import build_report, report_path
-        from training.runs import Run, understood
+        from training.results.run import Run
 
-        run = Run.open(self.run, "run.json")
-        with understood(run.folder, "run `grasp evaluate` again"):
-            print_claims(build_report(run))
-        Console().print(str(report_path(run)), highlight=False)
+        if self.compare is not None:
+            from training.report.side_by_side import write as compare
+
+            a, b = (Run.open(folder, "run.json") for folder in self.compare)
+            made = compare(a, b, b)
+            sys.stdout.write(f"{made.head(40).to_string(index=False, na_rep='')}\n")
+            sys.stderr.write(f"report: {b.folder / 'compare.html'}\n")
+            return
+        from training.report.page import judged, write
+        from training.results.claims import lines
+
+        run = Run.open(self.run or "", "run.json")
+        sys.stderr.write(f"report: {write(run)}\n")
+        sys.stdout.writelines(f"{line}\n" for line in lines(judged(run)))

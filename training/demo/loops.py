@@ -10,7 +10,7 @@ from PIL import Image
 
 from grasp_env.force import InitialForceRule
 from training.demo.record import record
-from training.runs import Run
+from training.results import Run
 
 ANIMATIONS = {"hand_paper.webp": "from the paper's 12-basis", "hand_learned.webp": "from the learned start"}
 """Files in a run's figures/ and which start they show."""

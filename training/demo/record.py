@@ -21,7 +21,7 @@ from grasp_env.errors import InvalidInputError
 from grasp_env.force import InitialForceRule
 from policies import Policy
 from training.data.episodes import episode
-from training.runs.workers import progress
+from training.results.bars import progress
 
 SUFFIXES = (".png", ".mp4", ".gif", ".webp")
 FRAME_RATE = 25

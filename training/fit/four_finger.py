@@ -26,8 +26,8 @@ from training.fit.loop import Plan, optimise
 from training.fit.scores import scores
 from training.fit.settings import FitConfig
 from training.fit.state import Progress, StateFile
-from training.runs import provenance
-from training.runs.words import small
+from training.results import provenance
+from training.results.words import small
 
 FRICTIONS, AT_ONCE = 256, 16
 """Different frictions in the data, and in a batch: each has weights of its own."""

@@ -16,8 +16,8 @@ from torch import Tensor, nn
 
 from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
-from training.runs.interrupts import interruptible
-from training.runs.workers import progress
+from training.results.bars import progress
+from training.results.interrupts import interruptible
 
 MARKS = 20
 """Scores on held-out data, and saved states, per training."""

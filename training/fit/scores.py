@@ -10,9 +10,8 @@ import numpy as np
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
 from policies import LearnedInitialForce
-from training.cases.set_table import TOLERANCE
-from training.cases.starts import NetworkAlone, newton_optimizer, phi_options
-from training.runs.statistics import spread
+from training.compare.starts import NetworkAlone, newton_optimizer, phi_options
+from training.compare.trial import TOLERANCE
 
 MOST = 4
 """Newton steps that are counted one by one; more are counted together."""
@@ -59,3 +58,14 @@ def scores(
         },
     }
     return told | ({"flow iterations": spread(iterations)} if flow else {})
+
+
+def spread(values: np.ndarray) -> dict[str, float]:
+    """Number, median and upper percentiles of finite values (n,).
+
+    Example:
+        >>> spread(np.arange(101.0))
+        {'n': 101, 'median': 50.0, 'p90': 90.0, 'p99': 99.0, 'max': 100.0}
+    """
+    points = zip(("median", "p90", "p99", "max"), np.percentile(values, [50, 90, 99, 100]), strict=True)
+    return {"n": len(values), **{name: float(point) for name, point in points}}

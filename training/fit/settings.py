@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from grasp_env import ranges
 from grasp_env._check import number, positive
 from grasp_env.errors import InvalidInputError
-from training.runs.settings import check_counts
+from training.results.run import check_counts
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from torch import nn
 
 from grasp_env._files import digest, replacing
 from grasp_env.errors import InvalidInputError, ModelFileError
-from training.runs import Run
+from training.results import Run
 
 SCHEMA = "grasp-force/training-state/1"
 SPACE = 32_000_000

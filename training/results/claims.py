@@ -49,10 +49,17 @@ class Claim:
     unit: str = ""
 
     def values(self, rows: pd.DataFrame) -> np.ndarray:
-        """The measured numbers: one for each row that the query selects; nan where it has none."""
+        """The measured numbers: one for each row that the query selects; nan where it has none, or cases without one."""
         mine, other = chosen(rows, self.query), chosen(rows, self.over) if self.over else None
         if self.column not in rows.columns:
             return np.empty(0)
+        lacking = f"{self.column.rpartition('_')[0]}_missing"
+        if (
+            lacking in rows.columns and lacking != self.column
+        ):  # percentiles of the cases that have a number say nothing of the others
+            mine = mine.assign(
+                **{self.column: np.where(numbers(mine, lacking) > 0, np.nan, numbers(mine, self.column))}
+            )
         if other is None:
             return numbers(mine, self.column)
         # rows are paired by the keys of which both queries left several values

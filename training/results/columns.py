@@ -37,7 +37,7 @@ def _key(text: str, kind: Kind = "text", unit: str = "") -> Column:
 
 
 _COUNTED = ("median", "p90", "p95", "p99", "max", "low", "high", "missing")
-_TIMED = ("median", "p90", "p99", "mean", "low", "high", "missing")
+_TIMED = ("median", "p90", "p99", "mean", "low", "high")
 _MEAN = ("mean", "mean_low", "mean_high", "max")
 
 COLUMNS: dict[str, Column] = {

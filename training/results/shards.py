@@ -5,6 +5,7 @@ The rows are the same, in the same order, whatever runs them. Times are never me
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -176,7 +177,7 @@ def _ray(on: str) -> Iterator[_Runner]:
         ray.init(
             address=on if on.startswith("ray://") else "auto",
             runtime_env={"env_vars": THREADS},
-            logging_level="error",
+            logging_level=logging.ERROR,
             log_to_driver=False,
         )
     except (ConnectionError, RuntimeError, ValueError) as error:

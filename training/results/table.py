@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ with need("report"):
     import pyarrow.csv
     import pyarrow.parquet as pq
 
+Rows: TypeAlias = Any
+"""A `pandas.DataFrame`, whose types are not precise enough to check what is done with it."""
 DTYPES = {"text": "string", "whole": "Int64", "real": "float64", "flag": "boolean"}
 STATISTICS: dict[str, tuple[str, Callable[[NDArray[np.float64]], float]]] = {
     "median": ("median", lambda x: float(np.median(x))),
@@ -85,13 +87,19 @@ def write(path: Path, rows: pd.DataFrame) -> None:
 
 
 def write_csv(path: Path, rows: pd.DataFrame) -> None:
-    """Writes a CSV file with a header; missing values are empty."""
+    """Writes a CSV file with a header; missing values are empty, real numbers have seven significant digits."""
+    short = {name: _rounded(rows[name].to_numpy()) for name in rows.select_dtypes("float64").columns}
     with replacing(path) as temporary:
-        pyarrow.csv.write_csv(
-            pa.Table.from_pandas(rows, preserve_index=False),
-            temporary,
-            pyarrow.csv.WriteOptions(quoting_style="needed"),
-        )
+        made = pa.Table.from_pandas(rows.assign(**short), preserve_index=False)
+        pyarrow.csv.write_csv(made, temporary, pyarrow.csv.WriteOptions(quoting_style="needed"))
+
+
+def _rounded(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values (n,) with seven significant digits."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        scale = 10.0 ** (6.0 - np.floor(np.log10(np.abs(values))))
+        short = np.round(values * scale) / scale
+    return np.where(np.isfinite(short), short, values)
 
 
 def read(path: Path) -> pd.DataFrame:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -11,11 +12,11 @@ import numpy as np
 
 from grasp_env._check import ContactForces, Wrench
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import GraspError, InvalidInputError
+from grasp_env.errors import GraspError
 from grasp_env.force import LinearCombination
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
-from training.cases.sets import Case, Problem, generator
+from training.compare.cases import Case, Problem
 from training.data.episodes import episode
 from training.data.grasps import EVALUATION, slid
 
@@ -80,33 +81,44 @@ def record(
     return found
 
 
-def recorded_cases(name: str, count: int, seed: int) -> list[Case]:
-    """The cases of a set from roll-outs; see `set_table.SETS`. Fewer than `count` only where the roll-outs hold fewer.
+def _cold(rng: np.random.Generator, count: int) -> list[Case]:
+    found = record(count, rng, "random", steps=1)
+    return [Case(*problems[0], None, k, "cold") for k, problems in enumerate(found) if problems]
 
-    Args:
-        name: a key of `SETS` whose grasp is "recorded".
-        count: about how many.
-        seed: of the evaluation.
-    """
-    rng, cases = generator(seed, name), []
-    if name == "rollout_cold":
-        found = record(count, rng, "random", steps=1)
-        return [Case(*problems[0], None, k, "cold") for k, problems in enumerate(found) if problems]
-    if name == "rollout_moving":
-        for k, problems in enumerate(record(-(-count // 20), rng, "random")):
-            cases += [Case(*problems[i + 1], problems[i], k, "moved") for i in range(0, len(problems) - 1, 5)]
-    elif name == "rollout_changes":
-        for k, problems in enumerate(record(max(len(HANDS), -(-count // 8)), rng, "impulses")):
-            for i in rng.choice(len(problems) - 1, min(4, len(problems) - 1), replace=False).tolist():
-                cases += changes_of(rng, problems[i], problems[i + 1], k)
-    elif name in ("rollout_impulses", "rollout_fixed"):
-        own: dict[str, Any] = {"hands": ("four_finger",), "randomise": ()} if name == "rollout_fixed" else {}
-        for k, problems in enumerate(record(-(-count // 5), rng, "impulses", **own)):
-            pairs = pairwise(problems)
-            cases += [Case(*now, old, k, "impulse") for old, now in pairs if _distance(old[1], now[1]) >= IMPACT]
-    else:
-        raise InvalidInputError(f"no roll-outs are known for the set {name!r}: say in recorded_cases how they are made")
-    return cases[:count]
+
+def _moving(rng: np.random.Generator, count: int) -> list[Case]:
+    return [
+        Case(*problems[i + 1], problems[i], k, "moved")
+        for k, problems in enumerate(record(-(-count // 20), rng, "random"))
+        for i in range(0, len(problems) - 1, 5)
+    ]
+
+
+def _changes(rng: np.random.Generator, count: int) -> list[Case]:
+    cases = list[Case]()
+    for k, problems in enumerate(record(max(len(HANDS), -(-count // 8)), rng, "impulses")):
+        for i in rng.choice(len(problems) - 1, min(4, len(problems) - 1), replace=False).tolist():
+            cases += changes_of(rng, problems[i], problems[i + 1], k)
+    return cases
+
+
+def _impulses(rng: np.random.Generator, count: int, **own: Any) -> list[Case]:
+    return [
+        Case(*now, old, k, "impulse")
+        for k, problems in enumerate(record(-(-count // 5), rng, "impulses", **own))
+        for old, now in pairwise(problems)
+        if _distance(old[1], now[1]) >= IMPACT
+    ]
+
+
+CASES: dict[str, Callable[[np.random.Generator, int], list[Case]]] = {
+    "rollout_cold": _cold,
+    "rollout_moving": _moving,
+    "rollout_impulses": _impulses,
+    "rollout_fixed": partial(_impulses, hands=("four_finger",), randomise=()),
+    "rollout_changes": _changes,
+}
+"""What makes the cases of the sets that are recorded; fewer than asked only where the roll-outs hold fewer."""
 
 
 def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int) -> list[Case]:

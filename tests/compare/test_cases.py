@@ -9,51 +9,41 @@ import numpy as np
 import pytest
 
 from grasp_env.config import EnvConfig
-from grasp_env.errors import InvalidInputError
 from grasp_env.force import Objective, phase_one
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
-from training.cases.grasps import DISPLACEMENT, FRICTIONS, grasp_cases
-from training.cases.recorded import IMPACT, SLIP, record, recorded_cases, without
-from training.cases.set_table import GROUPS, SETS, SetInfo
-from training.cases.sets import DIRECTION_SIZES, directions, fixed_cases
-from training.cases.start_table import STARTS
-from training.cases.starts import STORED, carried, near_fixed
-from training.data.grasps import BENCH, EVALUATION, HALF, SOLIDS
-from training.trials import hold_plan
-from training.trials.arrays import MAGNITUDES, SCENARIO_LABELS, SCENARIOS
-from training.trials.compare import cases_of
-from training.trials.continuity import FINER
+from training.compare.cases import (
+    DIRECTION_SIZES,
+    DISPLACEMENT,
+    FRICTIONS,
+    MAGNITUDES,
+    SETS,
+    directions,
+    make_cases,
+    scaled,
+)
+from training.compare.recorded import IMPACT, SLIP, record, without
+from training.compare.scenarios import HOLDS_OF_STARTS, LABELS
+from training.compare.starts import STARTS, STORED, DoesNotApply, carried, require_near_fixed
+from training.data.grasps import BENCH, EVALUATION, SOLIDS, TRAINING
 
 RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
 
 
-def test_every_set_belongs_to_a_group():
-    assert {info.group for info in SETS.values()} == set(GROUPS)
-
-
-@pytest.mark.parametrize("grasp", ["fixed", "near", "random", "recorded"])
-def test_a_set_that_nobody_makes_is_told(monkeypatch, grasp):
-    """A row alone would otherwise be filled with the cases of another set."""
-    monkeypatch.setitem(SETS, "newest", SetInfo("newest", "paper", grasp, "none"))
-    with pytest.raises(InvalidInputError, match="set 'newest': say in "):
-        cases_of("newest", 3, 0)
-
-
-@pytest.mark.parametrize("name", [name for name, info in SETS.items() if info.grasp != "recorded"])
+@pytest.mark.parametrize("name", [name for name in SETS if not name.startswith("rollout")])
 def test_cases_repeat_and_depend_on_the_seed(name):
-    first, again = cases_of(name, 12, 3), cases_of(name, 12, 3)
+    first, again = make_cases(name, 12, 3), make_cases(name, 12, 3)
     assert len(first) == len(again) >= 1
     for one, two in zip(first, again, strict=True):
         np.testing.assert_array_equal(one.wrench, two.wrench)
         np.testing.assert_array_equal(one.grasp.matrix, two.grasp.matrix)
     if name not in ("constant", "paper_path", "directions"):
-        assert not np.array_equal(first[-1].wrench, cases_of(name, 12, 4)[-1].wrench)
+        assert not np.array_equal(first[-1].wrench, make_cases(name, 12, 4)[-1].wrench)
 
 
 @pytest.mark.parametrize(("name", "size"), [("jump_10", 0.1), ("jump_50", 0.5), ("jump_100", 1.0)])
 def test_jumps_have_their_size_and_stay_in_the_ball(name, size):
-    for case in fixed_cases(name, 20, 0):
+    for case in make_cases(name, 30, 0):
         assert case.before is not None
         move = case.wrench - case.before[1]
         assert np.linalg.norm(move[:3]) == pytest.approx(size * FORCE_RADIUS)
@@ -63,7 +53,7 @@ def test_jumps_have_their_size_and_stay_in_the_ball(name, size):
 
 
 def test_paths_are_chained_and_end_at_their_ends():
-    cases = fixed_cases("trajectories", 400, 0)
+    cases = make_cases("trajectories", 400, 0)
     assert len(cases) == 400
     assert [k for k, case in enumerate(cases) if case.before is None] == [0, 200]
     for old, now in pairwise(cases):
@@ -82,15 +72,15 @@ def test_directions():
 
 
 @pytest.mark.parametrize("shape", SOLIDS)
-@pytest.mark.parametrize("base", [EVALUATION, BENCH])
+@pytest.mark.parametrize("base", [TRAINING, EVALUATION, BENCH])
 def test_contacts_lie_on_a_solid_and_press_into_it(base, shape):
     recipe, rng = replace(base, shapes=(shape,)), np.random.default_rng(0)
     for _ in range(20):
         places, inward = recipe.points(rng, 6)
         np.testing.assert_allclose(np.linalg.norm(inward, axis=1), 1.0, rtol=1e-12)
         assert ((places * inward).sum(axis=1) < 0.0).all()  # the centre of a convex solid lies behind every face
-        assert np.linalg.norm(places, axis=1).min() >= HALF[0] * 0.99
-        assert np.abs(places).max() <= HALF[1]
+        assert np.linalg.norm(places, axis=1).min() >= recipe.half[0] * 0.99
+        assert np.abs(places).max() <= recipe.half[1]
     grasp = recipe.closed(rng, 4)
     assert recipe.friction[0] <= grasp.friction.min() <= grasp.friction.max() <= recipe.friction[1]
     assert phase_one(grasp, np.zeros(6)).margin > recipe.margin / 4
@@ -98,22 +88,23 @@ def test_contacts_lie_on_a_solid_and_press_into_it(base, shape):
 
 def test_near_grasps_are_near_and_random_ones_close():
     fixed = presets.paper_cuboid()
-    assert {case.event for case in grasp_cases("friction", 6, 0)} == {f"{mu:g}" for mu in FRICTIONS}
-    for case in grasp_cases("positions", 20, 0):
+    assert {case.event for case in make_cases("friction", 10, 0)} == {f"{mu:g}" for mu in FRICTIONS}
+    for case in make_cases("positions", 32, 0):
         moved = case.grasp.positions - fixed.positions
         assert np.abs((moved * fixed.normals).sum(axis=1)).max() < 1e-12  # along the faces
         assert 0.0 < np.linalg.norm(moved, axis=1).max() <= DISPLACEMENT
-        assert near_fixed(case.grasp)
+        require_near_fixed(case.grasp)
     for count in (3, 4, 5):
         grasp = EVALUATION.closed(np.random.default_rng(count), count)
         assert grasp.n_contacts == count
         assert phase_one(grasp, np.zeros(6)).margin > 0.0
-        assert not near_fixed(grasp)
+        with pytest.raises(DoesNotApply):
+            require_near_fixed(grasp)
 
 
 @pytest.fixture(scope="module")
 def changes():
-    return recorded_cases("rollout_changes", 24, 0)
+    return make_cases("rollout_changes", 40, 0)
 
 
 def test_changes_of_contact(changes):
@@ -145,12 +136,12 @@ def test_recordings_move_and_impacts_are_impacts():
     (problems,) = record(1, np.random.default_rng(0), "random", ("four_finger",), 5)
     assert len(problems) == 5
     assert not np.array_equal(problems[0][0].positions, problems[-1][0].positions)
-    for case in recorded_cases("rollout_fixed", 5, 0):
+    for case in make_cases("rollout_fixed", 12, 0):
         assert case.before is not None
         move = np.abs(case.wrench - case.before[1]) / RADII
         assert np.linalg.norm(move) >= IMPACT
-        assert near_fixed(case.grasp)
-    assert all(case.before is None for case in recorded_cases("rollout_cold", 3, 0))
+        require_near_fixed(case.grasp)
+    assert all(case.before is None for case in make_cases("rollout_cold", 20, 0))
 
 
 def test_too_few_fingers_are_no_grasp():
@@ -176,12 +167,17 @@ def test_what_sets_scenarios_and_starts_are_called_is_what_is_done():
     assert all(f"{STORED:,} stored" in STARTS[f"nearest_{kind}"].label for kind in ("tangent", "pseudoinverse"))
     config = EnvConfig()
     for name, part in (
-        ("random", f"{config.random_force:g} N / {config.random_moment:g} N m"),
-        ("late", f"{1e3 * SCENARIOS['late']['wrench_delay'] / config.control_rate:g} ms late"),
-        ("impulses", f"{config.impulse_force:g} N / {config.impulse_moment:g} N m, {config.impulse_time:g} s"),
+        ("hold_random", f"{config.random_force:g} N / {config.random_moment:g} N m"),
+        ("hold_late", f"{1e3 * HOLDS_OF_STARTS['late']['wrench_delay'] / config.control_rate:g} ms late"),
+        ("hold_impulses", f"{config.impulse_force:g} N / {config.impulse_moment:g} N m, {config.impulse_time:g} s"),
     ):  # fmt: skip
-        assert part in SCENARIO_LABELS[name], (name, part)
-    pushes = hold_plan.SCENARIO_LABELS["six_directions"]
+        assert part in LABELS[name], (name, part)
+    pushes = LABELS["six_directions"]
     assert f"six pushes of {config.push_per_mass:g} N/kg, {config.push_time:g} s each" in pushes
-    assert FINER == 100
-    assert np.log10(MAGNITUDES[1] / MAGNITUDES[0]) == 6.0  # "six decades"
+    sizes = np.linalg.norm([scaled(case.wrench) for case in make_cases("six_decades", 100, 0)], axis=1)
+    assert MAGNITUDES[0] <= sizes.min() < 0.01
+    assert 100.0 < sizes.max() <= MAGNITUDES[1]
+    for line in (make_cases("lines", 500, 0),):
+        assert len(line) == 2 * 401
+        assert (np.sign(line[0].wrench) == -np.sign(line[400].wrench)).all()
+        assert line[401].before is None

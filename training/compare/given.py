@@ -1,0 +1,240 @@
+"""Starts and solvers that a user brings to the comparison by name: an object of a module or a file, a saved model, Python objects."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import os
+import pickle
+import re
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Protocol
+
+import cloudpickle
+
+from grasp_env._check import Array, together
+from grasp_env.errors import InvalidInputError, shown
+from grasp_env.force import InitialForceRule
+from policies import LearnedInitialForce
+from training.compare.starts import GIVEN_COLOURS, STARTS
+
+START = "--start NAME=module:rule, NAME=file.py:rule or NAME=saved model's path"
+SOLVER = "--solver NAME=module:Class or NAME=file.py:Class"
+METHODS = ("reduced_flow", "newton")
+"""The methods that every start is compared with; a user's solver is one more."""
+_NAME = re.compile("[A-Za-z][A-Za-z0-9_-]{0,39}")
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A problem for a user's solver, all in the object frame.
+
+    Attributes:
+        positions: (N, 3) contact points [m].
+        normals: (N, 3) unit normals that point into the object.
+        friction: (N,) friction coefficients.
+        wrench: (6,) on the object: force [N], moment about the origin [N m].
+        frames: (N, 3, 3) columns are the normal and two tangents of each contact.
+        weights: (N, 2) omega and lambda of Phi for each contact, for solvers that minimise it.
+    """
+
+    positions: Array
+    normals: Array
+    friction: Array
+    wrench: Array
+    frames: Array
+    weights: Array
+
+
+class Solver(Protocol):
+    """A user's solver."""
+
+    def solve(self, problem: Problem) -> Any:
+        """The forces (N, 3) [N] of the fingers on the object that balance the wrench, in the object frame."""
+        ...
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a user brings, ready to be sent to workers.
+
+    Attributes:
+        packed: (starts, solvers) by name, pickled; files travel by value, so that other machines need no copy of them.
+        names: (name, what stands behind it).
+    """
+
+    packed: bytes
+    names: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def of(
+        cls,
+        starts: tuple[str, ...] = (),
+        solvers: tuple[str, ...] = (),
+        objects: Mapping[str, InitialForceRule | str | Path] | None = None,
+    ) -> Given:
+        """Reads and checks everything before anything runs.
+
+        Args:
+            starts: texts as `START` says.
+            solvers: texts as `SOLVER` says.
+            objects: starts from Python: rules, or paths of saved models.
+
+        Raises:
+            InvalidInputError: a name that is none or is taken, an object that is not there or is no rule or solver; all at once.
+        """
+        paths = {name: os.fspath(made) for name, made in (objects or {}).items() if isinstance(made, str | os.PathLike)}
+        rules = {name: made for name, made in (objects or {}).items() if name not in paths}
+        texts = [*starts, *(f"{name}={path}" for name, path in paths.items())]
+        names = [text.partition("=")[0] for text in (*texts, *solvers)] + list(rules)
+        _, *found = together(
+            lambda: _check_names(names),
+            *(lambda text=text: _start(text) for text in texts),
+            *(lambda name=name: _rule(rules[name], f"the start {name}") for name in rules),
+            *(lambda text=text: _solver(text) for text in solvers),
+        )
+        made = dict(zip([*(text.partition("=")[0] for text in texts), *rules], found, strict=False))
+        methods = dict(zip((text.partition("=")[0] for text in solvers), found[len(made) :], strict=True))
+        try:
+            packed = cloudpickle.dumps((made, methods))
+        except Exception as error:
+            raise InvalidInputError(
+                f"the starts and solvers {', '.join(names)} cannot be sent to the worker processes ({type(error).__name__}: "
+                f"{str(error)[:200]}): leave open files, locks and the like out of them"
+            ) from error
+        said = {text.partition("=")[0]: text.partition("=")[2] for text in (*texts, *solvers)}
+        said |= {name: _called(rule) for name, rule in rules.items()}
+        return cls(packed, tuple(said.items()))
+
+    def unpack(self) -> tuple[dict[str, InitialForceRule], dict[str, Solver]]:
+        """(starts, solvers) by name."""
+        return pickle.loads(self.packed)
+
+
+def _check_names(names: list[str]) -> None:
+    wrong = [name for name in names if not _NAME.fullmatch(name)]
+    if wrong:
+        raise InvalidInputError(
+            f"a start or solver needs a name of letters, digits, - and _, at most 40, a letter first, got "
+            f"{', '.join(map(shown, wrong))}: give {START}; {SOLVER}"
+        )
+    reserved = {*STARTS, *METHODS}
+    taken = sorted({name for name in names if name in reserved or names.count(name) > 1})
+    if taken:
+        raise InvalidInputError(
+            f"the name {', '.join(taken)} is taken: choose another than {', '.join(sorted(reserved))}, a different one for each"
+        )
+    if len(names) > len(GIVEN_COLOURS):
+        raise InvalidInputError(
+            f"a run compares at most {len(GIVEN_COLOURS)} starts and solvers of yours, got {len(names)}: make two runs"
+        )
+
+
+def model_path(what: str) -> Path | None:
+    """The saved model that a text means, a folder's only one; None: it means none."""
+    if os.path.isdir(what):
+        stems = sorted(path.with_suffix("") for path in Path(what).glob("*.safetensors"))
+        if len(stems) != 1:
+            held = f"holds {', '.join(stem.name for stem in stems)}" if stems else "holds no saved model"
+            raise InvalidInputError(
+                f"the folder {what} {held}: give the path of one that `grasp fit` saved, or {START}"
+            )
+        return stems[0]
+    return Path(what) if what.endswith((".json", ".safetensors")) or os.path.isfile(f"{what}.json") else None
+
+
+def _start(text: str) -> InitialForceRule:
+    what = text.partition("=")[2]
+    path = model_path(what)
+    if path is not None:
+        return LearnedInitialForce.load(path)
+    if what and ":" not in what and not os.path.exists(what):
+        raise InvalidInputError(
+            f"--start {text}: no such file or saved model is there ({what}.json is missing, too): give {START}"
+        )
+    return _rule(_read(text, "--start", START), f"--start {text}")
+
+
+def _solver(text: str) -> Solver:
+    made = _instance(_read(text, "--solver", SOLVER), f"--solver {text}")
+    if not callable(getattr(made, "solve", None)):
+        raise InvalidInputError(
+            f"--solver {text}: {type(made).__name__} has no method solve: give it solve(problem), which returns (N, 3) forces [N] "
+            "in the object frame"
+        )
+    return made
+
+
+def _rule(made: Any, what: str) -> InitialForceRule:
+    made = _instance(made, what)
+    if not callable(made):
+        raise InvalidInputError(
+            f"{what} is no rule but of type {type(made).__name__}: a rule takes (grasp, wrench) and returns an (N, 3) force"
+        )
+    rule: Callable[..., Any] = made
+    return rule
+
+
+def _instance(made: Any, what: str) -> Any:
+    """An object; a class is called without arguments."""
+    if not inspect.isclass(made):
+        return made
+    try:
+        return made()
+    except Exception as error:
+        raise InvalidInputError(
+            f"{what} is a class that cannot be made without arguments ({type(error).__name__}: {str(error)[:200]}): name an "
+            "instance of it"
+        ) from error
+
+
+def _read(text: str, option: str, how: str) -> Any:
+    """The object that NAME=module:object or NAME=file.py:object means."""
+    place, _, attribute = text.partition("=")[2].rpartition(":")
+    if not place or not attribute:
+        raise InvalidInputError(f"{option} {text} names nothing: give {how}")
+    module = _imported(place, f"{option} {text}", how)
+    try:
+        return reduce(getattr, attribute.split("."), module)
+    except AttributeError:
+        callables = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise InvalidInputError(
+            f"{option} {text}: {place} has no {attribute!r}; it has {', '.join(callables[:20]) or 'nothing that can be called'}"
+        ) from None
+
+
+def _imported(place: str, said: str, how: str) -> ModuleType:
+    """A module of the working directory or installed, or a file, which is pickled by value."""
+    if os.getcwd() not in sys.path:  # as `python -m` has it; at the end, where it hides nothing
+        sys.path.append(os.getcwd())
+    try:
+        if not place.endswith(".py"):
+            return importlib.import_module(place)
+        name = "given_" + re.sub(r"\W", "_", os.path.abspath(place))
+        spec = importlib.util.spec_from_file_location(name, place)
+        assert spec is not None
+        assert spec.loader is not None
+        module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up there
+        spec.loader.exec_module(module)
+        cloudpickle.register_pickle_by_value(module)
+        return module
+    except Exception as error:
+        missing = isinstance(error, FileNotFoundError) or (
+            isinstance(error, ModuleNotFoundError) and (error.name or "") in place
+        )
+        why = (
+            "is not there: neither in the working directory nor installed"
+            if missing
+            else f"fails with {type(error).__name__}: {str(error)[:200]}"
+        )
+        raise InvalidInputError(f"{said}: {place} {why}; give {how}") from error
+
+
+def _called(rule: Any) -> str:
+    return f"{type(rule).__module__}.{getattr(rule, '__qualname__', type(rule).__qualname__)}"

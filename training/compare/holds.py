@@ -1,0 +1,330 @@
+"""Hold rates: episodes of the simulated hand under scenarios, controllers, hands, engines and starts, one row each.
+
+An episode depends on its scenario and seed alone, so the same seeds serve all that is compared.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from grasp_env._check import choice, together
+from grasp_env._extras import need
+from grasp_env.config import EnvConfig
+from grasp_env.env.env import FourFingerGrasp
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError
+from grasp_env.force import InitialForceRule
+from grasp_env.sim import HandKinematics, ObjectDescription
+from grasp_env.sim.engine import engine_of
+from grasp_env.sim.grasping.points import grasp_points
+from grasp_env.sim.hand.description import HANDS, HandDescription
+from grasp_env.sim.objects.description import random_object
+from training.compare.scenarios import (
+    ENGINES,
+    HOLDS_OF_STARTS,
+    PRESETS,
+    RANDOM_STARTS,
+    Scenario,
+    controllers_plan,
+    hands_plan,
+    short_name,
+    transfer_plan,
+)
+from training.data.episodes import episode
+from training.results.run import Run, check_counts
+from training.results.shards import map_shards
+from training.results.table import pd, table
+
+NO_START, NOT_PLACED = "no_start", "not_placed"
+"""Failures of an episode whose grasp did not close or settle, and of one for which no place of hand or fingers was found."""
+QUICK_EPISODES = {"env": 4, "hands": 2, "transfer": 2}
+_CHUNK = 4
+"""Seeds of a shard."""
+_REDRAWS = 100
+_BEFORE, _IN_PLACE = 25, 1e-3
+"""Agent steps before an object is lost, and how far it has drifted [m], in which torques that were cut are the cause."""
+_TIMED, _ROUNDS = 100, 3
+"""Agent steps whose rate is measured, and how often."""
+
+
+@dataclass(frozen=True)
+class HoldsConfig:
+    """How well hands hold.
+
+    Attributes:
+        kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances) or "transfer" (the same
+            hands in both engines).
+        hands: names, or paths of URDFs; none: for "transfer" four_finger, allegro and leap.
+        engines: of "hands", in which they hold: keys of `scenarios.ENGINES`.
+        episodes: of each main scenario; 0: 500 of "env", 100 of "hands", 300 of "transfer". The other scenarios have fewer.
+        seed: of the first episode; the next ones follow.
+        quick: a small version that says that it is quick.
+    """
+
+    kind: str = "env"
+    hands: tuple[str, ...] = ()
+    engines: tuple[str, ...] = ("bullet",)
+    episodes: int = 0
+    seed: int = 0
+    quick: bool = False
+
+    def __post_init__(self) -> None:
+        def hand(name: str) -> None:
+            if not (name.endswith(".urdf") and os.path.isfile(name)):
+                choice(name, "hand", HANDS, ", or the path of a .urdf file that exists")
+
+        together(
+            lambda: check_counts(self, {"episodes": 0, "seed": 0}),
+            *(lambda name=name: hand(name) for name in self.hands),
+            *(lambda name=name: choice(name, "engine", ENGINES) for name in self.engines),
+        )
+        names = [short_name(name) for name in self.hands]
+        if len(set(names)) < len(names):
+            raise InvalidInputError(f"hands need different names, got {', '.join(names)}: rename a file")
+        if self.kind == "hands" and not (self.hands and self.engines):
+            raise InvalidInputError(
+                f"name at least one hand and one engine, got hands={self.hands}, engines={self.engines}"
+            )
+
+    def plan(self) -> list[Scenario]:
+        """The scenarios."""
+        usual = {"env": 500, "hands": 100, "transfer": 300}[self.kind]
+        episodes = QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
+        if self.kind == "env":
+            return controllers_plan(episodes, self.quick)
+        if self.kind == "hands":
+            return hands_plan(self.hands, self.engines, episodes)
+        return transfer_plan(self.hands or PRESETS, episodes)
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Some seeds of a scenario, for a worker."""
+
+    scenario: Scenario
+    seeds: tuple[int, ...]
+
+
+def run(
+    config: HoldsConfig,
+    folder: Run | None = None,
+    plan: Sequence[Scenario] | None = None,
+    *,
+    on: str = "processes",
+    workers: int = 0,
+    console: Console | None = None,
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """The rows of the episodes, and what the run folder should say of them.
+
+    Args:
+        config: the settings.
+        folder: keeps finished shards; None: nothing is kept.
+        plan: scenarios instead of the config's.
+        on: where the shards run, see `map_shards`.
+        workers: see `map_shards`.
+        console: for the progress bar and for what was repaired in URDFs.
+    """
+    console, plan = console or Console(stderr=True), config.plan() if plan is None else plan
+    if any(ENGINES[engine].get("engine") == "mujoco" for scenario in plan for engine in scenario.engines):
+        need("mujoco")
+    for name in config.hands:
+        _print_repairs(name, console)
+    shards: dict[str, Shard] = {}
+    for scenario in plan:
+        seeds = range(config.seed, config.seed + scenario.episodes)
+        for k in range(0, len(seeds), _CHUNK):
+            shards[f"{scenario.name}/{k:05d}"] = Shard(scenario, tuple(seeds[k : k + _CHUNK]))
+    keep = folder and folder.folder / "shards"
+    mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="episodes", console=console)
+    about = {
+        "kind": config.kind, "settings": asdict(config), "quick": config.quick,
+        "scenarios": [asdict(scenario) for scenario in plan], "steps_per_second": _speeds(plan),
+        "map": {"on": mapped.on, "workers": mapped.workers, "wall_seconds": mapped.wall_seconds, "cpu_seconds": mapped.cpu_seconds},
+    }  # fmt: skip
+    return mapped.rows, about
+
+
+def work(shard: Shard) -> pd.DataFrame:
+    """The rows of a shard, in a worker: a seed in all engines before the next, as they share what is drawn."""
+    scenario = shard.scenario
+    return table(
+        {
+            **scenario.keys, "case": scenario.case, "engine": engine, "seed": seed,
+            **trial({**scenario.settings, **ENGINES[engine]}, scenario.random_objects, seed),
+        }
+        for seed in shard.seeds for engine in scenario.engines
+    )  # fmt: skip
+
+
+def hold_of_start(
+    scenario: str, start: str, rule: str | InitialForceRule, episodes: int, seed: int, steps: int
+) -> Iterator[dict[str, Any]]:
+    """The rows of the roll-outs of a scenario from a start: a deterministic one once, a random one with paired seeds."""
+    settings = {**HOLDS_OF_STARTS[scenario], "duration": steps / 50}
+    for k in range(episodes if scenario in RANDOM_STARTS else 1):
+        keys = {"case": f"hold_{scenario}", "start": start, "method": "reduced_flow", "seed": seed + k, "problem": k}
+        yield {**keys, **trial(settings, False, seed + k, rule)}
+
+
+def trial(
+    settings: dict[str, Any], random_objects: bool, seed: int, rule: str | InitialForceRule | None = None
+) -> dict[str, Any]:
+    """The columns of one episode in an environment of its own.
+
+    Args:
+        settings: of the environment, see `settings_of`.
+        random_objects: whether the seed draws the object.
+        seed: gives the object and everything random of the episode.
+        rule: the start of its optimisations; None: the environment's own.
+    """
+    config, redrawn = settings_of(settings), 0
+    if random_objects:
+        item, points, redrawn = draw_object(seed, config)
+        config = config.override(
+            shape=item.shape, size=item.size, object_mass=item.mass, friction=item.friction,
+            contact_points=tuple(map(tuple, points.tolist())),
+        )  # fmt: skip
+    row: dict[str, Any] = {"redrawn": redrawn, **_object(config)}
+    try:
+        env = FourFingerGrasp(initial_force=rule, config=config)
+        try:
+            infos = [step.info for step in episode(env, seed)]
+        finally:
+            env.close()
+    except GraspError as error:
+        failure = NOT_PLACED if isinstance(error, InvalidInputError) else NO_START
+        return {**row, "held": False, "failure": failure, "detail": str(error), "status": None}
+    return {**row, **_object(config, infos[0]), **episode_columns(infos)}
+
+
+def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
+    """The random object of a seed: any shape, size, mass and friction of the config's ranges that the hand can reach.
+
+    Returns:
+        The object, its contact points (N, 3) [m] in the object frame, and how many objects drawn before it no grasp was found for.
+        None of it depends on the controller or the engine. A hand without a place of its own goes to every object anew: no points.
+    """
+    rng, kinematics = np.random.default_rng([seed, 0x0B1EC7]), _kinematics(config.hand)
+    for redrawn in range(_REDRAWS):
+        item = random_object(rng, size=config.size_range, mass=config.mass_range, friction=config.friction_range)
+        if not kinematics.hand.placed:
+            return item, np.zeros((0, 3)), 0
+        try:
+            return item, np.asarray(grasp_points(item, kinematics)[0]), redrawn
+        except GraspError:
+            continue
+    raise SimulationError(f"no grasp was found for any of {_REDRAWS} random objects of seed {seed}")
+
+
+def settings_of(settings: dict[str, Any]) -> EnvConfig:
+    """The environment's settings of a scenario: "hand" may be a URDF's path, "engine_settings" are the engine's own."""
+    made = dict(settings)
+    if "hand" in made:
+        made["hand"] = _hand(made["hand"])
+    own = made.pop("engine_settings", None)
+    if own is not None:
+        made["engine"] = replace(engine_of(made["engine"]), **own)
+    return EnvConfig().override(**made)
+
+
+def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What the steps of an episode come to. Drift, tilt and slip count where the object was held."""
+    last, failure = infos[-1], str(infos[-1]["failure"])
+    held = bool(last["is_success"]) and not failure
+    cut = any(info["saturated"] and info["drift"] < _IN_PLACE for info in infos[-_BEFORE:])
+    kept = {
+        "drift": 1e3 * max(info["drift"] for info in infos),
+        "tilt": float(np.degrees(max(info["tilt"] for info in infos))),
+        "slip": 1e3 * last["slip_distance"],
+    }
+    columns: dict[str, tuple[Callable[[Any], Any], str]] = {
+        "force_error": (np.mean, "force_error"), "stray_force": (max, "stray_force"), "torque_margin": (min, "torque_margin"),
+        "limited": (sum, "limited"), "saturated": (np.mean, "saturated"), "iterations": (np.mean, "iterations"),
+    }  # fmt: skip
+    numbers = {name: float(how([info[key] for info in infos])) for name, (how, key) in columns.items()}
+    return {
+        "held": held,
+        "failure": None if held else "torque" if cut else failure or "drifted",
+        "status": str(last["status"]),
+        **(kept if held else {}), **numbers,
+        "iterations": round(numbers["iterations"]), "limited": round(numbers["limited"]),
+        "time": float(last["time"]), "end_drift": 1e3 * last["drift"], "end_tilt": float(np.degrees(last["tilt"])),
+        "normal_force": float(np.mean([info["measured_force"][:, 0].sum() for info in infos])),
+        "commanded_force": float(np.mean([info["commanded_force"][:, 0].sum() for info in infos])),
+        "peak_torque": float(last["peak_torque"]), "touching": int(last["touching"].sum()),
+        "contact_changes": int(last["contact_changes"]),
+        "contact_always": bool(all(info["touching"].all() for info in infos)),
+    }  # fmt: skip
+
+
+def _object(config: EnvConfig, info: dict[str, Any] | None = None) -> dict[str, Any]:
+    size = [*config.size, None, None, None][:3]
+    return {
+        "shape": info["object_shape"] if info else config.shape,
+        **dict(zip(("size_x", "size_y", "size_z"), size, strict=True)),
+        "mass": info["object_mass"] if info else config.object_mass,
+        "friction": info["object_friction"] if info else config.friction,
+    }
+
+
+def _print_repairs(name: str, console: Console) -> None:
+    """Prints once what reading a URDF repairs; the workers read it silently.
+
+    Raises:
+        InvalidInputError: it cannot be read.
+    """
+    if not name.endswith(".urdf"):
+        return
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        HandDescription.from_urdf(name)
+    for warning in caught:
+        console.print(f"repaired: {warning.message}", highlight=False, soft_wrap=True)
+
+
+def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
+    """Agent steps per second of every hand in every engine, alone in this process, best of some rounds of its first scenario."""
+    first: dict[str, dict[str, Any]] = {}
+    for scenario in plan:
+        for engine in scenario.engines:
+            hand = f"{scenario.keys.get('hand', 'four_finger')}, {engine}"
+            first.setdefault(hand, {**scenario.settings, **ENGINES[engine]})
+    out: dict[str, float] = {}
+    for name, settings in first.items():
+        try:
+            env = FourFingerGrasp(config=settings_of(settings))
+        except GraspError:
+            continue
+        try:
+            for seed in range(_ROUNDS):
+                running, begun = episode(env, seed, most=_TIMED), time.perf_counter()
+                steps = sum(1 for _ in running)
+                out[name] = max(out.get(name, 0.0), steps / (time.perf_counter() - begun))
+        except GraspError:
+            continue
+        finally:
+            env.close()
+    return out
+
+
+@cache
+def _kinematics(hand: str | HandDescription) -> HandKinematics:
+    return HandKinematics(hand if isinstance(hand, HandDescription) else HANDS[hand]())
+
+
+@cache
+def _hand(name: str) -> str | HandDescription:
+    """A hand's name, or the description of one in a file; its repairs were printed when the run began."""
+    if not name.endswith(".urdf"):
+        return name
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return HandDescription.from_urdf(name)

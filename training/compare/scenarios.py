@@ -1,0 +1,239 @@
+"""The scenarios of the hold rates, as data: controllers, sensor errors, hands, objects, disturbances, engines, starts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Episodes of one kind, played in some engines with the same seeds.
+
+    Attributes:
+        case: a key of `LABELS`.
+        keys: the other key columns of its rows: controller, hand, friction_margin, squeeze.
+        episodes: in each engine.
+        settings: of the environment, JSON-able.
+        engines: keys of `ENGINES`, the first the one that others are compared with.
+        random_objects: whether each seed draws its object.
+    """
+
+    case: str
+    keys: dict[str, Any]
+    episodes: int
+    settings: dict[str, Any] = field(default_factory=dict)
+    engines: tuple[str, ...] = ("bullet",)
+    random_objects: bool = True
+
+    @property
+    def name(self) -> str:
+        """Unique in a plan."""
+        return "/".join(
+            [self.case, *(f"{value:g}" if isinstance(value, float) else str(value) for value in self.keys.values())]
+        )
+
+
+ENGINES: dict[str, dict[str, Any]] = {
+    "bullet": {},
+    "mujoco": {"engine": "mujoco"},
+    "bullet_1000": {"physics_rate": 1000},
+    "pyramidal": {"engine": "mujoco", "engine_settings": {"cone": "pyramidal"}},
+    "soft": {"engine": "mujoco", "engine_settings": {"time_constant": 0.02, "impedance": (0.9, 0.95, 1e-3, 0.5, 2.0), "impratio": 1.0}},
+    "noslip": {"engine": "mujoco", "engine_settings": {"noslip_iterations": 20}},
+}  # fmt: skip
+"""Settings of the environment by name; `engine_settings` are the fields of the engine's own record."""
+BOTH = ("bullet", "mujoco")
+PRESETS = ("four_finger", "allegro", "leap")
+"""Hands of the comparison of engines where none are named."""
+CONTROLLERS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "estimated": {"wrench": "estimated"},
+    "constant_squeeze": {"controller": "constant_squeeze"},
+    "pd": {"controller": "pd"},
+}
+BASELINES = ("constant_squeeze", "pd")
+ERRORS: dict[str, dict[str, Any]] = {
+    "friction": {"friction_error": 0.25},
+    "delay": {"sensor_delay": 0.010},
+    "tactile": {"tactile_noise": 0.05},
+    "force": {"force_noise": 0.05},
+}
+SAFE_START = {"friction_margin": 0.6}
+"""Of the baselines where friction is over-estimated: every controller starts from the optimised grasp, which then settles."""
+ALL_ERRORS: dict[str, Any] = {name: value for error in ERRORS.values() for name, value in error.items()}
+RANDOM_WRENCH: dict[str, Any] = {
+    "disturbance": "random", "random_force": 2.0, "random_moment": 0.06, "duration": 4.0,
+}  # fmt: skip
+WEAK_WRENCH: dict[str, Any] = {"disturbance": "random", "random_force": 0.6, "random_moment": 0.02, "duration": 4.0}
+CURVES: dict[str, dict[str, Any]] = {
+    "mild": {**ERRORS["friction"], **ERRORS["force"], **SAFE_START},
+    "all": {**ALL_ERRORS, **SAFE_START},
+}
+"""Scenarios in which friction margin or squeeze is swept."""
+MARGINS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0)
+SQUEEZES = (10.0, 20.0, 40.0, 60.0, 80.0, 120.0)
+SMALL_OBJECTS: dict[str, Any] = {
+    "size_range": (0.04, 0.08), "mass_range": (0.05, 0.3), "friction_range": (0.5, 1.0),
+}  # fmt: skip
+"""Objects for hands of a human's size."""
+OBJECTS: dict[str, dict[str, Any]] = {
+    "cube": {"shape": "cuboid", "size": (0.05, 0.05, 0.05), "object_mass": 0.15, "friction": 0.7},
+    "sphere": {"shape": "sphere", "size": (0.06,), "object_mass": 0.15, "friction": 0.7},
+    "random": SMALL_OBJECTS,
+}
+PUSHES: dict[str, dict[str, Any]] = {
+    "gravity": {"disturbance": "none", "duration": 4.0},
+    "random": WEAK_WRENCH,
+    "six_directions": {"task": "six_directions"},
+}
+PATH_SCALE = 0.1
+"""Scale of W_ext(t) in the roll-outs of starts."""
+HOLDS_OF_STARTS: dict[str, dict[str, Any]] = {
+    "gravity": {"disturbance": "none"},
+    "constant": {"disturbance": "constant"},
+    "paper_path": {"disturbance": "paper_path", "disturbance_scale": PATH_SCALE},
+    "random": {"disturbance": "random"},
+    "late": {"disturbance": "random", "wrench_delay": 1},
+    "unknown": {"disturbance": "random", "wrench": "none"},
+    "impulses": {"disturbance": "impulses", "randomise": ("shape", "size", "mass", "friction")},
+}
+"""Scenarios of the four-finger hand in which starts are compared; their rows have the case hold_<name>."""
+RANDOM_STARTS = ("random", "late", "unknown", "impulses")
+"""Those of them in which something is random."""
+
+_ERROR_LABELS = {
+    "friction": f"friction over-estimated by {100 * ALL_ERRORS['friction_error']:g} %",
+    "delay": f"everything measured {1e3 * ALL_ERRORS['sensor_delay']:g} ms late",
+    "tactile": f"tactile noise {100 * ALL_ERRORS['tactile_noise']:g} %",
+    "force": f"motor torque noise {100 * ALL_ERRORS['force_noise']:g} %",
+}
+_OBJECT_LABELS = {"cube": "cube of 50 mm", "sphere": "sphere of 60 mm", "random": "random objects"}
+_PUSH_LABELS = {"gravity": "gravity", "random": "random wrench", "six_directions": "six pushes"}
+LABELS: dict[str, str] = {
+    "objects": "random objects, random wrench",
+    "six_directions": "random objects, six pushes of 10 N/kg, 2 s each",
+    "path_0.25": "0.1 m cuboid, W_ext(t) x 0.25",
+    "path_1": "0.1 m cuboid, W_ext(t) x 1",
+    **_ERROR_LABELS,
+    "mild": f"{_ERROR_LABELS['friction']}, {_ERROR_LABELS['force']}, no delay",
+    "all": "all four errors",
+    "weak": "random objects, weak random wrench",
+    "contacts": "random wrench, contacts of other kinds",
+    "margin": "random wrench, friction margin 0.7",
+    "estimated": "wrench estimated",
+    "friction_force": "friction +25 %, torque noise 5 %, margin 0.6",
+    "all_safe": "all four errors, margin 0.6",
+    "squeeze": "constant squeeze",
+    "pd": "PD only",
+    **{f"{item}_{push}": f"{_OBJECT_LABELS[item]}, {_PUSH_LABELS[push]}" for item in OBJECTS for push in PUSHES},
+    "hold_gravity": "gravity alone",
+    "hold_constant": "gravity + the paper's constant wrench",
+    "hold_paper_path": f"gravity + W_ext(t) x {PATH_SCALE:g}",
+    "hold_random": "gravity + random wrench (Ornstein-Uhlenbeck, 0.6 N / 0.02 N m per axis)",
+    "hold_late": "the same random wrench, known to the controller 4 ms late",
+    "hold_unknown": "the same random wrench, unknown to the controller: pose feedback alone",
+    "hold_impulses": "gravity + impacts (half sines of 5 N / 0.1 N m, 0.05 s) on random objects",
+}
+"""Names of the scenarios for tables."""
+CONTROLLER_LABELS = {
+    "paper": "paper's pipeline, wrench measured",
+    "estimated": "paper's pipeline, wrench estimated",
+    "constant_squeeze": "constant squeeze",
+    "pd": "PD only",
+}
+
+
+def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
+    """Every controller of the four-finger hand: `episodes` of the main scenarios, fewer of the others.
+
+    At most 100 of each scenario with errors (60 where it is swept and not the paper's pipeline), an eighth of the six directions
+    where the controller is not the paper's.
+    """
+    robust, long = (episodes, episodes) if quick else (min(episodes, 100), max(1, episodes // 8))
+
+    def scenario(
+        case: str, key: str, count: int, settings: dict[str, Any], swept: dict[str, float] | None = None
+    ) -> Scenario:
+        swept = swept or {}
+        own = {**settings, **CONTROLLERS[key], **swept}
+        return Scenario(case, {"controller": key, **swept}, count, own, random_objects=not case.startswith("path"))
+
+    plan = [scenario("objects", key, episodes, RANDOM_WRENCH) for key in CONTROLLERS]
+    plan += [
+        scenario("six_directions", key, episodes if key == "paper" else long, {"task": "six_directions"})
+        for key in CONTROLLERS
+    ]
+    for scale in (0.25, 1.0):  # nothing is random here: one episode says it all
+        path = {"disturbance": "paper_path", "disturbance_scale": scale, "duration": 4.0}
+        plan += [scenario(f"path_{scale:g}", key, 1, path) for key in CONTROLLERS]
+    for error, wrong in ERRORS.items():
+        for key in CONTROLLERS:
+            start = SAFE_START if error == "friction" and key in BASELINES else {}
+            plan.append(scenario(error, key, robust, {**RANDOM_WRENCH, **wrong, **start}))
+    margins, squeezes = ((0.6, 0.85), (20.0, 60.0)) if quick else (MARGINS, SQUEEZES)
+    for case, wrong in CURVES.items():
+        for key in CONTROLLERS:
+            if key != "estimated":
+                name, values = ("squeeze", squeezes) if key in BASELINES else ("friction_margin", margins)
+                count = robust if key == "paper" else min(robust, 60)
+                plan += [scenario(case, key, count, {**RANDOM_WRENCH, **wrong}, {name: value}) for value in values]
+    return plan
+
+
+def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
+    """The same hand, object and controller in both engines; contact models are varied with the four-finger hand alone.
+
+    Args:
+        hands: names or paths of URDFs.
+        episodes: of each hand's random objects under a random wrench; the other scenarios have a third.
+    """
+    plan: list[Scenario] = []
+    for hand in hands:
+        keys = {"hand": short_name(hand)}
+        if hand != "four_finger":
+            plan.append(Scenario("weak", keys, episodes, {"hand": hand, **SMALL_OBJECTS, **WEAK_WRENCH}, BOTH))
+            continue
+        third, safe = max(1, episodes // 3), {"friction_margin": 0.6}
+        wrong = {**ERRORS["friction"], **ERRORS["force"]}
+        for case, engines, count, settings in (
+            ("objects", BOTH, episodes, RANDOM_WRENCH),
+            ("contacts", ("bullet", "mujoco", "bullet_1000", "noslip", "pyramidal", "soft"), third, RANDOM_WRENCH),
+            ("margin", (*BOTH, "pyramidal", "soft"), third, {**RANDOM_WRENCH, "friction_margin": 0.7}),
+            ("six_directions", BOTH, third, {"task": "six_directions"}),
+            ("estimated", (*BOTH, "bullet_1000"), episodes, {**RANDOM_WRENCH, "wrench": "estimated"}),
+            ("friction_force", BOTH, third, {**RANDOM_WRENCH, **wrong, **safe}),
+            ("all_safe", BOTH, third, {**RANDOM_WRENCH, **ALL_ERRORS, **safe}),
+            ("squeeze", BOTH, third, {**RANDOM_WRENCH, "controller": "constant_squeeze"}),
+            ("pd", BOTH, third, {**RANDOM_WRENCH, "controller": "pd"}),
+        ):
+            plan.append(Scenario(case, keys, count, {"hand": hand, **settings}, tuple(engines)))
+    return plan
+
+
+def hands_plan(hands: Iterable[str], engines: Sequence[str], episodes: int) -> list[Scenario]:
+    """Hands x objects x disturbances.
+
+    Args:
+        hands: names or paths of URDFs.
+        engines: keys of `ENGINES`.
+        episodes: of each scenario in which something is random; where nothing is, one says it all.
+    """
+    return [
+        Scenario(
+            f"{item}_{push}", {"hand": short_name(hand)}, 1 if item != "random" and push != "random" else episodes,
+            {"hand": hand, **OBJECTS[item], **PUSHES[push]}, tuple(engines), item == "random",
+        )
+        for hand in hands for item in OBJECTS for push in PUSHES
+    ]  # fmt: skip
+
+
+def short_name(hand: str) -> str:
+    """A hand's name in tables and files: that of a URDF's file.
+
+    Example:
+        >>> short_name("/robots/leap/leap_right.urdf"), short_name("allegro")
+        ('leap_right', 'allegro')
+    """
+    return hand.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(".urdf")

@@ -1,0 +1,251 @@
+"""One run of every method from every start on every case of a set, and of every solver of a user: rows, no statistics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from grasp_env import ranges
+from grasp_env._check import Array, ContactForces, as_array
+from grasp_env.errors import GraspError, InfeasibleStartError
+from grasp_env.force import RULES, ForceOptimizer, Objective, start_replaced
+from grasp_env.grasp import Grasp
+from training.compare.cases import Case, scaled
+from training.compare.given import METHODS, Problem, Solver
+from training.compare.starts import BASIS, DoesNotApply, Made, carried, newton_optimizer, phi_options
+from training.results.words import shortened
+
+TOLERANCE = 1e-4
+"""Relative gap of Phi to which iterations are counted where nothing else is said."""
+COARSE, FINE = 1e-2, 1e-6
+LAST = {"reduced_flow": 1e-6, "newton": 1e-8}
+"""Relative gap at which a run ends."""
+LIMIT = 5000
+"""Most iterations of a run; a gap that was not reached counts as one more."""
+OPTIMUM = 1e-10
+"""Relative certified gap of the optima that gaps are taken to."""
+BALANCED = 1e-6
+"""Balance residual over the largest component, up to which a solver's force counts as one."""
+ROUNDING = 1e-10
+"""Relative difference of Phi that two ways to sum it make."""
+REASON = 120
+"""Characters of the reason why there is no force."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How good a force is.
+
+    Attributes:
+        gap: relative gap of Phi to the optimum; inf outside the cones.
+        margin: least cone margin over the largest component.
+        residual: balance residual over the largest component.
+    """
+
+    gap: float
+    margin: float
+    residual: float
+
+    @classmethod
+    def of(cls, grasp: Grasp, load: Array, force: ContactForces, best: float, objective: Objective) -> Quality:
+        """Of a force (N, 3) in contact frames; `best` is the least Phi."""
+        size = max(float(np.abs(force).max()), 1e-300)
+        gap = objective.value(grasp.to_cone(force)) / best - 1.0
+        return cls(max(0.0, gap), grasp.cone_margin(force) / size, grasp.residual(force, load) / size)
+
+    @property
+    def reason(self) -> str | None:
+        """Why the force is no start; None: it is one."""
+        return "outside the cones" if self.margin <= 0.0 else "out of balance" if self.residual > BALANCED else None
+
+    def columns(self, before: str = "") -> dict[str, float]:
+        """As columns of a row; an infinite gap is left out."""
+        gap = self.gap if np.isfinite(self.gap) else None
+        named = {"gap": gap, "margin": self.margin, "residual": self.residual}
+        return {f"{before}{name}": value for name, value in named.items() if value is not None}
+
+
+class Optimizers:
+    """The optimizers of a grasp, kept while cases stay on it."""
+
+    def __init__(self, objective: Objective) -> None:
+        self.objective = objective
+        self._made: dict[Grasp, dict[str, ForceOptimizer]] = {}
+        self._last: tuple[Grasp, Array, ContactForces, float] | None = None
+
+    def optimum(self, grasp: Grasp, load: Array) -> tuple[ContactForces, float]:
+        """The force (N, 3) of least Phi, and that Phi."""
+        if self._last is None or self._last[0] is not grasp or not np.array_equal(self._last[1], load):
+            solution = self._of(grasp)["optimum"].solve(load).raise_for_status()
+            self._last = grasp, load, solution.force, solution.objective
+        return self._last[2], self._last[3]
+
+    def run(self, method: str, grasp: Grasp, load: Array, start: ContactForces, best: float) -> dict[str, Any]:
+        """The columns of a run of a method from a start."""
+        solution = self._of(grasp)[method].solve(load, initial=start, optimum=best, trace=True)
+        gaps = np.maximum(solution.objective_trace / best - 1.0, 0.0)
+        reached = {
+            level: int(np.argmax(gaps <= level)) if gaps[-1] <= level else LIMIT + 1
+            for level in (COARSE, TOLERANCE, FINE)
+        }
+        ended = solution.status.value
+        return {
+            "status": "optimal" if reached[TOLERANCE] <= LIMIT else "stalled" if ended == "optimal" else ended,
+            "iterations": reached[TOLERANCE], "iterations_coarse": reached[COARSE], "iterations_fine": reached[FINE],
+            "trials": solution.trials, **Quality.of(grasp, load, solution.force, best, self.objective).columns(),
+        }  # fmt: skip
+
+    def _of(self, grasp: Grasp) -> dict[str, ForceOptimizer]:
+        if grasp not in self._made:
+            while len(self._made) > 3:
+                del self._made[next(iter(self._made))]
+            self._made[grasp] = {"optimum": newton_optimizer(grasp, self.objective, OPTIMUM)} | {
+                method: ForceOptimizer(
+                    grasp,
+                    method=method,
+                    tolerance=LAST[method],
+                    max_iterations=LIMIT,
+                    **phi_options(self.objective),
+                )
+                for method in METHODS
+            }
+        return self._made[grasp]
+
+
+def trials(
+    name: str,
+    cases: list[Case],
+    starts: Mapping[str, Made],
+    solvers: Mapping[str, Solver],
+    objective: Objective,
+    solved: bool = True,
+) -> Iterator[dict[str, Any]]:
+    """The rows of a set: one for each case, start and method, and one for each case and solver.
+
+    Args:
+        name: of the set.
+        cases: to solve.
+        starts: see `Workshop.made`; one that does not apply to a case has no row there.
+        solvers: of a user.
+        objective: Phi.
+        solved: whether the methods run; otherwise there is one row for each case and start.
+    """
+    optimizers = Optimizers(objective)
+    last: dict[str, tuple[Case, ContactForces]] = {}
+    for number, case in enumerate(cases):
+        grasp, load, before = case.grasp, case.wrench, None
+        if case.before is not None:
+            before = carried(case.before[0], optimizers.optimum(*case.before)[0], grasp, objective)
+        _, best = optimizers.optimum(grasp, load)
+        common = {"case": name, "problem": number, "group": case.group, "event": case.event or None}
+        paper = _basis(starts, grasp, load)
+        phi = None if paper is None else objective.value(grasp.to_cone(paper))
+        for key, made in starts.items():
+            row = {**common, "start": key}
+            try:
+                force = attempt(made, grasp, load, before)
+            except DoesNotApply:
+                continue
+            except GraspError as error:
+                row |= {"status": "no_start", "reason": why_none(error)}
+                yield from ({**row, "method": method} for method in (METHODS if solved else (None,)))
+                continue
+            quality = Quality.of(grasp, load, force, best, objective)
+            row |= quality.columns("start_")
+            reason = quality.reason
+            if phi is not None and reason is None:
+                row["start_excess"] = objective.value(grasp.to_cone(force)) / phi - 1.0
+                row["start_replaced"] = key not in RULES and start_replaced(grasp, load, force)
+            if reason is None:
+                row["start_slope"] = _slope(last.get(key), case, force)
+                last[key] = case, force
+            if not solved:
+                yield row if reason is None else {**row, "status": "no_start", "reason": reason}
+                continue
+            for method in METHODS:
+                try:
+                    run = optimizers.run(method, grasp, load, force, best)
+                except (
+                    InfeasibleStartError
+                ):  # outside, or out of balance by more than rounding: no start of this method
+                    yield {**row, "method": method, "status": "no_start", "reason": reason or "out of balance"}
+                    continue
+                yield {**row, "method": method, **run}
+        for key, solver in solvers.items():
+            yield {**common, "method": key, **answered(solver, grasp, load, best, objective)}
+
+
+def problem_of(grasp: Grasp, load: Array, objective: Objective) -> Problem:
+    """A problem as a user's solver gets it."""
+    weights = objective.weights(grasp.n_contacts)
+    arrays = (grasp.positions, grasp.normals, grasp.friction, load, grasp.frames, weights)
+    return Problem(*(np.array(array) for array in arrays))
+
+
+def answered(solver: Solver, grasp: Grasp, load: Array, best: float, objective: Objective) -> dict[str, Any]:
+    """The columns of a user's solver on a problem: "optimal" to `TOLERANCE` in Phi, "feasible", or "failed" with the reason."""
+    try:
+        forces = as_array(
+            solver.solve(problem_of(grasp, load, objective)), (grasp.n_contacts, 3), "a solver", ranges.SIZE
+        )
+    except Exception as error:
+        return {"status": "failed", "reason": why_none(error), "failed": True}
+    local = np.einsum("nij,ni->nj", grasp.frames, forces)
+    quality = Quality.of(grasp, load, local, best, objective)
+    feasible = quality.residual <= BALANCED and quality.margin >= -BALANCED
+    status = "optimal" if feasible and quality.gap <= TOLERANCE else "feasible" if feasible else "failed"
+    reason = None if feasible else "out of balance" if quality.residual > BALANCED else "outside the cones"
+    return {
+        "status": status,
+        "reason": reason,
+        "failed": not feasible,
+        "normal_force": float(local[:, 0].sum()),
+        **quality.columns(),
+    }
+
+
+def attempt(
+    start: Callable[..., ContactForces] | Made, grasp: Grasp, load: Array, before: ContactForces | None
+) -> ContactForces:
+    """The force (N, 3) [N] of a start, which may be a user's.
+
+    Raises:
+        DoesNotApply: it knows nothing of this case.
+        GraspError: it has none, fails, or returns something else; `why_none` says which.
+    """
+    call = start.start if isinstance(start, Made) else start
+    try:
+        return as_array(call(grasp, load, before), (grasp.n_contacts, 3), "a start", ranges.SIZE)
+    except (DoesNotApply, GraspError):
+        raise
+    except Exception as error:
+        raise InfeasibleStartError(str(error)) from error
+
+
+def why_none(error: Exception) -> str:
+    """Why there is no force, in a few words; the exception's class stands first, before a colon."""
+    cause = error.__cause__ if isinstance(error.__cause__, Exception) else error
+    if isinstance(cause, InfeasibleStartError):
+        return "has none"
+    return shortened(f"{type(cause).__name__}: {cause!s}", REASON)
+
+
+def _basis(starts: Mapping[str, Made], grasp: Grasp, load: Array) -> ContactForces | None:
+    """The paper's start, which others are compared with; None where the grasp has none."""
+    try:
+        return starts[BASIS].start(grasp, load, None)
+    except (KeyError, GraspError):
+        return None
+
+
+def _slope(last: tuple[Case, ContactForces] | None, case: Case, force: ContactForces) -> float:
+    """|change of the start| over |change of the wrench| since the case before, moments over 0.05 m; nan where there is none."""
+    if last is None or case.before is None or last[0].grasp is not case.grasp:
+        return float("nan")
+    if last[0].group != case.group or not np.array_equal(last[0].wrench, case.before[1]):
+        return float("nan")
+    way = float(np.linalg.norm(scaled(case.wrench - last[0].wrench)))
+    return float(np.linalg.norm(force - last[1])) / way if way > 0.0 else float("nan")
