@@ -1,314 +1,197 @@
-"""The report of the hold rates, from saved trials: metrics.json, figures, report.md, report.html. Nothing is simulated here."""
+"""The pages of hold rates (controllers, hands, engines), as data."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from training.report.first import found_section
-from training.report.glossary import HOLDS
-from training.report.page import (
-    Columns,
-    Picture,
-    Section,
-    Table,
-    claims_section,
-    png,
-    provenance_section,
-    shown,
-    write_page,
+from training.compare.scenarios import BASELINES, CONTROLLER_LABELS, CURVES, LABELS
+from training.report.page import axes
+from training.results.claims import Claim
+from training.results.table import Rows, chosen, numbers, pd
+from training.results.words import number
+
+TITLE = "Hold rates of simulated hands"
+INTRO = (
+    "Hands, controllers and physics engines are compared by how often they hold an object to the end of an episode. "
+    "All of them play the same seeds, which draw the same objects and disturbances; an episode that does not start counts as not "
+    "held. "
+    "The words are defined at the end of this page, the columns of the table in run.json."
 )
-from training.report.style import new_figure
-from training.runs import Run
-from training.trials.arrays import Trials
-from training.trials.hold_metrics import ASKED_RATE, SAME_RULE, env_metrics, interval_text
-from training.trials.hold_plan import BASELINES, CONTROLLER_LABELS, CURVES, ERRORS, SAFE_START, SCENARIO_LABELS
-
-_LISTED = 400
-
-
-def build_env_report(run: Run) -> dict[str, Any]:
-    """Makes every output of a run from `run.json` and `trials/`; returns the metrics, as written to metrics.json."""
-    facts = run.read_json("run.json")
-    trials = {cell["name"]: run.read_arrays(f"trials/{cell['name']}.npz") for cell in facts["cells"]}
-    metrics = {"run": facts, **env_metrics(facts["cells"], trials)}
-    facts["config"]["episodes_run"] = max((cell["episodes"] for cell in facts["cells"]), default=0)
-    run.write_json("metrics.json", metrics)
-    name = f"Hold rates: {facts['config']['name']}"
-    write_page(run, name, bool(facts["quick"]), _sections(metrics, _pictures(run, metrics, trials)))
-    return metrics
-
-
-def _pictures(run: Run, metrics: dict[str, Any], trials: dict[str, Trials]) -> dict[str, Picture]:
-    """The figures that this run has trials for, by name."""
-    drawings: dict[str, tuple[Figure, str, str]] = {"failures": (
-        failure_bars(metrics), "Failures by cause", "Episodes that were not held, by cause; of the swept settings only the chosen ones."
-    )}  # fmt: skip
-    if "objects/paper" in trials:
-        text = "Largest drift of an episode by shape, paper's pipeline, random objects; lost ones count as never below."
-        drawings["drift_ecdf"] = drift_ecdf(trials), "Drift by shape", text
-    if metrics["chosen"]:
-        text = (
-            "Hold rate against the squeeze it costs; the number beside a point is its friction margin, or its squeeze in newtons, bold "
-            "the chosen one; 95 % intervals."
-        )
-        drawings["rate_against_squeeze"] = rate_against_squeeze(metrics), "Rate against squeeze", text
-    return {name: png(run, f"figures/{name}.png", *drawing) for name, drawing in drawings.items()}
-
-
-def _protocol(metrics: dict[str, Any]) -> list[str]:
-    """How the episodes were made, in the numbers of this run's own settings."""
-    resolved = {cell["scenario"]: cell["resolved"] for cell in reversed(metrics["run"]["cells"])}
-    base = resolved.get("objects") or next(iter(resolved.values()))
-    size, mass, friction = (base[f"{name}_range"] for name in ("size", "mass", "friction"))
-    drift, tilt = 1e3 * base["max_drift"], base["max_tilt"]
-    pushed = resolved.get("six_directions")
-    also = (
-        f" (six_directions: {1e3 * pushed['max_drift']:g} mm, {math.degrees(pushed['max_tilt']):.3g} degrees)"
-        if pushed
-        else ""
-    )
-    force, moment = base["random_force"], base["random_moment"]
-    return [
-        f"Every trial is an episode of FourFingerGrasp-v0 in an environment of its own ({base['agent_rate']} Hz agent, "
-        f"{base['control_rate']} Hz control, {base['physics_rate']} Hz physics), no agent. A seed gives the object (any shape, "
-        f"{1e3 * size[0]:g} to {1e3 * size[1]:g} mm, {mass[0]:g} to {mass[1]:g} kg, friction {friction[0]:g} to {friction[1]:g}, "
-        "uniform) and the disturbance, the same for all controllers: comparisons are paired by seed. Objects that no reachable "
-        "force-closure grasp is found for are redrawn before any controller sees them, and counted. A grasp that then does not close "
-        f"or settle counts as an episode not held (no_start). Lost: {drift:g} mm or {tilt:g} rad away{also}, or no force closure "
-        f"for {base['max_contact_gap']:g} s; only controllers that optimise can lose by the last rule, which is the stricter one. "
-        "All controllers start from the grasp that the paper's pipeline has settled; where friction is over-estimated the "
-        f"baselines' start uses a friction margin of {SAFE_START['friction_margin']:g}.",
-        f"The random wrench is Ornstein-Uhlenbeck, {force:g} N and {moment:g} N m standard deviation per axis "
-        f"({math.sqrt(3.0) * force:.2g} N and {math.sqrt(3.0) * moment:.2g} N m root mean square), correlation time "
-        f"{base['random_time']:g} s. Baselines: constant squeeze is a fixed internal force of {base['squeeze']:g} N in total "
-        "(unless swept) plus the least-norm balance; PD holds each tip by a spring of "
-        f"{base['pd_stiffness']:g} N/m. Only the controllers with measured wrench are told it; PD uses none. Tactile noise matters "
-        "only where the wrench is estimated.",
-        "Rates have 95 % Wilson intervals, means and paired differences 95 % bootstrap intervals. Drift and tilt are sampled at "
-        f"{base['agent_rate']} Hz; their means are over the episodes that were held; the normal force is the measured total, averaged "
-        "over the episode, over all that started.",
-    ]
-
-
-def _sections(metrics: dict[str, Any], pictures: dict[str, Picture]) -> list[Section | None]:
-    cells = metrics["cells"]
-    resolved = {cell["scenario"]: cell["resolved"] for cell in metrics["run"]["cells"]}
-
-    def of(title: str, note: str, *scenarios: str, figure: str = "") -> Section:
-        rows = [(row,) for row in cells if row["scenario"] in scenarios]
-        return _section(note, Table.of(title, CELLS, rows, words=2), pictures.get(figure))
-
-    def sweep(scenario: str, figure: str) -> Section:
-        best = metrics["chosen"].get(scenario, {})
-        chosen = ", ".join(
-            f"{CONTROLLER_LABELS[row['controller']]} {_swept(row)}" for row in cells if row["name"] in best.values()
-        )
-        note = (
-            f"Friction margin or squeeze is swept. The margin's rule: {metrics['margin_rule']}. The squeeze's: {SAME_RULE}. "
-            f"Chosen: {chosen}. Differences are to the paper's pipeline at its chosen margin."
-        )
-        return of(f"Rate against squeeze: {SCENARIO_LABELS[scenario]}", note, scenario, figure=figure)
-
-    by_shape = [(key, shape, row) for key, rows in metrics["shapes"].items() for shape, row in rows.items()]
-    pushed, objects, limit = resolved.get("six_directions"), resolved.get("objects"), metrics["run"].get("torque_limit")
-    push = (
-        f"Pushes of {pushed['push_per_mass']:g} N/kg along the six axes, {pushed['duration']:g} s in one grasp; "
-        if pushed
-        else ""
-    )
-    lost, more = metrics["failures"], f", here the first {_LISTED}" if len(metrics["failures"]) > _LISTED else ""
-    told = [[row["cell"], str(row["seed"]), row["cause"], row["object"], row["how"]] for row in lost[:_LISTED]]
-    return [
-        found_section(metrics["found"], (), HOLDS),
-        claims_section(metrics),
-        Section("protocol", "How it was measured", (), (), _protocol(metrics)),
-        of("Random objects, random wrench", f"{objects['duration']:g} s against the random wrench." if objects else "", "objects", figure="drift_ecdf"),
-        _section("The same episodes.", Table.of("By shape", SHAPES, by_shape, words=2)),
-        of("Six directions", f"{push}{_fewer(cells)}", "six_directions"),
-        of("The paper's W_ext(t)", "Nothing is random: one episode each" + (f"; the joints allow {limit:g} N m." if limit else "."), "path_0.25", "path_1"),
-        of("One error at a time", "The random wrench again.", *ERRORS),
-        *(sweep(scenario, "rate_against_squeeze" if scenario == "all" else "") for scenario in CURVES),
-        _section(
-            f"Every episode that was not held ({len(lost)}); metrics.json has all{more}.",
-            Table("Failures", ("cell", "seed", "cause", "object", "how"), told, words=5),
-            pictures.get("failures"),
+WORDS = (
+    ("held", "The object was neither dropped nor moved by more than the task allows, to the end of the episode."),
+    ("drift", "Distance of the object from where it was grasped; the largest of an episode, of the episodes that were held."),
+    ("squeeze", "Sum of the normal forces."),
+    ("friction margin", "Part of the friction that the solver is allowed to use: a reserve against friction estimated too high."),
+    ("chosen", "Of a swept setting the least squeeze that holds 99 % of the episodes; where none does, the one that holds most."),
+    ("interval", "95 % Wilson interval of a rate."),
+)  # fmt: skip
+ASKED_RATE = 0.99
+_PAPER = "controller == 'paper'"
+CLAIMS = {
+    "env": (
+        Claim("the paper's pipeline holds random objects against a random wrench for 4 s", f"case == 'objects' and {_PAPER}", "held_mean", ">=", ASKED_RATE),
+        Claim("the paper's pipeline holds random objects in six directions", f"case == 'six_directions' and {_PAPER}", "held_mean", ">=", ASKED_RATE),
+        Claim("random objects that were held: mean of the largest drift", f"case == 'objects' and {_PAPER}", "drift_mean", "<", 1, unit="mm"),
+        Claim("W_ext(t) x 0.25 on the 0.1 m cuboid is held", f"case == 'path_0.25' and {_PAPER}", "held_mean", ">=", 1),
+        Claim("W_ext(t) x 0.25 on the 0.1 m cuboid: drift", f"case == 'path_0.25' and {_PAPER}", "drift_max", "<", 0.1, unit="mm"),
+        *(
+            Claim(f"{LABELS[case]}: rate of the paper's pipeline minus that of {CONTROLLER_LABELS[key]}, each at its chosen setting",
+                  f"case == '{case}' and {_PAPER} and chosen", "held_mean", ">=", 0, f"case == '{case}' and controller == '{key}' and chosen", True)
+            for case in CURVES for key in BASELINES
         ),
-        provenance_section(metrics["run"]),
-    ]  # fmt: skip
-
-
-def _fewer(cells: list[dict[str, Any]]) -> str:
-    """Whether all controllers met as many pushes."""
-    counts = {row["controller"]: row["episodes"] for row in cells if row["scenario"] == "six_directions"}
-    part = [CONTROLLER_LABELS[key] for key, count in counts.items() if count < max(counts.values())]
-    return f"a part of the seeds alone: {', '.join(part)}." if part else "the same seeds for all."
-
-
-def _section(note: str, table: Table, picture: Picture | None = None) -> Section:
-    """A table and its figure, under the table's name; empty without rows."""
-    key = "".join(letter if letter.isalnum() else "-" for letter in table.caption.lower())
-    return Section(key, table.caption, (note,), [table, *([picture] if picture else [])] if table.rows else ())
-
-
-def _label(row: dict[str, Any]) -> str:
-    return CONTROLLER_LABELS[row["controller"]] + ("" if row["swept"] is None else f", {_swept(row)}")
-
-
-def _difference(name: str, factor: float) -> Callable[..., str]:
-    return lambda row: "–" if row["against_paper"] is None else interval(row["against_paper"][name], factor)
-
-
-def _rate_text(row: dict[str, Any]) -> str:
-    return f"{100 * row['rate']:.1f} [{100 * row['rate_low']:.1f}, {100 * row['rate_high']:.1f}]"
-
-
-NUMBERS: Columns = (
-    ("held", lambda *item: f"{item[-1]['held']} of {item[-1]['episodes']}"),
-    ("rate, 95 % interval [%]", lambda *item: _rate_text(item[-1])),
-    ("largest drift, mean [mm]", lambda *item: interval(item[-1]["max_drift_mm"])),
-    ("worst [mm]", shown("largest_drift_mm")),
-    ("total normal force, mean [N]", lambda *item: interval(item[-1]["normal_force"])),
-    ("peak torque [N m]", shown("peak_torque")),
-    ("iterations, mean", shown("iterations", "mean")),
-    ("not held", lambda *item: ", ".join(f"{count} {cause}" for cause, count in item[-1]["failures"].items()) or "–"),
-)
-"""Of every cell; see `hold_metrics.CELL_METRICS`."""
-CELLS: Columns = (
-    ("scenario", lambda row: SCENARIO_LABELS[row["scenario"]]),
-    ("controller", _label),
-    *NUMBERS,
-    ("held more than the paper's [%]", _difference("held", 100.0)),
-    ("normal force more [N]", _difference("normal_force", 1.0)),
-    ("drift, mean over an episode [mm]", lambda row: interval(row["mean_drift_mm"])),
-    ("slip, mean [mm]", lambda row: interval(row["slip_mm"])),
-    ("started", shown("started")),
-    ("objects redrawn", shown("unreachable")),
-)
-SHAPES: Columns = (
-    ("controller", lambda key, shape, row: CONTROLLER_LABELS[key]),
-    ("shape", lambda key, shape, row: shape),
-    *NUMBERS,
-)
-
-
-def _swept(row: dict[str, Any]) -> str:
-    return f"margin {row['swept']:g}" if row["controller"] not in BASELINES else f"{row['swept']:g} N"
-
-
-def interval(mean: dict[str, Any], factor: float = 1.0) -> str:
-    """A mean with its interval, times a factor."""
-    scaled = {key: None if mean[key] is None else factor * mean[key] for key in ("mean", "low", "high")}
-    return interval_text(scaled, "").replace("  ", " ")
-
-
-COLOURS = {"paper": "#1f5fa8", "estimated": "#2e8b57", "constant_squeeze": "#c08a3e", "pd": "#b3261e"}
-_SHAPE_COLOURS = {"cuboid": "#1f5fa8", "cylinder": "#2e8b57", "sphere": "#b3261e", "capsule": "#c08a3e"}
-CAUSE_COLOURS = {
-    "no_start": "#8a8a8a", "not_placed": "#c9c9c9", "torque": "#1f5fa8", "dropped": "#b3261e", "drifted": "#e07a5f", "closure_lost": "#c08a3e",
-    "force_optimisation": "#7a4fa3", "simulation_diverged": "#1b1b1b",
+    ),
+    "transfer": tuple(
+        Claim(f"MuJoCo holds what Bullet holds: rate minus rate, {LABELS[case]}", f"case == '{case}' and engine == 'mujoco'", "held_mean", "within", 0.05,
+              f"case == '{case}' and engine == 'bullet'", True)
+        for case in ("objects", "estimated", "weak")
+    ),
 }  # fmt: skip
 
 
-def rate_against_squeeze(metrics: dict[str, Any]) -> Figure:
-    """Hold rate against the mean total normal force that it costs, one panel per scenario, one point per swept value."""
-    figure, panels = new_figure(8.2, 3.4 * len(metrics["chosen"]), rows=len(metrics["chosen"]))
-    for axes, (scenario, chosen) in zip(np.ravel(panels), metrics["chosen"].items(), strict=True):
-        for key, best in chosen.items():
-            rows = [row for row in metrics["cells"] if (row["scenario"], row["controller"]) == (scenario, key)]
-            _curve(axes, [row for row in rows if row["normal_force"]["mean"] is not None], key, best)
-        axes.axhline(100 * ASKED_RATE, color="black", linewidth=0.8, linestyle=":")
-        axes.set(xscale="log", ylabel="episodes held [%]", ylim=(-4, 108))
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter("{x:g}")
-        axes.set_title(SCENARIO_LABELS[scenario], fontsize=9)
-    np.ravel(panels)[-1].set_xlabel("mean total normal force [N], measured")
-    handles, names = np.ravel(panels)[-1].get_legend_handles_labels()
-    figure.legend(handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=2)
-    return figure
+def derive(means: Rows) -> Rows:
+    """The summary with a column that marks the chosen row of every swept curve."""
+    swept = [name for name in ("friction_margin", "squeeze") if name in means.columns]
+    if not swept:
+        return means
+    out = means.assign(chosen=False)
+    for _, curve in means.groupby(["case", "controller"], sort=False):
+        for name in swept:
+            rows = curve[curve[name].notna()].sort_values(name, ascending=name == "squeeze")
+            if len(rows):
+                enough = rows[rows["held_mean"] >= ASKED_RATE]
+                best = enough.index[0] if len(enough) else rows["held_mean"].idxmax()
+                out.loc[best, "chosen"] = True
+    return out
 
 
-def _curve(axes: Any, rows: list[dict[str, Any]], key: str, best: str) -> None:
-    """One controller's points with intervals, each with its swept value, that of `best` bold."""
-    if not rows:
-        return
-    force, rate = np.array([_triple(row["normal_force"]) for row in rows]), np.array([_rate(row) for row in rows])
-    axes.errorbar(
-        force[:, 0], 100 * rate[:, 0], xerr=_bars(force), yerr=100 * _bars(rate), fmt="o-", color=COLOURS[key],
-        label=CONTROLLER_LABELS[key], linewidth=1.0, elinewidth=0.8, markersize=4,
-    )  # fmt: skip
-    for row, x, y in zip(rows, force[:, 0], 100 * rate[:, 0], strict=True):
-        axes.annotate(
-            f"{row['swept']:g}", (x, y), textcoords="offset points", xytext=(3, 4), fontsize=7, color=COLOURS[key],
-            weight="bold" if row["name"] == best else "normal",
-        )  # fmt: skip
+def held_cell(row: dict[str, Any]) -> str:
+    """Episodes held of those tried, and the squeeze.
 
-
-def drift_ecdf(trials: dict[str, Trials]) -> Figure:
-    """Share of episodes whose largest drift is below x, paper's pipeline on random objects, by shape; lost ones never are."""
-    figure, axes = new_figure(7.2, 4.2)
-    mine = trials["objects/paper"]
-    for shape, colour in _SHAPE_COLOURS.items():
-        pick = mine["shape"] == shape
-        if not pick.any():
-            continue
-        drift = np.sort(1e3 * mine["max_drift"][pick & mine["held"]])
-        share = np.arange(1, len(drift) + 1) / pick.sum()
-        axes.step(np.maximum(drift, 1e-4), share, where="post", color=colour, label=f"{shape} ({pick.sum()})")
-    axes.axvline(1.0, color="black", linewidth=0.8, linestyle=":")
-    axes.set(xscale="log", xlabel="largest drift of an episode [mm]", ylabel="share of episodes", ylim=(0, 1.01))
-    axes.legend(fontsize=8, frameon=False)
-    return figure
-
-
-def cause_bars(rows: list[dict[str, Any]], labels: list[str], size: tuple[float, float], letters: int) -> Figure:
-    """Share of episodes that were not held, by cause, a bar a row.
-
-    Args:
-        rows: with failures and episodes.
-        labels: of the bars.
-        size: width, and height without the bars [inches].
-        letters: size of the labels [points].
+    Example:
+        >>> held_cell({"held_sum": 3.0, "n": 4, "normal_force_mean": 12.14})
+        '3 of 4 at 12.1 N'
     """
-    figure, axes = new_figure(size[0], size[1] + 0.24 * len(rows))
-    left = np.zeros(len(rows))
-    for cause, colour in CAUSE_COLOURS.items():
-        share = np.array([100 * row["failures"].get(cause, 0) / row["episodes"] for row in rows])
-        if share.any():
-            axes.barh(np.arange(len(rows)), share, left=left, color=colour, label=cause.replace("_", " "))
-            left += share
-    axes.set(yticks=np.arange(len(rows)), yticklabels=labels, xlabel="episodes not held [%]", xlim=(0, 100))
-    axes.tick_params(axis="y", labelsize=letters)
-    axes.set_ylim(len(rows) - 0.4, -0.6)
-    if left.any():
-        axes.legend(fontsize=8, frameon=False)
+    force = row.get("normal_force_mean", np.nan)
+    return f"{row['held_sum']:.0f} of {row['n']}" + ("" if not np.isfinite(force) else f" at {number(force)} N")
+
+
+def names_of(row: dict[str, Any]) -> str:
+    """The keys of a row besides its case, in words."""
+    keys = ("hand", "engine", "controller", "start", "friction_margin", "squeeze")
+    said = [row[key] for key in keys if key in row and not pd.isna(row[key])]
+    return ", ".join(
+        CONTROLLER_LABELS.get(str(value), f"{value:g}" if isinstance(value, float) else str(value)) for value in said
+    )
+
+
+def arranged(means: Rows) -> tuple[Rows, str, list[str]]:
+    """The rows with hold rates, of swept settings the chosen ones; the key that goes across a grid; those that go down."""
+    found: Rows = means[means["held_mean"].notna()] if "held_mean" in means.columns else means.iloc[:0]
+    if "chosen" in found.columns:
+        found = found[found["chosen"] | ~found["case"].isin(list(CURVES))]
+    across = [
+        key for key in ("controller", "start", "engine", "hand") if key in found.columns and found[key].nunique() > 1
+    ]
+    down = [key for key in ("hand", "case") if key not in across[:1] and key in found.columns]
+    return found, next(iter(across), "engine"), [key for key in down if key == "case" or found[key].nunique() > 1]
+
+
+def grid(rows: Rows, means: Rows) -> Rows:
+    """Episodes held and squeeze: scenarios down, and hands where there are several; controllers, starts, engines or hands across."""
+    found, across, down = arranged(means)
+    if found.empty:
+        return found
+    found = found.assign(text=[held_cell(row) for row in found.to_dict("records")])
+    made = found.pivot(index=down, columns=across, values="text").reindex(columns=found[across].unique()).fillna("–")
+    made = made.loc[
+        list(
+            dict.fromkeys(found[down].itertuples(index=False, name=None)) if len(down) > 1 else found[down[0]].unique()
+        )
+    ]
+    made.columns = [CONTROLLER_LABELS.get(name, str(name)) for name in made.columns]
+    made = made.reset_index()
+    return made.assign(case=[LABELS[case] for case in made["case"]]).rename(columns={"case": "held"})
+
+
+def rates_figure(rows: Rows, means: Rows) -> Figure | None:
+    """Hold rates in per cent as a heat map, arranged as `grid`."""
+    found, across, down = arranged(means)
+    if found.empty:
+        return None
+    made = found.pivot(index=down, columns=across, values="held_mean").reindex(columns=found[across].unique())
+    figure, panel = axes(1.3 + 0.3 * len(made))
+    panel.grid(visible=False)
+    rates = made.to_numpy(np.float64)
+    panel.imshow(rates, cmap="RdYlGn", vmin=0.0, vmax=1.0, aspect="auto", alpha=0.75)
+    for (place, other), rate in np.ndenumerate(rates):
+        if np.isfinite(rate):
+            panel.text(other, place, f"{100 * rate:.0f}", ha="center", va="center", fontsize=8)
+    names = [", ".join(name) if isinstance(name, tuple) else name for name in made.index]
+    panel.set_xticks(range(len(made.columns)), list(made.columns), rotation=40, ha="right", fontsize=8)
+    panel.set_yticks(range(len(names)), [name.removeprefix("hold_").replace("_", " ") for name in names], fontsize=8)
     return figure
 
 
-def failure_bars(metrics: dict[str, Any]) -> Figure:
-    """Share of episodes that were not held, by cause, for every cell but the swept ones."""
-    chosen = {name for best in metrics["chosen"].values() for name in best.values()}
-    rows = [row for row in metrics["cells"] if row["swept"] is None or row["name"] in chosen]
-    return cause_bars(rows, [_cell_label(row) for row in rows], (8.8, 0.9), 7)
+def curves_figure(rows: Rows, means: Rows) -> Figure | None:
+    """Rate against squeeze where friction margin or squeeze is swept."""
+    if "chosen" not in means.columns:
+        return None
+    figure, panel = axes(3.0)
+    for case, style in zip(CURVES, ("-", "--"), strict=True):
+        for key, tint in zip(("paper", *BASELINES), ("#2f7fd8", "#e0463e", "#8a8a8b"), strict=True):
+            curve = means[(means["case"] == case) & (means["controller"] == key)].sort_values("normal_force_mean")
+            panel.plot(numbers(curve, "normal_force_mean"), numbers(curve, "held_mean"), style, marker="o", markersize=3, color=tint,
+                       label=f"{CONTROLLER_LABELS[key]}, {case}")  # fmt: skip
+    panel.set(xlabel="sum of the normal forces, mean [N]", ylabel="share held", ylim=(0, 1.02))
+    panel.legend(fontsize=7.5, frameon=False)
+    return figure
 
 
-def _cell_label(row: dict[str, Any]) -> str:
-    swept = "" if row["swept"] is None else f", {row['swept']:g}"
-    return f"{SCENARIO_LABELS[row['scenario']]}: {CONTROLLER_LABELS[row['controller']]}{swept}"
+FIGURES = (
+    ("Hold rates", "Per cent of the episodes that were held; where something was swept, at the chosen setting.", rates_figure),
+    ("What robustness costs", "Rate against squeeze; solid: friction and torque errors, dashed: all four errors.", curves_figure),
+)  # fmt: skip
 
 
-def _triple(mean: dict[str, Any]) -> tuple[float, float, float]:
-    return mean["mean"], mean["low"], mean["high"]
+def rates(rows: Rows, means: Rows) -> Rows:
+    """Rates with intervals, drift and squeeze; the least held first."""
+    made = [
+        {"scenario": LABELS.get(row["case"], row["case"]), "with": names_of(row), "held": held_cell(row),
+         "interval, %": f"{100 * row['held_rate_low']:.1f} to {100 * row['held_rate_high']:.1f}",
+         **{name: row.get(column) for name, column in
+            (("drift, mean [mm]", "drift_mean"), ("largest [mm]", "drift_max"), ("iterations", "iterations_median"),
+             ("force error [N]", "force_error_mean"), ("least torque margin [N m]", "torque_margin_min"), ("redrawn", "redrawn_sum"))
+            if column in means.columns}}
+        for row in means.sort_values("held_mean", kind="stable").to_dict("records")
+    ]  # fmt: skip
+    return pd.DataFrame(made)
 
 
-def _rate(row: dict[str, Any]) -> tuple[float, float, float]:
-    return row["rate"], row["rate_low"], row["rate_high"]
+def failures(rows: Rows, means: Rows) -> Rows:
+    """Every cause of an episode that was not held, with how often it came about and the first seed."""
+    found = chosen(rows, "held == False")
+    keys = [
+        key for key in ("case", "hand", "engine", "controller", "friction_margin", "squeeze") if key in found.columns
+    ]
+    if found.empty:
+        return found
+    groups = found.assign(detail=found.get("detail", pd.Series("", found.index))).groupby(
+        [*keys, "failure"], sort=False, dropna=False
+    )
+    made = groups.agg(count=("seed", "size"), seed=("seed", "first"), detail=("detail", "first")).reset_index()
+    made["detail"] = made["detail"].fillna("").str.slice(0, 160)
+    return made.sort_values("count", ascending=False).dropna(axis=1, how="all").rename(columns={"seed": "first seed"})
 
 
-def _bars(values: np.ndarray) -> np.ndarray:
-    """(2, n) lengths of error bars of (n, 3) values, lower and upper ends."""
-    return np.maximum(np.stack([values[:, 0] - values[:, 1], values[:, 2] - values[:, 0]]), 0.0)
+TABLES = (
+    (
+        "Episodes held",
+        "Of those tried, and the mean of the measured normal force; of swept settings the chosen one.",
+        grid,
+    ),
+    ("Hold rates, the least first", "Episodes held, and the mean of the measured normal force.", rates),
+    ("Failures", "The first seed plays such an episode again.", failures),
+)

@@ -1,272 +1,205 @@
-"""What a page is made of (sections of notes, tables, figures and folded parts), and how it is written as markdown and HTML."""
+"""Pages from tables: report.html of any run folder, and the page that sets two runs side by side."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterable, Sequence
+import io
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from training.report.style import close, variables
-from training.runs import Run
-from training.runs.claims import ranked
-from training.runs.words import number
+from training.results.claims import VERDICTS, Claim, Judged, judge
+from training.results.run import Run, understood
+from training.results.table import Rows, described, pd, summary, write_csv
+from training.results.words import number
 
-Kind = Literal["", "best", "good", "bad", "open"]
+KINDS = {
+    "starts": "starts", "env": "holds", "hands": "holds", "transfer": "holds", "rl": "rl", "reproduce": "reproduce",
+}  # fmt: skip
+"""The module of this room that says what a kind of run shows; other kinds show their summary."""
+WIDTH = 4.6
+"""[in] width of a figure: 331 points, so that its text is 10 pixels high on a phone of 360."""
+INK, LINE = "#101010", "#d5d8dd"
+STYLE: Any = {
+    "font.size": 10, "axes.labelsize": 10, "xtick.labelsize": 9.5, "ytick.labelsize": 9.5, "axes.linewidth": 0.8,
+    "lines.linewidth": 1.4, "svg.fonttype": "none", "svg.hashsalt": "grasp", "text.parse_math": False, "text.color": INK,
+    "axes.labelcolor": INK, "axes.edgecolor": INK, "xtick.color": INK, "ytick.color": INK,
+}  # fmt: skip
+MOST_ROWS = 40
+"""Rows that a table of a page shows; the run's own table has all."""
+
+Draw = Callable[[Rows, Rows], Figure | None]
+"""(rows, summary) -> figure; None where the run has nothing to draw."""
+Make = Callable[[Rows, Rows], Rows]
+"""(rows, summary) -> table of text and numbers; empty where the run has nothing to show."""
 
 
 @dataclass(frozen=True)
-class Cell:
-    """A table's cell.
+class Page:
+    """The contents of a page.
 
     Attributes:
-        text: what it says.
-        kind: "best" of its row, "good" (met), "bad" (missed), "open" (not measured); never said by colour alone.
-    """
-
-    text: str
-    kind: Kind = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table.
-
-    Attributes:
-        caption: what it shows, in a line; read aloud first.
-        columns: their headings; the first names the rows.
-        rows: of as many cells.
-        words: how many leading columns hold words, not numbers.
-    """
-
-    caption: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Cell | str]]
-    words: int = 1
-
-    @classmethod
-    def of(cls, caption: str, columns: Columns, items: Iterable[tuple[Any, ...]], words: int = 1) -> Table:
-        """A row per item, whose parts every column is asked about: a new number is a new line of `columns`."""
-        rows = [[said(*item) for _, said in columns] for item in items]
-        return cls(caption, [heading for heading, _ in columns], rows, words)
-
-    @property
-    def cells(self) -> list[list[Cell]]:
-        """The rows, every entry a `Cell`."""
-        return [[value if isinstance(value, Cell) else Cell(value) for value in row] for row in self.rows]
-
-
-Columns = Sequence[tuple[str, Callable[..., Cell | str]]]
-"""(heading, what it says) of every column."""
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A figure.
-
-    Attributes:
-        name: of its file in figures/, without suffix.
-        title: above it.
-        caption: what else there is to say; may be empty.
-        alt: what it shows, for those who do not see it.
-        legend: (label, colour variable, dashed) of every line.
-        svg: for the page; empty: `sources` has it.
-        file: that the markdown shows, from the page on.
-        sources: data URIs of a picture that is no SVG: "still", and "moving" where it moves.
-        wide: whether it takes a row for itself.
-    """
-
-    name: str
-    title: str
-    caption: str
-    alt: str
-    legend: Sequence[tuple[str, str, bool]] = ()
-    svg: str = ""
-    file: str = ""
-    sources: dict[str, str] = field(default_factory=dict)
-    wide: bool = False
-
-
-@dataclass(frozen=True)
-class Fold:
-    """Parts that are closed until asked for."""
-
-    summary: str
-    blocks: Sequence[Table | Picture | Fold]
-    notes: Sequence[str] = ()
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the report with a heading.
-
-    Attributes:
-        key: its anchor.
         title: its heading.
-        lead: what was found, sentences whose words before a colon are set in bold.
-        notes: paragraphs before the rest.
-        blocks: tables, figures and folds, in order.
-        items: a list after the paragraphs.
+        intro: three sentences that say what is compared, how, and where the words are defined.
+        quick: whether the run was a quick one, which the page says.
+        figures: (title, caption, data URI of the SVG, text for those who do not see it).
+        tables: (title, note, table).
+        claims: judged claims.
+        words: (word, meaning).
+        facts: (name, value) of machine, versions and settings.
+        load: lines of Python that load the table.
     """
 
-    key: str
     title: str
-    notes: Sequence[str] = ()
-    blocks: Sequence[Table | Picture | Fold] = ()
-    items: Sequence[str] = ()
-    lead: Sequence[str] = ()
-
-    @property
-    def led(self) -> list[tuple[str, str]]:
-        """(what it is about, what was found) of the first sentences."""
-        return [(head, text) if text else ("", head) for head, _, text in (said.partition(":") for said in self.lead)]
-
-
-def data_uri(data: bytes, kind: str) -> str:
-    """A picture of that kind (png, webp, jpeg) as text in a page."""
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+    intro: str
+    quick: bool
+    figures: Sequence[tuple[str, str, str, str]]
+    tables: Sequence[tuple[str, str, Rows]]
+    claims: Sequence[Judged] = ()
+    words: Sequence[tuple[str, str]] = ()
+    facts: Sequence[tuple[str, str]] = ()
+    load: Sequence[str] = field(default=())
 
 
-def at(tree: Any, *keys: str) -> Any:
-    """tree[keys[0]][keys[1]]..., None where a key is missing on the way: an older or a quick run lacks some numbers.
+def write(run: Run) -> Path:
+    """Writes report.html and summary.csv of a finished run; nothing is solved.
 
-    Example:
-        >>> at({"a": {"b": 3}}, "a", "b"), at({"a": None}, "a", "b"), at({}, "a")
-        (3, None, None)
+    Raises:
+        InvalidInputError: its files are missing or were changed.
     """
-    for key in keys:
-        tree = tree.get(key) if isinstance(tree, dict) else None
-    return tree
+    with understood(run.folder, "repeat the command that made it"):
+        rows, about = run.load()
+        shown, means = module_of(about), summary(rows)
+        write_csv(run.path("summary.csv"), means)
+        derived = getattr(shown, "derive", lambda means: means)(means)
+        figures = [
+            (title, caption, svg(figure), f"{title}. {caption}")
+            for title, caption, draw in getattr(shown, "FIGURES", ())
+            if (figure := draw(rows, derived)) is not None
+        ]
+        tables = [
+            (title, note, make(rows, derived)) for title, note, make in getattr(shown, "TABLES", [_summary_table])
+        ]
+        page = Page(
+            title=f"{getattr(shown, 'TITLE', 'Results')}: {run.folder.name}",
+            intro=getattr(shown, "INTRO", _INTRO),
+            quick=bool(about.get("quick")),
+            figures=figures,
+            tables=[(title, note, made) for title, note, made in tables if len(made)],
+            claims=judge(claims_of(about), derived),
+            words=getattr(shown, "WORDS", [(name, text) for name, text in described(rows.columns).items()]),
+            facts=facts_of(about),
+            load=(
+                "import pandas",
+                'rows = pandas.read_parquet("rows.parquet")  # or rows.csv; run.json documents the columns',
+                f"rows.groupby({[name for name in ('case', 'start', 'method', 'hand', 'controller') if name in rows.columns]})"
+                f".{next((name for name in ('iterations', 'held') if name in rows.columns), rows.columns[-1])}.describe()",
+            ),
+        )
+        return run.write_text("report.html", render(page))
 
 
-def present(blocks: Iterable[Table | Picture | Fold | None]) -> list[Table | Picture | Fold]:
-    """Those that have something to show."""
-    kept: list[Table | Picture | Fold] = []
-    for block in blocks:
-        if (
-            block is None
-            or (isinstance(block, Table) and not block.rows)
-            or (isinstance(block, Fold) and not block.blocks)
-        ):
-            continue
-        kept.append(block)
-    return kept
+def judged(run: Run) -> list[Judged]:
+    """The claims of a run, judged."""
+    with understood(run.folder, "repeat the command that made it"):
+        rows, about = run.load()
+        shown, means = module_of(about), summary(rows)
+        return judge(claims_of(about), getattr(shown, "derive", lambda means: means)(means))
 
 
-def shown(*keys: str, digits: int = 3) -> Callable[..., str]:
-    """A column that shows the number at these keys of an item's last part."""
-    return lambda *item: number(at(item[-1], *keys), digits)
+def module_of(about: dict[str, Any]) -> ModuleType | None:
+    """The module that says what this kind of run shows."""
+    name = KINDS.get(about.get("kind", ""))
+    return import_module(f"training.report.{name}") if name else None
 
 
-def flat(tree: dict[str, Any], before: str = "") -> list[tuple[str, str]]:
-    """(dotted key, text) of the short entries of nested dictionaries; long lists are counted.
-
-    Example:
-        >>> flat({"seconds": {"total": 12.34567}, "hidden": [128, 128], "name": "x", "curve": list(range(99))})
-        [('seconds.total', '12.3'), ('hidden', '128, 128'), ('name', 'x'), ('curve', '99 values')]
-    """
-    out: list[tuple[str, str]] = []
-    for key, value in tree.items():
-        name = f"{before}{key}"
-        if isinstance(value, dict):
-            out += flat(value, f"{name}.")
-        elif isinstance(value, list):
-            plain = len(value) <= 8 and not any(isinstance(part, (list, dict)) for part in value)
-            out.append((name, ", ".join(map(_text, value)) if plain else f"{len(value)} values"))
-        else:
-            out.append((name, _text(value)))
-    return out
+def claims_of(about: dict[str, Any]) -> list[Claim]:
+    """The claims of this kind of run, and those about each start that a user gave."""
+    shown = module_of(about)
+    own = [make(name) for name in about.get("given", {}) for make in getattr(shown, "GIVEN", ())]
+    claims = getattr(shown, "CLAIMS", ())
+    return [*(claims.get(about["kind"], ()) if isinstance(claims, dict) else claims), *own]
 
 
-def _text(value: object) -> str:
-    if value is None or isinstance(value, bool):
-        return {None: "–", True: "yes", False: "no"}[value]
-    return number(value) if isinstance(value, (int, float)) else str(value)
+def facts_of(about: dict[str, Any]) -> list[tuple[str, str]]:
+    """Machine, versions, command and settings, as a page shows them."""
+    machine = about.get("machine", {})
+    told = {
+        "machine": f"{machine.get('processor', '–')}, {machine.get('cores', '–')} cores, {machine.get('system', '–')}",
+        "versions": ", ".join([f"Python {machine.get('python', '–')}", *(f"{k} {v}" for k, v in about.get("versions", {}).items())]),
+        **{name: str(about[name]) for name in ("commit", "time", "command") if name in about},
+        **{
+            name: ", ".join(f"{key} {number(value) if isinstance(value, float) else value}" for key, value in about[name].items())
+            for name in ("settings", "objective", "given", "steps_per_second", "map") if about.get(name)
+        },
+    }  # fmt: skip
+    return list(told.items())
 
 
-def write_page(
-    run: Run, title: str, quick: bool, sections: Iterable[Section | None], name: str = "report", html: bool = True
-) -> None:
-    """Writes <name>.md and <name>.html; sections without anything in them are left out.
-
-    Args:
-        run: receives them.
-        title: of the page.
-        quick: says so at the top.
-        sections: in their order.
-        name: of the files.
-        html: whether the second is written.
-    """
-    kept = [
-        section for section in sections if section is not None and (section.blocks or section.items or section.lead)
-    ]
-    context = {"title": title, "quick": quick, "sections": kept, "light": variables(False), "dark": variables(True)}
-    for kind in ("md", "html") if html else ("md",):
-        run.write_text(f"{name}.{kind}", _render(f"report.{kind}.j2", context))
-
-
-def png(run: Run, file: str, figure: Figure, title: str, caption: str, alt: str = "") -> Picture:
-    """Saves a figure as a .png of the run, frees it, and is its picture for a page."""
-    path = run.write(file, lambda target: figure.savefig(target, format="png", dpi=130))
-    wide = figure.get_figwidth() > 6.0
-    close(figure)
-    still = {"still": data_uri(path.read_bytes(), "png")}
-    return Picture(path.stem, title, caption, alt or caption or title, file=file, sources=still, wide=wide)
-
-
-def _render(template: str, context: dict[str, Any]) -> str:
-    """A template of this room, filled; one that names what `context` lacks raises."""
+def render(page: Page) -> str:
+    """The page as HTML that needs no other file."""
     environment = Environment(
-        loader=PackageLoader("training.report", "templates"),
+        loader=PackageLoader("training.report", "."),
         autoescape=select_autoescape(["html.j2"]),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.tests["table"] = lambda block: isinstance(block, Table)
-    environment.tests["picture"] = lambda block: isinstance(block, Picture)
-    environment.tests["fold"] = lambda block: isinstance(block, Fold)
-    return environment.get_template(template).render(context)
+    environment.filters["cell"] = cell
+    return environment.get_template("page.html.j2").render(page=page, verdicts=VERDICTS, most=MOST_ROWS)
 
 
-def claims_section(metrics: dict[str, Any]) -> Section:
-    """What was asked, what was measured; missed first, then not measured, then met."""
-    verdicts = {False: Cell("NO", "bad"), None: Cell("not measured", "open"), True: Cell("yes", "good")}
-    claims = ranked(metrics.get("claims", []))
-    counts = {verdict: sum(row["met"] is verdict for row in claims) for verdict in verdicts}
-    text = f"{counts[True]} of {len(claims)} met, {counts[False]} missed, {counts[None]} not measured in this run."
-    rows = [[verdicts[row["met"]], pretty(row["claim"]), pretty(row["asked"]), row["measured"]] for row in claims]
-    table = Table("Claims, the missed ones first", ("met", "claim", "asked", "measured"), rows, words=4)
-    return Section("claims", "Claims", (text,), present([table]))
-
-
-def pretty(text: str) -> str:
-    """Signs instead of what is typed for them.
+def cell(value: Any) -> str:
+    """A value of a table as text.
 
     Example:
-        >>> pretty("G^+, force <= 2 N")
-        'G⁺, force ≤ 2 N'
+        >>> cell(0.123456), cell(True), cell(None), cell("ball")
+        ('0.123', 'yes', '–', 'ball')
     """
-    return text.replace("G^+", "G⁺").replace("<=", "≤")
+    if isinstance(value, str):
+        return value
+    if pd.isna(value):
+        return "–"
+    return ("yes" if value else "no") if pd.api.types.is_bool(value) else number(float(value))
 
 
-def provenance_section(run: dict[str, Any]) -> Section:
-    """Machine, versions, command and times."""
-    machine, versions = at(run, "machine") or {}, at(run, "versions") or {}
-    rule = at(run, "step_rule") or {}
-    force, barrier = number(run.get("force_weight")), number(run.get("barrier_weight"))
-    told = [
-        ("machine", f"{machine.get('processor', '–')}, {number(machine.get('cores'))} cores, {machine.get('system', '–')}"),
-        ("versions", ", ".join([f"Python {machine.get('python', '–')}", *(f"{name} {text}" for name, text in versions.items())])),
-        *((name, str(run.get(key, "–"))) for name, key in (("commit", "commit"), ("when", "time"), ("command", "command"))),
-        ("objective", f"ω = {force}, λ = {barrier} N², friction {number(run.get('friction'))}" if "force_weight" in run else ""),
-        ("step rule, the same for all", ", ".join(f"{name} {text}" for name, text in flat(rule))),
-        ("seeds", f"{run['seed']} and following" if "seed" in run else ""),
-        ("settings", ", ".join(f"{name} {text}" for name, text in flat(at(run, "config") or {}) if name != "out")),
-        ("seconds", ", ".join(f"{name.replace('_', ' ')} {text}" for name, text in flat(at(run, "seconds") or {}))),
-    ]  # fmt: skip
-    rows = [[name, text] for name, text in told if text]
-    return Section("provenance", "Machine and versions", (), [Table("How this was made", ("", "value"), rows, words=2)])
+def axes(height: float, width: float = WIDTH) -> tuple[Figure, Any]:
+    """A figure of the house style and its axes; sizes in inches."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        made = figure.subplots()
+    made.spines[["top", "right"]].set_visible(False)
+    made.grid(color=LINE, linewidth=0.6)
+    made.set_axisbelow(True)
+    return figure, made
+
+
+def svg(figure: Figure) -> str:
+    """The figure as a data URI: text stays text, and its ink is light on a dark page."""
+    out = io.StringIO()
+    with rc_context(STYLE):
+        figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    text = out.getvalue()
+    text = text[text.index("<svg") :].replace(INK, "currentColor").replace("#000000", "currentColor")
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
+    ink = "svg{color:#101010}text{fill:currentColor;font-family:system-ui,sans-serif!important}@media(prefers-color-scheme:dark){svg{color:#e8e8e8}}"
+    text = text.replace(">", f"><style>{ink}</style>", 1)
+    return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode("ascii")
+
+
+_INTRO = (
+    "This page shows the results of one command; every number comes from the table rows.parquet beside it. Rows with equal keys are "
+    "repetitions of one experiment, and the table below summarises them. Each column is defined at the end of this page."
+)
+_summary_table: tuple[str, str, Make] = (
+    "Summary", "One row for each combination of keys; summary.csv has all of them.", lambda rows, means: means,
+)  # fmt: skip

@@ -1,204 +1,314 @@
-"""First of a comparison: where each start wins; what starts and sets are called."""
+"""The page of the comparison of starts, as data: figures and tables are queries on its rows, claims are records."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
-from training.cases.set_table import GROUPS, TOLERANCE
-from training.cases.start_table import main_of, row_of
-from training.report.page import Cell, Columns, Fold, Section, Table, at, present, pretty
-from training.runs.words import number, percent, small
-from training.trials.arrays import LIMIT
-from training.trials.ranks import lacking
+import numpy as np
+from matplotlib.figure import Figure
 
-STEPPED = ("linear_combination", "basis_tangent", "basis_newton_2", "network", "network_newton_1", "network_newton_2")
-"""The 12-basis and the network of the fixed grasp, each after no, one and two plain Newton steps."""
-FEW = 0.01
-"""Part of the cases that may lack a start before the start is no candidate for the best: the p99 would leave them out."""
+from training.compare.cases import SETS
+from training.compare.starts import BASIS, GIVEN_COLOURS, STARTS, row_of
+from training.compare.trial import LIMIT, ROUNDING, TOLERANCE
+from training.report.holds import grid, rates_figure
+from training.report.page import axes
+from training.results.claims import Claim
+from training.results.table import Rows, chosen, numbers, pd
+from training.results.words import number, small
+
+TITLE = "Starts of the grasp-force optimisation"
+INTRO = (
+    "Every start of the optimisation is compared with the paper's combination of twelve offline solutions (the 12-basis), by the "
+    "paper's reduced gradient flow and by Newton's method. "
+    f"All starts get the same held-out problems and the same step rule; iterations are accepted steps to a relative gap of "
+    f"{small(TOLERANCE)}, failures are counted, and times are those of the whole call from Python, measured alone in one process. "
+    "The words are defined at the end of this page, the columns of the table in run.json."
+)
+WORDS = (
+    ("Phi", "The objective omega tr P + lambda tr P^-1: squeeze, and a barrier at the friction cones."),
+    ("gap", "How far Phi is above its least value, relative to it."),
+    ("flow", "The paper's reduced gradient flow on Phi."),
+    ("start", "The force from which a method begins: it balances the wrench strictly inside the friction cones."),
+    ("12-basis", "The paper's start: a non-negative combination of the optimal forces of twelve unit wrenches."),
+    ("network alone", "The output of the network without any step; where it lies outside the cones it is put back towards the 12-basis."),
+    ("learned, fixed", "The shipped model: the network, its repair, and for Newton the steps that follow in the same compiled call."),
+    ("previous", "The last solution, carried to the new wrench by a Newton step within balance (tangent) or the shortest way (G^+)."),
+    ("ball", SETS["ball"].label),
+    ("fixed grasp", "The contacts of presets.paper_cuboid(): a thumb against three fingers on a 0.1 m cuboid."),
+    ("replaced", "The start was discarded for the 12-basis's, from which the optimisation then began."),
+    ("performance profile", "Share of the problems that a start solves within a factor of the best start on each (Dolan and Moré, 2002)."),
+    ("held", "The object was neither dropped nor moved by more than the task allows, to the end of the episode."),
+    ("median / p99", "The value that half of the problems, and 99 of 100, stay below."),
+)  # fmt: skip
+
+FLOW, NEWTON = "method == 'reduced_flow'", "method == 'newton'"
+_BALL = "case == 'ball'"
+_PAPER = f"start == '{BASIS}'"
+_LEARNED = "start in ['learned_fixed', 'learned_previous']"
+_STEADY = "case in ['hold_gravity', 'hold_constant', 'hold_paper_path']"
+CLAIMS = (
+    Claim("network alone: median of the flow's iterations, held-out ball", f"{_BALL} and start == 'network' and {FLOW}", "iterations_median", "<=", 8),
+    Claim("network alone: p99 of the flow's iterations, held-out ball", f"{_BALL} and start == 'network' and {FLOW}", "iterations_p99", "<=", 60),
+    Claim("network alone: every start is inside the cones, held-out ball (least margin)", f"{_BALL} and start == 'network' and {FLOW}", "start_margin_min", ">", 0),
+    Claim("learned, fixed, and the flow: median time over that of the 12-basis and the flow", f"{_BALL} and start == 'learned_fixed' and {FLOW}", "microseconds_median", "<=", 0.5, f"{_BALL} and {_PAPER} and {FLOW}"),
+    Claim("learned, fixed, and the flow: p99 of the time over that of the 12-basis and the flow", f"{_BALL} and start == 'learned_fixed' and {FLOW}", "microseconds_p99", "<", 1, f"{_BALL} and {_PAPER} and {FLOW}"),
+    Claim("learned, fixed, and Newton: median time over that of the 12-basis and Newton", f"{_BALL} and start == 'learned_fixed' and {NEWTON}", "microseconds_median", "<=", 0.85, f"{_BALL} and {_PAPER} and {NEWTON}"),
+    Claim("learned, fixed, and Newton: p99 of the time over that of the 12-basis and Newton", f"{_BALL} and start == 'learned_fixed' and {NEWTON}", "microseconds_p99", "<=", 0.95, f"{_BALL} and {_PAPER} and {NEWTON}"),
+    Claim("learned starts: Phi never above the 12-basis's, wrenches of 0.001 to 1000 N (largest excess)", f"case == 'six_decades' and {_LEARNED}", "start_excess_max", "<=", ROUNDING),
+    Claim("learned starts: Phi never above the 12-basis's, all sets (largest excess)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_excess_max", "<=", ROUNDING),
+    Claim("learned starts: inside the cones, all sets (least margin)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_margin_min", ">", 0),
+    Claim("learned starts: balanced, all sets (largest residual over the largest force)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_residual_max", "<=", 1e-9),
+    Claim("learned, with the previous solution: median of the flow's iterations on smooth paths", f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}", "iterations_median", "<=", 0),
+    Claim("learned, with the previous solution: p99 of the flow's iterations on smooth paths", f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}", "iterations_p99", "<=", 7),
+    Claim("processor time that trained the shipped model", "case == 'model'", "cpu_seconds_max", "<=", 900, unit="s"),
+    Claim("size of the shipped model", "case == 'model'", "bytes_max", "<=", 2_000_000, unit="B"),
+    Claim("the paper's pipeline holds the cuboid: share of the episodes", f"{_STEADY} and {_PAPER}", "held_mean", ">=", 1),
+    Claim("the paper's pipeline holds the cuboid: largest drift", f"{_STEADY} and {_PAPER}", "drift_max", "<", 1, unit="mm"),
+    Claim("the paper's pipeline holds the cuboid: no contact lost (share of the episodes)", f"{_STEADY} and {_PAPER}", "contact_always_mean", ">=", 1),
+)  # fmt: skip
+GIVEN = (
+    lambda name: Claim(f"{name}: cases without a start, all sets", f"start == '{name}' and {FLOW} and not case.str.startswith('hold_')", "iterations_missing", "<=", 0),
+    lambda name: Claim(f"{name}: median of the flow's iterations over that of the 12-basis, held-out ball", f"{_BALL} and start == '{name}' and {FLOW}", "iterations_median", "<=", 1, f"{_BALL} and {_PAPER} and {FLOW}"),
+    lambda name: Claim(f"{name}: median time over that of the 12-basis, held-out ball", f"{_BALL} and start == '{name}' and {FLOW}", "microseconds_median", "<=", 1, f"{_BALL} and {_PAPER} and {FLOW}"),
+    lambda name: Claim(f"{name}: share of the starts that were replaced, held-out ball", f"{_BALL} and start == '{name}' and {FLOW}", "start_replaced_mean", "<=", 0),
+)  # fmt: skip
+"""Claims about each start that a user gives."""
 
 
-def label(start: str) -> str:
-    """What a start is called in tables."""
-    return pretty(row_of(start).label)
+def colours(starts: list[str]) -> dict[str, str]:
+    """The colour of every start: those of a user have the reserved ones in turn."""
+    given = [key for key in starts if key not in STARTS]
+    return {key: row_of(key).colour for key in starts} | {
+        key: GIVEN_COLOURS[place % len(GIVEN_COLOURS)] for place, key in enumerate(given)
+    }
 
 
-def short(start: str) -> str:
-    """What a start is called in headings and legends."""
-    return pretty(row_of(start).short)
+def shown(means: Rows) -> list[str]:
+    """The starts that charts show: the main ones of the ball, in the order of the table."""
+    keys = chosen(means, f"{_BALL} and {FLOW}")["start"].tolist() if "start" in means.columns else []
+    return [key for key in keys if row_of(key).main]
 
 
-def set_label(metrics: dict[str, Any], name: str) -> str:
-    """What a set of cases is called."""
-    return pretty(at(metrics, "sets", name, "label") or name)
-
-
-def steps(value: float | None) -> str:
-    """Iterations; beyond the limit they never reached the level.
+def pair(row: Any, column: str) -> str:
+    """Median / p99 of a column; a dash where there is none.
 
     Example:
-        >>> steps(3.0), steps(2.71), steps(40.4), steps(5001.0), steps(None)
-        ('3', '2.7', '40', '> 5000', '–')
+        >>> pair({"iterations_median": 42.0, "iterations_p99": 5001.0}, "iterations")
+        '42 / > 5000'
     """
-    if value is None:
-        return number(value)
-    return f"> {LIMIT}" if value > LIMIT else number(round(value, 1 if value < 10 else 0))
-
-
-def pair(row: dict[str, Any] | None) -> str:
-    """Median / p99 of iterations, where too many cases have no start that instead; a dash where there are none."""
-    if at(row, "median") is None:
+    parts = [row.get(f"{column}_{part}", np.nan) for part in ("median", "p99")]
+    if not all(isinstance(part, (int, float)) and np.isfinite(part) for part in parts):
         return "–"
-    never = [bool(at(row, "no_start")) and at(row, part) > LIMIT for part in ("median", "p99")]
-    if row is not None and any(never):
-        return lacking(row) if never[0] else f"{steps(row['median'])}, {lacking(row)}"
-    return f"{steps(at(row, 'median'))} / {steps(at(row, 'p99'))}"
+    return " / ".join(f"> {LIMIT}" if column == "iterations" and part > LIMIT else number(part) for part in parts)
 
 
-def pair_of(row: dict[str, Any] | None) -> str:
-    """`pair` of a start's row; without a single run, on how many cases it gave no start."""
-    runs = pair(at(row, "iterations"))
-    return lacking(row) or runs if runs == "–" else runs
+def bars(column: str, label: str) -> Any:
+    """A chart with a line for each start: dots are medians, whiskers end at p99, the flow above and Newton below."""
+
+    def draw(rows: Rows, means: Rows) -> Figure | None:
+        keys = shown(means)
+        if not keys or f"{column}_median" not in means.columns:
+            return None
+        figure, panel = axes(0.62 + 0.5 * len(keys))
+        tint, ends = colours(keys), [1.0]
+        for place, key in enumerate(keys):
+            for method, name, off, marker in (("reduced_flow", "flow", -0.2, "o"), ("newton", "Newton", 0.2, "D")):
+                found = chosen(means, f"{_BALL} and start == '{key}' and method == '{method}'")
+                if found.empty or not np.isfinite(numbers(found, f"{column}_median")[0]):
+                    continue
+                row = found.iloc[0].to_dict()
+                low, high = float(row[f"{column}_median"]), float(row[f"{column}_p99"])
+                ends.append(high)
+                panel.plot([low, high], [place + off] * 2, color=tint[key], linewidth=2.6 if name == "flow" else 1.1)
+                panel.plot([high], [place + off], marker="|", markersize=7, color=tint[key])
+                panel.plot([low], [place + off], marker=marker, markersize=5, color=tint[key])
+                panel.annotate(
+                    f"{name} {pair(row, column)}", (high, place + off), (6, 0), textcoords="offset points", va="center",
+                    fontsize=8.5,
+                )  # fmt: skip
+        panel.set_xscale("symlog", linthresh=1.0, linscale=0.5)
+        panel.set_xlim(-0.05, (max(ends) + 2.0) ** 1.6)
+        ticks = [0.0, *(10.0**k for k in range(int(np.log10(max(ends) + 2.0)) + 1))]
+        panel.set_xticks(ticks, [small(tick) for tick in ticks])
+        panel.minorticks_off()
+        panel.set(xlabel=label, ylim=(len(keys) - 0.4, -0.6))
+        panel.set_yticks(range(len(keys)), [row_of(key).short for key in keys])
+        panel.grid(visible=False, axis="y")
+        return figure
+
+    return draw
 
 
-def starts_of(metrics: dict[str, Any]) -> list[str]:
-    """Every start of a run, in its order."""
-    sets = (at(metrics, "starts", "reduced_flow") or {}).values()
-    return list(dict.fromkeys(key for rows in sets for key in rows))
-
-
-def wins_section(metrics: dict[str, Any]) -> Section:
-    """Set by set: which start needs the fewest iterations."""
-    notes = (
-        f"Iterations (accepted steps) to a relative gap of {small(TOLERANCE)} in Phi, median / p99; ★ marks the best of a row, by the median, "
-        f"then by the p99. † the start does not exist on more than {100 * FEW:g} % of these cases (they are in no percentile), ‡ it "
-        "does not apply to a part of them: neither can be the best. A dash: it does not apply there at all, or was not measured.",
-        *smooth_text(metrics),
-    )
-    main = matrix(
-        metrics,
-        "reduced_flow",
-        main_of(starts_of(metrics)),
-        f"Reduced flow: iterations to {small(TOLERANCE)}, median / p99",
-    )
-    everything = [
-        matrix(metrics, "reduced_flow", starts_of(metrics), title, group)
-        for group, title in _groups(metrics).items()
-    ]  # fmt: skip
-    blocks = present([main, _winners(metrics), Fold("All starts, one table per kind of case", present(everything))])
-    return Section("wins", "Where each start wins", notes, blocks)
-
-
-def smooth_text(metrics: dict[str, Any]) -> list[str]:
-    """What the previous solution leaves to others where cases follow each other smoothly, by this run's numbers."""
-    key, names = "previous_tangent", ("smooth", "trajectories", "rollout_moving")
-    found = {name: at(metrics, "starts", "reduced_flow", name, key, "iterations") for name in names}
-    found = {name: row for name, row in found.items() if at(row, "median") is not None}
-    if not found:
-        return []
-    told = "; ".join(f"{set_label(metrics, name)}: {pair(row)}" for name, row in found.items())
-    most = max(row["p99"] for row in found.values())
-    left = (
-        "there nothing is left to gain"
-        if most == 0
-        else "there is little left to gain"
-        if most < 10
-        else "there is something left to gain"
-    )
-    return [
-        f"Where cases follow each other smoothly the previous solution with the tangent correction leaves the flow median / p99 iterations ({told}): {left}. "
-        "It is far after a jump, belongs to other contacts after a change of contact, and does not exist on a cold start."
-    ]
-
-
-def matrix(
-    metrics: dict[str, Any], method: str, starts: Sequence[str], caption: str, group: str | None = None
-) -> Table:
-    """A row per set, a column per start, the best of each row marked; starts that no set has are left out."""
-    sets = {
-        name: rows
-        for name, rows in (at(metrics, "starts", method) or {}).items()
-        if group is None or at(metrics, "sets", name, "group") == group
-    }
-    used = [key for key in starts if any(pair_of(at(rows, key)) != "–" for rows in sets.values())]
-    out = []
-    for name, rows in sets.items():
-        ranks = {key: _rank(at(rows, key)) for key in used}
-        least = min((rank for rank in ranks.values() if rank is not None), default=None)
-        cells = [Cell(_marked(at(rows, key)), "best" if least and ranks[key] == least else "") for key in used]
-        out.append([set_label(metrics, name), *cells])
-    return Table(caption, ("cases", *(short(key) for key in used)), out if used else [])
-
-
-def network_section(metrics: dict[str, Any]) -> Section:
-    """The network alone beside the 12-basis, both also after the same number of plain Newton steps."""
-    rows, timing = at(metrics, "starts", "reduced_flow", "ball"), metrics.get("timing") or {}
-    out = []
-    for key in STEPPED:
-        row = at(rows, key)
-        if at(row, "iterations", "median") is None:
+def network_figure(rows: Rows, means: Rows) -> Figure | None:
+    """Share of the ball's problems solved within so many steps of the flow, from the network alone and from the 12-basis."""
+    figure, panel = axes(2.8)
+    drawn = False
+    for key in (BASIS, "basis_tangent", "network", "network_newton_1"):
+        steps = numbers(chosen(rows, f"{_BALL} and start == '{key}' and {FLOW}"), "iterations")
+        if not len(steps):
             continue
-        times = (
-            at(timing, "start", key, "best"),
-            *(at(timing, "total", method, key, "best") for method in ("reduced_flow", "newton")),
-        )
-        gap = at(row, "start_gap")
-        out.append([
-            label(key), pair(at(row, "iterations")), f"{number(at(gap, 'median'), 2)} / {number(at(gap, 'p99'), 2)}",
-            *(f"{number(at(time, 'median'))} / {number(at(time, 'p99'))}" for time in times),
-        ])  # fmt: skip
-    raw = at(rows, "learned_fixed", "raw", "inside")
-    notes = (
-        "No Newton step, learned or not, helps the network here; it is put back towards the 12-basis's combination only where it lies "
-        f"outside the cones{f' (inside before that: {percent(raw)} of these cases)' if raw is not None else ''}. A start after k Newton steps stands beside "
-        "the 12-basis after as many, each step as long as lowers Phi most: what the steps do is not what was learned.",
-    )
-    columns = (
-        "start", "flow, iterations", "gap at the start", "start alone [µs]", "with the flow [µs]", "with Newton [µs]",
-    )  # fmt: skip
-    table = Table(f"Held-out ball, to a relative gap of {small(TOLERANCE)}, median / p99", columns, out)
-    return Section("network", "The network alone", notes, present([table]))
-
-
-def _groups(metrics: dict[str, Any]) -> dict[str, str]:
-    """The kinds of cases that this run has, in order, with their headings."""
-    kinds = {at(entry, "group") for entry in metrics.get("sets", {}).values()}
-    return {group: GROUPS[group] for group in GROUPS if group in kinds}
-
-
-def _missing(row: dict[str, Any] | None) -> tuple[float, float]:
-    """Parts of the cases without a start, and to which it does not apply."""
-    cases, absent, skipped = (at(row, key) or 0 for key in ("cases", "no_start", "not_applicable"))
-    return absent / max(cases, 1), skipped / max(cases + skipped, 1)
-
-
-def _rank(row: dict[str, Any] | None) -> tuple[float, float] | None:
-    """Less is better; None: no candidate."""
-    iterations = at(row, "iterations")
-    if at(iterations, "median") is None or max(_missing(row)) > FEW + 0.04 * (_missing(row)[0] == 0):
+        drawn = True
+        done = np.sort(np.where(np.isfinite(steps), steps, LIMIT + 1))
+        style = "--" if "Newton" in row_of(key).short else "-"
+        share = np.arange(1, len(done) + 1) / len(done)
+        panel.step(1 + done, share, style, where="post", color=row_of(key).colour, label=row_of(key).short)
+    if not drawn:
         return None
-    return iterations["median"], iterations["p99"]
+    panel.set(xscale="log", xlabel="1 + accepted steps of the flow", ylabel="share of the problems", ylim=(0, 1.02))
+    panel.set_xticks([1, 10, 100, 1000], ["1", "10", "100", "1000"])
+    panel.legend(fontsize=8.5, frameon=False, loc="lower right")
+    return figure
 
 
-def _marked(row: dict[str, Any] | None) -> str:
-    text = pair_of(row)
-    absent, skipped = _missing(row)
-    return text if at(row, "iterations", "median") is None else text + "†" * (absent > FEW) + "‡" * (skipped > 5 * FEW)
+def profile(query: str, column: str, label: str, by: str = "start") -> Any:
+    """A performance profile: the share of problems that each start solves within a factor of the best one."""
+
+    def draw(rows: Rows, means: Rows) -> Figure | None:
+        found, keys = chosen(rows, query), shown(means)
+        found: Rows = found[
+            found["start"].isin(keys) & (found["microseconds"].notna() if column == "microseconds" else True)
+        ]
+        if found.empty or column not in found.columns or found[column].isna().all():
+            return None
+        counted = column == "iterations"
+        values = numbers(found, column) + counted  # a start that needs no step is not infinitely better than one
+        values[(values > LIMIT + 1) & counted] = np.nan
+        name = found["start"] + (" · " + found["method"] if by == "both" else "")
+        grid: Rows = found.assign(value=values, who=name).pivot(
+            index=["case", "problem"], columns="who", values="value"
+        )
+        ratio = grid.div(grid.min(axis=1), axis=0).to_numpy()
+        figure, panel = axes(3.1)
+        factor, tint = np.geomspace(1.0, 100.0, 120), colours(keys)
+        for place, who in enumerate(grid.columns):
+            key, _, method = str(who).partition(" · ")
+            share = [(ratio[:, place] <= tau * (1 + 1e-12)).mean() for tau in factor]
+            style = "--" if row_of(key).dashed else ":" if method == "newton" else "-"
+            panel.plot(
+                factor,
+                share,
+                style,
+                color=tint[key],
+                label=row_of(key).short + (" · Newton" if method == "newton" else ""),
+            )
+        panel.set(xscale="log", xlabel=label, ylabel="share of the problems", ylim=(0, 1.02), xlim=(1, 100))
+        panel.set_xticks([1, 10, 100], ["1", "10", "100"])
+        panel.legend(fontsize=7.5, frameon=False, loc="lower right", ncols=2 if by == "both" else 1)
+        return figure
+
+    return draw
 
 
-def _winners(metrics: dict[str, Any]) -> Table:
-    wins = metrics.get("wins", [])
-    kinds = {"basis": "12-basis, best control", "previous": "previous solution", "learned": "best learned"}
-    kinds |= {"given": "best given"} if any("given" in row for row in wins) else {}
-    names = {"basis": "12-basis + Newton"}
-    columns: Columns = (
-        ("cases", lambda row: pretty(row.get("label") or row["set"])),
-        *((heading, lambda row, kind=kind: pair(row.get(kind))) for kind, heading in kinds.items()),
-        *((f"which {kind}", lambda row, kind=kind: short(at(row, kind, "start") or "–")) for kind in kinds if kind in ("learned", "given")),
-        ("fewest iterations", lambda row: names.get(row["winner"], row["winner"] or "–")),
-    )  # fmt: skip
-    title = (
-        "Learned against the previous solution and the 12-basis, each at its best: the 12-basis with up to four Newton steps that "
-        "are not counted, as the learned layers are not; tie: within one iteration"
+_FIXED = [name for name, which in SETS.items() if which.fixed and which.solved and which.share > 0]
+_OTHER = [name for name, which in SETS.items() if not which.fixed and which.solved]
+FIGURES = (
+    ("Iterations", f"Dot: median, whisker: p99. Cases: {SETS['ball'].label}, to a gap of {small(TOLERANCE)}.", bars("iterations", "iterations")),
+    ("Microseconds", "The whole call from Python to a certified gap of 1e-4, best of the repeats, on wrenches of the ball.", bars("microseconds", "microseconds of the whole call")),
+    ("The network alone against the paper's 12-basis", "Share of the held-out ball solved within so many steps; dashed: after one plain Newton step.", network_figure),
+    ("Performance profile, iterations, fixed grasp", "The flow on all sets of the fixed grasp; starts that do not apply or fail count as not solved.", profile(f"case in {_FIXED} and {FLOW}", "iterations", "1 + iterations over those of the best start")),
+    ("Performance profile, iterations, other contacts", "The flow on random grasps and on contacts recorded from the hand.", profile(f"case in {_OTHER} and {FLOW}", "iterations", "1 + iterations over those of the best start")),
+    ("Performance profile, time", "Whole calls on the ball, starts and both methods.", profile(_BALL, "microseconds", "time over that of the fastest", "both")),
+    ("Hold rates", "Episodes of the simulated hand that were held, with 95 % intervals.", rates_figure),
+)  # fmt: skip
+
+
+def hardest_sets(rows: Rows, means: Rows) -> Rows:
+    """Iterations of the flow per set of cases and start; the set that is hardest from the 12-basis stands first."""
+    flow = chosen(means, f"{FLOW} and case in {list(SETS)}")
+    if flow.empty:
+        return flow
+    flow = flow.assign(text=[pair(row, "iterations") for row in flow.to_dict("records")])
+    grid = flow[flow["start"].isin(shown(means))].pivot(index="case", columns="start", values="text").fillna("–")
+    hard = flow[flow["start"] == BASIS].set_index("case")["iterations_p99"].sort_values(ascending=False)
+    grid = grid.reindex(index=hard.index, columns=[key for key in shown(means) if key in grid.columns])
+    grid.insert(0, "cases", [SETS[case].label for case in grid.index])
+    return grid.rename(columns={key: row_of(key).short for key in grid.columns if key != "cases"}).reset_index(
+        drop=True
     )
-    return Table.of(title, columns, [(row,) for row in wins])
+
+
+def hardest_problems(rows: Rows, means: Rows) -> Rows:
+    """The problems on which a main start needs the most iterations of the flow; those without a start come first."""
+    columns = ["case", "problem", "seed", "start", "status", "iterations", "start_gap"]
+    found: Rows = chosen(rows, f"{FLOW} and case in {list(SETS)}")
+    found = found[found["start"].isin(shown(means))]
+    if found.empty:
+        return found
+    worst = found.assign(order=found["iterations"].fillna(LIMIT + 2).astype(float)).sort_values(
+        "order", ascending=False, kind="stable"
+    )
+    return worst.drop_duplicates(["case", "problem"]).groupby("case", sort=False).head(2).head(12)[columns]
+
+
+def learned_steps(rows: Rows, means: Rows) -> Rows:
+    """The network alone and the 12-basis, each after no, one and two plain Newton steps."""
+    ball = {row["start"]: row for row in chosen(means, f"{_BALL} and {FLOW}").to_dict("records")}
+    made = [
+        {"plain Newton steps first": steps, "12-basis": pair(ball.get(a, {}), "iterations"),
+         "its gap": pair(ball.get(a, {}), "start_gap"), "network": pair(ball.get(b, {}), "iterations"),
+         "gap of the network": pair(ball.get(b, {}), "start_gap")}
+        for steps, (a, b) in enumerate(((BASIS, "network"), ("basis_tangent", "network_newton_1"), ("basis_newton_2", "network_newton_2")))
+    ]  # fmt: skip
+    return pd.DataFrame(made if BASIS in ball else [])
+
+
+def all_starts(rows: Rows, means: Rows) -> Rows:
+    """Every start on the ball."""
+    by = {(row["start"], row["method"]): row for row in chosen(means, _BALL).to_dict("records")}
+    keys = dict.fromkeys(start for start, _ in by if isinstance(start, str))
+    made = []
+    for key in keys:
+        flow, newton = by.get((key, "reduced_flow"), {}), by.get((key, "newton"), {})
+        made.append({
+            "start": row_of(key).label, "no start": flow.get("iterations_missing"), "replaced": flow.get("start_replaced_sum"),
+            "start gap": pair(flow, "start_gap"), "flow": pair(flow, "iterations"), "Newton": pair(newton, "iterations"),
+            "start alone, us": pair(flow, "start_microseconds"), "flow, us": pair(flow, "microseconds"),
+            "Newton, us": pair(newton, "microseconds"),
+        })  # fmt: skip
+    return pd.DataFrame(made)
+
+
+def solvers(rows: Rows, means: Rows) -> Rows:
+    """Solvers that a user gave, beside Newton from the 12-basis."""
+    given = means[means["start"].isna()] if "start" in means.columns else means.iloc[:0]
+    names = given["method"].dropna().unique().tolist()
+    if not names:
+        return means.iloc[:0]
+    made = []
+    for row in [*given.to_dict("records"), *chosen(means, f"{_BALL} and {_PAPER} and {NEWTON}").to_dict("records")]:
+        if row["case"] not in SETS:
+            continue
+        status = chosen(rows, f"case == '{row['case']}' and method == '{row['method']}'")["status"].value_counts()
+        made.append({
+            "solver": row["method"], "cases": SETS[row["case"]].label,
+            "answers": ", ".join(f"{count} {name}" for name, count in status.items()) if row["method"] in names else "",
+            "gap in Phi": pair(row, "gap"), "us": pair(row, "microseconds"),
+        })  # fmt: skip
+    return pd.DataFrame(made)
+
+
+def failures(rows: Rows, means: Rows) -> Rows:
+    """Where starts and solvers failed, and why."""
+    found: Rows = chosen(rows, "status in ['no_start', 'failed', 'stalled', 'iteration_limit'] or held == False")
+    if found.empty:
+        return found
+    why = (
+        found["reason"]
+        .fillna(found["failure"] if "failure" in found.columns else found["status"])
+        .fillna(found["status"])
+    )
+    said = found.assign(why=why, start=found["start"].fillna("")).groupby(
+        ["case", "start", "method", "why"], dropna=False, sort=False
+    )
+    return said.size().reset_index(name="count").sort_values("count", ascending=False)
+
+
+TABLES = (
+    ("The hardest sets first", "Iterations of the flow, median / p99. A dash: the start does not apply.", hardest_sets),
+    ("The hardest problems", "The main start that needs the most iterations of the flow on each; case, problem and seed make it again.", hardest_problems),
+    ("The network alone against the paper's 12-basis", "Iterations of the flow and gap of the start on the held-out ball, median / p99.", learned_steps),
+    ("Every start on the ball", "Iterations and microseconds, median / p99; the flow uses the adaptive step rule.", all_starts),
+    ("Solvers of your own", "Their gap is that of Phi, whatever they minimise.", solvers),
+    ("Hold rates", "Episodes held, and the mean of the measured normal force.", grid),
+    ("Failures", "Every case without a start, without an answer, or not held.", failures),
+)  # fmt: skip

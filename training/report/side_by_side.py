@@ -1,0 +1,114 @@
+"""`grasp report --compare A B`: two runs side by side, with intervals; what the interval does not tell apart is a tie."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from grasp_env.errors import InvalidInputError
+from training.report.page import Page, facts_of, render
+from training.results.columns import KEYS
+from training.results.run import Run, understood
+from training.results.statistics import mean_interval, ratio_interval
+from training.results.table import Rows, numbers, pd
+
+METRICS: dict[str, bool] = {"iterations": True, "microseconds": True, "per_second": True, "nanoseconds": True, "held": False, "drift": True, "normal_force": True, "return": False}  # fmt: skip
+"""Columns that are compared: by the ratio of medians, or by the difference of means."""
+INTRO = (
+    "Two runs are compared row by row: rows with equal keys, problem and seed are pairs. "
+    "Iterations, times, drift and force are compared by the ratio of the medians B / A, hold rates and returns by the difference of "
+    "the means B - A, each with a 95 % bootstrap interval over the pairs; where the interval holds 1, or 0, the verdict is a tie. "
+    "The columns are defined in the run.json of each run."
+)
+
+
+def compare(a: Rows, b: Rows) -> Rows:
+    """One row for each combination of keys and metric that both tables have.
+
+    Returns:
+        The keys, "metric", "pairs", "A" and "B" (medians, or means), "B over A" or "B minus A" as "change" with "low" and "high",
+        and "verdict": "lower", "higher" or "tie". What differs stands first.
+    """
+    keys = [name for name in KEYS if name in a.columns and name in b.columns]
+    pairing = [
+        *keys,
+        *(name for name in ("problem", "seed", "training_seed", "step") if name in a.columns and name in b.columns),
+    ]
+    if not pairing:
+        raise InvalidInputError("the two runs have no key in common: compare runs of one command")
+    both = a.merge(b, on=pairing, suffixes=("_a", "_b"))
+    made: list[dict[str, Any]] = []
+    for _, group in both.groupby(keys or pairing[:1], sort=False, dropna=False):
+        for metric, by_ratio in METRICS.items():
+            if f"{metric}_a" not in both.columns:
+                continue
+            first, second = numbers(group, f"{metric}_a"), numbers(group, f"{metric}_b")
+            known = np.isfinite(first) & np.isfinite(second)
+            if known.any():
+                made.append(
+                    {
+                        **{key: group[key].iloc[0] for key in keys},
+                        "metric": metric,
+                        **_row(first[known], second[known], by_ratio),
+                    }
+                )
+    out = pd.DataFrame(made)
+    return (
+        out.sort_values("verdict", key=lambda said: said == "tie", kind="stable", ignore_index=True)
+        if len(out)
+        else out
+    )
+
+
+def _row(first: np.ndarray, second: np.ndarray, by_ratio: bool) -> dict[str, Any]:
+    if by_ratio:
+        change, low, high = ratio_interval(second, first)
+        level, middles = 1.0, (np.median(first), np.median(second))
+        if middles == (0.0, 0.0):
+            change = low = high = 1.0
+    else:
+        change, (low, high) = float((second - first).mean()), mean_interval(second - first)
+        level, middles = 0.0, (first.mean(), second.mean())
+    verdict = "tie" if low <= level <= high else "lower" if high < level else "higher"
+    return {
+        "pairs": len(first),
+        "A": float(middles[0]),
+        "B": float(middles[1]),
+        "change": change,
+        "low": low,
+        "high": high,
+        "verdict": verdict,
+    }
+
+
+def write(a: Run, b: Run, out: Run) -> Rows:
+    """Writes compare.html into `out` and returns its table.
+
+    Raises:
+        InvalidInputError: a run is not finished, or the two have no row in common.
+    """
+    with (
+        understood(a.folder, "repeat the command that made it"),
+        understood(b.folder, "repeat the command that made it"),
+    ):
+        (mine, about_a), (theirs, about_b) = a.load(), b.load()
+        made = compare(mine, theirs)
+    if made.empty:
+        raise InvalidInputError(f"{a.folder} and {b.folder} have no rows in common: compare runs of one command")
+    ties = int((made["verdict"] == "tie").sum())
+    note = f"{len(made) - ties} of {len(made)} comparisons differ, {ties} are ties."
+    page = Page(
+        title=f"{a.folder.name} (A) against {b.folder.name} (B)",
+        intro=INTRO,
+        quick=bool(about_a.get("quick") or about_b.get("quick")),
+        figures=(),
+        tables=[("What differs first", note, made)],
+        facts=[
+            (f"{side}: {name}", value)
+            for side, about in (("A", about_a), ("B", about_b))
+            for name, value in facts_of(about)
+        ],
+    )
+    out.write_text("compare.html", render(page))
+    return made
