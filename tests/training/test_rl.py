@@ -11,28 +11,32 @@ from collections import namedtuple
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
-from safetensors.numpy import load_file
+from matplotlib.figure import Figure
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from training.rl.envs import first_seed, make_envs
-from training.trials.rollouts import roll_out
 
 import policies.agent_files
 import policies.checkpoint
+import training.report.page
 import training.rl.checkpoint
 import training.rl.train
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError, ModelFileError
 from policies import TrainedAgent, ZeroPolicy
-from policies.agent_files import checkpoints, find_checkpoint, read_meta
+from policies.agent_files import ENV_ID, checkpoints, find_checkpoint, read_meta
 from training.cli import main
-from training.rl.agent import build
-from training.rl.score import score
+from training.report import rl as page
+from training.results import Run
+from training.results.columns import TIMES
+from training.results.table import pd, summary
+from training.rl.agent import build, first_seed, make_envs
+from training.rl.score import outcome, score
 from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
-from training.rl.train import train, train_seed
+from training.rl.train import STOP, Shard, rows_of, train, train_seed
 
 TINY: dict[str, Any] = {
     "steps": 96, "envs": 2, "episodes": 2, "curve_points": 1, "curve_episodes": 1, "rollout": 48, "warmup": 32,
@@ -40,10 +44,16 @@ TINY: dict[str, Any] = {
 }  # fmt: skip
 
 
+@pytest.fixture(autouse=True)
+def written(monkeypatch) -> None:
+    if not hasattr(training.report.page, "write"):
+        monkeypatch.setattr(training.report.page, "write", lambda run: run.folder / "report.html", raising=False)
+
+
 @pytest.fixture(scope="module")
 def ppo(tmp_path_factory):
     out = tmp_path_factory.mktemp("rl") / "ppo"
-    train(RLConfig(**TINY, seeds=(0, 3)), out)
+    train(RLConfig(**TINY, seeds=(0, 3)), out)  # a process for each
     return out
 
 
@@ -54,24 +64,92 @@ def sac(tmp_path_factory):
     return out
 
 
-def test_a_run_leaves_a_report_and_no_pickle(ppo):
-    report = json.loads((ppo / "rl.json").read_text())
-    assert list(report["rows"]) == ["zero", "learned", "previous", "ppo/initial_force"]
-    assert report["rows"]["ppo/initial_force"]["seeds"] == 2
-    assert report["rows"]["ppo/initial_force"]["episodes"] == 4
-    assert report["rows"]["zero"]["iterations"]["n"] == 200
-    assert [one["steps"] for one in report["training"]["ppo/initial_force"]] == [96, 96]
-    text = (ppo / "rl.md").read_text()
-    assert "PPO, adjusts the start" in text
-    assert "quick" not in text
-    assert (ppo / "learning_curve.png").stat().st_size > 10_000
-    assert {path.suffix for path in ppo.rglob("*") if path.is_file() and "tfevents" not in path.name} == {
-        ".json", ".md", ".png", ".npz", ".safetensors",
-    }  # fmt: skip
-    assert len(list(ppo.rglob("*tfevents*"))) == 2
+def training_of(folder: Path, algorithm: str) -> training.rl.checkpoint.Training:
+    """Resumed from its checkpoint, by an agent that was made with another seed."""
+    config = RLConfig(**TINY, algorithm=algorithm).resolved()  # type: ignore[arg-type]
+    envs = make_envs(config.env_settings, config.envs, config.gamma)
+    resumed = training.rl.checkpoint.Training(folder, config, 0, build(config, envs, 1), envs)
+    resumed.resume()
+    return resumed
+
+
+def test_a_run_leaves_rows_and_no_pickle(ppo):
+    rows, about = Run(ppo).load()
+    held_out = rows[rows["case"] == "held_out"]
+    assert (about["kind"], about["quick"]) == ("rl", False)
+    assert [(one["seed"], one["steps"]) for one in about["agents"]] == [(0, 96), (3, 96)]
+    sizes = held_out.groupby(["agent", "seed"], sort=False)["step"].count()
+    assert sizes.index.tolist() == [
+        (agent, HELD_OUT_SEED + k) for agent in ("ppo/initial_force", "zero", "learned", "previous") for k in range(2)
+    ]
+    assert sizes.tolist() == [200] * 2 + [100] * 6  # two training seeds
+    assert held_out["held"].count() == 10  # one outcome for each episode
+    # what an environment says of the paper's start, step by step
+    env: Any = gym.make(f"grasp_env:{ENV_ID}", **RLConfig().env_settings)
+    mine, total = held_out[(held_out["agent"] == "zero") & (held_out["seed"] == HELD_OUT_SEED + 1)], 0.0
+    env.reset(seed=HELD_OUT_SEED + 1)
+    for iterations in mine["iterations"]:
+        _, reward, _, _, info = env.step(np.zeros(6))
+        assert info["iterations"] == iterations
+        total += reward
+    env.close()
+    end = mine.iloc[-1]
+    assert (end["return"], end["mean_iterations"]) == pytest.approx((total, mine["iterations"].mean()))
+    kinds = {path.suffix for path in ppo.rglob("*") if path.is_file() and "tfevents" not in path.name}
+    assert kinds <= {".json", ".npz", ".safetensors", ".parquet", ".csv", ".html"}
     for path in ppo.rglob("*.npz"):
         with np.load(path, allow_pickle=False) as file:
             assert all(file[name].dtype != object for name in file.files)
+    root = Path(training.rl.train.__file__).parent
+    for path in (*root.glob("*.py"), *root.parents[1].glob("policies/agent*.py")):
+        unsafe = r"import pickle|torch\.(save|load)\(|allow_pickle=True|(PPO|SAC|VecNormalize)\.load"
+        assert not re.search(unsafe, path.read_text()), path
+
+
+def test_processes_train_as_one_process_does(ppo, tmp_path):
+    alone = rows_of(Shard("ppo/initial_force", RLConfig(**TINY, seeds=(0, 3)).resolved(), tmp_path / "seed-3", 3))
+    rows = Run(ppo).load()[0]
+    beside = rows[rows["training_seed"] == 3].dropna(axis=1, how="all").reset_index(drop=True)
+    times = [name for name in TIMES if name in beside]
+    pd.testing.assert_frame_equal(alone.drop(columns=times), beside.drop(columns=times), check_exact=True)
+
+
+def test_the_page_is_made_of_the_rows(ppo):
+    rows = Run(ppo).load()[0]
+    label = {name: told for name, (told, _) in page.AGENTS.items()}
+    scores, trained = (
+        function(rows, summary(rows)).set_index(head)
+        for (_, _, function), head in zip(page.TABLES, ("policy", "seed"), strict=True)
+    )
+    assert scores.index.tolist() == [label[name] for name in ("zero", "learned", "previous", "ppo/initial_force")]
+    assert scores.loc[label["ppo/initial_force"], "held"].startswith("4 of 4 [")
+    assert scores.loc[label["zero"], "of the paper's"] == "1 [1, 1]"
+    medians = rows[rows["case"] == "held_out"].groupby("agent")["mean_iterations"].median()
+    ratio = float(scores.loc[label["previous"], "of the paper's"].split()[0])
+    assert ratio == pytest.approx(medians["previous"] / medians["zero"], rel=1e-2)
+    assert ratio < 0.5
+    assert trained["environment steps"].to_dict() == {0: 96, 3: 96}
+    figures = [function(rows, summary(rows)) for _, _, function in page.FIGURES]
+    assert [isinstance(figure, Figure) for figure in figures] == [True, False, True]  # no agent without solver
+    # agents without solver have no iterations, and an object that is lost counts as an episode
+    lost = rows.assign(agent=rows["agent"].replace("ppo/initial_force", "sac/contact_force"))
+    lost.loc[lost["agent"] == "sac/contact_force", ["iterations", "mean_iterations", "drift"]] = pd.NA
+    lost["held"] = lost["held"].where((lost["seed"] != HELD_OUT_SEED) | lost["held"].isna(), False)
+    row = page.scores_table(lost, summary(lost)).set_index("policy").loc[label["sac/contact_force"]]
+    assert row["held"].startswith("2 of 4 [")
+    assert pd.isna(row["of the paper's"])
+
+
+def test_an_episode_is_held_only_where_it_ends_well():
+    step = namedtuple("step", "reward info last")
+    info = {"iterations": 3, "commanded_force": np.full((4, 3), 2.0), "drift": 0.004, "failure": "", "is_success": True}
+    first, last = step(0.5, {**info, "drift": 0.01, "iterations": 5}, False), step(0.25, info, True)
+    told = outcome([first, last])
+    assert told == {"held": True, "failure": None, "return": 0.75, "mean_iterations": 4.0, "commanded_force": 8.0,
+                    "drift": pytest.approx(10.0), "end_drift": pytest.approx(4.0)}  # fmt: skip
+    for change in ({"failure": "dropped"}, {"is_success": False}):
+        told = outcome([first, step(0.25, {**info, **change}, True)])
+        assert (told["held"], told["drift"], told["return"]) == (False, None, 0.75)
 
 
 def events(folder):
@@ -85,31 +163,24 @@ def test_every_update_is_logged_at_its_own_step(ppo, sac):
     found = events(ppo / "seed-3")
     assert found["rollout/iterations"] == [48, 96]
     assert found["train/loss"] == found["train/std"] == [48, 96]  # the last one, too
-    assert found["score/iterations"] == [0, 96]
+    assert found["score/iterations"] == found["score/held"] == [0, 96]
     found = events(sac / "seed-0")
     assert found["score/iterations"] == [0, 96]
     assert found["train/critic_loss"] == [96]
 
 
-def test_sources_pickle_nothing():
-    root = Path(training.rl.train.__file__).parent
-    for path in (*root.glob("*.py"), *root.parents[1].glob("policies/agent*.py")):
-        source = path.read_text()
-        assert not re.search(
-            r"import pickle|torch\.(save|load)\(|allow_pickle=True|(PPO|SAC|VecNormalize)\.load", source
-        ), path
-
-
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
-def test_training_begins_at_the_paper(algorithm):
+def test_training_begins_at_the_paper(algorithm, tmp_path):
     config = RLConfig(**TINY, algorithm=algorithm).resolved()
     envs = make_envs(config.env_settings, config.envs, config.gamma)
     agent = build(config, envs, 0)
     envs.seed(0)
     envs.reset()
-    mine = score(training.rl.train._Live(agent, envs), config.env_settings, range(5, 7))
-    paper = score(ZeroPolicy(), config.env_settings, range(5, 7))
-    assert mine["mean_iterations"] == pytest.approx(paper["mean_iterations"], rel=0.05)
+    beginner = training.rl.checkpoint.Training(tmp_path, config, 0, agent, envs)
+    mine, paper = (score(policy, config.env_settings, range(5, 7)) for policy in (beginner, ZeroPolicy()))
+    for one, other in zip(mine, paper, strict=True):
+        if "mean_iterations" in one:
+            assert one["mean_iterations"] == pytest.approx(other["mean_iterations"], rel=0.05)
     shaken = agent.predict(np.zeros((500, 83), dtype=np.float32), deterministic=False)[0]
     assert shaken.std() == pytest.approx(config.deviation, rel=0.1)
     envs.close()
@@ -125,24 +196,18 @@ def test_an_agent_is_filmed_in_its_own_environment(ppo, tmp_path, capsys):
     assert "observation must be (83,)" in capsys.readouterr().err
 
 
-def test_the_agent_is_stable_baselines3s_and_is_scored_by_the_same_evaluator(ppo, sac):
-    for folder, algorithm in ((ppo, "ppo"), (sac, "sac")):
-        agent = TrainedAgent.load(folder / "seed-0")
-        config = RLConfig(**TINY, algorithm=algorithm).resolved()  # type: ignore[arg-type]
-        envs = make_envs(config.env_settings, config.envs, config.gamma)
-        theirs = build(config, envs, 1)
-        training.rl.checkpoint.Training(folder / "seed-0", config, 0, theirs, envs).resume()
-        envs.training = False
-        seen = envs.reset()
-        raw: Any = envs.get_original_obs()
-        np.testing.assert_allclose(agent.predict(raw)[0], theirs.predict(seen, deterministic=True)[0], atol=1e-6)  # type: ignore[arg-type]
+def test_the_agent_is_stable_baselines3s(ppo, sac):
+    for folder, algorithm in ((ppo / "seed-0", "ppo"), (sac / "seed-0", "sac")):
+        agent, theirs = TrainedAgent.load(folder), training_of(folder, algorithm)
+        raw = np.random.default_rng(0).normal(size=(2, 83))
+        seen = theirs.envs.normalize_obs(raw)
+        assert np.abs(seen - raw).max() > 0.1  # the normaliser came along
+        expected = theirs.agent.predict(seen, deterministic=True)[0]
+        np.testing.assert_allclose(agent.predict(raw)[0], expected, atol=1e-6)
+        np.testing.assert_array_equal(theirs.predict(raw)[0], expected)
         np.testing.assert_allclose(agent.predict(raw[0])[0], agent.predict(raw)[0][0], atol=1e-7)
         assert np.abs(agent.predict(raw, deterministic=False)[0]).max() <= 1.0
-        envs.close()
-        rolled = roll_out("random", "linear_combination", HELD_OUT_SEED, policy=agent)
-        mine = score(agent, config.env_settings, range(HELD_OUT_SEED, HELD_OUT_SEED + 1))
-        np.testing.assert_array_equal(rolled["iterations"], mine["iterations"])
-        assert rolled["reward"].sum() == pytest.approx(mine["return"][0])
+        theirs.envs.close()
     env = Monitor(FourFingerGrasp(disturbance="random", duration=0.1))
     assert evaluate_policy(agent, env, n_eval_episodes=1)[0] > 0.0  # type: ignore[arg-type]
     env.close()
@@ -152,35 +217,46 @@ def test_the_agent_is_stable_baselines3s_and_is_scored_by_the_same_evaluator(ppo
 
 @pytest.mark.parametrize("algorithm", ["ppo", "sac"])
 def test_two_resumes_from_one_checkpoint_are_equal_bit_by_bit(algorithm, ppo, sac, tmp_path):
+    source = (ppo if algorithm == "ppo" else sac) / "seed-0"
+    old, resumed = find_checkpoint(source), training_of(source, algorithm)
+    resumed.envs.close()
+    resumed.folder = tmp_path / "again"
+    assert checkpoint(resumed.save()) == checkpoint(old)  # nothing was lost on the way into the agent
     found = []
-    config = RLConfig(**{**TINY, "steps": 192}, algorithm=algorithm).resolved()
     for name in ("one", "two"):
-        folder = tmp_path / name
-        shutil.copytree((ppo if algorithm == "ppo" else sac) / "seed-0", folder)
-        before = find_checkpoint(folder)
-        old = load_file(before / "policy.safetensors")
-        found.append(train_seed(config, folder, 0, True))
-        assert read_meta(found[-1])["steps"] == 192
-        assert checkpoints(folder / "checkpoints") == [found[-1]]  # the older one is gone
-    for stem in ("policy", "optimiser"):
-        one, two = (load_file(path / f"{stem}.safetensors") for path in found)
-        assert one.keys() == two.keys()
-        for key, value in one.items():
-            assert value.tobytes() == two[key].tobytes(), key
-        assert stem == "optimiser" or any(not np.array_equal(value, old[key]) for key, value in one.items())
-    stems = ("normaliser", "state", *(("replay",) if algorithm == "sac" else ()))
-    for stem in stems:
-        one, two = (np.load(path / f"{stem}.npz", allow_pickle=False) for path in found)
-        for key in one.files:
-            assert one[key].tobytes() == two[key].tobytes(), key
-    curves = [[{**point, "seconds": 0} for point in read_meta(path)["curve"]] for path in found]
-    assert curves[0] == curves[1]
-    assert [point["steps"] for point in curves[0]][-1] == 192
+        shutil.copytree(source, tmp_path / name)
+        path = train_seed(RLConfig(**{**TINY, "steps": 192}, algorithm=algorithm).resolved(), tmp_path / name, 0, True)
+        assert checkpoints(tmp_path / name / "checkpoints") == [path]  # the older one is gone
+        found.append(checkpoint(path))
+    assert found[0] == found[1]
+    assert all(found[0][name] != value for name, value in checkpoint(old).items() if name != "seed")
+    assert [row["training_steps"] for row in read_meta(path)["curve"]] == [0, 96, 192]
+
+
+def checkpoint(folder: Path) -> dict[str, Any]:
+    """The bytes of a checkpoint's files, and what it counts."""
+    meta = read_meta(folder)
+    curve = [{**row, "seconds": 0} for row in meta["curve"]]
+    files = {path.name: path.read_bytes() for path in folder.iterdir() if path.suffix != ".json"}
+    return {**files, **{name: meta[name] for name in ("seed", "steps", "updates")}, "curve": curve}
 
 
 def test_a_finished_run_says_so_and_others_are_refused(ppo, sac, tmp_path, capsys):
-    same = ["--rollout", "48", "--warmup", "32", "--buffer", "200"]
-    arguments = ["rl", "--out", str(ppo), "--steps", "96", "--envs", "2", *same]
+    arguments = [
+        "rl",
+        "--out",
+        str(ppo),
+        "--envs",
+        "2",
+        "--rollout",
+        "48",
+        "--warmup",
+        "32",
+        "--buffer",
+        "200",
+        "--steps",
+        "96",
+    ]
     assert main([*arguments, "--resume"]) == 0
     assert "is finished, 96 steps" in capsys.readouterr().err
     assert main(arguments) == 2
@@ -196,14 +272,18 @@ def test_a_finished_run_says_so_and_others_are_refused(ppo, sac, tmp_path, capsy
 
 
 def test_runs_are_compared_in_one_report(ppo, sac, tmp_path, capsys):
-    assert main(["rl", "--compare", str(ppo), "--out", str(tmp_path / "all"), "--episodes", "1"]) == 0
-    report = json.loads((tmp_path / "all/rl.json").read_text())
-    assert [one["seed"] for one in report["training"]["ppo/initial_force"]] == [0, 3]
-    assert main(["rl", "--compare", str(sac), "--out", str(tmp_path / "none")]) == 2  # it never finished
+    arguments = ["rl", "--on", "inline", "--episodes", "1", "--compare"]
+    assert main([*arguments, str(ppo), "--out", str(tmp_path / "all")]) == 0
+    rows, about = Run(tmp_path / "all").load()
+    held_out = rows[rows["case"] == "held_out"]
+    assert held_out[held_out["agent"] == "ppo/initial_force"]["training_seed"].unique().tolist() == [0, 3]
+    assert held_out["seed"].unique().tolist() == [HELD_OUT_SEED]
+    assert [one["seed"] for one in about["agents"]] == [0, 3]
+    assert main([*arguments, str(sac), "--out", str(tmp_path / "none")]) == 2  # it never finished
     assert "is not a finished run" in capsys.readouterr().err
 
 
-def test_an_interrupt_leaves_a_whole_checkpoint_to_go_on_from(tmp_path, monkeypatch, capsys):
+def test_an_interrupt_leaves_a_whole_checkpoint_to_go_on_from(tmp_path, monkeypatch):
     real, handler = (
         training.rl.train.score,
         signal.getsignal(signal.SIGINT),
@@ -213,17 +293,34 @@ def test_an_interrupt_leaves_a_whole_checkpoint_to_go_on_from(tmp_path, monkeypa
         signal.raise_signal(signal.SIGINT)
         return real(*arguments)
 
-    arguments = ["rl", "--out", str(tmp_path / "cut"), "--envs", "2", "--rollout", "48", "--episodes", "1"]
-    arguments += ["--curve-episodes", "1", "--curve-points", "1", "--steps"]
-    monkeypatch.setattr(training.rl.train, "score", interrupted)
-    assert main([*arguments, "96"]) == 130
-    monkeypatch.undo()
-    assert read_meta(find_checkpoint(tmp_path / "cut/seed-0"))["steps"] == 0
+    out, arguments = tmp_path / "cut", ["rl", "--envs", "2", "--rollout", "48", "--episodes", "1"]
+    arguments += ["--out", str(out), "--curve-episodes", "1", "--curve-points", "1", "--steps"]
+    with monkeypatch.context() as patch:
+        patch.setattr(training.rl.train, "score", interrupted)
+        assert main([*arguments, "96"]) == 130
+    assert read_meta(find_checkpoint(out / "seed-0"))["steps"] == 0
     assert signal.getsignal(signal.SIGINT) is handler
     for steps in (96, 144):  # the second goes on from a finished run
         assert main([*arguments, str(steps), "--resume"]) == 0
-        assert read_meta(find_checkpoint(tmp_path / "cut/seed-0"))["steps"] == steps
-    assert json.loads((tmp_path / "cut/run.json").read_text())["config"]["steps"] == 144
+        assert read_meta(find_checkpoint(out / "seed-0"))["steps"] == steps
+    assert Run(out).load()[1]["config"]["steps"] == 144
+
+
+def test_seeds_in_other_processes_save_and_end_where_the_run_is_interrupted(tmp_path, monkeypatch):
+    config, out = RLConfig(**TINY, seeds=(0, 1)), tmp_path / "run"
+
+    def interrupted(*arguments: Any, **options: Any) -> Any:
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(training.rl.train, "map_shards", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(config, out)
+    assert (out / STOP).exists()
+    with pytest.raises(KeyboardInterrupt):  # what a worker does then
+        train_seed(config.resolved(), out / "seed-1", 1, False)
+    assert read_meta(find_checkpoint(out / "seed-1"))["steps"] == 0
+    train(config, out, resume=True, on="inline")
+    assert [read_meta(find_checkpoint(out / f"seed-{seed}"))["steps"] for seed in (0, 1)] == [96, 96]
 
 
 def _meta(folder: Path, **changes: Any) -> None:
@@ -240,28 +337,22 @@ def _pickled(folder: Path) -> None:
     _meta(folder, files={**files, "normaliser.npz": digest})
 
 
-def _cut(name: str) -> Any:
-    return lambda folder: (folder / name).write_bytes((folder / name).read_bytes()[:-7])
+def _changed(name: str, change: Any) -> Any:
+    return lambda folder: (folder / name).write_bytes(change((folder / name).read_bytes()))
 
 
-def _other_byte(name: str) -> Any:
-    def change(folder: Path) -> None:
-        data = bytearray((folder / name).read_bytes())
-        data[len(data) // 2] ^= 1
-        (folder / name).write_bytes(bytes(data))
-
-    return change
+def _other_byte(data: bytes) -> bytes:
+    return data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 1]) + data[len(data) // 2 + 1 :]
 
 
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (_cut("policy.safetensors"), "does not match its sha256"),
-        (_other_byte("policy.safetensors"), "does not match its sha256"),
-        (_cut("normaliser.npz"), "does not match its sha256"),
-        (_other_byte("normaliser.npz"), "does not match its sha256"),
-        (_cut("agent.json"), "is not JSON"),
-        (lambda folder: (folder / "agent.json").write_text("[]"), "has schema None"),
+        (_changed("policy.safetensors", lambda data: data[:-7]), "does not match its sha256"),
+        (_changed("normaliser.npz", _other_byte), "does not match its sha256"),
+        (_changed("agent.json", lambda data: data[:-7]), "is not JSON"),
+        (_changed("agent.json", lambda data: b"[]"), "has schema None"),
+        (_changed("agent.json", lambda data: data.replace(b'"steps": 96', b'"steps": 97')), "not match its own sha256"),
         (lambda folder: (folder / "policy.safetensors").unlink(), "No such file"),
         (lambda folder: (folder / "agent.json").unlink(), "holds no agent"),
         (lambda folder: _meta(folder, schema="grasp-force/rl-agent/0"), "this version reads"),
@@ -270,12 +361,6 @@ def _other_byte(name: str) -> Any:
         (lambda folder: _meta(folder, action="contact_force"), "gives 6 numbers"),
         (lambda folder: _meta(folder, algorithm="td3"), "incomplete or malformed"),
         (lambda folder: _meta(folder, files=None), "does not match its sha256"),
-        (
-            lambda folder: (folder / "agent.json").write_text(
-                (folder / "agent.json").read_text().replace('"steps": 96', '"steps": 97')
-            ),
-            "does not match its own sha256",
-        ),
         (_pickled, "allow_pickle=False|malformed"),
     ],
 )
@@ -323,17 +408,10 @@ def test_training_never_sees_the_episodes_that_score():
     "wrong",
     [
         {"steps": 0}, {"envs": 0}, {"seed": -1}, {"seeds": (1, 1)}, {"gamma": 1.0}, {"learning_rate": float("nan")},
-        {"deviation": 2.0}, {"warmup": -1},
+        {"deviation": 2.0}, {"warmup": -1}, {"buffer": 0}, {"curve_points": 0}, {"rollout": 10**10},
     ],
 )  # fmt: skip
 def test_wrong_settings(wrong):
     with pytest.raises(InvalidInputError):
         RLConfig(**wrong)
-
-
-def test_help(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["rl", "--help"])
-    assert stop.value.code == 0
-    text = capsys.readouterr().out
-    assert all(option in text for option in ("--algorithm", "--seeds", "--resume", "--quick", "--out", "--steps"))
+    assert RLConfig(warmup=0, seed=0).warmup == 0
