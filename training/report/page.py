@@ -122,11 +122,12 @@ def module_of(about: dict[str, Any]) -> ModuleType | None:
 
 
 def claims_of(about: dict[str, Any]) -> list[Claim]:
-    """The claims of this kind of run, and those about each start that a user gave."""
+    """The claims of this kind of run, those about each start that a user gave, and those that the run itself has saved."""
     shown = module_of(about)
     own = [make(name) for name in about.get("given", {}) for make in getattr(shown, "GIVEN", ())]
     claims = getattr(shown, "CLAIMS", ())
-    return [*(claims.get(about["kind"], ()) if isinstance(claims, dict) else claims), *own]
+    saved = [Claim(**claim) for claim in about.get("claims", ())]
+    return [*(claims.get(about["kind"], ()) if isinstance(claims, dict) else claims), *own, *saved]
 
 
 def facts_of(about: dict[str, Any]) -> list[tuple[str, str]]:
