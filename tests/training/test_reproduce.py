@@ -134,7 +134,7 @@ def test_the_page_is_made_of_the_rows(found):
     assert [len(made) for made in tables.values()] == [len(reproduce.WEIGHTS), 8, 9, 8, 6]
     weights, rules, costs, paper, paths = tables.values()
     row = chosen(found.summary, "case == 'weights' and rule == 'adaptive' and force_weight == 0.5").iloc[0]
-    told = weights.set_index(["omega", "lambda [N^2]"]).loc[(0.5, row["barrier_weight"]), "adaptive"]
+    told = weights.set_index(["force_weight", "barrier_weight"]).loc[(0.5, row["barrier_weight"]), "adaptive"]
     assert told == f"{row['iterations_median']:g} ({row['iterations_p95']:.3g})"
     assert rules["rule"].tolist() == list(page.RULES.values())
     assert (costs.set_index("form").loc["reduced", "times faster than full"] > 1.0).all()

@@ -317,7 +317,7 @@ def test_seeds_in_other_processes_save_and_end_where_the_run_is_interrupted(tmp_
         train(config, out)
     assert (out / STOP).exists()
     with pytest.raises(KeyboardInterrupt):  # what a worker does then
-        train_seed(config.resolved(), out / "seed-1", 1, False)
+        rows_of(Shard("ppo/initial_force", config.resolved(), out / "seed-1", 1))
     assert read_meta(find_checkpoint(out / "seed-1"))["steps"] == 0
     train(config, out, resume=True, on="inline")
     assert [read_meta(find_checkpoint(out / f"seed-{seed}"))["steps"] for seed in (0, 1)] == [96, 96]

@@ -28,15 +28,6 @@ METHODS = {
     "linear": ("linear program, 8 facets", "--", COLOURS[7], 1.1),
 }
 """Label, line, colour and width."""
-NAMES = RULES | {
-    "force_weight": "omega", "barrier_weight": "lambda [N^2]", "force_excess_median": "excess force, median",
-    "force_excess_p95": "p95", "force_excess_max": "largest", "microseconds_median": "median [us]",
-    "microseconds_p90": "p90 [us]", "microseconds_p99": "p99 [us]", "rate_max": "rate, fitted", "rate_predicted_max": "predicted",
-    "operations_max": "multiplications", "nanoseconds_median": "product step [ns]",
-    "nanoseconds_median_iteration": "iteration [ns]", "form_difference_max": "difference of Phi",
-    **{k: f"{k + 1} [N]" for k in range(4)},
-}  # fmt: skip
-"""Headings of the tables."""
 PATHS = ("path_paper_cuboid", "path_five_finger_cuboid")
 INTRO = (
     "The paper prints neither omega and lambda of Phi = omega tr P + lambda tr P^-1 nor the step size; this page varies them. Every "
@@ -115,19 +106,18 @@ def paths_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
 def weights_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
     """Force excess, and iterations of every rule as median (p95), by weights."""
     found, weights = _some(summary, "case == 'weights'"), ["force_weight", "barrier_weight"]
-    told = [
-        f"{number(a)} ({number(b)})" for a, b in zip(found["iterations_median"], found["iterations_p95"], strict=True)
-    ]
+    pairs = zip(found["iterations_median"], found["iterations_p95"], strict=True)
+    told = [f"{number(median)} ({number(p95)})" for median, p95 in pairs]
     wide = found.assign(told=told).pivot(index=weights, columns="rule", values="told")[list(RULES)]
     excess = found.groupby(weights)[["force_excess_median", "force_excess_p95"]].first()
-    return excess.join(wide).reset_index().rename(columns=NAMES)
+    return excess.join(wide.rename(columns=RULES)).reset_index()
 
 
 def rules_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
     """Microseconds of a certified call, and rates, per rule."""
     times, rates = (_some(summary, f"case == '{case}'") for case in ("times", "rates"))
     columns = ["microseconds_median", "microseconds_p90", "microseconds_p99", "rate_max", "rate_predicted_max"]
-    return times.merge(rates, on="rule").replace({"rule": RULES})[["rule", *columns]].rename(columns=NAMES)
+    return times.merge(rates, on="rule").replace({"rule": RULES})[["rule", *columns]]
 
 
 def costs_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
@@ -136,12 +126,9 @@ def costs_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
     full = product[product["form"] == "full"].set_index("contacts")["nanoseconds_median"]
     product["times faster than full"] = product["contacts"].map(full) / product["nanoseconds_median"]
     columns = [*keys, "operations_max", "nanoseconds_median", "times faster than full"]
-    both = product[columns].merge(
-        _some(summary, "case == 'costs_iteration'")[[*keys, "nanoseconds_median"]], on=keys, suffixes=("", "_iteration")
-    )
-    return both.merge(_some(summary, "case == 'forms'")[["form", "form_difference_max"]], on="form").rename(
-        columns=NAMES
-    )
+    iteration = _some(summary, "case == 'costs_iteration'")[[*keys, "nanoseconds_median"]]
+    both = product[columns].merge(iteration, on=keys, suffixes=("", "_iteration"))
+    return both.merge(_some(summary, "case == 'forms'")[["form", "form_difference_max"]], on="form")
 
 
 def paper_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
@@ -151,7 +138,9 @@ def paper_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
     wide["sum"], wide["1 - (2 + 3 + 4)"] = wide.sum(axis=1), wide[0] - wide[1] - wide[2] - wide[3]
     wide["steps"] = found.groupby(["start", "case"])["iterations"].first()
     wide = wide.loc[found["start"].unique()].reset_index()
-    return wide.rename(columns=NAMES).replace({"case": {"table_one": "ours", "table_one_paper": "paper"}})
+    return wide.rename(columns={k: f"{k + 1} [N]" for k in range(4)}).replace(
+        {"case": {"table_one": "ours", "table_one_paper": "paper"}}
+    )
 
 
 def paths_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
@@ -162,7 +151,7 @@ def paths_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
     wide.columns = [told[name].format(1e3 * interval) for name, interval in wide.columns]
     excess = found.groupby(keys)[["force_excess_median", "force_excess_max"]].first()
     labels = {key: label for key, (label, *_) in METHODS.items()}
-    return excess.join(wide).reset_index().replace({"method": labels}).rename(columns=NAMES)
+    return excess.join(wide).reset_index().replace({"method": labels})
 
 
 FIGURES = (

@@ -66,7 +66,7 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
     who, besides = {"agent": name}, list[dict[str, Any]]()
     if folder is not None:
         if shard.seed is not None:
-            train_seed(config, folder, shard.seed, bool(checkpoints(folder / FOLDER)), bar)
+            train_seed(config, folder, shard.seed, bool(checkpoints(folder / FOLDER)), bar, folder.parent / STOP)
         policy, rule = TrainedAgent.load(folder), None
         meta = policy.meta
         settings, who = meta["env_settings"], who | {"training_seed": meta["seed"]}
@@ -122,7 +122,7 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", conso
     check_space(out, config)
     run.write_json("config.json", {**asdict(config), "env_settings": config.env_settings})
     name = f"{config.algorithm}/{config.action}"
-    shards = {folder.name: Shard(name, config, folder, seed) for seed, folder in folders.items()}
+    shards = {folder.name: Shard(name, config, folder.absolute(), seed) for seed, folder in folders.items()}
     return _finish(run, shards, config, on or ("inline" if len(shards) == 1 else "processes"), console)
 
 
@@ -145,7 +145,10 @@ def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "", 
         raise InvalidInputError(f"no trained agent in {', '.join(map(str, folders))}: name folders of `grasp rl`")
     # the zero policy's curve is of the episodes that the agents' were
     config = replace(config.resolved(), curve_episodes=int(next(iter(metas.values()))["config"]["curve_episodes"]))
-    shards = {str(seed): Shard(f"{meta['algorithm']}/{meta['action']}", config, seed) for seed, meta in metas.items()}
+    shards = {
+        str(seed): Shard(f"{meta['algorithm']}/{meta['action']}", config, seed.absolute())
+        for seed, meta in metas.items()
+    }
     return _finish(Run.create(out.parent, out.name), shards, config, on or "processes", console)
 
 
@@ -170,7 +173,9 @@ def _finish(run: Run, shards: dict[str, Shard], config: RLConfig, on: str, conso
     return run
 
 
-def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Progress | None = None) -> Path:
+def train_seed(
+    config: RLConfig, folder: Path, seed: int, resume: bool, bar: Progress | None = None, stop: Path | None = None
+) -> Path:
     """Trains one agent to `config.steps`, or on from its checkpoint.
 
     Args:
@@ -179,13 +184,17 @@ def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Pro
         seed: of the training.
         resume: whether `folder` holds a checkpoint to go on from.
         bar: shows the steps; None: nothing is shown.
+        stop: a file that, once it is there, interrupts as ctrl-C does.
 
     Returns:
         The last checkpoint.
+
+    Raises:
+        KeyboardInterrupt: interrupted; the last update's checkpoint is saved.
     """
     if resume and read_meta(find_checkpoint(folder))["steps"] >= config.steps:
         return find_checkpoint(folder)
-    envs, stop = make_envs(config.env_settings, config.envs, config.gamma), folder.parent / STOP
+    envs = make_envs(config.env_settings, config.envs, config.gamma)
     try:
         training = Training(folder, config, seed, build(config, envs, seed), envs)
         envs.seed(first_seed(seed, 0))  # stable-baselines3 seeded them with its own
@@ -195,8 +204,8 @@ def train_seed(config: RLConfig, folder: Path, seed: int, resume: bool, bar: Pro
         agent = training.agent
         agent.set_logger(logger)
         try:
-            with interruptible() as interrupted:
-                watch = _Watch(training, lambda: interrupted() or stop.exists(), bar)
+            with interruptible() as came:
+                watch = _Watch(training, lambda: came() or (stop is not None and stop.exists()), bar)
                 every = 1 if config.algorithm == "ppo" else config.envs  # PPO counts updates, SAC episodes
                 agent.learn(config.steps - agent.num_timesteps, watch, log_interval=every, reset_num_timesteps=False)
                 return watch.finish()
