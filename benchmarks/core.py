@@ -24,6 +24,7 @@ from grasp_env.errors import GraspError, InvalidInputError
 from grasp_env.force import phase_one
 from grasp_env.grasp import Grasp
 from training.results.claims import Claim
+from training.results.run import commit
 from training.results.table import join, pd
 
 SIDE = Path(__file__).with_name("core_side.py")
@@ -51,8 +52,8 @@ def run(settings: Settings, names: tuple[str, ...] = tuple(ROWS)) -> pd.DataFram
 
     Returns:
         For each side and method a row for each problem, the best of all rounds, and where there are two sides, in `apart` how far their
-        objectives differ; for each round the ratio of their medians; for each process its first solve. A row with a reason for what a
-        side cannot time.
+        objectives differ; for each round the ratio of their medians; for each process its first solve, with the commit in `event`. A row
+        with a reason for what a side cannot time.
 
     Raises:
         InvalidInputError: the baseline is no installed checkout.
@@ -77,7 +78,8 @@ def run(settings: Settings, names: tuple[str, ...] = tuple(ROWS)) -> pd.DataFram
                     tick(f"{count} contacts, round {turn + 1} of {settings.rounds}: {side}")
                     words = [str(out), str(file), str(settings.passes), str(time.monotonic()), *names]
                     about, *lines = process(python, root, words)
-                    first.append({"case": FIRST, "side": side, "milliseconds": about["milliseconds"]})
+                    taken = about["milliseconds"]
+                    first.append({"case": FIRST, "side": side, "event": commit(root), "milliseconds": taken})
                     parts.append(pd.DataFrame(lines).assign(side=side, contacts=count, turn=turn))
     return join([*joined(pd.concat([part.astype(object) for part in parts], ignore_index=True)), pd.DataFrame(first)])
 

@@ -180,7 +180,7 @@ def provenance() -> dict[str, Any]:
             "python": platform.python_version(),
         },
         "versions": {name: _version(name) for name in _PACKAGES},
-        "commit": _commit(),
+        "commit": commit(Path(__file__).parent),
     }
 
 
@@ -211,11 +211,11 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-def _commit() -> str:
+def commit(folder: Path) -> str:
+    """The commit of a checkout, with `-dirty` where files differ from it."""
     try:
-        here = Path(__file__).parent
         run = subprocess.run(
-            ["git", "-C", str(here), "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=10
+            ["git", "-C", str(folder), "describe", "--always", "--dirty"], capture_output=True, text=True, timeout=10
         )
         return run.stdout.strip() or "unknown"
     except (OSError, subprocess.SubprocessError):
