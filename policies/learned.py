@@ -255,8 +255,8 @@ class LearnedInitialForce:
         nearest = min(max(friction, low), high) if self._degree else friction  # beyond, polynomials know nothing
         model = core.Model.make(self._network(nearest))
         model.normalise(**asdict(self.features))
-        model.place(np.ascontiguousarray(null_space_basis(grasp, self._reference)), nearest, scale)
-        model.trained_on(self.features.length, np.zeros(3), most * scale if known else -1.0)
+        internal = np.ascontiguousarray(null_space_basis(grasp, self._reference))
+        model.place(internal, nearest, scale, most * scale if known else -1.0)
         return model
 
     def _scale(self, count: int) -> float:

@@ -308,16 +308,10 @@ class Model:
     def normalise(self, length: float, floor: float, log_mean: float, log_scale: float, friction_mean: float, friction_scale: float) -> None:
         """Of the network's features, see policies/features.py."""
 
-    def place(self, null_space: object, friction: float, scale: float) -> None:
+    def place(self, null_space: object, friction: float, scale: float, largest: float) -> None:
         """
-        (3N, 3N - 6) internal forces that the network's outputs stand for;
-        scale: sqrt(lambda / omega) over that of training.
-        """
-
-    def trained_on(self, length: float, centre: object, largest: float) -> None:
-        """
-        The frame (length and centre [m]) in which training measured wrenches, their largest size [N];
-        < 0: none is inside.
+        null_space: (3N, 3N - 6) internal forces that the network's outputs stand for; scale: sqrt(lambda / omega) over that of
+        training; largest: size of the training's wrenches [N], < 0: none is covered.
         """
 
     def save(self) -> bytes:

@@ -161,7 +161,7 @@ def table() -> dict[str, tuple[Callable[..., Any], dict[str, Any], frozenset[str
         "Newton.solve before a basis": (bare.solve, {"wrench": wrench, "previous": None, "record": empty}, frozenset()),
         "Model.make": (_core.Model.make, {"network": network}, frozenset()),
         "Model.normalise": (fresh.normalise, NORMALISATION, frozenset()),
-        "Model.place": (fresh.place, {"null_space": np.ones((12, 6)), "friction": 0.4, "scale": 1.0}, frozenset()),
+        "Model.place": (fresh.place, {"null_space": np.ones((12, 6)), "friction": 0.4, "scale": 1.0, "largest": 20.0}, frozenset()),
         "Model.load": (_core.Model.load, {"bytes": blob}, frozenset()),
         "Model.save": (fresh.save, {}, frozenset()),
         "all_finite": (_core.all_finite, {"array": wrench}, frozenset({"array"})),

@@ -78,8 +78,7 @@ def model(placed: bool = True) -> _core.Model:
     made = _core.Model.make(_core.Network.make([8, 6], 0.1 * np.random.default_rng(0).standard_normal(54)))
     made.normalise(0.05, 0.2, 0.5, 1.3, 0.4, 0.12)
     if placed:
-        made.place(INTERNAL, 0.5, 1.0)
-        made.trained_on(0.05, np.zeros(3), 20.0)
+        made.place(INTERNAL, 0.5, 1.0, 20.0)
     return made
 
 
@@ -223,7 +222,6 @@ def calls() -> dict[str, Call]:
         "Conic.solve_many": Call(partial(c.solve_many, previous=None), {"wrenches": LOADS}, {"records": many}),
         "Conic.times": Call(partial(c.times, passes=1), {"wrenches": LOADS}, {"records": many, "best": (3,)}),
         "Network.make": Call(partial(_core.Network.make, [8, 6]), {"weights": np.full(54, 0.1)}, {}),
-        "Model.trained_on": Call(partial(model().trained_on, length=1.0, largest=1.0), {"centre": np.zeros(3)}, {}),
         "Learned.make": Call(partial(_core.Learned.make, contacts(), TOLERANCE, LIMIT, model=model()), basis, {}),
         "Learned.start": Call(start.start, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),
         "Learned.solve": Call(start.solve, {"wrench": LOADS[0], "previous": records[0]}, {"record": (SIZE,)}),

@@ -294,7 +294,7 @@ def test_models_of_other_contacts_and_wrong_numbers_are_refused() -> None:
         with pytest.raises(ValueError, match=r"other contacts|stages|finite"):
             fails()
     short = model()
-    short.place(np.ascontiguousarray(INTERNAL[:, :5]), 0.5, 1.0)
+    short.place(np.ascontiguousarray(INTERNAL[:, :5]), 0.5, 1.0, 20.0)
     with pytest.raises(ValueError, match="other contacts"):
         _core.Learned.make(contacts(), TOLERANCE, LIMIT, SAMPLE.basis, short)
 

@@ -40,14 +40,10 @@ void normalise(Model& model, double length, double floor, double log_mean, doubl
     if (!model.normalisation.good()) throw nb::value_error("means must be finite, lengths and scales also > 0");
 }
 
-void place(Model& model, nb::handle null_space, double friction, double scale) {
+void place(Model& model, nb::handle null_space, double friction, double scale, double largest) {
     const Numbers columns = in(null_space, -1, -1);
     model.null_space.assign(columns.data(), columns.data() + columns.length(0) * columns.length(1));
-    model.friction = friction, model.scale = scale;
-}
-
-void trained_on(Model& model, double length, nb::handle centre, double largest) {
-    model.trained.length = length, model.trained.centre = point(in(centre, 3).data()), model.largest = largest;
+    model.friction = friction, model.scale = scale, model.largest = largest;
 }
 
 nb::bytes save(const Model& model) {
@@ -93,12 +89,10 @@ void bind_learned(nb::module_& m) {
         .def_static("make", &make_model, "network"_a)
         .def("normalise", &normalise, "length"_a, "floor"_a, "log_mean"_a, "log_scale"_a, "friction_mean"_a, "friction_scale"_a,
              "Of the network's features, see policies/features.py.")
-        .def("place", &place, "null_space"_a, "friction"_a, "scale"_a,
-             "(3N, 3N - 6) internal forces that the network's outputs stand for;\n"
-             "scale: sqrt(lambda / omega) over that of training.")
-        .def("trained_on", &trained_on, "length"_a, "centre"_a, "largest"_a,
-             "The frame (length and centre [m]) in which training measured wrenches, their largest size [N];\n"
-             "< 0: none is inside.")
+        .def("place", &place, "null_space"_a, "friction"_a, "scale"_a, "largest"_a,
+             "null_space: (3N, 3N - 6) internal forces that the network's outputs stand for; scale: sqrt(lambda / omega) over "
+             "that of\n"
+             "training; largest: size of the training's wrenches [N], < 0: none is covered.")
         .def("save", &save, "What `grasp::ModelFile` reads: one file for C++ programs.")
         .def_static(
             "load", [](nb::bytes bytes) { return ModelFile::read({bytes.c_str(), bytes.size()}); }, "bytes"_a,

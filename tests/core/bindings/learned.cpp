@@ -39,7 +39,7 @@ public:
         model.friction = 0.5;
         const double* columns = numbers(null_space, size * (size - 6));
         model.null_space.assign(columns, columns + size * (size - 6));
-        model.trained.length = 0.05, model.largest = 20.0;
+        model.largest = 20.0;
         if (!model.fits(p.contacts.count)) throw nb::value_error("a model of other contacts");
         return std::make_unique<AnyLearned>(instance_of<detail::LearnedAny, Learned>(
             lanes, blocks, p.contacts, Options{tolerance, limit}, numbers(basis, 13 * size), model));

@@ -167,7 +167,7 @@ void run(Bytes& from) {
     if (kind == 7) {
         const std::string_view bytes(reinterpret_cast<const char*>(from.data()), from.left());
         if (ModelFile::read(bytes)) std::abort();  // one in 2^64 hashes
-        if (ModelFile::body(bytes) && bytes.size() < 18 * sizeof(double)) std::abort();
+        if (ModelFile::body(bytes) && bytes.size() < 14 * sizeof(double)) std::abort();
         return;
     }
     const Problem p(from);

@@ -27,8 +27,8 @@ struct Model {
     double friction = 0.0;  // of the contacts
     double scale = 1.0;  // sqrt(lambda / omega) over that of training: Phi knows forces in that unit only
     std::vector<double> null_space;  // (3N, 3N - 6) the internal forces [N] that the network's outputs stand for
-    UnitFrame trained;  // in which training measured wrenches,
-    double largest = -1.0;  // and their largest size there [N]; negative: nothing is inside
+    double largest =
+        -1.0;  // size of the training's wrenches [N], moments over the normalisation's length; negative: none is covered
 
     // Whether the parts belong together, and to so many contacts.
     bool fits(int count) const {
@@ -125,8 +125,12 @@ public:
 
     // Whether a wrench is no larger than those of training, and contacts and friction are like them.
     bool covers(const double* wrench) const {
-        const Vec6 seen = model_.trained.of(wrench);
-        return dot(seen, seen) <= model_.largest * std::abs(model_.largest);
+        double square = 0.0;
+        for (int r = 0; r < 6; ++r) {
+            const double part = r < 3 ? wrench[r] : wrench[r] / model_.normalisation.length;
+            square += part * part;
+        }
+        return square <= model_.largest * std::abs(model_.largest);
     }
 
     // The network's own force (3N,) [N]: balanced, perhaps outside the cones.

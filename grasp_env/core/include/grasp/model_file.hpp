@@ -91,15 +91,14 @@ private:
     bool good_ = true;
 
     // The numbers of a model besides its weights, in their order.
-    static std::array<double, 13> packed(const Model& m) {
+    static std::array<double, 9> packed(const Model& m) {
         const Normalisation& by = m.normalisation;
-        const Point& at = m.trained.centre;
-        return {by.length, by.floor, by.log_mean, by.log_scale, by.friction_mean, by.friction_scale, m.friction,
-                m.scale,   at.u,     at.o,        at.t,         m.trained.length, m.largest};
+        return {by.length,         by.floor,   by.log_mean, by.log_scale, by.friction_mean,
+                by.friction_scale, m.friction, m.scale,     m.largest};
     }
-    static void unpack(const std::array<double, 13>& n, Model& m) {
+    static void unpack(const std::array<double, 9>& n, Model& m) {
         m.normalisation = {n[0], n[1], n[2], n[3], n[4], n[5]};
-        m.friction = n[6], m.scale = n[7], m.trained.centre = {n[8], n[9], n[10]}, m.trained.length = n[11], m.largest = n[12];
+        m.friction = n[6], m.scale = n[7], m.largest = n[8];
     }
 
     template <class T> void put(T value) { bytes_.append(reinterpret_cast<const char*>(&value), sizeof value); }
