@@ -112,7 +112,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "compare": {"results", "data"},
         "fit": {"results", "data", "compare"},
         "report": {"results", "compare"},
-        "rl": {"results", "data", "report"},
+        "rl": {"results", "data"},
         "reproduce": {"results"},
         "commands": {"results", "demo", "fit", "compare", "report", "rl", "reproduce", "live"},
     },
