@@ -1,347 +1,418 @@
-"""`grasp live` without its page: what is asked and answered, how events are taken together, where the server listens, what is recorded."""
+"""`grasp live` without a browser: what is answered, what mouse and controls change, who may connect, what is recorded."""
 
 from __future__ import annotations
 
+import asyncio
+import base64
+import http.client
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
-from live_client import EYE, LiveClient, live_client
+import viser
+import zstandard
+from processes import start
 
-from grasp_env.errors import InvalidInputError
+from grasp_env.config import EnvConfig
+from grasp_env.errors import InvalidInputError, SimulationError
+from grasp_env.force import METHODS
 from grasp_env.grasp import Grasp, presets, save_grasp
+from grasp_env.sim.hand.description import HANDS, HandDescription
+from grasp_env.sim.hand.urdf import hand_urdf
+from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription
 from training.cli import main
 from training.commands.rules import rule
-from training.live.bare import BarePage
-from training.live.body import SHAPES, body_of, shaped
-from training.live.newest import Newest
-from training.live.page import close_server, open_server
-from training.live.question import Answers, Mood, Question, screw
-from training.live.session import Session, checked_record
+from training.live import look
+from training.live.answer import STARTS, answer
+from training.live.contacts import SHAPES, BareContacts, body_of, placed, under
+from training.live.hand import STIFFNESS, SimulatedHand
+from training.live.server import LocalServer
+from training.live.window import Window
 
 ROOT = Path(__file__).parents[2]
-LOAD = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
-GRASP = presets.paper_cuboid()
-HELD = Question(GRASP.positions, GRASP.normals, 0.4, LOAD)
-ONE_SIDE = Question(GRASP.positions[1:], GRASP.normals[1:], 0.4, LOAD)
+GRASP, LOAD = presets.paper_cuboid(), np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
+EYE = np.array([4.0, 2.5, 5.0])
 
 
-@contextmanager
-def bare_page(question: Question = HELD) -> Iterator[tuple[BarePage, int]]:
-    """A page that is drawn at every event, and its port."""
-    server = open_server(0, "test")
-    page = BarePage(server, question, rule)
+@pytest.fixture
+def bare() -> Iterator[BareContacts]:
+    page = BareContacts(0, GRASP, LOAD, "newton", rule)
     page.draw()
-    worker = Newest(page.draw)
-    page.watch(worker.wake)
-    try:
-        yield page, server.get_port()
-    finally:
-        worker.close()
-        close_server(server)
-        assert worker.fault is None
+    yield page
+    page.server.stop()
 
 
-def test_forces_balance_the_load_within_their_cones():
-    answer = Answers()(HELD)
-    assert (answer.mood, answer.status) == (Mood.GOOD, "held")
-    moments = np.cross(HELD.positions, answer.forces).sum(axis=0)
-    np.testing.assert_allclose(np.concatenate([answer.forces.sum(axis=0), moments]), -LOAD, atol=1e-9)
-    assert answer.margins.min() > 0.0
-    assert answer.bound <= answer.objective
-    assert 0.0 < answer.microseconds < 1e5
-    assert answer.twist is None
+@pytest.fixture
+def hand() -> Iterator[SimulatedHand]:
+    page = SimulatedHand(0, EnvConfig(hand=HANDS["four_finger"](), method="newton"), rule)
+    page.draw()
+    yield page
+    page.server.stop()
+    page.stage.scene.close()
 
 
-@pytest.mark.parametrize("method", ["reduced_flow", "full_flow", "newton", "conic", "linear"])
-def test_every_method_answers(method):
-    assert Answers(rule)(replace(HELD, method=method)).mood is Mood.GOOD
+def node(page: Window, name: str) -> Any:
+    return page.scene.get_handle_by_name(name)
 
 
-@pytest.mark.parametrize("start", ["single_value", "lagrange", "previous", "learned"])
-def test_every_start_answers(start):
-    ask = Answers(rule)
-    first, again = ask(replace(HELD, start=start)), ask(replace(HELD, start=start))
-    assert first.mood is again.mood is Mood.GOOD
-    if start == "previous":  # what is timed again does not start from itself: the first load's answer is where it is
-        assert again.iterations == 0
+def panel(page: Window) -> str:
+    return page._panel.content
 
 
-def test_the_twist_of_an_infeasible_load_separates_it():
-    answer = Answers()(ONE_SIDE)
-    assert (answer.mood, answer.status) == (Mood.BAD, "cannot be held")
-    assert answer.twist is not None
-    assert answer.twist @ LOAD > 0.0
-    grasp = Grasp.from_contacts(ONE_SIDE.positions, ONE_SIDE.normals, 0.4)
-    speeds = (grasp.matrix.T @ answer.twist).reshape(-1, 3)  # no force of a cone brakes it: the dual cone, to rounding
-    assert (speeds[:, 0] >= 0.4 * np.hypot(speeds[:, 1], speeds[:, 2]) - 1e-6).all()
-    assert not answer.forces.any()
-    assert "turns the object" in answer.words
-    assert "red screw" in answer.words
+def until(page: Window, seen: Callable[[], Any]) -> None:
+    """Steps until what was sent has arrived and is drawn."""
+    for _ in range(200):
+        if seen():
+            return
+        page.step(0.1)
+    raise AssertionError(panel(page))
 
 
-def test_the_friction_that_would_hold_is_said_and_holds():
-    sphere = shaped("sphere", 0.1)
-    places, normals = zip(*(sphere.nearest(np.array(p))[:2] for p in [(0.05, 0.1, 0.0), (-0.05, 0.1, 0.03), (0.0, 0.02, -0.1)]), strict=True)  # fmt: skip
-    question = Question(np.array(places), np.array(normals), 0.1, LOAD)
-    answer = Answers()(question)
-    assert answer.mood is Mood.BAD
-    said = float(answer.words.split("Friction ")[1].split()[0])
-    assert Answers()(replace(question, friction=said + 0.01)).mood is Mood.GOOD
-    assert Answers()(replace(question, friction=said - 0.03)).mood is Mood.BAD
+def drag(page: Window, name: str, *points: Any, ends: bool = False) -> None:
+    """Drags a node from the first of some points to the others, scene units, seen from `EYE`."""
+    phases = ["start", *["update"] * (len(points) - 1), *(["end"] if ends else [])]
+    for phase, point in zip(phases, [*points, points[-1]], strict=False):
+        camera = SimpleNamespace(camera=SimpleNamespace(position=EYE))
+        event = SimpleNamespace(phase=phase, start_position=points[0], end_position=point, client=camera)
+        for entry in node(page, name)._impl.drag_cb:
+            asyncio.run(entry.callback(event))
+    page.step(10.0)
 
 
-def test_a_limit_that_no_force_keeps_is_told_with_the_gentlest():
-    answer = Answers()(replace(HELD, max_normal=3.0))
-    assert (answer.mood, answer.status) == (Mood.BAD, "beyond the limit")
-    assert answer.normal_forces.max() > 3.0
-    assert "3 N" in answer.words
-    assert Answers()(replace(HELD, max_normal=20.0)).normal_forces.max() < 20.0
+@pytest.mark.parametrize(("method", "start"), [(m, STARTS[0]) for m in METHODS] + [("newton", s) for s in STARTS])
+def test_forces_balance_the_load_within_their_cones(method, start):
+    found = answer(GRASP, LOAD, method, rule(start))
+    again = answer(GRASP, LOAD, method, rule(start), previous=found.solution)
+    assert (found.mood, found.status, again.status, found.twist) == ("good", "held", "held", None)
+    assert found.solution is not None
+    forces, margins = GRASP.to_object_frame(found.solution.force), found.columns["margin, N"]
+    balance = [*forces.sum(axis=0), *np.cross(GRASP.positions, forces).sum(axis=0)]
+    np.testing.assert_allclose(balance, -LOAD, atol=1e-9)
+    np.testing.assert_allclose(found.columns["normal, N"], np.einsum("ni,ni->n", forces, GRASP.normals), atol=1e-12)
+    assert margins.min() > (-1e-9 if method == "linear" else 0.0)
+    assert 0.0 < float(found.facts["one solve"].removesuffix(" µs")) < 1e5
+    if start == "previous":  # what is timed does not start from itself
+        assert again.facts["iterations"] == "0 from previous"
 
 
-def test_errors_become_words():
-    ask = Answers()
-    assert "newton" in ask(replace(HELD, method="reduced_flow", max_normal=3.0)).words
-    line = Question(np.array([[0.0, 0.0, -0.05], [0.0, 0.0, 0.05], [0.0, 0.0, 0.1]]), GRASP.normals[:3], 0.4, LOAD)
-    assert ask(line).status == "no grasp"
-    assert ask(HELD).status == "held"  # and the next question is answered
-    out = ask(replace(HELD, normals=-HELD.normals))
-    assert any("INTO the object" in text for text in out.advice)
+def test_what_cannot_be_held_is_proved_and_mended():
+    one_side = Grasp.from_contacts(GRASP.positions[1:], GRASP.normals[1:], 0.4)
+    found = answer(one_side, LOAD)
+    assert (found.mood, found.status, found.solution) == ("bad", "cannot be held", None)
+    assert found.twist is not None
+    assert found.twist @ LOAD > 0.0
+    speeds = (one_side.matrix.T @ found.twist).reshape(-1, 3)  # in the dual cones: no force brakes it
+    assert (speeds[:, 0] >= 0.4 * np.hypot(speeds[:, 1], speeds[:, 2]) - 1e-6 * np.abs(speeds).max()).all()
+    assert "More friction alone does not help" in found.words
+    sphere = look.object_mesh("sphere", (0.1,))
+    met = [under(sphere, np.array(eye), np.zeros(3)) for eye in ((0.5, 1.0, 0.0), (-0.5, 1.0, 0.3), (0.0, 0.2, -1.0))]
+    places, normals = zip(*filter(None, met), strict=True)
+    smooth = Grasp.from_contacts(np.array(places), np.array(normals), 0.1)
+    said = float(answer(smooth, LOAD).words.split("Friction ")[1].split()[0])
+    moods = [answer(smooth.with_friction(friction), LOAD).mood for friction in (said, said - 0.05)]
+    assert moods == ["good", "bad"]
+    limited = answer(GRASP, LOAD, max_normal=3.0)
+    assert (limited.mood, limited.status) == ("bad", "beyond the limit")
+    assert limited.columns["normal, N"].max() > 3.0
 
 
-def test_a_screw_is_its_twist():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        twist, centre = rng.normal(size=6), rng.normal(size=3)
-        point, axis, turning, sliding = screw(twist, centre)
-        np.testing.assert_allclose(turning * axis, twist[3:], atol=1e-12)
-        np.testing.assert_allclose(sliding * axis - np.cross(turning * axis, point), twist[:3], atol=1e-9)
-    point, axis, turning, sliding = screw(np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]), np.ones(3))
-    assert (turning, sliding, axis.tolist()) == (0.0, 2.0, [0.0, 1.0, 0.0])
+def test_a_screw_is_drawn_about_its_axis():
+    line, *ring = look.screw(np.array([0.0, 0.3, 0.1, 0.0, 0.0, 2.0]), np.array([0.0, 0.0, 7.0]), 1.0)
+    np.testing.assert_allclose(line[:, :2], [[-0.15, 0.0]] * 2, atol=1e-12)  # where the velocity is along the axis
+    assert line[1, 2] > 7.0 > line[0, 2]  # it slides upwards
+    assert np.cross(ring[0][0] - line[0], ring[0][1] - line[0])[2] > 0.0  # and turns to the left
+    line, *ring = look.screw(np.array([0.0, -2.0, 0.0, 0.0, 0.0, 0.0]), np.zeros(3), 1.0)
+    np.testing.assert_allclose(line, [[0.0, 0.85, 0.0], [0.0, -0.85, 0.0]])
+    assert np.ptp(ring) == 0.0
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_contacts_lie_on_the_surface_wherever_they_are_dragged(shape):
-    body, rng = shaped(shape, 0.1), np.random.default_rng(1)
+def test_contacts_lie_on_the_object_under_the_mouse(shape):
+    rng, mesh, surface = np.random.default_rng(1), look.object_mesh(shape, (0.1,) * 3), ObjectDescription(shape).surface
     for _ in range(50):
-        eye = rng.normal(size=3)
-        eye *= 0.4 / np.linalg.norm(eye)
-        place, inward = body.under(eye, 0.06 * rng.normal(size=3))
-        assert abs(body.nearest(place)[2]) < 1e-9
-        np.testing.assert_allclose(np.linalg.norm(inward), 1.0, atol=1e-9)
-        assert inward @ (body.centre - place) > 0.0  # into the object
+        eye, mouse = rng.normal(size=3), 0.01 * rng.normal(size=3)
+        met = under(mesh, eye, mouse)
+        assert met is not None
+        place, inward = met
+        nearest, normal, _ = surface.nearest(place)
+        np.testing.assert_allclose([*place, inward @ normal], [*nearest, 1.0], atol=2e-3)
+        assert inward @ (mouse - eye) > 0.0  # the side that the eye sees
+        np.testing.assert_allclose(np.cross(place - eye, mouse - eye), 0.0, atol=1e-12)
+        assert under(mesh, eye, eye + np.cross(eye, inward)) is None  # beside the object
     for count in range(3, 9):
-        places, normals = body.placed(count)
-        assert Answers()(Question(places, normals, 0.5, LOAD)).mood is Mood.GOOD
+        assert answer(Grasp.from_contacts(*placed(mesh, count), 0.5), LOAD).mood == "good"
+    assert body_of(Grasp.from_contacts(*placed(mesh, 8), 0.5))[0] == shape
 
 
-def test_presets_find_their_bodies_and_others_a_hull():
-    assert {name: body_of(presets.preset(name)).name for name in presets.PRESETS} == {
-        "paper_cuboid": "box", "tripod": "sphere", "five_finger_cuboid": "box",
-    }  # fmt: skip
-    rng = np.random.default_rng(2)
-    positions = rng.normal(size=(5, 3))
-    body = body_of(Grasp.from_contacts(positions, -positions / np.linalg.norm(positions, axis=1)[:, None], 0.5))
-    assert body.name == "hull of the contacts"
-    assert all(body.nearest(point)[2] < 1e-9 for point in positions)
+def test_grasps_find_their_bodies_and_others_a_hull():
+    assert [body_of(presets.preset(name))[0] for name in ("paper_cuboid", "tripod")] == ["cuboid", "sphere"]
+    positions = np.random.default_rng(2).normal(size=(5, 3))
+    name, mesh = body_of(Grasp.from_contacts(positions, -positions / np.linalg.norm(positions, axis=1)[:, None], 0.5))
+    assert (name, mesh.is_watertight) == ("hull of the contacts", True)
 
 
-def test_events_that_come_while_one_is_drawn_are_one():
-    busy, go, drawn = threading.Event(), threading.Event(), []
-
-    def work() -> None:
-        drawn.append(len(drawn))
-        busy.set()
-        assert go.wait(10.0)
-
-    newest = Newest(work)
-    newest.wake()
-    assert busy.wait(10.0)
-    for _ in range(1000):
-        newest.wake()
-    go.set()
-    newest.close()
-    assert len(drawn) in (1, 2)  # the one under way, and one for all others where it had begun before the end
-
-
-def test_a_fault_ends_the_worker_and_is_kept():
-    newest = Newest(lambda: 1 / 0)
-    newest.wake()
-    assert not newest.wait(10.0)
-    assert isinstance(newest.fault, ZeroDivisionError)
+def test_what_is_set_is_what_is_solved(bare):
+    heavy = np.array([40.0, 0.0, 0.0, *LOAD[3:]])  # it takes more than the 50 N at the end of the slider, no limit
+    for control, value, asked in (
+        (bare.friction, 0.8, {"grasp": GRASP.with_friction(0.8)}),
+        (bare.force, tuple(heavy[:3]), {"wrench": heavy}),
+        (bare.moment, (0.0, 0.0, 0.02), {"wrench": np.array([*LOAD[:3], 0.0, 0.0, 0.02])}),
+        (bare.limit, 8.0, {"max_normal": 8.0}),
+        (bare.method, "conic", {"method": "conic"}),
+        (bare.start, "single_value", {"start": "single_value"}),
+        (bare.weight, -4.0, {"barrier_weight": 1e-4}),
+    ):
+        before, control.value = control.value, value
+        expected = answer(**{"grasp": GRASP, "wrench": LOAD, **asked})
+        normals = expected.columns["normal, N"]
+        until(bare, lambda told=f"{normals[2]:.2f}</td>": told in panel(bare))
+        np.testing.assert_allclose(bare.answer.columns["normal, N"], normals, atol=1e-9)
+        assert (bare.answer.status, bare.answer.facts["iterations"]) == ("held", expected.facts["iterations"])
+        control.value = before
 
 
-def test_only_this_machine_is_listened_to():
-    server = open_server(0, "test")
-    try:
-        port, own = server.get_port(), f"/proc/{os.getpid()}/net"
-        rows = [line.split() for name in ("tcp", "tcp6") for line in Path(own, name).read_text().splitlines()[1:]]
-        listening = [row[1] for row in rows if row[3] == "0A" and int(row[1].rsplit(":", 1)[1], 16) == port]
-        assert listening == [f"0100007F:{port:04X}"]  # 127.0.0.1, as the kernel writes it
-        kinds = {kind.__name__ for kind in server._websock_server._incoming_handlers}
-        assert not {kind for kind in kinds if "Share" in kind}  # no tunnel either
-    finally:
-        close_server(server)
+def test_forces_and_cones_are_drawn_as_they_are(bare):
+    tails, heads = np.swapaxes(node(bare, "/contacts/forces").points, 0, 1)
+    np.testing.assert_allclose(heads, 10.0 * GRASP.positions, atol=1e-6)  # they push from outside
+    forces = GRASP.to_object_frame(bare.answer.solution.force)
+    np.testing.assert_allclose((heads - tails) / bare._force_scale, forces, atol=1e-5)
+    for k, normal in enumerate(GRASP.normals):
+        rim = node(bare, f"/contacts/{k}/cone").vertices[1:]
+        outward = -rim @ normal
+        sideways = np.linalg.norm(rim + np.outer(outward, normal), axis=1)
+        np.testing.assert_allclose(sideways, 0.4 * outward, atol=1e-6)
 
 
-def test_a_taken_port_is_said_and_the_next_one_taken(capsys):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        server = open_server(port, "test")
-        try:
-            assert server.get_port() != port
-            assert f"port {port} is taken" in capsys.readouterr().err
-        finally:
-            close_server(server)
-    with pytest.raises(InvalidInputError, match="port must be"):
-        open_server(70_000, "test")
+def test_the_mouse_drags_the_load_and_a_contact_until_nothing_holds(bare):
+    for k, (control, load) in enumerate(((bare.force, LOAD[:3]), (bare.moment, LOAD[3:]))):
+        head, away = np.array(node(bare, f"/load/{k}").position), np.array([0.2, 0.1, -0.3])
+        drag(bare, f"/load/{k}", head + 0.01, head + 0.01 + away)
+        np.testing.assert_allclose(node(bare, f"/load/{k}").position, head + away, atol=1e-3)
+        np.testing.assert_allclose(node(bare, "/load").points[k, 1], head + away, atol=1e-3)
+        scale = np.linalg.norm(head) / np.linalg.norm(load)
+        np.testing.assert_allclose(control.value, load + away / scale, atol=1e-4)
+    to = np.array([0.45, 0.1, 0.3])
+    drag(bare, "/contacts/0", 10.0 * GRASP.positions[0], to)
+    assert bare.answer.status == "cannot be held"
+    np.testing.assert_allclose(np.cross(10.0 * bare.positions[0] - EYE, to - EYE), 0.0, atol=1e-9)  # under the mouse
+    np.testing.assert_allclose(bare.normals[0], [-1.0, 0.0, 0.0], atol=1e-9)  # of the side that it is on now
+    assert "red screw" in panel(bare)
+    assert tuple(node(bare, "/object/body").color) == look.BAD
+    assert (node(bare, "/screw").visible, node(bare, "/contacts/forces").visible) == (True, False)
+    bare.count.value, bare.shape.value = 6, "sphere"
+    until(bare, lambda: "contact 6" in panel(bare) and bare.answer.status == "held")
+    np.testing.assert_allclose(np.linalg.norm(bare.positions, axis=1), 0.05, rtol=2e-3)
+    assert not node(bare, "/screw").visible
+    bare.again.value = True  # pressed
+    until(bare, lambda: bare.shape.value == "cuboid")
+    assert (bare.force.value, bare.count.value, bare.answer.status) == ((1.0, 0.5, -0.6), 4, "held")
+    np.testing.assert_array_equal(bare.positions, GRASP.positions)
 
 
-def test_what_is_set_and_dragged_changes_what_is_seen():
-    with bare_page() as (page, port), live_client(port) as client:
-        client.until(lambda seen: "4.98" in seen.text)
-        client.set("friction", 0.8)
-        client.until(lambda seen: "4.98" not in seen.text and "held" in seen.text)
-        assert page.question.friction == 0.8
-        client.set("method", "conic")
-        client.until(lambda seen: "<p style" in seen.text and "newton" not in seen.text)
-        client.set("force, N", (0.0, 2.0, 0.0))
-        client.until(lambda seen: bool(np.allclose(seen.nodes["/load/grip"]["position"][::2], 0.0)))
-        np.testing.assert_array_equal(page.question.wrench[:3], [0.0, 2.0, 0.0])
+def test_errors_become_words_and_the_next_question_is_answered(bare):
+    for method, limit, start, words in (("reduced_flow", 4.0, STARTS[0], "newton"), ("newton", 50.0, "none", "choose")):
+        bare.method.value, bare.limit.value, bare.start.value = method, limit, start
+        until(bare, lambda: bare.answer.status == "not solved")
+        assert words in panel(bare)
+        bare.again.value = True
+        until(bare, lambda: bare.answer.status == "held")
+    bare.normals = -GRASP.normals
+    bare.draw()
+    assert "INTO the object" in panel(bare)
 
 
-def test_the_load_is_dragged_by_its_ball():
-    with bare_page() as (page, port), live_client(port) as client:
-        ball = np.array(client.nodes["/load/grip"]["position"])
-        away = np.array([0.2, 0.1, -0.3])
-        client.drag("/load/grip", "start", ball + 0.01, ball + 0.01)
-        client.drag("/load/grip", "update", ball, ball + 0.01 + away)
-        client.until(lambda seen: bool(np.allclose(seen.nodes["/load/grip"]["position"], ball + away, atol=1e-6)))
-        scale = np.linalg.norm(ball) / np.linalg.norm(LOAD[:3])  # what it was fixed at
-        np.testing.assert_allclose(page.question.wrench[:3], LOAD[:3] + away / scale, rtol=1e-5)
-        np.testing.assert_array_equal(page.question.wrench[3:], LOAD[3:])
+def test_only_the_page_itself_may_connect(bare):
+    port, upgrade = bare.server.get_port(), {"Upgrade": "websocket", "Connection": "Upgrade"}
+    upgrade |= {"Sec-WebSocket-Key": "x" * 22 + "==", "Sec-WebSocket-Version": "13"}
+    upgrade |= {"Sec-WebSocket-Protocol": f"viser-v{viser.__version__}"}
+    for host, origin, page, websocket in (
+        (f"127.0.0.1:{port}", f"http://127.0.0.1:{port}", 200, 101),
+        (f"localhost:{port}", f"http://localhost:{port}", 200, 101),
+        (f"127.0.0.1:{port}", None, 200, 403),  # so the page is opened; browsers send an origin with every websocket
+        (f"127.0.0.1:{port}", "http://example.org", 403, 403),  # the page of another site
+        (f"127.0.0.1:{port}", "http://localhost:1", 403, 403),  # the page of another program at this machine
+        (f"127.0.0.1:{port}", "null", 403, 403),  # a file, or a frame without rights
+        (f"example.org:{port}", f"http://example.org:{port}", 403, 403),  # DNS rebinding
+        (f"127.0.0.1.example.org:{port}", None, 403, 403),
+    ):
+        for more, expected in (({}, page), (upgrade, websocket)):
+            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+            origins = {} if origin is None else {"Origin": origin}
+            connection.request("GET", "/", headers={"Host": host, **origins, **more})
+            answered = connection.getresponse()
+            framed = answered.headers["X-Frame-Options"]
+            assert (answered.status, framed) == (expected, "DENY" if expected == 200 else None), (host, origin)
+            connection.close()
 
 
-def _points(client: LiveClient) -> np.ndarray:
-    return client.nodes["/contacts/points"]["batched_positions"].reshape(-1, 3)
+def test_the_server_listens_to_this_machine_only_at_the_next_free_port(capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        server = LocalServer(port := taken.getsockname()[1], "test")
+    own, folder = server.get_port(), f"/proc/{os.getpid()}/net"
+    rows = [line.split() for name in ("tcp", "tcp6") for line in Path(folder, name).read_text().splitlines()[1:]]
+    listening = [row[1] for row in rows if row[3] == "0A" and int(row[1].rsplit(":", 1)[1], 16) == own]
+    assert listening == [f"0100007F:{own:04X}"]  # 127.0.0.1, as the kernel writes it
+    assert own > port
+    assert capsys.readouterr() == ("", f"grasp: port {port} is taken: port {own} instead\n")
+    assert server.request_share_url() is None
+    server.stop()
+    for wrong in (80, 70_000, -1):
+        with pytest.raises(InvalidInputError, match="port must be 0"):
+            LocalServer(wrong, "test")
 
 
-def test_a_contact_is_dragged_over_the_object_until_nothing_holds():
-    with bare_page() as (page, port), live_client(port) as client:
-        thumb = _points(client)[0]
-        np.testing.assert_allclose(thumb, [0.0, 0.0, -0.5], atol=1e-6)
-        client.drag("/contacts/points", "start", thumb, thumb, 0)
-        client.drag("/contacts/points", "update", thumb, (0.45, 0.1, 0.3), 0)
-        client.until(lambda seen: "cannot be held" in seen.text)
-        np.testing.assert_allclose(np.abs(page.question.positions[0]).max(), 0.05, atol=1e-9)  # on the box
-        ray = np.array([0.45, 0.1, 0.3]) - EYE
-        off = np.cross(10.0 * page.question.positions[0] - EYE, ray / np.linalg.norm(ray))
-        assert np.linalg.norm(off) < 1e-3  # under the mouse
-        assert client.nodes["/screw/axis"]["visible"]
-        assert client.nodes["/object/body"]["color"] == [214, 48, 49]
-        client.set("number", 6)
-        client.until(lambda seen: len(_points(seen)) == 6 and "contact 6" in seen.text)
-        assert not client.nodes["/screw/axis"]["visible"]
+def recorded(path: Path) -> dict[str, Any]:
+    """What a recording's page plays."""
+    data = base64.b64decode(re.findall(r'__VISER_EMBED_DATA__="([^"]+)"', path.read_text(encoding="utf-8"))[-1])
+    whole = zstandard.ZstdDecompressor().decompress(data[8:], int.from_bytes(data[:8], "little"))
+    return msgspec.msgpack.decode(whole[8 : 8 + int.from_bytes(whole[:8], "little")])
 
 
-def test_a_recording_is_one_whole_file(tmp_path, capsys):
-    server = open_server(0, "test")
-    path = tmp_path / "live.html"
-    Session(server, BarePage(server, HELD), "grasp live", path).run(0.5)
-    address, written = capsys.readouterr().out.splitlines()
-    assert address.startswith("http://127.0.0.1:")
-    assert written == str(path)
-    assert [file.name for file in tmp_path.iterdir()] == ["live.html"]
-    text = path.read_text(encoding="utf-8")
-    assert text.rstrip().endswith("</html>")
-    assert "__VISER_EMBED_DATA__" in text
-    assert "<title>grasp live</title>" in text
-    assert path.stat().st_size < 3e6
-
-
-def test_the_record_button_writes_a_new_file_each_time(tmp_path, monkeypatch, capsys):
+def test_recordings_are_whole_files_with_all_that_moved(bare, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    server = open_server(0, "test")
-    port = server.get_port()
-    session = Session(server, BarePage(server, HELD), "grasp live")
-    thread = threading.Thread(target=session.run, args=(60.0,))
-    thread.start()
-    try:
-        with live_client(port) as client:
-            client.until(lambda seen: "Record" in seen.gui)
-            for number in (1, 2):
-                client.gui.pop("Stop and save", None)
-                client.set("Record", True)
-                client.until(lambda seen: "Stop and save" in seen.gui)
-                client.set("friction", 0.4 + 0.1 * number)
-                client.set("Stop and save", True)
-                client.gui.pop("Record", None)
-                client.until(lambda seen: "Record" in seen.gui)  # told when it is written
-                assert (tmp_path / f"grasp-live-{number}.html").exists()
-    finally:
-        session.stop()
-        thread.join(20.0)
-    assert not thread.is_alive()
+    monkeypatch.setattr("training.live.window.MAX_RECORDED", 0.6)
+    draw, drawn = bare.draw, iter(range(1000))
+
+    def drag_and_press() -> None:
+        time.sleep(0.02)
+        count = next(drawn)
+        bare.force.value = (1.0, 0.01 * count, 0.0)
+        if count in (10, 20, 30, 40):  # the first recording and the second end by the button, the third by itself
+            bare._button.value = True
+        draw()
+
+    monkeypatch.setattr(bare, "draw", drag_and_press)
+    bare.run(2.5, tmp_path / "whole.html")
+    names = ["whole.html", "grasp-live-1.html", "grasp-live-2.html"]
+    assert capsys.readouterr().out.splitlines()[1:] == [str(tmp_path / name) for name in names]
+    assert {path.name for path in tmp_path.iterdir()} == {*names}
+    for path in tmp_path.iterdir():
+        film = recorded(path)
+        moves = [(when, each["name"]) for when, each in film["messages"] if each["type"] == "SetPositionMessage"]
+        assert len({when for when, name in moves if name == "/load/0"}) > 5
+        assert 0.1 < film["durationSeconds"] < 1.0
+        assert path.stat().st_size < 3e6
 
 
-@pytest.mark.parametrize("name", ["live.mp4", "missing/live.html"])
-def test_a_recording_that_cannot_be_is_refused_before(tmp_path, name):
-    with pytest.raises(InvalidInputError, match=r"html|does not exist"):
-        checked_record(tmp_path / name)
-    assert checked_record(None) is None
-
-
-def _command(*arguments: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "training", "live", "--port", "0", *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT)
-
-
-def test_the_command_ends_after_its_time():
-    with _command("--seconds", "0.5", "--preset", "tripod") as process:
-        out, err = process.communicate(timeout=120)
-    assert process.returncode == 0, err
-    assert out.splitlines()[0].startswith("http://127.0.0.1:")
-    assert err == ""
-
-
-def test_ctrl_c_ends_the_command_in_one_line(tmp_path):
-    with _command("--record", str(tmp_path / "live.html")) as process:
+@pytest.mark.parametrize(("seconds", "ends"), [("0.5", (0, "")), ("0", (130, "grasp: interrupted\n"))])
+def test_the_command_ends_after_its_time_or_at_ctrl_c(tmp_path, seconds, ends):
+    record = tmp_path / "live.html"
+    command = [sys.executable, "-m", "training", "live", "--port", "0", "--seconds", seconds, "--record", str(record)]
+    with start(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as process:
         assert process.stdout is not None
         assert process.stdout.readline().startswith("http://127.0.0.1:")
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=120)
-    assert process.returncode == 130
-    assert err == "grasp: interrupted\n"
-    assert (tmp_path / "live.html").exists()
+        if seconds == "0":
+            process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == ends
+    assert recorded(record)["messages"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [(("--seconds", "-1"), "seconds"), (("--record", "x.gif"), ".html"), (("--grasp", "missing.json"), "missing.json"), (("--hand", "nothing.urdf"), "nothing.urdf")],
-)  # fmt: skip
-def test_what_cannot_be_shown_is_an_error(arguments, said):
-    with _command(*arguments) as process:
-        out, err = process.communicate(timeout=120)
-    assert process.returncode == 2
-    assert out == ""
-    assert said in err
-    assert err.count("\n") == 1
+def test_what_cannot_be_shown_is_an_error(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    soft = {"contact_model": "soft", "torsional_friction": 0.005}
+    save_grasp(Grasp.from_contacts(GRASP.positions, GRASP.normals, 0.5, **soft), tmp_path / "soft.json")
+    for option, value, said in (
+        ("--seconds", "-1", "seconds"), ("--record", "x.gif", ".html"), ("--record", "missing/x.html", "folder"),
+        ("--grasp", "missing.json", "missing.json"), ("--hand", "nothing.urdf", "nothing.urdf"), ("--grasp", "soft.json", "hard contacts"),
+    ):  # fmt: skip
+        assert main(["live", "--port", "0", option, value]) == 2
+        out, err = capsys.readouterr()
+        assert (out, err.count("\n")) == ("", 1)
+        assert said in err
 
 
-def test_contacts_that_the_page_cannot_show_are_refused(tmp_path, capsys):
-    grasp = presets.tripod()
-    soft = Grasp.from_contacts(grasp.positions, grasp.normals, 0.5, contact_model="soft", torsional_friction=0.005)
-    save_grasp(soft, tmp_path / "soft.json")
-    assert main(["live", "--grasp", str(tmp_path / "soft.json"), "--port", "0", "--seconds", "1"]) == 2
-    assert "hard contacts" in capsys.readouterr().err
+def pushes(hand: SimulatedHand) -> np.ndarray:
+    """Commanded forces (N, 3) on the object [N], world frame."""
+    return np.einsum("nij,nj->ni", hand.stage.scene.look().rotation @ hand.loop.frames, hand.loop.force)
+
+
+def test_the_controls_change_hand_and_object_while_it_holds(hand, monkeypatch):
+    squeeze, margin, stage = hand.loop.force[:, 0].sum(), hand.loop.effort.margin, hand.stage
+    hand.friction.value = 0.2
+    hand.draw()
+    hand.advance(50)
+    assert hand.loop.force[:, 0].sum() > 1.4 * squeeze  # smoother
+    hand.friction.value, hand.mass.value = 0.4, 0.4
+    hand.draw()
+    hand.advance(100)
+    np.testing.assert_allclose(pushes(hand).sum(axis=0), [0.0, 0.4 * 9.81, 0.0], atol=1e-3)
+
+    def refuse(*_: Any) -> Any:
+        raise SimulationError("the hand cannot hold this")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("training.live.hand.Stage", refuse)
+        hand.shape.value = "sphere"
+        hand.draw()
+    assert hand.stage is stage
+    assert "the hand cannot hold this" in panel(hand)
+    for shape in SHAPES_WITHOUT_MESH:
+        hand.shape.value = shape
+        hand.draw()
+        assert (hand.status()[1], hand.stage.scene.config.object.shape) == ("held", shape)
+        body, extent = node(hand, "/object/body").vertices, np.array(ObjectDescription(shape).extent)
+        np.testing.assert_allclose(np.ptp(body, axis=0), extent / extent.max(), rtol=2e-3)
+    assert "cannot hold" not in panel(hand)
+    hand.motors.value = 10
+    hand.draw()
+    hand.advance(25)
+    assert 0.0 < hand.loop.effort.margin < 0.11 * margin
+
+
+def test_the_mouse_pulls_the_object_until_it_is_lost(hand):
+    hand.advance(50)
+    np.testing.assert_allclose(pushes(hand).sum(axis=0), [0.0, 0.2 * 9.81, 0.0], atol=1e-3)
+    drag(hand, "/object/body", (0.5, 0.0, 0.0), (0.5, 0.1, 0.0))
+    np.testing.assert_allclose(hand.grip, [0.05, 0.0, 0.0], atol=1e-4)  # in metres: it is drawn ten times as large
+    np.testing.assert_allclose(hand.pull(), [0.0, 0.01 * STIFFNESS, 0.0], atol=0.05)
+    drag(hand, "/object/body", (0.5, 0.0, 0.0), (0.5, 10.0, 0.0))
+    hand.advance(100)
+    np.testing.assert_allclose(hand.pull(), [0.0, 5.0, 0.0], atol=0.01)  # and no more
+    np.testing.assert_allclose(pushes(hand).sum(axis=0), [0.0, 0.2 * 9.81 - 5.0, 0.0], atol=2e-3)
+    moments = np.cross(hand.stage.scene.look().touch, pushes(hand)).sum(axis=0)
+    np.testing.assert_allclose(moments, [0.0, 0.0, -0.05 * 5.0], atol=3e-3)
+    hand.draw()
+    assert node(hand, "/pull").visible
+    normal, *tangential = hand.loop.force[0]
+    margin = hand.loop.friction * normal - np.hypot(*tangential)
+    assert all(text in panel(hand) for text in ("held", "5.0 N", f"{margin:.2f}</td>"))
+    drag(hand, "/object/body", (0.5, 0.0, 0.0), ends=True)
+    assert not node(hand, "/pull").visible
+    hand.max_pull.value, hand.friction.value = 40.0, 0.1
+    drag(hand, "/object/body", (0.0, 0.5, 0.0), (0.0, 30.0, 0.0))
+    until(hand, lambda: hand.status()[1] == "lost")
+    assert (tuple(node(hand, "/object/body").color), node(hand, "/status").text) == (look.BAD, "lost")
+    assert "Take hold again" in panel(hand)
+    hand.again.value = True
+    until(hand, lambda: hand.status()[1] == "held")
+    assert (hand.mouse, hand.friction.value, hand.outcome.drift < 1e-3) == (None, 0.4, True)
+    hand.stage.scene.advance([0.0] * len(hand.loop.torques), [np.nan] * 6)  # the simulation diverges
+    hand.step(0.0)
+    assert "simulation diverged" in panel(hand)
+    assert hand.status()[1] == "held"
+    hand._config = hand._config.override(max_drift=1e-9)
+    hand.advance(25)
+    assert "It moved" in hand.status()[2]
+
+
+def test_every_hand_has_looks_and_somebodys_urdf_is_shown(tmp_path, capsys):
+    assert all(look.link_meshes(link) for make in HANDS.values() for link in make().links)
+    path, record = tmp_path / "mine.urdf", tmp_path / "mine.html"
+    path.write_text(hand_urdf(HandDescription.four_finger()), encoding="utf-8")
+    assert main(["live", "--hand", str(path), "--port", "0", "--seconds", "0.5", "--record", str(record)]) == 0
+    out, err = capsys.readouterr()
+    assert out.startswith("http://127.0.0.1:")
+    assert err == "" or err.startswith("grasp: repaired: ")
+    assert recorded(record)["durationSeconds"] > 0.3

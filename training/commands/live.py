@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import warnings
 from dataclasses import dataclass
@@ -18,9 +19,7 @@ from training.commands.options import Wrench, left_out, listed, one_of
 from training.commands.rules import rule
 
 if TYPE_CHECKING:
-    import viser
-
-    from training.live.session import Page
+    from training.live.window import Window
 
 
 @dataclass(frozen=True)
@@ -40,7 +39,7 @@ class Live:
         torque_limit: of a URDF, of all joints [N m]; 0: what the file says.
         shape: of the object in the hand.
         method: that solves.
-        port: of the page on 127.0.0.1; a taken one: the next free one, which is said; 0: any.
+        port: of the page on 127.0.0.1, 1024 to 65000; if it is taken, the next free one, with a note; 0: any free one.
         record: an .html file that records all that is seen, up to two minutes, and opens from disk.
         seconds: after which the page closes; 0: at ctrl-C.
     """
@@ -60,23 +59,15 @@ class Live:
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         need(*("live",) if self.hand is None else ("live", "sim"))
-        from training.live.page import close_server, open_server
-        from training.live.session import Session, checked_record
-
         if not 0.0 <= self.seconds < 1e9:
             raise InvalidInputError(f"seconds must be 0 (until ctrl-C) or up to 1e9, got {self.seconds}")
-        record = checked_record(self.record)
-        server = open_server(self.port, "grasp live")
-        try:
-            page = self._bare(server) if self.hand is None else self._hand(server, self.hand)
-        except BaseException:
-            close_server(server)
-            raise
-        Session(server, page, "grasp live", record).run(self.seconds or None)
+        if self.record is not None and (self.record.suffix != ".html" or not self.record.absolute().parent.is_dir()):
+            raise InvalidInputError(f"record must be an .html file in a folder that exists, got {self.record}")
+        window = self._bare() if self.hand is None else self._hand(self.hand)
+        window.run(self.seconds or math.inf, self.record)
 
-    def _bare(self, server: viser.ViserServer) -> Page:
-        from training.live.bare import BarePage
-        from training.live.question import Question
+    def _bare(self) -> Window:
+        from training.live.contacts import BareContacts
 
         grasp = presets.preset(self.preset) if self.grasp is None else load_grasp(self.grasp)
         if set(grasp.models.names) != {"hard"} or np.ptp(grasp.models.friction) > 0.0:
@@ -85,21 +76,17 @@ class Live:
                 f"friction {np.unique(grasp.models.friction).tolist()}: solve this grasp with grasp solve --grasp, or give a file without "
                 "contact_model and with one number as friction"
             )
-        friction = float(grasp.friction[0])
-        question = Question(grasp.positions, grasp.normals, friction, np.array(self.wrench), method=self.method)
-        return BarePage(server, question, rule)
+        return BareContacts(self.port, grasp, np.array(self.wrench), self.method, rule)
 
-    def _hand(self, server: viser.ViserServer, name: str) -> Page:
+    def _hand(self, name: str) -> Window:
         from grasp_env.config import EnvConfig
         from grasp_env.sim.hand.description import HANDS, HandDescription
-        from training.live.hand import HandPage
+        from training.live.hand import SimulatedHand
 
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
-            if name in HANDS:
-                hand: str | HandDescription = name
-            else:
-                hand = HandDescription.from_urdf(name, self.fingertips or None, torque_limit=self.torque_limit or None)
-        for warning in told:
-            sys.stderr.write(f"grasp: repaired: {warning.message}\n")
-        return HandPage(server, EnvConfig(hand=hand, shape=self.shape, method=self.method), rule)
+            tips, limit = self.fingertips or None, self.torque_limit or None
+            hand = HANDS[name]() if name in HANDS else HandDescription.from_urdf(name, tips, torque_limit=limit)
+        sys.stderr.writelines(f"grasp: repaired: {warning.message}\n" for warning in told)
+        config = EnvConfig(hand=hand, shape=self.shape, method=self.method)
+        return SimulatedHand(self.port, config, rule)

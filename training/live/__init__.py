@@ -1,1 +1,1 @@
-"""`grasp live`: a grasp in the browser, to be pulled at; what is asked and answered (`question`, `playground`) knows nothing of the page."""
+"""`grasp live`: a grasp in the browser that people drag; the window knows nothing of grasps, the answers nothing of the page."""

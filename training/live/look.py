@@ -1,118 +1,127 @@
-"""How things look on the page: colours, unit meshes, lengths of arrows, numbers as HTML."""
+"""Looks of what both pages show: bodies as meshes, contacts with cones and forces, a screw."""
 
 from __future__ import annotations
 
-import html
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import trimesh
+import viser
+from trimesh import creation
 
 from grasp_env._check import Array
-from grasp_env.force import RULES
-from training.live.question import Mood
+from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.meshes import read_mesh
+from grasp_env.sim.hand.solids import outline
+from grasp_env.sim.hand.tree import Geometry, Link, Palm
 
-FINGERS = np.array([(196, 72, 56), (42, 108, 176), (214, 148, 36), (46, 140, 84), (124, 86, 172), (60, 150, 160), (186, 92, 132), (112, 122, 62)], np.uint8)  # fmt: skip
-"""Of contacts and fingers; beyond eight they repeat."""
-LOAD, MOMENT = (150, 30, 140), (206, 98, 190)
-BODY, BAD = (148, 163, 184), (214, 48, 49)
-EDGES, QUIET = (90, 104, 124), (120, 130, 145)
-MOODS = {Mood.GOOD: (46, 140, 84), Mood.WARNING: (214, 148, 36), Mood.BAD: BAD}
-CONE_HEIGHT = 0.3
-"""Of drawn friction cones, in the extent of the object."""
-STARTS = (*RULES, "previous", "learned")
-"""Start rules to choose from, by their names on the command line."""
-_STYLE = """<style>
-.g{font:13px/1.45 system-ui,sans-serif;padding:2px 10px 6px}.g b{font-weight:600}.g p{margin:4px 0}
-.g .s{font-size:17px;font-weight:650;display:flex;align-items:center;gap:8px;margin:2px 0 4px}
-.g .s i{width:11px;height:11px;border-radius:50%;display:inline-block}
-.g table{width:100%;border-collapse:collapse;font-variant-numeric:tabular-nums;margin:6px 0 2px}
-.g td,.g th{padding:1px 0 1px 6px;text-align:right;font-weight:400}.g th{opacity:.62;font-size:12px}
-.g td:first-child,.g th:first-child{text-align:left;padding-left:0}.g .d{width:9px;height:9px;border-radius:2px;display:inline-block;margin-right:6px}
-.g .a{border-left:3px solid #d6942a;padding-left:8px;margin-top:8px}
-</style>"""
+Color = tuple[int, int, int]
+COLORS: tuple[Color, ...] = (
+    (196, 72, 56), (42, 108, 176), (214, 148, 36), (46, 140, 84), (124, 86, 172), (60, 150, 160), (186, 92, 132), (112, 122, 62),
+)  # fmt: skip
+"""Colours of contacts; beyond eight they repeat."""
+LOAD, MOMENT, BODY, BAD = (150, 30, 140), (206, 98, 190), (148, 163, 184), (214, 48, 49)
+MAX_LINK_FACES = 20_000
+"""Largest visual mesh of a link; beyond it the link's collision shapes are drawn."""
+_CONE_HEIGHT, _CONE_SIDES = 0.3, 40
 
 
-def colours(count: int) -> np.ndarray:
-    """(N, 3) uint8 of contacts."""
-    return FINGERS[np.arange(count) % len(FINGERS)]
-
-
-def tint(color: Iterable[float]) -> tuple[int, int, int]:
-    """A colour of a description, parts in [0, 1], as bytes."""
-    red, green, blue = (round(255.0 * min(max(part, 0.0), 1.0)) for part in color)
-    return red, green, blue
-
-
-def css(colour: Iterable[int]) -> str:
-    """A colour for HTML."""
-    return "#" + "".join(f"{int(part):02x}" for part in colour)
-
-
-def cone(sections: int = 40) -> tuple[Array, np.ndarray]:
-    """Corners and faces of a mantle with its tip at the origin, height and radius 1, opening along z."""
-    angles = 2.0 * np.pi * np.arange(sections) / sections
-    rim = np.column_stack([np.cos(angles), np.sin(angles), np.ones(sections)])
-    around = np.arange(sections)
-    return np.vstack([np.zeros(3), rim]), np.column_stack(
-        [np.zeros_like(around), 1 + around, 1 + (around + 1) % sections]
-    )
-
-
-def ball(sections: int = 3) -> tuple[Array, np.ndarray]:
-    """Corners and faces of a unit ball."""
-    mesh = trimesh.creation.icosphere(sections)
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-
-
-def sharp_edges(mesh: trimesh.Trimesh) -> Array:
-    """The edges (E, 2, 3) at which a mesh bends by more than 30 degrees."""
+def add_body(scene: viser.SceneApi, mesh: trimesh.Trimesh, zoom: float) -> tuple[Any, Any]:
+    """Adds a transparent body with its sharp edges, `zoom` times as large as the mesh: the node that moves, the node that shows it."""
     bent = mesh.face_adjacency_angles > math.radians(30.0)
-    return np.asarray(mesh.vertices[mesh.face_adjacency_edges[bent]])
+    edges = mesh.vertices[mesh.face_adjacency_edges[bent]] if bent.any() else np.zeros((1, 2, 3))
+    frame, corners, flat = scene.add_frame("/object", show_axes=False), zoom * mesh.vertices, len(mesh.faces) < 500
+    scene.add_line_segments("/object/edges", zoom * edges, (90, 104, 124), thickness=1.6, thickness_units="screen")
+    return frame, scene.add_mesh_simple("/object/body", corners, mesh.faces, color=BODY, opacity=0.4, flat_shading=flat)
 
 
-def along(directions: Array) -> Array:
-    """Quaternions wxyz (N, 4) that turn z into unit directions (N, 3)."""
-    x, y, z = directions.T
-    made = np.column_stack([1.0 + z, -y, x, np.zeros(len(z))])
-    made[z < -1.0 + 1e-9] = (0.0, 1.0, 0.0, 0.0)
-    return made / np.linalg.norm(made, axis=1, keepdims=True)
+class Contacts:
+    """Points, friction cones and force arrows of N contacts; they replace those of before.
 
-
-def arc(centre: Array, axis: Array, radius: float, sweep: float, pieces: int = 36) -> Array:
-    """Pieces (P, 2, 3) of a circle about an axis, `sweep` [rad] long."""
-    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    first /= np.linalg.norm(first)
-    angles = np.linspace(0.0, sweep, pieces + 1)
-    points = centre + radius * (np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(axis, first)))
-    return np.stack([points[:-1], points[1:]], axis=1)
-
-
-def round_number(value: float) -> float:
-    """The number of one digit nearest to `value`, for a legend's bar.
-
-    Example:
-        >>> round_number(0.0231), round_number(7.4)
-        (0.02, 7.0)
+    Args:
+        scene: of the server.
+        count: N.
+        force_scale: drawn length of a newton.
     """
-    return float(f"{value:.0e}")
+
+    def __init__(self, scene: viser.SceneApi, count: int, force_scale: float) -> None:
+        scene.remove_by_name("/contacts")
+        self._force_scale, self._colors = force_scale, [COLORS[k % len(COLORS)] for k in range(count)]
+        around = 1 + np.arange(_CONE_SIDES)
+        mantle = np.column_stack([np.zeros_like(around), around, 1 + around % _CONE_SIDES])
+        self.points, self._cones, blank = [], [], np.zeros((_CONE_SIDES + 1, 3))
+        for k, color in enumerate(self._colors):
+            self.points.append(scene.add_icosphere(f"/contacts/{k}", 0.05, color))
+            cone = scene.add_mesh_simple(f"/contacts/{k}/cone", blank, mantle, color=color, opacity=0.35, side="double")
+            self._cones.append(cone)
+        self._forces: Any = scene.add_arrows("/contacts/forces", np.zeros((count, 2, 3)), np.array(self._colors))
+
+    def draw(self, places: Array, frames: Array, forces: Array, friction: Array, bad: bool) -> None:
+        """Draws the contacts, in red if they are `bad`.
+
+        Args:
+            places: (N, 3), scene units. frames: (N, 3, 3) contact frames, columns normal (inward), o, t.
+            forces: (N, 3) on the object [N]. friction: (N,); 0: no cone.
+        """
+        angles = 2.0 * np.pi * np.arange(_CONE_SIDES) / _CONE_SIDES
+        circle = np.column_stack([-np.ones(_CONE_SIDES), np.cos(angles), np.sin(angles)])
+        for k, (point, cone) in enumerate(zip(self.points, self._cones, strict=True)):
+            rim = circle * [1.0, friction[k], friction[k]] @ frames[k].T
+            cone.vertices, cone.visible = _CONE_HEIGHT * np.vstack([np.zeros(3), rim]), bool(friction[k] > 0.0)
+            point.position, point.color = places[k], BAD if bad else self._colors[k]
+            cone.color = point.color
+        self._forces.points = np.stack([places - self._force_scale * forces, places], axis=1)
+        self._forces.visible = bool(forces.any())
 
 
-def said(status: str, words: str, colour: Iterable[int], rest: str = "", advice: Sequence[str] = ()) -> str:
-    """The head of the panel: a status, what it means, a table or more, what looks wrong."""
-    warned = "".join(f'<p class="a">{html.escape(text)}</p>' for text in advice)
-    return (
-        f'{_STYLE}<div class="g"><div class="s"><i style="background:{css(colour)}"></i><span id="status">{html.escape(status)}</span></div>'
-        f"<p>{html.escape(words)}</p>{rest}{warned}</div>"
-    )
+def screw(twist: Array, centre: Array, extent: float) -> Array:
+    """A twist as arrows (6, 2, 3): the axis of its screw, and a ring about it that is large if the motion is mostly turning.
+
+    Args:
+        twist: (6,) velocity of the origin and angular velocity, of any scale.
+        centre: (3,) [m], which the axis is drawn near. extent: what is drawn with length 1 [m].
+    """
+    velocity, turning = twist[:3] + np.cross(twist[3:], centre), float(np.linalg.norm(twist[3:]))
+    turns = turning * extent > 1e-6 * np.linalg.norm(velocity)
+    axis = twist[3:] / turning if turns else velocity / np.linalg.norm(velocity)
+    point = (centre + np.cross(twist[3:], velocity) / turning**2 if turns else centre) / extent
+    sliding = float(axis @ velocity)
+    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first *= 0.4 * turning * extent / (turning * extent + abs(sliding)) / np.linalg.norm(first)
+    angles = np.linspace(0.0, 5.2, 6)[:, None]
+    ring = point + np.cos(angles) * first + np.sin(angles) * np.cross(axis, first)
+    line = point + math.copysign(0.85, sliding) * np.array([[-axis, axis]])
+    return np.concatenate([line, np.stack([ring[:-1], ring[1:]], axis=1)])
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], dots: np.ndarray | None = None) -> str:
-    """Rows of text under a head; the first column has a colour before it where `dots` (N, 3) are given."""
-    lines = "<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>" if head else ""
-    for k, row in enumerate(rows):
-        dot = "" if dots is None else f'<span class="d" style="background:{css(dots[k])}"></span>'
-        cells = [dot + html.escape(row[0]), *map(html.escape, row[1:])]
-        lines += "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
-    return f"<table>{lines}</table>"
+def object_mesh(shape: str, size: Sequence[float]) -> trimesh.Trimesh:
+    """A "cuboid", "sphere", "cylinder" or "capsule" of an `ObjectDescription`'s size [m], body frame."""
+    if shape == "cuboid":
+        return creation.box(size)
+    if shape == "sphere":
+        return creation.icosphere(4, 0.5 * size[0])
+    if shape == "cylinder":
+        mesh = creation.cylinder(0.5 * size[0], size[1], sections=64)
+    else:
+        mesh = creation.capsule(size[1] - size[0], 0.5 * size[0])
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    return mesh.apply_transform(trimesh.transformations.rotation_matrix(-0.5 * np.pi, (1.0, 0.0, 0.0)))
+
+
+def link_meshes(body: Link | Palm) -> list[tuple[trimesh.Trimesh, Color]]:
+    """What a link looks like, link frame [m]: its visual shapes, or its collision shapes where it has none or too large ones."""
+    for shapes in (body.visual, body.collision):
+        meshes = [(_mesh(shape), shape.color or body.color) for shape in shapes]
+        if 0 < sum(len(mesh.faces) for mesh, _ in meshes) <= MAX_LINK_FACES:
+            return [(mesh, (int(255 * red), int(255 * green), int(255 * blue))) for mesh, (red, green, blue) in meshes]
+    return []
+
+
+def _mesh(shape: Geometry) -> trimesh.Trimesh:
+    if shape.kind != "mesh":
+        return trimesh.convex.convex_hull(outline(shape))
+    corners, faces = read_mesh(shape.file)
+    place = Frame.of(shape.origin, shape.rotation)
+    return trimesh.Trimesh(corners * np.array(shape.size) @ place.rotation.T + place.origin, faces, process=False)
