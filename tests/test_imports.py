@@ -170,7 +170,7 @@ def test_no_modules_import_each_other_in_a_circle(package: str) -> None:
 def test_tables_and_claims_are_read_without_solver_and_simulator() -> None:
     script = """
 import sys
-for name in ("torch", "gymnasium", "pybullet", "matplotlib", "safetensors", "ray"):
+for name in ("torch", "gymnasium", "pybullet", "safetensors", "ray"):
     sys.modules[name] = None
 import training.results.table, training.results.claims
 print(*sorted(sys.modules))

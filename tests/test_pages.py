@@ -21,7 +21,7 @@ RESULTS = re.compile(r"<!-- results: .*?<!-- /results -->", re.DOTALL)
 """Tables of saved runs, which say by which command of their time they were made."""
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 OPTIONFLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-OTHERS = ("cd", "git", "python")
+OTHERS = ("cd", "git", "python", "ray")
 """Programs of console blocks whose arguments are not looked at."""
 
 every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -9,7 +9,8 @@ from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import RULES, ForceOptimizer, Objective, OfflineBasis, Repair, Status
 from grasp_env.force.initial import SingleValue, StartRule
 from grasp_env.grasp import presets, wrench
-from training.compare.cases import Case, make_cases
+from training.compare.case import Case
+from training.compare.cases import make_cases
 from training.compare.given import METHODS, Problem
 from training.compare.starts import GIVEN_COLOURS, STARTS, DoesNotApply, Made, Row, Workshop
 from training.compare.trial import FINE, LIMIT, TOLERANCE, trials

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 from rich.console import Console
-from training.trials import hand_plan, hold_plan
 
+from training.compare.scenarios import ENGINES, PRESETS, controllers_plan, hands_plan
 from training.results.bars import progress
 
 ROOT = Path(__file__).parents[2]
@@ -69,10 +69,9 @@ def drawn(name: str, total: int, note: str = "") -> list[str]:
 
 
 def test_names_as_long_as_they_come_leave_room() -> None:
-    cells = [cell.name for cell in hold_plan.plan(500)]
-    cells += [each.name for each in hand_plan.hands_plan(tuple(hand_plan.PRESETS), tuple(hand_plan.ENGINES), 100)]
+    cells = [one.name for one in (*controllers_plan(500), *hands_plan(PRESETS, tuple(ENGINES), 100))]
     for name in (
-        *(f"trials/{cell}, 20 seeds at a time" for cell in cells),
+        *(f"episodes: {cell}/00000" for cell in cells),
         "ppo contact_force seed 1000000",
         "x" * 300,
     ):

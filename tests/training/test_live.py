@@ -221,8 +221,8 @@ def test_the_mouse_drags_the_load_and_a_contact_until_nothing_holds(bare):
 
 
 def test_errors_become_words_and_the_next_question_is_answered(bare):
-    for method, limit, start, words in (("reduced_flow", 4.0, STARTS[0], "newton"), ("newton", 50.0, "none", "choose")):
-        bare.method.value, bare.limit.value, bare.start.value = method, limit, start
+    for method, limit, begun, words in (("reduced_flow", 4.0, STARTS[0], "newton"), ("newton", 50.0, "none", "choose")):
+        bare.method.value, bare.limit.value, bare.start.value = method, limit, begun
         until(bare, lambda: bare.answer.status == "not solved")
         assert words in panel(bare)
         bare.again.value = True

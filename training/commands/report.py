@@ -15,7 +15,9 @@ from grasp_env.errors import InvalidInputError
 
 @dataclass(frozen=True)
 class Report:
-    """Make a run's page again from its table, or set two runs side by side; nothing is solved.
+    """Make a run's page again from its table, or set two runs side by side.
+
+    Nothing is solved.
 
     Attributes:
         run: the run's folder.

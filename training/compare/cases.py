@@ -11,13 +11,12 @@ from functools import partial
 
 import numpy as np
 
-from grasp_env._check import Array, Wrench
+from grasp_env._check import Array
 from grasp_env.grasp import Grasp, presets, wrench
 from grasp_env.grasp.wrench import FORCE_RADIUS, MAGNITUDE_LENGTH, MOMENT_RADIUS
+from training.compare.case import Case
 from training.data.grasps import EVALUATION, slid
 
-Problem = tuple[Grasp, Wrench]
-"""A grasp and the wrench on the object (6,) [N, N m]."""
 HELD_OUT = 0x5EED
 """First word of the generators' seeds, with which no training set draws."""
 MAGNITUDES = (1e-3, 1e3)
@@ -33,25 +32,6 @@ _LINE = 401
 _AXES = ("x", "y", "z", "mx", "my", "mz")
 _PAIRS = ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3))
 _RADII = np.repeat([FORCE_RADIUS, MOMENT_RADIUS], 3)
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """One optimisation.
-
-    Attributes:
-        grasp: the contacts.
-        wrench: (6,) [N, N m].
-        before: the problem that was solved before it; None: a cold start.
-        group: the path, episode or grasp that it belongs to.
-        event: what happened since `before`, or which variant it is.
-    """
-
-    grasp: Grasp
-    wrench: Wrench
-    before: Problem | None = None
-    group: int = 0
-    event: str = ""
 
 
 Maker = Callable[[np.random.Generator, int], list[Case]]

@@ -16,7 +16,7 @@ from grasp_env.errors import GraspError
 from grasp_env.force import LinearCombination
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
-from training.compare.cases import Case, Problem
+from training.compare.case import Case, Problem
 from training.data.episodes import episode
 from training.data.grasps import EVALUATION, slid
 

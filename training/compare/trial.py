@@ -13,7 +13,8 @@ from grasp_env._check import Array, ContactForces, as_array
 from grasp_env.errors import GraspError, InfeasibleStartError
 from grasp_env.force import RULES, ForceOptimizer, Objective, start_replaced
 from grasp_env.grasp import Grasp
-from training.compare.cases import Case, scaled
+from training.compare.case import Case
+from training.compare.cases import scaled
 from training.compare.given import METHODS, Problem, Solver
 from training.compare.starts import BASIS, DoesNotApply, Made, carried, newton_optimizer, phi_options
 from training.results.words import shortened
