@@ -1,4 +1,4 @@
-"""What the pictures of an environment say: forces, cones, the wrench that is balanced, where the episode stands; all to one scale."""
+"""The content of an environment's pictures: forces, cones, the wrench that is balanced, the state of the episode; all to one scale."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from grasp_env.force import optimize_force
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.sim import Scene
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.picture.annotation import Annotation, arc_scale, arrow_scale
+from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN, WRENCH_STRETCH, Annotation
 from grasp_env.task.motion import ANGULAR_ACCELERATION, LINEAR_ACCELERATION
 
 FAILURES = {
@@ -33,49 +33,54 @@ DISTURBANCES = {
     "paper_path": "the paper's wrench",
     "random": "random wrench",
 }
-"""Disturbances that their names do not say."""
+"""Words for disturbances whose names do not explain them."""
 
-_ALIKE = 0.1
-"""Fingers whose colours differ by less than this are told apart by the palette's."""
+PALETTE = np.array([(0.85, 0.33, 0.24), (0.20, 0.50, 0.80), (0.95, 0.69, 0.20), (0.27, 0.65, 0.42), (0.55, 0.40, 0.75),
+                    (0.35, 0.70, 0.75), (0.80, 0.45, 0.60), (0.50, 0.55, 0.30)])  # fmt: skip
+"""Colours of the fingers of hands of one colour, red, green and blue in [0, 1]; beyond eight they repeat."""
+
+LEAST_FORCE, LEAST_MOMENT = 0.1, 0.02
+"""Force [N] and moment [N m] of the largest scales, so that rounding errors are not drawn as long arrows."""
+
+_ALIKE = 0.1  # largest difference between colours that count as one
 
 
 class Annotator:
     """Describes the pictures of one environment.
 
-    Their scales are those of the largest force and moment that the plan of an episode asks for, known at reset: within an episode
-    nothing changes them, and a later episode makes them smaller where it asks for more, never larger. `render_force` and
+    Their scales are those of the largest force and moment that the plan of an episode asks for, known at reset. Within an
+    episode they stay. A later episode makes them smaller where it asks for more, never larger. `render_force` and
     `render_moment` fix them.
 
     Args:
         config: resolved.
-        hand: that holds.
+        hand: the hand that holds.
     """
 
     def __init__(self, config: EnvConfig, hand: HandDescription) -> None:
         self._config, self._hand, self._title = config, hand.name.replace("_", " "), title(config)
-        links = {link.name: link for link in hand.links}
-        colors = np.array([links[tip.link].color for tip in hand.fingertips])
-        self._colors = colors if len(colors) and np.ptp(colors, axis=0).max() > _ALIKE else None
+        links = {link.name: link.color for link in hand.links}
+        self._colors = np.array([links[tip.link] for tip in hand.fingertips])
+        if np.ptp(self._colors, axis=0).max() < _ALIKE:
+            self._colors = np.resize(PALETTE, self._colors.shape)
         self._scale = self._turn = np.inf
 
     def expect(self, plan: Plan, scene: Scene, friction: float) -> None:
-        """Makes room for an episode.
+        """Makes room for the largest arrows of an episode.
 
         Args:
-            plan: of the episode.
+            plan: the episode's.
             scene: with its object in the hand.
-            friction: that the controller believes in.
+            friction: the coefficient that the controller assumes.
         """
         config, wrenches = self._config, _wrenches(plan, scene)
-        force = np.array([[config.render_force or 0.0, 0.0, 0.0]])
-        if config.render_force is None:
-            force = _largest(config, scene, wrenches, friction)
-        moment = config.render_moment or float(np.linalg.norm(wrenches[:, 3:], axis=1).max())
-        none = np.zeros(6) if config.render_force is not None else wrenches
-        self._scale, self._turn = min(self._scale, arrow_scale(force, none)), min(self._turn, arc_scale(moment))
+        pull, moment = (float(np.linalg.norm(part, axis=1).max()) for part in (wrenches[:, :3], wrenches[:, 3:]))
+        force = config.render_force or max(_largest(config, scene, wrenches, friction), WRENCH_STRETCH * pull)
+        self._scale = min(self._scale, LONGEST / max(force, LEAST_FORCE))
+        self._turn = min(self._turn, LONGEST_TURN / max(config.render_moment or moment, LEAST_MOMENT))
 
     def __call__(self, loop: ForceLoop, scene: Scene, time: float, outcome: Outcome, failure: str) -> Annotation:
-        """The overlay of now.
+        """The overlay of the current picture.
 
         Args:
             loop: its last command and solution.
@@ -85,19 +90,17 @@ class Annotator:
             failure: "" while it is held.
         """
         snapshot, solution = scene.look(), loop.solution
-        active = np.zeros(len(loop.force))
-        active[loop.fingers] = 1.0
-        to_world = snapshot.rotation
+        to_world, count = snapshot.rotation, len(loop.force)
         return Annotation(
             points=snapshot.touch,
             normals=snapshot.normals @ to_world.T,
             forces=np.einsum("nij,nj->ni", to_world @ loop.frames, loop.force),
             measured=snapshot.forces @ to_world.T,
-            friction=np.full(len(active), loop.friction),
-            active=active,
-            wrench=np.concatenate([to_world @ loop.wrench[:3], to_world @ loop.wrench[3:]]),
-            center=snapshot.position,
+            friction=np.full(count, loop.friction),
+            active=np.isin(np.arange(count), loop.fingers),
             colors=self._colors,
+            wrench=(loop.wrench.reshape(2, 3) @ to_world.T).ravel(),
+            center=snapshot.position,
             scale=self._scale,
             turn=self._turn,
             title=self._title,
@@ -137,7 +140,7 @@ def title(config: EnvConfig) -> str:
 
 
 def _wrenches(plan: Plan, scene: Scene) -> Array:
-    """(T, 6) that the forces will have to balance, with the object where it should be and upright: what a scale needs."""
+    """Wrenches (T, 6) that the forces will have to balance while the object is where it should be, upright."""
     item = scene.config.object
     mass = (item.mass * plan.mass_factor)[:, None]
     force = plan.wrench[:, :3] + plan.push + mass * (plan.gravity - plan.target[:, LINEAR_ACCELERATION])
@@ -145,20 +148,21 @@ def _wrenches(plan: Plan, scene: Scene) -> Array:
     return np.hstack([force, moment])
 
 
-def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) -> Array:
-    """(N, 3) forces of the fingers where the episode asks most of them."""
+def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) -> float:
+    """The largest force of a finger [N] at the largest wrench of the episode."""
     points = np.array(scene.config.contact_points)
     if config.action_mode == "contact_force":
-        return np.tile([2.0 * config.action_scale, 0.0, 0.0], (len(points), 1))
+        return 2.0 * config.action_scale
     if config.controller != "optimised":
-        return np.tile([config.squeeze / len(points), 0.0, 0.0], (len(points), 1))
+        return config.squeeze / len(points)
     arm = float(np.linalg.norm(points, axis=1).mean())
     asked = np.linalg.norm(wrenches[:, :3], axis=1) + np.linalg.norm(wrenches[:, 3:], axis=1) / arm
     worst = int(asked.argmax())
     try:
         grasp = Grasp.from_contacts(points, scene.config.contact_normals, friction)
-        return optimize_force(
+        solution = optimize_force(
             grasp, wrenches[worst], force_weight=config.force_weight, barrier_weight=config.barrier_weight
-        ).force
+        )
+        return float(np.linalg.norm(solution.force, axis=1).max())
     except GraspError:  # two fingers, torsion: half of the wrench by friction
-        return np.array([[0.5 * asked[worst] / friction, 0.0, 0.0]])
+        return 0.5 * asked[worst] / friction

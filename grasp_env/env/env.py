@@ -29,8 +29,8 @@ from grasp_env.errors import GraspError, InvalidInputError, SimulationError, sho
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.sim import Camera, CameraConfig, Scene
 from grasp_env.sim.picture.annotation import LONGEST, Annotation
-from grasp_env.sim.picture.debug_lines import draw_debug
-from grasp_env.sim.picture.legend import room
+from grasp_env.sim.picture.camera import draw_in_window
+from grasp_env.sim.picture.overlay import room
 from grasp_env.task.tasks import succeeded
 
 
@@ -284,7 +284,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         scene = self._open_stage().scene
         annotation = self._annotation(scene)
         if self.render_mode == "human" and annotation is not None:
-            self._lines = draw_debug(scene.simulator.client.number, annotation, self._lines)
+            self._lines = draw_in_window(scene.simulator.client.number, annotation, self._lines)
         if self.render_mode != "rgb_array":
             return None
         if self._camera is None:

@@ -324,10 +324,10 @@ def scales(env, seed):
     for _ in range(12):
         env.step(ZERO)
         note = env._annotation(env.scene)
-        found.add((note.force_scale, note.moment_scale))
+        found.add((note.scale, note.turn))
         drawn = [
-            note.force_scale * np.linalg.norm(note.forces, axis=1),
-            2.0 * note.force_scale * np.linalg.norm(note.wrench[:3]),
+            note.scale * np.linalg.norm(note.forces, axis=1),
+            2.0 * note.scale * np.linalg.norm(note.wrench[:3]),
         ]
         assert max(map(np.max, drawn)) < 1.2 * LONGEST  # the plan knows no pose feedback
     assert len(found) == 1
@@ -343,6 +343,36 @@ def test_pictures_of_an_episode_have_one_scale_and_later_ones_never_a_larger_one
     fixed = FourFingerGrasp(render_mode="rgb_array", duration=0.3, render_force=8.0, render_moment=2.0)
     np.testing.assert_allclose(scales(fixed, 0), [LONGEST / 8.0, LONGEST_TURN / 2.0])
     fixed.close()
+    small = FourFingerGrasp(render_mode="rgb_array", duration=0.3, render_force=1e-3, render_moment=1e-3)
+    small.reset(seed=0)  # what is near nothing is not blown up
+    note = small._annotation(small.scene)
+    np.testing.assert_allclose([note.scale, note.turn], [LONGEST / 0.1, LONGEST_TURN / 0.02])
+    small.close()
+
+
+def test_a_picture_is_in_the_world_frame():
+    env = FourFingerGrasp(render_mode="rgb_array", task="move", motion="rotate", disturbance="none")
+    env.reset(seed=0)
+    for _ in range(25):
+        env.step(ZERO)
+    assert np.trace(env.scene.look().rotation) < 1.0 + 2.0 * np.cos(0.28)  # the object is turned by 16 degrees
+    note = env._annotation(env.scene)
+    np.testing.assert_allclose(note.forces.sum(axis=0), -note.wrench[:3], atol=1e-9)  # balance, N
+    np.testing.assert_allclose(
+        np.cross(note.points - note.center, note.forces).sum(axis=0), -note.wrench[3:], atol=1e-4
+    )
+    np.testing.assert_allclose(note.measured, note.forces, atol=0.05)
+    along = (note.forces * note.normals).sum(axis=1) / np.linalg.norm(note.forces, axis=1)
+    assert (along > np.cos(np.arctan(note.friction))).all()
+    np.testing.assert_allclose(note.wrench[1], -9.81 * env.scene.config.object.mass, rtol=0.01)
+    env.close()
+    env = FourFingerGrasp(render_mode="rgb_array", controller="pd", disturbance="paper_path", disturbance_scale=1.0)
+    env.reset(seed=0)
+    env.step(ZERO)
+    across = env.scene.look().rotation[:, 2]  # of the two faces that are touched
+    assert abs(across[2]) < 0.9998
+    np.testing.assert_allclose(np.abs(env._annotation(env.scene).normals @ across), 1.0, atol=1e-5)
+    env.close()
 
 
 def test_a_picture_says_what_disturbs_and_how_it_ended():
@@ -356,5 +386,6 @@ def test_a_picture_says_what_disturbs_and_how_it_ended():
     note = env._annotation(env.scene)
     assert (note.title, note.hand) == ("hold: push", "four finger")
     assert note.alarm.startswith("lost: ")
-    assert note.lines[0][0] == "lost after"
+    assert note.lines[0] == ("lost after", f"{env._tick * env._loop.dt:.2f} s")
+    assert note.lines[1] == ("drift", f"{1e3 * env._outcome.drift:.2f} mm")
     env.close()

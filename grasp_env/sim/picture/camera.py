@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
+from PIL import Image, ImageOps
 
-from grasp_env._check import Array
+from grasp_env._check import Array, number, whole
 from grasp_env.errors import InvalidInputError
+from grasp_env.ranges import Range
 from grasp_env.sim.bullet import Bullet
 from grasp_env.sim.client import bullet
 from grasp_env.sim.hand.description import Vector3
-from grasp_env.sim.picture.annotation import Annotation
+from grasp_env.sim.picture.annotation import WRENCH_COLOR, WRENCH_STRETCH, Annotation
+from grasp_env.sim.picture.edges import smooth_edges
 from grasp_env.sim.picture.overlay import draw
-from grasp_env.sim.picture.pixels import BACKGROUND_DEPTH, gradient, put_background, see_through, smooth_edges
-from grasp_env.sim.picture.view import View
+from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 from grasp_env.sim.scene import Scene
 
-_LIGHT = {
-    "lightDirection": (0.5, 1.0, 0.6),
-    "lightColor": (1.0, 1.0, 1.0),
-    "lightAmbientCoeff": 0.62,
-    "lightDiffuseCoeff": 0.42,
-    "lightSpecularCoeff": 0.08,
-}
-_TOP, _BOTTOM = (253, 253, 254), (226, 231, 238)
 DIRECTION = (0.72, 0.11, 0.72)
-"""From the object towards the camera where nothing else is asked: from the front, the right and a little above."""
+"""From the object towards the camera by default: from the front, the right and a little above."""
+
+BACKGROUND_DEPTH = 0.99999
+"""Pixels whose OpenGL depth is at least this show the background."""
+
 _TIP = 0.025  # [m] across of a fingertip
 _SURVEY = 160  # pixels along the longer side of the picture that finds where things are
 _SURVEY_DISTANCE = 1.2  # [m] from the nominal object, far enough for hands of half a metre
@@ -47,10 +46,11 @@ class CameraConfig:
         margin: Part of the width and of the height left free beside and above hand and object.
         footer: Part of the height left free below them, where annotations have their text.
         arrows: [m] about the object's centre that is in the picture, too.
-        object_opacity: Below 1 the object lets the tips behind it be seen; drawing takes twice
-            the time then.
-        supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest (edges
-            are smoothed afterwards), 3 finest.
+        object_opacity: Below 1 the tips behind the object are seen through it, and drawing takes twice the time.
+        supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest, 3 finest.
+
+    Raises:
+        InvalidInputError: a number outside of its range, or a vertical direction.
 
     Example:
         >>> CameraConfig(width=640, direction=(1.0, 0.3, 0.0)).height
@@ -68,18 +68,13 @@ class CameraConfig:
     supersampling: int = 1
 
     def __post_init__(self) -> None:
-        if min(self.width, self.height, self.supersampling) < 1:
-            raise InvalidInputError(
-                f"width={self.width}, height={self.height} and supersampling={self.supersampling} must be at least 1"
-            )
-        if not 0.0 <= self.object_opacity <= 1.0:
-            raise InvalidInputError(f"object_opacity={self.object_opacity} must be in [0, 1]")
-        if not (0.0 <= self.margin <= 0.4 and 0.0 <= self.footer <= 0.5):
-            raise InvalidInputError(f"margin={self.margin} must be in [0, 0.4] and footer={self.footer} in [0, 0.5]")
-        if not 0.0 <= self.arrows <= 1.0:
-            raise InvalidInputError(f"arrows={self.arrows} must be in [0, 1] m")
-        if not 1.0 <= self.field_of_view <= 120.0:
-            raise InvalidInputError(f"field_of_view={self.field_of_view} must be in [1, 120] degrees")
+        for name in ("width", "height", "supersampling"):
+            whole(getattr(self, name), name, 1)
+        number(self.field_of_view, "field_of_view", Range(1.0, 120.0, "degrees"))
+        number(self.margin, "margin", Range(0.0, 0.4))
+        number(self.footer, "footer", Range(0.0, 0.5))
+        number(self.arrows, "arrows", Range(0.0, 1.0, "m"))
+        number(self.object_opacity, "object_opacity", Range(0.0, 1.0))
         if self.direction is not None and (
             not np.isfinite(self.direction).all() or np.hypot(self.direction[0], self.direction[2]) < 1e-3
         ):
@@ -107,21 +102,19 @@ class Camera:
     """
 
     def __init__(self, scene: Scene, config: CameraConfig | None = None) -> None:
-        self.config = config = config or CameraConfig()
+        self.config = config or CameraConfig()
         if not isinstance(scene.simulator, Bullet):
             raise InvalidInputError(
                 f"pictures are drawn by Bullet, the scene's engine is {type(scene.simulator).__name__}"
             )
         self._scene = scene
-        size = config.supersampling * config.height, config.supersampling * config.width
-        self._background = gradient(size[1], size[0], _TOP, _BOTTOM)
         self.fit()
 
     def __repr__(self) -> str:
         return f"Camera({self.config.width} x {self.config.height} pixels of {self._scene!r})"
 
     def fit(self) -> None:
-        """Stand where all that is drawn now fills the picture.
+        """Moves the camera to where all that is drawn now fills the picture.
 
         Raises:
             SimulationError: The scene is closed.
@@ -129,31 +122,31 @@ class Camera:
         config = self.config
         shrink = _SURVEY / max(config.width, config.height)
         width, height = max(1, round(shrink * config.width)), max(1, round(shrink * config.height))
-
-        def survey_from(direction: Array) -> View:
-            eye = _SURVEY_DISTANCE * direction / np.linalg.norm(direction)
-            return View(tuple(eye.tolist()), (0.0, 0.0, 0.0), 40.0, width, height)
-
-        if config.direction is None:
-            with self._scene.simulator.object_hidden():
-                survey = max(map(survey_from, _around()), key=self._contacts_seen)  # the first of the best
-        else:
-            survey = survey_from(np.array(config.direction))
-        _, depth = self._shoot(survey, width, height, shadows=False)
+        x, y, z = DIRECTION
+        turns = 0.25 * np.pi * np.array([0, 1, -1, 2, -2, 3, -3, 4])
+        around = [(x * np.cos(turn) + z * np.sin(turn), y, z * np.cos(turn) - x * np.sin(turn)) for turn in turns]
+        surveys = [
+            View(tuple((_SURVEY_DISTANCE / np.linalg.norm(way) * np.array(way)).tolist()), (0.0, 0.0, 0.0), 40.0, width, height)
+            for way in (around if config.direction is None else [config.direction])
+        ]  # fmt: skip
+        with self._scene.simulator.object_hidden():
+            survey = max(surveys, key=self._contacts_seen)  # the first of the best
+        _, depth = self._shoot(survey)
         drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
         if config.arrows > 0.0:
             ends = config.arrows * np.vstack([np.eye(3), -np.eye(3)])
             drawn = np.vstack([drawn, self._scene.look().position + ends])
-        wanted = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
-        self.view = wanted.fitted(drawn, config.margin, config.footer) if len(drawn) else wanted
+        self.view = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
+        if len(drawn):
+            self.view = self.view.fitted(drawn, config.margin, config.footer)
         self._fitted_to = self._scene.simulator.world
 
     def _contacts_seen(self, view: View) -> int:
-        """How many contacts have at most their own tip before them."""
+        """Counts the contacts that nothing but their own tip hides."""
         scene = self._scene
         snapshot = scene.look()
         points = snapshot.position + np.array(scene.config.contact_points) @ snapshot.rotation.T
-        _, depth = self._shoot(view, view.width, view.height, shadows=False)
+        _, depth = self._shoot(view)
         columns, rows = view.project(points).astype(int).T
         inside = (columns >= 0) & (columns < view.width) & (rows >= 0) & (rows < view.height)
         before = view.unproject(depth)[rows[inside], columns[inside]]
@@ -171,44 +164,65 @@ class Camera:
         if self._scene.simulator.world is not self._fitted_to:
             self.fit()
         opacity, factor = self.config.object_opacity, self.config.supersampling
-        image, depth = self._render(shadows=True)
-        if opacity < 1.0:  # the renderer knows only drawn and not drawn: blend the two
-            with self._scene.simulator.object_hidden():  # what is behind has no shadows: that saves a tenth of the time
-                image = see_through(image, depth, *self._render(shadows=False), opacity)
-        if factor > 1:
-            split = image[..., :3].reshape(self.config.height, factor, self.config.width, factor, 3)
-            image = split.mean(axis=(1, 3)).round().astype(np.uint8)
-        else:
-            image = smooth_edges(image)
-        return image if annotation is None else draw(image, annotation, self.view)
+        picture, depth = self._shoot(self.view, factor, shadows=True)
+        if opacity < 1.0:  # the renderer draws a body or does not: blend the two
+            with self._scene.simulator.object_hidden():  # without shadows, which saves a tenth of the time
+                behind, behind_depth = self._shoot(self.view, factor)
+            mixed = Image.blend(behind, picture, opacity)
+            picture = Image.composite(mixed, picture, Image.fromarray(depth != behind_depth))
+        picture = picture.reduce(factor) if factor > 1 else smooth_edges(picture)
+        return np.array(picture if annotation is None else draw(picture, annotation, self.view))
 
     def project(self, points: ArrayLike) -> Array:
         """Pixels (N, 2), right and down, of points (N, 3) [m], world frame; see `View.project`."""
         return self.view.project(points)
 
-    def _render(self, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
-        """One picture (H, W, 4) with background, `supersampling` times the delivered size, uint8, and its depth."""
-        height, width, _ = self._background.shape
-        pixels, depth = self._shoot(self.view, width, height, shadows)
-        return put_background(pixels, depth, self._background), depth
-
-    def _shoot(self, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
-        return shoot(self._scene.simulator.client.number, view, width, height, shadows)
+    def _shoot(self, view: View, factor: int = 1, shadows: bool = False) -> tuple[Image.Image, Array]:
+        return shoot(self._scene.simulator.client.number, view, factor, shadows)
 
 
-def _around() -> Iterator[Array]:
-    """`DIRECTION`, then turned about the vertical by ever more, in steps of 45 degrees."""
-    x, y, z = DIRECTION
-    for eighths in (0, 1, -1, 2, -2, 3, -3, 4):
-        c, s = np.cos(0.25 * np.pi * eighths), np.sin(0.25 * np.pi * eighths)
-        yield np.array([c * x + s * z, y, c * z - s * x])
+def shoot(client: int, view: View, factor: int, shadows: bool) -> tuple[Image.Image, Array]:
+    """All that a PyBullet server draws, before a light background: the picture and its OpenGL depth.
 
-
-def shoot(client: int, view: View, width: int, height: int, shadows: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Colours (height, width, 4) uint8 and OpenGL depth (height, width) float32 of what is drawn in a PyBullet server."""
+    Both have `factor` pixels per pixel of the view along each side.
+    """
+    width, height = factor * view.width, factor * view.height
     _, _, pixels, depth, _ = bullet.getCameraImage(
-        width, height, view.view_matrix, view.projection_matrix, **_LIGHT, shadow=int(shadows),
-        renderer=bullet.ER_TINY_RENDERER, flags=bullet.ER_NO_SEGMENTATION_MASK, physicsClientId=client,
+        width, height, bullet.computeViewMatrix(view.eye, view.target, (0.0, 1.0, 0.0)),
+        bullet.computeProjectionMatrixFOV(view.field_of_view, view.width / view.height, NEAR_PLANE, FAR_PLANE),
+        lightDirection=(0.5, 1.0, 0.6), lightColor=(1.0, 1.0, 1.0), lightAmbientCoeff=0.62, lightDiffuseCoeff=0.42,
+        lightSpecularCoeff=0.08, shadow=int(shadows), renderer=bullet.ER_TINY_RENDERER,
+        flags=bullet.ER_NO_SEGMENTATION_MASK, physicsClientId=client,
     )  # fmt: skip
-    pixels = np.ascontiguousarray(pixels, np.uint8).reshape(height, width, 4)
-    return pixels, np.ascontiguousarray(depth, np.float32).reshape(height, width)
+    picture = Image.fromarray(np.reshape(pixels, (height, width, 4)).astype(np.uint8)).convert("RGB")
+    depth = np.reshape(depth, (height, width))
+    return Image.composite(picture, _background(width, height), Image.fromarray(depth < BACKGROUND_DEPTH)), depth
+
+
+@lru_cache(maxsize=4)
+def _background(width: int, height: int) -> Image.Image:
+    """Changes evenly from nearly white at the top to a light grey at the bottom."""
+    return ImageOps.colorize(Image.linear_gradient("L").resize((width, height)), (253, 253, 254), (226, 231, 238))
+
+
+def draw_in_window(client: int, annotation: Annotation, lines: Sequence[int] = ()) -> list[int]:
+    """Draws or moves a line for each finger, from outside to its contact, and one for the wrench's force.
+
+    Args:
+        client: Number of the PyBullet connection; without a window nothing happens.
+        annotation: What to draw; a contact that is not active gets a line of no length.
+        lines: What the last call returned, to move those lines instead of adding more.
+
+    Returns:
+        PyBullet's numbers of the lines.
+    """
+    starts = annotation.points - annotation.scale * annotation.active[:, None] * annotation.forces
+    ends = [*zip(starts, annotation.points, annotation.colors, strict=True)]
+    tip = annotation.center + WRENCH_STRETCH * annotation.scale * annotation.wrench[:3]
+    ends.append((annotation.center, tip, np.divide(WRENCH_COLOR, 255.0)))
+    return [
+        bullet.addUserDebugLine(
+            start.tolist(), end.tolist(), color.tolist(), lineWidth=4.0, physicsClientId=client, replaceItemUniqueId=line
+        )
+        for (start, end, color), line in zip(ends, lines or [-1] * len(ends), strict=True)
+    ]  # fmt: skip

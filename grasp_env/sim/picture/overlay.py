@@ -1,121 +1,253 @@
-"""Draws what a picture of a grasp says besides the bodies: forces, friction cones and the wrench; the words are `legend`'s."""
+"""Draws forces, friction cones and the wrench over a picture, and the words: title, numbers, legend."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any, TypeAlias
 
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from grasp_env._check import Array
-from grasp_env.sim.picture.annotation import LONGEST_TURN, PALETTE, WRENCH_COLOR, WRENCH_STRETCH, Annotation
-from grasp_env.sim.picture.canvas import INACTIVE, INK, WHITE, Canvas, Color
-from grasp_env.sim.picture.legend import write
+from grasp_env.sim.picture.annotation import LONGEST_TURN, WRENCH_COLOR, WRENCH_STRETCH, Annotation
 from grasp_env.sim.picture.view import View
+
+Color: TypeAlias = tuple[int, ...]
+"""Red, green, blue and maybe opacity, 0 to 255."""
+
+CONE_LENGTH = 0.036
+"""Length of the sides of the drawn friction cones [m]."""
 
 VEIL = 0.2
 """Contrast taken from the picture below."""
 
-CONE_LENGTH = 0.036
-"""Of the drawn friction cones' sides [m]."""
-
-_TURN_RADIUS = 0.03  # of the moment's arc [m]
+_WHITE, _INK, _FAINT, _INACTIVE, _ALARM = (255, 255, 255), (38, 42, 51), (112, 119, 132), (150, 154, 162), (190, 38, 30)
+_FINE = 2  # pixels drawn per delivered pixel along each side, so that edges become smooth
+_BAR = 0.03  # [m] the longest arrow of the legend
+_LINE = 1.3  # sizes of the font from one line of text to the next
+_HIGHEST = 0.4  # of the picture's height: where words would take more, there are none
+_THREE_COLUMNS = 320  # pixels of width from which the legend has three columns
+_TURN_RADIUS = 0.03  # [m] of the moment's arc
 _LEAST_TURN = 0.15  # [rad] that can still be seen to turn
-_ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)
-_UNIT_CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 
 
-def draw(image: np.ndarray, annotation: Annotation, view: View) -> np.ndarray:
-    """The picture with the annotation over it, (H, W, 3) uint8.
+def draw(picture: Image.Image, annotation: Annotation, view: View) -> Image.Image:
+    """The picture with the annotation over it.
 
-    A force arrow ends at its contact and is `force_scale` times the force long, so a force inside its friction cone is
-    drawn inside the drawn cone. The wrench's force starts at `center`; its moment is an arc that turns about its axis, by
-    `moment_scale` times the moment. Bodies in front hide nothing.
+    A force arrow ends at its contact and is `scale` times the force long, so a force inside its friction cone is drawn
+    inside the drawn cone. The wrench's force starts at `center`; its moment is an arc that turns about its axis, by `turn`
+    times the moment. Bodies in front hide nothing.
 
     Args:
-        image: (H, W, 3) uint8, taken with `view`; not written.
+        picture: RGB, taken with `view`; not written.
         annotation: what to draw.
         view: where the camera stood.
     """
-    canvas, scale = Canvas(image, VEIL), annotation.force_scale
+    veiled = picture.point(lambda value: 255.0 - (1.0 - VEIL) * (255.0 - value))
+    view = replace(view, width=_FINE * view.width, height=_FINE * view.height)
+    fine = veiled.resize((view.width, view.height), Image.Resampling.NEAREST)
+    pen = _Pen(fine)
     for i in np.argsort(-view.depth(annotation.points), kind="stable").tolist():
-        _draw_contact(canvas, view, annotation, i, scale)
-    _draw_wrench(canvas, view, annotation, WRENCH_STRETCH * scale)
-    canvas.flush()
-    write(canvas, view, annotation)
-    return canvas.finish()
+        _draw_contact(pen, view, annotation, i)
+    _draw_wrench(pen, view, annotation)
+    words = _draw_legend(pen, view, annotation, *picture.size)
+    picture = fine.reduce(_FINE)  # the mean of equal pixels: untouched ones stay the same
+    text = ImageDraw.Draw(picture)
+    for word in words:
+        text.text(**word)
+    return picture
 
 
-def _draw_contact(canvas: Canvas, view: View, annotation: Annotation, i: int, scale: float) -> None:
-    point, normal, unit = annotation.points[i], annotation.normals[i], canvas.unit
+class _Pen:
+    """Draws on an enlarged picture. Widths and radii suit a picture of 480 delivered pixels and grow with it."""
+
+    def __init__(self, fine: Image.Image) -> None:
+        self.unit = min(fine.size) / 480.0
+        self._pen = ImageDraw.Draw(fine, "RGBA")  # this mode blends by opacity
+
+    def polygon(self, points: Array, color: Color) -> None:
+        self._pen.polygon(points.ravel().tolist(), color)
+
+    def line(self, points: Array, color: Color, width: float) -> None:
+        self._pen.line(points.ravel().tolist(), color, max(1, round(self.unit * width)), "curve")
+
+    def disc(self, center: Array, radius: float, color: Color) -> None:
+        self._pen.circle(center.tolist(), self.unit * radius, color)
+
+    def ring(self, center: Array, radius: float, color: Color, width: float) -> None:
+        outside, wide = self.unit * (radius + 0.5 * width), max(1, round(self.unit * width))
+        self._pen.circle(center.tolist(), outside, outline=color, width=wide)
+
+    def panel(self, box: Array) -> None:
+        """A light plate (left, top, right, bottom) with round corners for text to stand on."""
+        self._pen.rounded_rectangle(box.tolist(), 6.0 * self.unit, (*_WHITE, 205))
+
+    def arrow(self, tail: Array, tip: Array, color: Color, width: float) -> None:
+        """An arrow with a light rim; short ones get a smaller head, those of less than a pixel are left out."""
+        length, wide = float(np.hypot(*(tip - tail))), width * self.unit
+        if length < _FINE:
+            return
+        along = (tip - tail) / length
+        head = min(3.6 * wide, 0.75 * length)
+        half, side = 0.5 * wide * min(1.0, length / (2.0 * wide)), 0.42 * head
+        right = np.array([(0.0, half), (length - head, half), (length - head, side), (length, 0.0)])
+        there = np.vstack([right, right[-2::-1] * (1.0, -1.0)])  # along and across the arrow
+        outline = tail + there @ np.array([along, (-along[1], along[0])])
+        self.line(np.vstack([outline, outline[:2]]), (*_WHITE, 235), 0.7 * width)
+        self.polygon(outline, color)
+
+
+def _draw_contact(pen: _Pen, view: View, annotation: Annotation, i: int) -> None:
+    point, normal, friction = annotation.points[i], annotation.normals[i], annotation.friction[i]
     if not annotation.active[i]:
         place = view.project(point[None])[0]
-        canvas.ring(place, 6.0 * unit, (*WHITE, 220), 4.6 * unit)
-        canvas.ring(place, 6.0 * unit, INACTIVE, 2.0 * unit)
+        pen.ring(place, 6.0, (*_WHITE, 220), 4.6)
+        pen.ring(place, 6.0, _INACTIVE, 2.0)
         return
-    first = np.eye(3)[int(np.argmin(np.abs(normal)))]
-    first = first - (first @ normal) * normal
-    first /= np.sqrt(first @ first)
-    second = np.array([normal[1] * first[2] - normal[2] * first[1], normal[2] * first[0] - normal[0] * first[2],
-                       normal[0] * first[1] - normal[1] * first[0]])  # fmt: skip
-    length = CONE_LENGTH / np.sqrt(1.0 + annotation.friction[i] ** 2)
-    rim = length * annotation.friction[i] * (_UNIT_CIRCLE @ np.array([first, second]))
-    rim += point - length * normal
-    force = annotation.forces[i]
-    measured = force if annotation.measured is None else annotation.measured[i]
-    pixels = view.project(np.vstack([rim, point, point - scale * force, point - scale * measured]))
-    mouth, (place, tail, seen) = pixels[:-3], pixels[-3:]
-    color = _color(annotation, i)
-    outline = _hull(pixels[:-2])
-    canvas.polygon(outline, (*color, 70))
-    canvas.line(np.vstack([outline, outline[:1]]), (*color, 170), 1.1 * unit)
-    canvas.polygon(mouth, (*color, 45))
-    canvas.line(mouth, (*color, 190), 1.1 * unit)
-    canvas.arrow(tail, place, color, 5.0 * unit)
-    if annotation.measured is not None:
-        canvas.line(np.array([seen, place]), INK, 1.4 * unit)
-    canvas.disc(place, 3.6 * unit, WHITE)
-    canvas.disc(place, 2.6 * unit, color)
+    length = CONE_LENGTH / math.hypot(1.0, friction)
+    across = np.linalg.svd(normal[None])[2][1:]  # two directions in the tangent plane
+    rim = point - length * normal + length * friction * (_circle(24) @ across)
+    tails = point - annotation.scale * np.array([annotation.forces[i], annotation.measured[i]])
+    pixels = view.project(np.vstack([rim, point, tails]))
+    mouth, cone, (place, tail, measured) = pixels[:-3], pixels[:-2], pixels[-3:]
+    outline = cone[np.argmax(cone @ _circle(64).T, axis=0)]  # the farthest point in each direction: the convex hull
+    color = tuple(
+        (215.0 * annotation.colors[i]).clip(0.0, 255.0).astype(int).tolist()
+    )  # a little darker than the links
+    for shape, fill, edge in ((outline, 70, 170), (mouth, 45, 190)):
+        pen.polygon(shape, (*color, fill))
+        pen.line(shape, (*color, edge), 1.1)
+    pen.arrow(tail, place, color, 5.0)
+    pen.line(np.array([measured, place]), _INK, 1.4)
+    pen.disc(place, 3.6, _WHITE)
+    pen.disc(place, 2.6, color)
 
 
-def _draw_wrench(canvas: Canvas, view: View, annotation: Annotation, scale: float) -> None:
+def _draw_wrench(pen: _Pen, view: View, annotation: Annotation) -> None:
     center, force, moment = annotation.center, annotation.wrench[:3], annotation.wrench[3:]
     if not annotation.wrench.any():
         return
-    size = float(np.linalg.norm(moment))
-    if annotation.moment_scale * size > _LEAST_TURN:
-        axis = moment / size
+    turn = annotation.turn * float(np.linalg.norm(moment))
+    if turn > _LEAST_TURN:
+        axis = moment / np.linalg.norm(moment)
         first = np.cross(view.axes[1] if abs(axis @ view.axes[1]) < 0.9 else view.axes[0], axis)
         first /= np.linalg.norm(first)
-        angles = np.linspace(0.0, min(annotation.moment_scale * size, 1.1 * LONGEST_TURN), 28)
-        circle = np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(axis, first))
+        angles = np.linspace(0.0, min(turn, 1.1 * LONGEST_TURN), 28)
+        circle = np.column_stack([np.cos(angles), np.sin(angles)]) @ np.array([first, np.cross(axis, first)])
         arc = view.project(center + _TURN_RADIUS * circle)
-        canvas.line(arc[:-3], (*WHITE, 220), 5.0 * canvas.unit)
-        canvas.line(arc[:-3], WRENCH_COLOR, 2.6 * canvas.unit)
-        canvas.arrow(arc[-7], arc[-1], WRENCH_COLOR, 3.4 * canvas.unit)
-    start, end = view.project(np.array([center, center + scale * force]))
-    canvas.arrow(start, end, WRENCH_COLOR, 5.0 * canvas.unit)
-    canvas.disc(start, 3.4 * canvas.unit, WRENCH_COLOR)
+        pen.line(arc[:-3], (*_WHITE, 220), 5.0)
+        pen.line(arc[:-3], WRENCH_COLOR, 2.6)
+        pen.arrow(arc[-7], arc[-1], WRENCH_COLOR, 3.4)
+    start, end = view.project(np.array([center, center + WRENCH_STRETCH * annotation.scale * force]))
+    pen.arrow(start, end, WRENCH_COLOR, 5.0)
+    pen.disc(start, 3.4, WRENCH_COLOR)
 
 
-def _color(annotation: Annotation, i: int) -> Color:
-    """A finger's colour, a little darker than its links, 0 to 255."""
-    color = PALETTE[i % len(PALETTE)] if annotation.colors is None else annotation.colors[i]
-    return tuple(int(np.clip(215.0 * part, 0.0, 255.0)) for part in color)
+def room(width: int, height: int) -> tuple[float, float]:
+    """Margin and footer of a camera [parts of the height] that leave the words of a picture their place."""
+    pad, text, small = _sizes(width, height)
+    above, below = pad + _LINE * text, 5.1 * pad + _LINE * (text + 3.0 * small)
+    return min(max(0.06, above / height), 0.2), min(max(0.06, below / height), _HIGHEST)
 
 
-def _hull(points: Array) -> Array:
-    """Convex hull (K, 2) of points (N, 2) in order around it; Andrew's monotone chain."""
-    ordered = sorted(map(tuple, points.tolist()))
+def _sizes(width: int, height: int) -> tuple[float, int, int]:
+    """Room around words, and the sizes of text and of small text, all in delivered pixels."""
+    unit = min(width, height) / 480.0
+    return 8.0 * unit, max(10, round(14.0 * unit)), max(9, round(13.0 * unit))
 
-    def half(sequence: Sequence[tuple[float, ...]]) -> list[tuple[float, ...]]:
-        chain: list[tuple[float, ...]] = []
-        for x, y in sequence:
-            while len(chain) > 1:
-                (ax, ay), (bx, by) = chain[-2:]
-                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0:
-                    break
-                chain.pop()
-            chain.append((x, y))
-        return chain[:-1]
 
-    return np.array(half(ordered) + half(ordered[::-1]))
+def _draw_legend(pen: _Pen, view: View, annotation: Annotation, width: int, height: int) -> list[dict[str, Any]]:
+    """Draws the band at the bottom and its icons; nothing in pictures that are too small for it.
+
+    Everything is where it is whatever the numbers, so that nothing jumps in a film.
+
+    Returns:
+        The words of the picture, each as arguments of `ImageDraw.text`, in delivered pixels.
+    """
+    words: list[dict[str, Any]] = []
+    pad, normal, small = _sizes(width, height)
+    left, wide, step, legend = 2.0 * pad, width - 4.0 * pad, _LINE * small, _legend(pen, view, annotation)
+    columns = (0.0, 0.385, 0.77) if width >= _THREE_COLUMNS else (0.0,)  # parts of the band's width
+    numbers = step + _LINE * normal + 0.6 * pad if annotation.lines else 0.0
+    band = numbers + step * len(legend) / len(columns)
+    if band + 3.0 * pad > _HIGHEST * height:
+        return words
+
+    def write(x: float, y: float, text: str, color: Color = _INK, size: int = small, **options: Any) -> None:
+        words.append({"xy": (round(x), round(y)), "text": text, "fill": color, "font": _font(size), **options})
+
+    top = height - 2.0 * pad - band
+    pen.panel(_FINE * np.array([pad, top - pad, width - pad, height - pad]))
+    for k, (label, value) in enumerate(annotation.lines):
+        x, alarmed = left + k * wide / len(annotation.lines), bool(annotation.alarm) and k == 0
+        write(x, top, label, _ALARM if alarmed else _FAINT)
+        write(x, top + step, value, _ALARM if alarmed else _INK, normal)
+    for k, (text, icon, draw_icon) in enumerate(legend):
+        x, y = left + columns[k % len(columns)] * wide, top + numbers + k // len(columns) * step
+        draw_icon(_FINE * np.array([x, y + 0.5 * step]))
+        write(x + icon / _FINE + 0.75 * pad, y, text)
+    if _font(normal).getlength(annotation.title + annotation.hand) + 2.0 * pad < wide:
+        write(width - left, pad, annotation.hand, _FAINT, normal, anchor="ra")
+    write(left, pad, annotation.title, _INK, normal)
+    if annotation.alarm:  # over the hand
+        write(left, pad + _LINE * normal, annotation.alarm, _ALARM, normal, stroke_width=2, stroke_fill=_WHITE)
+    return words
+
+
+def _legend(pen: _Pen, view: View, annotation: Annotation) -> list[tuple[str, float, Callable[[Array], None]]]:
+    """Words, room for the icon and what draws it to the right of a point; first three of the fingers."""
+    unit, right, stretched = pen.unit, np.array([1.0, 0.0]), WRENCH_STRETCH * annotation.scale
+    newtons, wrench = round_down(_BAR / annotation.scale), round_down(_BAR / stretched)
+    lengths = [0.0, _BAR, newtons * annotation.scale, wrench * stretched]
+    ends = view.project(annotation.center + np.outer(lengths, view.axes[0]))[:, 0]
+    longest, bar, longer = (ends[1:, None] - ends[0]) * right
+    moment = round_down(0.5 * math.pi / annotation.turn)
+    angles = np.linspace(0.0, moment * annotation.turn, 12)
+    arc = (
+        20.0 * unit * np.column_stack([np.cos(angles) - np.cos(angles[-1]), 0.5 * np.sin(angles[-1]) - np.sin(angles)])
+    )
+    cone = 9.0 * unit * np.array([[2.0, 0.0], [0.0, -0.7], [0.0, 0.7], [2.0, 0.0]])
+
+    def draw_cone(at: Array) -> None:
+        pen.polygon(at + cone, (*_INACTIVE, 90))
+        pen.line(at + cone, _INACTIVE, 1.2)
+
+    def draw_arc(at: Array) -> None:
+        pen.line(at + arc[:-3], WRENCH_COLOR, 2.2)
+        pen.arrow(at + arc[-6], at + arc[-1], WRENCH_COLOR, 2.2)
+
+    return [
+        (f"commanded {newtons:g} N", longest[0], lambda at: pen.arrow(at, at + bar, _INK, 3.2)),
+        ("measured", longest[0], lambda at: pen.line(np.array([at, at + bar]), _INK, 1.4)),
+        ("friction cone", 18.0 * unit, draw_cone),
+        (f"wrench {wrench:g} N", longest[0], lambda at: pen.arrow(at, at + longer, WRENCH_COLOR, 3.2)),
+        (f"moment {moment:g} N m", longest[0], draw_arc),
+        ("contact lost", 18.0 * unit, lambda at: pen.ring(at + 6.0 * unit * right, 4.5, _INACTIVE, 1.8)),
+    ]
+
+
+def round_down(value: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is at most `value` > 0.
+
+    Example:
+        >>> [round_down(value) for value in (0.013, 0.02, 7.0)]
+        [0.01, 0.02, 5.0]
+    """
+    power = 10.0 ** math.floor(math.log10(value) + 1e-9)
+    return next(float(f"{k * power:.0e}") for k in (5, 2, 1) if k * power <= value * (1.0 + 1e-9))
+
+
+@cache
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    font = ImageFont.load_default(size)
+    assert isinstance(font, ImageFont.FreeTypeFont), "Pillow was built without FreeType"
+    return font
+
+
+def _circle(count: int) -> Array:
+    """Points (count + 1, 2) of the unit circle, the first one twice."""
+    angles = np.linspace(0.0, 2.0 * np.pi, count + 1)
+    return np.column_stack([np.cos(angles), np.sin(angles)])
