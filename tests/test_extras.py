@@ -155,7 +155,7 @@ def test_help_needs_no_extra_but_its_own() -> None:
 
 
 def test_mp4_needs_video(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from training.demo.record import record
+    from training.demo import record
 
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(MissingExtraError, match=r'this needs imageio_ffmpeg: pip install "grasp-force\[video\]"'):

@@ -52,7 +52,7 @@ class Demo:
         from rich.console import Console
 
         from policies import TrainedAgent
-        from training.demo.record import record
+        from training.demo import record
 
         agent = None if self.agent is None else TrainedAgent.load(self.agent)
         settings = {} if agent is None else dict(agent.meta["env_settings"])

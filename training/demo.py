@@ -1,19 +1,25 @@
-"""A picture or a video of the hand, without a display."""
+"""A picture or a video of the hand, without a display.
+
+README and site show two of them:
+grasp demo --video training/assets/hand.webp --task move --motion rotate --disturbance paper_path --seconds 4 --size 600 600
+grasp demo --video training/assets/hand.png --task move --motion rotate --disturbance paper_path --seconds 0.6 --size 720 540
+"""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import imageio.v2 as imageio
 import numpy as np
 from PIL import Image
 from rich.console import Console
 
+from grasp_env._check import positive
 from grasp_env._extras import need
 from grasp_env._files import replacing
 from grasp_env.env.annotate import FAILURES
@@ -33,12 +39,12 @@ class Ending:
 
     Attributes:
         seconds: simulated.
-        drift: largest [m] of the object from where it should be.
+        drift: largest distance [m] of the object from where it should be.
         failure: why the object was lost, in words; "" where it was held.
 
     Example:
-        >>> print(Ending(4.0, 1e-5), Ending(1.24, 0.03, "no force closure"), sep="; ")
-        held 4.0 s, drift 0.01 mm; lost after 1.2 s: no force closure
+        >>> print(Ending(4.0, 1.2e-3), Ending(1.24, 0.03, "no force closure"), sep="; ")
+        held 4.0 s, drift 1.20 mm; lost after 1.2 s: no force closure
     """
 
     seconds: float = 0.0
@@ -61,9 +67,10 @@ def record(
     policy: Policy | None = None,
     **settings: Any,
 ) -> Ending:
-    """Rolls out the hand and saves the last frame (.png) or a video (.mp4, .gif, .webp) at 25 frames/s of simulated time.
+    """Rolls out the hand, saves the last frame (.png) or a video (.mp4, .gif, .webp) at 25 frames/s, and says how it ended.
 
-    Frames go to the file one by one (of .webp, the smallest that a page shows without a player, all at the end). The file gets its name when it is complete: stopped with ctrl-C, nothing is left.
+    Frames go to the file one by one; those of .webp, the smallest that a page shows without a player, all at the end. The
+    file gets its name when it is complete. If ctrl-C stops the recording, an older file stays as it was.
 
     Args:
         out: the file.
@@ -74,9 +81,6 @@ def record(
         policy: the agent; None: no adjustment.
         **settings: more keywords of the environment: task, shape, disturbance, render_size.
 
-    Returns:
-        How the episode ended.
-
     Raises:
         InvalidInputError: another suffix, no time, or a folder that does not exist.
         MissingExtraError: .mp4 without the extra "video"; .gif and .webp need none.
@@ -86,58 +90,48 @@ def record(
     if out.suffix == ".mp4":
         need("video")
     if seconds is not None:
-        if not seconds > 0.0 or not np.isfinite(seconds):
-            raise InvalidInputError(f"seconds must be finite and > 0, got {seconds}")
-        settings["duration"] = seconds
+        settings["duration"] = positive(seconds, "seconds")
     if not out.absolute().parent.is_dir():
         raise InvalidInputError(f"the folder {out.absolute().parent} does not exist: make it first")
     ending = Ending()
-    with replacing(out) as temporary:
-        env = gym.make(env_id, render_mode="rgb_array", initial_force=initial_force, **settings)
-        with closing(env), closing(_frames(env, seed, policy, out.suffix == ".png", ending)) as frames:
-            _write(temporary, frames)
+    env = gym.make(env_id, render_mode="rgb_array", initial_force=initial_force, **settings)
+    frames = _frames(env, seed, policy, out.suffix == ".png", ending)
+    with closing(env), closing(frames), replacing(out) as temporary:
+        _write(temporary, frames)
     return ending
 
 
 def _frames(
     env: gym.Env[Any, Any], seed: int, policy: Policy | None, only_last: bool, ending: Ending
 ) -> Generator[np.ndarray]:
-    """The pictures of one episode, which tells `ending` how it goes; a bar on a terminal shows how far it is."""
+    """Yields the pictures of one episode and keeps `ending` up to date; a bar on a terminal shows the progress."""
     rate = int(env.metadata["render_fps"])
     every = max(1, round(rate / FRAME_RATE))
-    duration = getattr(getattr(env.unwrapped, "config", None), "duration", None)
-    steps = None if duration is None else max(1, round(duration * rate))
     with progress(Console(stderr=True)) as bar:
-        task = bar.add_task("recording", total=steps)
+        task = bar.add_task("recording", total=getattr(env.unwrapped.spec, "max_episode_steps", None))
         for place, step in enumerate(episode(env, seed, policy)):
-            info = step.info
             ending.seconds = (place + 1) / rate
-            ending.drift = max(ending.drift, float(info.get("drift", 0.0)))
-            ending.failure = FAILURES.get(info.get("failure", ""), "")
+            ending.drift = max(ending.drift, float(step.info.get("drift", 0.0)))
+            ending.failure = FAILURES.get(step.info.get("failure", ""), "")
             if step.last or (place % every == 0 and not only_last):
                 yield np.asarray(env.render())
             bar.advance(task)
 
 
 def _write(path: Path, frames: Iterator[np.ndarray]) -> None:
-    if path.suffix != ".mp4":
-        pictures = map(Image.fromarray, frames)
-        first = next(pictures)
-        settings: dict[str, Any] = {}
-        if path.suffix != ".png":
-            settings = {"append_images": pictures, "duration": 1000 // FRAME_RATE, "loop": 0}
-        if path.suffix == ".webp":
-            settings |= {"append_images": list(pictures), "quality": 65, "method": 4}
-        with path.open("wb") as file:
-            first.save(file, format=path.suffix[1:], save_all=bool(settings), **settings)
+    first = next(frames)
+    if path.suffix == ".mp4":
+        import imageio_ffmpeg  # H.264 stores colours in blocks of two pixels
+
+        size = first.shape[1], first.shape[0]
+        with closing(imageio_ffmpeg.write_frames(path, size, fps=FRAME_RATE, quality=8, macro_block_size=2)) as writer:
+            writer.send(None)
+            for frame in chain([first], frames):
+                writer.send(frame)
         return
-    # pixels in blocks of two: what the colours of H.264 are stored in
-    writer = imageio.get_writer(path, format="FFMPEG", mode="I", fps=FRAME_RATE, macro_block_size=2, quality=8)
-    try:
-        for frame in frames:
-            writer.append_data(frame)
-    except BaseException:
-        with suppress(Exception):  # ctrl-C has stopped ffmpeg too: it cannot finish the file
-            writer.close()
-        raise
-    writer.close()
+    rest: Any = map(Image.fromarray, frames)
+    options: dict[str, Any] = {"append_images": rest, "save_all": True, "duration": 1000 // FRAME_RATE, "loop": 0}
+    if path.suffix == ".webp":
+        options |= {"append_images": list(rest), "quality": 65, "method": 4}
+    with path.open("wb") as file:
+        Image.fromarray(first).save(file, path.suffix[1:], **({} if path.suffix == ".png" else options))
