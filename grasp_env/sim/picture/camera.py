@@ -38,14 +38,13 @@ class CameraConfig:
     """How the camera looks at the scene and what it delivers.
 
     Attributes:
-        width: Of the picture [pixels].
-        height: Of the picture [pixels].
+        width, height: Size of the picture [pixels].
         direction: From the object towards the camera, world frame; not vertical. None: `DIRECTION`, turned about the vertical
             where more of the contacts are seen so.
         field_of_view: Vertical opening [degrees].
         margin: Part of the width and of the height left free beside and above hand and object.
         footer: Part of the height left free below them, where annotations have their text.
-        arrows: [m] about the object's centre that is in the picture, too.
+        arrows: Distance [m] from the object's centre, along each axis, that is in the picture, too.
         object_opacity: Below 1 the tips behind the object are seen through it, and drawing takes twice the time.
         supersampling: Rendered pixels per delivered pixel along each side; 1 is fastest, 3 finest.
 
@@ -104,9 +103,8 @@ class Camera:
     def __init__(self, scene: Scene, config: CameraConfig | None = None) -> None:
         self.config = config or CameraConfig()
         if not isinstance(scene.simulator, Bullet):
-            raise InvalidInputError(
-                f"pictures are drawn by Bullet, the scene's engine is {type(scene.simulator).__name__}"
-            )
+            engine = type(scene.simulator).__name__
+            raise InvalidInputError(f"pictures are drawn by Bullet, the scene's engine is {engine}")
         self._scene = scene
         self.fit()
 

@@ -32,9 +32,9 @@ def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None
     The palm is below the fingertips, and they close towards the camera, as far as a hand has such sides.
 
     Args:
-        hand: To be drawn.
-        size: Of one half [pixels].
-        angles: Of its joints [rad], (M,); None: `home`.
+        hand: The hand to draw.
+        size: Height, and width of each half [pixels].
+        angles: Joint angles [rad], (M,); None: `home`.
     """
     posture = np.array(hand.home) if angles is None else angles
     upright = hand.moved((0.0, 0.0, 0.0), roll_pitch_yaw(_upright(hand, posture)))

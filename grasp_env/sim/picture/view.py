@@ -26,8 +26,7 @@ class View:
         eye: Position of the camera [m], world frame.
         target: Point in the middle of the picture [m], world frame.
         field_of_view: Vertical opening [degrees].
-        width: Of the picture [pixels].
-        height: Of the picture [pixels].
+        width, height: Size of the picture [pixels].
 
     Example:
         >>> view = View((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 90.0, 200, 100)
