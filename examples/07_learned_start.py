@@ -2,8 +2,8 @@
 A learned start
 ===============
 
-A network that ships with the package starts the paper's flow close to its end. To learn: a model is a start rule like any
-other, for single calls, batches and the environment. One of your own: ``grasp fit --out runs/fit/mine``, then
+A network that ships with the package starts the paper's flow close to its end. To learn: a model is a start rule like
+any other, for single calls, batches and the environment. One of your own: ``grasp fit --out runs/fit/mine``, then
 ``LearnedInitialForce.load("runs/fit/mine")``, or ``grasp evaluate --start mine=runs/fit/mine`` beside all others.
 In C++: ``07_learned_start.cpp``.
 """

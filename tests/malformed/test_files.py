@@ -26,7 +26,7 @@ from grasp_env.sim import HandDescription
 from grasp_env.sim.objects.description import ObjectDescription
 from policies.agent import TrainedAgent
 from training.cli import main
-from training.results import Run
+from training.results import Run, table
 
 
 def agent(path: Path) -> Any:
@@ -53,7 +53,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
     "mesh": mesh,
     "agent": agent,
     "run": lambda path: Run(path.parent).read_json(path.name),
-    "arrays": lambda path: Run(path.parent).read_arrays(path.name),
+    "table": table.read,
 }
 
 

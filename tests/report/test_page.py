@@ -206,7 +206,7 @@ def test_a_run_whose_files_were_changed_is_refused(tmp_path):
     with pytest.raises(InvalidInputError, match=r"cannot read the table .*rows.parquet"):
         write(folder)
     folder.path("rows.parquet").write_bytes(b"no table")
-    with pytest.raises(InvalidInputError, match="cannot read the table"):
+    with pytest.raises(InvalidInputError, match="is not a table of results"):
         write(folder)
     assert not folder.path("report.html").exists()
 

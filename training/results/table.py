@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env._extras import need
-from grasp_env._files import replacing
+from grasp_env._files import MEGABYTE, WEIGHTS, parsed, replacing
 from grasp_env.errors import InvalidInputError
 from training.results.columns import COLUMNS, KEYS
 from training.results.statistics import iqm, iqm_interval, mean_interval, median_interval, wilson
@@ -108,12 +109,25 @@ def read(path: Path) -> pd.DataFrame:
     Raises:
         InvalidInputError: the file is missing or is no such table.
     """
-    try:
-        rows = pd.read_csv(path, dtype=None) if path.suffix == ".csv" else pq.read_table(path).to_pandas()
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise InvalidInputError(
-            f"cannot read the table {path}: {str(error)[:200]}; give a run's rows.parquet"
-        ) from error
+
+    def columns(blob: bytes) -> pd.DataFrame:
+        if path.suffix == ".csv":
+            return pd.read_csv(io.BytesIO(blob))
+        file = pq.ParquetFile(pa.BufferReader(blob))
+        size = sum(file.metadata.row_group(k).total_byte_size for k in range(file.metadata.num_row_groups))
+        if size > WEIGHTS:
+            raise ValueError(f"its columns have more than {WEIGHTS // MEGABYTE} MB")
+        return file.read().to_pandas()
+
+    rows = parsed(
+        path,
+        columns,
+        InvalidInputError,
+        f"the table {path}",
+        "a table of results",
+        "; give a run's rows.parquet",
+        WEIGHTS,
+    )
     kinds = {name: DTYPES[COLUMNS[name].kind] for name in rows.columns if name in COLUMNS}
     try:
         return rows.astype(kinds)
