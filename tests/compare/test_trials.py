@@ -9,6 +9,7 @@ from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import RULES, ForceOptimizer, Objective, OfflineBasis, Repair, Status
 from grasp_env.force.initial import SingleValue, StartRule
 from grasp_env.grasp import presets, wrench
+from training.compare import trial
 from training.compare.case import Case
 from training.compare.cases import make_cases
 from training.compare.given import METHODS, Problem
@@ -64,6 +65,18 @@ def test_rows_agree_with_single_runs(ball, starts):
                 assert row["trials"] >= row["iterations_fine"]
                 assert row["gap"] <= FINE
                 assert row["margin"] > 0.0
+
+
+def test_a_level_that_was_not_reached_counts_as_more_than_the_limit(monkeypatch, starts):
+    monkeypatch.setattr(trial, "LIMIT", 3)
+    chosen_ = {key: starts[key] for key in ("linear_combination", "learned_fixed")}
+    rows = table(trials("ball", make_cases("ball", 40, 0), chosen_, {}, PHI))
+    paper = of(rows, "linear_combination")
+    assert {*paper["status"]} == {"iteration_limit"}
+    assert {*paper["iterations"]} == {*paper["iterations_fine"]} == {4}
+    learned = of(rows, "learned_fixed")
+    assert {*learned["status"]} == {"optimal", "iteration_limit"}
+    assert (learned["iterations"] == 4).tolist() == (learned["status"] == "iteration_limit").tolist()
 
 
 def test_starts_are_feasible_balanced_and_corrected_ones_no_worse(ball):
