@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from training.report.page import WIDTH, axes
 from training.results.claims import Claim
 from training.results.table import chosen, pd
-from training.results.words import number
+from training.results.words import number, small
 
 RULES = {
     "fixed": "fixed, tuned",
@@ -29,10 +30,11 @@ METHODS = {
 }
 """Label, line, colour and width."""
 PATHS = ("path_paper_cuboid", "path_five_finger_cuboid")
+TITLE = "What the paper leaves open"
 INTRO = (
     "The paper prints neither omega and lambda of Phi = omega tr P + lambda tr P^-1 nor the step size; this page varies them. Every "
-    "flow runs from the 12-basis to a relative gap of 1e-4 on held-out wrenches on the reference grasp. The documentation explains "
-    "the words on its pages about the mathematics and about benchmarks."
+    "flow runs from the 12-basis to a relative gap of 1e-4 on held-out wrenches on the reference grasp. The end of this page explains "
+    "the columns."
 )
 CLAIMS = (
     Claim("every step rule converges with all weights", "case == 'weights'", "iterations_missing", "<=", 0),
@@ -50,56 +52,75 @@ def _some(rows: pd.DataFrame, query: str) -> Any:
     return chosen(rows, query).dropna(axis=1, how="all")
 
 
+def _decades(axis: Any, first: int, last: int, every: int = 1) -> None:
+    """Labels the decades of a logarithmic axis, from 10^first to 10^last."""
+    ticks = [10.0**k for k in range(first, last + 1, every)]
+    axis.set_ticks(ticks, [small(tick) for tick in ticks])
+    axis.minorticks_off()
+
+
 def weights_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
-    """Iterations per rule and force excess against lambda, omega = 1."""
-    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    found = _some(summary, "case == 'weights' and force_weight == 1")
+    """Iterations per rule against lambda, omega = 1."""
+    figure, panel = axes(3.6)
     for (rule, label), colour in zip(RULES.items(), COLOURS, strict=True):
-        mine = found[found["rule"] == rule]
-        left.plot(mine["barrier_weight"], mine["iterations_median"], "o-", color=colour, markersize=3, label=label)
-    excess = found[found["rule"] == "fixed"].set_index("barrier_weight")
+        mine = _some(summary, f"case == 'weights' and force_weight == 1 and rule == '{rule}'")
+        panel.loglog(mine["barrier_weight"], mine["iterations_median"], "o-", color=colour, markersize=3, label=label)
+    panel.set(xlabel="lambda [N^2], omega = 1", ylabel="iterations, median")
+    _decades(panel.xaxis, -3, 0)
+    _decades(panel.yaxis, 0, 3)
+    panel.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def excess_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
+    """Normal force of the optimum of Phi above the exact minimum against lambda, omega = 1."""
+    figure, panel = axes(2.8)
+    excess = _some(summary, "case == 'weights' and force_weight == 1 and rule == 'fixed'")
     for name, style in (("median", "-"), ("p95", "--"), ("max", ":")):
-        right.plot(100 * excess[f"force_excess_{name}"], style, color=COLOURS[2], label=name)
-    for axes, label in ((left, "iterations, median"), (right, "normal force above the exact minimum [%]")):
-        axes.set(xscale="log", yscale="log", xlabel="lambda [N$^2$], omega = 1", ylabel=label)
-        axes.legend(fontsize=8, frameon=False)
+        line = 100.0 * excess[f"force_excess_{name}"]
+        panel.loglog(excess["barrier_weight"], line, style, color=COLOURS[2], label=name)
+    panel.set(xlabel="lambda [N^2], omega = 1", ylabel="normal force above the least [%]")
+    _decades(panel.xaxis, -3, 0)
+    _decades(panel.yaxis, 1, 3)
+    panel.legend(fontsize=8.5, frameon=False)
     return figure
 
 
 def rates_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     """Gap against iterations per rule, with the predicted rate of the exact line search."""
-    figure = Figure(figsize=(8.0, 4.4), layout="constrained")
-    axes = figure.subplots()
+    figure, panel = axes(4.4)
     for (rule, label), colour in zip(RULES.items(), COLOURS, strict=True):
         mine = _some(rows, f"case == 'gaps' and rule == '{rule}'")
         label = "fixed, 2 / (L + m)" if rule == "fixed" else label
-        axes.semilogy(mine["step"], np.maximum(mine["gap"], 1e-12), color=colour, label=label)
+        panel.semilogy(mine["step"], np.maximum(mine["gap"], 1e-12), color=colour, label=label)
     exact = _some(rows, "case == 'rates' and rule == 'exact'").iloc[0]
     steps = np.arange(len(_some(rows, "case == 'gaps' and rule == 'exact'")))
     kappa = exact["eigenvalue_largest"] / exact["eigenvalue_least"]
-    label = f"$((\\kappa - 1)/(\\kappa + 1))^{{2k}}$, $\\kappa$ = {number(kappa)}"
-    axes.semilogy(steps, 0.3 * exact["rate_predicted"] ** steps, "k:", label=label)
-    axes.set(xlim=(0, 1.3 * len(steps)), ylim=(1e-11, None), xlabel="iteration", ylabel="(Phi - min Phi) / min Phi")
-    axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    label = f"((κ - 1) / (κ + 1))^2k, κ = {number(kappa)}"
+    panel.semilogy(steps, 0.3 * exact["rate_predicted"] ** steps, "k:", label=label)
+    panel.set(xlim=(0, 1.3 * len(steps)), ylim=(1e-11, 2.0), xlabel="iteration k", ylabel="(Phi - min Phi) / min Phi")
+    _decades(panel.yaxis, -10, 0, 2)
+    figure.legend(fontsize=8, frameon=False, loc="outside lower center", ncols=2)
     return figure
 
 
 def paths_figure(rows: pd.DataFrame, summary: pd.DataFrame) -> Figure:
     """Normal forces of every finger along W_ext(t), one column per grasp."""
-    figure, coarse = Figure(figsize=(8.4, 12.0), layout="constrained"), _some(rows, "interval > 0.007")
+    figure, coarse = Figure(figsize=(WIDTH, 7.5), layout="constrained"), _some(rows, "interval > 0.007")
     panels: Any = figure.subplots(5, 2)
     for column, case in zip(panels.T, PATHS, strict=True):
-        for contact, axes in enumerate(column):
+        for contact, panel in enumerate(column):
             mine = coarse[(coarse["case"] == case) & (coarse["contact"] == contact)]
             for method, (label, style, colour, width) in METHODS.items():
                 line = mine[mine["method"] == method]
-                axes.plot(line["time"], line["contact_force"], style, color=colour, linewidth=width, label=label)
-            axes.set_visible(not mine.empty)
-            axes.set_title(f"{case.removeprefix('path_')}, {f'finger {contact}' if contact else 'thumb'}", fontsize=9)
-            axes.set(xlabel="time [s]", ylabel="normal force [N]")
+                panel.plot(line["time"], line["contact_force"], style, color=colour, linewidth=width, label=label)
+            panel.set_visible(not mine.empty)
+            panel.set_title(f"{case[5:].replace('_', ' ')}, {f'finger {contact}' if contact else 'thumb'}", fontsize=8)
+            panel.tick_params(labelsize=8)
+    figure.supxlabel("time [s]", fontsize=9)
+    figure.supylabel("normal force [N]", fontsize=9)
     handles, names = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=3)
+    figure.legend(handles, names, fontsize=8, frameon=False, loc="outside upper center", ncols=2)
     return figure
 
 
@@ -155,7 +176,12 @@ def paths_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 FIGURES = (
-    ("Weights", "Iterations, and force above the least, against lambda.", weights_figure),
+    ("Iterations", "From the 12-basis to a relative gap of 1e-4, by step rule, against lambda.", weights_figure),
+    (
+        "Squeeze",
+        "Normal force at the optimum of Phi above the least one of the exact cones, against lambda.",
+        excess_figure,
+    ),
     ("Rates", "Convergence of every step rule on the paper's constant wrench, lambda 0.01.", rates_figure),
     ("Forces along W_ext(t)", "Normal forces of every finger, per grasp and method.", paths_figure),
 )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from training.report.page import axes
 from training.results.claims import Claim
 from training.results.statistics import iqm, iqm_interval, ratio_interval
 from training.results.table import chosen, pd
@@ -22,10 +23,11 @@ AGENTS = {
     "sac/contact_force": ("SAC, contact forces, no solver", "#7a4fa3"),
 }
 """Label and colour of what is scored, in the order of the tables."""
+TITLE = "Agents beside the paper's start"
 INTRO = (
     "Agents on FourFingerGrasp-v0 are compared with what learns nothing: a policy that does nothing, which is the paper's start, the "
     "shipped learned start and the previous solution. All of them play the same held-out episodes, with deterministic actions. The "
-    "page of the documentation about training an agent explains the words."
+    "end of this page explains the columns."
 )
 CLAIMS = tuple(
     claim
@@ -95,19 +97,18 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
     agents = {agent: found for agent, found in curves.items() if agent != "zero" and agent.endswith(ending)}
     if not agents:
         return None
-    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
-    axes = figure.subplots()
+    figure, panel = axes(3.2)
     for agent, found in agents.items():
         told, colour = AGENTS[agent]
         lines = [one.groupby("training_steps")[column].mean() for _, one in found.groupby("training_seed")]
         for line in lines:
-            axes.plot(line, color=colour, linewidth=0.7, alpha=0.55)
+            panel.plot(line, color=colour, linewidth=0.7, alpha=0.55)
         steps = np.linspace(0.0, min(line.index[-1] for line in lines), 60)
         mean = np.mean([np.interp(steps, line.index.to_numpy(float), line.to_numpy(float)) for line in lines], axis=0)
-        axes.plot(steps, mean, color=colour, linewidth=2.2, label=told)
-    axes.axhline(curves["zero"][column].mean(), color="black", linestyle="--", label=AGENTS["zero"][0])
-    axes.set(xlabel="environment steps", ylabel=label, xlim=(0, None))
-    axes.legend(fontsize=8, frameon=False)
+        panel.plot(steps, mean, color=colour, linewidth=2.2, label=told)
+    panel.axhline(curves["zero"][column].mean(), color="black", linestyle="--", label=AGENTS["zero"][0])
+    panel.set(xlabel="environment steps", ylabel=label, xlim=(0, None))
+    panel.legend(fontsize=8.5, frameon=False)
     return figure
 
 
