@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -236,3 +237,18 @@ def test_a_quick_run_from_the_command_line(tmp_path, capsys, own):
     (tmp_path / "q" / "run.json").unlink()
     assert main(["evaluate", "--seed", "1", *words]) == 2
     assert "was begun with other settings (seed)" in capsys.readouterr().err
+
+
+def test_the_best_of_the_repeats_is_kept_in_microseconds_and_a_call_that_raises_has_no_time(monkeypatch):
+    clock = iter([0, 3000, 0, 9000, 0, 0, 5000, 0, 2000, 0])
+
+    def call(k: int) -> None:
+        if k == 2:
+            raise ValueError
+
+    monkeypatch.setattr(comparison, "WARM_UP", 0)
+    monkeypatch.setattr(comparison.time, "perf_counter_ns", lambda: next(clock))
+    best = np.full(3, np.inf)
+    for _ in range(2):
+        comparison._time(call, 3, best)
+    assert best.tolist() == [3.0, 2.0, np.inf]
