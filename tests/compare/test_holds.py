@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.errors import InvalidInputError, SimulationError, UnknownNameError
 from training.cli import main
 from training.compare import holds
 from training.compare.holds import (
@@ -102,6 +102,17 @@ def test_a_grasp_that_does_not_settle_counts_as_not_held():
     row = trial({**SHORT, "friction_error": 2.0}, False, 0)
     assert (row["failure"], row["held"]) == (NO_START, False)
     assert "settle" in row["detail"]
+
+
+@pytest.mark.parametrize(("error", "failure"), [(InvalidInputError, "not_placed"), (SimulationError, "no_start")])
+def test_a_hand_without_a_place_and_one_that_does_not_take_hold_are_told_apart(error, failure, monkeypatch):
+    def refuse(**settings):
+        raise error("cannot reach the object")
+
+    monkeypatch.setattr(holds, "FourFingerGrasp", refuse)
+    row = trial(SHORT, False, 0)
+    assert (row["held"], row["failure"], row["detail"]) == (False, failure, "cannot reach the object")
+    assert "normal_force" not in row
 
 
 def test_a_seed_is_the_same_object_in_every_engine():
