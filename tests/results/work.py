@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -61,5 +62,6 @@ def threads(shard: int) -> pd.DataFrame:
 
 
 def process(shard: tuple[int, Path]) -> pd.DataFrame:
-    """Which process runs a shard."""
+    """Which process runs a shard, long enough for all of them to get one."""
+    time.sleep(0.5)
     return table([{"problem": shard[0], "bytes": os.getpid()}])

@@ -11,9 +11,9 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -142,8 +142,13 @@ def _processes(function: Work, shards: dict[str, Any], workers: int) -> Iterator
         pool, problem = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _ignore_interrupts), None
         attempts += 1
         try:
-            with _one_thread():
-                waiting = {pool.submit(_call, function, shard): name for name, shard in left.items()}
+            waiting: dict[Future[Answer], str] = {}
+            with (
+                _one_thread(),
+                suppress(BrokenProcessPool, OSError),
+            ):  # a worker may die while others still get their work
+                for name, shard in left.items():
+                    waiting[pool.submit(_call, function, shard)] = name
             for future in as_completed(waiting):
                 if future.cancelled():
                     continue
