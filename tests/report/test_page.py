@@ -17,8 +17,8 @@ from grasp_env.errors import InvalidInputError
 from training.cli import main
 from training.compare.comparison import run as compare_starts
 from training.compare.scenarios import CONTROLLERS, LABELS, controllers_plan
+from training.report import holds, side_by_side, starts
 from training.report import page as page_module
-from training.report import side_by_side, starts
 from training.report.page import WIDTH, judged, write
 from training.results.run import Run
 from training.results.table import chosen, join, numbers, pd, read, summary, table
@@ -182,8 +182,28 @@ def test_hold_rates_show_every_scenario_and_the_chosen_setting(held):
     for (case, key), curve in means[means["case"].isin(["mild", "all"])].groupby(["case", "controller"]):
         best = picked[(picked["case"] == case) & (picked["controller"] == key)].iloc[0]
         assert best["held_mean"] == curve["held_mean"].max() or best["held_mean"] >= 0.99
-    (failures,) = [table for table in seen.tables if "first seed" in table[0]]
-    assert sum(int(row[failures[0].index("count")]) for row in failures[1:]) <= int((~rows["held"]).sum())
+    more = join(
+        [
+            rows,
+            table(
+                [
+                    {
+                        "case": "objects",
+                        "controller": "pd",
+                        "held": False,
+                        "failure": "no_start",
+                        "seed": 77,
+                        "detail": "no grasp",
+                    }
+                ]
+            ),
+        ]
+    )
+    failures = holds.failures(more, means)
+    assert failures["count"].sum() == (more["held"] == False).sum()  # noqa: E712
+    assert failures[failures["failure"] == "no_start"][["count", "first seed", "detail"]].to_numpy().tolist() == [
+        [1, 77, "no grasp"]
+    ]
     assert {row.claim.name: row.met for row in judged(folder)}[
         "the paper's pipeline holds random objects in six directions"
     ] is not None
