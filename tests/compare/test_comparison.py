@@ -88,6 +88,9 @@ def test_every_set_start_method_and_scenario_is_there(made, given):
     assert {case: {*counts[case]} for case in holds} == {
         f"hold_{name}": {SMALL.episodes if name in RANDOM_STARTS else 1} for name in HOLDS_OF_STARTS
     }
+    for name in RANDOM_STARTS:  # every episode has a seed of its own
+        episodes = chosen(held, f"case == 'hold_{name}' and start == 'single_value'")
+        assert episodes["normal_force"].nunique() == len(episodes) == SMALL.episodes
     model = rows.iloc[-1]
     assert 0 < model["bytes"] < 2_000_000
     assert model["cpu_seconds"] > 0.0

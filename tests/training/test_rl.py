@@ -23,6 +23,7 @@ import policies.agent_files
 import policies.checkpoint
 import training.rl.checkpoint
 import training.rl.train
+from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError, ModelFileError
 from policies import TrainedAgent, ZeroPolicy
@@ -410,3 +411,10 @@ def test_wrong_settings(wrong):
     with pytest.raises(InvalidInputError):
         RLConfig(**wrong)
     assert RLConfig(warmup=0, seed=0).warmup == 0
+
+
+def test_agents_are_paid_what_the_environment_pays_but_for_a_loss():
+    paid, usual = RLConfig().env_settings, EnvConfig()
+    for name in ("held_reward", "iteration_cost", "force_cost"):
+        assert paid[name] == getattr(usual, name) > 0.0
+    assert 0.0 < paid["failure_cost"] < usual.failure_cost
