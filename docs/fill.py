@@ -164,7 +164,7 @@ def rl() -> str:
 
 
 def overview() -> str:
-    """What README.md shows: the least that says where this stands, and what was asked beside it."""
+    """The table of README.md: the main numbers beside what was asked."""
 
     def of(kind: str, query: str) -> dict[str, Any]:
         return chosen(saved(kind)[0], query).to_dict("records")[0]

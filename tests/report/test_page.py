@@ -19,7 +19,7 @@ from training.compare.comparison import run as compare_starts
 from training.compare.scenarios import CONTROLLERS, LABELS, controllers_plan
 from training.report import holds, side_by_side, starts
 from training.report import page as page_module
-from training.report.page import WIDTH, judged, write
+from training.report.page import WIDTH, write
 from training.results.run import Run
 from training.results.table import chosen, join, numbers, pd, read, summary, table
 
@@ -33,7 +33,7 @@ def made(tmp_path_factory):
     folder = Run.create(tmp_path_factory.mktemp("runs"), "small")
     rows, about = compare_starts(SMALL, on="inline")
     folder.save(rows, {**about, "quick": True})
-    return folder, write(folder).read_text()
+    return folder, write(folder).path.read_text()
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def held(tmp_path_factory):
                 "normal_force": 10.0 / scenario.keys.get("friction_margin", 1.0) + scenario.keys.get("squeeze", 0.0),
             })  # fmt: skip
     folder.save(table(rows), {"kind": "env", "quick": False, "settings": {"episodes": 40}})
-    return folder, write(folder).read_text()
+    return folder, write(folder).path.read_text()
 
 
 class Text(HTMLParser):
@@ -131,7 +131,7 @@ def test_cells_are_what_numpy_makes_of_the_rows(made):
 
 def test_claims_are_told_missed_ones_first_and_can_be_met_and_missed(made):
     folder, text = made
-    claims = judged(folder)
+    claims = write(folder).claims
     (told,) = [table for table in Text(text).tables if table[0][0] == "claim"]
     assert [row[0] for row in told[1:]] == [row.claim.name for row in claims]
     assert [row.met for row in claims] == sorted((row.met for row in claims), key=[False, None, True].index)
@@ -204,7 +204,7 @@ def test_hold_rates_show_every_scenario_and_the_chosen_setting(held):
     assert failures[failures["failure"] == "no_start"][["count", "first seed", "detail"]].to_numpy().tolist() == [
         [1, 77, "no grasp"]
     ]
-    assert {row.claim.name: row.met for row in judged(folder)}[
+    assert {row.claim.name: row.met for row in write(folder).claims}[
         "the paper's pipeline holds random objects in six directions"
     ] is not None
     assert set(means["case"]) <= {*LABELS}
@@ -213,11 +213,11 @@ def test_hold_rates_show_every_scenario_and_the_chosen_setting(held):
 def test_any_table_gets_a_page(tmp_path):
     folder = Run.create(tmp_path, "other")
     folder.save(table([{"case": "a", "per_second": 2.0}, {"case": "a", "per_second": 4.0}]), {"kind": "something"})
-    text = write(folder).read_text()
+    text = write(folder).path.read_text()
     (found,) = Text(text).tables
     assert dict(zip(*found, strict=True)) == {"case": "a", "n": "2", "per_second_median": "3", "per_second_max": "4"}
     assert "per_second" in text
-    assert judged(folder) == []
+    assert write(folder).claims == []
 
 
 def test_a_run_whose_files_were_changed_is_refused(tmp_path):
@@ -232,8 +232,6 @@ def test_a_run_whose_files_were_changed_is_refused(tmp_path):
 
 
 def test_two_runs_side_by_side(tmp_path, capsys):
-    rng = np.random.default_rng(0)
-
     def rows(factor: float, rate: float) -> pd.DataFrame:
         rng = np.random.default_rng(1)
         return table([
@@ -262,7 +260,6 @@ def test_two_runs_side_by_side(tmp_path, capsys):
     assert "compare runs of one command" in capsys.readouterr().err
     assert main(["report"]) == 2
     assert "name one run's folder" in capsys.readouterr().err
-    assert rng is not None
 
 
 def test_the_command_makes_the_page_again(made, capsys):

@@ -12,8 +12,9 @@ subprocess.run(["ip", "link", "set", "lo", "up"], check=True, timeout=10)
 import ray  # noqa: E402
 from ray.cluster_utils import Cluster  # noqa: E402
 from results import work  # noqa: E402
+from results.work import names  # noqa: E402
 
-from training.results.shards import map_shards, names  # noqa: E402
+from training.results.shards import map_shards  # noqa: E402
 from training.results.table import write  # noqa: E402
 
 

@@ -16,7 +16,7 @@ NAMESPACE = ("unshare", "--net", "--map-root-user")
 
 
 def alone() -> bool:
-    """Whether this machine lets its users make network namespaces."""
+    """True if network namespaces can be made on this machine."""
     if not all(map(shutil.which, ("unshare", "ip"))):
         return False
     return subprocess.run([*NAMESPACE, "true"], capture_output=True, timeout=30).returncode == 0
@@ -25,8 +25,7 @@ def alone() -> bool:
 @pytest.mark.skipif(not alone(), reason="no network namespace can be made here")
 def test_two_nodes_give_the_bytes_of_the_loop_and_a_killed_worker_loses_nothing(tmp_path):
     paths = [str(path) for path in (HERE.parents[1], HERE.parent)]
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "RAY_TMPDIR": "", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
-    env.pop("RAY_TMPDIR")
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
     command = [*NAMESPACE, sys.executable, str(HERE / "ray_cluster.py"), str(tmp_path)]
     run = subprocess.run(command, env=env, cwd=HERE.parents[1], capture_output=True, text=True, timeout=240)
     assert run.returncode == 0, run.stderr[-3000:]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 from results import work
+from results.work import names
 
 from grasp_env.errors import InvalidInputError, SimulationError
-from training.results.shards import map_shards, names
+from training.results.shards import map_shards
 from training.results.table import pd, write
 
 SHARDS = names([(0, 3), (1, 50), (2, 1), (3, 7)])

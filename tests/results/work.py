@@ -5,11 +5,18 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from training.results.table import pd, table
+
+
+def names(shards: Sequence[Any]) -> dict[str, Any]:
+    """Shards by their number."""
+    return {f"{place:05d}": shard for place, shard in enumerate(shards)}
 
 
 def squares(shard: tuple[int, int]) -> pd.DataFrame:

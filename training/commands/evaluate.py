@@ -71,7 +71,7 @@ class Evaluate:
         """Runs it; raises the errors of the project."""
         self._check()
         need("sim", "report", *(["mujoco"] if self.what == "transfer" else []))
-        from training.report.page import judged, write
+        from training.report.page import write
         from training.results.claims import lines
         from training.results.run import Run, default_name
 
@@ -79,10 +79,11 @@ class Evaluate:
         folder = Run.create(self.out, self.name or default_name(kind))
         rows, about = self._measure(kind, folder)
         folder.save(rows, about)
-        sys.stderr.write(f"report: {write(folder)}\n")
+        report = write(folder)
+        sys.stderr.write(f"report: {report.path}\n")
         if self.quick:
             sys.stdout.write("QUICK RUN: few trials; do not quote.\n")
-        sys.stdout.writelines(f"{line}\n" for line in lines(judged(folder)))
+        sys.stdout.writelines(f"{line}\n" for line in lines(report.claims))
 
     def _check(self) -> None:
         """Refuses options that belong to another comparison."""

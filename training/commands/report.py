@@ -44,9 +44,9 @@ class Report:
             sys.stdout.write(f"{made.head(40).to_string(index=False, na_rep='')}\n")
             sys.stderr.write(f"report: {b.folder / 'compare.html'}\n")
             return
-        from training.report.page import judged, write
+        from training.report.page import write
         from training.results.claims import lines
 
-        run = Run.open(self.run or "", "run.json")
-        sys.stderr.write(f"report: {write(run)}\n")
-        sys.stdout.writelines(f"{line}\n" for line in lines(judged(run)))
+        report = write(Run.open(self.run or "", "run.json"))
+        sys.stderr.write(f"report: {report.path}\n")
+        sys.stdout.writelines(f"{line}\n" for line in lines(report.claims))

@@ -19,10 +19,10 @@ from policies.learned import PRETRAINED
 from training.compare.cases import SETS, make_cases
 from training.compare.given import METHODS, Given
 from training.compare.holds import HOLDS_OF_STARTS, hold_of_start
-from training.compare.starts import STARTS, Made, Workshop, phi_options
+from training.compare.starts import Made, Workshop, phi_options
 from training.compare.trial import problem_of, trials
 from training.results.bars import progress
-from training.results.run import Run, check_counts, default_name
+from training.results.run import Run, check_counts
 from training.results.shards import map_shards
 from training.results.table import join, pd, table
 
@@ -38,7 +38,7 @@ _QUICK = {"wrenches": 50, "timed": 50, "repeats": 3, "episodes": 1}
 
 @dataclass(frozen=True)
 class StartsConfig:
-    """What is compared.
+    """Settings of the comparison of starts.
 
     Attributes:
         wrenches: number of cases of a full set of wrenches; the other sets have their share of it.
@@ -110,12 +110,7 @@ def run(
         "quick": config.quick,
         "given": dict(given.names),
         "objective": {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight},
-        "map": {
-            "on": mapped.on,
-            "workers": mapped.workers,
-            "wall_seconds": mapped.wall_seconds,
-            "cpu_seconds": mapped.cpu_seconds,
-        },
+        "map": mapped.about,
     }
     return rows, about
 
@@ -126,7 +121,7 @@ def _place(case: str) -> int:
 
 
 def _shipped() -> pd.DataFrame:
-    """What the shipped model cost: processor time of its training, and the size of its files."""
+    """The cost of the shipped model: processor time of its training, and the size of its files."""
     stem = PRETRAINED / "four_finger"
     card = Workshop(Objective()).model.checkpoint.card
     size = sum(path.stat().st_size for path in stem.parent.glob(f"{stem.name}.*"))
@@ -206,7 +201,7 @@ def time_calls(config: StartsConfig, given: Given, objective: Objective, console
                 for who, both in calls.items():
                     for place, call in enumerate(both):
                         if call is not None:
-                            _time(call, len(cases), best[who][place] if turn >= 0 else None)
+                            _time(call, best[who][place], len(cases) if turn >= 0 else 0)
     finally:
         if collecting:
             gc.enable()
@@ -219,20 +214,15 @@ def time_calls(config: StartsConfig, given: Given, objective: Objective, console
     ).replace(np.inf, np.nan)  # fmt: skip
 
 
-def _time(call: Callable[[int], object], count: int, best: np.ndarray | None) -> None:
-    """Calls on every problem after a warm-up; `best` (n,) keeps the shortest time [us]."""
+def _time(call: Callable[[int], object], best: np.ndarray, count: int) -> None:
+    """Warms up, then calls on the first `count` problems; `best` (n,) keeps the shortest time [us]."""
     for k in range(WARM_UP):
         with suppress(Exception):  # a user's rule: its errors are counted in the trials
-            call(k % count)
-    for k in range(count if best is not None else 0):
+            call(k % len(best))
+    for k in range(count):
         begin = time.perf_counter_ns()
         try:
             call(k)
         except Exception:
             continue
-        end = time.perf_counter_ns()
-        if best is not None:
-            best[k] = min(best[k], (end - begin) / 1e3)
-
-
-__all__ = ["STARTS", "StartsConfig", "default_name", "run"]
+        best[k] = min(best[k], (time.perf_counter_ns() - begin) / 1e3)

@@ -62,7 +62,7 @@ class Solver(Protocol):
 
 @dataclass(frozen=True)
 class Given:
-    """What a user brings, ready to be sent to workers.
+    """Starts and solvers of a user, ready to be sent to workers.
 
     Attributes:
         packed: (starts, solvers) by name, pickled; files travel by value, so that other machines need no copy of them.

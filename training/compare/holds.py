@@ -147,7 +147,7 @@ def run(
     about = {
         "kind": config.kind, "settings": asdict(config), "quick": config.quick,
         "scenarios": [asdict(scenario) for scenario in plan], "steps_per_second": _speeds(plan),
-        "map": {"on": mapped.on, "workers": mapped.workers, "wall_seconds": mapped.wall_seconds, "cpu_seconds": mapped.cpu_seconds},
+        "map": mapped.about,
     }  # fmt: skip
     return mapped.rows, about
 
@@ -236,7 +236,7 @@ def settings_of(settings: dict[str, Any]) -> EnvConfig:
 
 
 def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """What the steps of an episode come to. Drift, tilt and slip count where the object was held."""
+    """The columns of an episode, from the `info` of its steps. Drift, tilt and slip count where the object was held."""
     last, failure = infos[-1], str(infos[-1]["failure"])
     held = bool(last["is_success"]) and not failure
     cut = any(info["saturated"] and info["drift"] < _IN_PLACE for info in infos[-_BEFORE:])

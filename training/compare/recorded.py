@@ -118,7 +118,7 @@ CASES: dict[str, Callable[[np.random.Generator, int], list[Case]]] = {
     "rollout_fixed": partial(_impulses, hands=("four_finger",), randomise=()),
     "rollout_changes": _changes,
 }
-"""What makes the cases of the sets that are recorded; fewer than asked only where the roll-outs hold fewer."""
+"""Makers of the recorded sets; they make fewer cases than asked only where the roll-outs hold fewer."""
 
 
 def changes_of(rng: np.random.Generator, old: Problem, now: Problem, group: int) -> list[Case]:

@@ -61,7 +61,7 @@ ERRORS: dict[str, dict[str, Any]] = {
     "force": {"force_noise": 0.05},
 }
 SAFE_START = {"friction_margin": 0.6}
-"""Of the baselines where friction is over-estimated: every controller starts from the optimised grasp, which then settles."""
+"""Friction margin of the baselines where friction is over-estimated: all controllers start from the optimised grasp, which then settles."""
 ALL_ERRORS: dict[str, Any] = {name: value for error in ERRORS.values() for name, value in error.items()}
 RANDOM_WRENCH: dict[str, Any] = {
     "disturbance": "random", "random_force": 2.0, "random_moment": 0.06, "duration": 4.0,

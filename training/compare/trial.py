@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,15 +52,14 @@ class Quality:
 
     @classmethod
     def of(cls, grasp: Grasp, load: Array, force: ContactForces, best: float, objective: Objective) -> Quality:
-        """Of a force (N, 3) in contact frames; `best` is the least Phi."""
+        """The quality of a force (N, 3) in contact frames; `best` is the least Phi."""
         size = max(float(np.abs(force).max()), 1e-300)
         gap = objective.value(grasp.to_cone(force)) / best - 1.0
         return cls(max(0.0, gap), grasp.cone_margin(force) / size, grasp.residual(force, load) / size)
 
-    @property
-    def reason(self) -> str | None:
-        """Why the force is no start; None: it is one."""
-        return "outside the cones" if self.margin <= 0.0 else "out of balance" if self.residual > BALANCED else None
+    def reason(self, margin: float = 0.0) -> str | None:
+        """Why the force is none; None: it balances, with more than this margin."""
+        return "outside the cones" if self.margin <= margin else "out of balance" if self.residual > BALANCED else None
 
     def columns(self, before: str = "") -> dict[str, float]:
         """As columns of a row; an infinite gap is left out."""
@@ -156,7 +155,7 @@ def trials(
                 continue
             quality = Quality.of(grasp, load, force, best, objective)
             row |= quality.columns("start_")
-            reason = quality.reason
+            reason = quality.reason()
             if phi is not None and reason is None:
                 row["start_excess"] = objective.value(grasp.to_cone(force)) / phi - 1.0
                 row["start_replaced"] = key not in RULES and start_replaced(grasp, load, force)
@@ -169,9 +168,7 @@ def trials(
             for method in METHODS:
                 try:
                     run = optimizers.run(method, grasp, load, force, best)
-                except (
-                    InfeasibleStartError
-                ):  # outside, or out of balance by more than rounding: no start of this method
+                except InfeasibleStartError:  # outside the cones, or out of balance by more than rounding
                     yield {**row, "method": method, "status": "no_start", "reason": reason or "out of balance"}
                     continue
                 yield {**row, "method": method, **run}
@@ -196,30 +193,27 @@ def answered(solver: Solver, grasp: Grasp, load: Array, best: float, objective: 
         return {"status": "failed", "reason": why_none(error), "failed": True}
     local = np.einsum("nij,ni->nj", grasp.frames, forces)
     quality = Quality.of(grasp, load, local, best, objective)
-    feasible = quality.residual <= BALANCED and quality.margin >= -BALANCED
-    status = "optimal" if feasible and quality.gap <= TOLERANCE else "feasible" if feasible else "failed"
-    reason = None if feasible else "out of balance" if quality.residual > BALANCED else "outside the cones"
+    reason = quality.reason(-BALANCED)
+    status = "failed" if reason else "optimal" if quality.gap <= TOLERANCE else "feasible"
+    force = float(local[:, 0].sum())
     return {
         "status": status,
         "reason": reason,
-        "failed": not feasible,
-        "normal_force": float(local[:, 0].sum()),
+        "failed": reason is not None,
+        "normal_force": force,
         **quality.columns(),
     }
 
 
-def attempt(
-    start: Callable[..., ContactForces] | Made, grasp: Grasp, load: Array, before: ContactForces | None
-) -> ContactForces:
+def attempt(made: Made, grasp: Grasp, load: Array, before: ContactForces | None) -> ContactForces:
     """The force (N, 3) [N] of a start, which may be a user's.
 
     Raises:
         DoesNotApply: it knows nothing of this case.
         GraspError: it has none, fails, or returns something else; `why_none` says which.
     """
-    call = start.start if isinstance(start, Made) else start
     try:
-        return as_array(call(grasp, load, before), (grasp.n_contacts, 3), "a start", ranges.SIZE)
+        return as_array(made.start(grasp, load, before), (grasp.n_contacts, 3), "a start", ranges.SIZE)
     except (DoesNotApply, GraspError):
         raise
     except Exception as error:

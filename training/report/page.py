@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from matplotlib import rc_context
@@ -69,7 +69,19 @@ class Page:
     load: Sequence[str] = field(default=())
 
 
-def write(run: Run) -> Path:
+class Report(NamedTuple):
+    """A page that was written.
+
+    Attributes:
+        path: of report.html.
+        claims: the claims of the run, judged.
+    """
+
+    path: Path
+    claims: list[Judged]
+
+
+def write(run: Run) -> Report:
     """Writes report.html and summary.csv of a finished run; nothing is solved.
 
     Raises:
@@ -80,6 +92,7 @@ def write(run: Run) -> Path:
         shown, means = module_of(about), summary(rows)
         write_csv(run.path("summary.csv"), means)
         derived = getattr(shown, "derive", lambda means: means)(means)
+        claims = judge(claims_of(about), derived)
         figures = [
             (title, caption, svg(figure), f"{title}. {caption}")
             for title, caption, draw in getattr(shown, "FIGURES", ())
@@ -94,7 +107,7 @@ def write(run: Run) -> Path:
             quick=bool(about.get("quick")),
             figures=figures,
             tables=[(title, note, made) for title, note, made in tables if len(made)],
-            claims=judge(claims_of(about), derived),
+            claims=claims,
             words=getattr(shown, "WORDS", [(name, text) for name, text in described(rows.columns).items()]),
             facts=facts_of(about),
             load=(
@@ -104,15 +117,7 @@ def write(run: Run) -> Path:
                 f".{next((name for name in ('iterations', 'held') if name in rows.columns), rows.columns[-1])}.describe()",
             ),
         )
-        return run.write_text("report.html", render(page))
-
-
-def judged(run: Run) -> list[Judged]:
-    """The claims of a run, judged."""
-    with understood(run.folder, "repeat the command that made it"):
-        rows, about = run.load()
-        shown, means = module_of(about), summary(rows)
-        return judge(claims_of(about), getattr(shown, "derive", lambda means: means)(means))
+        return Report(run.write_text("report.html", render(page)), claims)
 
 
 def module_of(about: dict[str, Any]) -> ModuleType | None:

@@ -1,4 +1,4 @@
-"""What the page of `grasp rl` shows: figures and tables as functions of its rows and their summary, and its claims."""
+"""The page of `grasp rl`, as data: figures and tables as functions of its rows and their summary, and its claims."""
 
 from __future__ import annotations
 

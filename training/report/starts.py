@@ -288,7 +288,7 @@ def solvers(rows: Rows, means: Rows) -> Rows:
 
 
 def failures(rows: Rows, means: Rows) -> Rows:
-    """Where starts and solvers failed, and why."""
+    """Failures of starts and solvers by case, with their reasons."""
     found: Rows = chosen(rows, "status in ['no_start', 'failed', 'stalled', 'iteration_limit'] or held == False")
     if found.empty:
         return found

@@ -26,7 +26,7 @@ VERDICTS = {False: "MISSED", None: "not measured", True: "met"}
 
 @dataclass(frozen=True)
 class Claim:
-    """What a run should show.
+    """A number that a run should reach.
 
     Attributes:
         name: what is claimed, for people.

@@ -10,11 +10,12 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from training.results.bars import progress
 from training.results.table import pd
 
 ON = "inline, processes, ray or ray://HOST:PORT"
-"""Where shards may run."""
+"""Places in which shards can run."""
 ATTEMPTS = 3
 """Times in a row that workers may be killed without a shard being finished in between."""
 THREADS = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -37,6 +38,8 @@ Work = Callable[[Any], "pd.DataFrame"]
 """The rows of a shard; a function of a module, so that workers can import it."""
 Answer = tuple["pd.DataFrame", float]
 """The rows of a shard, and the processor time that they took [s]."""
+Runner = Callable[[Work, dict[str, Any]], Iterator[tuple[str, Answer]]]
+"""Runs a function over shards and yields (name, answer) as they are finished."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,11 @@ class Mapped:
     workers: int
     wall_seconds: float
     cpu_seconds: float
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What a run folder says of the map."""
+        return {name: value for name, value in vars(self).items() if name != "rows"}
 
 
 def map_shards(
@@ -91,12 +99,10 @@ def map_shards(
         keep.mkdir(parents=True, exist_ok=True)
     found = {name: table.read(file) for name, file in files.items() if file and file.is_file()}
     left = {name: shard for name, shard in shards.items() if name not in found}
-    count = 1 if on == "inline" else min(workers or os.cpu_count() or 1, max(1, len(left)))
-    cpu, begun = 0.0, time.perf_counter()
-    with progress(console) as bar, _runner(on, count) as run:
+    count, cpu = min(workers or os.cpu_count() or 1, max(1, len(left))), 0.0
+    with progress(console) as bar, _runner(on, count) as (run, count):
         task = bar.add_task(label, total=len(shards), completed=len(found))
-        if on.startswith("ray"):
-            count, begun = run.workers, time.perf_counter()
+        begun = time.perf_counter()
         for name, (rows, seconds) in run(function, left):
             found[name], cpu = rows, cpu + seconds
             if file := files[name]:
@@ -113,23 +119,13 @@ def _call(function: Work, shard: Any) -> Answer:
     return rows, time.process_time() - begun
 
 
-@dataclass(frozen=True)
-class _Runner:
-    """How shards are run: `run` yields (name, answer) as they are finished."""
-
-    run: Callable[[Work, dict[str, Any]], Iterator[tuple[str, Answer]]]
-    workers: int
-
-    def __call__(self, function: Work, shards: dict[str, Any]) -> Iterator[tuple[str, Answer]]:
-        return self.run(function, shards)
-
-
 @contextmanager
-def _runner(on: str, workers: int) -> Iterator[_Runner]:
+def _runner(on: str, workers: int) -> Iterator[tuple[Runner, int]]:
+    """What runs shards there, and how many of them side by side."""
     if on == "inline":
-        yield _Runner(lambda function, shards: ((name, _call(function, shard)) for name, shard in shards.items()), 1)
+        yield (lambda function, shards: ((name, _call(function, shard)) for name, shard in shards.items())), 1
     elif on == "processes":
-        yield _Runner(lambda function, shards: _processes(function, shards, workers), workers)
+        yield partial(_processes, workers=workers), workers
     else:
         with _ray(on) as runner:
             yield runner
@@ -143,10 +139,8 @@ def _processes(function: Work, shards: dict[str, Any], workers: int) -> Iterator
         attempts += 1
         try:
             waiting: dict[Future[Answer], str] = {}
-            with (
-                _one_thread(),
-                suppress(BrokenProcessPool, OSError),
-            ):  # a worker may die while others still get their work
+            # a worker may die while the others still get their work
+            with _one_thread(), suppress(BrokenProcessPool, OSError):
                 for name, shard in left.items():
                     waiting[pool.submit(_call, function, shard)] = name
             for future in as_completed(waiting):
@@ -173,7 +167,7 @@ def _processes(function: Work, shards: dict[str, Any], workers: int) -> Iterator
 
 
 @contextmanager
-def _ray(on: str) -> Iterator[_Runner]:
+def _ray(on: str) -> Iterator[tuple[Runner, int]]:
     """Tasks of a Ray cluster, which runs the shards of a lost worker or node again."""
     need("ray")
     import ray  # pyright: ignore[reportMissingImports]
@@ -200,7 +194,7 @@ def _ray(on: str) -> Iterator[_Runner]:
                 for reference in done:
                     yield waiting.pop(reference), ray.get(reference)
 
-        yield _Runner(run, int(ray.cluster_resources().get("CPU", 1)))
+        yield run, int(ray.cluster_resources().get("CPU", 1))
     finally:
         ray.shutdown()
 
@@ -223,8 +217,3 @@ def _one_thread() -> Iterator[None]:
 def _ignore_interrupts() -> None:
     """A worker leaves an interrupt to its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def names(shards: Sequence[Any]) -> dict[str, Any]:
-    """Shards by their number, where they have no better name."""
-    return {f"{place:05d}": shard for place, shard in enumerate(shards)}

@@ -45,7 +45,7 @@ def score(
 
 
 def outcome(steps: list[Step], solver: bool = True) -> dict[str, Any]:
-    """What an episode came to: its return, whether the object was held to the end within the task's limits, and means."""
+    """The outcome of an episode: its return, whether the object was held to the end within the task's limits, and means."""
     infos = [step.info for step in steps]
     held = bool(infos[-1]["is_success"]) and not infos[-1]["failure"]
     return {

@@ -33,7 +33,7 @@ from training.rl.score import score
 from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
 
 BASELINES = ("zero", "learned", "previous")
-"""What agents are compared with: the paper's start, as the zero policy; the shipped learned start; the previous solution."""
+"""Policies that agents are compared with: the paper's start, as the zero policy; the shipped learned start; the previous solution."""
 STOP = ".stop"
 """File in a run's folder that asks the seeds in training to save and end; workers of other processes hear no interrupt."""
 
