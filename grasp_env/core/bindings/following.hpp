@@ -16,7 +16,7 @@ template <class Solver> int follow(Solver& newton, nb::handle wrench, nb::handle
     if (!before.has(size)) return grasp::REFUSED;
     const grasp::Record known(before.data(), count);
     return newton.solve(
-        {.wrench = load.data(), .start = grasp::Start::tangent, .force = known.force(), .torsion = known.torsion()}, row.data());
+        {.wrench = load.data(), .start = grasp::From::tangent, .force = known.force(), .torsion = known.torsion()}, row.data());
 }
 
 inline constexpr const char* SOLVE_MANY =

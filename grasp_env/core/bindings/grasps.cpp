@@ -7,7 +7,7 @@ using namespace grasp;
 
 namespace {
 
-template <void (*solve)(const Grasps&, const Options&, const Many&)>
+template <void (*solve)(const Grasps&, const Stop&, const Many&)>
 void solve_grasps(nb::handle positions, nb::handle normals, nb::handle scales, nb::handle tangents, nb::handle weights,
                   nb::handle first, double tolerance, int limit, nb::handle wrenches, nb::handle records) {
     const Numbers p = in(positions, -1, -1, 3);
@@ -27,7 +27,7 @@ void solve_grasps(nb::handle positions, nb::handle normals, nb::handle scales, n
     solve(given, {tolerance, limit}, {many, loads.data(), rows.data()});
 }
 
-template <void (*solve)(const Grasps&, const Options&, const Many&)>
+template <void (*solve)(const Grasps&, const Stop&, const Many&)>
 void bind(nb::module_& m, const char* name, const char* doc) {
     m.def(name, &solve_grasps<solve>, "positions"_a, "normals"_a, "scales"_a, "tangents"_a, "weights"_a, "first"_a, "tolerance"_a,
           "limit"_a, "wrenches"_a, "records"_a, doc);

@@ -30,7 +30,7 @@ std::unique_ptr<LimitedNewton> make(const Contacts& contacts, double tolerance, 
 int descend(LimitedNewton& newton, nb::handle wrench, nb::handle force, nb::handle record) {
     const int count = newton.contacts.count;
     const Numbers load = in(wrench, 6), start = in(force, count, 3), row = out(record, record_size(count));
-    return newton.solve({.wrench = load.data(), .start = Start::given, .force = start.data()}, row.data());
+    return newton.solve({.wrench = load.data(), .start = From::given, .force = start.data()}, row.data());
 }
 
 std::span<const double> span(const Numbers& numbers, Py_ssize_t count) { return {numbers.data(), size_t(count)}; }

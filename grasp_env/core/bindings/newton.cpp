@@ -21,7 +21,7 @@ int descend(Newton& newton, nb::handle wrench, nb::handle force, double optimum,
     const Numbers load = in(wrench, 6), start = in(force, count, 3), values = out(trace, -1);
     const Numbers row = out(record, record_size(count));
     const Call call{.wrench = load.data(),
-                    .start = Start::given,
+                    .start = From::given,
                     .force = start.data(),
                     .optimum = optimum,
                     .trace = values.data(),
@@ -43,7 +43,7 @@ void solve_scaled(const Contacts& contacts, nb::handle scales, nb::handle wrench
             Record(rows.data() + size * k, count).summary().code = REFUSED;
             continue;
         }
-        const Call call{.wrench = loads.data() + 6 * k, .start = Start::given, .force = starts.data() + 3 * count * k};
+        const Call call{.wrench = loads.data() + 6 * k, .start = From::given, .force = starts.data() + 3 * count * k};
         Newton::make(scaled, {tolerance, limit})->solve(call, rows.data() + size * k);
     }
 }
@@ -70,7 +70,7 @@ void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
 
 bool carry(Newton& newton, nb::handle wrench, nb::handle previous, bool tangent, nb::handle force) {
     const int count = newton.contacts.count;
-    return newton.carry(in(wrench, 6).data(), in(previous, count, 3).data(), tangent ? Start::tangent : Start::pseudoinverse,
+    return newton.carry(in(wrench, 6).data(), in(previous, count, 3).data(), tangent ? From::tangent : From::pseudoinverse,
                         out(force, count, 3).data());
 }
 

@@ -49,7 +49,7 @@ int least_phi(Program& program, nb::handle wrench, nb::handle weights, nb::handl
               nb::handle trace, double tolerance, int limit, nb::handle record, nb::handle prices) {
     const Numbers load = in(wrench, 6), values = out(trace, -1);
     const Call call{.wrench = load.data(),
-                    .start = Start::given,
+                    .start = From::given,
                     .optimum = optimum,
                     .trace = values.data(),
                     .traced = int(values.length(0))};

@@ -23,7 +23,7 @@ int descend(SoftNewton& newton, nb::handle wrench, nb::handle force, nb::handle 
     const Numbers load = in(wrench, 6), start = in(force, count, 3), turn = in(torsion, count), values = out(trace, -1);
     const Numbers row = out(record, record_size(count));
     return newton.solve({.wrench = load.data(),
-                         .start = Start::given,
+                         .start = From::given,
                          .force = start.data(),
                          .torsion = turn.data(),
                          .optimum = optimum,

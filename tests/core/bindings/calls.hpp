@@ -13,10 +13,10 @@ public:
 
     nb::object solve(const In& wrench) { return solved({.wrench = numbers(wrench, 6)}); }
     nb::object follow(const In& wrench, const In& force, const std::optional<In>& torsion) {
-        return solved(from(grasp::Start::tangent, wrench, force, torsion));
+        return solved(from(grasp::From::tangent, wrench, force, torsion));
     }
     nb::object descend(const In& wrench, const In& force, const std::optional<In>& torsion) {
-        return solved(from(grasp::Start::given, wrench, force, torsion));
+        return solved(from(grasp::From::given, wrench, force, torsion));
     }
     // of solves from the basis and from the record of the call before, taking turns
     long allocations_in(const In& wrenches, int calls) {
@@ -28,7 +28,7 @@ public:
             for (int k = 0; k < calls; ++k) {
                 grasp::Call call{.wrench = w + 6 * (k % many)};
                 const grasp::Record known(before.data(), count);
-                if (k % 2) call.start = grasp::Start::tangent, call.force = known.force(), call.torsion = known.torsion();
+                if (k % 2) call.start = grasp::From::tangent, call.force = known.force(), call.torsion = known.torsion();
                 on_->solve(call, row.data());
                 std::swap(row, before);
             }
@@ -39,7 +39,7 @@ protected:
     std::unique_ptr<Solver> on_;
 
     size_t size() const { return 3 * on_->contacts.count; }
-    grasp::Call from(grasp::Start start, const In& wrench, const In& force, const std::optional<In>& torsion = {}) const {
+    grasp::Call from(grasp::From start, const In& wrench, const In& force, const std::optional<In>& torsion = {}) const {
         return {.wrench = numbers(wrench, 6),
                 .start = start,
                 .force = numbers(force, size()),

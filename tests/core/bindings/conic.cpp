@@ -15,7 +15,7 @@ public:
     static std::unique_ptr<AnyConic> make(int lanes, int blocks, const Placement& p, double tolerance, int limit,
                                           const In& interior) {
         return std::make_unique<AnyConic>(instance_of<detail::ConicAny, Conic>(
-            lanes, blocks, p.contacts, Options{tolerance, limit}, numbers(interior, 3 * p.contacts.count)));
+            lanes, blocks, p.contacts, Stop{tolerance, limit}, numbers(interior, 3 * p.contacts.count)));
     }
     std::unique_ptr<AnyConic> clone() const { return std::make_unique<AnyConic>(on_->clone()); }
 

@@ -9,7 +9,7 @@ template <class V> class Insides {
 public:
     using Field = typename Cones<V, 0>::Field;
 
-    explicit Insides(const Placement& p) : contacts_(p.contacts), newton_(contacts_.count, Options{}) {
+    explicit Insides(const Placement& p) : contacts_(p.contacts), newton_(contacts_.count, Stop{}) {
         newton_.cones.pack(contacts_);
         starter().tangents.load(contacts_.frames.data(), contacts_.count);
     }
@@ -110,7 +110,7 @@ public:
     }
     nb::object carry(const In& safe, const In& w, bool tangent, const In& x) {
         Field at = field(x);
-        starter().carry(cones(), newton_.system, field(safe), six(w), tangent ? Start::tangent : Start::pseudoinverse, at);
+        starter().carry(cones(), newton_.system, field(safe), six(w), tangent ? From::tangent : From::pseudoinverse, at);
         return out(at);
     }
 

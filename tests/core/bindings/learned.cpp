@@ -42,7 +42,7 @@ public:
         model.largest = 20.0;
         if (!model.fits(p.contacts.count)) throw nb::value_error("a model of other contacts");
         return std::make_unique<AnyLearned>(instance_of<detail::LearnedAny, Learned>(
-            lanes, blocks, p.contacts, Options{tolerance, limit}, numbers(basis, 13 * size), model));
+            lanes, blocks, p.contacts, Stop{tolerance, limit}, numbers(basis, 13 * size), model));
     }
     std::unique_ptr<AnyLearned> clone() const { return std::make_unique<AnyLearned>(on_->clone()); }
 

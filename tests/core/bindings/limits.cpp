@@ -19,7 +19,7 @@ std::unique_ptr<Calls<LimitedNewton>> make(int lanes, int blocks, const Placemen
     }
     const LimitRows given{int(many), normals.data(), bounds.data(), shares.data(), weights.data(), contacts.data()};
     return std::make_unique<Calls<LimitedNewton>>(instance_of<detail::LimitedAny, LimitedNewton>(
-        lanes, blocks, p.contacts, Options{tolerance, limit}, given, numbers(basis, 39 * p.contacts.count), elastic));
+        lanes, blocks, p.contacts, Stop{tolerance, limit}, given, numbers(basis, 39 * p.contacts.count), elastic));
 }
 
 }  // namespace

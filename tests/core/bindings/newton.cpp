@@ -11,14 +11,14 @@ public:
     using Calls::Calls;
     static std::unique_ptr<AnyNewton> make(int lanes, int blocks, const Placement& p, double tolerance, int limit) {
         return std::make_unique<AnyNewton>(
-            instance_of<detail::NewtonAny, Newton>(lanes, blocks, p.contacts, Options{tolerance, limit}));
+            instance_of<detail::NewtonAny, Newton>(lanes, blocks, p.contacts, Stop{tolerance, limit}));
     }
     // rule: (5,) kind, first, grow, shrink, decrease
     static std::unique_ptr<AnyNewton> flow(int lanes, int blocks, const Placement& p, double tolerance, int limit, int form,
                                            const In& rule) {
         const double* r = numbers(rule, 5);
         return std::make_unique<AnyNewton>(instance_of<detail::FlowAny, Newton>(
-            lanes, blocks, p.contacts, Options{tolerance, limit}, Form(form), StepRule{int(r[0]), r[1], r[2], r[3], r[4]}));
+            lanes, blocks, p.contacts, Stop{tolerance, limit}, Form(form), StepRule{int(r[0]), r[1], r[2], r[3], r[4]}));
     }
     std::unique_ptr<AnyNewton> clone() const { return std::make_unique<AnyNewton>(on_->clone()); }
 
@@ -29,11 +29,11 @@ public:
     }
     void set_basis(const In& basis) { on_->set_basis(numbers(basis, 13 * size())); }
     nb::object follow(const In& wrench, const In& force, bool tangent) {
-        return solved(from(tangent ? Start::tangent : Start::pseudoinverse, wrench, force));
+        return solved(from(tangent ? From::tangent : From::pseudoinverse, wrench, force));
     }
     nb::tuple descend(const In& wrench, const In& force, double optimum, int traced) {
         std::vector<double> trace(traced, -1.0);
-        Call call = from(Start::given, wrench, force);
+        Call call = from(From::given, wrench, force);
         call.optimum = optimum, call.trace = trace.data(), call.traced = traced;
         nb::object row = solved(call);
         return nb::make_tuple(row, array(trace));
@@ -62,8 +62,8 @@ public:
             for (int k = 0; k < calls; ++k) {
                 const int j = k % many, before = (k + 1) % many;
                 Call call{.wrench = w + 6 * j};
-                if (k % 3 == 1) call.start = Start::tangent, call.force = f + size() * before;
-                if (k % 3 == 2) call.start = Start::given, call.force = f + size() * j;
+                if (k % 3 == 1) call.start = From::tangent, call.force = f + size() * before;
+                if (k % 3 == 2) call.start = From::given, call.force = f + size() * j;
                 on_->solve(call, row.data());
             }
         });

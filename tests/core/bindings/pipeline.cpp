@@ -18,7 +18,7 @@ public:
         const size_t size = 3 * p.contacts.count;
         const StepRule rule;
         return std::make_unique<AnyPipeline>(instance_of<detail::PipelineAny, Pipeline>(
-            lanes, blocks, p.contacts, Options{tolerance, limit}, numbers(basis, 13 * size), numbers(frames, 3 * size), remembers,
+            lanes, blocks, p.contacts, Stop{tolerance, limit}, numbers(basis, 13 * size), numbers(frames, 3 * size), remembers,
             numbers(reference, size * (size - 6)), flows ? &rule : nullptr));
     }
 

@@ -104,7 +104,7 @@ public:
 
 private:
     NewtonOn<V, B>& newton_;
-    const Options kept_;
+    const Stop kept_;
     double worst_ = 0.0;
     double wrench_[6];
     Vec6 w_;  // the wrench of an optimum, given frame and unit frame
@@ -141,7 +141,7 @@ private:
             worst_ = infinity;
             return;
         }
-        newton_.descend_from(newton_.starter.safe() = newton_.x, {.wrench = wrench_, .start = Start::given}, w_, record, LONG);
+        newton_.descend_from(newton_.starter.safe() = newton_.x, {.wrench = wrench_, .start = From::given}, w_, record, LONG);
         keep(k, record.summary().objective, record.summary().lower_bound);
     }
     void keep(int k, double value, double bound) {

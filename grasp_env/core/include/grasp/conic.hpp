@@ -199,9 +199,9 @@ template <class V, int B> class ConicOn : public ConicSteps<V, B> {
 public:
     using Steps::cones, Steps::rest, Steps::at, Steps::y;
     using typename Steps::Field;
-    Options options;
+    Stop options;
 
-    ConicOn(int count, const Options& options)
+    ConicOn(int count, const Stop& options)
         : Steps(count), options(options), force_(cones.field()), first_(cones.field()), qr_(Steps::blocks()),
           fitted_(qr_.rows()) {}
 
@@ -248,7 +248,48 @@ public:
         return certified;
     }
 
+    // What `find_inside` ends with.
+    enum class Inside { found, none, unknown };
+    // A force x strictly inside the cones that balances a wrench (unit frame), or the twist that proves that there is none. Needs no
+    // internal force: the same steps from the axes, which miss balance until a whole one is taken. Where no force exists y grows beyond
+    // all prices, and with it what every force within the cones would have to be.
+    Inside find_inside(const Vec6& w, Field& x, Vec6& twist, int& iterations) {
+        const double scale = size(w);
+        if (!(scale >= NOTHING)) return Inside::unknown;
+        const Vec6 minus = (-1.0 / scale) * w;
+        V cost{};
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            at[b].x = {all<V>(1.0), V{}, V{}}, at[b].s = {c.cost, V{}, V{}};
+            cost += c.mask * c.cost;
+        }
+        this->gap = this->price = sum(cost), y = {};
+        for (int k = 0; k < SEARCH; ++k, ++iterations) {
+            const Vec6 left = missed(minus);
+            if (k > 0 && size(left) <= MISSED * std::max(1.0, widest())) {
+                for (int b = 0; b < blocks(); ++b) x[b] = all<V>(scale) * at[b].x;
+                cones.balance(x, w);
+                return cones.margin(x) > 0.0 ? Inside::found : Inside::unknown;
+            }
+            if (!(this->system() > 0.0)) return Inside::unknown;
+            const auto correct = [&](const Vec6& pull) { return this->schur.solve(pull - left); };
+            if (!this->template step<false>(this->schur.solve(minus), correct)) return Inside::unknown;
+            V outside{};
+            for (int b = 0; b < blocks(); ++b)
+                outside = max(outside, cones.blocks[b].mask * -slack(-cones.blocks[b].transposed(y)));
+            const double along = dot(minus, y);
+            if (along > 0.0 && largest(outside) <= OUTSIDE * along) {
+                twist = y;
+                return Inside::none;
+            }
+        }
+        return Inside::unknown;
+    }
+
 private:
+    static constexpr int SEARCH = 60;  // steps; a dozen is usual
+    static constexpr double MISSED = 1e-9;  // of the forces: what a balanced force may miss before its last correction
+    static constexpr double OUTSIDE = 1e-7;  // a proof: only forces 1e7 times the wrench could balance it
     Field force_, first_;  // what is written
     LaneQr6<V> qr_;
     std::vector<double> fitted_;  // scaled, by axes
@@ -284,6 +325,11 @@ private:
         }
     }
 
+    double widest() const {
+        V most{};
+        for (int b = 0; b < blocks(); ++b) most = max(most, cones.blocks[b].mask * at[b].x.u);
+        return largest(most);
+    }
     Vec6 missed(const Vec6& minus) const {  // G x + w
         V total[6] = {};
         for (int b = 0; b < blocks(); ++b) cones.blocks[b].add_wrench(at[b].x, total);

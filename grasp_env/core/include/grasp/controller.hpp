@@ -18,7 +18,7 @@ struct ControlSettings {
     Spring spring;  // of all fingers where nothing is optimised
     double reach_depth = 0.0;  // [m] inside the surface to which a finger reaches
     std::vector<Spring> posture;  // (M,) [N m/rad], [N m s/rad]: joints that the tips leave free
-    Options limited{};  // of Newton within the torque limits
+    Stop limited{};  // of Newton within the torque limits
     double most_change = infinity;  // [N] by which a force may change in one tick beyond what balance asks
     int release = 2;  // ticks without force after which a finger no longer counts as in contact
 };

@@ -54,7 +54,7 @@ protected:
     }
     Call previous(Wrench wrench) const {
         if (!known_) return {.wrench = wrench.data()};
-        return {.wrench = wrench.data(), .start = Start::tangent, .force = last_.data(), .torsion = last_.data() + 3 * count_};
+        return {.wrench = wrench.data(), .start = From::tangent, .force = last_.data(), .torsion = last_.data() + 3 * count_};
     }
     bool known() const { return known_; }
     bool is_triples(Triples given) const { return given.size() == std::size_t(3 * count_); }
@@ -68,7 +68,7 @@ private:
 // Newton on Phi: forces of least cost that keep their distance to the friction cones.
 class Newton : public Solutions {
 public:
-    explicit Newton(const Contacts& contacts, const Options& options = {})
+    explicit Newton(const Contacts& contacts, const Stop& options = {})
         : Solutions(contacts.count), on_(generic::Newton::make(contacts, options)) {
         on_->set_basis(offline_basis(contacts).data());
     }
@@ -84,7 +84,7 @@ public:
     Record from(Wrench wrench, Triples force) {
         return ended([&](double* row) {
             if (!is_triples(force)) return REFUSED;
-            return on_->solve({.wrench = wrench.data(), .start = Start::given, .force = force.data()}, row);
+            return on_->solve({.wrench = wrench.data(), .start = From::given, .force = force.data()}, row);
         });
     }
     const Contacts& contacts() const { return on_->contacts; }
@@ -96,7 +96,7 @@ private:
 // The least sum of normal forces, exactly on the cones where that is least.
 class Conic : public Solutions {
 public:
-    explicit Conic(const Contacts& contacts, const Options& options = {1e-6, CONIC_ITERATIONS})
+    explicit Conic(const Contacts& contacts, const Stop& options = {1e-6, CONIC_ITERATIONS})
         : Solutions(contacts.count), on_(generic::Conic::make(contacts, options, interior(contacts).data())) {}
     Record solve(Wrench wrench) {
         return ended([&](double* row) { return on_->solve(wrench.data(), row); });
@@ -120,7 +120,7 @@ enum class Limits { strict, elastic };
 // Newton within limits on normal forces and joint torques, of fingers with joints of their own.
 class LimitedNewton : public Solutions {
 public:
-    LimitedNewton(const Contacts& contacts, const ForceLimits& limits, Limits kind = Limits::elastic, const Options& options = {})
+    LimitedNewton(const Contacts& contacts, const ForceLimits& limits, Limits kind = Limits::elastic, const Stop& options = {})
         : Solutions(contacts.count), on_(made(contacts, limits, kind, options, table_)) {}
     Record solve(Wrench wrench) { return run({.wrench = wrench.data()}); }
     // From the last solution.
@@ -166,7 +166,7 @@ private:
         return nullptr;
     }
     static std::unique_ptr<generic::LimitedNewton> made(const Contacts& contacts, const ForceLimits& limits, Limits kind,
-                                                        const Options& options, LimitTable& table) {
+                                                        const Stop& options, LimitTable& table) {
         if (const char* said = wrong(contacts.count, limits)) throw std::invalid_argument(said);
         if (!table.fill(contacts, limits))
             throw std::invalid_argument(
@@ -179,7 +179,7 @@ private:
 // Newton from what a trained model predicts; never worse in Phi than the combination. Model: `ModelFile::load`.
 class Learned : public Solutions {
 public:
-    Learned(const Contacts& contacts, const Model& model, const Options& options = {}) : Solutions(contacts.count) {
+    Learned(const Contacts& contacts, const Model& model, const Stop& options = {}) : Solutions(contacts.count) {
         if (!model.fits(contacts.count)) throw std::invalid_argument("the model is for another number of contacts");
         on_ = generic::Learned::make(contacts, options, offline_basis(contacts).data(), model);
     }
@@ -203,7 +203,7 @@ private:
 // Newton for contacts that move a little from call to call, from the last optimum carried along; their number and friction stay.
 class Pipeline : public Solutions {
 public:
-    explicit Pipeline(const Contacts& nominal, const Options& options = {})
+    explicit Pipeline(const Contacts& nominal, const Stop& options = {})
         : Solutions(nominal.count),
           on_(generic::Pipeline::make(nominal, options, offline_basis(nominal).data(), nominal.frames.data(), true,
                                       std::vector<double>(9 * nominal.count * nominal.count).data(), nullptr)) {}

@@ -30,7 +30,7 @@ struct Grasps {
 };
 
 // Newton from the 12-basis of each grasp. REFUSED: no force closure in floating point.
-inline void newton_grasps(const Grasps& grasps, const Options& options, const Many& many) {
+inline void newton_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
     dispatch(grasps.contacts, [&]<class V, int B>() {
         NewtonOn<V, B> one(grasps.contacts, options);
         grasps.each(many, [&](const Contacts& contacts, const Many& part) {
@@ -43,7 +43,7 @@ inline void newton_grasps(const Grasps& grasps, const Options& options, const Ma
 }
 
 // The least sum of normal forces.
-inline void conic_grasps(const Grasps& grasps, const Options& options, const Many& many) {
+inline void conic_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
     dispatch(grasps.contacts, [&]<class V, int B>() {
         NewtonOn<V, B> newton(grasps.contacts, options);
         ConicOn<V, B> one(grasps.contacts, options);

@@ -38,6 +38,68 @@ struct Model {
     }
 };
 
+// What a model says of wrenches on contacts in one place.
+template <class V, int B> class Prediction {
+public:
+    using Field = typename Cones<V, B>::Field;
+
+    Prediction(const Cones<V, B>& cones, const Model& model)
+        : model_(model), space_(3 * cones.count - 6), weights_(space_.size()) {
+        const int size = 3 * cones.count, columns = int(space_.size());
+        std::vector<double> column(size);
+        for (int k = 0; k < columns; ++k) {
+            for (int j = 0; j < size; ++j) column[j] = model.null_space[columns * j + k];
+            for (auto& v : space_[k] = cones.field()) v = {V{}, V{}, V{}};
+            cones.load_force(column.data(), space_[k]);
+        }
+    }
+
+    // Whether a wrench is no larger than those of training, and contacts and friction are like them.
+    bool covers(const double* wrench) const {
+        double square = 0.0;
+        for (int r = 0; r < 6; ++r) {
+            const double part = r < 3 ? wrench[r] : wrench[r] / model_.normalisation.length;
+            square += part * part;
+        }
+        return square <= model_.largest * std::abs(model_.largest);
+    }
+
+    // x += the internal force that the network predicts
+    void add(const double* wrench, Field& x) {
+        const Normalisation& by = model_.normalisation;
+        double parts[6], square = by.floor * by.floor;
+        for (int r = 0; r < 6; ++r) {
+            parts[r] = (r < 3 ? wrench[r] : wrench[r] / by.length) / model_.scale;
+            square += parts[r] * parts[r];
+        }
+        const double size = std::sqrt(square);
+        float features[NETWORK_FEATURES];
+        for (int r = 0; r < 6; ++r) features[r] = float(parts[r] / size);
+        features[6] = float((std::log(size) - by.log_mean) / by.log_scale);
+        features[7] = float((model_.friction - by.friction_mean) / by.friction_scale);
+        const float* said = model_.network(features);
+        for (int k = 0; k < int(space_.size()); ++k) weights_[k] = size * model_.scale * said[k];
+        for (int b = 0; b < int(x.size()); ++b) {
+            Vec3<V> even = x[b], odd{V{}, V{}, V{}};
+            int k = 0;
+            for (; k + 1 < int(space_.size()); k += 2)
+                even += all<V>(weights_[k]) * space_[k][b], odd += all<V>(weights_[k + 1]) * space_[k + 1][b];
+            if (k < int(space_.size())) even += all<V>(weights_[k]) * space_[k][b];
+            x[b] = even + odd;
+        }
+    }
+    // x = the whole force: the least that balances the wrench (w: unit frame) and what `add` adds; perhaps outside the cones
+    void force(const Cones<V, B>& cones, const double* wrench, const Vec6& w, Field& x) {
+        for (int b = 0; b < int(x.size()); ++b) x[b] = -cones.blocks[b].least(w);
+        add(wrench, x);
+    }
+
+private:
+    Model model_;
+    std::vector<Field> space_;  // columns of the null space, cone coordinates
+    std::vector<double> weights_;
+};
+
 template <class V, int B> class LearnedOn {
 public:
     using Field = typename Cones<V, B>::Field;
@@ -46,20 +108,11 @@ public:
     bool replaced = false;  // whether nothing of what the network said of it was kept: the combination was taken
 
     // basis: (13, 3N) the offline optima of the contacts
-    LearnedOn(const Contacts& contacts, const Options& options, const double* basis, const Model& model)
-        : newton(contacts.count, options), model_(model), space_(3 * contacts.count - 6), safe_(newton.cones.field()),
-          guess_(newton.cones.field()), begun_(newton.cones.field()), weights_(space_.size()) {
-        auto& cones = newton.cones;
-        cones.pack(contacts);
-        const int size = 3 * contacts.count, columns = int(space_.size());
-        for (int k = 0; k < 13; ++k) cones.load(basis + size * k, newton.starter.basis[k]);
+    LearnedOn(const Contacts& contacts, const Stop& options, const double* basis, const Model& model)
+        : newton(contacts.count, options), predicted_(packed(contacts), model), safe_(newton.cones.field()),
+          guess_(newton.cones.field()), begun_(newton.cones.field()) {
+        for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, newton.starter.basis[k]);
         newton.starter.has_basis = true;
-        std::vector<double> column(size);
-        for (int k = 0; k < columns; ++k) {
-            for (int j = 0; j < size; ++j) column[j] = model.null_space[columns * j + k];
-            for (auto& v : space_[k] = cones.field()) v = {V{}, V{}, V{}};
-            cones.load_force(column.data(), space_[k]);
-        }
     }
 
     // The start into a record: LIMIT, for a descent has to go on from it; REFUSED: numbers that are not finite.
@@ -81,7 +134,7 @@ public:
     Code solve(const double* wrench, const double* previous, const Record& record) {
         Vec6 w;
         if (!begin(wrench, previous, w, record)) return REFUSED;
-        const Call call{.wrench = wrench, .start = Start::given};
+        const Call call{.wrench = wrench, .start = From::given};
         begun_ = newton.x;
         const Code code = newton.descend_from(begun_, call, w, record);
         if (code != STALLED) return code;
@@ -102,7 +155,7 @@ public:
         starter.combine(wrench, safe_);
         double value = cones.phi(safe_);
         Field& x = newton.x;
-        guess(wrench, w, x);
+        predicted_.force(cones, wrench, w, x);
         const double said = cones.phi(x);
         // not only where it is outside: a start is never worse than the combination
         const double share = said <= value ? 1.0 : starter.segment(cones, safe_, x);
@@ -114,7 +167,7 @@ public:
             cones.load_force(previous, x);
             bool better = cones.phi(x) < infinity;
             if (better) {
-                starter.carry(cones, newton.system, safe_, w, Start::tangent, x);
+                starter.carry(cones, newton.system, safe_, w, From::tangent, x);
                 better = cones.phi(x) < value;
             }
             if (better) replaced = false;
@@ -123,52 +176,23 @@ public:
         return value < infinity;
     }
 
-    // Whether a wrench is no larger than those of training, and contacts and friction are like them.
-    bool covers(const double* wrench) const {
-        double square = 0.0;
-        for (int r = 0; r < 6; ++r) {
-            const double part = r < 3 ? wrench[r] : wrench[r] / model_.normalisation.length;
-            square += part * part;
-        }
-        return square <= model_.largest * std::abs(model_.largest);
-    }
+    bool covers(const double* wrench) const { return predicted_.covers(wrench); }
 
     // The network's own force (3N,) [N]: balanced, perhaps outside the cones.
     bool predict(const double* wrench, double* force) {
         if (!sane_wrench(wrench)) return false;
-        guess(wrench, newton.cones.unit.of(wrench), guess_);
+        predicted_.force(newton.cones, wrench, newton.cones.unit.of(wrench), guess_);
         newton.cones.store_force(guess_, force);
         return true;
     }
 
 private:
-    Model model_;
-    std::vector<Field> space_;  // columns of the null space, cone coordinates
+    Prediction<V, B> predicted_;
     Field safe_, guess_, begun_;  // the combination; what the network says; where a descent begins
-    std::vector<double> weights_;
 
-    void guess(const double* wrench, const Vec6& w, Field& x) {
-        const Normalisation& by = model_.normalisation;
-        double parts[6], square = by.floor * by.floor;
-        for (int r = 0; r < 6; ++r) {
-            parts[r] = (r < 3 ? wrench[r] : wrench[r] / by.length) / model_.scale;
-            square += parts[r] * parts[r];
-        }
-        const double size = std::sqrt(square);
-        float features[NETWORK_FEATURES];
-        for (int r = 0; r < 6; ++r) features[r] = float(parts[r] / size);
-        features[6] = float((std::log(size) - by.log_mean) / by.log_scale);
-        features[7] = float((model_.friction - by.friction_mean) / by.friction_scale);
-        const float* said = model_.network(features);
-        for (int k = 0; k < int(space_.size()); ++k) weights_[k] = size * model_.scale * said[k];
-        for (int b = 0; b < int(x.size()); ++b) {
-            Vec3<V> even = -newton.cones.blocks[b].least(w), odd{V{}, V{}, V{}};
-            int k = 0;
-            for (; k + 1 < int(space_.size()); k += 2)
-                even += all<V>(weights_[k]) * space_[k][b], odd += all<V>(weights_[k + 1]) * space_[k + 1][b];
-            if (k < int(space_.size())) even += all<V>(weights_[k]) * space_[k][b];
-            x[b] = even + odd;
-        }
+    const Cones<V, B>& packed(const Contacts& contacts) {
+        newton.cones.pack(contacts);
+        return newton.cones;
     }
 };
 

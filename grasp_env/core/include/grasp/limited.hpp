@@ -9,20 +9,29 @@ public:
     NewtonOn<V, B, LimitTerms<V, B>> newton;
     bool elastic = false;  // where no force keeps the limits: the one that exceeds them least
 
-    LimitedOn(int count, const Options& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
+    LimitedOn(int count, const Stop& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
 
     // From the 12-basis of the contacts without limits, a previous optimum, or any balanced force inside the cones.
     // REFUSED: numbers that are not finite, no start, or a problem for the general program, nearly infeasible or out of digits.
     // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within
     // the limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
     Code solve(const Call& call, const Record& record) {
+        return solve(call, record, [&](const Vec6& w, bool previous) {
+            Call own = call;
+            if (!previous && call.start != From::given) own.start = From::combination;
+            return newton.begin(own, w);
+        });
+    }
+    // begin(w, previous): makes the start in newton.x, that of the call or, `previous`, the optimum of another wrench balanced; whether
+    // there is one.
+    template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
         Summary& s = record.summary();
         s.code = REFUSED;
         if (!sane_wrench(call.wrench)) return REFUSED;
         const Vec6 w = newton.cones.unit.of(call.wrench);
-        if (elastic && call.exceeding && again(call, w, record)) return LIMITS_EXCEEDED;
-        Code code = call.start == Start::tangent ? follow(call, w, record) : REFUSED;
-        if (unusable(code)) code = descend(call, w, record);
+        if (elastic && call.exceeding && begin(w, true) && again(call, w, record)) return LIMITS_EXCEEDED;
+        Code code = call.start == From::tangent ? follow(call, w, record) : REFUSED;
+        if (unusable(code)) code = begin(w, false) ? descend(call, w, record) : REFUSED;
         if (code == INFEASIBLE)
             code = elastic ? exceed(w, record) : record.refute((-1.0 / size(s.multipliers)) * s.multipliers, size(w));
         if (unusable(code)) code = REFUSED;
@@ -48,9 +57,7 @@ private:
         return newton.descend_from(begun_, call, w, record, SHORT, true);
     }
 
-    Code descend(Call call, const Vec6& w, const Record& record) {
-        if (call.start != Start::given) call.start = Start::combination;
-        if (!newton.begin(call, w)) return REFUSED;
+    Code descend(const Call& call, const Vec6& w, const Record& record) {
         begun_ = newton.x;
         Code code = STALLED;
         for (double fraction : {SHORT, LONG}) {
@@ -62,9 +69,9 @@ private:
         return code;
     }
 
-    // Whether the least excess follows from a previous one, without the proof that there is any.
+    // Whether the least excess follows from a previous one in newton.x, without the proof that there is any.
     bool again(const Call& call, const Vec6& w, const Record& record) {
-        if (!newton.begin(call, w) || !(newton.rows.excess(newton.x) > EXCESS_FLOOR)) return false;
+        if (!(newton.rows.excess(newton.x) > EXCESS_FLOOR)) return false;
         newton.cones.store_force(newton.x, record.initial_force());
         std::fill(record.torsion(), record.torsion() + newton.cones.count, 0.0);
         Summary& s = record.summary();

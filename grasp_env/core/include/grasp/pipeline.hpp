@@ -39,7 +39,7 @@ public:
 
     // basis: (13, 3N) of the nominal contacts, whose frames (N, 3, 3) it is written in.
     // flows: the rule of the reduced flow, or null: Newton.
-    PipelineOn(const Contacts& nominal, const Options& options, const double* basis, const double* frames, bool remembers,
+    PipelineOn(const Contacts& nominal, const Stop& options, const double* basis, const double* frames, bool remembers,
                const double* reference, const StepRule* flows)
         : contacts(nominal), newton(nominal.count, options), held(nominal.count), remembers(remembers),
           nominal_(basis, basis + 39 * nominal.count), nominal_frames_(frames, frames + 9 * nominal.count),
@@ -141,7 +141,7 @@ private:
         }
         const bool carried = remembers && turn_last();
         newton.x = carried ? turned_ : safe_;
-        if (carried) starter.carry(newton.cones, newton.system, safe_, w, Start::tangent, newton.x);
+        if (carried) starter.carry(newton.cones, newton.system, safe_, w, From::tangent, newton.x);
         return true;
     }
 
@@ -161,7 +161,7 @@ private:
     // Newton, or the flow, from the start in newton.x.
     Code descend(const double* wrench, const Record& record) {
         const Vec6 w = newton.cones.unit.of(wrench);
-        const Call call{.wrench = wrench, .start = Start::given};
+        const Call call{.wrench = wrench, .start = From::given};
         if (flow_) return flow_->place(newton.cones) ? flow_->descend(newton, call, w, record) : REFUSED;
         turned_ = newton.x;
         return newton.descend_from(turned_, call, w, record);

@@ -21,13 +21,13 @@ public:
     using V = Each<W>;
     using Mask = typename V::Mask;
     using Field = typename Cones<V, 0>::Field;
-    Options options;
+    Stop options;
     Cones<V, 0> cones;
     Field x;  // the iterates
     V value{}, bound{}, iterations{}, trials{};
     Six<V> wrench{}, nu{};  // unit frame: what is balanced; multipliers
 
-    template <class C, int B> NewtonLanes(const Cones<C, B>& contacts, const Options& options, double fraction = SHORT)
+    template <class C, int B> NewtonLanes(const Cones<C, B>& contacts, const Stop& options, double fraction = SHORT)
         : options(options), cones(contacts.count), x(cones.field()), fraction_(fraction), system_(cones), step_(cones.field()) {
         cones.spread(contacts);
     }
@@ -109,12 +109,12 @@ template <int W> class ConicLanes {
 public:
     using V = Each<W>;
     using Mask = typename V::Mask;
-    Options options;
+    Stop options;
     ConicSteps<V, 0> steps;
     V iterations{};
     Six<V> minus{};  // of the wrenches, unit frame, of size 1
 
-    template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const Options& options)
+    template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const Stop& options)
         : options(options), steps(contacts.count) {
         steps.cones.spread(contacts);
     }
@@ -185,7 +185,7 @@ struct Many {
         Call call{.wrench = wrench(k)};
         if (previous) {
             const Record before(const_cast<double*>(previous) + record_size(contacts) * k, contacts);  // only read
-            call.start = Start::tangent, call.force = before.force(), call.torsion = before.torsion();
+            call.start = From::tangent, call.force = before.force(), call.torsion = before.torsion();
         }
         return call;
     }
@@ -216,7 +216,7 @@ void newton_many(NewtonOn<V, B>& one, const Many& many, Begin&& begin, Alone&& a
         const Record record = many.record(k, count);
         if (closed) {
             lanes.cones.store(lanes.x, x.data(), lane), cones.load(x.data(), one.x);
-            const Call call{.wrench = many.wrench(k), .start = Start::given};
+            const Call call{.wrench = many.wrench(k), .start = From::given};
             closed = one.finish(CONVERGED, one.x, call, lanes.wrench_of(lane), lanes.progress(lane), record) == CONVERGED;
         }
         if (!closed) alone(k, record);

@@ -20,7 +20,7 @@ public:
 
     // Into a record, with prices (M,) >= 0 of the limits. INFEASIBLE: the record's multipliers are the twist that proves it. REFUSED: numbers
     // that are not finite, or neither a force nor a proof was found. LIMITS_EXCEEDED: what `excess` ends with, to EXCESS_WITHIN.
-    virtual Code least(const double* wrench, Criterion criterion, const Options& options, const Record& record,
+    virtual Code least(const double* wrench, Criterion criterion, const Stop& options, const Record& record,
                        double* prices) = 0;
     // z (N, 4) [N]: the force of largest m with depth m in all cones and rows, where forces and the wrench's share r sum to one, m <= r.
     virtual Deepest deepest(const double* wrench, double tolerance, double* z) = 0;
@@ -28,7 +28,7 @@ public:
     // The least Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega and lambda, row_weights (M,). Of the
     // call wrench, optimum and trace are read. REFUSED: no such start.
     virtual Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z,
-                           const Options& options, const Record& record, double* prices) = 0;
+                           const Stop& options, const Record& record, double* prices) = 0;
 
 protected:
     Program(int count, int limits) : count(count), limits(limits) {}
@@ -52,7 +52,7 @@ public:
     }
     std::unique_ptr<Program> clone() const override { return std::make_unique<ProgramOn>(*this); }
 
-    Code least(const double* wrench, Criterion criterion, const Options& options, const Record& record, double* prices) override {
+    Code least(const double* wrench, Criterion criterion, const Stop& options, const Record& record, double* prices) override {
         record.clear();
         std::fill(prices, prices + limits, 0.0);
         Summary& out = record.summary();
@@ -92,7 +92,7 @@ public:
         return found;
     }
 
-    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const Options& options,
+    Code least_phi(const Call& call, const double* weights, const double* row_weights, const double* z, const Stop& options,
                    const Record& record, double* prices) override {
         record.clear();
         std::fill(prices, prices + limits, 0.0);
@@ -166,7 +166,7 @@ private:
     bool elastic() const { return criterion_ == Criterion::excess; }
     int kept() const { return elastic() ? in_->torsions : limits; }  // limits that no force may exceed
 
-    template <int T> Code solve(Precisions<D, T>& engines, const double* wrench, const Options& options, Summary& out) {
+    template <int T> Code solve(Precisions<D, T>& engines, const double* wrench, const Stop& options, Summary& out) {
         int spent = 0;
         // from a strictly feasible z where one is known, in one precision, then in the other
         const auto attempt = [&](auto& engine, bool known) {

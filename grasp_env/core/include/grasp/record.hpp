@@ -6,33 +6,74 @@
 namespace grasp {
 
 // How a solve ended.
-// REFUSED: numbers that are not finite, or no start. LIMITS_EXCEEDED: no force keeps all limits; this one exceeds them least.
-enum Code { CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED };
+enum Code {
+    CONVERGED,        // the force is optimal to the tolerance
+    LIMIT,            // the iteration limit ended it
+    STALLED,          // no further progress in floating point
+    INFEASIBLE,       // no force within the cones and limits balances the wrench; the record holds the twist that proves it
+    REFUSED,          // numbers that are not finite or not possible, or a given start that is not balanced and inside
+    LIMITS_EXCEEDED,  // no force keeps all limits; this one exceeds them least
+    RANK_LOST,        // the contacts cannot balance a wrench of every direction
+    UNDECIDED,        // neither a force nor a proof was found
+};
+
+// Where a solve begins.
+enum class Start {
+    standard,      // the method's own: Newton's is one internal force, a flow's the linear combination, conic has its centre
+    internal_force,  // -G^+ w with as much of one internal force as takes it inside the cones
+    linear_combination,          // of the 12 offline optima (the paper, Sec. III), with the rest that keeps it inside at small wrenches
+    linear_combination_printed,  // the same as printed
+    single_value,  // -G^+ w with as much of the optimum at rest as takes it inside the cones
+    lagrange,      // the least weighted distance from a normal squeeze
+    phase_one,     // a force inside the cones that balances the wrench, found by an interior point
+    previous,      // the last solution
+    given,         // a force of the caller
+    learned,       // what a trained model predicts
+    central,       // an interior point's own
+};
 
 struct Summary {
     double code = REFUSED;   // a `Code`
     double iterations = 0;   // accepted steps
     double trials = 0;       // all steps tried
-    double objective = 0;    // Phi, or the sum of the normal forces [N]; where limits are exceeded, the excess
+    double objective = 0;    // Phi, or the sum or maximum of the normal forces [N]; where limits are exceeded, the excess
     double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none
     double residual = 0;     // largest |component| of G f + w in the unit frame [N]
     double margin = 0;       // least distance to a cone's surface [N]
     double limit_excess = 0;  // largest excess of a limit, as a part of it; 0 within
     Vec6 wrench{};       // what is balanced [N, N m]
-    Vec6 multipliers{};  // nu of balance: grad objective = G^T nu (+ the cones' multipliers)
+    Vec6 multipliers{};  // nu of balance: grad objective = G^T nu (+ the cones' multipliers); where INFEASIBLE the twist
+    double start = 0;     // a `Start`: where it began
+    double replaced = 0;  // 1: nothing of the start that was asked for is left, so it began from `start`
+    double outside = 0;   // 1: a trained model's training did not cover this wrench
+    double contacts = 0, joints = 0, limits = 0;  // how many numbers follow: N, J, M
 };
+inline constexpr int SUMMARY = sizeof(Summary) / sizeof(double);
 
-// A row: the summary, then force (N, 3), initial force (N, 3) [N], torsion (N,) [N m].
-constexpr int record_size(int count) { return int(sizeof(Summary) / sizeof(double)) + 7 * count; }
+// A row: the summary, then force (N, 3), initial force (N, 3) [N], torsion (N,) [N m]; a solution of `ForceOptimizer` goes on with
+// frames (N, 3, 3), joint torques (J,) [N m] and prices of limits (M,).
+constexpr int record_size(int contacts) { return SUMMARY + 7 * contacts; }
+constexpr int record_size(int contacts, int joints, int limits) { return SUMMARY + 16 * contacts + joints + limits; }
 
 class Record {
 public:
     Record(double* row, int count) : row_(row), count_(count) {}
+    // Of a whole solution.
+    explicit Record(double* row) : row_(row), count_(int(summary().contacts)) {}
     Code code() const { return Code(int(summary().code)); }
+    // Whether it holds a force; the others hold zeros.
+    bool has_force() const {
+        const Code code = this->code();
+        return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED;
+    }
     Summary& summary() const { return *reinterpret_cast<Summary*>(row_); }
-    double* force() const { return row_ + sizeof(Summary) / sizeof(double); }
-    double* initial_force() const { return force() + 3 * count_; }
-    double* torsion() const { return force() + 6 * count_; }
+    int contacts() const { return count_; }
+    double* force() const { return row_ + SUMMARY; }                  // (N, 3) [N]: normal, o, t
+    double* initial_force() const { return force() + 3 * count_; }    // (N, 3) [N]
+    double* torsion() const { return force() + 6 * count_; }          // (N,) [N m]
+    double* frames() const { return force() + 7 * count_; }           // (N, 3, 3) columns (n, o, t), the frame of the positions
+    double* torques() const { return force() + 16 * count_; }         // (J,) [N m], those besides the grasp's included
+    double* prices() const { return torques() + int(summary().joints); }  // (M,) >= 0, of the limits
     void clear() const { std::fill(row_, row_ + record_size(count_), 0.0); }
     // INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed: the wrench, unit frame [N]
     Code refute(const Vec6& twist, double missed) const {
@@ -41,6 +82,11 @@ public:
         s.multipliers = twist;
         std::fill(force(), row_ + record_size(count_), 0.0);
         return INFEASIBLE;
+    }
+    // Along the axes of the positions, (3,) [N].
+    void object_force(int contact, double* out) const {
+        const double *f = force() + 3 * contact, *frame = frames() + 9 * contact;
+        for (int r = 0; r < 3; ++r) out[r] = frame[3 * r] * f[0] + frame[3 * r + 1] * f[1] + frame[3 * r + 2] * f[2];
     }
 
 private:

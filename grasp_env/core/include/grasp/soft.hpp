@@ -171,7 +171,7 @@ template <class V, int B> class SoftOn {
 public:
     NewtonOn<V, B, SoftTerms<V, B>> newton;
 
-    SoftOn(const Contacts& contacts, const Options& options, const double* divisor)
+    SoftOn(const Contacts& contacts, const Stop& options, const double* divisor)
         : newton(contacts.count, options), begun_(newton.cones.field()) {
         newton.cones.pack(contacts);
         newton.rows = SoftTerms<V, B>(contacts.count);
@@ -179,21 +179,28 @@ public:
     }
 
     // REFUSED: numbers that are not finite, no start, or a problem for the general program, out of digits.
-    Code solve(Call call, const Record& record) {
+    Code solve(const Call& call, const Record& record) {
+        return solve(call, record, [&](const Vec6& w) {
+            Call own = call;
+            if (call.start != From::given) own.start = From::combination;
+            return newton.begin(own, w);
+        });
+    }
+    // begin(w): makes the start in newton.x, with the torsion in newton.rows; whether there is one.
+    template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
         Summary& s = record.summary();
         s.code = REFUSED;
         if (!sane_wrench(call.wrench)) return REFUSED;
         const Vec6 w = newton.cones.unit.of(call.wrench);
         Code code = REFUSED;
-        if (call.start == Start::tangent) {
+        if (call.start == From::tangent) {
             newton.cones.load_force(call.force, newton.x);
             newton.rows.load(newton.cones, call.torsion);
             code = from(call, w, record, true);
         }
         if (code == REFUSED || code == STALLED) {
-            if (call.start != Start::given) call.start = Start::combination;
-            newton.rows.load(newton.cones, call.start == Start::given ? call.torsion : nullptr);
-            code = newton.begin(call, w) ? from(call, w, record, false) : REFUSED;
+            newton.rows.load(newton.cones, call.start == From::given ? call.torsion : nullptr);
+            code = begin(w) ? from(call, w, record, false) : REFUSED;
         }
         if (code == STALLED) code = REFUSED;
         s.code = code;

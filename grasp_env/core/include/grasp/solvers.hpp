@@ -15,9 +15,9 @@ namespace grasp::generic {
 class alignas(64) Newton {
 public:
     const Contacts contacts;
-    Options options;
+    Stop options;
 
-    static std::unique_ptr<Newton> make(const Contacts& contacts, const Options& options);
+    static std::unique_ptr<Newton> make(const Contacts& contacts, const Stop& options);
     virtual ~Newton() = default;
     virtual std::unique_ptr<Newton> clone() const = 0;
 
@@ -31,7 +31,7 @@ public:
     virtual bool has_basis() const = 0;
     virtual bool internal_force(double* x) = 0;
     // A previous optimum for this wrench; false where a number is not finite.
-    virtual bool carry(const double* wrench, const double* previous, Start how, double* force) = 0;
+    virtual bool carry(const double* wrench, const double* previous, From how, double* force) = 0;
     // The force of least Phi on the way from the combination to a candidate, balanced by the least change.
     virtual bool repair(const double* wrench, const double* candidate, double* force) = 0;
     virtual Interval inside(const double* point, const double* ray) = 0;
@@ -41,14 +41,14 @@ public:
     virtual double segment(const double* safe, double* x) = 0;
 
 protected:
-    Newton(const Contacts& contacts, const Options& options) : contacts(contacts), options(options) {}
+    Newton(const Contacts& contacts, const Stop& options) : contacts(contacts), options(options) {}
 };
 
 // The paper's gradient flows: all of Newton, but `solve` takes their steps.
 class alignas(64) Flow : public Newton {
 public:
     // Form::full takes up to FULL_CONTACTS.
-    static std::unique_ptr<Flow> make(const Contacts& contacts, const Options& options, Form form, const StepRule& rule);
+    static std::unique_ptr<Flow> make(const Contacts& contacts, const Stop& options, Form form, const StepRule& rule);
     // Makes the step at x (3N,) so many times and returns its last number: for measurements of the product.
     virtual double repeat(const double* x, int times) = 0;
 
@@ -62,7 +62,7 @@ public:
     Contacts contacts;  // of now
 
     // basis: (13, 3N) as of `Newton`
-    static std::unique_ptr<LimitedNewton> make(const Contacts& contacts, const Options& options, const LimitRows& rows,
+    static std::unique_ptr<LimitedNewton> make(const Contacts& contacts, const Stop& options, const LimitRows& rows,
                                                const double* basis, bool elastic);
     virtual ~LimitedNewton() = default;
     virtual std::unique_ptr<LimitedNewton> clone() const = 0;
@@ -82,7 +82,7 @@ public:
     const Contacts contacts;
 
     // divisor: (N,) torsion in units of its limit / torsion [1 / m], inf: not soft; basis: (13, 3N) as of `Newton`
-    static std::unique_ptr<SoftNewton> make(const Contacts& contacts, const Options& options, const double* divisor,
+    static std::unique_ptr<SoftNewton> make(const Contacts& contacts, const Stop& options, const double* divisor,
                                             const double* basis);
     virtual ~SoftNewton() = default;
     virtual std::unique_ptr<SoftNewton> clone() const = 0;
@@ -99,7 +99,7 @@ public:
     const Contacts contacts;
 
     // interior: (3N,) an internal force strictly inside the cones, cone coordinates
-    static std::unique_ptr<Conic> make(const Contacts& contacts, const Options& options, const double* interior);
+    static std::unique_ptr<Conic> make(const Contacts& contacts, const Stop& options, const double* interior);
     virtual ~Conic() = default;
     virtual std::unique_ptr<Conic> clone() const = 0;
     virtual Code solve(const double* wrench, double* row) = 0;
@@ -113,10 +113,10 @@ protected:
 class alignas(64) Learned {
 public:
     const Contacts contacts;
-    Options options;
+    Stop options;
 
     // basis: (13, 3N) the offline optima; model: one that `fits` the contacts
-    static std::unique_ptr<Learned> make(const Contacts& contacts, const Options& options, const double* basis,
+    static std::unique_ptr<Learned> make(const Contacts& contacts, const Stop& options, const double* basis,
                                          const Model& model);
     virtual ~Learned() = default;
     virtual std::unique_ptr<Learned> clone() const = 0;
@@ -129,13 +129,13 @@ public:
     virtual bool replaced() const = 0;
 
 protected:
-    Learned(const Contacts& contacts, const Options& options) : contacts(contacts), options(options) {}
+    Learned(const Contacts& contacts, const Stop& options) : contacts(contacts), options(options) {}
 };
 
 // Contacts that move from call to call; see `PipelineOn`.
 class alignas(64) Pipeline {
 public:
-    static std::unique_ptr<Pipeline> make(const Contacts& nominal, const Options& options, const double* basis,
+    static std::unique_ptr<Pipeline> make(const Contacts& nominal, const Stop& options, const double* basis,
                                           const double* frames, bool remembers, const double* reference, const StepRule* flows);
     virtual ~Pipeline() = default;
     virtual Held& held() = 0;
@@ -161,7 +161,7 @@ template <class Base, class V, int B> class DescentAny : public Base {
 public:
     using Base::contacts, Base::options;
 
-    DescentAny(const Contacts& contacts, const Options& options) : Base(contacts, options), on_(contacts.count, options) {
+    DescentAny(const Contacts& contacts, const Stop& options) : Base(contacts, options), on_(contacts.count, options) {
         on_.cones.pack(contacts);
     }
 
@@ -188,7 +188,7 @@ public:
         on_.cones.store(on_.x, x);
         return found;
     }
-    bool carry(const double* wrench, const double* previous, Start how, double* force) override {
+    bool carry(const double* wrench, const double* previous, From how, double* force) override {
         const Vec6 w = on_.cones.unit.of(wrench);
         const bool found = sane_wrench(wrench) && on_.begin({.wrench = wrench, .start = how, .force = previous}, w);
         if (found) on_.cones.store_force(on_.x, force);
@@ -246,7 +246,7 @@ public:
 
 template <class V, int B> class FlowAny final : public DescentAny<Flow, V, B> {
 public:
-    FlowAny(const Contacts& contacts, const Options& options, Form form, const StepRule& rule)
+    FlowAny(const Contacts& contacts, const Stop& options, Form form, const StepRule& rule)
         : DescentAny<Flow, V, B>(contacts, options), flow_(on_.cones, rule, form), placed_(flow_.place(on_.cones)) {}
     std::unique_ptr<Newton> clone() const override { return std::make_unique<FlowAny>(*this); }
 
@@ -271,7 +271,7 @@ private:
 
 template <class V, int B> class LimitedAny final : public LimitedNewton {
 public:
-    LimitedAny(const Contacts& contacts, const Options& options, const LimitRows& rows, const double* basis, bool elastic)
+    LimitedAny(const Contacts& contacts, const Stop& options, const LimitRows& rows, const double* basis, bool elastic)
         : LimitedNewton(contacts), on_(contacts.count, options) {
         auto& newton = on_.newton;
         newton.cones.pack(contacts);
@@ -301,7 +301,7 @@ private:
 
 template <class V, int B> class SoftAny final : public SoftNewton {
 public:
-    SoftAny(const Contacts& contacts, const Options& options, const double* divisor, const double* basis)
+    SoftAny(const Contacts& contacts, const Stop& options, const double* divisor, const double* basis)
         : SoftNewton(contacts), on_(contacts, options, divisor) {
         auto& newton = on_.newton;
         for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, newton.starter.basis[k]);
@@ -317,7 +317,7 @@ private:
 
 template <class V, int B> class ConicAny final : public Conic {
 public:
-    ConicAny(const Contacts& contacts, const Options& options, const double* interior)
+    ConicAny(const Contacts& contacts, const Stop& options, const double* interior)
         : Conic(contacts), on_(contacts.count, options) {
         on_.cones.pack(contacts);
         on_.cones.load(interior, on_.rest);
@@ -332,7 +332,7 @@ private:
 
 template <class V, int B> class LearnedAny final : public Learned {
 public:
-    LearnedAny(const Contacts& contacts, const Options& options, const double* basis, const Model& model)
+    LearnedAny(const Contacts& contacts, const Stop& options, const double* basis, const Model& model)
         : Learned(contacts, options), on_(contacts, options, basis, model) {}
     std::unique_ptr<Learned> clone() const override { return std::make_unique<LearnedAny>(*this); }
 
@@ -382,28 +382,28 @@ private:
 
 }  // namespace detail
 
-inline std::unique_ptr<Newton> Newton::make(const Contacts& contacts, const Options& options) {
+inline std::unique_ptr<Newton> Newton::make(const Contacts& contacts, const Stop& options) {
     return instance<Newton, detail::NewtonAny>(contacts.count, contacts, options);
 }
-inline std::unique_ptr<Flow> Flow::make(const Contacts& contacts, const Options& options, Form form, const StepRule& rule) {
+inline std::unique_ptr<Flow> Flow::make(const Contacts& contacts, const Stop& options, Form form, const StepRule& rule) {
     return instance<Flow, detail::FlowAny>(contacts.count, contacts, options, form, rule);
 }
-inline std::unique_ptr<LimitedNewton> LimitedNewton::make(const Contacts& contacts, const Options& options, const LimitRows& rows,
+inline std::unique_ptr<LimitedNewton> LimitedNewton::make(const Contacts& contacts, const Stop& options, const LimitRows& rows,
                                                           const double* basis, bool elastic) {
     return instance<LimitedNewton, detail::LimitedAny>(contacts.count, contacts, options, rows, basis, elastic);
 }
-inline std::unique_ptr<SoftNewton> SoftNewton::make(const Contacts& contacts, const Options& options, const double* divisor,
+inline std::unique_ptr<SoftNewton> SoftNewton::make(const Contacts& contacts, const Stop& options, const double* divisor,
                                                     const double* basis) {
     return instance<SoftNewton, detail::SoftAny>(contacts.count, contacts, options, divisor, basis);
 }
-inline std::unique_ptr<Conic> Conic::make(const Contacts& contacts, const Options& options, const double* interior) {
+inline std::unique_ptr<Conic> Conic::make(const Contacts& contacts, const Stop& options, const double* interior) {
     return instance<Conic, detail::ConicAny>(contacts.count, contacts, options, interior);
 }
-inline std::unique_ptr<Learned> Learned::make(const Contacts& contacts, const Options& options, const double* basis,
+inline std::unique_ptr<Learned> Learned::make(const Contacts& contacts, const Stop& options, const double* basis,
                                               const Model& model) {
     return instance<Learned, detail::LearnedAny>(contacts.count, contacts, options, basis, model);
 }
-inline std::unique_ptr<Pipeline> Pipeline::make(const Contacts& nominal, const Options& options, const double* basis,
+inline std::unique_ptr<Pipeline> Pipeline::make(const Contacts& nominal, const Stop& options, const double* basis,
                                                 const double* frames, bool remembers, const double* reference,
                                                 const StepRule* flows) {
     return instance<Pipeline, detail::PipelineAny>(nominal.count, nominal, options, basis, frames, remembers, reference, flows);

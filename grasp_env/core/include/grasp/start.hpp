@@ -6,7 +6,7 @@ namespace grasp {
 
 inline constexpr double FAR = 2.0;  // where carrying the combination to moved contacts makes Phi grow by more, the basis is old
 
-enum class Start {
+enum class From {
     combination,  // of the 12 offline optima (the paper, Sec. III)
     given,  // a force as it is
     tangent,  // a previous optimum: the change that is least in the Hessian of Phi, which follows it to first order
@@ -81,8 +81,8 @@ public:
 
     // An optimum of other contacts or another wrench, in x, carried to those of now and strictly inside the cones: never worse
     // than `safe`, the combination. The tangent correction is kept as it is where it is better than that.
-    void carry(const Cones<V, B>& cones, System<V, B>& system, const Field& safe, const Vec6& w, Start how, Field& x) {
-        const bool follows = how == Start::tangent && cones.phi(x) < infinity && tangent(cones, system, w, x);
+    void carry(const Cones<V, B>& cones, System<V, B>& system, const Field& safe, const Vec6& w, From how, Field& x) {
+        const bool follows = how == From::tangent && cones.phi(x) < infinity && tangent(cones, system, w, x);
         if (!follows) cones.balance(x, w);
         if (!(follows && cones.phi(x) < cones.phi(safe))) segment(cones, safe, x);
     }

@@ -12,9 +12,9 @@ public:
     int iterations = 0;      // of all solves
     bool shares = false;     // a joint moves several of the fingers: `solve` keeps the limits of the others only
 
-    // pipeline: on the nominal contacts of the fingers; tolerance and limit as of `Options`
+    // pipeline: on the nominal contacts of the fingers; tolerance and limit as of `Stop`
     TorqueLimits(std::shared_ptr<const Tree> tree, const std::vector<int>& fingers, generic::Pipeline& pipeline,
-                 const Options& options)
+                 const Stop& options)
         : tree_(std::move(tree)), fingers_(fingers),
           newton_(generic::LimitedNewton::make(pipeline.contacts(), options, LimitRows{}, pipeline.held().basis.data(), true)),
           row_(record_size(int(fingers.size()))), last_(3 * fingers.size()), own_(tree_->joints(), -1) {
@@ -61,8 +61,8 @@ public:
             return code == CONVERGED || code == LIMIT || code == LIMITS_EXCEEDED;
         };
         const bool found =
-            (again && run({.wrench = load.wrench, .start = Start::tangent, .force = last_.data(), .exceeding = exceeding_})) ||
-            (!again && run({.wrench = load.wrench, .start = Start::given, .force = force})) || run({.wrench = load.wrench});
+            (again && run({.wrench = load.wrench, .start = From::tangent, .force = last_.data(), .exceeding = exceeding_})) ||
+            (!again && run({.wrench = load.wrench, .start = From::given, .force = force})) || run({.wrench = load.wrench});
         if (!found) return false;
         std::copy_n(record.force(), last_.size(), force);
         std::copy_n(record.force(), last_.size(), last_.data());
