@@ -32,6 +32,7 @@ import calls
 from test_boundary import SPOILED, spoil
 
 from grasp_env.core import _core
+from grasp_env.force.record import FORCE
 
 SECONDS, HANGS = 20.0, 120.0
 """[s] of processor time a call may take, under the sanitizers; after which it hangs."""
@@ -200,7 +201,7 @@ def fault(run: Callable[..., Any], given: dict[str, Any], read: frozenset[str]) 
             return f"{name} was changed"
     record = given.get("record")
     solved = type(answer) is int and answer == 0 and isinstance(record, np.ndarray) and record.shape == (calls.SIZE,)
-    if solved and not np.isfinite(record[20 : 20 + 3 * calls.COUNT]).all():
+    if solved and not np.isfinite(record[FORCE : FORCE + 3 * calls.COUNT]).all():
         return "called a solution, and not finite"
     took = time.process_time() - begin
     return f"takes {took:.1f} s" if took > SECONDS else ""

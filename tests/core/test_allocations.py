@@ -9,6 +9,7 @@ from samples import Sample, sample, wrenches
 from test_learned import learned
 from test_pipeline import path, pipeline
 
+from grasp_env.force.record import FORCE
 from grasp_env.force.step_size import AdaptiveStep
 
 COUNTED = pytest.mark.skipif(not insides.counts_allocations, reason="the sanitizers have an operator new of their own")
@@ -40,7 +41,7 @@ def test_descents(count: int, calls: int, form: str) -> None:
         made = insides.AnyNewton.flow(*LAYOUTS[count], s.placement, 1e-3, 100, number, AdaptiveStep().parameters())
     made.set_basis(s.basis)
     loads = wrenches(np.random.default_rng(count), 12, 3.0)
-    forces = np.array([made.solve(load)[20 : 20 + 3 * count] for load in loads])
+    forces = np.array([made.solve(load)[FORCE : FORCE + 3 * count] for load in loads])
     assert made.allocations(loads, forces, calls) == 0
 
 
@@ -51,7 +52,7 @@ def test_learned_starts(count: int, calls: int) -> None:
     s = sample(count)
     made = learned(s, LAYOUTS[count], 1, 0.1, 1e-4)
     loads = wrenches(np.random.default_rng(count), 12, 3.0)
-    forces = np.array([made.solve(load)[20 : 20 + 3 * count] for load in loads])
+    forces = np.array([made.solve(load)[FORCE : FORCE + 3 * count] for load in loads])
     assert made.allocations(loads, forces, calls // 5) == 0
 
 

@@ -9,6 +9,8 @@ from oracles import boundary, newton
 from oracles import phi as oracle
 from samples import COUNTS, Sample, depths, sample, wrenches
 
+from grasp_env.force.record import FORCE
+
 KINDS = ("hard", "frictionless")
 EPS = 2.0**-52
 EACH = {1: insides.Insides1, 4: insides.Insides4, 8: insides.Insides8}
@@ -67,7 +69,7 @@ def test_sums_over_contacts(lanes: int, kind: str, count: int) -> None:
         row = cones.certified(x, w)
         residual = np.abs(s.rows @ x + w).max()
         assert (row[5], row[6]) == (pytest.approx(residual, rel=1e-12), pytest.approx(slack.min(), rel=1e-12))
-        np.testing.assert_allclose(row[20 : 20 + 3 * count], x / s.divisor.reshape(-1), rtol=2 * EPS)
+        np.testing.assert_allclose(row[FORCE : FORCE + 3 * count], x / s.divisor.reshape(-1), rtol=2 * EPS)
 
 
 @pytest.mark.parametrize("lanes", EACH)

@@ -11,6 +11,8 @@ from oracles import conic as oracle
 from oracles.interior_point import per_boundary, scaling
 from samples import COUNTS, LAYOUTS, Sample, layouts, sample, wrenches
 
+from grasp_env.force.record import FORCE
+
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED = range(5)
 CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN = range(7)
 J = np.array([1.0, -1.0, -1.0])
@@ -77,7 +79,7 @@ def test_iterations_are_the_oracles(count: int, kind: str) -> None:
                 at = oracle.iteration(program, at)
                 row = solver(s, layout, 1e-15, k).solve(load)
                 assert (row[CODE], row[ITERATIONS]) == (LIMIT, k)
-                force, start = row[20 : 20 + 6 * count].reshape(2, -1)
+                force, start = row[FORCE : FORCE + 6 * count].reshape(2, -1)
                 wanted = size * at.x[: 3 * count] / s.divisor.reshape(-1)
                 near = 1e-8 * np.abs(force).max()
                 np.testing.assert_allclose(start, first, rtol=0, atol=1e-9 * np.abs(first).max())
@@ -94,7 +96,7 @@ def test_iterations_are_the_oracles(count: int, kind: str) -> None:
 
 def certified(s: Sample, load: np.ndarray, row: np.ndarray, tolerance: float) -> None:
     """A converged record, everything computed anew: balanced, inside, and with a bound that weak duality proves."""
-    force, w = row[20 : 20 + 3 * s.count].reshape(-1, 3), s.unit @ load
+    force, w = row[FORCE : FORCE + 3 * s.count].reshape(-1, 3), s.unit @ load
     x = (force * s.scale).reshape(-1)
     assert row[CODE] == CONVERGED
     assert row[OBJECTIVE] == pytest.approx(force[:, 0].sum(), rel=1e-12)
@@ -162,14 +164,14 @@ def test_no_wrench_and_wrenches_that_are_none(layout: tuple[int, int]) -> None:
     for nothing in (np.zeros(6), np.full(6, 1e-310), -np.full(6, 1e-309)):
         row = made.solve(nothing)
         assert row[CODE] == CONVERGED
-        assert not row[20:].any()
+        assert not row[FORCE:].any()
     tiny = np.full(6, 1e-140)  # below that the squares in a slack have no digits
     certified(s, tiny, made.solve(tiny), 1e-6)
     for k in range(6):
         for bad in (np.nan, np.inf, -np.inf, 1e13):
             row = made.solve(np.where(np.arange(6) == k, bad, 1.0))
             assert row[CODE] == REFUSED
-            assert not row[20:].any()
+            assert not row[FORCE:].any()
 
 
 @pytest.mark.parametrize("bad", [np.nan, -1.0])

@@ -15,6 +15,7 @@ from samples import Sample, layouts, sample, wrenches
 from test_newton import CODE, ITERATIONS, OBJECTIVE, RESIDUAL, TRIALS, check
 from test_pipeline import path, pipeline
 
+from grasp_env.force.record import FORCE
 from grasp_env.force.step_size import AdaptiveStep, BarzilaiBorweinStep, FixedStep, StepRule
 
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED = range(5)
@@ -44,7 +45,7 @@ def starts(s: Sample, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def coordinates(s: Sample, row: np.ndarray) -> np.ndarray:
-    return (row[20 : 20 + 3 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
+    return (row[FORCE : FORCE + 3 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
 
 
 def plain(s: Sample, x: np.ndarray, rule: StepRule, count: int) -> tuple[Descent, list[np.ndarray]]:
@@ -153,8 +154,8 @@ def test_the_three_starts(count: int) -> None:
             solver.set_basis(s.basis)
         row = made.solve(first)
         check(s, first, row, 1e-4)
-        force = row[20 : 20 + 3 * count]
-        initial = slice(20 + 3 * count, 20 + 6 * count)
+        force = row[FORCE : FORCE + 3 * count]
+        initial = slice(FORCE + 3 * count, FORCE + 6 * count)
         np.testing.assert_array_equal(row[initial], newton.solve(first)[initial])
         for tangent in (True, False):
             row = made.follow(second, force, tangent)
@@ -281,7 +282,7 @@ def test_moving_contacts(count: int, remembers: bool) -> None:
             missed = np.abs(there.rows @ x + there.unit @ w).max()
             assert missed <= 1e-13 * count * (np.abs(x).max() + np.abs(there.unit @ w).max())
             np.testing.assert_allclose(made.last, x, rtol=1e-15)
-            start = row[20 + 3 * count : 20 + 6 * count]
+            start = row[FORCE + 3 * count : FORCE + 6 * count]
             alone = flow(there, layouts(count)[-1]).descend(w, start, NONE, 0)[0]
             # other lanes round otherwise, and hundreds of steps magnify that
             assert abs(alone[ITERATIONS] - row[ITERATIONS]) <= 3 + 0.25 * row[ITERATIONS]

@@ -11,6 +11,8 @@ from oracles.phi import phi
 from samples import Sample, layouts, sample, wrenches
 from test_newton import BOUND, CODE, CONVERGED, ITERATIONS, LIMIT, MARGIN, OBJECTIVE, REFUSED, RESIDUAL, check
 
+from grasp_env.force.record import FORCE
+
 SIZES = [
     [1, 1], [8, 6], [8, 32, 6], [8, 64, 64, 6], [8, 96, 96, 6], [3, 5, 7, 9, 11], [8, 130, 33, 1], [17, 1, 40], [1024, 2], [2, 1024],
     [4] * 9,
@@ -57,7 +59,7 @@ def learned(
     )
 
 
-def starting(s: Sample, row: np.ndarray, at: int = 20) -> np.ndarray:
+def starting(s: Sample, row: np.ndarray, at: int = FORCE) -> np.ndarray:
     return (row[at : at + 3 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
 
 
@@ -75,7 +77,7 @@ def test_a_start_is_never_worse_than_the_combination_whatever_the_weights(count:
                     safe = phi(newton.combine(s.basis, w), s.weights)
                     for before in (None, previous):
                         row, solved = made.start(w, before), made.solve(w, before)
-                        x, first = starting(s, row), starting(s, solved, 20 + 3 * count)
+                        x, first = starting(s, row), starting(s, solved, FORCE + 3 * count)
                         force = np.abs(x).max() + np.abs(s.unit @ w).max()
                         for start in (x, first):
                             assert phi(start, s.weights) <= safe * (1.0 + 1e-12)
@@ -86,7 +88,7 @@ def test_a_start_is_never_worse_than_the_combination_whatever_the_weights(count:
                         if scale < 1e3:  # beyond, 1e-8 is more than Newton's last digits give
                             check(s, w, solved, 1e-8)
                         assert row[BOUND] <= solved[OBJECTIVE] * (1.0 + 1e-11)
-                    previous = solved[20 : 20 + 3 * count]
+                    previous = solved[FORCE : FORCE + 3 * count]
 
 
 @pytest.mark.parametrize("count", [3, 4, 5, 9])
@@ -150,7 +152,12 @@ def test_layouts_and_clones_agree() -> None:
         rows = [made.solve(w) for made in every]
         np.testing.assert_array_equal(every[0].clone().solve(w), rows[0])
         for row in rows[1:]:
-            np.testing.assert_allclose(row[20:32], rows[0][20:32], rtol=0, atol=1e-4 * np.abs(rows[0][20:32]).max())
+            np.testing.assert_allclose(
+                row[FORCE : FORCE + 12],
+                rows[0][FORCE : FORCE + 12],
+                rtol=0,
+                atol=1e-4 * np.abs(rows[0][FORCE : FORCE + 12]).max(),
+            )
 
 
 def test_a_start_of_which_nothing_is_kept_is_told() -> None:

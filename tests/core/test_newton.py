@@ -9,6 +9,8 @@ from oracles import newton as oracle
 from oracles.phi import lower_bound, phi
 from samples import COUNTS, LAYOUTS, Sample, layouts, sample, wrenches
 
+from grasp_env.force.record import FORCE
+
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED = range(5)
 CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN = range(7)
 SIZES = (1e-3, 1.0, 30.0)
@@ -27,7 +29,7 @@ def core_basis(s: Sample) -> np.ndarray:
 
 def check(s: Sample, wrench: np.ndarray, row: np.ndarray, tolerance: float) -> np.ndarray:
     """A certified record: returns its cone coordinates. Everything in it is computed anew."""
-    x = (row[20 : 20 + 3 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
+    x = (row[FORCE : FORCE + 3 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
     w = s.unit @ wrench
     assert row[CODE] == CONVERGED
     assert row[MARGIN] > 0.0
@@ -72,7 +74,9 @@ def test_layouts_take_the_same_steps(count: int) -> None:
             rows = [solver(s, layout, 1e-12, limit).solve(wrench) for layout in layouts(count)]
             for row in rows[1:]:
                 np.testing.assert_array_equal(row[:3], rows[0][:3])
-                np.testing.assert_allclose(row[20:], rows[0][20:], rtol=0, atol=1e-9 * np.abs(rows[0][20:]).max())
+                np.testing.assert_allclose(
+                    row[FORCE:], rows[0][FORCE:], rtol=0, atol=1e-9 * np.abs(rows[0][FORCE:]).max()
+                )
             assert rows[0][ITERATIONS] == limit
 
 
@@ -170,7 +174,7 @@ def test_small_and_large_forces_and_barriers(count: int, barrier: float) -> None
         assert row[MARGIN] > 0.0
         assert row[BOUND] <= row[OBJECTIVE] * (1.0 + 1e-9)
         w = s.unit @ wrench
-        x = (row[20 : 20 + 3 * count].reshape(-1, 3) * s.scale).reshape(-1)
+        x = (row[FORCE : FORCE + 3 * count].reshape(-1, 3) * s.scale).reshape(-1)
         assert np.abs(s.rows @ x + w).max() <= 1e-11 * count * (np.abs(x).max() + np.abs(w).max())
         # a force misses its cone by about sqrt(lambda) less than it is: beyond 1e-4 of it 1e-6 of Phi asks for more digits than there are
         assert row[CODE] == CONVERGED or size > 0.99e4 * np.sqrt(barrier)
@@ -190,7 +194,7 @@ def test_a_known_optimum_and_the_trace(layout: tuple[int, int]) -> None:
     assert trace[steps] == row[OBJECTIVE]
     assert (np.diff(trace[: steps + 1]) < 0.0).all()
     assert (trace[steps + 1 :] == -1.0).all()
-    np.testing.assert_allclose(row[20 + 15 : 20 + 30], start / s.divisor.reshape(-1), rtol=1e-15)
+    np.testing.assert_allclose(row[FORCE + 15 : FORCE + 30], start / s.divisor.reshape(-1), rtol=1e-15)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

@@ -7,6 +7,7 @@ import pytest
 from calls import CALLS, COUNT, LOADS, REFUSED, SAMPLE, SIZE, TOLERANCE, begun, contacts, newton
 
 from grasp_env.core import _core
+from grasp_env.force.record import FORCE
 
 BAD = (np.nan, np.inf, -np.inf, 1e300, -1e300)
 SOLVES = (
@@ -21,7 +22,7 @@ SOLVES = (
 
 def valid(row: np.ndarray, wrench: np.ndarray) -> bool:
     """Whether a record's force is what it says: finite, in the cones, balanced."""
-    x = (row[20 : 20 + 3 * COUNT].reshape(-1, 3) * SAMPLE.scale).reshape(-1)
+    x = (row[FORCE : FORCE + 3 * COUNT].reshape(-1, 3) * SAMPLE.scale).reshape(-1)
     if not np.isfinite(np.delete(row, 4)).all() or not row[6] >= 0.0:
         return False
     w = SAMPLE.unit @ wrench

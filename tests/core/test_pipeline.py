@@ -9,6 +9,8 @@ from oracles import geometry, newton, starts
 from oracles.phi import phi
 from samples import LAYOUTS, Sample, layouts, sample, wrenches
 
+from grasp_env.force.record import FORCE
+
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED = range(5)
 CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN = range(7)
 CARRIED, REPAIRED, CLIPPED = range(3)
@@ -49,12 +51,12 @@ def path(s: Sample, steps: int, size: float, seed: int = 0) -> list[tuple[Sample
 
 def force_of(s: Sample, row: np.ndarray) -> np.ndarray:
     """Cone coordinates of a record."""
-    return (row[20 : 20 + 3 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
+    return (row[FORCE : FORCE + 3 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
 
 
 def initial_of(s: Sample, row: np.ndarray) -> np.ndarray:
     """Cone coordinates of the start of a record."""
-    return (row[20 + 3 * s.count : 20 + 6 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
+    return (row[FORCE + 3 * s.count : FORCE + 6 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
 
 
 @pytest.mark.parametrize("count", [3, 4, 5, 8, 9])

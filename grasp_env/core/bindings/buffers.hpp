@@ -28,6 +28,7 @@ public:
             if (wanted[a] >= 0 && view_.shape[a] != wanted[a]) return false;
         return true;
     }
+    int axes() const { return view_.ndim; }
     Py_ssize_t length(int axis) const { return view_.shape[axis]; }
     double* data() const { return static_cast<double*>(view_.buf); }
 

@@ -15,7 +15,10 @@ nb::typed<nb::dict, nb::str, int> record_fields() {
     place("lower_bound", offsetof(Summary, lower_bound)), place("residual", offsetof(Summary, residual));
     place("margin", offsetof(Summary, margin)), place("limit_excess", offsetof(Summary, limit_excess));
     place("wrench", offsetof(Summary, wrench));
-    place("multipliers", offsetof(Summary, multipliers)), place("force", sizeof(Summary));
+    place("multipliers", offsetof(Summary, multipliers)), place("start", offsetof(Summary, start));
+    place("replaced", offsetof(Summary, replaced)), place("outside", offsetof(Summary, outside));
+    place("contacts", offsetof(Summary, contacts)), place("joints", offsetof(Summary, joints));
+    place("limits", offsetof(Summary, limits)), place("force", sizeof(Summary));
     return places;
 }
 
@@ -23,7 +26,8 @@ nb::typed<nb::dict, nb::str, int> codes() {
     nb::dict named;
     named["converged"] = int(grasp::CONVERGED), named["limit"] = int(grasp::LIMIT), named["stalled"] = int(grasp::STALLED);
     named["infeasible"] = int(grasp::INFEASIBLE), named["refused"] = int(grasp::REFUSED);
-    named["limits_exceeded"] = int(grasp::LIMITS_EXCEEDED);
+    named["limits_exceeded"] = int(grasp::LIMITS_EXCEEDED), named["rank_lost"] = int(grasp::RANK_LOST);
+    named["undecided"] = int(grasp::UNDECIDED);
     return named;
 }
 

@@ -2,20 +2,17 @@
 // the control loop pays for every nanosecond here: the same in Python, or as a class of nanobind, takes four times as long.
 #include <grasp/record.hpp>
 
-#include "module.hpp"
+#include "solution.hpp"
 
-#define NPY_NO_DEPRECATED_API NPY_2_0_API_VERSION
-#include <numpy/arrayobject.h>
 #include <structmember.h>
 
 namespace {
 
-constexpr Py_ssize_t SUMMARY = sizeof(grasp::Summary) / sizeof(double);
+using grasp::SUMMARY;
 
-struct Solution { PyObject_HEAD PyObject *record, *method, *initial, *objective_trace, *certificate, *limit_multipliers; };
+struct Solution { PyObject_HEAD PyObject *record, *method, *initial, *objective_trace; };
 
-constexpr PyObject* Solution::* FIELDS[] = {&Solution::record,          &Solution::method,      &Solution::initial,
-                                            &Solution::objective_trace, &Solution::certificate, &Solution::limit_multipliers};
+constexpr PyObject* Solution::* FIELDS[] = {&Solution::record, &Solution::method, &Solution::initial, &Solution::objective_trace};
 PyObject* nothing = nullptr;  // an empty array, read-only
 
 PyArrayObject* array(PyObject* object) { return reinterpret_cast<PyArrayObject*>(object); }
@@ -32,42 +29,43 @@ bool is_record(PyObject* object) {
     const PyArrayObject* a = array(object);
     if (PyArray_TYPE(a) != NPY_DOUBLE || PyArray_NDIM(a) != 1 || !PyArray_IS_C_CONTIGUOUS(a) || !PyArray_ISBEHAVED_RO(a))
         return false;
-    if (PyArray_DIM(a, 0) < SUMMARY || (PyArray_DIM(a, 0) - SUMMARY) % 7) return false;
+    if (PyArray_DIM(a, 0) < SUMMARY) return false;
     const double* row = static_cast<const double*>(PyArray_DATA(const_cast<PyArrayObject*>(a)));
-    const bool counted = row[1] >= 0.0 && row[2] >= 0.0 && row[1] + row[2] < 1e18;
-    if (!(row[0] >= 0.0 && row[0] <= double(grasp::LIMITS_EXCEEDED) && counted)) return false;
-    const int code = int(row[0]);
-    return double(code) == row[0] && code != grasp::REFUSED;
+    const auto& s = *reinterpret_cast<const grasp::Summary*>(row);
+    const double size = SUMMARY + 16.0 * s.contacts + s.joints + s.limits;
+    for (double whole : {s.contacts, s.joints, s.limits, s.iterations, s.trials, s.start, s.code})
+        if (!(whole >= 0.0 && whole < 1e18)) return false;
+    for (double whole : {s.contacts, s.joints, s.limits, s.start, s.code})
+        if (whole > 1e9 || whole != double(int(whole))) return false;
+    const int code = int(s.code);
+    if (size != double(PyArray_DIM(a, 0)) || s.start > double(grasp::Start::central)) return false;
+    return code <= grasp::UNDECIDED && code != grasp::REFUSED && code != grasp::RANK_LOST;
+}
+
+PyObject* made_of(PyTypeObject* type, PyObject* record, PyObject* method, PyObject* initial, PyObject* trace) {
+    Solution* made = reinterpret_cast<Solution*>(PyType_GenericAlloc(type, 0));
+    if (!made) return nullptr;
+    PyObject* given[] = {record, method, initial, trace};
+    for (int k = 0; k < 4; ++k) made->*FIELDS[k] = Py_NewRef(given[k]);
+    return reinterpret_cast<PyObject*>(made);
 }
 
 PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
-    PyObject *record, *method, *initial, *trace = nothing, *certificate = Py_None, *multipliers = nothing;
-    PyObject** const slots[] = {&record, &method, &initial, &trace, &certificate, &multipliers};
-    const Py_ssize_t many = PyTuple_Size(arguments);
-    if (!named && many >= 3 && many <= 6) {  // the control loop's
-        for (Py_ssize_t k = 0; k < many; ++k) *slots[k] = PyTuple_GetItem(arguments, k);
-    } else {
-        static const char* names[] = {"record", "method", "initial", "objective_trace", "certificate", "limit_multipliers",
-                                      nullptr};
-        if (!PyArg_ParseTupleAndKeywords(arguments, named, "OOO|OOO", const_cast<char**>(names), &record, &method, &initial,
-                                         &trace, &certificate, &multipliers))
-            return nullptr;
-    }
+    PyObject *record, *method, *initial, *trace = nothing;
+    static const char* names[] = {"record", "method", "initial", "objective_trace", nullptr};
+    if (!PyArg_ParseTupleAndKeywords(arguments, named, "OOO|O", const_cast<char**>(names), &record, &method, &initial, &trace))
+        return nullptr;
     if (!is_record(record)) {
         try {
             return refuse(
-                "a record must be a C-contiguous float64 array of 20 + 7N numbers, the first a code of `Status`: take a "
-                "solver's");
+                "a record must be a C-contiguous float64 array whose numbers say how many they are, the first a code of `Status`: take "
+                "a solver's");
         } catch (nb::python_error& error) {
             error.restore();
             return nullptr;
         }
     }
-    Solution* made = reinterpret_cast<Solution*>(PyType_GenericAlloc(type, 0));
-    if (!made) return nullptr;
-    PyObject* given[] = {record, method, initial, trace, certificate, multipliers};
-    for (int k = 0; k < 6; ++k) made->*FIELDS[k] = Py_NewRef(given[k]);
-    return reinterpret_cast<PyObject*>(made);
+    return made_of(type, record, method, initial, trace);
 }
 
 void drop(PyObject* self) {
@@ -89,7 +87,10 @@ PyObject* view(PyObject* self, Py_ssize_t first, int axes, const npy_intp* shape
     if (PyArray_SetBaseObject(array(made), Py_NewRef(reinterpret_cast<PyObject*>(record))) < 0) Py_CLEAR(made);
     return made;
 }
-Py_ssize_t count(PyObject* self) { return (PyArray_DIM(array(reinterpret_cast<Solution*>(self)->record), 0) - SUMMARY) / 7; }
+grasp::Record record(PyObject* self) {
+    return grasp::Record(static_cast<double*>(PyArray_DATA(array(reinterpret_cast<Solution*>(self)->record))));
+}
+Py_ssize_t count(PyObject* self) { return record(self).contacts(); }
 
 PyObject* n_contacts(PyObject* self, void*) { return PyLong_FromSsize_t(count(self)); }
 PyObject* code(PyObject* self, void*) {
@@ -106,7 +107,67 @@ PyObject* torsion(PyObject* self, void*) {
     return view(self, SUMMARY + 6 * many, 1, &many);
 }
 
+PyObject* frames(PyObject* self, void*) {
+    const npy_intp shape[] = {count(self), 3, 3};
+    return view(self, SUMMARY + 7 * count(self), 3, shape);
+}
+PyObject* torques(PyObject* self, void*) {
+    const npy_intp many = npy_intp(record(self).summary().joints);
+    return view(self, SUMMARY + 16 * count(self), 1, &many);
+}
+PyObject* prices(PyObject* self, void*) {
+    const grasp::Summary& s = record(self).summary();
+    const npy_intp many = s.code == grasp::LIMITS_EXCEEDED || s.code == grasp::INFEASIBLE ? 0 : npy_intp(s.limits);
+    return view(self, SUMMARY + 16 * count(self) + npy_intp(s.joints), 1, &many);
+}
+PyObject* object_force(PyObject* self, void*) {
+    const npy_intp shape[] = {count(self), 3};
+    PyObject* made = PyArray_SimpleNew(2, shape, NPY_DOUBLE);
+    if (!made) return nullptr;
+    for (int i = 0; i < int(shape[0]); ++i)
+        record(self).object_force(i, static_cast<double*>(PyArray_DATA(array(made))) + 3 * i);
+    return made;
+}
+template <double grasp::Summary::* field> PyObject* number(PyObject* self, void*) {
+    return PyFloat_FromDouble(record(self).summary().*field);
+}
+template <double grasp::Summary::* field> PyObject* whole(PyObject* self, void*) {
+    return PyLong_FromDouble(record(self).summary().*field);
+}
+template <double grasp::Summary::* field> PyObject* truth(PyObject* self, void*) {
+    return PyBool_FromLong(record(self).summary().*field != 0.0);
+}
+template <grasp::Vec6 grasp::Summary::* field> PyObject* six(PyObject* self, void*) {
+    const npy_intp many = 6;
+    const grasp::Summary& s = record(self).summary();
+    return view(self, (s.*field).data() - &s.code, 1, &many);
+}
+
+using grasp::Summary;
 PyGetSetDef read[] = {
+    {"wrench", six<&Summary::wrench>, nullptr, "(6,) the external wrench that `force` balances [N, N m].", nullptr},
+    {"multipliers", six<&Summary::multipliers>, nullptr,
+     "(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu.", nullptr},
+    {"iterations", whole<&Summary::iterations>, nullptr, "Accepted steps.", nullptr},
+    {"trials", whole<&Summary::trials>, nullptr, "All steps tried, rejected ones included.", nullptr},
+    {"objective", number<&Summary::objective>, nullptr,
+     "Phi of `force`; of `conic` the sum or maximum of the normal forces [N]; else `limit_excess`, where it is > 0.", nullptr},
+    {"lower_bound", number<&Summary::lower_bound>, nullptr,
+     "A dual bound: no balanced force has a smaller objective (-inf: none); with `optimum` given, that.", nullptr},
+    {"equilibrium_residual", number<&Summary::residual>, nullptr,
+     "Largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length.", nullptr},
+    {"cone_margin", number<&Summary::margin>, nullptr,
+     "Min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside.", nullptr},
+    {"limit_excess", number<&Summary::limit_excess>, nullptr,
+     "Largest excess of a limit, as a part of that limit; 0 within all. See `elastic` of `optimize_force`.", nullptr},
+    {"start_replaced", truth<&Summary::replaced>, nullptr,
+     "True if nothing is left of the start that was asked for, so that the solve began from another; `initial` says which.", nullptr},
+    {"frames", frames, nullptr, "(N, 3, 3) columns (n, o, t) of each contact, in the frame of the positions.", nullptr},
+    {"object_force", object_force, nullptr, "(N, 3) N: `force` along the axes of the frame of the positions.", nullptr},
+    {"torques", torques, nullptr,
+     "(J,) N m: of the joints of the torque limits, those besides the grasp's included; empty where there are none.", nullptr},
+    {"limit_multipliers", prices, nullptr,
+     "(M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; empty where there are none.", nullptr},
     {"n_contacts", n_contacts, nullptr, "N.", nullptr},
     {"code", code, nullptr, "How the solve ended, see `codes`.", nullptr},
     {"force", force, nullptr, "(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.", nullptr},
@@ -120,8 +181,6 @@ PyMemberDef held[] = {
     {"method", T_OBJECT, offsetof(Solution, method), 0, nullptr},
     {"initial", T_OBJECT, offsetof(Solution, initial), 0, nullptr},
     {"objective_trace", T_OBJECT, offsetof(Solution, objective_trace), 0, nullptr},
-    {"certificate", T_OBJECT, offsetof(Solution, certificate), 0, nullptr},
-    {"limit_multipliers", T_OBJECT, offsetof(Solution, limit_multipliers), 0, nullptr},
     {},
 };
 PyType_Slot slots[] = {{Py_tp_new, reinterpret_cast<void*>(make)},
@@ -133,6 +192,11 @@ PyType_Slot slots[] = {{Py_tp_new, reinterpret_cast<void*>(make)},
 PyType_Spec spec{"grasp_env.core._core.Solution", sizeof(Solution), 0, Py_TPFLAGS_DEFAULT | Py_TPFLAGS_BASETYPE, slots};
 
 }  // namespace
+
+PyObject* new_solution(PyObject* kind, PyObject* record, PyObject* method, PyObject* initial) {
+    return made_of(reinterpret_cast<PyTypeObject*>(kind), record, method, initial, nothing);
+}
+PyObject* record_of(PyObject* solution) { return reinterpret_cast<Solution*>(solution)->record; }
 
 void bind_solution(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();

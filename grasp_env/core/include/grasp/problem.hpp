@@ -10,7 +10,7 @@
 namespace grasp {
 
 using Wrench = std::span<const double, 6>;  // external, on the object: force [N], moment [N m]
-using Numbers = std::span<const double>;
+using Doubles = std::span<const double>;
 
 enum class Method {
     newton,        // Phi by Newton: about six steps
@@ -41,10 +41,10 @@ struct Options {
 
 // What a call, or an update, has of its own; what is left empty stays as in the problem.
 struct Now {
-    Numbers positions{}, normals{};  // (N, 3) [m], inward unit normals
-    Numbers friction{};              // one coefficient, N, or two of each
-    Numbers jacobian{};              // as of the limits
-    Numbers torque_bias{};           // (J,) [N m]
+    Doubles positions{}, normals{};  // (N, 3) [m], inward unit normals
+    Doubles friction{};              // one coefficient, N, or two of each
+    Doubles jacobian{};              // as of the limits
+    Doubles torque_bias{};           // (J,) [N m]
     std::uint64_t contacts = ~std::uint64_t(0);  // bit i: contact i touches; of solvers for up to 64 contacts
 
     bool empty() const {
@@ -58,7 +58,7 @@ struct Ask {
     const double* wrench;
     Now now{};
     Start start = Start::standard;
-    Numbers force{}, torsion{};         // of Start::given: (N, 3) [N] and (N,) [N m], contact frames of now
+    Doubles force{}, torsion{};         // of Start::given: (N, 3) [N] and (N,) [N m], contact frames of now
     const double* previous = nullptr;   // the row of another solution of as many contacts, or none
     double optimum = std::numeric_limits<double>::quiet_NaN();  // a known min Phi to take the gap to, instead of the bound
     std::span<double> trace{};          // receives Phi of the first iterates

@@ -1,0 +1,255 @@
+// `grasp::ForceOptimizer`. `solve` is what control loops call: it reads arrays where they lie and makes its solution without a line of
+// Python; whatever it cannot read, and every outcome that takes words, it leaves to Python by returning None.
+#include <grasp/optimizer.hpp>
+
+#include "buffers.hpp"
+#include "rule.hpp"
+#include "solution.hpp"
+
+using namespace grasp;
+
+namespace {
+
+// The numbers of an array that can be read as they lie.
+class Given {
+public:
+    explicit Given(nb::handle object) {
+        if (object.is_none()) return;
+        given_ = true;
+        if (!PyArray_Check(object.ptr())) return;
+        const PyArrayObject* a = reinterpret_cast<PyArrayObject*>(object.ptr());
+        if (PyArray_TYPE(a) == NPY_DOUBLE && PyArray_ISCARRAY_RO(const_cast<PyArrayObject*>(a))) array_ = const_cast<PyArrayObject*>(a);
+    }
+    bool given() const { return given_; }
+    // Of this shape, -1: any length.
+    bool has(std::initializer_list<npy_intp> shape) const {
+        if (!array_ || PyArray_NDIM(array_) != int(shape.size())) return false;
+        int axis = 0;
+        for (npy_intp wanted : shape)
+            if (const npy_intp size = PyArray_DIM(array_, axis++); wanted >= 0 && size != wanted) return false;
+        return true;
+    }
+    const double* data() const { return static_cast<double*>(PyArray_DATA(array_)); }
+    Doubles numbers() const { return {data(), std::size_t(PyArray_SIZE(array_))}; }
+
+private:
+    PyArrayObject* array_ = nullptr;
+    bool given_ = false;
+};
+
+class Solver {
+public:
+    ForceOptimizer on;
+    const int count, joints;
+    nb::object previous = nb::none();  // the last solution with a force
+
+    // kind: the class of solutions; method: its name; starts: what solutions call each `Start`
+    Solver(const Problem& problem, const Options& options, nb::object kind, nb::object method, nb::tuple starts)
+        : on(problem, options), count(problem.contacts.count), joints(int(problem.limits.torque_limit.size())),
+          remembers_(options.start == Start::previous || options.start == Start::learned), asked_(options.start), kind_(kind),
+          method_(method), starts_(starts) {}
+
+    // A solution; None: an argument cannot be read as it is, or it ended without a force: `ended` is its row then.
+    nb::object solve(nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
+                     nb::handle torque_bias, nb::handle contacts) {
+        ended = nb::none();
+        Ask ask{};
+        if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts)) return nb::none();
+        if (remembers_ && !previous.is_none()) ask.previous = row_of(previous.ptr());
+        return made(ask, asked_, nb::handle());
+    }
+    // The same from a start of this call. initial: the start's name for the solution, or None: its own.
+    nb::object solve_from(int start, nb::handle initial, nb::handle force, nb::handle torsion, nb::handle before, double optimum,
+                          nb::handle trace, nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction,
+                          nb::handle jacobian, nb::handle torque_bias, nb::handle contacts) {
+        ended = nb::none();
+        Ask ask{};
+        if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts))
+            throw nb::type_error("C-contiguous float64 arrays are needed");
+        from(ask, start, force, torsion, before);
+        ask.optimum = optimum;
+        if (!trace.is_none()) ask.trace = {out(trace, -1).data(), std::size_t(out(trace, -1).length(0))};
+        return made(ask, Start(start), initial);
+    }
+    // The start alone, a record whose force it is; its code says LIMIT, or why there is none.
+    nb::object start(int start, nb::handle force, nb::handle torsion, nb::handle before, nb::handle wrench, nb::handle positions,
+                     nb::handle normals, nb::handle friction, nb::handle jacobian, nb::handle torque_bias, nb::handle contacts) {
+        Ask ask{};
+        if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts))
+            throw nb::type_error("C-contiguous float64 arrays are needed");
+        from(ask, start, force, torsion, before);
+        nb::object row = new_row();
+        on.start(ask, data(row.ptr()));
+        return row;
+    }
+    bool update(nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian, nb::handle torque_bias) {
+        Ask ask{};
+        if (!now(ask, positions, normals, friction, jacobian, torque_bias, nb::none()))
+            throw nb::type_error("C-contiguous float64 arrays are needed");
+        return on.update(ask.now);
+    }
+    nb::object ended = nb::none();
+
+private:
+    const bool remembers_;
+    const Start asked_;
+    nb::object kind_, method_;
+    nb::tuple starts_;
+
+    static double* data(PyObject* array) { return static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array))); }
+    static const double* row_of(PyObject* solution) { return data(record_of(solution)); }
+    nb::object new_row() const {
+        npy_intp size = on.size();
+        nb::object row = nb::steal(PyArray_SimpleNew(1, &size, NPY_DOUBLE));
+        if (!row) throw nb::python_error();
+        return row;
+    }
+
+    bool now(Ask& ask, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian, nb::handle torque_bias,
+             nb::handle contacts) {
+        const auto take = [](const Given& given, std::initializer_list<npy_intp> shape, Doubles& to) {
+            if (!given.given()) return true;
+            if (!given.has(shape)) return false;
+            to = given.numbers();
+            return true;
+        };
+        if (!take(Given(positions), {count, 3}, ask.now.positions) || !take(Given(normals), {count, 3}, ask.now.normals) ||
+            !take(Given(torque_bias), {joints}, ask.now.torque_bias))
+            return false;
+        if (!friction.is_none()) {
+            if (PyFloat_CheckExact(friction.ptr())) {
+                friction_ = PyFloat_AsDouble(friction.ptr()), ask.now.friction = {&friction_, 1};
+            } else if (const Given given(friction); given.has({count}) || given.has({count, 2})) {
+                ask.now.friction = given.numbers();
+            } else {
+                return false;
+            }
+        }
+        if (const Given given(jacobian); given.given()) {
+            if (!given.has({count, 3, joints}) && !given.has({count, 6, joints})) return false;
+            ask.now.jacobian = given.numbers();
+        }
+        if (contacts.is_none()) return true;
+        if (!PyArray_Check(contacts.ptr())) return false;
+        PyArrayObject* which = reinterpret_cast<PyArrayObject*>(contacts.ptr());
+        if (PyArray_TYPE(which) != NPY_BOOL || PyArray_NDIM(which) != 1 || PyArray_DIM(which, 0) != count || count > 64) return false;
+        ask.now.contacts = 0;
+        for (int i = 0; i < count; ++i)
+            ask.now.contacts |= std::uint64_t(*static_cast<npy_bool*>(PyArray_GETPTR1(which, i)) != 0) << i;
+        return true;
+    }
+    bool read(Ask& ask, nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
+              nb::handle torque_bias, nb::handle contacts) {
+        const Given load(wrench);
+        if (!load.has({6})) return false;
+        ask.wrench = load.data();
+        return now(ask, positions, normals, friction, jacobian, torque_bias, contacts);
+    }
+    void from(Ask& ask, int start, nb::handle force, nb::handle torsion, nb::handle before) const {
+        if (start < 0 || start > int(Start::central)) throw nb::value_error("no such start");
+        ask.start = Start(start);
+        const auto numbers = [](const Given& given, std::initializer_list<npy_intp> shape) {
+            if (!given.given()) return Doubles{};
+            if (!given.has(shape)) throw nb::type_error("a C-contiguous float64 array of another shape is needed");
+            return given.numbers();
+        };
+        ask.force = numbers(Given(force), {count, 3}), ask.torsion = numbers(Given(torsion), {count});
+        if (!before.is_none()) ask.previous = row_of(before.ptr());
+    }
+    nb::object made(const Ask& ask, Start asked, nb::handle initial) {
+        nb::object row = new_row();
+        double* numbers = data(row.ptr());
+        on.solve(ask, numbers);
+        const Record record(numbers);
+        if (!record.has_force()) {
+            ended = row;
+            return nb::none();
+        }
+        const Summary& s = record.summary();
+        const int used = int(s.start);
+        nb::handle name = initial.is_valid() && !initial.is_none() && used == int(Start::given) ? initial : starts_[used];
+        nb::object told;
+        if (s.replaced != 0.0 || s.outside != 0.0) {
+            told = nb::module_::import_("grasp_env.force.solution")
+                       .attr("start_name")(name, initial.is_valid() && !initial.is_none() ? initial : nb::handle(starts_[int(asked)]),
+                                           s.replaced != 0.0, s.outside != 0.0);
+            name = told;
+        }
+        nb::object solution = nb::steal(new_solution(kind_.ptr(), row.ptr(), method_.ptr(), name.ptr()));
+        if (!solution) throw nb::python_error();
+        previous = solution;
+        return solution;
+    }
+    double friction_ = 0.0;
+};
+
+std::vector<double> copied(nb::handle array) {
+    if (array.is_none()) return {};
+    const Buffer given(array);
+    return {given.data(), given.data() + [&] {
+                std::size_t total = 1;
+                for (int a = 0; a < given.axes(); ++a) total *= given.length(a);
+                return total;
+            }()};
+}
+
+Solver* make(const Contacts& contacts, nb::handle min_normal, nb::handle max_normal, nb::handle jacobian, nb::handle torque_limit,
+             nb::handle torque_bias, const char* method, bool largest, int start, double tolerance, int limit, bool elastic,
+             nb::handle rule, const Model* model, nb::object kind, nb::object name, nb::tuple starts) {
+    const std::vector<double> least = copied(min_normal), most = copied(max_normal), moves = copied(jacobian),
+                              torques = copied(torque_limit), bias = copied(torque_bias);
+    const std::string asked = method;
+    Options options{.method = asked == "newton"         ? Method::newton
+                              : asked == "reduced_flow" ? Method::reduced_flow
+                              : asked == "full_flow"    ? Method::full_flow
+                                                        : Method::conic,
+                    .criterion = largest ? Criterion::largest : Criterion::sum,
+                    .start = Start(start),
+                    .tolerance = tolerance,
+                    .limit = limit,
+                    .elastic = elastic};
+    if (!rule.is_none()) options.step_rule = rule_of(rule);
+    if (model) options.model = std::make_shared<const Model>(*model);
+    return new Solver({contacts, {least, most, moves, torques, bias}}, options, kind, name, starts);
+}
+
+void solve_many(const Solver& solver, nb::handle wrenches, nb::handle rows) {
+    const Doubles loads = [&] {
+        const Numbers given = in(wrenches, -1, 6);
+        return Doubles(given.data(), std::size_t(6 * given.length(0)));
+    }();
+    const Numbers to = out(rows, Py_ssize_t(loads.size() / 6), solver.on.size());
+    const ForceOptimizer own = solver.on;  // before others may use it
+    nb::gil_scoped_release free;
+    own.solve_many(loads, {to.data(), loads.size() / 6 * solver.on.size()});
+}
+
+}  // namespace
+
+void bind_optimizer(nb::module_& m) {
+    if (_import_array() < 0) throw nb::python_error();
+    nb::class_<Solver>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door.")
+        .def_static("make", &make, "contacts"_a, "min_normal"_a.none(), "max_normal"_a.none(), "jacobian"_a.none(),
+                    "torque_limit"_a.none(), "torque_bias"_a.none(), "method"_a, "largest"_a, "start"_a, "tolerance"_a, "limit"_a,
+                    "elastic"_a, "rule"_a.none(), "model"_a.none(), "kind"_a, "name"_a, "starts"_a,
+                    "See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions.")
+        .def("solve", &Solver::solve, "wrench"_a.none(), "positions"_a.none(), "normals"_a.none(), "friction"_a.none(),
+             "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
+             "A solution; None: an argument cannot be read as it is, or there is no force and `ended` holds the row.")
+        .def("solve_from", &Solver::solve_from, "start"_a, "initial"_a.none(), "force"_a.none(), "torsion"_a.none(), "before"_a.none(),
+             "optimum"_a, "trace"_a.none(), "wrench"_a, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(),
+             "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
+             "The same from a start of its own; optimum: a known minimum or nan; trace: (T,) receives Phi of the first iterates.")
+        .def("start", &Solver::start, "start"_a, "force"_a.none(), "torsion"_a.none(), "before"_a.none(), "wrench"_a,
+             "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(), "torque_bias"_a.none(),
+             "contacts"_a.none(), "The row of the start alone.")
+        .def("update", &Solver::update, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(),
+             "torque_bias"_a.none(), "From now on contacts and limits are these; False: they are not possible, and nothing has changed.")
+        .def("set_basis", [](Solver& s, nb::handle basis) {
+            s.on.set_basis({in(basis, 13, 3 * s.count).data(), std::size_t(39 * s.count)});
+        }, "basis"_a, "Takes the 12-basis with the rest, (13, 3N) cone coordinates.")
+        .def("solve_many", &solve_many, "wrenches"_a, "rows"_a, "(M, 6) into (M, size); releases the GIL.")
+        .def_rw("previous", &Solver::previous, "The last solution that has a force, or None.")
+        .def_ro("ended", &Solver::ended, "The row of the last call that returned None, unless it could not read its arguments.")
+        .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Doubles of a row.");
+}

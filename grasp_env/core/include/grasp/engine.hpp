@@ -1,0 +1,789 @@
+// What is behind `ForceOptimizer`: which algorithm serves which problem, what goes on where it gives up, and where each begins.
+#pragma once
+#include "basis.hpp"
+#include "general.hpp"
+#include "limited.hpp"
+#include "problem.hpp"
+#include "soft.hpp"
+
+namespace grasp::detail {
+
+// The problems that algorithms tell apart.
+enum class Kind {
+    hard,     // hard, elliptic and frictionless contacts
+    limited,  // the same within limits of one contact each: normal forces, joints of one finger
+    soft,     // soft ones among them, which have force closure without torsion too
+    other,    // everything else: joints that fingers share, soft contacts within limits, a closure by torsion alone
+};
+enum class Algorithm { newton, limited, soft, flow, conic, general };
+
+// Which algorithm serves which problem. The general program goes on where Newton, its relatives and `conic` give up; a flow ends where
+// it ends.
+struct Plan {
+    Method method;
+    Kind kind;
+    Algorithm algorithm;
+};
+inline constexpr Plan PLANS[] = {
+    {Method::newton, Kind::hard, Algorithm::newton},     {Method::newton, Kind::limited, Algorithm::limited},
+    {Method::newton, Kind::soft, Algorithm::soft},       {Method::newton, Kind::other, Algorithm::general},
+    {Method::reduced_flow, Kind::hard, Algorithm::flow}, {Method::full_flow, Kind::hard, Algorithm::flow},
+    {Method::conic, Kind::hard, Algorithm::conic},       {Method::conic, Kind::limited, Algorithm::general},
+    {Method::conic, Kind::soft, Algorithm::general},     {Method::conic, Kind::other, Algorithm::general},
+};
+inline std::optional<Algorithm> planned(const Options& options, Kind kind) {
+    for (const Plan& plan : PLANS)
+        if (plan.method == options.method && plan.kind == kind)
+            return plan.algorithm == Algorithm::conic && options.criterion != Criterion::sum ? Algorithm::general : plan.algorithm;
+    return {};
+}
+
+class alignas(64) Engine {
+public:
+    virtual ~Engine() = default;
+    virtual std::unique_ptr<Engine> clone() const = 0;
+    virtual Code solve(const Ask& ask, double* row) = 0;
+    // The start alone, into a record: LIMIT, as a descent has to go on from it.
+    virtual Code start(const Ask& ask, double* row) = 0;
+    virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
+    virtual bool update(const Now& now) = 0;
+    // (13, 3N) the offline optima of the problem's contacts, cone coordinates.
+    virtual void set_basis(const double* basis) = 0;
+    virtual const Contacts& home() const = 0;
+    virtual int size() const = 0;  // numbers of a row
+};
+
+// Limits with numbers of their own.
+class OwnLimits {
+public:
+    std::vector<double> min_normal, max_normal, jacobian, torque_limit, torque_bias;
+    int rows = 0;  // how many are finite
+
+    OwnLimits() = default;
+    // Throws std::invalid_argument.
+    OwnLimits(const ForceLimits& from, int count)
+        : min_normal(from.min_normal.begin(), from.min_normal.end()), max_normal(from.max_normal.begin(), from.max_normal.end()),
+          jacobian(from.jacobian.begin(), from.jacobian.end()), torque_limit(from.torque_limit.begin(), from.torque_limit.end()),
+          torque_bias(from.torque_bias.begin(), from.torque_bias.end()) {
+        const std::size_t size = std::size_t(count);
+        for (const auto* each : {&min_normal, &max_normal})
+            if (!each->empty() && each->size() != size)
+                throw std::invalid_argument("limits of normal forces must be one of each contact, or none");
+        if (jacobian.size() != 3 * size * joints() && jacobian.size() != 6 * size * joints())
+            throw std::invalid_argument("the jacobian must be (N, 3, J) or (N, 6, J), and torque_limit (J,)");
+        if (torque_bias.empty()) torque_bias.resize(joints());
+        if (torque_bias.size() != joints()) throw std::invalid_argument("torque_bias must be (J,), or none");
+        for (const auto* each : {&min_normal, &max_normal, &torque_limit})
+            for (double value : *each)
+                if (!(value >= 0.0)) throw std::invalid_argument("limits must be numbers >= 0");
+        for (const auto* each : {&jacobian, &torque_bias})
+            for (double value : *each)
+                if (!(std::abs(value) < infinity)) throw std::invalid_argument("the jacobian and torque_bias must be finite");
+        rows = view().many();
+    }
+    std::size_t joints() const { return torque_limit.size(); }
+    ForceLimits view() const { return {min_normal, max_normal, jacobian, torque_limit, torque_bias}; }
+};
+
+template <class V, int B> class EngineOn final : public Engine {
+public:
+    using Field = typename Cones<V, B>::Field;
+
+    EngineOn(const Problem& problem, const Options& options)
+        : options_(options), home_(problem.contacts), now_(home_), limits_(problem.limits, home_.count),
+          joints_(int(limits_.joints())), newton_(home_.count, {options.gap(), options.limit}),
+          conic_(home_.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}), home_tangents_(newton_.cones),
+          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()),
+          general_(home_.count, limits_.rows, home_.soft()), inner_(record_size(home_.count)), turned_(4 * home_.count * joints_),
+          force_(3 * home_.count), gathered_(6 * home_.count), divisor_(home_.count, infinity), chosen_(home_.count) {
+        if (home_.placing == Placing::refused || home_.placing == Placing::rank_lost)
+            throw std::invalid_argument("the contacts must be placed: Contacts::from");
+        if (limits_.rows) limited_.emplace(home_.count, newton_.options), limited_->elastic = options.elastic;
+        if (home_.soft()) soft_.emplace(home_, newton_.options, divisor_.data());
+        const bool flows = options.method == Method::reduced_flow || options.method == Method::full_flow;
+        if (flows) {
+            if (limits_.rows || home_.soft())
+                throw std::invalid_argument("the flows know hard contacts without limits: take newton or conic");
+            if (options.method == Method::full_flow && home_.count > FULL_CONTACTS)
+                throw std::invalid_argument("the full flow is dense: at most 8 contacts");
+        }
+        if (options.elastic && !limits_.rows) throw std::invalid_argument("elastic belongs to limits: give some");
+        if (options.criterion == Criterion::excess || (options.criterion != Criterion::sum && options.method != Method::conic))
+            throw std::invalid_argument("the criterion belongs to conic: sum or largest");
+        settle();
+        if (flows) flow_.emplace(newton_.cones, options.step_rule, options.method == Method::full_flow ? Form::full : Form::reduced);
+        if (options.model) {
+            if (!options.model->fits(home_.count)) throw std::invalid_argument("the model is for another number of contacts");
+            predicted_.emplace(newton_.cones, *options.model);
+        } else if (options.start == Start::learned) {
+            throw std::invalid_argument("a learned start needs a model");
+        }
+    }
+    std::unique_ptr<Engine> clone() const override { return std::make_unique<EngineOn>(*this); }
+    const Contacts& home() const override { return home_; }
+    int size() const override { return record_size(home_.count, joints_, limits_.rows); }
+
+    void set_basis(const double* basis) override {
+        for (int k = 0; k < 13; ++k) newton_.cones.load(basis + 3 * home_.count * k, newton_.starter.basis[k]);
+        newton_.starter.basis_tangents.load(home_.frames.data(), home_.count);
+        newton_.starter.has_basis = true;
+    }
+
+    Code solve(const Ask& ask, double* row) override {
+        const Record out = opened(ask, row);
+        Code code = place(ask.now);
+        if (code == CONVERGED) code = sane_wrench(ask.wrench) ? run(ask, inner()) : REFUSED;
+        return deliver(code, out);
+    }
+
+    Code start(const Ask& ask, double* row) override {
+        const Record out = opened(ask, row), record = inner();
+        Code code = place(ask.now);
+        if (code == CONVERGED && !sane_wrench(ask.wrench)) code = REFUSED;
+        if (code == CONVERGED) {
+            const Vec6 w = newton_.cones.unit.of(ask.wrench);
+            code = begin(ask, w);
+            if (code == CONVERGED) {
+                newton_.cones.store_force(newton_.x, record.initial_force());
+                newton_.cones.certify(newton_.x, w, record);
+                record.summary().objective = newton_.cones.phi(newton_.x), record.summary().lower_bound = -infinity;
+                std::fill_n(record.torsion(), now_.count, 0.0);
+                code = LIMIT;
+            }
+        }
+        return deliver(code, out);
+    }
+
+    void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) override {
+        const auto alone = [&](std::ptrdiff_t k) { solve({.wrench = wrenches + 6 * k}, rows + size() * k); };
+        const auto algorithm = planned(options_, kind_);
+        const bool side_by_side = count >= FEW && home_now_ && placed_ == CONVERGED && options_.start == Start::standard &&
+                                  (algorithm == Algorithm::newton || algorithm == Algorithm::conic) && rest();
+        if (!side_by_side) {
+            for (std::ptrdiff_t k = 0; k < count; ++k) alone(k);
+            return;
+        }
+        std::vector<double> made(record_size(home_.count) * count);
+        const Many many{count, wrenches, made.data()};
+        if (algorithm == Algorithm::conic) {
+            ready_conic();
+            conic_many(conic_, many);
+        } else {
+            newton_many(newton_, many, [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
+                record.summary().code = REFUSED;
+                if (!sane_wrench(many.wrench(k))) return false;
+                w = newton_.cones.unit.of(many.wrench(k));
+                squeeze_inside(w, newton_.x);
+                return true;
+            }, [&](std::ptrdiff_t, const Record& record) { record.summary().code = REFUSED; });
+        }
+        for (std::ptrdiff_t k = 0; k < count; ++k) {
+            const Record record = many.record(k, home_.count);
+            if (record.code() != CONVERGED) {
+                alone(k);
+                continue;
+            }
+            used_ = algorithm == Algorithm::conic ? Start::central : Start::internal_force, replaced_ = outside_ = false;
+            const Record out = opened({.wrench = many.wrench(k)}, rows + size() * k);
+            std::copy_n(&record.summary().code, record_size(home_.count), inner_.data());
+            deliver(CONVERGED, out);
+        }
+    }
+
+    bool update(const Now& now) override {
+        if (now.contacts != Now{}.contacts) return false;  // which contacts touch belongs to a call
+        if (place(now) == REFUSED) {
+            settle();
+            return false;
+        }
+        home_ = now_;
+        if (!now.jacobian.empty()) limits_.jacobian.assign(now.jacobian.begin(), now.jacobian.end());
+        if (!now.torque_bias.empty()) limits_.torque_bias.assign(now.torque_bias.begin(), now.torque_bias.end());
+        settle();
+        return true;
+    }
+
+private:
+    static constexpr double CLOSE = 2.0;  // times the Phi of a previous solution: above, another start is compared with it
+    Options options_;
+    Contacts home_, now_;  // those of the problem; those of this call that touch
+    OwnLimits limits_;
+    int joints_;
+    NewtonOn<V, B> newton_;
+    std::optional<LimitedOn<V, B>> limited_;
+    std::optional<SoftOn<V, B>> soft_;
+    ConicOn<V, B> conic_;
+    std::optional<FlowOn<V, B>> flow_;
+    std::optional<Prediction<V, B>> predicted_;
+    Tangents<V, B> home_tangents_;
+    Field rest_, begun_, spare_;  // an internal force; where a descent begins; to work with
+    General general_;
+    LimitTable table_;
+    std::vector<double> inner_, turned_, force_, gathered_, divisor_;
+    std::vector<int> chosen_;  // the numbers of the contacts of now
+
+    // Of the contacts of now.
+    Kind kind_ = Kind::hard;
+    Code placed_ = REFUSED;
+    bool home_now_ = false;  // whether they are those of the problem
+    bool conic_ready_ = false, general_ready_ = false, flow_ready_ = false, rest_sought_ = false, has_rest_ = false;
+    Doubles jacobian_{}, bias_{};
+    // Of the start of this call.
+    Start used_ = Start::standard;
+    bool replaced_ = false, outside_ = false;
+    bool by_general_ = false;  // whether the general program made the answer
+    Vec6 twist_{};
+
+    Record inner() { return Record(inner_.data(), now_.count); }
+    bool torsional() const { return kind_ == Kind::soft || (kind_ == Kind::other && now_.soft()); }
+
+    Record opened(const Ask& ask, double* row) const {
+        Summary& s = *reinterpret_cast<Summary*>(row);
+        s = Summary{};
+        s.contacts = home_.count, s.joints = joints_, s.limits = limits_.rows;
+        if (sane_wrench(ask.wrench)) std::copy_n(ask.wrench, 6, s.wrench.begin());
+        return Record(row);
+    }
+
+    // --- contacts and limits of a call
+
+    // The problem's own contacts and limits.
+    void settle() {
+        home_now_ = false;
+        place({});
+        home_tangents_.load(home_.frames.data(), home_.count);
+    }
+
+    // CONVERGED: all of it is in its place.
+    Code place(const Now& now) {
+        const bool plain = now.empty();
+        if (plain && home_now_) return placed_;
+        home_now_ = plain;
+        return placed_ = take(now);
+    }
+    Code take(const Now& now) {
+        conic_ready_ = general_ready_ = flow_ready_ = rest_sought_ = false;
+        const int all = home_.count;
+        const std::size_t triples = std::size_t(3 * all);
+        if ((!now.positions.empty() && now.positions.size() != triples) || (!now.normals.empty() && now.normals.size() != triples) ||
+            (!now.jacobian.empty() && now.jacobian.size() != limits_.jacobian.size()) ||
+            (!now.torque_bias.empty() && now.torque_bias.size() != std::size_t(joints_)))
+            return REFUSED;
+        const double* positions = now.positions.empty() ? home_.positions.data() : now.positions.data();
+        const double* normals = now.normals.empty() ? home_.normals.data() : now.normals.data();
+        const std::uint64_t every = all < 64 ? (std::uint64_t(1) << all) - 1 : ~std::uint64_t(0), mask = now.contacts & every;
+        if (mask == every) {
+            for (int i = 0; i < all; ++i) chosen_[i] = i;
+            now_.select(home_, {chosen_.data(), std::size_t(all)});
+        } else {
+            if (all > 64) return REFUSED;
+            int count = 0;
+            for (int i = 0; i < all; ++i) {
+                if (!(mask >> i & 1)) continue;
+                std::copy_n(positions + 3 * i, 3, &gathered_[3 * count]), std::copy_n(normals + 3 * i, 3, &gathered_[3 * (all + count)]);
+                chosen_[count++] = i;
+            }
+            if (count == 0) return RANK_LOST;
+            now_.select(home_, {chosen_.data(), std::size_t(count)});
+            positions = gathered_.data(), normals = gathered_.data() + 3 * all;
+        }
+        if (!now.friction.empty() && !now_.rub(now.friction, {chosen_.data(), std::size_t(now_.count)}, all)) return REFUSED;
+        const Placing placed = now_.place(positions, normals);
+        if (placed == Placing::refused) return REFUSED;
+        if (placed == Placing::rank_lost) return RANK_LOST;
+        set_count(now_.count);
+        newton_.cones.pack(now_);
+        newton_.starter.tangents.load(now_.frames.data(), now_.count);
+        newton_.starter.moved = !home_now_;
+        return limit(now) ? CONVERGED : REFUSED;
+    }
+    // So many contacts; lanes that are not used hold a contact without effect.
+    void set_count(int count) {
+        if (newton_.cones.count == count) return;
+        newton_.cones.count = count;
+        const auto clear = [](Field& x) {
+            for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
+        };
+        clear(newton_.x), clear(begun_), clear(spare_), clear(rest_);
+        if (limited_) clear(limited_->newton.x);
+        if (soft_) clear(soft_->newton.x);
+    }
+    // Limits of the contacts of now, and what kind of problem that makes; false: numbers that are none.
+    bool limit(const Now& now) {
+        jacobian_ = now.jacobian.empty() ? Doubles(limits_.jacobian) : now.jacobian;
+        bias_ = now.torque_bias.empty() ? Doubles(limits_.torque_bias) : now.torque_bias;
+        for (int i = 0; i < now_.count; ++i)
+            divisor_[i] = now_.torsion[i] > 0.0 ? now_.scale[3 * i] / now_.torsion[i] : infinity;
+        const bool soft = now_.soft();
+        if (joints_) turn_jacobian();
+        kind_ = soft ? (limits_.rows || now_.placing == Placing::needs_torsion ? Kind::other : Kind::soft) : Kind::hard;
+        if (soft && kind_ == Kind::soft) {
+            soft_->newton.cones = newton_.cones;
+            soft_->newton.rows.pack(newton_.cones, now_, divisor_.data());
+        }
+        if (!limits_.rows) return true;
+        for (double value : jacobian_)
+            if (!(std::abs(value) < infinity)) return false;
+        for (double value : bias_)
+            if (!(std::abs(value) < infinity)) return false;
+        const bool own = table_.fill(now_, of_now(), 4);
+        if (soft) return true;
+        kind_ = own ? Kind::limited : Kind::other;
+        if (!own) return true;
+        limited_->newton.cones = newton_.cones;
+        limited_->newton.rows.pack(newton_.cones, table_.rows());
+        return true;
+    }
+    // (n, 4, J) along (normal, o, t), and about the normal.
+    void turn_jacobian() {
+        const int rows = int(jacobian_.size()) / (home_.count * joints_);
+        for (int i = 0; i < now_.count; ++i) {
+            const double *from = jacobian_.data() + std::size_t(rows) * joints_ * chosen_[i], *f = &now_.frames[9 * i];
+            double* to = &turned_[4 * joints_ * i];
+            for (int a = 0; a < 3; ++a)
+                for (int j = 0; j < joints_; ++j)
+                    to[joints_ * a + j] =
+                        f[a] * from[j] + f[3 + a] * from[joints_ + j] + f[6 + a] * from[2 * joints_ + j];
+            for (int j = 0; j < joints_; ++j)
+                to[3 * joints_ + j] = rows < 6 ? 0.0
+                                               : f[0] * from[3 * joints_ + j] + f[3] * from[4 * joints_ + j] +
+                                                     f[6] * from[5 * joints_ + j];
+        }
+    }
+    // The limits of the contacts of now, with the Jacobian (n, 4, J) in contact frames.
+    ForceLimits of_now() {
+        const auto chosen = [&](const std::vector<double>& from, std::vector<double>& to) {
+            if (from.empty()) return Doubles{};
+            to.resize(now_.count);
+            for (int i = 0; i < now_.count; ++i) to[i] = from[chosen_[i]];
+            return Doubles(to);
+        };
+        return {chosen(limits_.min_normal, least_), chosen(limits_.max_normal, most_),
+                Doubles(turned_).first(std::size_t(4) * now_.count * joints_), limits_.torque_limit, bias_};
+    }
+    std::vector<double> least_ = std::vector<double>(home_.count), most_ = least_;
+
+    void ready_conic() {
+        if (conic_ready_) return;
+        conic_.cones = newton_.cones, conic_.rest = rest_, conic_ready_ = true;
+    }
+    bool ready_general() {
+        if (!general_ready_ || !general_.placed())  // a copy of it holds nothing
+            general_ready_ = general_.place(now_, torsional() ? divisor_.data() : nullptr, limits_.rows ? of_now() : ForceLimits{},
+                                            4) == Placing::good;
+        return general_ready_;
+    }
+    // An internal force of the contacts of now, of least Phi among its multiples; false without force closure.
+    bool rest(bool thorough = false) {
+        if (!rest_sought_ || (thorough && !has_rest_)) {
+            rest_sought_ = true;
+            has_rest_ = newton_.internal_force(!thorough);
+            if (has_rest_) {
+                const double scale = squeeze(newton_.cones, newton_.x);
+                for (int b = 0; b < int(rest_.size()); ++b) rest_[b] = all<V>(scale) * newton_.x[b];
+            }
+        }
+        return has_rest_;
+    }
+
+    // --- starts
+
+    // x = -G^+ w with as much of the internal force as takes it inside.
+    void squeeze_inside(const Vec6& w, Field& x) {
+        for (int b = 0; b < int(x.size()); ++b) x[b] = -newton_.cones.blocks[b].least(w);
+        const double least = std::max(1.2 * inside(newton_.cones, x, rest_).low, 1.0);
+        for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(least) * rest_[b];
+    }
+
+    Start asked(const Ask& ask) const {
+        const Start start = ask.start == Start::standard ? options_.start : ask.start;
+        if (start != Start::standard) return start;
+        return flow_ ? Start::linear_combination : Start::internal_force;
+    }
+
+    // The start of a call in newton_.x, balanced and strictly inside the cones; else why there is none.
+    Code begin(const Ask& ask, const Vec6& w) {
+        replaced_ = outside_ = false;
+        const Start start = used_ = asked(ask);
+        switch (start) {
+            case Start::given:
+                if (ask.force.size() != std::size_t(3 * home_.count)) return REFUSED;
+                for (int i = 0; i < now_.count; ++i) std::copy_n(&ask.force[3 * chosen_[i]], 3, &force_[3 * i]);
+                newton_.cones.load_force(force_.data(), newton_.x);
+                return newton_.is_start(w) ? CONVERGED : REFUSED;
+            case Start::previous:
+                if (!ask.previous) return standard(ask, w);
+                if (carry(ask, w)) return CONVERGED;
+                break;
+            case Start::learned:
+                if (predicted_ && predict(ask, w)) return CONVERGED;
+                break;
+            case Start::phase_one: return search(w);
+            case Start::linear_combination:
+            case Start::linear_combination_printed:
+            case Start::single_value:
+            case Start::lagrange:
+                if (combine(ask.wrench, w, start)) return CONVERGED;
+                break;
+            default: return standard(ask, w);
+        }
+        replaced_ = true;
+        return standard(ask, w);
+    }
+    // The method's own start, or where the contacts have no force closure any force inside.
+    Code standard(const Ask& ask, const Vec6& w) {
+        if (flow_ && combine(ask.wrench, w, used_ = Start::linear_combination)) return CONVERGED;
+        if (!rest()) return search(w);
+        used_ = Start::internal_force;
+        squeeze_inside(w, newton_.x);
+        return newton_.cones.phi(newton_.x) < infinity ? CONVERGED : UNDECIDED;
+    }
+    Code search(const Vec6& w) {
+        used_ = Start::phase_one;
+        ready_conic();
+        int steps = 0;
+        const auto found = conic_.find_inside(w, newton_.x, twist_, steps);
+        using Inside = typename ConicOn<V, B>::Inside;
+        return found == Inside::found ? CONVERGED : found == Inside::none ? INFEASIBLE : UNDECIDED;
+    }
+    // A start of the paper and its relatives, from the offline optima.
+    bool combine(const double* wrench, const Vec6& w, Start start) {
+        auto& starter = newton_.starter;
+        if (!starter.has_basis || now_.count != home_.count) return false;
+        Field& x = newton_.x;
+        if (start == Start::linear_combination) return starter.combination(newton_.cones, newton_.system, wrench, w, x);
+        if (!home_now_) return false;
+        const Field& rest = starter.basis[12];
+        if (start == Start::linear_combination_printed) {
+            starter.combine(wrench, x, true);
+        } else if (start == Start::single_value) {
+            for (int b = 0; b < int(x.size()); ++b) x[b] = -newton_.cones.blocks[b].least(w);
+            const double least = std::max(1.1 * inside(newton_.cones, x, rest).low, 1.0);
+            for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(least) * rest[b];
+        } else if (!lagrange(w)) {
+            return false;
+        }
+        return newton_.is_start(w);
+    }
+    // argmin (f - k n)^T W (f - k n) s.t. G f = -w, W = diag(1, 10, 10), n the unit normal forces: affine in k, which is what takes it
+    // inside, at least the mean normal force at rest, and no further than the middle of what is inside.
+    bool lagrange(const Vec6& w) {
+        constexpr double WEIGHT[3] = {1.0, 10.0, 10.0};
+        const int size = 3 * now_.count;
+        Packed6 s{};
+        Vec6 squeezed{};
+        for (int j = 0; j < size; ++j) {
+            const Vec6 made = column(now_.force_rows.data(), size, j);
+            for (int r = 0; r < 6; ++r) {
+                for (int q = 0; q <= r; ++q) s[packed(r, q)] += made[r] * made[q] / WEIGHT[j % 3];
+                if (j % 3 == 0) squeezed[r] += made[r];
+            }
+        }
+        Ldl6 factor;
+        if (!(factor.factor(s) > 0.0)) return false;
+        const Vec6 of_wrench = factor.solve(w), of_squeeze = factor.solve(squeezed);
+        const auto field = [&](const Vec6& by, double normal, Field& x) {
+            for (int j = 0; j < size; ++j)
+                force_[j] = (j % 3 == 0 ? normal : 0.0) - dot(column(now_.force_rows.data(), size, j), by) / WEIGHT[j % 3];
+            newton_.cones.load_force(force_.data(), x);
+        };
+        field(of_wrench, 0.0, newton_.x), field(of_squeeze, 1.0, spare_);
+        const auto [low, high] = inside(newton_.cones, newton_.x, spare_);
+        if (!(low < high)) return false;
+        newton_.cones.store_force(newton_.starter.basis[12], force_.data());
+        double floor = 0.0;
+        for (int i = 0; i < now_.count; ++i) floor += force_[3 * i] / now_.count;
+        const double k = std::min(std::max(1.1 * low, floor), 0.5 * (low + high));
+        for (int b = 0; b < int(spare_.size()); ++b) newton_.x[b] += all<V>(k) * spare_[b];
+        return true;
+    }
+
+    // A previous solution in the frames of now, balanced by the change that is least in the Hessian of Phi.
+    bool carry(const Ask& ask, const Vec6& w) {
+        if (!load_previous(ask)) return false;
+        Field& x = newton_.x;
+        const double before = newton_.cones.phi(x);
+        const bool follows = before < infinity && newton_.starter.tangent(newton_.cones, newton_.system, w, x);
+        if (follows && newton_.cones.phi(x) <= CLOSE * before) return true;
+        if (!follows) newton_.cones.balance(x, w);
+        begun_ = x;
+        if (!rest()) return follows && newton_.cones.phi(x) < infinity;
+        squeeze_inside(w, spare_);
+        x = begun_;
+        return newton_.starter.segment(newton_.cones, spare_, x) > 0.0;
+    }
+    // Into newton_.x and force_: of the contacts that touch now, in their frames.
+    bool load_previous(const Ask& ask) {
+        if (!ask.previous) return false;
+        const Record before(const_cast<double*>(ask.previous));  // only read
+        if (before.contacts() != home_.count || !before.has_force()) return false;
+        for (int i = 0; i < now_.count; ++i) {
+            const double *f = before.force() + 3 * chosen_[i], *from = before.frames() + 9 * chosen_[i], *to = &now_.frames[9 * i];
+            double* out = &force_[3 * i];
+            if (std::equal(from, from + 9, to)) {
+                std::copy_n(f, 3, out);
+                continue;
+            }
+            out[0] = f[0];  // what the frames' tilt takes off a tangential force is left out, so that it stays inside
+            for (int a = 1; a < 3; ++a) {
+                out[a] = 0.0;
+                for (int r = 0; r < 3; ++r) out[a] += to[3 * r + a] * (from[3 * r + 1] * f[1] + from[3 * r + 2] * f[2]);
+            }
+        }
+        newton_.cones.load_force(force_.data(), newton_.x);
+        return true;
+    }
+
+    // What the model predicts, and no more Phi than the method's own start has; better than a previous solution where one is given.
+    bool predict(const Ask& ask, const Vec6& w) {
+        if (now_.count != home_.count) return false;
+        const auto& cones = newton_.cones;
+        auto& starter = newton_.starter;
+        outside_ = !predicted_->covers(ask.wrench);
+        if (standard(ask, w) != CONVERGED) return false;
+        spare_ = newton_.x;
+        Field& x = newton_.x;
+        if (home_now_) {
+            predicted_->force(cones, ask.wrench, w, x);
+        } else {  // the internal force that it predicts turns with the contacts
+            for (auto& v : begun_) v = {V{}, V{}, V{}};
+            predicted_->add(ask.wrench, begun_);
+            starter.turn(cones, begun_, home_tangents_, x);
+            cones.balance(x, w);
+        }
+        const double safe = cones.phi(spare_), said = cones.phi(x);
+        const double share = said <= safe ? 1.0 : starter.segment(cones, spare_, x);
+        replaced_ = !(share > 0.0) && dot(w, w) > 0.0;
+        const Start from = used_;
+        if (!replaced_) used_ = Start::learned;
+        if (ask.previous) {
+            begun_ = x;
+            const Start now = used_;
+            if (carry(ask, w) && cones.phi(newton_.x) < cones.phi(begun_)) used_ = Start::previous, replaced_ = false;
+            else newton_.x = begun_, used_ = now;
+        }
+        if (replaced_) used_ = from;
+        return true;
+    }
+
+    // --- algorithms
+
+    Code run(const Ask& ask, const Record& record) {
+        Summary& s = record.summary();
+        s = Summary{};
+        std::copy_n(ask.wrench, 6, s.wrench.begin());
+        const auto algorithm = planned(options_, kind_);
+        if (!algorithm) return REFUSED;
+        const Vec6 w = newton_.cones.unit.of(ask.wrench);
+        by_general_ = false;
+        switch (*algorithm) {
+            case Algorithm::newton: return newton(ask, w, record);
+            case Algorithm::limited: return studied(ask) ? general(ask, record) : within_limits(ask, w, record);
+            case Algorithm::soft: return soft(ask, w, record);
+            case Algorithm::flow: return flow(ask, w, record);
+            case Algorithm::conic: return conic(ask, w, record);
+            default: return general(ask, record);
+        }
+    }
+    static bool studied(const Ask& ask) { return ask.optimum == ask.optimum || !ask.trace.empty(); }
+    static Call call_of(const Ask& ask, From from = From::given) {
+        return {.wrench = ask.wrench, .start = from, .optimum = ask.optimum, .trace = ask.trace.data(), .traced = int(ask.trace.size())};
+    }
+    Code refuted(const Vec6& w, const Record& record) const {
+        const Vec6 twist = newton_.cones.unit.pull_back(twist_);
+        return record.refute((1.0 / grasp::size(twist)) * twist, grasp::size(w));
+    }
+
+    Code newton(const Ask& ask, const Vec6& w, const Record& record) {
+        const Code begun = begin(ask, w);
+        if (begun == INFEASIBLE) return refuted(w, record);
+        if (begun == REFUSED) return REFUSED;
+        Code code = REFUSED;
+        if (begun == CONVERGED) {
+            begun_ = newton_.x;
+            code = newton_.descend_from(begun_, call_of(ask), w, record);
+        }
+        if (code == REFUSED) return used_ == Start::given ? REFUSED : general(ask, record);
+        if (code == STALLED && !studied(ask) && ready_general()) code = general_.phi_from(newton_.options, record);
+        return code;
+    }
+
+    Code flow(const Ask& ask, const Vec6& w, const Record& record) {
+        const Code begun = begin(ask, w);
+        if (begun == INFEASIBLE) return refuted(w, record);
+        if (begun != CONVERGED) return begun;
+        if (!flow_ready_) flow_ready_ = flow_->place(newton_.cones);
+        return flow_ready_ ? flow_->descend(newton_, call_of(ask), w, record) : REFUSED;
+    }
+
+    Code within_limits(const Ask& ask, const Vec6& w, const Record& record) {
+        auto& on = limited_->newton;
+        Call call = call_of(ask);
+        Code begun = CONVERGED;
+        used_ = asked(ask), replaced_ = outside_ = false;
+        if (used_ == Start::previous && load_previous(ask)) {
+            call.start = From::tangent, call.force = force_.data();
+            call.exceeding = Record(const_cast<double*>(ask.previous)).code() == LIMITS_EXCEEDED;
+        }
+        const bool follows = call.start == From::tangent;
+        const auto make = [&](const Vec6&, bool previous) {
+            begun = previous ? (carry(ask, w) ? CONVERGED : UNDECIDED) : follows ? (replaced_ = true, standard(ask, w)) : begin(ask, w);
+            if (begun == CONVERGED) on.x = newton_.x;
+            return begun == CONVERGED;
+        };
+        Code code = limited_->solve(call, record, make);
+        if (code != REFUSED) return code;
+        if (begun == INFEASIBLE) return refuted(w, record);
+        if (begun == REFUSED && used_ == Start::given) return REFUSED;
+        return general(ask, record);
+    }
+
+    Code soft(const Ask& ask, const Vec6& w, const Record& record) {
+        Call call = call_of(ask);
+        used_ = asked(ask), replaced_ = outside_ = false;
+        if (used_ == Start::given) return general(ask, record);
+        if (used_ == Start::previous && load_previous(ask)) {
+            const Record before(const_cast<double*>(ask.previous));
+            for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
+            call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
+        }
+        const bool follows = call.start == From::tangent;
+        const auto make = [&](const Vec6&) {
+            const Code begun = follows ? (replaced_ = true, standard(ask, w)) : begin(ask, w);
+            if (begun == CONVERGED) soft_->newton.x = newton_.x;
+            return begun == CONVERGED;
+        };
+        if (call.start != From::tangent) call.torsion = nullptr;
+        const Code code = soft_->solve(call, record, make);
+        return code == REFUSED ? general(ask, record) : code;
+    }
+
+    Code conic(const Ask& ask, const Vec6& w, const Record& record) {
+        used_ = Start::central, replaced_ = outside_ = false;
+        if (!rest(true)) {
+            if (search(w) == INFEASIBLE) return refuted(w, record);
+            return general(ask, record);
+        }
+        ready_conic();
+        conic_.solve(ask.wrench, record);
+        return ready_general() ? general_.conic_from(newton_.options, record) : record.code();
+    }
+
+    // The general program, from its own centre, a given force or the previous solution.
+    Code general(const Ask& ask, const Record& record) {
+        if (!ready_general()) return UNDECIDED;
+        by_general_ = true;
+        if (options_.method == Method::conic) {
+            used_ = Start::central;
+            general_.conic(ask.wrench, options_.criterion, newton_.options, record);
+        } else {
+            Call call = call_of(ask, From::combination);
+            const Start start = asked(ask);
+            replaced_ = false;
+            if (start == Start::given) {
+                for (int i = 0; i < now_.count; ++i) {
+                    std::copy_n(&ask.force[3 * chosen_[i]], 3, &force_[3 * i]);
+                    least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
+                }
+                call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
+            } else if (start == Start::previous && load_previous(ask)) {
+                const Record before(const_cast<double*>(ask.previous));
+                for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
+                call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
+            }
+            used_ = call.start == From::given ? Start::given : call.start == From::tangent ? Start::previous : Start::phase_one;
+            general_.phi(call, newton_.options, record);
+        }
+        if (options_.elastic && record.code() == INFEASIBLE) return general_.excess(newton_.options, record);
+        return record.code();
+    }
+
+    // --- the answer
+
+    // What `inner` holds, as a row of all contacts.
+    Code deliver(Code code, const Record& out) {
+        Summary& s = out.summary();
+        const int all = home_.count;
+        const bool whole = code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED;
+        if (!whole) {
+            std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);
+            if (code == INFEASIBLE) {
+                const Summary& from = inner().summary();
+                s.iterations = from.iterations, s.trials = from.trials, s.residual = from.residual, s.multipliers = from.multipliers;
+                s.objective = s.lower_bound = infinity, s.start = double(used_), s.replaced = replaced_;
+            }
+            s.code = code;
+            return code;
+        }
+        const Record from = inner();
+        const Vec6 wrench = s.wrench;
+        const double contacts = s.contacts, joints = s.joints, rows = s.limits;
+        s = from.summary();
+        s.code = code, s.wrench = wrench, s.contacts = contacts, s.joints = joints, s.limits = rows;
+        s.start = double(used_), s.replaced = replaced_, s.outside = outside_;
+        if (now_.count == all) {
+            std::copy_n(from.force(), 7 * all, out.force());
+            std::copy_n(now_.frames.data(), 9 * all, out.frames());
+        } else {
+            std::fill(out.force(), out.frames() + 9 * all, 0.0);
+            for (int i = 0; i < now_.count; ++i) {
+                const int to = chosen_[i];
+                std::copy_n(from.force() + 3 * i, 3, out.force() + 3 * to);
+                std::copy_n(from.initial_force() + 3 * i, 3, out.initial_force() + 3 * to);
+                out.torsion()[to] = from.torsion()[i];
+                std::copy_n(&now_.frames[9 * i], 9, out.frames() + 9 * to);
+            }
+        }
+        if (joints_) torques(from, out.torques());
+        if (limits_.rows) price(code, from, out);
+        return code;
+    }
+    void torques(const Record& from, double* to) const {
+        for (int j = 0; j < joints_; ++j) to[j] = bias_[j];
+        for (int i = 0; i < now_.count; ++i)
+            for (int a = 0; a < 4; ++a) {
+                const double force = a < 3 ? from.force()[3 * i + a] : from.torsion()[i];
+                for (int j = 0; j < joints_; ++j) to[j] += turned_[joints_ * (4 * i + a) + j] * force;
+            }
+    }
+    // The largest excess of a limit by the force that is returned, and the price of each.
+    void price(Code code, const Record& from, const Record& out) const {
+        double excess = 0.0, *to = out.prices();
+        std::fill_n(to, limits_.rows, 0.0);
+        const bool priced = code != LIMITS_EXCEEDED;
+        int row = 0;
+        const auto normals = [&](const std::vector<double>& limits, double sign) {
+            for (int i = 0, k = 0; i < int(limits.size()); ++i) {
+                const bool touches = k < now_.count && chosen_[k] == i;
+                if (touches) ++k;
+                if (!(limits[i] > 0.0 && limits[i] < infinity)) continue;
+                if (touches) {
+                    excess = std::max(excess, sign * (out.force()[3 * i] - limits[i]) / limits[i]);
+                    if (priced) *to = row_price(row, from);
+                    ++row;
+                }
+                ++to;
+            }
+        };
+        normals(limits_.min_normal, -1.0), normals(limits_.max_normal, 1.0);
+        for (int j = 0; j < joints_; ++j) {
+            const double limit = limits_.torque_limit[j];
+            if (!(limit < infinity)) continue;
+            const double over = std::abs(out.torques()[j]) - limit;
+            if (over > 0.0) excess = std::max(excess, over / limit);  // a limit of zero is exceeded by all of it
+            for (int side = 0; side < 2; ++side, ++row, ++to)
+                if (priced) *to = row_price(row, from);
+        }
+        out.summary().limit_excess = excess;
+    }
+    // Of the k-th row of the contacts of now: what an optimum's is.
+    double row_price(int k, const Record& from) const {
+        if (by_general_) return general_.prices()[k];
+        const int i = table_.owners[k];
+        double slack = table_.bounds[k];
+        for (int a = 0; a < 3; ++a) slack -= table_.normals[3 * k + a] * from.force()[3 * i + a] * now_.scale[3 * i + a];
+        return table_.weights[k] / (slack * slack * table_.sizes[k]);
+    }
+};
+
+}  // namespace grasp::detail
