@@ -113,7 +113,8 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "fit": {"results", "data", "compare"},
         "report": {"results", "compare"},
         "rl": {"results", "data"},
-        "reproduce": {"results"},
+        "pyramids": set(),
+        "reproduce": {"results", "pyramids"},
         "commands": {"results", "demo", "fit", "compare", "report", "rl", "reproduce", "live"},
     },
 }

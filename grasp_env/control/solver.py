@@ -25,7 +25,7 @@ class GeneralPipeline:
     def __init__(self, grasp: Grasp, options: dict[str, Any]) -> None:
         self.grasp = grasp
         self._optimizer = ForceOptimizer(grasp, **options)
-        self._starts = options["method"] not in ("conic", "linear")
+        self._starts = options["method"] != "conic"
         self.reference = reference_basis(grasp)
         self._repair = Repair(self._optimizer.objective)
         weights = {name: options[name] for name in ("force_weight", "barrier_weight")}
@@ -69,7 +69,7 @@ def make_pipeline(
     named = isinstance(initial_force, str) and initial_force in STARTS
     if named and config.method in PIPELINE_METHODS:
         return ForcePipeline(grasp, **options)
-    if config.method in ("conic", "linear"):
+    if config.method == "conic":
         options["initial"] = None
     return GeneralPipeline(grasp, options)
 

@@ -1,6 +1,6 @@
 """Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem.
 
-All methods but `linear`, and all starts, are the compiled core's; what needs scipy is imported when it is asked for.
+All methods and starts are the compiled core's; what needs scipy is imported when it is asked for.
 """
 
 from importlib import import_module
@@ -32,13 +32,11 @@ if TYPE_CHECKING:
     from grasp_env.force.closure import ForceClosure, force_closure
     from grasp_env.force.feasibility import Feasibility, phase_one
     from grasp_env.force.grasp_quality import Epsilon, GraspQuality, epsilon, quality, singular_values
-    from grasp_env.force.linear import LinearForces, linear_forces
     from grasp_env.force.worst_wrench import WorstCase, WrenchBall, worst_case
 
 _LATER = {
     "closure": ("ForceClosure", "force_closure"),
     "feasibility": ("Feasibility", "phase_one"),
-    "linear": ("LinearForces", "linear_forces"),
     "grasp_quality": ("Epsilon", "GraspQuality", "epsilon", "quality", "singular_values"),
     "worst_wrench": ("WorstCase", "WrenchBall", "worst_case"),
 }
@@ -77,7 +75,6 @@ __all__ = [
     "InitialForceRule",
     "Lagrange",
     "LinearCombination",
-    "LinearForces",
     "Objective",
     "OfflineBasis",
     "PhaseOne",
@@ -94,7 +91,6 @@ __all__ = [
     "force_closure",
     "initial_rule",
     "joint_torques",
-    "linear_forces",
     "optimize_force",
     "optimize_forces",
     "phase_one",

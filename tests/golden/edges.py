@@ -64,7 +64,6 @@ def _ends() -> list[Case]:
         ("newton", "sum"),
         ("conic", "sum"),
         ("conic", "max"),
-        ("linear", "sum"),
     ):
         for initial in (None, "phase_one") if method in ("reduced_flow", "newton") else (None,):
             options = {"method": method, "criterion": criterion, "initial": initial}
@@ -96,7 +95,7 @@ def _limits() -> list[Case]:
             "torque 0.3": limits_of(count, count, 0.3),
             "torque 0.05": limits_of(count, count, 0.05),
         }  # fmt: skip
-        for (label, limits), (method, criterion) in product(kinds.items(), (("newton", "sum"), ("conic", "sum"), ("conic", "max"), ("linear", "sum"))):  # fmt: skip
+        for (label, limits), (method, criterion) in product(kinds.items(), (("newton", "sum"), ("conic", "sum"), ("conic", "max"))):  # fmt: skip
             options = {"method": method, "criterion": criterion, "limits": limits}
             text = f"{method} {criterion}, {label}, {name}"
             out.append(Case(text, lambda g=GRASPS[name], o=options: solve(g, wanted, **o)))

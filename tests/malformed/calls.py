@@ -228,7 +228,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "advise": Call(advise, {"grasp": CUBOID}),
         "save_grasp": Call(save_grasp, {"grasp": CUBOID, "path": str(folder / "saved" / "grasp.json")}),
         "load_grasp": Call(load_grasp, {"path": str(folder / "none.json")}),
-        **{f"optimize_force, {method}": _solve(method) for method in ("reduced_flow", "newton", "conic", "linear")},
+        **{f"optimize_force, {method}": _solve(method) for method in ("reduced_flow", "newton", "conic")},
         "optimize_force, full_flow": _solve("full_flow", max_iterations=20),
         "optimize_force, max": _solve("conic", criterion="max"),
         "optimize_force, soft newton": _solve("newton", SOFT),
@@ -244,7 +244,7 @@ def calls(folder: Path) -> dict[str, Call]:
             f"ForceOptimizer.solve, {m}": Call(
                 _with(lambda m=m: _optimizer(m), "solve"), {"wrench": PAPER, "initial": None, "optimum": None, "trace": False}
             )
-            for m in ("reduced_flow", "newton", "conic", "linear")
+            for m in ("reduced_flow", "newton", "conic")
         },
         "ForceOptimizer.previous": Call(_after, {"previous": SOLVED, "solution": SOLVED}),
         "ForceSolution": Call(
@@ -331,7 +331,6 @@ def calls(folder: Path) -> dict[str, Call]:
         "contact_jacobian": Call(f.contact_jacobian, {"grasp": CUBOID, "object_frame_jacobian": JACOBIAN}),
         "force_closure": Call(f.force_closure, {"grasp": CUBOID, "limits": None}),
         "phase_one": Call(f.phase_one, {**state, "limits": None}),
-        "linear_forces": Call(f.linear_forces, {**state, "facets": 8, "limits": None}),
         "singular_values": Call(f.singular_values, {"grasp": CUBOID, "length": 0.05}),
         "epsilon": Call(f.epsilon, {"grasp": CUBOID, "length": 0.05, **worst}, 0.3),
         "quality": Call(_quality, {"grasp": CUBOID, **{k: v for k, v in worst.items() if k != "criterion"}}, 0.2),
