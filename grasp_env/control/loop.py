@@ -11,12 +11,11 @@ from grasp_env import core
 from grasp_env._check import Array, Indices
 from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
-from grasp_env.control.solver import GeneralPipeline, make_pipeline
+from grasp_env.control.solver import CompiledPipeline, GeneralPipeline, make_pipeline
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceLimits, ForceSolution, InitialForceRule, Objective, OfflineBasis, optimize_force
 from grasp_env.force.initial import rule_name
-from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.grasp.contact import contact_frames
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.sim.hand.kinematics import HandKinematics
@@ -52,7 +51,7 @@ class ContactSet:
     """
 
     fingers: Indices
-    pipeline: ForcePipeline | GeneralPipeline | None
+    pipeline: CompiledPipeline | GeneralPipeline | None
     squeeze: Array
     soft: bool = False
 
@@ -255,10 +254,7 @@ class ForceLoop:
             if adjustment is not None:
                 adjustment = self._projected(adjustment, made)
         try:
-            if adjustment is None and isinstance(made.pipeline, ForcePipeline):
-                self.solution = made.pipeline.solve_ready(points, normals, self.wrench)
-            else:
-                self.solution = made.pipeline.solve(points, normals, self.wrench, adjust=adjustment)
+            self.solution = made.pipeline.solve(points, normals, self.wrench, adjustment)
         except self._lost_closure:
             return self._took(None, made)
         self._core.give(Hold.optimised, self._core.mask, None)

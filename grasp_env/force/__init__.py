@@ -22,7 +22,6 @@ from grasp_env.force.limits import ForceLimits
 from grasp_env.force.methods import DESCENTS, METHODS
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
-from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.force.repair import Repair, carry_over, start_replaced
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep
@@ -68,7 +67,6 @@ __all__ = [
     "ForceClosure",
     "ForceLimits",
     "ForceOptimizer",
-    "ForcePipeline",
     "ForceSolution",
     "ForceSolutions",
     "GraspQuality",

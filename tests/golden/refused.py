@@ -18,7 +18,6 @@ from grasp_env.force import (
     FixedStep,
     ForceLimits,
     ForceOptimizer,
-    ForcePipeline,
     LinearCombination,
     Objective,
     initial_rule,
@@ -113,11 +112,6 @@ def _calls() -> dict[str, Callable[[], object]]:
         "batch, unequal grasps": lambda: optimize_forces([CUBOID, GRASPS["5 uneven"]], [PAPER, PAPER]),
         "batch of no grasps": lambda: optimize_forces([], np.empty((0, 6))),
         "batch of a text": lambda: optimize_forces(["cuboid"], [PAPER]),  # type: ignore[list-item]
-        "pipeline by conic": lambda: ForcePipeline(CUBOID, method="conic"),
-        "pipeline from single_value": lambda: ForcePipeline(CUBOID, initial="single_value"),
-        "pipeline on soft": lambda: ForcePipeline(SOFT),
-        "pipeline without closure": lambda: ForcePipeline(GRASPS["floor"]),
-        "pipeline, adjust of five": lambda: ForcePipeline(CUBOID).solve(points, normals, PAPER, adjust=np.zeros(5)),
     }  # fmt: skip
 
 

@@ -79,11 +79,6 @@ def _optimizer(method: str) -> f.ForceOptimizer:
 
 
 @cache
-def _pipeline() -> f.ForcePipeline:
-    return f.ForcePipeline(CUBOID, method="newton")
-
-
-@cache
 def _learned() -> LearnedInitialForce:
     return LearnedInitialForce.pretrained()
 
@@ -264,15 +259,6 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "optimize_forces, many grasps": Call(
             f.optimize_forces, {"grasps": [CUBOID, SOFT], "wrenches": np.tile(PAPER, (2, 1)), "method": "conic", "limits": None}
-        ),
-        "ForcePipeline": Call(
-            f.ForcePipeline,
-            {"grasp": CUBOID, "method": "newton", "initial": "previous", "force_weight": 1.0, "barrier_weight": 0.01,
-             "tolerance": 1e-4, "max_iterations": 500, "step_rule": None, "reference": None},
-        ),
-        "ForcePipeline.solve": Call(
-            _with(_pipeline, "solve"),
-            {"points": CUBOID.positions, "normals": CUBOID.normals, "wrench": PAPER, "adjust": np.full(6, 0.1)}, 3.0,
         ),
         "ForceLimits": Call(
             _rows, {"min_normal": 0.1, "max_normal": 9.0, "jacobian": JACOBIAN, "torque_limit": 2.0, "torque_bias": np.zeros(5)}, 3.0
