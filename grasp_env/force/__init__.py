@@ -25,7 +25,7 @@ from grasp_env.force.optimizer import ForceOptimizer, optimize_force
 from grasp_env.force.repair import Repair, carry_over, start_replaced
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep
-from grasp_env.force.torques import contact_jacobian, joint_torques
+from grasp_env.force.torques import joint_torques
 
 if TYPE_CHECKING:
     from grasp_env.force.closure import ForceClosure, force_closure
@@ -83,7 +83,6 @@ __all__ = [
     "WrenchBall",
     "carry_over",
     "cone_margin",
-    "contact_jacobian",
     "description_matrix",
     "epsilon",
     "force_closure",

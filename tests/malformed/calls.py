@@ -109,7 +109,7 @@ def _quality(**keywords: Any) -> Any:
 
 def _rows(**keywords: Any) -> Any:
     limits = f.ForceLimits(**keywords)
-    return limits.rows(CUBOID).bound, limits.slack(FORCE)[0]
+    return limits.rows(CUBOID).bound, limits.slack(CUBOID, FORCE)[0]
 
 
 def _ruled(**attributes: Any) -> Any:
@@ -275,7 +275,7 @@ def calls(folder: Path) -> dict[str, Call]:
             lambda wrench, **k: f.optimize_force(CUBOID, wrench, method="conic", limits=f.ForceLimits(**k)),
             {"wrench": PAPER, "min_normal": 0.1, "max_normal": 90.0, "jacobian": JACOBIAN, "torque_limit": 9.0}, 2.0,
         ),
-        "ForceLimits.slack": Call(f.ForceLimits(max_normal=5.0).slack, {"force": FORCE, "torsion": np.zeros(4)}),
+        "ForceLimits.slack": Call(f.ForceLimits(max_normal=5.0).slack, {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4)}),
         "ForceLimits.violations": Call(
             f.ForceLimits(max_normal=5.0).violations, {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4), "tolerance": 1e-9}
         ),
@@ -313,8 +313,7 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "description_matrix": Call(f.description_matrix, {"force": FORCE, "friction": CUBOID.friction}),
         "cone_margin": Call(f.cone_margin, {"force": FORCE, "friction": CUBOID.friction}),
-        "joint_torques": Call(f.joint_torques, {"jacobian": JACOBIAN, "force": FORCE, "bias": np.zeros(5), "torsion": None}),
-        "contact_jacobian": Call(f.contact_jacobian, {"grasp": CUBOID, "object_frame_jacobian": JACOBIAN}),
+        "joint_torques": Call(f.joint_torques, {"jacobian": JACOBIAN, "force": FORCE, "bias": np.zeros(5), "moment": None}),
         "force_closure": Call(f.force_closure, {"grasp": CUBOID, "limits": None}),
         "phase_one": Call(f.phase_one, {**state, "limits": None}),
         "singular_values": Call(f.singular_values, {"grasp": CUBOID, "length": 0.05}),
