@@ -65,15 +65,6 @@ def compiled(case: Case, passes: int, **options: Any) -> Answers:
     return best, python(case, 1, **options)[1]
 
 
-def pipeline(case: Case, passes: int, method: str) -> Answers:
-    """`ForcePipeline(grasp, method=method).solve(points, normals, wrench)` along the path."""
-    from grasp_env.force import ForcePipeline
-
-    made = ForcePipeline(case["grasp"], method=method)
-    path = zip(case["path_points"], case["path_normals"], case["path_wrenches"], strict=True)
-    return timed(passes, made.solve, list(path), made.reset)
-
-
 def making(case: Case, passes: int, name: str, third: Any) -> Answers:
     """A constructor of `Grasp` along the path."""
     path = zip(case["path_points"], case["path_normals"], strict=True)
@@ -90,11 +81,9 @@ ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
     ),
     "conic": ("conic to 1e-6, compiled call", lambda *given: compiled(*given, method="conic", tolerance=1e-6)),
     "conic_python": ("the same, ForceOptimizer.solve from Python", lambda *given: python(*given, method="conic", tolerance=1e-6)),
-    "pipeline_newton": ("moving contacts to certified force, ForcePipeline.solve by newton", lambda *given: pipeline(*given, method="newton")),
     "from_contacts": ("Grasp.from_contacts", lambda case, passes: making(case, passes, "from_contacts", case["friction"])),
     "unchecked": ("Grasp.unchecked", lambda case, passes: making(case, passes, "unchecked", case["grasp"].models)),
     "flow": ("the paper's flow, ForceOptimizer.solve", lambda *given: python(*given, method="reduced_flow")),
-    "pipeline_flow": ("moving contacts, ForcePipeline.solve by reduced_flow", lambda *given: pipeline(*given, method="reduced_flow")),
     "soft": ("soft contacts, newton to 1e-4, ForceOptimizer.solve", lambda *given: python(*given, grasp="soft", method="newton", tolerance=1e-4)),
     "max": ("least largest normal force, conic to 1e-6, ForceOptimizer.solve", lambda *given: python(*given, method="conic", criterion="max")),
 }  # fmt: skip

@@ -41,7 +41,7 @@ SIDE_BY_SIDE = 100_000_000
 """Most contacts that `Objective` takes at once: those of many grasps."""
 MASS = Range(1e-9, 1e9, "kg")
 CONTACTS = 1000
-"""Most contacts of a grasp; `linear` takes N^2 memory."""
+"""Most contacts of a grasp."""
 
 FORCE_WEIGHT = Range(1e-4, 1e4)
 """omega. Phi knows forces in units of sqrt(lambda / omega) only: 100 kN at the most."""
@@ -72,9 +72,6 @@ BALL = Range(1e-9, 1e9, "N or N m")
 STARTS = 10_000
 POINTS = 5000
 """Of the polytope of `worst_case`: in six dimensions its facets grow far faster than its points."""
-FACETS = 1000
-EDGES = 30_000_000
-"""Most numbers of the pyramids' edges, contacts^2 * facets."""
 
 NUMBERS = 100_000_000
 """Most numbers of any array that is given: 0.8 GB."""

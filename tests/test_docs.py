@@ -34,7 +34,6 @@ SHOWN_BY = {
     "grasp_env.force.ForceClosure": "grasp_env.force.force_closure",
     "grasp_env.force.ForceSolution": "grasp_env.force.optimize_force",
     "grasp_env.force.GraspQuality": "grasp_env.force.quality",
-    "grasp_env.force.LinearForces": "grasp_env.force.linear_forces",
     "grasp_env.force.Status": "grasp_env.force.optimize_force",
     "grasp_env.force.WorstCase": "grasp_env.force.worst_case",
 }

@@ -14,7 +14,7 @@ from grasp_env.config import EnvConfig
 from grasp_env.control.loop import ForceLoop
 from grasp_env.env import FourFingerGrasp
 from grasp_env.errors import shown
-from grasp_env.force import RULES, ForceOptimizer, ForcePipeline, initial_rule, optimize_force
+from grasp_env.force import RULES, ForceOptimizer, initial_rule, optimize_force
 from grasp_env.grasp import presets
 from grasp_env.sim import Camera, Client, HandDescription, HandKinematics, Scene
 from grasp_env.task import DISTURBANCES
@@ -48,7 +48,7 @@ def _objects() -> list[Any]:
     starts: list[Any] = [None, "previous", model, *rules, lambda grasp, wrench: np.ones((4, 3)), np.ones((4, 3))]
     config = EnvConfig().resolved()
     return [model, *rules, *RULES.values(), *(ForceOptimizer(grasp, method="newton", initial=start) for start in starts),
-            ForcePipeline(grasp), ZeroPolicy(), ForceLoop(config, model),
+            ZeroPolicy(), ForceLoop(config, model),
             HandKinematics(HandDescription.four_finger()), optimize_force(grasp, WRENCH, initial=model), grasp, config]  # fmt: skip
 
 

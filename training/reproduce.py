@@ -22,6 +22,7 @@ from grasp_env.force.description import METRIC
 from grasp_env.force.record import CODE, CONVERGED, ITERATIONS, LIMIT, TRIALS, record_size
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep, StepRule
 from grasp_env.grasp import Grasp, presets, wrench
+from training.pyramids import pyramid_forces
 from training.results.bars import progress
 from training.results.table import pd, table
 
@@ -293,11 +294,12 @@ def path(name: str, grasp: Grasp, fine: float) -> Rows:
         fine: time between samples [s]; the coarse ones are ten times as far apart.
     """
     times = np.arange(0.0, 2.0, fine)
-    methods = {"phi": ("newton", 1e-13), "conic": ("conic", None), "linear": ("linear", None)}
+    loads = wrench.paper_path(times)
     forces: dict[str, Array] = {}
-    for key, (method, tolerance) in methods.items():
+    for key, method, tolerance in (("phi", "newton", 1e-13), ("conic", "conic", None)):
         optimizer = ForceOptimizer(grasp, method=method, tolerance=tolerance)
-        forces[key] = np.array([optimizer.solve(load).force for load in wrench.paper_path(times)])
+        forces[key] = np.array([optimizer.solve(load).force for load in loads])
+    forces["linear"] = np.array([pyramid_forces(grasp, load) for load in loads])
     least = forces["conic"][:, :, 0].sum(axis=1)
     for key, values in forces.items():
         excess = values[:, :, 0].sum(axis=1) / least - 1.0

@@ -11,13 +11,11 @@ from grasp_env import core
 from grasp_env._check import Array, Indices
 from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
-from grasp_env.control.solver import GeneralPipeline, make_pipeline
+from grasp_env.control.solver import CompiledPipeline, GeneralPipeline, make_pipeline
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceLimits, ForceSolution, InitialForceRule, Objective, OfflineBasis, optimize_force
 from grasp_env.force.initial import rule_name
-from grasp_env.force.pipeline import ForcePipeline
-from grasp_env.grasp.contact import contact_frames
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
@@ -52,7 +50,7 @@ class ContactSet:
     """
 
     fingers: Indices
-    pipeline: ForcePipeline | GeneralPipeline | None
+    pipeline: CompiledPipeline | GeneralPipeline | None
     squeeze: Array
     soft: bool = False
 
@@ -255,10 +253,7 @@ class ForceLoop:
             if adjustment is not None:
                 adjustment = self._projected(adjustment, made)
         try:
-            if adjustment is None and isinstance(made.pipeline, ForcePipeline):
-                self.solution = made.pipeline.solve_ready(points, normals, self.wrench)
-            else:
-                self.solution = made.pipeline.solve(points, normals, self.wrench, adjust=adjustment)
+            self.solution = made.pipeline.solve(points, normals, self.wrench, adjustment)
         except self._lost_closure:
             return self._took(None, made)
         self._core.give(Hold.optimised, self._core.mask, None)
@@ -294,14 +289,17 @@ class ForceLoop:
     def limits(self, fingers: Indices) -> ForceLimits:
         """The motors' limits on the forces of some fingers (n,) at the contacts of now: what their links' weight leaves."""
         seen, kinematics = self.seen, self.scene.kinematics
-        jacobian = np.empty((len(fingers), 4, len(seen.angles)))
-        frames = seen.rotation @ contact_frames(seen.normals[fingers])
-        for row, finger, frame in zip(jacobian, fingers, frames, strict=True):
+        jacobian = np.empty((len(fingers), 6, len(seen.angles)))
+        _, y, z = seen.rotation.T
+        for row, finger in zip(jacobian, fingers, strict=True):
             link, touch = int(kinematics.tip_links[finger]), seen.touch[finger]
-            moves = kinematics.link_jacobian(seen.angles, link, touch)
-            row[:3] = frame.T @ moves
-            # omega . n = (omega x o) . (n x o), and n x o = t
-            row[3] = frame[:, 2] @ (kinematics.link_jacobian(seen.angles, link, touch + frame[:, 1]) - moves)
+            at, at_y, at_z = (
+                seen.rotation.T @ kinematics.link_jacobian(seen.angles, link, point)
+                for point in (touch, touch + y, touch + z)
+            )
+            row[:3] = at
+            # omega x y = (-omega_z, 0, omega_x), omega x z = (omega_y, -omega_x, 0)
+            row[3:] = (at_y - at)[2], (at_z - at)[0], (at - at_y)[0]
         return ForceLimits(
             jacobian=jacobian[:, :, kinematics.motors], torque_limit=kinematics.torque_limits[kinematics.motors],
             torque_bias=seen.gravity_torques[kinematics.motors],

@@ -69,7 +69,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
       force of least Phi between the linear combination and it.
     - "contact_force" (3N,): the contact forces themselves, no solver: per finger normal in [0, 2 `action_scale`], o and t in
       +-`action_scale`.
-    - "none" (1,): ignored. Controllers that do not optimise, and methods without a start (conic, linear), ignore "initial_force".
+    - "none" (1,): ignored. Controllers that do not optimise, and `conic`, which has no start, ignore "initial_force".
 
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:

@@ -1,6 +1,6 @@
 """Grasp-force optimisation: the paper's flows, their starts, Newton, the exact conic problem.
 
-All methods but `linear`, and all starts, are the compiled core's; what needs scipy is imported when it is asked for.
+All methods and starts are the compiled core's; what needs scipy is imported when it is asked for.
 """
 
 from importlib import import_module
@@ -22,23 +22,20 @@ from grasp_env.force.limits import ForceLimits
 from grasp_env.force.methods import DESCENTS, METHODS
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
-from grasp_env.force.pipeline import ForcePipeline
 from grasp_env.force.repair import Repair, carry_over, start_replaced
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep
-from grasp_env.force.torques import contact_jacobian, joint_torques
+from grasp_env.force.torques import joint_torques
 
 if TYPE_CHECKING:
     from grasp_env.force.closure import ForceClosure, force_closure
     from grasp_env.force.feasibility import Feasibility, phase_one
     from grasp_env.force.grasp_quality import Epsilon, GraspQuality, epsilon, quality, singular_values
-    from grasp_env.force.linear import LinearForces, linear_forces
     from grasp_env.force.worst_wrench import WorstCase, WrenchBall, worst_case
 
 _LATER = {
     "closure": ("ForceClosure", "force_closure"),
     "feasibility": ("Feasibility", "phase_one"),
-    "linear": ("LinearForces", "linear_forces"),
     "grasp_quality": ("Epsilon", "GraspQuality", "epsilon", "quality", "singular_values"),
     "worst_wrench": ("WorstCase", "WrenchBall", "worst_case"),
 }
@@ -70,14 +67,12 @@ __all__ = [
     "ForceClosure",
     "ForceLimits",
     "ForceOptimizer",
-    "ForcePipeline",
     "ForceSolution",
     "ForceSolutions",
     "GraspQuality",
     "InitialForceRule",
     "Lagrange",
     "LinearCombination",
-    "LinearForces",
     "Objective",
     "OfflineBasis",
     "PhaseOne",
@@ -88,13 +83,11 @@ __all__ = [
     "WrenchBall",
     "carry_over",
     "cone_margin",
-    "contact_jacobian",
     "description_matrix",
     "epsilon",
     "force_closure",
     "initial_rule",
     "joint_torques",
-    "linear_forces",
     "optimize_force",
     "optimize_forces",
     "phase_one",

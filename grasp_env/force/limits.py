@@ -25,7 +25,7 @@ class LimitArrays(NamedTuple):
     Attributes:
         min_normal: (N,) [N].
         max_normal: (N,) [N], inf where unlimited.
-        jacobian: (N, 4, J) contact frames, the torsion's row zero unless given; J = 0 without torque limits.
+        jacobian: (N, 6, J) as given, angular velocities zero unless given; J = 0 without torque limits.
         torque_limit: (J,) [N m], inf where unlimited.
         torque_bias: (J,) tau_0 [N m].
     """
@@ -72,8 +72,8 @@ class ForceLimits:
     Attributes:
         min_normal: >= 0 [N], at most 1e6, one for all contacts or (N,).
         max_normal: > min_normal [N], one or (N,), 1e-12 to 1e12; inf: no limit.
-        jacobian: (N, 3, J) or (3N, J), joint speeds -> contact point velocities in contact frames; (N, 4, J) with the
-            angular velocity about the normal for soft contacts. See `contact_jacobian`.
+        jacobian: (N, 3, J) or (3N, J), joint speeds -> velocities of the contact points, in the frame of the contacts' positions;
+            (N, 6, J) with the fingertips' angular velocities in rows 3 to 5, for soft contacts. As in `joint_torques`.
         torque_limit: > 0 [N m], one for all joints or (J,), 1e-12 to 1e12; inf: no limit. Given exactly when `jacobian` is.
         torque_bias: (J,) tau_0 [N m], torques that act besides the grasp's (the hand's weight); None: zero.
 
@@ -83,7 +83,7 @@ class ForceLimits:
     Example:
         >>> from grasp_env.grasp import presets
         >>> limits = ForceLimits(max_normal=[5, 3, 3])
-        >>> limits.slack([[4, 0, 0], [2, 0, 0], [2, 0, 0]])
+        >>> limits.slack(presets.tripod(), [[4, 0, 0], [2, 0, 0], [2, 0, 0]])
         LimitSlack(min_normal=2.0, max_normal=1.0, torque=inf)
         >>> limits.violations(presets.tripod(), [[4, 0, 0], [2, 0, 0], [3.5, 0, 0]])
         ['contact 2: normal <= 3 N is exceeded by 0.5']
@@ -146,24 +146,25 @@ class ForceLimits:
             each[name] = np.broadcast_to(value, (n_contacts,)).copy()
         if self.jacobian is None:
             nothing = np.zeros(0)
-            return LimitArrays(**each, jacobian=np.zeros((n_contacts, 4, 0)), torque_limit=nothing, torque_bias=nothing)
+            return LimitArrays(**each, jacobian=np.zeros((n_contacts, 6, 0)), torque_limit=nothing, torque_bias=nothing)
         given = checked_jacobian(self.jacobian, n_contacts)
-        jac = np.zeros((n_contacts, 4, given.shape[2]))
+        jac = np.zeros((n_contacts, 6, given.shape[2]))
         jac[:, : given.shape[1]] = given
         return LimitArrays(
             **each, jacobian=jac, torque_limit=np.array(self.torque_limit), torque_bias=np.array(self.torque_bias)
         )
 
-    def slack(self, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
+    def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
         """How far forces are from the limits.
 
         Args:
+            grasp: the contacts.
             force: (N, 3) [N]: normal, o, t.
             torsion: (N,) [N m]; None: none.
         """
-        least, most, jac, limit, bias = self.checked(len(as_array(force, (None, 3), "force", ranges.SIZE)))
-        forces = _with_torsion(force, torsion)
-        torque = np.einsum("nij,ni->j", jac, forces) + bias
+        least, most, jac, limit, bias = self.checked(as_grasp(grasp).n_contacts)
+        forces = _with_torsion(grasp, force, torsion)
+        torque = np.einsum("nij,ni->j", _in_contact_frames(grasp, jac), forces) + bias
         return LimitSlack(
             float((forces[:, 0] - least).min(initial=np.inf)),
             float((most - forces[:, 0]).min(initial=np.inf)),
@@ -194,7 +195,7 @@ class ForceLimits:
             labels += [f"joint {j}: torque {word}{limit[j]:g} N m" for word in ("<= ", ">= -")]
         room = 2 * (count + len(limit))
         matrix, bound, limited = np.empty((room, count, 4)), np.empty(room), np.empty(room)
-        made = core.limit_rows(least, most, jac, limit, bias, matrix, bound, limited)
+        made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, limited)
         assert made == len(labels)
         transmitted = np.ones((count, 4))
         transmitted[:, :3] = grasp.models.cone_scale > 0.0
@@ -215,7 +216,7 @@ class ForceLimits:
         """
         matrix, bound, labels = self.rows(grasp)
         tolerance = number(tolerance, "tolerance", ranges.NOT_NEGATIVE)
-        forces = _with_torsion(as_array(force, (grasp.n_contacts, 3), "force"), torsion)
+        forces = _with_torsion(grasp, force, torsion)
         excess = matrix @ forces.reshape(-1) - bound
         return [f"{labels[k]} is exceeded by {excess[k]:.3g}" for k in np.flatnonzero(excess > tolerance)]
 
@@ -225,9 +226,16 @@ def as_limits(value: object) -> ForceLimits | None:
     return instance(value, ForceLimits, "limits", or_none=True)
 
 
-def _with_torsion(force: ArrayLike, torsion: ArrayLike | None) -> Array:
+def _in_contact_frames(grasp: Grasp, jacobian: Array) -> Array:
+    """(N, 4, J) from (N, 6, J): velocities along (normal, o, t), and the angular velocity about the normal."""
+    turned = np.einsum("nik,nij->nkj", grasp.frames, jacobian[:, :3])
+    about = np.einsum("ni,nij->nj", grasp.normals, jacobian[:, 3:])
+    return np.concatenate([turned, about[:, None]], axis=1)
+
+
+def _with_torsion(grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None) -> Array:
     """(N, 4): normal, o, t, torsion."""
-    forces = as_array(force, (None, 3), "force", ranges.SIZE)
+    forces = as_array(force, (grasp.n_contacts, 3), "force", ranges.SIZE)
     twist = np.zeros(len(forces)) if torsion is None else as_array(torsion, (len(forces),), "torsion", ranges.SIZE)
     return np.column_stack([forces, twist])
 

@@ -5,7 +5,6 @@
 | reduced_flow, full_flow | Phi by the paper's gradient flows | hard, elliptic, frictionless |
 | newton | Phi by Newton | all, further limits |
 | conic | least sum, or least maximum, of normal forces | all, further limits |
-| linear | the same sum over friction pyramids, by HiGHS | all, further limits |
 
 What the core solves contact by contact is in `hard_methods.py`, `newton` within limits in `limits_method.py`, with soft contacts in
 `soft_method.py`. What hard contacts do not need is imported where it is asked for.
@@ -25,8 +24,8 @@ from grasp_env.grasp.grasp import Grasp
 
 DESCENTS = ("reduced_flow", "full_flow", "newton")
 """Methods on Phi: they take a start, a known optimum and a trace."""
-METHODS = (*DESCENTS, "conic", "linear")
-"""What `method` may be; those besides start from their own centre."""
+METHODS = (*DESCENTS, "conic")
+"""What `method` may be; `conic` starts from its own centre."""
 
 
 def make_method(grasp: Grasp, settings: Settings) -> Method:
@@ -62,6 +61,6 @@ def make_method(grasp: Grasp, settings: Settings) -> Method:
         method = soft_newton(grasp, settings)
         if method is not None:
             return method
-    from grasp_env.force.program_methods import Linear, ProgramConic, ProgramNewton
+    from grasp_env.force.program_methods import ProgramConic, ProgramNewton
 
-    return {"newton": ProgramNewton, "conic": ProgramConic, "linear": Linear}[settings.method](grasp, settings)
+    return (ProgramNewton if settings.method == "newton" else ProgramConic)(grasp, settings)

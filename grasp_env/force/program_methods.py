@@ -1,4 +1,4 @@
-"""Methods for soft contacts, further limits and grasps without force closure, and the linear program for comparison."""
+"""Methods for soft contacts, further limits and grasps without force closure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env._check import Array, Wrench, is_a
-from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, NotConvergedError, UnsupportedProblemError
+from grasp_env.errors import InfeasibleStartError, NotConvergedError, UnsupportedProblemError
 from grasp_env.force.feasibility import Feasibility, answer
 from grasp_env.force.initial import InitialForceRule, asked, rule_name
 from grasp_env.force.method import (
@@ -24,22 +24,13 @@ from grasp_env.force.method import (
 )
 from grasp_env.force.program import ForceProgram
 from grasp_env.force.record import (
-    BOUND,
     CODE,
-    CONVERGED,
     FORCE,
     INFEASIBLE,
     ITERATIONS,
-    MARGIN,
-    MULTIPLIERS,
-    OBJECTIVE,
     REFUSED,
-    RESIDUAL,
-    STALLED,
-    WRENCH,
-    record_size,
 )
-from grasp_env.force.solution import ForceSolution, Status
+from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
 NO_PRICES = np.empty(0)
@@ -196,47 +187,3 @@ class ProgramNewton(_Program):
         found = self.feasible(wrench, "previous")
         assert found.force is not None
         return Start("previous", found.force, found.torsion)
-
-
-class Linear(OwnStart):
-    """The classical pyramid program by HiGHS, for comparison."""
-
-    def __init__(self, grasp: Grasp, settings: Settings) -> None:
-        self.grasp, self.settings = grasp, settings
-        self.program = ForceProgram(grasp, settings.limits)
-
-    def loop(self, initial: Any) -> Loop | None:
-        """None: HiGHS is no control loop's."""
-        return None
-
-    def run(self, wrench: Wrench, start: Start | None, optimum: float, trace: bool) -> ForceSolution:
-        """See `Method`. Optimal for the pyramids; no lower bound for the cones.
-
-        Raises:
-            InfeasibleWrenchError: no force balances the wrench.
-        """
-        from grasp_env.force.linear import linear_forces  # scipy: only for who asks
-
-        refuse("linear", start, optimum, trace)
-        found = linear_forces(self.grasp, wrench, limits=self.settings.limits)
-        if found.status is Status.INFEASIBLE:
-            proof = answer(self.program, wrench)
-            if proof.certificate is not None:
-                raise infeasible_error(self.grasp, wrench, "linear", "none", proof.certificate)
-            raise InfeasibleWrenchError(
-                f"no force inside the friction pyramids balances wrench {wrench.tolist()}, one inside the cones does: "
-                "use method='conic'"
-            )
-        count = self.grasp.n_contacts
-        record = np.zeros(record_size(count))
-        z = self.program.variables(found.force, found.torsion)
-        # the dual of the pyramids says nothing about the cones: no bound
-        record[CODE] = STALLED if found.status is Status.STALLED else CONVERGED
-        record[OBJECTIVE], record[BOUND] = found.objective, -np.inf
-        record[MARGIN], record[RESIDUAL] = self.grasp.cone_margin(found.force), self.program.residual(z, wrench)
-        record[WRENCH : WRENCH + 6] = wrench
-        record[MULTIPLIERS : MULTIPLIERS + 6] = found.multipliers
-        record[FORCE : FORCE + 3 * count] = found.force.reshape(-1)
-        record[FORCE + 3 * count : FORCE + 6 * count] = found.force.reshape(-1)
-        record[FORCE + 6 * count :] = found.torsion
-        return ForceSolution(record, "linear", "none")

@@ -151,12 +151,12 @@ class ForceSolution(Solution):
 
     @property
     def objective(self) -> float:
-        """Phi of `force`; of `conic` and `linear` sum [N] or maximum [N] of the normal forces; else `limit_excess`, where it is > 0."""
+        """Phi of `force`; of `conic` sum [N] or maximum [N] of the normal forces; else `limit_excess`, where it is > 0."""
         return float(self._record[OBJECTIVE])
 
     @property
     def lower_bound(self) -> float:
-        """A dual bound: no balanced force has a smaller objective (-inf: none, as for `linear`); with `optimum` given, that."""
+        """A dual bound: no balanced force has a smaller objective (-inf: none); with `optimum` given, that."""
         return float(self._record[BOUND])
 
     @property

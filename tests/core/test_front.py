@@ -37,11 +37,12 @@ def numbers(line: str) -> list[float]:
 
 
 def jacobian() -> np.ndarray:
+    """In the object's frame; the program has it in the contacts' frames."""
     own = np.zeros((4, 3, 12))
     a, j = np.indices((3, 3))
     for i in range(4):
         own[i, :, 3 * i : 3 * i + 3] = 0.02 + 0.01 * ((a + 2 * j) % 3)
-    return own
+    return presets.paper_cuboid().frames @ own
 
 
 LIMITS = ForceLimits(0.5, 6.0, jacobian(), 0.25)

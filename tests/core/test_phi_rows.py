@@ -34,7 +34,7 @@ def soft(base: Grasp, models: list[str]) -> Grasp:
 
 
 def torque_limits(count: int) -> ForceLimits:
-    jacobian = 0.05 * np.random.default_rng(6).standard_normal((count, 4, 3))
+    jacobian = 0.05 * np.random.default_rng(6).standard_normal((count, 6, 3))
     return ForceLimits(min_normal=0.05, max_normal=12.0, jacobian=jacobian, torque_limit=1.5)
 
 

@@ -53,7 +53,7 @@ def fingers(count: int) -> np.ndarray:
 
 MIXED = ["hard", "soft", "hard", "frictionless", "soft"]
 OWN = ForceLimits(min_normal=[0.2, 0.0, 0.3, 0.1], max_normal=[9.0, 5.0, np.inf, 5.0])
-COUPLED = ForceLimits(0.05, 8.0, jacobian(5, 4), 0.9)
+COUPLED = ForceLimits(0.05, 8.0, jacobian(5, 6), 0.9)
 CASES = {
     "hard, 3": (GRASPS["tripod, uneven"], None),
     "hard, 4": (CUBOID, None),

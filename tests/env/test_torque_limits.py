@@ -114,9 +114,10 @@ def planar(coupled: bool) -> HandDescription:
 
 def left_open(loop: ForceLoop) -> np.ndarray:
     """Forces (3N, K) that take no torque and move nothing: what balance and motors do not determine."""
-    matrix = Grasp.from_contacts(loop.seen.points, loop.seen.normals, 1.0).matrix
-    torques = np.asarray(loop.limits(np.arange(loop.count)).jacobian)[:, :3].reshape(3 * loop.count, -1).T
-    return null_space(np.vstack([matrix, torques]), rcond=1e-6)
+    grasp = Grasp.from_contacts(loop.seen.points, loop.seen.normals, 1.0)
+    jacobian = np.asarray(loop.limits(np.arange(loop.count)).jacobian)[:, :3]
+    torques = np.einsum("nik,nij->jnk", grasp.frames, jacobian).reshape(-1, 3 * loop.count)
+    return null_space(np.vstack([grasp.matrix, torques]), rcond=1e-6)
 
 
 @pytest.mark.parametrize("engine", [BulletEngine(solver_iterations=500), "mujoco"])

@@ -66,7 +66,7 @@ class Reference:
         self.count = count = len(points)
         self.centre = points.mean(axis=0)
         self.length = float(np.sqrt(((points - self.centre) ** 2).sum() / count))
-        frames = contact_frames(normals, tangents)
+        self.frames = frames = contact_frames(normals, tangents)
         names = np.array(grasp.models.names)
         self.mu = np.where((names != "frictionless")[:, None], grasp.models.friction, 0.0)
         self.gamma = np.where(names == "soft", grasp.models.torsional_friction, 0.0)
@@ -99,9 +99,11 @@ class Reference:
                         bound.append(sign * value)
             if limits.jacobian is not None:
                 given = np.asarray(limits.jacobian)
-                jac = np.zeros((self.count, 4, given.shape[-1]))
                 given = given.reshape(self.count, -1, given.shape[-1])
-                jac[:, : given.shape[1]] = given
+                jac = np.zeros((self.count, 4, given.shape[-1]))
+                jac[:, :3] = self.frames.transpose(0, 2, 1) @ given[:, :3]
+                if given.shape[1] == 6:
+                    jac[:, 3] = (self.frames[:, None, :, 0] @ given[:, 3:])[:, 0]
                 for j, most_torque in enumerate(np.asarray(limits.torque_limit)):
                     for sign in (1.0, -1.0):
                         if np.isfinite(most_torque):
@@ -380,7 +382,7 @@ def random_limits(rng: np.random.Generator, grasp: Grasp, size: float) -> ForceL
         given["min_normal"] = 0.3 * np.min(given.get("max_normal", size)) * rng.uniform()
     if rng.random() < 0.6:
         joints = int(rng.integers(1, 7))
-        given["jacobian"] = grasp.length * rng.standard_normal((count, int(rng.choice([3, 4])), joints))
+        given["jacobian"] = grasp.length * rng.standard_normal((count, int(rng.choice([3, 6])), joints))
         given["torque_limit"] = size * grasp.length * 10.0 ** rng.uniform(-0.3, 1.5, joints)
         if rng.random() < 0.5:
             given["torque_bias"] = 0.1 * given["torque_limit"] * rng.uniform(-1.0, 1.0, joints)

@@ -46,7 +46,7 @@ PROBLEMS = {
     "hard, torques, bias": (
         CUBOID, LOAD, ForceLimits(jacobian=jacobian(), torque_limit=[0.5, 0.4, np.inf, 0.4, 0.6], torque_bias=[0.1, 0, 0, -0.05, 0.1]),
     ),
-    "soft, torsion in the torques": (soft(), LOAD, ForceLimits(jacobian=jacobian(rows=4), torque_limit=0.4)),
-    "all": (mixed(), LOAD, ForceLimits(0.05, 8.0, jacobian(5, 4), 0.9)),
+    "soft, torsion in the torques": (soft(), LOAD, ForceLimits(jacobian=jacobian(rows=6), torque_limit=0.4)),
+    "all": (mixed(), LOAD, ForceLimits(0.05, 8.0, jacobian(5, 6), 0.9)),
 }  # fmt: skip
 NAMES = list(PROBLEMS)

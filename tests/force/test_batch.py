@@ -151,7 +151,7 @@ def test_infeasible_within_limits_keep_their_proof() -> None:
     assert again[30].status is Status.INFEASIBLE
 
 
-@pytest.mark.parametrize("method", ["newton", "conic", "linear"])
+@pytest.mark.parametrize("method", ["newton", "conic"])
 def test_infeasible_wrenches_get_a_status_and_keep_their_proof(method: str) -> None:
     floor = Grasp.from_contacts([[0.03, 0, 0], [-0.03, 0.02, 0], [-0.02, -0.03, 0]], [[0.0, 0.0, 1.0]] * 3, 0.4)
     loads = np.array([[0, 0, -2.0, 0, 0, 0], [0, 0, 2.0, 0, 0, 0]])

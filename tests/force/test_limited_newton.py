@@ -318,7 +318,7 @@ def test_starts() -> None:
 
 def test_iteration_limits_never_leave_the_limits() -> None:
     rng = np.random.default_rng(7)
-    limits = ForceLimits(jacobian=own_joints(rng, 4), torque_limit=0.25)
+    limits = ForceLimits(jacobian=CUBOID.frames @ own_joints(rng, 4), torque_limit=0.25)
     ends = set()
     for most in range(12):
         found = outcome(ForceOptimizer(CUBOID, method="newton", limits=limits, max_iterations=most), LOAD)

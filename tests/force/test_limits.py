@@ -29,7 +29,7 @@ def _transmitted(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 def test_rows_say_what_slack_says() -> None:
     rng = np.random.default_rng(0)
     grasp = _soft(rng)
-    jac = rng.standard_normal((4, 4, 3))
+    jac = rng.standard_normal((4, 6, 3))
     limits = ForceLimits([0.1, 0, 0.2, 0.3], [1, np.inf, 2, 3], jac, [0.5, np.inf, 1.5], [0.1, 0.2, -0.3])
     matrix, bound, labels = limits.rows(grasp)
     assert matrix.shape == (3 + 3 + 4, 16)
@@ -42,11 +42,12 @@ def test_rows_say_what_slack_says() -> None:
     for _ in range(200):
         force, torsion = _transmitted(rng)
         room = bound - matrix @ np.column_stack([force, torsion]).reshape(-1)
-        slack = limits.slack(force, torsion)
+        slack = limits.slack(grasp, force, torsion)
         # contact 1 has the least normal force 0, which is the cone's own limit and no row
         assert slack.min_normal == pytest.approx(min(room[:3].min(), force[1, 0]), abs=1e-14)
         assert slack.max_normal == pytest.approx(room[3:6].min(), abs=1e-14)
-        tau = joint_torques(jac, force, [0.1, 0.2, -0.3], torsion=torsion)
+        moment = torsion[:, None] * grasp.normals
+        tau = joint_torques(jac, grasp.to_object_frame(force), [0.1, 0.2, -0.3], moment=moment)
         assert slack.torque == pytest.approx((np.array([0.5, np.inf, 1.5]) - np.abs(tau)).min(), abs=1e-13)
         assert slack.torque == pytest.approx(room[6:].min(), abs=1e-13)
         violated = limits.violations(grasp, force, torsion)
@@ -57,20 +58,30 @@ def test_rows_say_what_slack_says() -> None:
 
 def test_columns_of_what_is_not_transmitted_are_zero() -> None:
     rng = np.random.default_rng(1)
-    matrix = ForceLimits(jacobian=rng.standard_normal((4, 4, 3)), torque_limit=1.0).rows(_soft(rng)).matrix
+    matrix = ForceLimits(jacobian=rng.standard_normal((4, 6, 3)), torque_limit=1.0).rows(_soft(rng)).matrix
     used = np.abs(matrix).max(axis=0).reshape(4, 4) > 0.0
     np.testing.assert_array_equal(used, np.array([[1, 1, 1, 0], [1, 1, 1, 1], [1, 0, 0, 0], [1, 1, 1, 1]], dtype=bool))
     three = ForceLimits(jacobian=rng.standard_normal((4, 3, 3)), torque_limit=1.0).rows(_soft(rng)).matrix
     assert (three[:, 3::4] == 0.0).all()
 
 
+def test_limits_do_not_hang_on_the_tangents() -> None:
+    plain = presets.tripod()
+    turned = Grasp.from_contacts(plain.positions, plain.normals, 0.5, tangents=np.tile([0.1, 0.2, 3.0], (3, 1)))
+    rng = np.random.default_rng(3)
+    limits = ForceLimits(jacobian=rng.standard_normal((3, 3, 2)), torque_limit=1.0)
+    force = rng.standard_normal((3, 3))
+    slacks = [limits.slack(grasp, grasp.to_contact_frame(force)).torque for grasp in (plain, turned)]
+    assert slacks[0] == pytest.approx(slacks[1], rel=1e-13)
+
+
 def test_no_limits() -> None:
     limits = ForceLimits()
     assert limits.rows(presets.tripod()).matrix.shape == (0, 12)
-    assert limits.slack(np.ones((3, 3))) == (1.0, np.inf, np.inf)
+    assert limits.slack(presets.tripod(), np.ones((3, 3))) == (1.0, np.inf, np.inf)
     assert limits.violations(presets.tripod(), -np.ones((3, 3))) == []
     checked = limits.checked(3)
-    assert checked.jacobian.shape == (3, 4, 0)
+    assert checked.jacobian.shape == (3, 6, 0)
     np.testing.assert_array_equal(checked.max_normal, [np.inf] * 3)
 
 
@@ -140,16 +151,16 @@ def test_limits_of_another_number_of_contacts(limits: ForceLimits, message: str)
     for call in (
         lambda: limits.checked(4),
         lambda: limits.rows(presets.paper_cuboid()),
-        lambda: limits.slack(np.ones((4, 3))),
+        lambda: limits.slack(presets.paper_cuboid(), np.ones((4, 3))),
     ):
         with pytest.raises(InvalidInputError, match=message):
             call()
 
 
 def test_wrong_forces() -> None:
-    with pytest.raises(InvalidInputError, match=r"force must have shape \(N, 3\)"):
-        ForceLimits().slack(np.ones(3))
+    with pytest.raises(InvalidInputError, match=r"force must have shape \(3, 3\)"):
+        ForceLimits().slack(presets.tripod(), np.ones(3))
     with pytest.raises(InvalidInputError, match=r"force must have shape \(3, 3\)"):
         ForceLimits().violations(presets.tripod(), np.ones((4, 3)))
     with pytest.raises(InvalidInputError, match=r"torsion must have shape \(3,\)"):
-        ForceLimits().slack(np.ones((3, 3)), np.ones(2))
+        ForceLimits().slack(presets.tripod(), np.ones((3, 3)), np.ones(2))

@@ -11,7 +11,6 @@ import pytest
 from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force import (
     ForceOptimizer,
-    ForcePipeline,
     OfflineBasis,
     Repair,
     Status,
@@ -118,8 +117,3 @@ def test_arrays_may_lie_in_any_order():
         np.testing.assert_array_equal(
             optimize_force(plain, loads[0], method="newton", initial=asked).force, known.force
         )
-    for method in ("newton", "reduced_flow"):
-        pipeline = ForcePipeline(plain, method=method)
-        known = pipeline.solve(plain.positions, plain.normals, loads[0])
-        asked = pipeline.solve(turned(plain.positions), turned(plain.normals), loads[0])
-        np.testing.assert_array_equal(asked.force, known.force)

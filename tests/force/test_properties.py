@@ -209,7 +209,7 @@ def test_limits_that_do_not_bind_change_nothing(seed: int, kind: str, criterion:
     grasp, wrench, rng = case(seed, kind)
     free = least(grasp, wrench, criterion=criterion)
     jac = grasp.length * rng.standard_normal((grasp.n_contacts, 3, 4))
-    torque = np.abs(np.einsum("nij,ni->j", jac, free.force)).max()
+    torque = np.abs(np.einsum("nij,ni->j", jac, grasp.to_object_frame(free.force))).max()
     limits = ForceLimits(
         max_normal=2.0 * float(free.force[:, 0].max()), jacobian=jac, torque_limit=2.0 * torque + 1e-3 * grasp.length
     )

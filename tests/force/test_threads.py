@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from grasp_env.force import ForceLimits, ForceOptimizer, ForcePipeline, ForceSolution, optimize_forces
+from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, optimize_forces
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import sample_ball
 
@@ -71,17 +71,6 @@ def test_one_optimizer_that_remembers() -> None:
             np.testing.assert_array_equal(solution.wrench, LOADS[k])
             assert solution.equilibrium_residual < 1e-9
             assert solution.optimality_gap <= 1e-4
-
-
-def test_pipelines_side_by_side() -> None:
-    def walk(seed: int) -> np.ndarray:
-        rng, pipeline = np.random.default_rng(seed), ForcePipeline(GRASP, method="newton", initial="previous")
-        moved = GRASP.positions + 1e-3 * rng.standard_normal((50, *GRASP.positions.shape))
-        return np.array([pipeline.solve(p, GRASP.normals, w).force for p, w in zip(moved, LOADS, strict=False)])
-
-    alone = [walk(seed) for seed in range(8)]
-    with ThreadPoolExecutor(8) as pool:
-        np.testing.assert_array_equal(list(pool.map(walk, range(8))), alone)
 
 
 @pytest.mark.parametrize("method", ["newton", "conic", "reduced_flow"])

@@ -5,8 +5,8 @@ import pytest
 from problems import random_grasp
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.force.torques import contact_jacobian, joint_torques
-from grasp_env.grasp import Grasp, presets
+from grasp_env.force.torques import joint_torques
+from grasp_env.grasp import presets
 
 
 def _hand(rng: np.random.Generator, count: int, joints: int) -> np.ndarray:
@@ -22,9 +22,9 @@ def test_torques_do_the_power_of_the_forces() -> None:
         force, torsion, speed = rng.standard_normal((4, 3)), rng.standard_normal(4), rng.standard_normal(5)
         in_object = np.einsum("nij,nj->ni", grasp.frames, force)
         power = sum(float(in_object[k] @ (jac[k, :3] @ speed)) for k in range(4))
-        assert joint_torques(contact_jacobian(grasp, jac[:, :3]), force) @ speed == pytest.approx(power, rel=1e-12)
+        assert joint_torques(jac[:, :3], in_object) @ speed == pytest.approx(power, rel=1e-12)
         twisting = sum(float(torsion[k] * grasp.normals[k] @ (jac[k, 3:] @ speed)) for k in range(4))
-        tau = joint_torques(contact_jacobian(grasp, jac), force, torsion=torsion)
+        tau = joint_torques(jac, in_object, moment=torsion[:, None] * grasp.normals)
         assert tau @ speed == pytest.approx(power + twisting, rel=1e-11, abs=1e-12)
 
 
@@ -36,7 +36,7 @@ def test_a_wrench_seen_from_the_joints() -> None:
     for k, (x, y, z) in enumerate(grasp.positions):
         base[k, :, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # omega x p
     force = np.random.default_rng(1).standard_normal((4, 3))
-    np.testing.assert_allclose(joint_torques(contact_jacobian(grasp, base), force), grasp.wrench(force), atol=1e-14)
+    np.testing.assert_allclose(joint_torques(base, grasp.to_object_frame(force)), grasp.wrench(force), atol=1e-14)
 
 
 def test_shapes_and_bias() -> None:
@@ -46,18 +46,15 @@ def test_shapes_and_bias() -> None:
     np.testing.assert_array_equal(joint_torques(jac.reshape(12, 2), force), plain)
     np.testing.assert_allclose(plain, jac.reshape(12, 2).T @ force.reshape(-1), atol=1e-14)
     np.testing.assert_array_equal(joint_torques(jac, force, bias), plain + bias)
-    four = np.concatenate([jac, rng.standard_normal((4, 1, 2))], axis=1)
-    np.testing.assert_array_equal(joint_torques(four, force), plain)  # no torsion, no torque of it
-    np.testing.assert_array_equal(
-        contact_jacobian(presets.paper_cuboid(), jac.reshape(12, 2)), contact_jacobian(presets.paper_cuboid(), jac)
-    )
+    six = np.concatenate([jac, rng.standard_normal((4, 3, 2))], axis=1)
+    np.testing.assert_array_equal(joint_torques(six, force), plain)  # no moment, no torque of it
 
 
 @pytest.mark.parametrize(
     ("jacobian", "message"),
     [
-        (np.zeros((3, 3, 2)), r"jacobian must have shape \(4, 3, J\), \(12, J\) or \(4, 4, J\) .*got \(3, 3, 2\)"),
-        (np.zeros((4, 6, 2)), r"got \(4, 6, 2\)"),
+        (np.zeros((3, 3, 2)), r"jacobian must have shape \(4, 3, J\), \(12, J\) or \(4, 6, J\) .*got \(3, 3, 2\)"),
+        (np.zeros((4, 4, 2)), r"got \(4, 4, 2\)"),
         (np.zeros((4, 3, 0)), r"got \(4, 3, 0\)"),
         (np.zeros((11, 2)), r"got \(11, 2\)"),
         (np.zeros(12), r"got \(12,\)"),
@@ -76,18 +73,7 @@ def test_wrong_vectors() -> None:
         joint_torques(jac, np.zeros(12))
     with pytest.raises(InvalidInputError, match=r"bias must have shape \(2,\), got \(3,\)"):
         joint_torques(jac, np.zeros((4, 3)), np.zeros(3))
-    with pytest.raises(InvalidInputError, match=r"torsion needs a jacobian of shape \(N, 4, J\)"):
-        joint_torques(jac, np.zeros((4, 3)), torsion=np.zeros(4))
-    with pytest.raises(InvalidInputError, match=r"object_frame_jacobian must have shape \(4, 3, J\), .*\(4, 6, J\)"):
-        contact_jacobian(presets.paper_cuboid(), np.zeros((4, 4, 2)))
-
-
-def test_frames_given_by_tangents_are_used() -> None:
-    plain = presets.tripod()
-    turned = Grasp.from_contacts(plain.positions, plain.normals, 0.5, tangents=np.tile([0.1, 0.2, 3.0], (3, 1)))
-    jac = np.random.default_rng(3).standard_normal((3, 3, 2))
-    in_object = np.random.default_rng(4).standard_normal((3, 3))
-    torques = [
-        joint_torques(contact_jacobian(g, jac), np.einsum("nij,ni->nj", g.frames, in_object)) for g in (plain, turned)
-    ]
-    np.testing.assert_allclose(torques[0], torques[1], atol=1e-14)
+    with pytest.raises(InvalidInputError, match=r"moment needs a jacobian of shape \(N, 6, J\)"):
+        joint_torques(jac, np.zeros((4, 3)), moment=np.zeros((4, 3)))
+    with pytest.raises(InvalidInputError, match=r"moment must have shape \(4, 3\)"):
+        joint_torques(np.zeros((4, 6, 2)), np.zeros((4, 3)), moment=np.zeros(4))

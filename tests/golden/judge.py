@@ -30,8 +30,6 @@ DRIFT, TOTAL = 1.25, 0.01
 force grows to 4 % and 0.01 %, and to 33 % of a single episode's drift."""
 STALLED_GAP = 2e-8
 """Of a tight conic solution that ends stalled where the recorded one is optimal, or the other way round."""
-LINEAR_BALANCE = 1e-9
-"""Ten times what the linear program's solver is asked for."""
 BALANCE = 1e-11
 """Residual of balance as a part of forces and wrench; or ten times the recorded one, where contacts are far from the origin."""
 NOTHING = 1e-280
@@ -59,9 +57,7 @@ def _compare(case: Case, now: Outcome, then: Outcome) -> list[str]:
         out.append(f"says {now.text!r}, recorded {then.text!r}")
     if now.end not in SOLVED:
         if now.end in ("InfeasibleWrenchError", "infeasible"):
-            # forces within the cones but not within the pyramids: infeasible for the linear program alone
-            unproven = now.problem is not None and now.problem.method == "linear" and not then.extra.size
-            out += [] if unproven and not now.extra.size else _proof(now)
+            out += _proof(now)
         elif now.end == "episodes":
             out += _held(now.extra.reshape(-1, 4), then.extra.reshape(-1, 4))
         else:
@@ -121,13 +117,11 @@ def certified(row: Outcome, problem: Problem, then: Outcome, honest: float = 1e-
     load = grasp.unit_frame @ problem.wrench
     made = grasp.unit_frame @ (grasp.matrix @ force.reshape(-1) + grasp.torsion_matrix @ torsion)
     residual, scale = float(np.abs(load + made).max()), float(np.abs(row.force).max() + np.abs(load).max()) + NOTHING
-    balance = LINEAR_BALANCE if problem.method == "linear" else BALANCE
-    if not residual <= max(balance * scale, 10.0 * then.residual):
+    if not residual <= max(BALANCE * scale, 10.0 * then.residual):
         out.append(f"misses balance by {residual:.3g} N")
     if not abs(residual - row.residual) <= BALANCE * scale:
         out.append(f"says it misses balance by {row.residual:.3g} N, misses it by {residual:.3g} N")
-    # only the exact problems may touch their cones
-    exact = problem.method in ("conic", "linear")
+    exact = problem.method == "conic"  # which alone may touch its cones
     margin = _margin(problem, force)
     if not (margin >= -1e-12 * scale if exact else margin > 0.0):
         out.append(f"leaves a cone by {-margin:.3g} N")
@@ -141,7 +135,7 @@ def certified(row: Outcome, problem: Problem, then: Outcome, honest: float = 1e-
         value = _value(problem, force)
         if not abs(value - row.objective) <= honest * abs(value):
             out.append(f"says objective {row.objective:.12g}, has {value:.12g}")
-    if row.end == OPTIMAL and problem.method != "linear" and row.objective > 0.0:
+    if row.end == OPTIMAL and row.objective > 0.0:
         gap = (row.objective - row.lower_bound) / row.lower_bound if row.lower_bound > 0.0 else np.inf
         if not gap <= problem.tolerance:
             out.append(f"optimal with a gap of {gap:.3g}")
@@ -156,7 +150,7 @@ def _margin(problem: Problem, force: np.ndarray) -> float:
 
 def _value(problem: Problem, force: np.ndarray) -> float:
     """The objective of a force, from the paper's formula; barriers of torsions and limits are not in it."""
-    if problem.method in ("conic", "linear"):
+    if problem.method == "conic":
         return float(force[:, 0].max() if problem.criterion == "max" else force[:, 0].sum())
     u, o, t = (force * problem.grasp.models.cone_scale).T
     omega, lam = problem.objective.weights(len(u)).T

@@ -18,11 +18,9 @@ from grasp_env.force import (
     FixedStep,
     ForceLimits,
     ForceOptimizer,
-    ForcePipeline,
     LinearCombination,
     Objective,
     initial_rule,
-    linear_forces,
     optimize_force,
     optimize_forces,
     phase_one,
@@ -46,7 +44,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "omega": {"force_weight": -1.0}, "lambda": {"barrier_weight": 0.0}, "lambda inf": {"barrier_weight": np.inf},
     "weights of three": {"force_weight": (1.0, 2.0, 3.0)}, "weights with nan": {"barrier_weight": (0.1, np.nan, 0.1, 0.1)},
     "limits": {"limits": 5.0}, "step rule": {"step_rule": 0.1}, "max with newton": {"method": "newton", "criterion": "max"},
-    "conic from a start": {"method": "conic", "initial": "previous"}, "linear from a start": {"method": "linear", "initial": GOOD},
+    "conic from a start": {"method": "conic", "initial": "previous"},
     "limits with the flow": {"limits": ForceLimits(max_normal=5.0)},
     "limits of three": {"method": "newton", "limits": ForceLimits(max_normal=[5.0, 5.0, 5.0])},
     "basis with limits": {"method": "newton", "limits": ForceLimits(max_normal=5.0), "initial": "linear_combination"},
@@ -94,7 +92,6 @@ def _calls() -> dict[str, Callable[[], object]]:
         "basis without closure": lambda: LinearCombination()(GRASPS["floor"], PAPER),
         "previous of five": lambda: optimize_force(CUBOID, PAPER, initial=optimize_force(GRASPS["5 uneven"], PAPER)),
         "phase one of text": lambda: phase_one(CUBOID, "down"),  # type: ignore[arg-type]
-        "facets": lambda: linear_forces(CUBOID, PAPER, facets=2),
         "objective": lambda: Objective(1.0, "much"),  # type: ignore[arg-type]
         "fixed step": lambda: FixedStep(0.0),
         "adaptive step": lambda: AdaptiveStep(grow=0.5),
@@ -115,11 +112,6 @@ def _calls() -> dict[str, Callable[[], object]]:
         "batch, unequal grasps": lambda: optimize_forces([CUBOID, GRASPS["5 uneven"]], [PAPER, PAPER]),
         "batch of no grasps": lambda: optimize_forces([], np.empty((0, 6))),
         "batch of a text": lambda: optimize_forces(["cuboid"], [PAPER]),  # type: ignore[list-item]
-        "pipeline by conic": lambda: ForcePipeline(CUBOID, method="conic"),
-        "pipeline from single_value": lambda: ForcePipeline(CUBOID, initial="single_value"),
-        "pipeline on soft": lambda: ForcePipeline(SOFT),
-        "pipeline without closure": lambda: ForcePipeline(GRASPS["floor"]),
-        "pipeline, adjust of five": lambda: ForcePipeline(CUBOID).solve(points, normals, PAPER, adjust=np.zeros(5)),
     }  # fmt: skip
 
 
@@ -137,7 +129,7 @@ def cases() -> dict[str, Case]:
     """All of them."""
     out: list[Case] = []
     for name, wrench in WRENCHES.items():
-        for method in ("reduced_flow", "newton", "conic", "linear"):
+        for method in ("reduced_flow", "newton", "conic"):
             out.append(
                 Case(
                     f"wrench {name}, {method}",

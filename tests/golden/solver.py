@@ -29,7 +29,7 @@ TWENTY = 20.0 * PAPER[None]
 def _methods() -> list[Case]:
     """Every method on every kind of contact, tight and at its default."""
     out: list[Case] = []
-    kinds = (("reduced_flow", "sum"), ("full_flow", "sum"), ("newton", "sum"), ("conic", "sum"), ("conic", "max"), ("linear", "sum"))  # fmt: skip
+    kinds = (("reduced_flow", "sum"), ("full_flow", "sum"), ("newton", "sum"), ("conic", "sum"), ("conic", "max"))  # fmt: skip
     for (name, grasp), (method, criterion) in product({**HARD, **OTHER}.items(), kinds):
         if method in FLOWS and not grasp.hard:
             continue

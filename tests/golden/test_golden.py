@@ -55,6 +55,7 @@ ACCEPTED: dict[str, str] = {
     },
     **{f"edges: conic, {name}, sizes": TINY for name in ("cuboid", "3 uneven", "millimetres", "soft")},
     "refused: batch too large": WORDS,
+    "refused: option method": "the methods to choose from are fewer",
     "refused: batch of no workers": WORDS,
     **{
         f"edges: conic {name}": PROGRAM

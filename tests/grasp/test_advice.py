@@ -7,7 +7,7 @@ import pytest
 from problems import GRASPS, pyramid_margin, random_grasp
 
 from grasp_env.errors import GraspWarning
-from grasp_env.force import ForceOptimizer, ForcePipeline, optimize_force
+from grasp_env.force import ForceOptimizer, optimize_force
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.advice import advise, has_force_closure
 from grasp_env.grasp.transforms import transformed
@@ -116,7 +116,7 @@ def test_who_solves_without_asking_is_warned_at_his_own_line() -> None:
         "divide millimetres by 1000": Grasp.from_contacts(1000.0 * good.positions, good.normals, 0.5),
     }
     for text, grasp in wrong.items():
-        for solve in (lambda grasp: optimize_force(grasp, np.zeros(6)), ForceOptimizer, ForcePipeline):
+        for solve in (lambda grasp: optimize_force(grasp, np.zeros(6)), ForceOptimizer):
             with pytest.warns(GraspWarning, match=text) as told:
                 solve(grasp)
             assert [warning.filename for warning in told] == [__file__]

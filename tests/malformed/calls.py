@@ -79,11 +79,6 @@ def _optimizer(method: str) -> f.ForceOptimizer:
 
 
 @cache
-def _pipeline() -> f.ForcePipeline:
-    return f.ForcePipeline(CUBOID, method="newton")
-
-
-@cache
 def _learned() -> LearnedInitialForce:
     return LearnedInitialForce.pretrained()
 
@@ -114,7 +109,7 @@ def _quality(**keywords: Any) -> Any:
 
 def _rows(**keywords: Any) -> Any:
     limits = f.ForceLimits(**keywords)
-    return limits.rows(CUBOID).bound, limits.slack(FORCE)[0]
+    return limits.rows(CUBOID).bound, limits.slack(CUBOID, FORCE)[0]
 
 
 def _ruled(**attributes: Any) -> Any:
@@ -228,7 +223,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "advise": Call(advise, {"grasp": CUBOID}),
         "save_grasp": Call(save_grasp, {"grasp": CUBOID, "path": str(folder / "saved" / "grasp.json")}),
         "load_grasp": Call(load_grasp, {"path": str(folder / "none.json")}),
-        **{f"optimize_force, {method}": _solve(method) for method in ("reduced_flow", "newton", "conic", "linear")},
+        **{f"optimize_force, {method}": _solve(method) for method in ("reduced_flow", "newton", "conic")},
         "optimize_force, full_flow": _solve("full_flow", max_iterations=20),
         "optimize_force, max": _solve("conic", criterion="max"),
         "optimize_force, soft newton": _solve("newton", SOFT),
@@ -244,7 +239,7 @@ def calls(folder: Path) -> dict[str, Call]:
             f"ForceOptimizer.solve, {m}": Call(
                 _with(lambda m=m: _optimizer(m), "solve"), {"wrench": PAPER, "initial": None, "optimum": None, "trace": False}
             )
-            for m in ("reduced_flow", "newton", "conic", "linear")
+            for m in ("reduced_flow", "newton", "conic")
         },
         "ForceOptimizer.previous": Call(_after, {"previous": SOLVED, "solution": SOLVED}),
         "ForceSolution": Call(
@@ -265,15 +260,6 @@ def calls(folder: Path) -> dict[str, Call]:
         "optimize_forces, many grasps": Call(
             f.optimize_forces, {"grasps": [CUBOID, SOFT], "wrenches": np.tile(PAPER, (2, 1)), "method": "conic", "limits": None}
         ),
-        "ForcePipeline": Call(
-            f.ForcePipeline,
-            {"grasp": CUBOID, "method": "newton", "initial": "previous", "force_weight": 1.0, "barrier_weight": 0.01,
-             "tolerance": 1e-4, "max_iterations": 500, "step_rule": None, "reference": None},
-        ),
-        "ForcePipeline.solve": Call(
-            _with(_pipeline, "solve"),
-            {"points": CUBOID.positions, "normals": CUBOID.normals, "wrench": PAPER, "adjust": np.full(6, 0.1)}, 3.0,
-        ),
         "ForceLimits": Call(
             _rows, {"min_normal": 0.1, "max_normal": 9.0, "jacobian": JACOBIAN, "torque_limit": 2.0, "torque_bias": np.zeros(5)}, 3.0
         ),
@@ -289,7 +275,7 @@ def calls(folder: Path) -> dict[str, Call]:
             lambda wrench, **k: f.optimize_force(CUBOID, wrench, method="conic", limits=f.ForceLimits(**k)),
             {"wrench": PAPER, "min_normal": 0.1, "max_normal": 90.0, "jacobian": JACOBIAN, "torque_limit": 9.0}, 2.0,
         ),
-        "ForceLimits.slack": Call(f.ForceLimits(max_normal=5.0).slack, {"force": FORCE, "torsion": np.zeros(4)}),
+        "ForceLimits.slack": Call(f.ForceLimits(max_normal=5.0).slack, {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4)}),
         "ForceLimits.violations": Call(
             f.ForceLimits(max_normal=5.0).violations, {"grasp": CUBOID, "force": FORCE, "torsion": np.zeros(4), "tolerance": 1e-9}
         ),
@@ -327,11 +313,9 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "description_matrix": Call(f.description_matrix, {"force": FORCE, "friction": CUBOID.friction}),
         "cone_margin": Call(f.cone_margin, {"force": FORCE, "friction": CUBOID.friction}),
-        "joint_torques": Call(f.joint_torques, {"jacobian": JACOBIAN, "force": FORCE, "bias": np.zeros(5), "torsion": None}),
-        "contact_jacobian": Call(f.contact_jacobian, {"grasp": CUBOID, "object_frame_jacobian": JACOBIAN}),
+        "joint_torques": Call(f.joint_torques, {"jacobian": JACOBIAN, "force": FORCE, "bias": np.zeros(5), "moment": None}),
         "force_closure": Call(f.force_closure, {"grasp": CUBOID, "limits": None}),
         "phase_one": Call(f.phase_one, {**state, "limits": None}),
-        "linear_forces": Call(f.linear_forces, {**state, "facets": 8, "limits": None}),
         "singular_values": Call(f.singular_values, {"grasp": CUBOID, "length": 0.05}),
         "epsilon": Call(f.epsilon, {"grasp": CUBOID, "length": 0.05, **worst}, 0.3),
         "quality": Call(_quality, {"grasp": CUBOID, **{k: v for k, v in worst.items() if k != "criterion"}}, 0.2),

@@ -14,6 +14,7 @@ from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import PAPER_CONSTANT, paper_path, sample_ball
 from training import reproduce
 from training.cli import main
+from training.pyramids import pyramid_forces
 from training.report import reproduce as page
 from training.results import Run
 from training.results.claims import judge
@@ -96,13 +97,15 @@ def test_operations_are_counted_per_form(found):
 
 
 def test_path_rows_are_differences_of_forces_over_time(found):
-    grasp, solve = presets.preset("five_finger_cuboid"), {}
-    for method in ("conic", "linear"):
-        optimizer = ForceOptimizer(grasp, method=method)
-        solve[method] = np.array([optimizer.solve(load).force for load in paper_path(np.array([0.2, 0.25, 0.3]))])
+    grasp, loads = presets.preset("five_finger_cuboid"), paper_path(np.array([0.2, 0.25, 0.3]))
+    optimizer = ForceOptimizer(grasp, method="conic")
+    forces = {
+        "conic": [optimizer.solve(load).force for load in loads],
+        "linear": [pyramid_forces(grasp, load) for load in loads],
+    }
+    for method, (first, second, third) in forces.items():
         row = chosen(found.rows, f"case == 'path_five_finger_cuboid' and method == '{method}' and interval == 0.05")
         row = row[np.isclose(row["time"], 0.3)]
-        first, second, third = solve[method]
         np.testing.assert_allclose(row["contact_force"], third[:, 0])
         np.testing.assert_allclose(row["jump"], np.linalg.norm(third - second, axis=1), atol=1e-9)
         kink = np.linalg.norm(third - 2.0 * second + first, axis=1) / 0.05

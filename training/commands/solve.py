@@ -46,7 +46,7 @@ class Solve:
         friction: replaces the preset's or the file's coefficient.
         initial: start of the methods on Phi: linear_combination (the paper's), single_value, lagrange, phase_one, "learned" for the
             shipped network, or the path of a fitted one.
-        method: reduced_flow and full_flow (the paper's) and newton make Phi least, conic and linear the normal forces.
+        method: reduced_flow and full_flow (the paper's) and newton make Phi least, conic the normal forces.
         criterion: what conic makes least: sum or maximum of the normal forces.
         barrier_weight: lambda of Phi [N^2]: more of it holds further from slipping, and squeezes more.
         tolerance: relative gap to the certified bound.

@@ -16,8 +16,8 @@ from grasp_env.force import RULES, ForceLimits, ForceOptimizer, ForceSolution, I
 from grasp_env.grasp import Grasp
 
 Mood = Literal["good", "warning", "bad"]
-STARTS, STARTLESS = (*RULES, "previous", "learned"), ("conic", "linear")
-"""Start rules to choose from, and methods that start by themselves."""
+STARTS = (*RULES, "previous", "learned")
+"""Start rules to choose from; `conic` starts by itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ def answer(
     Args:
         grasp: hard contacts of one friction.
         wrench: (6,) external force [N] and moment [N m] on the object, object frame.
-        method: its name. start: a rule, which methods that start by themselves ignore.
+        method: its name. start: a rule, which `conic` ignores.
         barrier_weight: lambda [N^2]. max_normal: largest normal force of a contact [N]; inf: no limit.
         previous: where the start "previous" starts.
 
@@ -68,7 +68,7 @@ def answer(
         ('held', 6)
     """
     settings = {"method": method, "barrier_weight": barrier_weight, "max_iterations": 5000}
-    settings["initial"] = None if method in STARTLESS else start
+    settings["initial"] = None if method == "conic" else start
     if math.isfinite(max_normal):
         settings |= {"limits": ForceLimits(max_normal=max_normal), "elastic": True}
     optimizer = ForceOptimizer(grasp, **settings)

@@ -20,7 +20,7 @@ from grasp_env.force import METHODS, InitialForceRule
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH
 from grasp_env.task.motion import resting_target
 from training.live import look
-from training.live.answer import STARTLESS, STARTS, Mood
+from training.live.answer import STARTS, Mood
 from training.live.window import Window
 
 HINT = "**Drag** the object to pull it; elsewhere the mouse turns the view."
@@ -126,7 +126,7 @@ class SimulatedHand(Window):
         hand = self._config.hand
         links = tuple(replace(link, torque_limit=0.01 * motors * link.torque_limit) for link in hand.links)
         config = replace(self._config, hand=replace(hand, links=links), shape=shape, method=method)
-        loop = ForceLoop(config, "linear_combination" if method in STARTLESS else self._rule(start))
+        loop = ForceLoop(config, "linear_combination" if method == "conic" else self._rule(start))
         return Stage(config, loop, False, False), loop
 
     def _change_object(self, mass: float, friction: float) -> None:

@@ -1,0 +1,60 @@
+"""The classical linear program: least total normal force with a friction pyramid inside every cone, by HiGHS.
+
+What `grasp reproduce` compares with. Its forces lie on edges of the pyramids: along a path of the wrench they have kinks, and where
+several forces cost the same they may jump. Kerr, Roth 1986 and Cheng, Orin 1990 used it for hands.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import linprog
+
+from grasp_env._check import ContactForces, Wrench
+from grasp_env.errors import NotConvergedError
+from grasp_env.grasp import Grasp
+
+_TOLERANCE = 1e-10
+"""[N] HiGHS's least."""
+
+
+def pyramid_forces(grasp: Grasp, wrench: Wrench, facets: int = 8) -> ContactForces:
+    """(N, 3) forces [N] of least total normal force that balance a wrench, each a sum of edges of an inscribed friction pyramid.
+
+    min sum normal_i s.t. G f + w = 0, f_i = sum_k c_ik e_ik, c >= 0, where the `facets` edges e_ik lie on the cone of contact i, the
+    first at normal + mu_o o. 8 facets cost 3 % more than the cones in the median, at most 8 %.
+
+    Args:
+        grasp: hard contacts.
+        wrench: (6,) external wrench on the object [N, N m], object frame; of about a newton, as balance is kept to 1e-10 N.
+        facets: edges of each pyramid, at least 3.
+
+    Raises:
+        NotConvergedError: no force inside the pyramids balances the wrench (one inside the cones may), or none was found.
+
+    Example:
+        >>> from grasp_env.grasp import presets
+        >>> grasp = presets.paper_cuboid()
+        >>> force = pyramid_forces(grasp, np.array([1, 0.5, -0.6, -0.1, 0.2, 0]))
+        >>> round(float(force[:, 0].sum()), 3), grasp.cone_margin(force) > -1e-9
+        (8.868, True)
+    """
+    angles = 2.0 * np.pi * np.arange(facets) / facets
+    around = np.stack([np.ones(facets), np.cos(angles), np.sin(angles)])
+    across = np.concatenate([np.ones((grasp.n_contacts, 1)), grasp.models.friction], axis=1)
+    edges = across[:, :, None] * around  # (N, 3, facets)
+    frame = grasp.unit_frame
+    balance = np.einsum("rni,nik->rnk", (frame @ grasp.matrix).reshape(6, -1, 3), edges)
+    answer = linprog(
+        np.ones(edges[:, 0].size),
+        A_eq=balance.reshape(6, -1),
+        b_eq=-frame @ wrench,
+        method="highs-ds",
+        options={
+            "presolve": False,
+            "primal_feasibility_tolerance": _TOLERANCE,
+            "dual_feasibility_tolerance": _TOLERANCE,
+        },
+    )
+    if answer.status != 0:
+        raise NotConvergedError(f"the linear program of wrench {wrench.tolist()} found no force: {answer.message}")
+    return np.einsum("nik,nk->ni", edges, answer.x.reshape(-1, facets))
