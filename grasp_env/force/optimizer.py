@@ -1,63 +1,76 @@
-"""`ForceOptimizer`, the control loop's form, and `optimize_force`, the same for one call."""
+"""`ForceOptimizer`, for call after call, and `optimize_force`, the same for one call."""
 
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from grasp_env import ranges
-from grasp_env._check import ContactForces, as_text, as_wrench, choice, flag, instance, is_a, positive, together, whole
+from grasp_env import core, ranges
+from grasp_env._check import (
+    Array,
+    ContactForces,
+    Wrench,
+    as_array,
+    as_list,
+    as_text,
+    as_wrench,
+    flag,
+    instance,
+    is_a,
+    positive,
+    together,
+)
 from grasp_env.errors import (
+    GraspError,
     InfeasibleStartError,
     InfeasibleWrenchError,
     InvalidInputError,
+    NotConvergedError,
+    RankDeficientGraspError,
     UnsupportedProblemError,
     shown,
 )
-from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.initial import RULES, InitialForceRule, rule_name
-from grasp_env.force.limits import ForceLimits, as_limits
-from grasp_env.force.method import CRITERIA, Settings, readable
-from grasp_env.force.methods import METHODS, make_method
-from grasp_env.force.objective import Objective, Weight
-from grasp_env.force.record import CODE, CONVERGED, LIMITS_EXCEEDED, REFUSED, record_size
-from grasp_env.force.repair import CORRECTIONS, Correction
-from grasp_env.force.solution import ForceSolution
-from grasp_env.force.step_size import StepRule, checked_rule
+from grasp_env.force.basis import OfflineBasis, core_contacts
+from grasp_env.force.initial import Initial, LearnedRule, StartFrom, call_rule, checked_initial, is_rule, rule_name, rule_start
+from grasp_env.force.limits import ForceLimits, as_limits, checked_jacobian
+from grasp_env.force.objective import Weight
+from grasp_env.force.options import MAX_ITERATIONS, Options, checked_options
+from grasp_env.force.record import CODE, FORCE, INFEASIBLE, ITERATIONS, RANK_LOST, REFUSED, START, UNDECIDED, WRENCH
+from grasp_env.force.solution import STARTS, ForceSolution, start_name
+from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
-if TYPE_CHECKING:
-    from grasp_env.force.program import ForceProgram
-
-MAX_ITERATIONS = 20_000
-TOLERANCE = 1e-4
-"""Default relative gap of the descents on Phi."""
-CONIC_TOLERANCE = 1e-6
-"""Default relative gap of the conic problem."""
-
-_empty = np.empty
-Initial = str | InitialForceRule | ForceSolution | np.ndarray
-"""A rule's name, a rule, a solution to carry over, or an (N, 3) force to start from."""
+BALANCE_TOLERANCE = 1e-8
+"""A start may miss balance by this much of the wrench and force it carries; the rest is an error of the rule."""
+FROM_BASIS = ("linear_combination", "linear_combination_printed", "single_value", "lagrange")
+"""Starts that the 12-basis makes."""
+NO_TRACE = np.empty(0)
 
 
 class ForceOptimizer:
-    """Optimises grasp forces again and again: holds the offline basis, the core's solver and the previous solution.
+    """Optimises grasp forces again and again, on the contacts it was made for and on others.
 
-    One optimizer belongs to one thread; several may run at once.
+    What a call is given (positions, normals, friction, Jacobian, torques, which contacts touch) holds for that call alone: nothing but
+    the previous solution, and that only where `initial="previous"` asks for it, is kept between calls. One optimizer belongs to one
+    thread; several may run at once. It is the C++ class `grasp::ForceOptimizer`; what Python adds is words.
 
     Example:
         >>> from grasp_env.grasp import presets
-        >>> optimizer = ForceOptimizer(presets.paper_cuboid(), initial="previous")
-        >>> first = optimizer.solve([1, 0.5, -0.6, -0.1, 0.2, 0])
-        >>> again = optimizer.solve([1, 0.5, -0.6, -0.1, 0.2, 0])
-        >>> first.status.name, again.iterations
-        ('OPTIMAL', 0)
-        >>> exact = ForceOptimizer(presets.paper_cuboid(), method="conic").solve([1, 0.5, -0.6, -0.1, 0.2, 0])
+        >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
+        >>> optimizer = ForceOptimizer(grasp, initial="previous")
+        >>> first = optimizer.solve(wrench)
+        >>> again = optimizer.solve(wrench, positions=grasp.positions + 1e-4)      # the tips have rolled a little
+        >>> first.status.name, again.status.name, again.iterations < first.iterations
+        ('OPTIMAL', 'OPTIMAL', True)
+        >>> three = optimizer.solve(wrench, contacts=[True, True, True, False])    # the fourth finger has let go
+        >>> three.force[3].tolist()
+        [0.0, 0.0, 0.0]
+        >>> exact = ForceOptimizer(grasp, method="conic").solve(wrench)
         >>> round(exact.objective, 4), exact.optimality_gap < 1e-6
         (8.5847, True)
     """
@@ -66,8 +79,8 @@ class ForceOptimizer:
         self,
         grasp: Grasp,
         *,
+        method: str = "newton",
         initial: Initial | None = None,
-        method: str = "reduced_flow",
         criterion: str = "sum",
         limits: ForceLimits | None = None,
         force_weight: Weight = 1.0,
@@ -75,57 +88,67 @@ class ForceOptimizer:
         tolerance: float | None = None,
         max_iterations: int = MAX_ITERATIONS,
         step_rule: StepRule | None = None,
-        correction: Correction = "tangent",
         elastic: bool = False,
     ) -> None:
-        """Prepares the method for the grasp.
+        """Prepares the method for the contacts.
 
         Args:
-            grasp: the contacts of now; `move_to` gives others.
+            grasp: the contacts; `solve` may be given others, `update` replaces them.
             initial: where every call starts, as in `optimize_force`; or "previous": where the last one ended.
             method, criterion, limits, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic: see `optimize_force`.
-            correction: how `initial="previous"` restores balance, "tangent" or "pseudoinverse".
         """
-        checked = together(
-            lambda: choice(method, "method", METHODS),
-            lambda: choice(criterion, "criterion", CRITERIA),
-            lambda: as_limits(limits),
-            lambda: Objective(force_weight, barrier_weight),
-            lambda: _tolerance(tolerance, method),
-            lambda: whole(max_iterations, "max_iterations", 0, ranges.ITERATIONS),
-            lambda: checked_rule(step_rule),
-            lambda: choice(correction, "correction", CORRECTIONS),
-            lambda: flag(elastic, "elastic"),
-            lambda: as_grasp(grasp),
-            lambda: checked_initial(initial),
+        self.options = checked_options(
+            method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic
         )
-        self.settings = Settings(*checked[:9])
-        self.objective = self.settings.objective
+        self._grasp: Grasp | None = as_grasp(grasp)
+        self.limits = limits if limits is None else as_limits(limits)
+        self._initial = initial if initial is None else checked_initial(initial)
         if elastic and limits is None:
             raise InvalidInputError("elastic=True says what to do with limits that no force keeps: give limits")
-        method, criterion, initial = self.settings.method, self.settings.criterion, checked[10]
-        if criterion != "sum" and method != "conic":
-            raise UnsupportedProblemError(f"criterion {criterion!r} belongs to method 'conic', got method {method!r}")
-        if initial is not None and method in ("conic", "linear"):
-            raise InvalidInputError(f"method {method!r} starts from its own centre, got initial={shown(initial)}")
-        # a solution is where the first call starts; the next ones start from their own previous one
-        self._previous: ForceSolution | None = initial if is_a(initial, ForceSolution) else None
-        self._initial: Initial | None = "previous" if is_a(initial, ForceSolution) else initial
+        if initial is not None and self.options.method == "conic":
+            raise InvalidInputError(f"method 'conic' starts from its own centre, got initial={shown(initial)}")
         warn_of(grasp)
-        self._set_grasp(grasp, self.settings)
+        self._make()
+        if is_a(self._initial, ForceSolution):
+            self.previous, self._initial = self._initial, "previous"
 
-    @property
-    def grasp(self) -> Grasp:
-        """The contacts as they are now; to set them is to `move_to` them."""
-        return self._grasp
-
-    @grasp.setter
-    def grasp(self, grasp: Grasp) -> None:
-        self.move_to(grasp)
+    def _make(self) -> None:
+        """What is compiled, for the contacts and limits of now."""
+        grasp, options, initial = self.grasp, self.options, self._initial
+        self._basis = False  # whether the core has the 12-basis
+        start, names, model = 0, STARTS, None
+        if is_a(initial, str) or is_a(initial, ForceSolution):
+            start = STARTS.index("previous" if is_a(initial, ForceSolution) else initial)
+        elif is_rule(initial, LearnedRule):
+            names = (*STARTS[: LEARNED], rule_name(initial), *STARTS[LEARNED + 1 :])
+            try:
+                model, start = call_rule(initial, initial.model, grasp, options.objective), LEARNED
+            except InfeasibleStartError:  # contacts that it does not know: solutions say that it was replaced
+                names = tuple(start_name(name, rule_name(initial), True, False) for name in STARTS)
+        self._direct = initial is None or is_a(initial, str | ForceSolution) or is_rule(initial, LearnedRule)
+        given = (None,) * 5 if self.limits is None else self.limits.given(grasp.n_contacts)
+        try:
+            self._core = core.ForceOptimizer.make(
+                core_contacts(grasp, options.objective), *given, options.method, options.criterion == "max", start,
+                options.tolerance, options.max_iterations, options.elastic, options.step_rule.parameters() if options.flows else None,
+                model, ForceSolution, options.method, names,
+            )  # fmt: skip
+        except ValueError as error:
+            raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
+        self._solve, self._count = self._core.solve, grasp.n_contacts
+        if options.flows or (is_a(initial, str) and initial in FROM_BASIS):
+            self._need_basis(strict=is_a(initial, str) and initial in FROM_BASIS)
 
     def __repr__(self) -> str:
         start = "its own start" if self._initial is None else rule_name(self._initial)
-        return f"ForceOptimizer({self.grasp.n_contacts} contacts, {self.method} from {start})"
+        return f"ForceOptimizer({self._count} contacts, {self.method} from {start})"
+
+    @property
+    def grasp(self) -> Grasp:
+        """The contacts it was made for, or last updated to."""
+        if self._grasp is None:
+            self._grasp = self._moved(self._updated)
+        return self._grasp
 
     @property
     def initial(self) -> Initial | None:
@@ -135,111 +158,120 @@ class ForceOptimizer:
     @property
     def method(self) -> str:
         """The method's name."""
-        return self.settings.method
+        return self.options.method
+
+    @property
+    def objective(self) -> Any:
+        """Phi."""
+        return self.options.objective
 
     @property
     def tolerance(self) -> float:
         """Relative certified gap at which a solve stops."""
-        return self.settings.tolerance
+        return self.options.tolerance
 
     @property
     def max_iterations(self) -> int:
         """Most accepted steps."""
-        return self.settings.max_iterations
+        return self.options.max_iterations
 
     @property
     def step_rule(self) -> StepRule:
         """The flows' step rule."""
-        return self.settings.step_rule
+        return self.options.step_rule
 
     @property
     def previous(self) -> ForceSolution | None:
         """The last solution, where `initial="previous"` starts; None: forgotten, or none yet."""
-        return self._previous
+        return self._core.previous
 
     @previous.setter
     def previous(self, solution: ForceSolution | None) -> None:
-        self._previous = instance(solution, ForceSolution, "previous", or_none=True)
+        self._core.previous = instance(solution, ForceSolution, "previous", or_none=True)
+
+    def forget(self) -> None:
+        """The next call does not know the calls before it."""
+        self._core.previous = None
 
     @property
     def limit_labels(self) -> tuple[str, ...]:
         """What each entry of a solution's `limit_multipliers` belongs to."""
-        return getattr(self._method, "limit_labels", ())
-
-    def move_to(self, grasp: Grasp, limits: ForceLimits | None = None) -> None:
-        """The contacts moved: re-optimise the offline basis from the old one, keep the previous solution.
-
-        Args:
-            grasp: the contacts of now; with another number of them the previous solution is forgotten.
-            limits: those of now, such as with the Jacobian of now; None: as they were.
-
-        Raises:
-            UnsupportedProblemError, InvalidInputError: as at the start; the optimizer stays where it was.
-        """
-        as_grasp(grasp)
-        settings = self.settings if limits is None else replace(self.settings, limits=as_limits(limits))
-        if self.grasp.n_contacts == grasp.n_contacts and self._method.uses_basis:
-            # a grasp without force closure has no basis; rules that need one will say so
-            with suppress(InfeasibleStartError):
-                OfflineBasis.of(self.grasp, self.objective).moved_to(grasp)
-        changed = self.grasp.n_contacts != grasp.n_contacts
-        self._set_grasp(grasp, settings)
-        if changed:
-            self._previous = None
+        return () if self.limits is None else self.limits.labels(self._count)
 
     def solve(
         self,
         wrench: ArrayLike,
         *,
+        positions: ArrayLike | None = None,
+        normals: ArrayLike | None = None,
+        friction: ArrayLike | None = None,
+        jacobian: ArrayLike | None = None,
+        torque_bias: ArrayLike | None = None,
+        contacts: ArrayLike | None = None,
         initial: Initial | None = None,
         optimum: float | None = None,
         trace: bool = False,
     ) -> ForceSolution:
         """The optimal grasp force that balances `wrench`; see `optimize_force`.
 
+        What is left out is as the optimizer was made with. All of it is given in one frame, that of the constructor's positions or
+        any other. C-contiguous float64 arrays are read as they are.
+
         Args:
-            wrench: (6,) external wrench on the object [N, N m], object frame.
+            wrench: (6,) external wrench on the object [N, N m].
+            positions: (N, 3) contact points of this call [m].
+            normals: (N, 3) inward unit normals of this call.
+            friction: coefficient(s) of this call, as in `Grasp.from_contacts`.
+            jacobian: (N, 3, J) or (N, 6, J) of this call, as in `ForceLimits`; the optimizer must have torque limits.
+            torque_bias: (J,) of this call [N m].
+            contacts: (N,) which contacts touch; the force of the others is zero. None: all. At most 64 contacts.
             initial: a start for this call only.
             optimum: a known min Phi: stop at the relative gap to it instead of the certified one (for studies).
             trace: keep Phi of every iterate in `objective_trace`.
+
+        Raises:
+            InvalidInputError: wrong shapes, numbers that are not finite or not possible.
+            RankDeficientGraspError: the contacts that touch cannot balance a wrench of every direction.
+            InfeasibleWrenchError, InfeasibleStartError, NotConvergedError: see `optimize_force`.
         """
-        loop = self._loop
-        if loop is not None and initial is None and optimum is None and trace is False:
-            # the control loop's path: one compiled call, which reads the array as it is or refuses it
-            record = _empty(self._size)
-            if not loop.remembers or self._previous is None:
-                code, name = loop.call(wrench, None, record), loop.name
-            else:
-                code, name = loop.call(wrench, self._previous._record, record), loop.carried
-            if code == CONVERGED:
-                self._previous = solution = loop.solution(record, self._name, name)
+        if initial is None and optimum is None and trace is False and self._direct:
+            solution = self._solve(wrench, positions, normals, friction, jacobian, torque_bias, contacts)
+            if solution is not None:
                 return solution
-            if code != REFUSED:
-                self._previous = solution = loop.stopped(record, self._name, name)
-                return solution
-            if not readable(wrench):
-                return self.solve(as_wrench(wrench))
-        load, known, _ = together(
+        now = (positions, normals, friction, jacobian, torque_bias, contacts)
+        return self._solve_checked(wrench, now, initial, optimum, trace)
+
+    def _solve_checked(
+        self, wrench: ArrayLike, given: tuple[Any, ...], initial: Initial | None, optimum: float | None, trace: bool
+    ) -> ForceSolution:
+        """The general way of `solve`: arguments are converted, rules asked, and outcomes without a force said in words."""
+        load, known, _, now = together(
             lambda: as_wrench(wrench),
             lambda: float("nan") if optimum is None else positive(optimum, "optimum"),
             lambda: flag(trace, "trace"),
+            lambda: self._now(*given),
         )
-        try:
-            start = self._method.start(load, self._checked_initial(initial), self._before(initial))
-            self._previous = solution = self._method.run(load, start, known, trace)
-        except InfeasibleWrenchError:
-            limits = self.settings.limits
-            if limits is None or not self.settings.elastic:
-                raise
-            if self._elastic is None:
-                from grasp_env.force.program import ForceProgram
-
-                self._elastic = ForceProgram(self.grasp, limits, elastic=True)
-            record = self._elastic.least_excess(load)
-            if record[CODE] != LIMITS_EXCEEDED:
-                raise
-            self._previous = solution = ForceSolution(record, self.method, "central")
+        if self.method == "conic" and (initial is not None or known == known or trace):
+            raise InvalidInputError("method 'conic' takes no start, optimum or trace: they belong to descents on Phi")
+        if self.limits is None and (now[3] is not None or now[4] is not None):
+            raise InvalidInputError("jacobian and torque_bias belong to torque limits: make the optimizer with limits")
+        start = self._start(load, now, initial)
+        values = np.full(self.max_iterations + 1, np.nan) if trace else None
+        solution = self._core.solve_from(
+            start.start, start.name, start.force, start.torsion, start.before, known, values, load, *now
+        )
+        if solution is None:
+            raise self._error(self._core.ended, load, now, start)
+        if values is not None:
+            solution.objective_trace = values[: solution.iterations + 1]
+        if start.named in FROM_BASIS and solution.start_replaced and all(each is None for each in now):
+            raise InfeasibleStartError(self._no_start(start.named, load))
         return solution
+
+    def _no_start(self, name: str, wrench: Wrench) -> str:
+        with suppress(GraspError):
+            return f"initial={name!r} has no force inside the cones for wrench {wrench.tolist()}; use 'linear_combination', or leave it out"
+        return name
 
     def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
         """The initial force (N, 3) [N] that `solve` would start from.
@@ -250,101 +282,225 @@ class ForceOptimizer:
 
         Raises:
             UnsupportedProblemError: the method starts from its own centre.
+            InfeasibleWrenchError, InfeasibleStartError: see `optimize_force`.
         """
-        start = None
-        if self._method.takes_start:
-            start = self._method.start(as_wrench(wrench), self._checked_initial(initial), self._before(initial))
-        if start is None:
-            raise UnsupportedProblemError(f"method {self.method!r} takes no initial force")
-        return start.force
+        if self.method == "conic":
+            raise UnsupportedProblemError("method 'conic' takes no initial force")
+        load, now = as_wrench(wrench), (None,) * 6
+        start = self._start(load, now, initial)
+        row = self._core.start(start.start, start.force, start.torsion, start.before, load, *now)
+        if row[CODE] in (INFEASIBLE, REFUSED, RANK_LOST, UNDECIDED):
+            raise self._error(row, load, now, start)
+        n = self._count
+        return row[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3)
 
-    def _checked_initial(self, initial: Initial | None) -> Any:
-        """The start of a call: its own where it has one; "previous" for a solution."""
-        initial = self._initial if initial is None else checked_initial(initial)
-        return "previous" if is_a(initial, ForceSolution) else initial
+    def update(
+        self,
+        *,
+        positions: ArrayLike | None = None,
+        normals: ArrayLike | None = None,
+        friction: ArrayLike | None = None,
+        jacobian: ArrayLike | None = None,
+        torque_bias: ArrayLike | None = None,
+    ) -> None:
+        """Replaces what the optimizer was made with; what is left out stays. The 12-basis, where a start needs it, is made anew.
 
-    def _before(self, initial: Initial | None) -> ForceSolution | None:
-        return initial if is_a(initial, ForceSolution) else self._previous
+        Args:
+            positions, normals, friction, jacobian, torque_bias: see `solve`.
 
-    def _set_grasp(self, grasp: Grasp, settings: Settings) -> None:
-        # everything that may refuse the grasp first: an optimizer is never half moved
-        method = make_method(grasp, settings)
-        self.settings, self._grasp, self._method, self._size = settings, grasp, method, record_size(grasp.n_contacts)
-        self._elastic: ForceProgram | None = None  # made where it is needed
-        self._loop, self._name = method.loop(self._initial), self.settings.method
+        Raises:
+            InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer stays as it was.
+        """
+        now = self._now(positions, normals, friction, jacobian, torque_bias, None)
+        moved = self._moved(now) if any(each is not None for each in now[:3]) else self.grasp
+        if not self._core.update(*now[:5]):
+            raise InvalidInputError("the contacts or limits are not possible: give finite numbers and inward unit normals")
+        self._grasp = moved
+        if self._basis:
+            self._need_basis(strict=False)
+
+    def _now(self, positions: Any, normals: Any, friction: Any, jacobian: Any, torque_bias: Any, contacts: Any) -> tuple[Any, ...]:
+        """What a call is given, as the core reads it."""
+        n, joints = self._count, 0 if self.limits is None else self.limits.joints
+
+        def made(value: Any, shape: tuple[int | None, ...], name: str, within: Any = None) -> Any:
+            return None if value is None else np.ascontiguousarray(as_array(value, shape, name, within, copy=False))
+
+        def moving() -> Any:
+            if jacobian is None:
+                return None
+            rows = checked_jacobian(jacobian, n)
+            if rows.shape[2] != joints:
+                raise InvalidInputError(f"jacobian must be that of {joints} joints, got shape {rows.shape}")
+            return np.ascontiguousarray(rows)
+
+        def touching() -> Any:
+            if contacts is None:
+                return None
+            each = as_list(contacts)
+            mask = np.asarray(contacts if each is None else each)
+            if mask.shape != (n,) or mask.dtype != np.bool_ or n > 64:
+                raise InvalidInputError(
+                    f"contacts must be ({n},) of true and false, of at most 64 contacts, got {shown(contacts)}"
+                )
+            return np.ascontiguousarray(mask)
+
+        return tuple(
+            together(
+                lambda: made(positions, (n, 3), "positions"),
+                lambda: made(normals, (n, 3), "normals"),
+                lambda: None if friction is None else self.grasp.models.with_friction(friction, n),
+                moving,
+                lambda: made(torque_bias, (joints,), "torque_bias", ranges.BIAS),
+                touching,
+            )
+        )
+
+    def _moved(self, now: tuple[Any, ...]) -> Grasp:
+        """The contacts of a call that touch.
+
+        Raises:
+            InvalidInputError, RankDeficientGraspError: there is no such grasp.
+        """
+        grasp, (positions, normals, friction, _, _, mask) = self.grasp, now
+        chosen = slice(None) if mask is None else mask
+        models, gamma = grasp.models, grasp.models.torsional_friction[chosen]
+        return Grasp.from_contacts(
+            (grasp.positions if positions is None else positions)[chosen],
+            (grasp.normals if normals is None else normals)[chosen],
+            (models.friction if friction is None else friction)[chosen],
+            contact_model=[name for k, name in enumerate(models.names) if mask is None or mask[k]],
+            torsional_friction=gamma if gamma.any() else None,
+            tangents=grasp.frames[chosen, :, 1] if grasp.tangents_given else None,
+        )
+
+    def _start(self, wrench: Wrench, now: tuple[Any, ...], initial: Initial | None) -> StartFrom:
+        """Where a call begins, as the core reads it.
+
+        Raises:
+            InfeasibleStartError: a rule fails, or returns no force.
+        """
+        asked: Any = self._initial if initial is None else checked_initial(initial)
+        if asked is None or self.method == "conic":
+            return StartFrom(0)
+        if is_a(asked, ForceSolution):
+            if asked.n_contacts != self._count:
+                raise InfeasibleStartError(f"the solution has {asked.n_contacts} contacts, the grasp {self._count}")
+            return StartFrom(STARTS.index("previous"), before=asked)
+        if is_a(asked, str):
+            if asked in FROM_BASIS:
+                self._need_basis(strict=True)
+            return StartFrom(STARTS.index(asked), named=asked, before=self.previous if asked == "previous" else None)
+        if initial is None and is_rule(asked, LearnedRule):
+            return StartFrom(0, before=self.previous if asked.remembers else None)
+        moved = self.grasp if all(each is None for each in now) else self._moved(now)
+        start = rule_start(asked, moved, wrench, self.options.objective)
+        if now[5] is None or now[5].all():
+            return start
+        force = np.zeros((self._count, 3))
+        force[now[5]] = start.force
+        return StartFrom(start.start, start.name, start.named, force)
+
+    def _need_basis(self, strict: bool) -> None:
+        """Gives the core the 12-basis of its contacts. Without force closure there is none: an error where a start asked for it."""
+        try:
+            self._core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
+            self._basis = True
+        except (InfeasibleStartError, RankDeficientGraspError):
+            if strict and not self.options.flows:
+                raise
+
+    def _error(self, row: Array, wrench: Wrench, now: tuple[Any, ...], start: StartFrom) -> GraspError:
+        """What a row without a force means, in words."""
+        code = row[CODE]
+        if code == INFEASIBLE:
+            name = start.name or STARTS[int(row[START])]
+            return InfeasibleWrenchError("", ForceSolution(row, self.method, name))
+        if code == UNDECIDED:
+            return NotConvergedError(
+                f"neither a force nor a proof that there is none was found for wrench {wrench.tolist()}: forces, limits and weights are too "
+                "many decades apart, or the contacts are within rounding of losing force closure"
+            )
+        try:
+            moved = self._moved(now)
+        except GraspError as error:
+            return error
+        if code == REFUSED and start.force is not None:
+            return refused_start(moved, wrench, start, now[5])
+        return RankDeficientGraspError(
+            f"rank(G) < 6 with {moved.n_contacts} contacts: some wrenches cannot be balanced. Use at least three contacts with friction "
+            "that do not lie on one line, or two soft ones"
+        )
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name not in ("_method", "_loop", "_elastic")}
+        kept = {name: value for name, value in vars(self).items() if name not in ("_core", "_solve", "_basis")}
+        return kept | {"_grasp": self.grasp, "previous": self.previous}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
+        previous = state.pop("previous")
         vars(self).update(state)
-        self._set_grasp(self._grasp, self.settings)  # compiled solvers are made anew
+        self._make()  # what is compiled is made anew
+        self.previous = previous
 
 
-def checked_initial(initial: Any) -> Any:
-    """A start as `optimize_force` takes it, names as plain text.
+LEARNED = STARTS.index("learned")
 
-    Raises:
-        UnknownNameError, InvalidInputError: it is none.
-    """
-    named = as_text(initial)
-    if named is not None:
-        hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in named else ""
-        return choice(named, "initial-force rule", (*RULES, "previous"), hint)
-    given = initial is None or is_a(initial, ForceSolution | np.ndarray | list | tuple)
-    if not given and (is_a(initial, type) or not callable(initial)):
-        raise InvalidInputError(
-            f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {shown(initial)}"
+
+def refused_start(grasp: Grasp, wrench: Wrench, start: StartFrom, touching: Any) -> InfeasibleStartError:
+    """Why a descent did not take a given force."""
+    assert start.force is not None
+    force = start.force if touching is None else start.force[touching]
+    missed = grasp.residual(force, wrench)
+    scale = float(np.abs(force).max()) + float(np.abs(grasp.unit_frame @ wrench).max())
+    if missed > BALANCE_TOLERANCE * scale:
+        return InfeasibleStartError(
+            f"initial-force rule {start.name!r} misses balance by {missed:.3g} N (G f + w = 0, w the wrench ON the object); "
+            "add -G^+ (G f + w), or pass it through grasp_env.force.Repair"
         )
-    return initial
-
-
-def _tolerance(given: float | None, method: str) -> float:
-    if given is None:
-        return CONIC_TOLERANCE if as_text(method) == "conic" else TOLERANCE
-    return positive(given, "tolerance", ranges.TOLERANCE)
+    return InfeasibleStartError(
+        f"initial-force rule {start.name!r} leaves the friction cones (margin {grasp.cone_margin(force):.3g} N); "
+        "pass it through grasp_env.force.Repair"
+    )
 
 
 def optimize_force(
-    grasp: Grasp,
-    wrench: ArrayLike,
-    *,
-    initial: Initial | None = None,
-    method: str = "reduced_flow",
-    criterion: str = "sum",
-    limits: ForceLimits | None = None,
-    force_weight: Weight = 1.0,
-    barrier_weight: Weight = 0.01,
-    tolerance: float | None = None,
-    max_iterations: int = MAX_ITERATIONS,
-    step_rule: StepRule | None = None,
-    optimum: float | None = None,
-    trace: bool = False,
-    elastic: bool = False,
+    grasp: Grasp, wrench: ArrayLike, *, optimum: float | None = None, trace: bool = False, **options: Any
 ) -> ForceSolution:
-    """The grasp force of least Phi that balances a wrench: by default the paper's method.
+    """The grasp force of least Phi that balances a wrench, by Newton unless another method is asked for.
 
     Args:
         grasp: the contacts.
-        wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N m], object
-            frame; balanced as G f + wrench = 0.
-        initial: "linear_combination" (the paper; the default), "linear_combination_printed", "single_value",
-            "lagrange", "phase_one" (the default without force closure, or by torsion alone), any callable
-            rule(grasp, wrench) -> (N, 3), an (N, 3) force, or a previous `ForceSolution` to carry over. Not for
-            `conic` and `linear`, which start from their own centre.
-        method: "reduced_flow" (the paper's flow on 3N numbers), "full_flow" (dense, N <= 8), "newton" (Phi, a dozen
-            steps), "conic" (exact: no Phi, least normal forces), "linear" (friction pyramids, for comparison).
-        criterion: of `conic`: "sum" or "max" of the normal forces.
-        limits: on normal forces and joint torques, for `newton`, `conic` and `linear`.
-        force_weight: omega, the price of squeezing, 1e-4 to 1e4; one for all contacts or one each.
-        barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1], 1e-16 to 1e6; one or one each.
-        tolerance: relative certified gap at which to stop, at most 1; None: 1e-4, for `conic` 1e-6.
-        max_iterations: most accepted steps, 0 to 10,000,000.
-        step_rule: the flows' `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`; None: `AdaptiveStep()`.
-        optimum: see `ForceOptimizer.solve`.
-        trace: see `ForceOptimizer.solve`.
-        elastic: where no force keeps the limits, return the balanced one inside the cones whose largest excess, as a part of the
-            limit, is least (within 1 % of the least possible, or 1e-6), with status LIMITS_EXCEEDED, instead of an error. Its
+        wrench: (6,) external wrench ON the object, force [N] and moment about the object origin [N m], in the frame of the
+            contacts' positions; balanced as G f + wrench = 0.
+        optimum: a known min Phi: stop at the relative gap to it instead of the certified one (for studies).
+        trace: keep Phi of every iterate in `objective_trace`.
+        options: the keywords of `ForceOptimizer`:
+
+            method: "newton" (Phi, about six steps), "reduced_flow" (the paper's flow on 3N numbers), "full_flow" (dense, N <= 8),
+            "conic" (exact: no Phi, least normal forces).
+
+            initial: "linear_combination" (the paper's, of the flows the default), "linear_combination_printed",
+            "single_value", "lagrange", "phase_one", "internal_force" (of newton the default), any callable rule(grasp, wrench) ->
+            (N, 3), an (N, 3) force, or a previous `ForceSolution`. Not for `conic`, which starts from its own centre. Contacts
+            without force closure start from a force that phase one finds.
+
+            criterion: of `conic`: "sum" or "max" of the normal forces.
+
+            limits: a `ForceLimits` on normal forces and joint torques, for `newton` and `conic`.
+
+            force_weight: omega, the price of squeezing, 1e-4 to 1e4; one for all contacts or one each.
+
+            barrier_weight: lambda, the price of closeness to a cone [N^2 at omega = 1], 1e-16 to 1e6; one or one each.
+
+            tolerance: relative certified gap at which to stop, at most 1; None: 1e-4, for `conic` 1e-6.
+
+            max_iterations: most accepted steps, 0 to 10,000,000.
+
+            step_rule: the flows' `FixedStep`, `ArmijoStep`, `AdaptiveStep`, `BarzilaiBorweinStep` or `ExactStep`; None:
+            `AdaptiveStep()`.
+
+            elastic: where no force keeps the limits, return the balanced one inside the cones whose largest excess, as a part of
+            the limit, is least (within 1 % of the least possible, or 1e-6), with status LIMITS_EXCEEDED, instead of an error. Its
             `limit_excess` is the objective, `lower_bound` what no force stays below.
 
     Raises:
@@ -353,6 +509,7 @@ def optimize_force(
         UnsupportedProblemError: a method that does not know these contacts, limits or options.
         InfeasibleWrenchError: no force strictly inside the cones and limits balances the wrench; carries the proof.
         InfeasibleStartError: the rule has no balanced, strictly feasible force here.
+        NotConvergedError: neither a force nor a proof was found.
 
     Example:
         >>> from grasp_env.grasp import presets
@@ -360,21 +517,11 @@ def optimize_force(
         >>> solution.status.name, round(solution.total_normal_force, 1)
         ('OPTIMAL', 9.4)
         >>> weak = ForceLimits(max_normal=2.0)
-        >>> solution = optimize_force(presets.paper_cuboid(), solution.wrench, method="newton", limits=weak, elastic=True)
+        >>> solution = optimize_force(presets.paper_cuboid(), solution.wrench, limits=weak, elastic=True)
         >>> solution.status.name, round(solution.limit_excess, 1)
         ('LIMITS_EXCEEDED', 1.3)
     """
-    optimizer = ForceOptimizer(
-        grasp,
-        initial=initial,
-        method=method,
-        criterion=criterion,
-        limits=limits,
-        force_weight=force_weight,
-        barrier_weight=barrier_weight,
-        tolerance=tolerance,
-        max_iterations=max_iterations,
-        step_rule=step_rule,
-        elastic=elastic,
-    )
-    return optimizer.solve(wrench, optimum=optimum, trace=trace)
+    return ForceOptimizer(grasp, **options).solve(wrench, optimum=optimum, trace=trace)
+
+
+__all__ = ["WRENCH", "ForceOptimizer", "Options", "optimize_force", "ITERATIONS"]
