@@ -23,7 +23,8 @@ nb::typed<nb::dict, nb::str, int> codes() {
     nb::dict named;
     named["converged"] = int(grasp::CONVERGED), named["limit"] = int(grasp::LIMIT), named["stalled"] = int(grasp::STALLED);
     named["infeasible"] = int(grasp::INFEASIBLE), named["refused"] = int(grasp::REFUSED);
-    named["limits_exceeded"] = int(grasp::LIMITS_EXCEEDED);
+    named["limits_exceeded"] = int(grasp::LIMITS_EXCEEDED), named["undecided"] = int(grasp::UNDECIDED);
+    named["rank_lost"] = int(grasp::RANK_LOST);
     return named;
 }
 

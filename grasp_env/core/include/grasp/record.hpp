@@ -7,7 +7,8 @@ namespace grasp {
 
 // How a solve ended.
 // REFUSED: numbers that are not finite, or no start. LIMITS_EXCEEDED: no force keeps all limits; this one exceeds them least.
-enum Code { CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED };
+// UNDECIDED: neither a force nor a proof that there is none. RANK_LOST: contacts that cannot make wrenches of all directions.
+enum Code { CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, UNDECIDED, RANK_LOST };
 
 struct Summary {
     double code = REFUSED;   // a `Code`
