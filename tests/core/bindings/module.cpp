@@ -22,6 +22,7 @@ NB_MODULE(_core_test, m) {
     bind_limits(m);
     bind_soft(m);
     bind_program(m);
+    bind_general(m);
     bind_pipeline(m);
     bind_learned(m);
     bind_grasping(m);

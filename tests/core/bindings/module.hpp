@@ -15,6 +15,7 @@ void bind_conic(nb::module_& m);
 void bind_limits(nb::module_& m);
 void bind_soft(nb::module_& m);
 void bind_program(nb::module_& m);
+void bind_general(nb::module_& m);
 void bind_pipeline(nb::module_& m);
 void bind_learned(nb::module_& m);
 void bind_grasping(nb::module_& m);

@@ -14,46 +14,67 @@ constexpr int D = 4;
 
 // Dense rows as `Rows`, and where each of them went.
 template <class R, int T> struct Dense {
-    Rows<R, D, T> rows;
     std::vector<std::pair<bool, int>> place;  // (m,) own row or joint row, and its index
+    Rows<R, D, T> rows;
 
-    Dense(const In& given, const In& coupling, const In& right, int equal) {
-        const int many = int(given.shape(0)), count = int(given.shape(1));
+    Dense(const In& given, const In& coupling, const In& right, int equal) : place(given.shape(0)), rows(sizes(given, equal)) {
+        const int count = rows.count, many = int(place.size());
+        const auto row = [&](int r, int i) {
+            Tuple<double, D> out{};
+            if (i < count) std::copy_n(given.data() + D * (count * r + i), D, out.begin());
+            return out;
+        };
+        const auto shared = [&](int r) {
+            Tuple<R, T> out;
+            for (int k = 0; k < T; ++k) out[k] = coupling.data()[T * r + k];
+            return out;
+        };
+        std::vector<Tuple<double, D>> whole(count);
         for (int r = 0; r < many; ++r) {
-            std::vector<Tuple<R, D>> row(count);
-            Tuple<R, T> shared;
-            int touched = 0, last = count;
-            for (int i = 0; i < count; ++i) {
-                double size = 0.0;
-                for (int a = 0; a < D; ++a)
-                    row[i][a] = given.data()[D * (count * r + i) + a], size += std::abs(double(row[i][a]));
-                if (size > 0.0) ++touched, last = i;
-            }
-            for (int k = 0; k < T; ++k) shared[k] = coupling.data()[T * r + k];
-            if (r < equal || touched > 1) rows.add_joint(row, shared, r);
-            else rows.add_own(last, last < count ? row[last] : Tuple<R, D>{}, shared, r);
+            if (owner(given, equal, r) >= 0) continue;
+            for (int i = 0; i < count; ++i) whole[i] = row(r, i);
+            rows.add_joint(whole, shared(r), r);
         }
-        rows.finish(count, equal);
-        place.resize(many);
+        for (int i = 0; i <= count; ++i)
+            for (int r = 0; r < many; ++r)
+                if (owner(given, equal, r) == i) rows.add_own(i, wide<R>(row(r, i)), shared(r), r);
+        rows.finish();
         for (int k = 0; k < int(rows.own.size()); ++k)
-            if (rows.own[k].label >= 0) place[rows.own[k].label] = {true, k}, rows.own[k].right = right.data()[rows.own[k].label];
+            place[rows.own[k].label] = {true, k}, rows.own[k].right = right.data()[rows.own[k].label];
         for (int r = 0; r < rows.joint; ++r) place[rows.label[r]] = {false, r}, rows.right[r] = right.data()[rows.label[r]];
     }
-    void put(const In& from, std::vector<R>& own, std::vector<R>& joint) const {
+    void put(const In& from, Kept<R>& own, Kept<R>& joint) const {
         for (std::size_t r = 0; r < place.size(); ++r) (place[r].first ? own : joint)[place[r].second] = from.data()[r];
     }
-    nb::object get(const std::vector<R>& own, const std::vector<R>& joint) const {
+    nb::object get(const Kept<R>& own, const Kept<R>& joint) const {
         std::vector<double> out;
         for (const auto& [mine, k] : place) out.push_back(double((mine ? own : joint)[k]));
         return array(out);
     }
+
+private:
+    // The one contact that row r touches, N: none, -1: several, or an equation.
+    static int owner(const In& given, int equal, int r) {
+        const int count = int(given.shape(1));
+        int touched = 0, last = count;
+        for (int i = 0; i < count; ++i) {
+            const double* at = given.data() + D * (count * r + i);
+            if (std::any_of(at, at + D, [](double value) { return value != 0.0; })) ++touched, last = i;
+        }
+        return r < equal || touched > 1 ? -1 : last;
+    }
+    static Rows<R, D, T> sizes(const In& given, int equal) {
+        int joints = 0;
+        for (int r = 0; r < int(given.shape(0)); ++r) joints += owner(given, equal, r) < 0;
+        return {int(given.shape(1)), equal, joints, int(given.shape(0)) - joints};
+    }
 };
 
-template <class R> void put(const In& from, std::vector<Tuple<R, D>>& to) {
+template <class R> void put(const In& from, Kept<Tuple<R, D>>& to) {
     for (std::size_t i = 0; i < to.size(); ++i)
         for (int a = 0; a < D; ++a) to[i][a] = from.data()[D * i + a];
 }
-template <class R> nb::object get(const std::vector<Tuple<R, D>>& from) {
+template <class R> nb::object get(const Kept<Tuple<R, D>>& from) {
     std::vector<double> out;
     for (const auto& z : from)
         for (const R& value : z) out.push_back(double(value));
@@ -81,7 +102,8 @@ nb::object interior_point(const In& given, const In& coupling, const In& right, 
                           bool twice) {
     return with(int(shared_cost.size()), twice, [&]<class R, int T>(R, std::integral_constant<int, T>) -> nb::object {
         const Dense<R, T> dense(given, coupling, right, equal);
-        InteriorPoint<R, D, T> engine(dense.rows, flags(soft));
+        const std::vector<char> of_soft = flags(soft);
+        InteriorPoint<R, D, T> engine(dense.rows, of_soft);
         put(cost, engine.cost), put(z, engine.at.z), put(s, engine.at.s);
         for (int k = 0; k < T; ++k) engine.shared_cost[k] = shared_cost.data()[k], engine.at.t[k] = t.data()[k];
         dense.put(y, engine.at.own, engine.at.joint), dense.put(slack, engine.at.own_slack, engine.at.joint_slack);
@@ -120,7 +142,8 @@ nb::object phi_rows(const In& given, const In& right, int equal, const In& weigh
     return with(0, twice, [&]<class R, int T>(R, std::integral_constant<int, T>) -> nb::object {
         if constexpr (T == 0) {
             const Dense<R, 0> dense(given, given, right, equal);
-            PhiRows<R, D> engine(dense.rows, flags(soft), int(row_weights.size()));
+            const std::vector<char> of_soft = flags(soft);
+            PhiRows<R, D> engine(dense.rows, of_soft, int(row_weights.size()));
             for (int i = 0; i < dense.rows.count; ++i) engine.weights[i] = {weights.data()[2 * i], weights.data()[2 * i + 1]};
             for (std::size_t k = 0; k < row_weights.size(); ++k) engine.row_weights[k] = row_weights.data()[k];
             put(z, engine.z);
@@ -146,18 +169,19 @@ nb::object twice(const In& a, const In& b, const std::string& what) {
 nb::object program_allocations(const In& frame, const In& balance, const In& rows, const In& bound, const In& divisor,
                                const In& shares, const In& wrenches, int calls) {
     const int count = int(divisor.shape(0)), limits = int(bound.size()), many = int(wrenches.shape(0));
-    const auto program = Program::make(
-        {count, limits, frame.data(), balance.data(), rows.data(), bound.data(), divisor.data(), shares.data(), true});
+    Arena arena(Program::room(count, limits, limits, true));
+    const Arena::Use use(arena);
+    Program program({count, limits, frame.data(), balance.data(), rows.data(), bound.data(), divisor.data(), shares.data(), true});
     std::vector<double> row(record_size(count)), prices(limits), z(4 * count), weights(2 * count, 0.01), each(limits, 0.01);
-    int ended[6] = {};
+    int ended[8] = {};
     const long made = counted([&] {
         for (int k = 0; k < calls; ++k) {
             const double* w = wrenches.data() + 6 * (k % many);
             const Record record(row.data(), count);
-            ++ended[program->least(w, k % 2 ? Criterion::largest : Criterion::sum, {1e-6, 100}, record, prices.data())];
-            ++ended[program->least(w, Criterion::excess, {EXCESS_WITHIN, 100}, record, prices.data())];
-            if (program->deepest(w, 1e-7, z.data()).code == CONVERGED)
-                program->least_phi({.wrench = w}, weights.data(), each.data(), z.data(), {1e-4, 100}, record, prices.data());
+            ++ended[program.least(w, k % 2 ? Criterion::largest : Criterion::sum, {1e-6, 100}, record, prices.data())];
+            ++ended[program.least(w, Criterion::excess, {EXCESS_WITHIN, 100}, record, prices.data())];
+            if (program.deepest(w, 1e-7, z.data()).code == CONVERGED)
+                program.least_phi({.wrench = w}, weights.data(), each.data(), z.data(), {1e-4, 100}, record, prices.data());
         }
     });
     return nb::make_tuple(made, ended[CONVERGED], ended[INFEASIBLE], ended[LIMITS_EXCEEDED]);

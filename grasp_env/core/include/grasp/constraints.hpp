@@ -25,50 +25,68 @@ enum class Criterion { sum, largest, excess };
 
 namespace detail {
 
-// One program in two precisions: the second is asked where the first ends short.
-template <int D, int T> struct Precisions {
-    InteriorPoint<double, D, T> quick;
-    InteriorPoint<Twice, D, T> careful;
-};
-
 // The least, or what is no number.
-inline double least_of(const std::vector<double>& values) {
+inline double least_of(std::span<const double> values) {
     double least = infinity;
     for (double value : values) least = value >= least ? least : value;
     return least;
 }
 
 template <int D> struct Constraints {
-    using Field = std::vector<Tuple<double, D>>;  // z, or a row of coefficients of it
-    int count, limits, torsions;  // N, M; the first rows are those of torsion
-    std::vector<char> soft;
-    std::vector<double> price, divisor, bound, shares;  // price: normal force = price u
-    std::vector<int> torsion_row;  // (N,) -1: not soft
-    std::vector<Field> balance, limit, turn;  // (6,) G, (M,), (6,) Q
+    using Row = std::span<const Tuple<double, D>>;  // z, or coefficients of it
+    using Field = Kept<Tuple<double, D>>;
+    // Rows of coefficients.
+    class Matrix {
+    public:
+        Matrix(int rows, int count) : numbers_(rows * count), count_(count) {}
+        Row operator[](int r) const { return {numbers_.data() + count_ * r, std::size_t(count_)}; }
+        std::span<Tuple<double, D>> operator[](int r) { return {numbers_.data() + count_ * r, std::size_t(count_)}; }
+
+    private:
+        Field numbers_;
+        int count_;
+    };
+    int count, limits, torsions = 0;  // N, M; the first rows are those of torsion
+    Kept<char> soft;
+    Kept<double> price, divisor, bound, shares;  // price: normal force = price u
+    Kept<int> torsion_row;  // (N,) -1: not soft
+    Kept<int> owner;  // (M,) the one contact that a row touches; N: none, SEVERAL: more than one
+    Kept<int> own;  // rows of at most one contact, by contact
+    Matrix balance, limit, turn;  // (6,) G, (M,), (6,) Q
     double frame[6][6], lower[6][6] = {};  // L
 
     explicit Constraints(const Given& given)
         : count(given.count), limits(given.limits), soft(count), price(count), divisor(given.divisor, given.divisor + 4 * count),
-          bound(given.bound, given.bound + limits), shares(given.shares, given.shares + limits), torsion_row(count, -1) {
+          bound(given.bound, given.bound + limits), shares(given.shares, given.shares + limits), torsion_row(count, -1),
+          owner(limits), own(limits), balance(6, count), limit(limits, count), turn(6, count) {
         std::copy(given.frame, given.frame + 36, &frame[0][0]);
-        for (int i = 0; i < count; ++i) soft[i] = divisor[4 * i + 3] < infinity, price[i] = 1.0 / divisor[4 * i];
-        const auto rows_of = [&](const double* from, int many, std::vector<Field>& to) {
-            to.assign(many, Field(count));
-            for (int k = 0; k < many; ++k)
-                for (int i = 0; i < count; ++i)
-                    std::copy(from + 4 * (count * k + i), from + 4 * (count * k + i) + D, to[k][i].begin());
-        };
-        rows_of(given.balance, 6, balance), rows_of(given.rows, limits, limit);
-        torsions = 0;
-        for (int i = 0; i < count; ++i)
+        for (int i = 0; i < count; ++i) {
+            soft[i] = divisor[4 * i + 3] < infinity, price[i] = 1.0 / divisor[4 * i];
             if (soft[i]) torsion_row[i] = torsions++;
+        }
+        const auto take = [&](const double* from, int many, Matrix& to) {
+            for (int k = 0; k < many; ++k)
+                for (int i = 0; i < count; ++i, from += 4) std::copy(from, from + D, to[k][i].begin());
+        };
+        take(given.balance, 6, balance), take(given.rows, limits, limit);
+        find_owners();
         orthonormalise();
     }
+    static std::size_t room(int count, int limits) {
+        return Arena::room<char>(count) + Arena::room<double>(count) + Arena::room<double>(4 * count) +
+               2 * Arena::room<double>(limits) + Arena::room<int>(count) + 2 * Arena::room<int>(limits) +
+               2 * Arena::room<Tuple<double, D>>(6 * count) + Arena::room<Tuple<double, D>>(std::size_t(limits) * count);
+    }
 
-    // What keeps the first `many` limits in both precisions: T = 0 the least sum of normal forces; 1 the least of a t above each normal force,
-    // or above each excess; 2 the largest of a depth m, with the share r of the wrench.
-    template <int T> Precisions<D, T> within(int many, Criterion criterion = Criterion::sum) const {
-        return {engine<double, T>(many, criterion), engine<Twice, T>(many, criterion)};
+    // What keeps the first `many` limits: T = 0 the least sum of normal forces; 1 the least of a t above each normal force, or above each
+    // excess; 2 the largest of a depth m, with the share r of the wrench.
+    template <class R, int T> InteriorPoint<R, D, T> engine(int many, Criterion criterion = Criterion::sum) const {
+        InteriorPoint<R, D, T> made(rows<R, T>(many, criterion), soft);
+        if constexpr (T == 1) made.shared_cost = {R(1.0)};
+        if constexpr (T == 2) made.shared_cost = {R(-1.0), R(0.0)};
+        if constexpr (T == 0)
+            for (int i = 0; i < count; ++i) made.cost[i][0] = price[i];
+        return made;
     }
     // (1, 0, 0, 1): the way into a cone.
     static Tuple<double, D> inwards() {
@@ -77,9 +95,9 @@ template <int D> struct Constraints {
         if (D == 4) out[D - 1] = 1.0;
         return out;
     }
-    // Room for what `rooms` writes.
-    std::vector<double> room() const { return std::vector<double>(2 * count + limits); }
-    static double product(const Field& a, const Field& b) {
+    // For what `rooms` writes.
+    Kept<double> slacks() const { return Kept<double>(2 * count + limits); }
+    static double product(Row a, Row b) {
         double total = 0.0;
         for (std::size_t i = 0; i < a.size(); ++i) total += inner(a[i], b[i]);
         return total;
@@ -133,6 +151,17 @@ template <int D> struct Constraints {
         for (int r = 0; r < 6; ++r) out[r] = product(balance[r], z);
         return out;
     }
+    // Whether G has rank 6: as many digits as a wrench needs are left of L.
+    bool full() const {
+        double square = 0.0, inverse = 0.0;
+        for (int r = 0; r < 6; ++r) {
+            Vec6 unit{};
+            unit[r] = 1.0;
+            for (double value : solve_lower(unit)) inverse += value * value;
+            for (int q = 0; q <= r; ++q) square += lower[r][q] * lower[r][q];
+        }
+        return square * inverse * RANK * RANK < 1.0;
+    }
     // What G z + w misses off z, by the least change; returns what is left. What is z's own rounding stays: where contacts are close to each
     // other its least change is far larger than it.
     double rebalance(Field& z, const Vec6& unit) const {
@@ -146,46 +175,37 @@ template <int D> struct Constraints {
     }
 
     template <class R, int T> Rows<R, D, T> rows(int many, Criterion criterion = Criterion::sum) const {
-        Rows<R, D, T> out;
-        const auto turned = [](const Field& row) {
-            std::vector<Tuple<R, D>> made(row.size());
-            for (std::size_t i = 0; i < row.size(); ++i) made[i] = wide<R>(row[i]);
-            return made;
-        };
+        int joints = T == 2 ? 7 : 6, owns = T == 0 ? 0 : T == 2 ? 1 : count + (criterion == Criterion::excess);
+        for (int k = 0; k < many; ++k) ++(owner[k] == SEVERAL ? joints : owns);
+        Rows<R, D, T> out(count, T == 2 ? 7 : 6, joints, owns);
         for (int r = 0; r < 6; ++r) {
             Tuple<R, T> shared{};
             if constexpr (T == 2)
                 for (int i = 0; i < count; ++i) shared[0] += inward(i, turn[r][i]);
-            out.add_joint(turned(turn[r]), shared, -1);
+            out.add_joint(turn[r], shared, -1);
         }
-        int equations = 6;
         if constexpr (T == 2) {
             Field total(count);
             for (auto& z : total) z[0] = 1.0;
-            out.add_joint(turned(total), {R(count), R(1.0)}, -1);
-            equations = 7, out.doubtful = 6;
+            out.add_joint(total, {R(count), R(1.0)}, -1);
+            out.doubtful = 6;
         }
-        for (int k = 0; k < many; ++k) {
-            int touched = 0, last = count;
-            const Tuple<R, T> shared{};
-            for (int i = 0; i < count; ++i)
-                if (inner(limit[k][i], limit[k][i]) > 0.0) ++touched, last = i;
-            if (touched > 1) out.add_joint(turned(limit[k]), shared, k);
-            else out.add_own(last, last < count ? wide<R>(limit[k][last]) : Tuple<R, D>{}, shared, k);
+        for (int k = 0; k < many; ++k)
+            if (owner[k] == SEVERAL) out.add_joint(limit[k], {}, k);
+        for (int i = 0, next = 0; i <= count; ++i) {
+            for (; next < int(own.size()) && owner[own[next]] == i; ++next)
+                if (own[next] < many) out.add_own(i, i < count ? wide<R>(limit[own[next]][i]) : Tuple<R, D>{}, {}, own[next]);
+            if constexpr (T == 1)
+                if (i < count) {  // normal <= t, or where t is an excess <= a bound to come
+                    Tuple<R, D> row{};
+                    row[0] = price[i];
+                    out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
+                }
         }
         if constexpr (T == 1)
-            for (int i = 0; i < count; ++i) {  // normal <= t, or where t is an excess <= a bound to come
-                Tuple<R, D> row{};
-                row[0] = price[i];
-                out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
-            }
-        if (T == 1 && criterion == Criterion::excess) {
-            Tuple<R, T> above{};
-            above[0] = -1.0;
-            out.add_own(count, {}, above, -1);
-        }
+            if (criterion == Criterion::excess) out.add_own(count, {}, {R(-1.0)}, -1);
         if constexpr (T == 2) out.add_own(count, {}, {R(1.0), R(-1.0)}, -1);
-        out.finish(count, equations);
+        out.finish();
         return out;
     }
 
@@ -193,7 +213,7 @@ template <int D> struct Constraints {
     double inward(int i, const Tuple<double, D>& row) const { return row[0] + (D == 4 && soft[i] ? row[D - 1] : 0.0); }
 
     // Slack of every cone, w and limit, less what rounding may cost.
-    template <class Bound> void rooms(const Field& z, int many, std::vector<double>& out, Bound&& right) const {
+    template <class Bound> void rooms(const Field& z, int many, Kept<double>& out, Bound&& right) const {
         int next = 0;
         for (int i = 0; i < count; ++i) {
             out[next++] = slack(cone(z[i])) - PAD * z[i][0];
@@ -212,9 +232,24 @@ template <int D> struct Constraints {
     }
 
 private:
+    static constexpr int SEVERAL = -1;
+    static constexpr double RANK = 1e-8;  // least ratio of singular values of G that counts as rank 6
     static constexpr double PAD = 6e-16;  // of the numbers that make a slack: what rounding may cost on the way to forces
     static constexpr double LAST = 4e-16;  // of the largest normal force: what rounding it may cost balance
 
+    void find_owners() {
+        for (int k = 0; k < limits; ++k) {
+            int touched = 0;
+            owner[k] = count;
+            for (int i = 0; i < count; ++i)
+                if (inner(limit[k][i], limit[k][i]) > 0.0) owner[k] = touched++ ? SEVERAL : i;
+        }
+        int many = 0;
+        for (int k = 0; k < limits; ++k)
+            if (owner[k] != SEVERAL) own[many++] = k;
+        own.resize(many);
+        std::sort(own.begin(), own.end(), [&](int a, int b) { return std::pair(owner[a], a) < std::pair(owner[b], b); });
+    }
     // G = L Q by Gram and Schmidt, twice.
     void orthonormalise() {
         turn = balance;
@@ -229,14 +264,6 @@ private:
             for (auto& z : turn[r])
                 for (double& value : z) value /= lower[r][r];
         }
-    }
-    template <class R, int T> InteriorPoint<R, D, T> engine(int many, Criterion criterion) const {
-        InteriorPoint<R, D, T> made(rows<R, T>(many, criterion), soft);
-        if constexpr (T == 1) made.shared_cost = {R(1.0)};
-        if constexpr (T == 2) made.shared_cost = {R(-1.0), R(0.0)};
-        if constexpr (T == 0)
-            for (int i = 0; i < count; ++i) made.cost[i][0] = price[i];
-        return made;
     }
 };
 

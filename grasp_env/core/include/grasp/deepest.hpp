@@ -21,23 +21,23 @@ template <int D> class Depth {
 public:
     using Field = typename Constraints<D>::Field;
 
-    Depth(std::shared_ptr<const Constraints<D>> in, int many)
-        : in_(std::move(in)), many_(many), engines_(in_->template within<2>(many)), room_(in_->room()), prices_(in_->limits) {}
+    Depth(const Constraints<D>& in, int many) : in_(&in), many_(many), room_(in.slacks()), prices_(in.limits) {}
 
     // Into z [N]: strictly inside where CONVERGED, balanced with the wrench.
     Deepest find(const double* wrench, double tolerance, Field& z) {
-        const Deepest found = find(engines_.quick, wrench, tolerance, z);
-        return found.code == CONVERGED || found.code == INFEASIBLE ? found : find(engines_.careful, wrench, tolerance, z);
+        const Deepest found = find<double>(wrench, tolerance, z);
+        return found.code == CONVERGED || found.code == INFEASIBLE ? found : find<Twice>(wrench, tolerance, z);
     }
 
 private:
     static constexpr double ROUNDING = 1e-14;  // of the numbers that make a proof, per term: far above what rounding may cost
-    std::shared_ptr<const Constraints<D>> in_;
+    const Constraints<D>* in_;
     int many_;
-    Precisions<D, 2> engines_;
-    std::vector<double> room_, prices_;
+    Kept<double> room_, prices_;
 
-    template <class R> Deepest find(InteriorPoint<R, D, 2>& engine, const double* wrench, double tolerance, Field& z) {
+    template <class R> Deepest find(const double* wrench, double tolerance, Field& z) {
+        const Arena::Scope scope;
+        auto engine = in_->template engine<R, 2>(many_);
         const Vec6 load = in_->in_frame(wrench);
         double size = grasp::size(load);
         bool free = size == 0.0;

@@ -14,12 +14,17 @@ struct ForceLimits {
     std::span<const double> torque_limit{};  // (J,) > 0 [N m]
     std::span<const double> torque_bias{};  // (J,) tau_0: torques that act besides the grasp's, such as the hand's weight [N m]
 
+    // How many rows there are.
+    int many() const {
+        const auto finite = [](std::span<const double> limits) { return int(std::count_if(limits.begin(), limits.end(), limits_it)); };
+        return finite(min_normal) + finite(max_normal) + 2 * finite(torque_limit);
+    }
     // f(row, b, limit) for least normal forces above 0, largest normal forces, then the upper and lower torque of each joint.
     // row: (N, each) numbers to work with, each = 3; of a Jacobian with the torsion's row besides, 4.
     template <class F> void rows(int count, int each, std::span<double> row, F&& f) const {
         const auto normal = [&](std::span<const double> limits, double sign) {
             for (int i = 0; i < int(limits.size()); ++i) {
-                if (!(limits[i] > 0.0 && limits[i] < infinity)) continue;
+                if (!limits_it(limits[i])) continue;
                 std::fill(row.begin(), row.end(), 0.0);
                 row[each * i] = sign;
                 f(row, sign * limits[i], limits[i]);
@@ -28,13 +33,16 @@ struct ForceLimits {
         normal(min_normal, -1.0), normal(max_normal, 1.0);
         const int joints = int(torque_limit.size());
         for (int j = 0; j < joints; ++j) {
-            if (!(torque_limit[j] < infinity)) continue;
+            if (!limits_it(torque_limit[j])) continue;
             for (double sign : {1.0, -1.0}) {
                 for (int k = 0; k < each * count; ++k) row[k] = sign * jacobian[joints * k + j];
                 f(row, torque_limit[j] - sign * (torque_bias.empty() ? 0.0 : torque_bias[j]), torque_limit[j]);
             }
         }
     }
+
+private:
+    static bool limits_it(double limit) { return limit > 0.0 && limit < infinity; }
 };
 
 // Rows on one contact's force each, cone coordinates. Once filled it is filled again without allocating.

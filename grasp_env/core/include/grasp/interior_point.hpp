@@ -15,26 +15,31 @@ namespace grasp {
 template <class R, int D, int T> class InteriorPoint {
 public:
     struct State {
-        std::vector<Tuple<R, D>> z, s;  // primal and dual, strictly inside
+        Kept<Tuple<R, D>> z, s;  // primal and dual, strictly inside
         Tuple<R, T> t{};
-        std::vector<R> own, joint;  // multipliers; > 0 on limits
-        std::vector<R> own_slack, joint_slack;  // > 0 on limits
+        Kept<R> own, joint;  // multipliers; > 0 on limits
+        Kept<R> own_slack, joint_slack;  // > 0 on limits
     };
     Rows<R, D, T> rows;
-    std::vector<Tuple<R, D>> cost;
+    Kept<Tuple<R, D>> cost;
     Tuple<R, T> shared_cost{};
-    std::vector<char> soft;  // whether w is a variable; elsewhere it stays 1 and no row touches it
+    std::span<const char> soft;  // whether w is a variable; elsewhere it stays 1 and no row touches it
     State at;  // the start, then the answer
     int iterations = 0;
 
-    InteriorPoint(const Rows<R, D, T>& given, const std::vector<char>& soft)
-        : rows(given), cost(rows.count), soft(soft), system_(rows), f_(rows), d_(rows), left_(rows), more_(rows), residual_(rows),
+    InteriorPoint(Rows<R, D, T> given, std::span<const char> soft)
+        : rows(std::move(given)), cost(rows.count), soft(soft), system_(rows), f_(rows), d_(rows), left_(rows), more_(rows), residual_(rows),
           ds_(rows.count), dz_(rows.count), scaling_(rows.count), kappa_own_(rows.own.size()), dslack_own_(rows.own.size()),
           kappa_joint_(rows.joint), dslack_joint_(rows.joint) {
         at.z.resize(rows.count), at.s.resize(rows.count);
         at.own.resize(rows.own.size()), at.own_slack.resize(rows.own.size());
         at.joint.resize(rows.joint), at.joint_slack.resize(rows.joint);
         best_ = at;
+    }
+    static std::size_t room(int count, int joints, int owns) {
+        return Rows<R, D, T>::room(count, joints, owns) + RowSystem<R, D, T>::room(count, joints, owns) +
+               9 * Space<R, D, T>::room(count, joints, owns) + 3 * Arena::room<Tuple<R, D>>(count) +
+               Arena::room<Scaling<R>>(count) + 2 * (Arena::room<R>(joints) + Arena::room<R>(owns));
     }
 
     R objective() const {
@@ -99,9 +104,9 @@ private:
     RowSystem<R, D, T> system_;
     Space<R, D, T> f_, d_, left_, more_, residual_;  // d_.z is the scaled direction W^-1 dz
     State best_;
-    std::vector<Tuple<R, D>> ds_, dz_;
-    std::vector<Scaling<R>> scaling_;
-    std::vector<R> kappa_own_, dslack_own_, kappa_joint_, dslack_joint_;
+    Kept<Tuple<R, D>> ds_, dz_;
+    Kept<Scaling<R>> scaling_;
+    Kept<R> kappa_own_, dslack_own_, kappa_joint_, dslack_joint_;
 
     struct Measured {
         R gap, size, primal, dual;

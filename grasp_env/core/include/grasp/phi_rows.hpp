@@ -10,18 +10,23 @@ namespace grasp {
 template <class R, int D> class PhiRows {
 public:
     Rows<R, D, 0> rows;
-    std::vector<Weights<R>> weights;
-    std::vector<R> row_weights;  // (M,) lambda of each limit
-    std::vector<char> soft;
-    std::vector<Tuple<R, D>> z;  // the start, strictly inside, then the answer
+    Kept<Weights<R>> weights;
+    Kept<R> row_weights;  // (M,) lambda of each limit
+    std::span<const char> soft;
+    Kept<Tuple<R, D>> z;  // the start, strictly inside, then the answer
     Space<R, D, 0> y, proof;  // multipliers, and those of the bound
     int iterations = 0, trials = 0;
     R value = 0.0, bound = 0.0;
 
-    PhiRows(const Rows<R, D, 0>& given, const std::vector<char>& soft, int limits)
-        : rows(given), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), proof(rows), system_(rows),
+    PhiRows(Rows<R, D, 0> given, std::span<const char> soft, int limits)
+        : rows(std::move(given)), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), proof(rows), system_(rows),
           f_(rows), left_(rows), more_(rows), own_slack_(rows.own.size()), own_trial_(rows.own.size()), joint_slack_(rows.joint),
           joint_trial_(rows.joint), step_(rows.count), trial_(rows.count) {}
+    static std::size_t room(int count, int joints, int owns, int limits) {
+        return Rows<R, D, 0>::room(count, joints, owns) + RowSystem<R, D, 0>::room(count, joints, owns) +
+               5 * Space<R, D, 0>::room(count, joints, owns) + 3 * Arena::room<Tuple<R, D>>(count) +
+               Arena::room<Weights<R>>(count) + Arena::room<R>(limits) + 2 * (Arena::room<R>(joints) + Arena::room<R>(owns));
+    }
 
     // fraction: of the way to the boundary that a step goes at most
     Code run(const Call& call, double tolerance, int limit, double fraction) {
@@ -59,10 +64,10 @@ private:
     static constexpr double BELOW = -1e-9;  // rounding by which Phi may fall short of its bound
     RowSystem<R, D, 0> system_;
     Space<R, D, 0> f_, left_, more_;
-    std::vector<R> own_slack_, own_trial_, joint_slack_, joint_trial_;
-    std::vector<Tuple<R, D>> step_, trial_;
+    Kept<R> own_slack_, own_trial_, joint_slack_, joint_trial_;
+    Kept<Tuple<R, D>> step_, trial_;
 
-    void slacks(const std::vector<Tuple<R, D>>& at, std::vector<R>& own, std::vector<R>& joint) const {
+    void slacks(const Kept<Tuple<R, D>>& at, Kept<R>& own, Kept<R>& joint) const {
         joint = rows.right;
         for (int i = 0; i < rows.count; ++i) {
             for (int r = 0; r < rows.joint; ++r) joint[r] -= inner(rows.columns[rows.joint * i + r], at[i]);
@@ -72,7 +77,7 @@ private:
     }
 
     // +inf unless strictly inside
-    R phi(const std::vector<Tuple<R, D>>& at, const std::vector<R>& own, const std::vector<R>& joint) const {
+    R phi(const Kept<Tuple<R, D>>& at, const Kept<R>& own, const Kept<R>& joint) const {
         R total = 0.0;
         const auto barrier = [&](const R& weight, const R& slack) { total += slack > 0.0 ? weight / slack : R(infinity); };
         for (int i = 0; i < rows.count; ++i) {

@@ -3,6 +3,8 @@
 // the rows that couple contacts, and the T variables that all share.
 #pragma once
 #include <algorithm>
+#include <span>
+#include "arena.hpp"
 #include "vec3.hpp"
 
 namespace grasp {
@@ -64,43 +66,55 @@ template <class R, int D, int T> struct Rows {
         R right;
         int label;
     };
-    int count = 0, joint = 0, equal = 0;
+    int count, joint, equal;
     int doubtful = -1;  // an equation that the contacts alone may not keep apart from the others, only with t
-    std::vector<Tuple<R, D>> columns;  // (N, joint) coefficients of the joint rows, contact by contact
-    std::vector<Tuple<R, T>> coupling;  // (joint,)
-    std::vector<R> right;  // (joint,)
-    std::vector<Own> own;  // contact by contact; those of no contact (only t) last
-    std::vector<int> first;  // (N + 2,) own[first[i]] is the first of contact i
-    std::vector<int> label;  // (joint,) what a joint row is called, -1: an equation
+    Kept<Tuple<R, D>> columns;  // (N, joint) coefficients of the joint rows, contact by contact
+    Kept<Tuple<R, T>> coupling;  // (joint,)
+    Kept<R> right;  // (joint,)
+    Kept<Own> own;  // contact by contact; those of no contact (only t) last
+    Kept<int> first;  // (N + 2,) own[first[i]] is the first of contact i
+    Kept<int> label;  // (joint,) what a joint row is called, -1: an equation
 
-    void add_joint(const std::vector<Tuple<R, D>>& row, const Tuple<R, T>& shared, int name) {
-        coupling.push_back(shared), right.push_back(0.0), label.push_back(name);
-        given_.push_back(row);
+    // how many rows will be added
+    Rows(int contacts, int equations, int joints, int owns)
+        : count(contacts), joint(joints), equal(equations), columns(contacts * joints), coupling(joints), right(joints),
+          first(contacts + 2), label(joints) {
+        own.reserve(owns);
     }
+    // Joint rows one after the other, the equations first.
+    template <class Row> void add_joint(const Row& row, const Tuple<R, T>& shared, int name) {
+        for (int i = 0; i < count; ++i) columns[joint * i + added_] = wide<R>(row[i]);
+        coupling[added_] = shared, label[added_] = name;
+        ++added_;
+    }
+    // By growing contact, N: none.
     void add_own(int contact, const Tuple<R, D>& row, const Tuple<R, T>& shared, int name) {
         own.push_back({contact, row, shared, 0.0, name});
     }
-    void finish(int contacts, int equations) {
-        count = contacts, joint = int(given_.size()), equal = equations;
-        std::stable_sort(own.begin(), own.end(), [](const Own& a, const Own& b) { return a.contact < b.contact; });
-        columns.resize(count * joint), first.assign(count + 2, int(own.size()));
-        for (int r = 0; r < joint; ++r)
-            for (int i = 0; i < count; ++i) columns[joint * i + r] = given_[r][i];
+    void finish() {
+        std::fill(first.begin(), first.end(), int(own.size()));
         for (int k = int(own.size()) - 1; k >= 0; --k) first[own[k].contact] = k;
         for (int i = count; i >= 0; --i) first[i] = std::min(first[i], first[i + 1]);
     }
+    static std::size_t room(int count, int joints, int owns) {
+        return Arena::room<Tuple<R, D>>(count * joints) + Arena::room<Tuple<R, T>>(joints) + Arena::room<R>(joints) +
+               Arena::room<Own>(owns) + Arena::room<int>(count + 2) + Arena::room<int>(joints);
+    }
 
 private:
-    std::vector<std::vector<Tuple<R, D>>> given_;
+    int added_ = 0;
 };
 
 // A point of the program's space, a direction or a right side.
 template <class R, int D, int T> struct Space {
-    std::vector<Tuple<R, D>> z;  // (N,)
-    std::vector<R> own, joint;  // rows' multipliers, or what belongs to a row
+    Kept<Tuple<R, D>> z;  // (N,)
+    Kept<R> own, joint;  // rows' multipliers, or what belongs to a row
     Tuple<R, T> t{};
 
     explicit Space(const Rows<R, D, T>& rows) : z(rows.count), own(rows.own.size()), joint(rows.joint) {}
+    static std::size_t room(int count, int joints, int owns) {
+        return Arena::room<Tuple<R, D>>(count) + Arena::room<R>(joints) + Arena::room<R>(owns);
+    }
     void add(const Space& other) {
         for (std::size_t i = 0; i < z.size(); ++i) grasp::add(z[i], R(1.0), other.z[i]);
         for (std::size_t k = 0; k < own.size(); ++k) own[k] += other.own[k];
@@ -112,13 +126,18 @@ template <class R, int D, int T> struct Space {
 //   e + F^T C^T dy = f.z,   g^T dy = f.t,   C F e + g dt - diagonal dy = f.rows         (dy: of own and joint rows alike)
 template <class R, int D, int T> class RowSystem {
 public:
-    std::vector<Shape<R, D>> shapes;  // (N,)
-    std::vector<R> own_diagonal, joint_diagonal;  // >= 0; own > 0
+    Kept<Shape<R, D>> shapes;  // (N,)
+    Kept<R> own_diagonal, joint_diagonal;  // >= 0; own > 0
 
     explicit RowSystem(const Rows<R, D, T>& rows)
         : shapes(rows.count), own_diagonal(rows.own.size()), joint_diagonal(rows.joint), own_(rows.own.size()),
           blocks_(rows.count), turned_(rows.count * rows.joint), reduced_(rows.count * rows.joint),
           schur_(rows.joint * (rows.joint + 1) / 2), coupled_(rows.joint), solved_(rows.joint) {}
+    static std::size_t room(int count, int joints, int owns) {
+        return Arena::room<Shape<R, D>>(count) + Arena::room<R>(owns) + Arena::room<R>(joints) + Arena::room<Own>(owns) +
+               Arena::room<Block>(count) + 2 * Arena::room<Tuple<R, D>>(count * joints) +
+               Arena::room<R>(std::size_t(joints) * (joints + 1) / 2) + 2 * Arena::room<Tuple<R, T>>(joints);
+    }
 
     // False where the system is not positive definite in floating point.
     bool factor(const Rows<R, D, T>& rows) {
@@ -296,11 +315,11 @@ private:
                 for (int k = j + 1; k < D; ++k) b[j] -= l[k][j] * b[k];
         }
     };
-    std::vector<Own> own_;
-    std::vector<Block> blocks_;
-    std::vector<Tuple<R, D>> turned_, reduced_;  // the joint rows (N, joint) in the blocks' coordinates, and L^-1 of them
-    std::vector<R> schur_;  // of the joint rows, factored: L below, 1 / D on the diagonal
-    std::vector<Tuple<R, T>> coupled_, solved_;
+    Kept<Own> own_;
+    Kept<Block> blocks_;
+    Kept<Tuple<R, D>> turned_, reduced_;  // the joint rows (N, joint) in the blocks' coordinates, and L^-1 of them
+    Kept<R> schur_;  // of the joint rows, factored: L below, 1 / D on the diagonal
+    Kept<Tuple<R, T>> coupled_, solved_;
     std::array<Tuple<R, T>, T> corner_;
 
     void add_corner(const R& weight, const Tuple<R, T>& shared) {
@@ -338,10 +357,10 @@ private:
             for (int k = j + 1; k < size; ++k) b(j) -= schur_[at(k, j)] * b(k);
         }
     }
-    void schur_solve(std::vector<R>& b) const {
+    void schur_solve(Kept<R>& b) const {
         eliminate(int(b.size()), [&](int j) -> R& { return b[j]; });
     }
-    void schur_solve(std::vector<Tuple<R, T>>& b, int k) const {
+    void schur_solve(Kept<Tuple<R, T>>& b, int k) const {
         eliminate(int(b.size()), [&](int j) -> R& { return b[j][k]; });
     }
 };

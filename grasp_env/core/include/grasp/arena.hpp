@@ -1,0 +1,95 @@
+// Memory for what is made anew at every use, so that real-time code allocates nothing: taken one after the other, given back all at once.
+#pragma once
+#include <cstddef>
+#include <memory>
+#include <new>
+#include <vector>
+
+namespace grasp {
+
+// While it is in `Use`, what this thread holds in `Kept` is taken from here; what does not fit comes from the heap.
+class Arena {
+public:
+    explicit Arena(std::size_t bytes = 0)
+        : memory_(bytes ? new (std::nothrow) std::byte[bytes] : nullptr), size_(memory_ ? bytes : 0) {}
+    Arena(Arena&&) = delete;
+
+    std::size_t size() const { return size_; }
+    // Everything is given back: nothing that was taken may live.
+    void clear() { used_ = 0; }
+    // The same with at least so much room.
+    void reserve(std::size_t bytes) {
+        clear();
+        if (bytes <= size_) return;
+        memory_.reset(), size_ = 0;
+        memory_.reset(new std::byte[bytes]), size_ = bytes;
+    }
+    // What an array takes.
+    template <class T> static constexpr std::size_t room(std::size_t many) { return whole(many * sizeof(T)); }
+
+    class Use {
+    public:
+        explicit Use(Arena& arena) : before_(current()) { current() = &arena; }
+        ~Use() { current() = before_; }
+        Use(Use&&) = delete;
+
+    private:
+        Arena* before_;
+    };
+    // What is taken in its life is given back at its end; it stands before whatever takes.
+    class Scope {
+    public:
+        Scope() : arena_(current()), used_(arena_ ? arena_->used_ : 0) {}
+        ~Scope() {
+            if (arena_) arena_->used_ = used_;
+        }
+        Scope(Scope&&) = delete;
+
+    private:
+        Arena* arena_;
+        std::size_t used_;
+    };
+
+    // For containers, by the arena that was in use when they were made.
+    template <class T> struct Allocator {
+        using value_type = T;
+        Arena* arena = current();
+
+        Allocator() = default;
+        template <class Other> Allocator(const Allocator<Other>& other) : arena(other.arena) {}
+        Allocator select_on_container_copy_construction() const { return {}; }
+        T* allocate(std::size_t many) {
+            static_assert(alignof(T) <= ALIGNMENT);
+            void* taken = arena ? arena->take(many * sizeof(T)) : nullptr;
+            return taken ? static_cast<T*>(taken) : std::allocator<T>().allocate(many);
+        }
+        void deallocate(T* at, std::size_t many) {
+            if (!(arena && arena->owns(at))) std::allocator<T>().deallocate(at, many);
+        }
+        friend bool operator==(const Allocator& a, const Allocator& b) { return a.arena == b.arena; }
+    };
+
+private:
+    static constexpr std::size_t ALIGNMENT = 16;
+    std::unique_ptr<std::byte[]> memory_;
+    std::size_t size_, used_ = 0;
+
+    static Arena*& current() {
+        static thread_local Arena* arena = nullptr;
+        return arena;
+    }
+    static constexpr std::size_t whole(std::size_t bytes) { return (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT; }
+    void* take(std::size_t bytes) {
+        if (whole(bytes) > size_ - used_) return nullptr;
+        void* at = memory_.get() + used_;
+        used_ += whole(bytes);
+        return at;
+    }
+    bool owns(const void* at) const {
+        return std::less_equal<>()(static_cast<const void*>(memory_.get()), at) && std::less<>()(at, memory_.get() + size_);
+    }
+};
+
+template <class T> using Kept = std::vector<T, Arena::Allocator<T>>;
+
+}  // namespace grasp
