@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from grasp_env._check import Array, ContactForces, Wrench, as_text, as_wrench, choice, is_a
-from grasp_env.errors import GraspError, InfeasibleStartError
+from grasp_env import core
+from grasp_env._check import Array, ContactForces, Wrench, as_array, as_text, as_wrench, choice, is_a
+from grasp_env.errors import GraspError, InfeasibleStartError, InvalidInputError, shown
 from grasp_env.force.basis import OfflineBasis, starter
-from grasp_env.force.method import Loop, Settings, Start, given_start, infeasible_error
 from grasp_env.force.objective import Objective, as_objective
-from grasp_env.force.repair import Repair, carry_over, start_replaced
-from grasp_env.force.solution import ForceSolution, combination_for
+from grasp_env.force.repair import Repair, start_replaced
+from grasp_env.force.solution import STARTS, ForceSolution, start_name
 from grasp_env.grasp.grasp import Grasp
 
 if TYPE_CHECKING:
@@ -40,40 +40,42 @@ class InitialForceRule(Protocol):
 
 
 @runtime_checkable
-class CompiledRule(InitialForceRule, Protocol):
-    """A rule that also knows other Phis, the previous solution, and how to start and descend in one compiled call.
+class LearnedRule(InitialForceRule, Protocol):
+    """A rule whose predictions the core makes: start and method are one compiled call.
 
     Attributes:
-        remembers: whether the previous solution is handed to it.
+        remembers: whether it also starts from the previous solution, where that has less Phi.
     """
 
     remembers: bool
 
-    def start(
-        self, grasp: Grasp, wrench: Wrench, objective: Objective, previous: ForceSolution | None
-    ) -> tuple[str, ContactForces]:
-        """The start's name and force (N, 3) [N], for that Phi."""
-        ...
+    def model(self, grasp: Grasp, objective: Objective) -> core.Model:
+        """What the core predicts with, for that Phi.
 
-    def bind(
-        self,
-        grasp: Grasp,
-        objective: Objective,
-        tolerance: float,
-        limit: int,
-        descend: Callable[[Array, Array, Array], None] | None = None,
-    ) -> Loop:
-        """The control loop's call: start and descent.
-
-        Args:
-            grasp: the contacts; raises `InfeasibleStartError` where the rule does not know them.
-            objective: Phi.
-            tolerance: relative gap at which a start is a solution.
-            limit: most accepted steps.
-            descend: (start (3N,) [N], wrench, record) -> None: the method, where the start is no solution; None: Newton, which the
-                rule itself goes on with.
+        Raises:
+            InfeasibleStartError: contacts that the rule does not know.
         """
         ...
+
+
+@dataclass(frozen=True)
+class StartFrom:
+    """Where a call of the core begins.
+
+    Attributes:
+        start: a place in `STARTS`.
+        name: of a force that is given, for the solution; None: the start's own.
+        named: the name that was asked for, if it was one.
+        force: (N, 3) [N] that is given; torsion: (N,) [N m] with it.
+        before: the solution to carry over.
+    """
+
+    start: int
+    name: str | None = None
+    named: str | None = None
+    force: ContactForces | None = None
+    torsion: Array | None = None
+    before: ForceSolution | None = None
 
 
 def is_rule(value: object, kind: type[T]) -> TypeIs[T]:
@@ -97,14 +99,14 @@ def rule_name(rule: Any) -> str:
     return type(rule).__name__
 
 
-def asked(rule: Any, ask: Callable[..., Any], *given: Any) -> Any:
-    """What a rule says.
+def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
+    """Calls a user's rule; any failure becomes `InfeasibleStartError`.
 
     Raises:
         InfeasibleStartError: it fails, in whatever way; `__cause__` says which.
     """
     try:
-        return ask(*given)
+        return function(*given)
     except GraspError:
         raise
     except Exception as error:
@@ -293,51 +295,51 @@ def initial_rule(name: str, objective: Objective | None = None) -> InitialForceR
     return RULES[choice(name, "initial-force rule", RULES)](as_objective(objective))
 
 
-class RuleStarts:
-    """Methods on Phi over hard contacts: any rule, a given force, or the previous solution is their start."""
+def checked_initial(initial: Any) -> Any:
+    """A start as `optimize_force` takes it, names as plain text.
 
-    takes_start = True
-    uses_basis = True
-    grasp: Grasp
-    settings: Settings
+    Raises:
+        UnknownNameError, InvalidInputError: it is none.
+    """
+    named = as_text(initial)
+    if named is not None:
+        hint = "; a learned start is an object: policies.LearnedInitialForce.pretrained()" if "learn" in named else ""
+        return choice(named, "initial-force rule", (*RULES, "internal_force", "previous"), hint)
+    given = initial is None or is_a(initial, ForceSolution | np.ndarray | list | tuple)
+    if not given and (is_a(initial, type) or not callable(initial)):
+        raise InvalidInputError(
+            f"initial must be a rule's name, a rule(grasp, wrench), an (N, 3) force or a ForceSolution, got {shown(initial)}"
+        )
+    return initial
 
-    def start(self, wrench: Wrench, initial: Any, previous: ForceSolution | None) -> Start:
-        """See `Method.start`: a checked name, a rule, an (N, 3) force or None: the paper's start, phase one where the grasp has none."""
-        grasp, objective = self.grasp, self.settings.objective
-        if is_a(initial, np.ndarray | list | tuple):
-            return given_start("given", initial, grasp.n_contacts)
-        own_choice = initial is None or (isinstance(initial, str) and initial == "previous" and previous is None)
-        if own_choice:
-            initial = "linear_combination"  # also where there is nothing to carry over yet
-        try:
-            if isinstance(initial, str) and initial == "previous":
-                assert previous is not None
-                if previous.n_contacts != grasp.n_contacts:
-                    raise InfeasibleStartError(
-                        f"the previous solution has {previous.n_contacts} contacts, the grasp {grasp.n_contacts}"
-                    )
-                return Start("previous", carry_over(grasp, wrench, previous.force, objective, self.settings.correction))
-            if isinstance(initial, str):
-                return given_start(initial, initial_rule(initial, objective)(grasp, wrench), grasp.n_contacts)
-            if is_rule(initial, CompiledRule):
-                name, force = asked(initial, lambda: tuple(initial.start(grasp, wrench.copy(), objective, previous)))
-                return given_start(name, force, grasp.n_contacts)
-            rule: Any = initial
-            force = asked(rule, rule, grasp, wrench.copy())
-            if asked(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
-                # made for another Phi, in which its guarantees hold: give them in this one
-                force = Repair(objective)(grasp, wrench, force)
-            start = given_start(rule_name(initial), force, grasp.n_contacts)
-            if not is_a(initial, LinearCombination) and start_replaced(grasp, wrench, start.force):
-                return Start(combination_for(start.name), start.force)
-            return start
-        except InfeasibleStartError as error:
-            from grasp_env.force.feasibility import phase_one
 
-            found = phase_one(grasp, wrench)
-            if found.certificate is not None:
-                name = initial if isinstance(initial, str) else rule_name(initial)
-                raise infeasible_error(grasp, wrench, self.settings.method, name, found.certificate) from error
-            if own_choice and found.force is not None:  # no closure, or hardly: no 12-basis, but this wrench is safe
-                return Start("phase_one", found.force)
-            raise
+def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective) -> StartFrom:
+    """The start that a rule or a force (N, 3) [N] gives.
+
+    Raises:
+        InfeasibleStartError: the rule fails, or what it returns is no force.
+    """
+    if is_a(initial, np.ndarray | list | tuple):
+        return StartFrom(GIVEN, "given", None, _force("given", initial, grasp))
+    name, force = rule_name(initial), call_rule(initial, initial, grasp, wrench.copy())
+    if call_rule(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
+        # made for another Phi, in which its guarantees hold: give them in this one
+        force = Repair(objective)(grasp, wrench, force)
+    made = _force(name, force, grasp)
+    if not is_a(initial, LinearCombination) and start_replaced(grasp, wrench, made):
+        name = start_name("linear_combination", name, True, False)
+    return StartFrom(GIVEN, name, None, made)
+
+
+def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:
+    """A rule's force as the core reads it."""
+    try:
+        return np.ascontiguousarray(as_array(force, (grasp.n_contacts, 3), "initial force"))
+    except InvalidInputError as error:
+        told = "it returned None: does it end in a return?" if force is None else error
+        raise InfeasibleStartError(f"initial-force rule {name!r}: {told}") from None
+
+
+GIVEN = STARTS.index("given")
+Initial = str | InitialForceRule | ForceSolution | np.ndarray
+"""A rule's name, a rule, a solution to carry over, or an (N, 3) force to start from."""

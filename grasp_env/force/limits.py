@@ -154,6 +154,33 @@ class ForceLimits:
             **each, jacobian=jac, torque_limit=np.array(self.torque_limit), torque_bias=np.array(self.torque_bias)
         )
 
+    @property
+    def joints(self) -> int:
+        """J, of the torque limits; 0: there are none."""
+        return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
+
+    def given(self, n_contacts: int) -> tuple[Array | None, ...]:
+        """What the core reads: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,); None: none.
+
+        Raises:
+            InvalidInputError: see `checked`.
+        """
+        least, most, _, limit, bias = self.checked(n_contacts)
+        jac = None if self.jacobian is None else np.ascontiguousarray(checked_jacobian(self.jacobian, n_contacts))
+        some = (least > 0.0).any(), np.isfinite(most).any()
+        return (
+            least if some[0] else None, most if some[1] else None, jac, None if jac is None else limit, None if jac is None else bias
+        )  # fmt: skip
+
+    def labels(self, n_contacts: int) -> tuple[str, ...]:
+        """(M,) what each finite limit of `n_contacts` contacts is, in the order of `rows`."""
+        least, most, _, limit, _ = self.checked(n_contacts)
+        out = [f"contact {k}: normal >= {least[k]:g} N" for k in np.flatnonzero((least > 0.0) & np.isfinite(least))]
+        out += [f"contact {k}: normal <= {most[k]:g} N" for k in np.flatnonzero(np.isfinite(most))]
+        for j in np.flatnonzero(np.isfinite(limit)):
+            out += [f"joint {j}: torque {word}{limit[j]:g} N m" for word in ("<= ", ">= -")]
+        return tuple(out)
+
     def slack(self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None) -> LimitSlack:
         """How far forces are from the limits.
 
@@ -189,10 +216,7 @@ class ForceLimits:
         """`rows`, and what each row's limit is (M,) [N, N m]."""
         count = as_grasp(grasp).n_contacts
         least, most, jac, limit, bias = self.checked(count)
-        labels = [f"contact {k}: normal >= {least[k]:g} N" for k in np.flatnonzero((least > 0.0) & np.isfinite(least))]
-        labels += [f"contact {k}: normal <= {most[k]:g} N" for k in np.flatnonzero(np.isfinite(most))]
-        for j in np.flatnonzero(np.isfinite(limit)):
-            labels += [f"joint {j}: torque {word}{limit[j]:g} N m" for word in ("<= ", ">= -")]
+        labels = self.labels(count)
         room = 2 * (count + len(limit))
         matrix, bound, limited = np.empty((room, count, 4)), np.empty(room), np.empty(room)
         made = core.limit_rows(least, most, _in_contact_frames(grasp, jac), limit, bias, matrix, bound, limited)
@@ -201,7 +225,7 @@ class ForceLimits:
         transmitted[:, :3] = grasp.models.cone_scale > 0.0
         transmitted[:, 3] = grasp.models.torsional_friction > 0.0
         rows = (matrix[:made] * transmitted).reshape(made, 4 * count)
-        return LimitRows(rows, bound[:made].copy(), tuple(labels)), limited[:made].copy()
+        return LimitRows(rows, bound[:made].copy(), labels), limited[:made].copy()
 
     def violations(
         self, grasp: Grasp, force: ArrayLike, torsion: ArrayLike | None = None, tolerance: float = 1e-9

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
-
-from grasp_env._check import Array, Wrench
+from grasp_env._check import Array
 from grasp_env.core import Solution
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
-from grasp_env.force.record import (
-    BOUND,
-    CODE,
-    CONVERGED,
-    EXCESS,
-    FORCE,
-    INFEASIBLE,
-    ITERATIONS,
-    LIMIT,
-    LIMITS_EXCEEDED,
-    MARGIN,
-    MULTIPLIERS,
-    OBJECTIVE,
-    RESIDUAL,
-    STALLED,
-    TRIALS,
-    WRENCH,
+from grasp_env.force.record import CONVERGED, INFEASIBLE, LIMIT, LIMITS_EXCEEDED, STALLED, UNDECIDED
+
+STARTS = (
+    "standard",
+    "internal_force",
+    "linear_combination",
+    "linear_combination_printed",
+    "single_value",
+    "lagrange",
+    "phase_one",
+    "previous",
+    "given",
+    "learned",
+    "central",
 )
+"""What solutions call each `Start` of the core, in its order."""
 
 
 class Status(Enum):
@@ -38,6 +34,7 @@ class Status(Enum):
     STALLED = "stalled"
     INFEASIBLE = "infeasible"
     LIMITS_EXCEEDED = "limits_exceeded"
+    UNDECIDED = "undecided"
 
     @property
     def help(self) -> str:
@@ -56,6 +53,8 @@ _HELP = {
     Status.INFEASIBLE: "No force strictly inside the limits balances the wrench; `certificate` is a twist that proves it.",
     Status.LIMITS_EXCEEDED: "No force strictly inside the limits balances the wrench; this one does, inside the cones, and exceeds "
     "the limits least: no other one's largest excess (`limit_excess`) is clearly smaller.",
+    Status.UNDECIDED: "Neither a force nor a proof that there is none was found: the contacts or limits are within rounding of what is "
+    "possible, or numbers are too many decades apart.",
 }
 STATUSES = {
     CONVERGED: Status.OPTIMAL,
@@ -63,22 +62,27 @@ STATUSES = {
     STALLED: Status.STALLED,
     INFEASIBLE: Status.INFEASIBLE,
     LIMITS_EXCEEDED: Status.LIMITS_EXCEEDED,
+    UNDECIDED: Status.UNDECIDED,
 }
 """By code."""
-_REPLACED = "linear_combination (", " was replaced)"
 
 
-def combination_for(name: str) -> str:
-    """`ForceSolution.initial` where the paper's combination took the place of the start of that name."""
-    return name.join(_REPLACED)
+def start_name(used: str, asked: str, replaced: bool, outside: bool) -> str:
+    """`ForceSolution.initial` where something happened to the start that was asked for.
 
+    Args:
+        used: where the solve began.
+        asked: the start that was asked for.
+        replaced: whether nothing of that is left.
+        outside: whether the training of a learned start does not cover the wrench.
 
-class Priced(Protocol):
-    """What knows the prices of a solution's limits where they are asked for; `ContactRows` does."""
-
-    def prices(self, solution: ForceSolution) -> Array:
-        """(M,) >= 0."""
-        ...
+    Example:
+        >>> start_name("internal_force", "previous", True, False)
+        'internal_force (previous was replaced)'
+    """
+    if replaced:
+        return f"{used} ({asked} was replaced)"
+    return f"{used} (outside its training range)" if outside else used
 
 
 class ForceSolution(Solution):
@@ -86,93 +90,42 @@ class ForceSolution(Solution):
 
     Attributes:
         n_contacts: N.
-        force: (N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.
+        force: (N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame; zero where none touches.
+        object_force: (N, 3) N: the same along the axes of the frame in which the positions are given.
+        frames: (N, 3, 3) the contact frames, columns (n, o, t), in that frame.
+        torques: (J,) N m: what the motors of the torque limits exert, those besides the grasp's included; else empty.
         initial_force: (N, 3) the start [N].
         torsion: (N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft.
+        wrench: (6,) the external wrench that `force` balances [N, N m].
+        multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu.
+        limit_multipliers: (M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; else empty.
         method: the method's name.
-        initial: the name of the start rule; "linear_combination (NAME was replaced)" where `start_replaced`.
+        initial: the name of the start; "internal_force (NAME was replaced)" where nothing is left of the one that was asked for.
+        start_replaced: whether that is so.
+        iterations: accepted steps; trials: all steps tried.
+        objective: Phi of `force`; of `conic` the sum or maximum of the normal forces [N]; else `limit_excess`, where it is > 0.
+        lower_bound: a dual bound: no balanced force has a smaller objective (-inf: none); with `optimum` given, that.
+        equilibrium_residual: largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length.
+        cone_margin: min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside.
+        limit_excess: largest excess of a limit, as a part of that limit; 0 within all. See `elastic` of `optimize_force`.
         objective_trace: Phi of every iterate, when asked for; else empty.
-        certificate: (6,) for INFEASIBLE: a twist v with G_i^T v in the dual cone of every contact and v . w > 0
-            (= 0: only forces on the boundary of the cones balance it); see `Feasibility`.
     """
 
     __slots__ = ()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (
-            self._record,
-            self.method,
-            self.initial,
-            self.objective_trace,
-            self.certificate,
-            self.limit_multipliers,
-        )
+        return type(self), (self._record, self.method, self.initial, self.objective_trace)
 
     @property
-    def limit_multipliers(self) -> Array:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """(M,) >= 0 prices of the further limits, in the order of `ForceOptimizer.limit_labels`; empty where there are none."""
-        given: Array | Priced = super().limit_multipliers
-        return given if isinstance(given, np.ndarray) else given.prices(self)
-
-    @property
-    def wrench(self) -> Wrench:
-        """(6,) the external wrench that `force` balances [N, N m]."""
-        return _read_only(self._record[WRENCH : WRENCH + 6])
-
-    @property
-    def multipliers(self) -> Array:
-        """(6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu."""
-        return _read_only(self._record[MULTIPLIERS : MULTIPLIERS + 6])
+    def certificate(self) -> Array | None:
+        """(6,) for INFEASIBLE: a twist v with G_i^T v in the dual cone of every contact and v . w > 0 (= 0: only forces on the
+        boundary of the cones balance it); see `Feasibility`. None otherwise."""
+        return self.multipliers if self.code == INFEASIBLE else None
 
     @property
     def status(self) -> Status:
         """How the optimisation ended."""
         return STATUSES[self.code]
-
-    @property
-    def start_replaced(self) -> bool:
-        """True if the solve began from the paper's combination although a rule of yours or a learned start was asked.
-
-        Nothing was left of the force that the rule had in mind: `Repair` discards a candidate where no force on the way to it has
-        less Phi than the combination. Such a start costs what the paper's costs.
-        """
-        begin, end = _REPLACED
-        return self.initial.startswith(begin) and self.initial.endswith(end)
-
-    @property
-    def iterations(self) -> int:
-        """Accepted steps."""
-        return int(self._record[ITERATIONS])
-
-    @property
-    def trials(self) -> int:
-        """All steps tried, rejected ones included."""
-        return int(self._record[TRIALS])
-
-    @property
-    def objective(self) -> float:
-        """Phi of `force`; of `conic` sum [N] or maximum [N] of the normal forces; else `limit_excess`, where it is > 0."""
-        return float(self._record[OBJECTIVE])
-
-    @property
-    def lower_bound(self) -> float:
-        """A dual bound: no balanced force has a smaller objective (-inf: none); with `optimum` given, that."""
-        return float(self._record[BOUND])
-
-    @property
-    def equilibrium_residual(self) -> float:
-        """Largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length."""
-        return float(self._record[RESIDUAL])
-
-    @property
-    def cone_margin(self) -> float:
-        """Min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside."""
-        return float(self._record[MARGIN])
-
-    @property
-    def limit_excess(self) -> float:
-        """Largest excess of a limit, as a part of that limit; 0 within all. See `elastic` of `optimize_force`."""
-        return float(self._record[EXCESS])
 
     @property
     def optimality_gap(self) -> float:
@@ -209,17 +162,3 @@ class ForceSolution(Solution):
             f"{self.iterations} iterations, objective {self.objective:.6g}, gap {self.optimality_gap:.1e}, "
             f"balance {self.equilibrium_residual:.1e} N, margin {self.cone_margin:.3g} N)"
         )
-
-
-def _read_only(view: Array) -> Array:
-    # the certificates belong to these numbers, and the next solve may start from them
-    view.setflags(False)  # pyright: ignore[reportCallIssue]
-    return view
-
-
-def infeasible(wrench: Wrench, count: int, method: str, initial: str, residual: float, twist: Array) -> ForceSolution:
-    """The solution of a wrench that is proven infeasible: no force, the certificate."""
-    record = np.zeros(FORCE + 7 * count)
-    record[CODE], record[OBJECTIVE], record[BOUND], record[RESIDUAL] = INFEASIBLE, np.inf, np.inf, residual
-    record[WRENCH : WRENCH + 6] = wrench
-    return ForceSolution(record, method, initial, certificate=twist)

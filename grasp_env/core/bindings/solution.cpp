@@ -117,7 +117,7 @@ PyObject* torques(PyObject* self, void*) {
 }
 PyObject* prices(PyObject* self, void*) {
     const grasp::Summary& s = record(self).summary();
-    const npy_intp many = s.code == grasp::LIMITS_EXCEEDED || s.code == grasp::INFEASIBLE ? 0 : npy_intp(s.limits);
+    const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED || int(s.code) == grasp::INFEASIBLE ? 0 : npy_intp(s.limits);
     return view(self, SUMMARY + 16 * count(self) + npy_intp(s.joints), 1, &many);
 }
 PyObject* object_force(PyObject* self, void*) {

@@ -47,7 +47,7 @@ public:
     virtual Code start(const Ask& ask, double* row) = 0;
     virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
     virtual bool update(const Now& now) = 0;
-    // (13, 3N) the offline optima of the problem's contacts, cone coordinates.
+    // (13, 3N) the offline optima of the problem's contacts in cone coordinates, for starts that combine them.
     virtual void set_basis(const double* basis) = 0;
     virtual const Contacts& home() const = 0;
     virtual int size() const = 0;  // numbers of a row
@@ -118,6 +118,7 @@ public:
         } else if (options.start == Start::learned) {
             throw std::invalid_argument("a learned start needs a model");
         }
+        if (needs_basis()) make_basis();
     }
     std::unique_ptr<Engine> clone() const override { return std::make_unique<EngineOn>(*this); }
     const Contacts& home() const override { return home_; }
@@ -200,6 +201,8 @@ public:
         if (!now.jacobian.empty()) limits_.jacobian.assign(now.jacobian.begin(), now.jacobian.end());
         if (!now.torque_bias.empty()) limits_.torque_bias.assign(now.torque_bias.begin(), now.torque_bias.end());
         settle();
+        newton_.starter.has_basis = false;
+        if (needs_basis()) make_basis();
         return true;
     }
 
@@ -247,6 +250,16 @@ private:
 
     // --- contacts and limits of a call
 
+    bool needs_basis() const {
+        return flow_ || options_.start == Start::linear_combination || options_.start == Start::linear_combination_printed ||
+               options_.start == Start::single_value || options_.start == Start::lagrange;
+    }
+    // The 12-basis of the problem's contacts; without force closure there is none, and starts that need it are replaced.
+    void make_basis() {
+        newton_.starter.has_basis = placed_ == CONVERGED && newton_.internal_force() && grasp::make_basis(newton_, false) < ACCEPTED_GAP;
+        newton_.starter.basis_tangents = newton_.starter.tangents;
+    }
+
     // The problem's own contacts and limits.
     void settle() {
         home_now_ = false;
@@ -287,7 +300,12 @@ private:
             now_.select(home_, {chosen_.data(), std::size_t(count)});
             positions = gathered_.data(), normals = gathered_.data() + 3 * all;
         }
-        if (!now.friction.empty() && !now_.rub(now.friction, {chosen_.data(), std::size_t(now_.count)}, all)) return REFUSED;
+        if (const std::size_t given = now.friction.size(); given > 0) {
+            if (given != 1 && given != std::size_t(all) && given != 2 * std::size_t(all)) return REFUSED;
+            for (double mu : now.friction)
+                if (!(mu >= 0.0 && mu < infinity)) return REFUSED;
+            now_.rub(now.friction, {chosen_.data(), std::size_t(now_.count)}, all);
+        }
         const Placing placed = now_.place(positions, normals);
         if (placed == Placing::refused) return REFUSED;
         if (placed == Placing::rank_lost) return RANK_LOST;

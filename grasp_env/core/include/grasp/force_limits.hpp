@@ -52,30 +52,31 @@ public:
     std::vector<int> owners;
 
     // False where a row touches several contacts, or numbers are none or beyond what solvers can bear.
-    bool fill(const Contacts& contacts, const ForceLimits& limits) {
+    // The Jacobian is (N, each, J) in contact frames.
+    bool fill(const Contacts& contacts, const ForceLimits& limits, int each = 3) {
         const int count = contacts.count;
         clear();
-        row_.resize(3 * count);
+        row_.resize(each * count);
         bool good = true;
-        limits.rows(count, 3, row_, [&](std::span<const double> row, double bound, double limit) {
-            good = good && add(count, row.data(), contacts.divisor.data(), contacts.lambda.data(), bound, limit);
+        limits.rows(count, each, row_, [&](std::span<const double> row, double bound, double limit) {
+            good = good && add(count, row.data(), contacts.divisor.data(), contacts.lambda.data(), bound, limit, each);
         });
         return good;
     }
-    // One more row (N, 3) on forces, which touches one contact or none. limit: by how much b grows where all of it grows.
-    bool add(int count, const double* row, const double* divisor, const double* lambda, double bound, double limit) {
+    // One more row (N, each) on forces, which touches one contact or none. limit: by how much b grows where all of it grows.
+    bool add(int count, const double* row, const double* divisor, const double* lambda, double bound, double limit, int each = 3) {
         int owner = -1;
         double mean = 0.0;
         for (int i = 0; i < count; ++i) {
             mean += lambda[i] / count;
-            if (row[3 * i] == 0.0 && row[3 * i + 1] == 0.0 && row[3 * i + 2] == 0.0) continue;
-            const Point a = over(row + 3 * i, divisor + 3 * i);
+            if (row[each * i] == 0.0 && row[each * i + 1] == 0.0 && row[each * i + 2] == 0.0) continue;
+            const Point a = over(row + each * i, divisor + 3 * i);
             if (a.u == 0.0 && a.o == 0.0 && a.t == 0.0) continue;
             if (owner >= 0) return false;
             owner = i;
         }
         const int at = std::max(owner, 0);
-        Point a = over(row + 3 * at, divisor + 3 * at);
+        Point a = over(row + each * at, divisor + 3 * at);
         double size = length(a);
         if (size == 0.0) size = 1.0;
         a = {a.u / size, a.o / size, a.t / size};

@@ -51,8 +51,8 @@ public:
         engine_->clone()->solve_many(std::ptrdiff_t(wrenches.size() / 6), wrenches.data(), rows.data());
     }
 
-    // The last solution that holds a force, or null.
-    const Record* previous() const { return known_ ? &previous_() : nullptr; }
+    // The last solution that holds a force.
+    std::optional<Record> previous() { return known_ ? std::optional<Record>(now()) : std::nullopt; }
     // The next call does not know the calls before it.
     void forget() { known_ = false; }
 

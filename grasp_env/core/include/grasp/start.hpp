@@ -57,8 +57,8 @@ public:
         for (auto& row : basis) row = cones.field();
     }
 
-    void combine(const double* wrench, Field& out) const {
-        const Combination made(wrench, false);
+    void combine(const double* wrench, Field& out, bool printed = false) const {
+        const Combination made(wrench, printed);
         for (int b = 0; b < int(out.size()); ++b) {
             Vec3<V> x = all<V>(made.weights[6]) * basis[12][b];
             for (int k = 0; k < 6; ++k) x += all<V>(made.weights[k]) * basis[made.rows[k]][b];
