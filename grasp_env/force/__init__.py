@@ -19,9 +19,9 @@ from grasp_env.force.initial import (
     initial_rule,
 )
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.methods import DESCENTS, METHODS
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
+from grasp_env.force.options import DESCENTS, METHODS
 from grasp_env.force.repair import Repair, carry_over, start_replaced
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep

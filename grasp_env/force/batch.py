@@ -13,27 +13,27 @@ from numpy.typing import ArrayLike, NDArray
 from grasp_env import core, ranges
 from grasp_env._check import Array, as_array, as_list, as_text, checked_size, choice, is_a, together, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError, shown
-from grasp_env.force.hard_methods import NO_TRACE
-from grasp_env.force.method import CONIC_ITERATIONS, proven
+from grasp_env.force.initial import rule_name
 from grasp_env.force.objective import Objective
-from grasp_env.force.optimizer import ForceOptimizer
+from grasp_env.force.optimizer import ForceOptimizer, names_of
 from grasp_env.force.record import (
     BOUND,
     CODE,
+    CONTACTS,
     CONVERGED,
     FORCE,
-    INFEASIBLE,
     ITERATIONS,
-    LIMITS_EXCEEDED,
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
+    OUTSIDE,
+    REPLACED,
     RESIDUAL,
-    STALLED,
+    START,
+    UNDECIDED,
     WRENCH,
-    record_size,
 )
-from grasp_env.force.solution import STATUSES, ForceSolution, Priced, Status
+from grasp_env.force.solution import STATUSES, ForceSolution, Status, start_name
 from grasp_env.grasp.grasp import Grasp
 
 
@@ -41,29 +41,19 @@ class ForceSolutions(Sequence[ForceSolution]):
     """Solutions of a batch: arrays over M problems; `solutions[k]` is the k-th as a `ForceSolution`.
 
     Attributes:
-        records: (M, 20 + 7N) one row per problem, see `record.py`.
+        records: (M, ...) one row per problem, see `record.py`.
         method: the method's name.
-        initial: the name of the start rule. (A single call also says where a wrench is outside a learned one's training
-            range, or where the combination took the place of what a network predicted.)
     """
 
-    def __init__(
-        self,
-        records: Array,
-        method: str,
-        initial: str,
-        known: dict[int, ForceSolution] | None = None,
-        priced: Array | Priced = NO_TRACE,
-    ) -> None:
+    def __init__(self, records: Array, method: str, names: Sequence[str], asked: str) -> None:
         """Of records that somebody filled.
 
         Args:
-            records, method, initial: see the attributes.
-            known: those that are more than their row of numbers.
-            priced: what prices the limits of the others; empty: they have none.
+            records, method: see the attributes.
+            names: of each start, in the order of `STARTS`.
+            asked: the name of the start that was asked for.
         """
-        self.records, self.method, self.initial = records, method, initial
-        self._known, self._priced = known or {}, priced
+        self.records, self.method, self._names, self._asked = records, method, names, asked
 
     def __len__(self) -> int:
         return len(self.records)
@@ -71,16 +61,17 @@ class ForceSolutions(Sequence[ForceSolution]):
     def __getitem__(self, index: Any) -> Any:
         """The solution at an integer, a `ForceSolutions` at a slice."""
         if isinstance(index, slice):
-            chosen = range(len(self))[index]
-            known = {k: self._known[m] for k, m in enumerate(chosen) if m in self._known}
-            return ForceSolutions(self.records[index], self.method, self.initial, known, self._priced)
-        position = range(len(self))[index]
-        if position in self._known:
-            return self._known[position]
-        record = self.records[position]
-        if record[CODE] == INFEASIBLE:
-            return proven(record, self.method, self.initial).solution
-        return ForceSolution(record, self.method, self.initial, NO_TRACE, None, self._priced)
+            return ForceSolutions(self.records[index], self.method, self._names, self._asked)
+        record = self.records[range(len(self))[index]]
+        return ForceSolution(record, self.method, self._name(record))
+
+    def _name(self, record: Array) -> str:
+        return start_name(self._names[int(record[START])], self._asked, bool(record[REPLACED]), bool(record[OUTSIDE]))
+
+    @property
+    def initial(self) -> str:
+        """The name of the first problem's start; `solutions[k].initial` is that of each."""
+        return self._name(self.records[0]) if len(self) else self._asked
 
     def __iter__(self) -> Iterator[ForceSolution]:
         return (self[k] for k in range(len(self)))
@@ -88,18 +79,19 @@ class ForceSolutions(Sequence[ForceSolution]):
     @property
     def n_contacts(self) -> int:
         """N."""
-        return (self.records.shape[1] - FORCE) // 7
+        return int(self.records[0, CONTACTS]) if len(self) else 0
 
     @property
     def force(self) -> Array:
         """(M, N, 3) N: normal, o, t in each contact's frame."""
         n = self.n_contacts
-        return self.records[:, FORCE : FORCE + 3 * n].reshape(-1, n, 3)
+        return self.records[:, FORCE : FORCE + 3 * n].reshape(len(self), n, 3)
 
     @property
     def torsion(self) -> Array:
         """(M, N) N m."""
-        return self.records[:, FORCE + 6 * self.n_contacts :]
+        n = self.n_contacts
+        return self.records[:, FORCE + 6 * n : FORCE + 7 * n]
 
     @property
     def wrench(self) -> Array:
@@ -113,7 +105,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
     @property
     def codes(self) -> NDArray[np.int_]:
-        """(M,) 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 5 limits exceeded: keys of `STATUSES`."""
+        """(M,) 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 5 limits exceeded, 7 undecided: keys of `STATUSES`."""
         return self.records[:, CODE].astype(int)
 
     @property
@@ -165,25 +157,19 @@ class ForceSolutions(Sequence[ForceSolution]):
 
 
 def optimize_forces(
-    grasps: Grasp | Sequence[Grasp],
-    wrenches: ArrayLike,
-    *,
-    method: str = "newton",
-    workers: int | None = None,
-    **options: Any,
+    grasps: Grasp | Sequence[Grasp], wrenches: ArrayLike, *, workers: int | None = None, **options: Any
 ) -> ForceSolutions:
     """Grasp forces for many wrenches and one grasp, or as many grasps.
 
-    `newton` and `conic` on hard contacts with force closure take problems side by side in the vector registers, also from learned
-    starts; the flows, `newton` within limits and with soft contacts run without Python between the problems; every other combination
-    loops over `ForceOptimizer`. Answers are those of single calls (converged forces to 1e-9 of them) and do not depend on `workers`.
+    Newton and `conic` on hard contacts take problems side by side in the vector registers; everything else runs one problem after the
+    other, without Python between them unless a rule is Python's. Answers are those of single calls (converged forces to 1e-9 of them)
+    and do not depend on `workers`.
 
     Args:
         grasps: one grasp for all wrenches, or M grasps of one number of contacts.
-        wrenches: (M, 6) external wrenches on the object [N, N m], object frame.
-        method: as in `optimize_force`.
+        wrenches: (M, 6) external wrenches on the object [N, N m], in the frame of the positions.
         workers: threads, 1 to 1024; None: one per core. The core releases the GIL.
-        options: further keywords of `ForceOptimizer` (initial by name or rule, limits, weights, tolerance, ...).
+        options: the keywords of `ForceOptimizer`, with its defaults; a batch has no previous solution.
 
     Returns:
         All solutions; a wrench that nothing balances has the status INFEASIBLE instead of raising.
@@ -198,11 +184,7 @@ def optimize_forces(
         >>> batch.force.shape, bool(batch.optimal.all())
         ((100, 4, 3), True)
     """
-    loads, given = together(
-        lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches"),
-        lambda: None if workers is None else whole(workers, "workers", 1, ranges.WORKERS),
-    )
-    threads = given or os.cpu_count() or 1
+    loads, threads = checked_batch(wrenches, workers)
     known = ForceOptimizer.__init__.__kwdefaults__ or {}
     for name in options:
         choice(name, "option", known)
@@ -210,128 +192,115 @@ def optimize_forces(
     if as_text(initial) == "previous" or is_a(initial, ForceSolution):
         raise InvalidInputError("a batch has no previous solution: leave initial out, or give a rule")
     if is_a(grasps, Grasp):
-        return _one_grasp(ForceOptimizer(grasps, method=method, **options), loads, threads)
+        return solve_many(ForceOptimizer(grasps, **options), loads, threads)
     each = as_list(grasps)
     if each is None:
         raise InvalidInputError(f"grasps must be one Grasp or a list of them, got {shown(grasps)}")
-    return _many_grasps(_checked_grasps(each, loads), loads, method, threads, options)
+    return _many_grasps(_checked_grasps(each, loads), loads, threads, options)
 
 
-def _one_grasp(optimizer: ForceOptimizer, loads: Array, threads: int) -> ForceSolutions:
-    records = np.empty((len(loads), record_size(optimizer.grasp.n_contacts)))
-    method, loop = optimizer._method, optimizer._loop
-    name = loop.name if loop is not None else "linear_combination" if method.takes_start else "central"
-    unfinished = np.arange(len(loads))
-    if loop is not None and loop.many is not None and not loop.remembers:
-        many = loop.many
-        _over_parts(lambda part: many(loads[part], None, records[part]), len(loads), CHUNK, threads)
-        unfinished = _unfinished(records)
-    known: dict[int, ForceSolution] = {}
-    for k in unfinished:
-        optimizer.previous = None
-        name = _one(optimizer, loads[k], records[k], int(k), known) or name
-    return ForceSolutions(records, optimizer.method, name, known, getattr(method, "priced", NO_TRACE))
+def checked_batch(wrenches: ArrayLike, workers: int | None) -> tuple[Array, int]:
+    """(M, 6) wrenches and the number of threads.
+
+    Raises:
+        InvalidInputError: they are none.
+    """
+    loads, given = together(
+        lambda: checked_size(as_array(wrenches, (None, 6), "wrenches", copy=False), "wrenches"),
+        lambda: None if workers is None else whole(workers, "workers", 1, ranges.WORKERS),
+    )
+    return loads, given or os.cpu_count() or 1
+
+
+def solve_many(optimizer: ForceOptimizer, loads: Array, threads: int) -> ForceSolutions:
+    """All wrenches (M, 6) on the contacts of an optimizer, none of which knows the others."""
+    records = np.empty((len(loads), optimizer.core.size))
+    if optimizer.compiled:
+        _over_parts(lambda part: optimizer.core.solve_many(loads[part], records[part]), len(loads), CHUNK, threads)
+    else:
+        for load, record in zip(loads, records, strict=True):
+            optimizer.forget()
+            _solve_one(optimizer, load, record)
+    return ForceSolutions(records, optimizer.method, *names_of(optimizer.initial, optimizer.options))
+
+
+def _solve_one(optimizer: ForceOptimizer, load: Array, record: Array) -> None:
+    """One problem into its row; what ends without a force costs the others nothing."""
+    try:
+        record[:] = optimizer.solve(load)._record
+    except (InfeasibleWrenchError, NotConvergedError) as error:
+        found = getattr(error, "solution", None)
+        if found is None:
+            record[:] = 0.0
+            record[CODE], record[OBJECTIVE], record[BOUND], record[CONTACTS] = UNDECIDED, np.inf, -np.inf, optimizer.grasp.n_contacts
+            record[WRENCH : WRENCH + 6] = load
+        else:
+            record[:] = found._record
 
 
 def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
     if len(grasps) != len(loads):
         raise InvalidInputError(f"as many grasps as wrenches are needed, got {len(grasps)} and {len(loads)}")
-    for k, grasp in enumerate(grasps):
-        if not is_a(grasp, Grasp):
-            raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
-    sizes = {grasp.n_contacts for grasp in grasps}
-    if len(sizes) > 1:
-        raise InvalidInputError(f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}")
     if not grasps:
         raise InvalidInputError("at least one grasp is needed to know the number of contacts")
+    if set(map(type, grasps)) != {Grasp}:
+        for k, grasp in enumerate(grasps):
+            if not is_a(grasp, Grasp):
+                raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
+    sizes = {contacts.count for contacts in map(_contacts, grasps)}
+    if len(sizes) > 1:
+        raise InvalidInputError(f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}")
     return grasps
 
 
-def _many_grasps(
-    grasps: list[Grasp], loads: Array, method: str, threads: int, options: dict[str, Any]
-) -> ForceSolutions:
-    distinct = list({id(grasp): grasp for grasp in grasps}.values())
-    first = ForceOptimizer(grasps[0], method=method, **options)
-    records = np.empty((len(loads), record_size(grasps[0].n_contacts)))
-    solve = _compiled_grasps(first, distinct, options.get("initial"))
+def _contacts(grasp: Grasp) -> core.Contacts:
+    return grasp.contacts
+
+
+def _many_grasps(grasps: list[Grasp], loads: Array, threads: int, options: dict[str, Any]) -> ForceSolutions:
+    first = ForceOptimizer(grasps[0], **options)
+    records = np.empty((len(loads), first.core.size))
+    solve = _compiled_grasps(first, options.get("initial"))
     unfinished = np.arange(len(loads))
-    name = "linear_combination" if first._method.takes_start else "central"
     if solve is not None:
-        place = {id(grasp): u for u, grasp in enumerate(distinct)}
-        which = np.array([place[id(grasp)] for grasp in grasps])
-        order = np.argsort(which, kind="stable")  # a grasp's problems one after the other
-        begins = np.searchsorted(which[order], np.arange(len(distinct) + 1)).astype(np.float64)
+        keys = np.fromiter(map(id, grasps), np.int64, len(grasps))
+        order = np.argsort(keys, kind="stable")  # a grasp's problems one after the other
+        news = np.flatnonzero(np.diff(keys[order], prepend=0))
+        begins, distinct = np.append(news, len(grasps)), [grasps[k].contacts for k in order[news].tolist()]
 
         def work(part: slice) -> None:
-            mine = order[int(begins[part.start]) : int(begins[part.stop])]
+            mine = order[begins[part.start] : begins[part.stop]]
+            counts = begins[part.start : part.stop + 1] - begins[part.start]
             found = np.empty((len(mine), records.shape[1]))
-            solve(distinct[part], begins[part.start : part.stop + 1] - begins[part.start], loads[mine], found)
+            solve(distinct[part], counts.astype(np.float64), loads[mine], found)
             records[mine] = found
 
         _over_parts(work, len(distinct), GRASPS, threads)
-        unfinished = _unfinished(records)
-    known: dict[int, ForceSolution] = {}
+        unfinished = np.flatnonzero(records[:, CODE] != CONVERGED)
     for k in unfinished:
-        name = _one(ForceOptimizer(grasps[k], method=method, **options), loads[k], records[k], int(k), known) or name
-    return ForceSolutions(records, method, name, known)
+        _solve_one(ForceOptimizer(grasps[k], **options), loads[k], records[k])
+    return ForceSolutions(records, first.method, *names_of(first.initial, first.options))
 
 
 def _compiled_grasps(
-    optimizer: ForceOptimizer, grasps: list[Grasp], initial: Any
-) -> Callable[[list[Grasp], Array, Array, Array], None] | None:
-    """(grasps, where the problems of each begin, their wrenches, their records) -> None: the core's call, if it serves them all."""
-    settings, count = optimizer.settings, grasps[0].n_contacts
-    if settings.limits is not None or not all(grasp.hard for grasp in grasps):
+    optimizer: ForceOptimizer, initial: Any
+) -> Callable[[list[core.Contacts], Array, Array, Array], None] | None:
+    """(contacts, where the problems of each begin, their wrenches, their records) -> None: the core's call, if it serves them."""
+    options, count = optimizer.options, optimizer.grasp.n_contacts
+    if optimizer.limits is not None or not (initial is None or as_text(initial) == "internal_force"):
         return None
-    combines = settings.correction == "tangent" and (initial is None or as_text(initial) == "linear_combination")
-    if settings.method == "newton" and combines:
-        weights, limit, call = settings.objective.weights(count), settings.max_iterations, core.newton_grasps
-    elif settings.method == "conic" and settings.criterion == "sum":
-        limit = min(settings.max_iterations, CONIC_ITERATIONS)
+    if options.method == "newton":
+        weights, call = options.objective.weights(count), core.newton_grasps
+    elif options.method == "conic" and options.criterion == "sum":
         weights, call = Objective().weights(count), core.conic_grasps
     else:
         return None
-
-    def solve(part: list[Grasp], first: Array, loads: Array, records: Array) -> None:
-        arrays = (
-            np.stack([grasp.positions for grasp in part]),
-            np.stack([grasp.normals for grasp in part]),
-            np.stack([grasp.models.cone_scale for grasp in part]),
-            np.stack([grasp.frames[:, :, 1] for grasp in part]),
-        )
-        call(*arrays, weights, first, settings.tolerance, limit, loads, records)
-
-    return solve
+    return lambda contacts, begins, loads, records: call(
+        contacts, weights, begins, options.tolerance, options.max_iterations, loads, records
+    )
 
 
-def _unfinished(records: Array) -> NDArray[np.intp]:
-    """Which of what the core wrote gets a second, slower look."""
-    codes = records[:, CODE]
-    return np.flatnonzero((codes != CONVERGED) & (codes != INFEASIBLE) & (codes != LIMITS_EXCEEDED))
-
-
-def _one(
-    optimizer: ForceOptimizer, load: Array, record: Array, position: int, known: dict[int, ForceSolution]
-) -> str | None:
-    """Solves one problem into `record`; what is more than that is `known`. Returns the name of the start."""
-    try:
-        solution = optimizer.solve(load)
-    except (InfeasibleWrenchError, NotConvergedError) as error:
-        found = getattr(error, "solution", None)
-        if found is None:  # undecided: one problem does not cost the others
-            record[:] = 0.0
-            record[CODE], record[OBJECTIVE], record[BOUND], record[RESIDUAL] = STALLED, np.inf, -np.inf, np.inf
-            record[WRENCH : WRENCH + 6] = load
-            return None
-        solution = found
-    record[:] = solution._record
-    special = solution.status is Status.INFEASIBLE or solution.start_replaced
-    if special or optimizer.settings.limits is not None:
-        known[position] = solution
-    return None if special else solution.initial
-
-
-CHUNK, GRASPS = 4096, 64
+CHUNK, GRASPS = 4096, 512
 """Problems, and grasps, of one call of the core: of whatever many threads, so that answers do not depend on those."""
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from grasp_env import ranges
 from grasp_env._check import Array, Wrench, positive
 from grasp_env.force.closure import force_closure
-from grasp_env.force.method import CRITERIA
+from grasp_env.force.options import CRITERIA
 from grasp_env.force.worst_wrench import WrenchBall, worst_case
 from grasp_env.grasp.grasp import Grasp, as_grasp
 

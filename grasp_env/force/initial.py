@@ -65,14 +65,14 @@ class StartFrom:
     Attributes:
         start: a place in `STARTS`.
         name: of a force that is given, for the solution; None: the start's own.
-        named: the name that was asked for, if it was one.
+        replaced: whether the paper's combination took the place of what a rule had in mind.
         force: (N, 3) [N] that is given; torsion: (N,) [N m] with it.
         before: the solution to carry over.
     """
 
     start: int
     name: str | None = None
-    named: str | None = None
+    replaced: bool = False
     force: ContactForces | None = None
     torsion: Array | None = None
     before: ForceSolution | None = None
@@ -320,15 +320,14 @@ def rule_start(initial: Any, grasp: Grasp, wrench: Wrench, objective: Objective)
         InfeasibleStartError: the rule fails, or what it returns is no force.
     """
     if is_a(initial, np.ndarray | list | tuple):
-        return StartFrom(GIVEN, "given", None, _force("given", initial, grasp))
+        return StartFrom(GIVEN, "given", force=_force("given", initial, grasp))
     name, force = rule_name(initial), call_rule(initial, initial, grasp, wrench.copy())
     if call_rule(initial, lambda: bool(getattr(initial, "objective", objective) != objective)):
         # made for another Phi, in which its guarantees hold: give them in this one
         force = Repair(objective)(grasp, wrench, force)
     made = _force(name, force, grasp)
-    if not is_a(initial, LinearCombination) and start_replaced(grasp, wrench, made):
-        name = start_name("linear_combination", name, True, False)
-    return StartFrom(GIVEN, name, None, made)
+    replaced = not is_a(initial, LinearCombination) and start_replaced(grasp, wrench, made)
+    return StartFrom(GIVEN, name, replaced, made)
 
 
 def _force(name: str, force: Any, grasp: Grasp) -> ContactForces:

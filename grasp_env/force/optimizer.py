@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,22 +32,24 @@ from grasp_env.errors import (
     UnsupportedProblemError,
     shown,
 )
-from grasp_env.force.basis import OfflineBasis, core_contacts
+from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.initial import Initial, LearnedRule, StartFrom, call_rule, checked_initial, is_rule, rule_name, rule_start
 from grasp_env.force.limits import ForceLimits, as_limits, checked_jacobian
 from grasp_env.force.objective import Weight
 from grasp_env.force.options import MAX_ITERATIONS, Options, checked_options
-from grasp_env.force.record import CODE, FORCE, INFEASIBLE, ITERATIONS, RANK_LOST, REFUSED, START, UNDECIDED, WRENCH
+from grasp_env.force.record import CODE, FORCE, INFEASIBLE, LIMIT, REFUSED, REPLACED, START, UNDECIDED
 from grasp_env.force.solution import STARTS, ForceSolution, start_name
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
+if TYPE_CHECKING:
+    from grasp_env.force.batch import ForceSolutions
+
 BALANCE_TOLERANCE = 1e-8
 """A start may miss balance by this much of the wrench and force it carries; the rest is an error of the rule."""
 FROM_BASIS = ("linear_combination", "linear_combination_printed", "single_value", "lagrange")
 """Starts that the 12-basis makes."""
-NO_TRACE = np.empty(0)
 
 
 class ForceOptimizer:
@@ -115,29 +115,33 @@ class ForceOptimizer:
     def _make(self) -> None:
         """What is compiled, for the contacts and limits of now."""
         grasp, options, initial = self.grasp, self.options, self._initial
-        self._basis = False  # whether the core has the 12-basis
-        start, names, model = 0, STARTS, None
-        if is_a(initial, str) or is_a(initial, ForceSolution):
-            start = STARTS.index("previous" if is_a(initial, ForceSolution) else initial)
+        start, model = 0, None
+        names, asked = names_of(initial, options)
+        if is_a(initial, ForceSolution):
+            start = PREVIOUS
+        elif is_a(initial, str):
+            start = STARTS.index(initial)
         elif is_rule(initial, LearnedRule):
-            names = (*STARTS[: LEARNED], rule_name(initial), *STARTS[LEARNED + 1 :])
             try:
                 model, start = call_rule(initial, initial.model, grasp, options.objective), LEARNED
             except InfeasibleStartError:  # contacts that it does not know: solutions say that it was replaced
-                names = tuple(start_name(name, rule_name(initial), True, False) for name in STARTS)
-        self._direct = initial is None or is_a(initial, str | ForceSolution) or is_rule(initial, LearnedRule)
+                names = tuple(start_name(name, asked, True, False) for name in names)
+        self.compiled = initial is None or start > 0 or is_rule(initial, LearnedRule)
+        weights = options.objective
+        plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
         given = (None,) * 5 if self.limits is None else self.limits.given(grasp.n_contacts)
         try:
-            self._core = core.ForceOptimizer.make(
-                core_contacts(grasp, options.objective), *given, options.method, options.criterion == "max", start,
-                options.tolerance, options.max_iterations, options.elastic, options.step_rule.parameters() if options.flows else None,
-                model, ForceSolution, options.method, names,
+            self.core = core.ForceOptimizer.make(
+                grasp.contacts, None if plain else weights.weights(grasp.n_contacts), weights.force_weight if plain else 1.0,
+                weights.barrier_weight if plain else 1.0, *given, options.method, options.criterion == "max", start,
+                options.tolerance, options.max_iterations, options.elastic,
+                options.step_rule.parameters() if options.flows else None, model, ForceSolution, options.method, names, asked,
             )  # fmt: skip
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
-        self._solve, self._count = self._core.solve, grasp.n_contacts
-        if options.flows or (is_a(initial, str) and initial in FROM_BASIS):
-            self._need_basis(strict=is_a(initial, str) and initial in FROM_BASIS)
+        self._solve, self._count = self.core.solve, grasp.n_contacts
+        if is_a(initial, str) and initial in FROM_BASIS:
+            OfflineBasis.of(grasp, options.objective)  # says what is wrong where there is none
 
     def __repr__(self) -> str:
         start = "its own start" if self._initial is None else rule_name(self._initial)
@@ -147,7 +151,7 @@ class ForceOptimizer:
     def grasp(self) -> Grasp:
         """The contacts it was made for, or last updated to."""
         if self._grasp is None:
-            self._grasp = self._moved(self._updated)
+            self._grasp = self._moved((None,) * 6)
         return self._grasp
 
     @property
@@ -183,15 +187,15 @@ class ForceOptimizer:
     @property
     def previous(self) -> ForceSolution | None:
         """The last solution, where `initial="previous"` starts; None: forgotten, or none yet."""
-        return self._core.previous
+        return self.core.previous
 
     @previous.setter
     def previous(self, solution: ForceSolution | None) -> None:
-        self._core.previous = instance(solution, ForceSolution, "previous", or_none=True)
+        self.core.previous = instance(solution, ForceSolution, "previous", or_none=True)
 
     def forget(self) -> None:
         """The next call does not know the calls before it."""
-        self._core.previous = None
+        self.core.previous = None
 
     @property
     def limit_labels(self) -> tuple[str, ...]:
@@ -234,7 +238,7 @@ class ForceOptimizer:
             RankDeficientGraspError: the contacts that touch cannot balance a wrench of every direction.
             InfeasibleWrenchError, InfeasibleStartError, NotConvergedError: see `optimize_force`.
         """
-        if initial is None and optimum is None and trace is False and self._direct:
+        if initial is None and optimum is None and trace is False and self.compiled:
             solution = self._solve(wrench, positions, normals, friction, jacobian, torque_bias, contacts)
             if solution is not None:
                 return solution
@@ -257,21 +261,17 @@ class ForceOptimizer:
             raise InvalidInputError("jacobian and torque_bias belong to torque limits: make the optimizer with limits")
         start = self._start(load, now, initial)
         values = np.full(self.max_iterations + 1, np.nan) if trace else None
-        solution = self._core.solve_from(
+        solution = self.core.solve_from(
             start.start, start.name, start.force, start.torsion, start.before, known, values, load, *now
         )
         if solution is None:
-            raise self._error(self._core.ended, load, now, start)
+            raise self._error(self.core.ended, load, now, start)
         if values is not None:
             solution.objective_trace = values[: solution.iterations + 1]
-        if start.named in FROM_BASIS and solution.start_replaced and all(each is None for each in now):
-            raise InfeasibleStartError(self._no_start(start.named, load))
+        if start.replaced:
+            solution._record[START], solution._record[REPLACED] = COMBINATION, 1.0
+            solution.initial = start_name(STARTS[COMBINATION], str(start.name), True, False)
         return solution
-
-    def _no_start(self, name: str, wrench: Wrench) -> str:
-        with suppress(GraspError):
-            return f"initial={name!r} has no force inside the cones for wrench {wrench.tolist()}; use 'linear_combination', or leave it out"
-        return name
 
     def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
         """The initial force (N, 3) [N] that `solve` would start from.
@@ -288,11 +288,25 @@ class ForceOptimizer:
             raise UnsupportedProblemError("method 'conic' takes no initial force")
         load, now = as_wrench(wrench), (None,) * 6
         start = self._start(load, now, initial)
-        row = self._core.start(start.start, start.force, start.torsion, start.before, load, *now)
-        if row[CODE] in (INFEASIBLE, REFUSED, RANK_LOST, UNDECIDED):
+        row = self.core.start(start.start, start.force, start.torsion, start.before, load, *now)
+        if row[CODE] != LIMIT:
             raise self._error(row, load, now, start)
         n = self._count
         return row[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3)
+
+    def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
+        """The forces for many wrenches, none of which knows the others: `optimize_forces` of this optimizer.
+
+        Args:
+            wrenches: (M, 6) external wrenches on the object [N, N m].
+            workers: threads; None: one per core.
+
+        Raises:
+            InvalidInputError: see `optimize_forces`; a wrench that nothing balances has the status INFEASIBLE instead of raising.
+        """
+        from grasp_env.force.batch import checked_batch, solve_many
+
+        return solve_many(self, *checked_batch(wrenches, workers))
 
     def update(
         self,
@@ -313,11 +327,9 @@ class ForceOptimizer:
         """
         now = self._now(positions, normals, friction, jacobian, torque_bias, None)
         moved = self._moved(now) if any(each is not None for each in now[:3]) else self.grasp
-        if not self._core.update(*now[:5]):
+        if not self.core.update(*now[:5]):
             raise InvalidInputError("the contacts or limits are not possible: give finite numbers and inward unit normals")
         self._grasp = moved
-        if self._basis:
-            self._need_basis(strict=False)
 
     def _now(self, positions: Any, normals: Any, friction: Any, jacobian: Any, torque_bias: Any, contacts: Any) -> tuple[Any, ...]:
         """What a call is given, as the core reads it."""
@@ -349,7 +361,7 @@ class ForceOptimizer:
             together(
                 lambda: made(positions, (n, 3), "positions"),
                 lambda: made(normals, (n, 3), "normals"),
-                lambda: None if friction is None else self.grasp.models.with_friction(friction, n),
+                lambda: None if friction is None else self.grasp.models.other_friction(friction),
                 moving,
                 lambda: made(torque_bias, (joints,), "torque_bias", ranges.BIAS),
                 touching,
@@ -364,14 +376,15 @@ class ForceOptimizer:
         """
         grasp, (positions, normals, friction, _, _, mask) = self.grasp, now
         chosen = slice(None) if mask is None else mask
-        models, gamma = grasp.models, grasp.models.torsional_friction[chosen]
+        models, tangents = grasp.models, grasp.contacts.tangents
+        gamma = models.torsional_friction[chosen]
         return Grasp.from_contacts(
             (grasp.positions if positions is None else positions)[chosen],
             (grasp.normals if normals is None else normals)[chosen],
             (models.friction if friction is None else friction)[chosen],
             contact_model=[name for k, name in enumerate(models.names) if mask is None or mask[k]],
             torsional_friction=gamma if gamma.any() else None,
-            tangents=grasp.frames[chosen, :, 1] if grasp.tangents_given else None,
+            tangents=tangents[chosen] if len(tangents) else None,
         )
 
     def _start(self, wrench: Wrench, now: tuple[Any, ...], initial: Initial | None) -> StartFrom:
@@ -386,11 +399,11 @@ class ForceOptimizer:
         if is_a(asked, ForceSolution):
             if asked.n_contacts != self._count:
                 raise InfeasibleStartError(f"the solution has {asked.n_contacts} contacts, the grasp {self._count}")
-            return StartFrom(STARTS.index("previous"), before=asked)
+            return StartFrom(PREVIOUS, before=asked)
         if is_a(asked, str):
-            if asked in FROM_BASIS:
-                self._need_basis(strict=True)
-            return StartFrom(STARTS.index(asked), named=asked, before=self.previous if asked == "previous" else None)
+            if initial is not None and asked in FROM_BASIS:
+                self.core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
+            return StartFrom(STARTS.index(asked), before=self.previous if asked == "previous" else None)
         if initial is None and is_rule(asked, LearnedRule):
             return StartFrom(0, before=self.previous if asked.remembers else None)
         moved = self.grasp if all(each is None for each in now) else self._moved(now)
@@ -399,16 +412,7 @@ class ForceOptimizer:
             return start
         force = np.zeros((self._count, 3))
         force[now[5]] = start.force
-        return StartFrom(start.start, start.name, start.named, force)
-
-    def _need_basis(self, strict: bool) -> None:
-        """Gives the core the 12-basis of its contacts. Without force closure there is none: an error where a start asked for it."""
-        try:
-            self._core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
-            self._basis = True
-        except (InfeasibleStartError, RankDeficientGraspError):
-            if strict and not self.options.flows:
-                raise
+        return StartFrom(start.start, start.name, start.replaced, force)
 
     def _error(self, row: Array, wrench: Wrench, now: tuple[Any, ...], start: StartFrom) -> GraspError:
         """What a row without a force means, in words."""
@@ -433,7 +437,7 @@ class ForceOptimizer:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {name: value for name, value in vars(self).items() if name not in ("_core", "_solve", "_basis")}
+        kept = {name: value for name, value in vars(self).items() if name not in ("core", "_solve")}
         return kept | {"_grasp": self.grasp, "previous": self.previous}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -443,7 +447,22 @@ class ForceOptimizer:
         self.previous = previous
 
 
-LEARNED = STARTS.index("learned")
+COMBINATION, PREVIOUS, GIVEN, LEARNED = (
+    STARTS.index(name) for name in ("linear_combination", "previous", "given", "learned")
+)
+
+
+def names_of(initial: Any, options: Options) -> tuple[tuple[str, ...], str]:
+    """What solutions call each start of an optimizer, in the order of `STARTS`, and the one that it asks for."""
+    if options.method == "conic":
+        return STARTS, "central"
+    if initial is None:
+        return STARTS, "linear_combination" if options.flows else "internal_force"
+    if is_a(initial, ForceSolution):
+        return STARTS, "previous"
+    asked = "given" if is_a(initial, np.ndarray | list | tuple) else rule_name(initial)
+    place = LEARNED if is_rule(initial, LearnedRule) else GIVEN
+    return (STARTS if asked in STARTS else (*STARTS[:place], asked, *STARTS[place + 1 :])), asked
 
 
 def refused_start(grasp: Grasp, wrench: Wrench, start: StartFrom, touching: Any) -> InfeasibleStartError:
@@ -524,4 +543,4 @@ def optimize_force(
     return ForceOptimizer(grasp, **options).solve(wrench, optimum=optimum, trace=trace)
 
 
-__all__ = ["WRENCH", "ForceOptimizer", "Options", "optimize_force", "ITERATIONS"]
+__all__ = ["ForceOptimizer", "names_of", "optimize_force"]

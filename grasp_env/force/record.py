@@ -9,10 +9,11 @@ from grasp_env.core import codes, record_fields, record_size
 
 _PLACES, _CODES = record_fields(), codes()
 
-CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN, EXCESS, START, CONTACTS = (
+CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN, EXCESS, START, REPLACED, OUTSIDE, CONTACTS = (
     _PLACES[name]
     for name in (
-        "code", "iterations", "trials", "objective", "lower_bound", "residual", "margin", "limit_excess", "start", "contacts"
+        "code", "iterations", "trials", "objective", "lower_bound", "residual", "margin", "limit_excess", "start", "replaced",
+        "outside", "contacts",
     )
 )  # fmt: skip
 """How it ended, what certifies it, where it began, and N."""
@@ -44,8 +45,10 @@ __all__ = [
     "MARGIN",
     "MULTIPLIERS",
     "OBJECTIVE",
+    "OUTSIDE",
     "RANK_LOST",
     "REFUSED",
+    "REPLACED",
     "RESIDUAL",
     "STALLED",
     "START",

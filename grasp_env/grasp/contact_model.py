@@ -77,6 +77,14 @@ class ContactModels:
         cone_divisor = np.where(cone_scale > 0.0, cone_scale, np.inf)
         return cls(names, mu, gamma, cone_scale, cone_divisor)._frozen()
 
+    def other_friction(self, friction: ArrayLike) -> Array:
+        """(N, 2) other coefficients of the same contacts, a scalar, (N,) or (N, 2); 0 where frictionless.
+
+        Raises:
+            InvalidInputError: see `Grasp.from_contacts`.
+        """
+        return np.ascontiguousarray(_friction(friction, len(self.names), self.friction[:, 0] > 0.0))
+
     @cached_property
     def mean_friction(self) -> Array:
         """(N,) sqrt(mu_o mu_t); 0 where frictionless. Read-only, shared by all grasps of these contacts."""

@@ -44,10 +44,11 @@ public:
     nb::object previous = nb::none();  // the last solution with a force
 
     // kind: the class of solutions; method: its name; starts: what solutions call each `Start`
-    Solver(const Problem& problem, const Options& options, nb::object kind, nb::object method, nb::tuple starts)
+    Solver(const Problem& problem, const Options& options, nb::object kind, nb::object method, nb::tuple starts,
+           nb::object name)
         : on(problem, options), count(problem.contacts.count), joints(int(problem.limits.torque_limit.size())),
           remembers_(options.start == Start::previous || options.start == Start::learned), asked_(options.start), kind_(kind),
-          method_(method), starts_(starts) {}
+          method_(method), name_(name), starts_(starts) {}
 
     // A solution; None: an argument cannot be read as it is, or it ended without a force: `ended` is its row then.
     nb::object solve(nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
@@ -93,7 +94,7 @@ public:
 private:
     const bool remembers_;
     const Start asked_;
-    nb::object kind_, method_;
+    nb::object kind_, method_, name_;
     nb::tuple starts_;
 
     static double* data(PyObject* array) { return static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(array))); }
@@ -167,12 +168,13 @@ private:
         }
         const Summary& s = record.summary();
         const int used = int(s.start);
-        nb::handle name = initial.is_valid() && !initial.is_none() && used == int(Start::given) ? initial : starts_[used];
+        const bool named = initial.is_valid() && !initial.is_none();  // a name of this call's own start
+        nb::handle name = named && used == int(Start::given) ? initial : starts_[used];
         nb::object told;
         if (s.replaced != 0.0 || s.outside != 0.0) {
+            const nb::handle wanted = named ? initial : asked == asked_ || asked == Start::standard ? nb::handle(name_) : starts_[int(asked)];
             told = nb::module_::import_("grasp_env.force.solution")
-                       .attr("start_name")(name, initial.is_valid() && !initial.is_none() ? initial : nb::handle(starts_[int(asked)]),
-                                           s.replaced != 0.0, s.outside != 0.0);
+                       .attr("start_name")(name, wanted, s.replaced != 0.0, s.outside != 0.0);
             name = told;
         }
         nb::object solution = nb::steal(new_solution(kind_.ptr(), row.ptr(), method_.ptr(), name.ptr()));
@@ -193,9 +195,12 @@ std::vector<double> copied(nb::handle array) {
             }()};
 }
 
-Solver* make(const Contacts& contacts, nb::handle min_normal, nb::handle max_normal, nb::handle jacobian, nb::handle torque_limit,
+Solver* make(const Contacts& given, nb::handle weights, double force_weight, double barrier_weight, nb::handle min_normal, nb::handle max_normal, nb::handle jacobian, nb::handle torque_limit,
              nb::handle torque_bias, const char* method, bool largest, int start, double tolerance, int limit, bool elastic,
-             nb::handle rule, const Model* model, nb::object kind, nb::object name, nb::tuple starts) {
+             nb::handle rule, const Model* model, nb::object kind, nb::object name, nb::tuple starts, nb::object asked_name) {
+    Contacts contacts = given;
+    if (weights.is_none()) contacts.weigh(Objective{force_weight, barrier_weight});
+    else contacts.weigh(in(weights, contacts.count, 2).data());
     const std::vector<double> least = copied(min_normal), most = copied(max_normal), moves = copied(jacobian),
                               torques = copied(torque_limit), bias = copied(torque_bias);
     const std::string asked = method;
@@ -210,7 +215,7 @@ Solver* make(const Contacts& contacts, nb::handle min_normal, nb::handle max_nor
                     .elastic = elastic};
     if (!rule.is_none()) options.step_rule = rule_of(rule);
     if (model) options.model = std::make_shared<const Model>(*model);
-    return new Solver({contacts, {least, most, moves, torques, bias}}, options, kind, name, starts);
+    return new Solver({contacts, {least, most, moves, torques, bias}}, options, kind, name, starts, asked_name);
 }
 
 void solve_many(const Solver& solver, nb::handle wrenches, nb::handle rows) {
@@ -229,10 +234,11 @@ void solve_many(const Solver& solver, nb::handle wrenches, nb::handle rows) {
 void bind_optimizer(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
     nb::class_<Solver>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door.")
-        .def_static("make", &make, "contacts"_a, "min_normal"_a.none(), "max_normal"_a.none(), "jacobian"_a.none(),
+        .def_static("make", &make, "contacts"_a, "weights"_a.none(), "force_weight"_a, "barrier_weight"_a, "min_normal"_a.none(), "max_normal"_a.none(), "jacobian"_a.none(),
                     "torque_limit"_a.none(), "torque_bias"_a.none(), "method"_a, "largest"_a, "start"_a, "tolerance"_a, "limit"_a,
-                    "elastic"_a, "rule"_a.none(), "model"_a.none(), "kind"_a, "name"_a, "starts"_a,
-                    "See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions.")
+                    "elastic"_a, "rule"_a.none(), "model"_a.none(), "kind"_a, "name"_a, "starts"_a, "asked"_a,
+                    "See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions;\n"
+                    "asked: the name of the start that is asked for.")
         .def("solve", &Solver::solve, "wrench"_a.none(), "positions"_a.none(), "normals"_a.none(), "friction"_a.none(),
              "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
              "A solution; None: an argument cannot be read as it is, or there is no force and `ended` holds the row.")

@@ -47,14 +47,8 @@ public:
     Contacts(int count, std::span<const double> friction, const Objective& objective = {}, const double* along = nullptr,
              const double* gamma = nullptr) {
         make_room(count);
-        const std::size_t given = friction.size(), n = count;
-        for (std::size_t i = 0; i < n; ++i) {
-            const bool two = given == 2 * n;
-            const double mu_o = friction[two ? 2 * i : given == 1 ? 0 : i], mu_t = two ? friction[2 * i + 1] : mu_o;
-            const Point made = cone_scale(mu_o, mu_t);
-            for (int a = 0; a < 3; ++a) scale[3 * i + a] = made[a];
-        }
-        weigh(objective), transmit(), describe(along, gamma);
+        rub(friction);
+        weigh(objective), describe(along, gamma);
     }
 
     // Contacts in their place; throws std::invalid_argument, which says what is wrong, unless solvers can be made for them.
@@ -90,6 +84,20 @@ public:
         Contacts made(count, scales, weights, along);
         made.put(positions, normals);
         return made;
+    }
+
+    // Friction as of the constructor; chosen: where `friction` is of more contacts, which of them these are, and those without any keep none.
+    void rub(std::span<const double> friction, std::span<const int> chosen = {}, int of = 0) {
+        const std::size_t given = friction.size(), all = chosen.empty() ? count : of;
+        for (int k = 0; k < count; ++k) {
+            const std::size_t i = chosen.empty() ? k : chosen[k];
+            if (!chosen.empty() && scale[3 * k + 1] == 0.0) continue;
+            const bool two = given == 2 * all;
+            const double mu_o = friction[two ? 2 * i : given == 1 ? 0 : i], mu_t = two ? friction[2 * i + 1] : mu_o;
+            const Point made = cone_scale(mu_o, mu_t);
+            for (int a = 0; a < 3; ++a) scale[3 * k + a] = made[a];
+        }
+        transmit();
     }
 
     // The weights of Phi, (N, 2) omega and lambda, or those of all contacts.
