@@ -19,7 +19,8 @@ std::unique_ptr<Program> make(nb::handle frame, nb::handle balance, nb::handle r
     for (int i = 0; i < count; ++i) soft += d.data()[4 * i + 3] < infinity;
     if (soft > limits) throw nb::value_error("each soft contact needs a row of its torsion");
     return std::make_unique<Program>(Given{count, limits, in(frame, 6, 6).data(), in(balance, 6, count, 4).data(),
-                          in(rows, limits, count, 4).data(), b.data(), d.data(), in(shares, limits).data(), elastic});
+                                           in(rows, limits, count, 4).data(), b.data(), d.data(), in(shares, limits).data(),
+                                           elastic});
 }
 
 Criterion criterion_of(bool largest) { return largest ? Criterion::largest : Criterion::sum; }

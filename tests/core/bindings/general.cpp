@@ -70,11 +70,12 @@ public:
                 const double* w = wrenches.data() + 6 * (k % many);
                 if (problem.in(general, true) != Placing::good) continue;
                 const Record record(row.data(), general.count());
-                ++ended[general.conic(w, k % 2 ? Criterion::largest : Criterion::sum, {1e-6, 1000}, record)];
+                const double tolerance = k % 3 ? 1e-6 : 1e-16;  // which asks for more digits than a double's
+                ++ended[general.conic(w, k % 2 ? Criterion::largest : Criterion::sum, {tolerance, 1000}, record)];
                 ++ended[general.excess({1e-6, 1000}, record)];
                 record.summary().code = STALLED, record.summary().lower_bound = 0.0;
                 general.conic_from({1e-6, 1000}, record);
-                ++ended[general.phi({.wrench = w}, {1e-12, 1000}, record)];
+                ++ended[general.phi({.wrench = w}, {tolerance, 1000}, record)];
                 record.summary().code = STALLED, record.summary().lower_bound = 0.0;
                 general.phi_from({1e-12, 1000}, record);
                 general.deepest(w, 1e-7, force.data(), torsion.data());

@@ -171,7 +171,8 @@ nb::object program_allocations(const In& frame, const In& balance, const In& row
     const int count = int(divisor.shape(0)), limits = int(bound.size()), many = int(wrenches.shape(0));
     Arena arena(Program::room(count, limits, limits, true));
     const Arena::Use use(arena);
-    Program program({count, limits, frame.data(), balance.data(), rows.data(), bound.data(), divisor.data(), shares.data(), true});
+    Program program(
+        {count, limits, frame.data(), balance.data(), rows.data(), bound.data(), divisor.data(), shares.data(), true});
     std::vector<double> row(record_size(count)), prices(limits), z(4 * count), weights(2 * count, 0.01), each(limits, 0.01);
     int ended[8] = {};
     const long made = counted([&] {

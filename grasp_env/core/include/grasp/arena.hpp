@@ -1,6 +1,7 @@
 // Memory for what is made anew at every use, so that real-time code allocates nothing: taken one after the other, given back all at once.
 #pragma once
 #include <cstddef>
+#include <functional>
 #include <memory>
 #include <new>
 #include <vector>

@@ -38,13 +38,13 @@ template <int D> struct Constraints {
     // Rows of coefficients.
     class Matrix {
     public:
-        Matrix(int rows, int count) : numbers_(rows * count), count_(count) {}
-        Row operator[](int r) const { return {numbers_.data() + count_ * r, std::size_t(count_)}; }
-        std::span<Tuple<double, D>> operator[](int r) { return {numbers_.data() + count_ * r, std::size_t(count_)}; }
+        Matrix(std::size_t rows, std::size_t count) : numbers_(rows * count), count_(count) {}
+        Row operator[](int r) const { return {numbers_.data() + count_ * r, count_}; }
+        std::span<Tuple<double, D>> operator[](int r) { return {numbers_.data() + count_ * r, count_}; }
 
     private:
         Field numbers_;
-        int count_;
+        std::size_t count_;
     };
     int count, limits, torsions = 0;  // N, M; the first rows are those of torsion
     Kept<char> soft;
@@ -151,7 +151,7 @@ template <int D> struct Constraints {
         for (int r = 0; r < 6; ++r) out[r] = product(balance[r], z);
         return out;
     }
-    // Whether G has rank 6: as many digits as a wrench needs are left of L.
+    // Whether G has rank 6, as far as its digits can tell.
     bool full() const {
         double square = 0.0, inverse = 0.0;
         for (int r = 0; r < 6; ++r) {
@@ -233,7 +233,7 @@ template <int D> struct Constraints {
 
 private:
     static constexpr int SEVERAL = -1;
-    static constexpr double RANK = 1e-8;  // least ratio of singular values of G that counts as rank 6
+    static constexpr double RANK = 1e-13;  // a ratio of singular values that rounding may have made
     static constexpr double PAD = 6e-16;  // of the numbers that make a slack: what rounding may cost on the way to forces
     static constexpr double LAST = 4e-16;  // of the largest normal force: what rounding it may cost balance
 

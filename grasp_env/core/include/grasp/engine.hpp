@@ -275,7 +275,7 @@ private:
         return placed_ = take(now);
     }
     Code take(const Now& now) {
-        conic_ready_ = general_ready_ = flow_ready_ = rest_sought_ = false;
+        conic_ready_ = general_ready_ = flow_ready_ = rest_sought_ = has_rest_ = false;
         const int all = home_.count;
         const std::size_t triples = std::size_t(3 * all);
         if ((!now.positions.empty() && now.positions.size() != triples) || (!now.normals.empty() && now.normals.size() != triples) ||
@@ -388,8 +388,14 @@ private:
     bool ready_general() {
         if (!general_ready_ || !general_.placed())  // a copy of it holds nothing
             general_ready_ = general_.place(now_, torsional() ? divisor_.data() : nullptr, limits_.rows ? of_now() : ForceLimits{},
-                                            4) == Placing::good;
+                                            4, internal()) == Placing::good;
         return general_ready_;
+    }
+    // An internal force as the general program takes one; null: not sought, or none.
+    const double* internal() {
+        if (!has_rest_ || torsional()) return nullptr;
+        newton_.cones.store_force(rest_, force_.data());
+        return force_.data();
     }
     // An internal force of the contacts of now, of least Phi among its multiples; false without force closure.
     bool rest(bool thorough = false) {

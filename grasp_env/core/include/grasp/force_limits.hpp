@@ -16,15 +16,17 @@ struct ForceLimits {
 
     // How many rows there are.
     int many() const {
-        const auto finite = [](std::span<const double> limits) { return int(std::count_if(limits.begin(), limits.end(), limits_it)); };
-        return finite(min_normal) + finite(max_normal) + 2 * finite(torque_limit);
+        const auto count = [](std::span<const double> limits, auto& is) {
+            return int(std::count_if(limits.begin(), limits.end(), is));
+        };
+        return count(min_normal, limits_normal) + count(max_normal, limits_normal) + 2 * count(torque_limit, limits_torque);
     }
     // f(row, b, limit) for least normal forces above 0, largest normal forces, then the upper and lower torque of each joint.
     // row: (N, each) numbers to work with, each = 3; of a Jacobian with the torsion's row besides, 4.
     template <class F> void rows(int count, int each, std::span<double> row, F&& f) const {
         const auto normal = [&](std::span<const double> limits, double sign) {
             for (int i = 0; i < int(limits.size()); ++i) {
-                if (!limits_it(limits[i])) continue;
+                if (!limits_normal(limits[i])) continue;
                 std::fill(row.begin(), row.end(), 0.0);
                 row[each * i] = sign;
                 f(row, sign * limits[i], limits[i]);
@@ -33,7 +35,7 @@ struct ForceLimits {
         normal(min_normal, -1.0), normal(max_normal, 1.0);
         const int joints = int(torque_limit.size());
         for (int j = 0; j < joints; ++j) {
-            if (!limits_it(torque_limit[j])) continue;
+            if (!limits_torque(torque_limit[j])) continue;
             for (double sign : {1.0, -1.0}) {
                 for (int k = 0; k < each * count; ++k) row[k] = sign * jacobian[joints * k + j];
                 f(row, torque_limit[j] - sign * (torque_bias.empty() ? 0.0 : torque_bias[j]), torque_limit[j]);
@@ -42,7 +44,8 @@ struct ForceLimits {
     }
 
 private:
-    static bool limits_it(double limit) { return limit > 0.0 && limit < infinity; }
+    static bool limits_normal(double limit) { return limit > 0.0 && limit < infinity; }
+    static bool limits_torque(double limit) { return limit < infinity; }
 };
 
 // Rows on one contact's force each, cone coordinates. Once filled it is filled again without allocating.

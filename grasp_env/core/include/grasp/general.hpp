@@ -8,8 +8,9 @@ namespace grasp {
 
 class General {
 public:
-    static constexpr double BALANCE_TOLERANCE = 1e-8;  // of the wrench and the force: what a start that is given may miss of balance
-    static constexpr int CONIC_ITERATIONS = 100;       // of an interior point, of which a dozen is usual
+    static constexpr double BALANCE_TOLERANCE =
+        1e-8;  // of the wrench and the force: what a start that is given may miss of balance
+    static constexpr int CONIC_ITERATIONS = 100;  // of an interior point, of which a dozen is usual
 
     General() = default;
     // For so many contacts and rows of limits at most; soft: torsion may be transmitted. It takes memory here, for the worst rows, unless that
@@ -23,7 +24,7 @@ public:
         return *this;
     }
 
-    // The contacts of now, their weights among them. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <= normal force in cone
+    // The contacts of now, in their place, and their weights. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <= normal force in cone
     // coordinates; inf or 0: not soft; null: none is. limits: their Jacobian is (N, each, J), each 3 or, with the torsion's row, 4.
     // internal: (N, 3) a force strictly inside the cones that balances itself, where one is known: `conic` finds one else. rank_lost: not even
     // with torsion do the contacts make all wrenches. Nothing is kept of the arguments.
@@ -147,10 +148,10 @@ public:
 
 private:
     static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;  // bytes that are taken before they are needed
-    static constexpr double LAST_DIGITS = 1e-9;                        // a gap that is left to the rounding of a double
-    static constexpr int MORE_STEPS = 1000;               // where another solver stalled: 60 ms with four contacts
+    static constexpr double LAST_DIGITS = 1e-9;  // a gap that is left to the rounding of a double
+    static constexpr int MORE_STEPS = 1000;  // where another solver stalled: 60 ms with four contacts
     static constexpr double NEXT_TO_NOTHING = 1e-9;  // [N], [N m]
-    static constexpr double MOST_FORCE = 1e20;            // [N] beyond which limits are mistakes
+    static constexpr double MOST_FORCE = 1e20;  // [N] beyond which limits are mistakes
 
     // Contacts and limits as `Given` asks for them.
     struct Now {
@@ -194,25 +195,27 @@ private:
         bool set(const ForceLimits& given, int each) {
             int k = torsions;
             bool good = true;
-            given.rows(count, each, std::span(row).first(each * count), [&](std::span<const double> from, double b, double limit) {
-                double* to = &rows[4 * count * k];
-                double square = 0.0, lambda = 0.0, all = 0.0;
-                int touched = 0;
-                for (int i = 0; i < count; ++i, to += 4) {
-                    for (int a = 0; a < 3; ++a) to[a] = from[each * i + a] / divisor[4 * i + a];
-                    if (each == 4) slacken(to, from[4 * i + 3] / divisor[4 * i + 3]);
-                    const double part = to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3], mine = weights[2 * i + 1];
-                    square += part, all += mine;
-                    if (part > 0.0) lambda += mine, ++touched;
-                }
-                // a torque that no force changes has no length
-                const double size = sizes[k] = square > 0.0 ? std::sqrt(square) : 1.0, per = 1.0 / size;
-                for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to) *to *= per;
-                bound[k] = b / size, shares[k] = limit / size;
-                row_weights[k] = touched ? lambda / touched : all / count;
-                good = good && size < infinity && std::abs(bound[k]) <= MOST_FORCE && std::abs(shares[k]) <= MOST_FORCE;
-                ++k;
-            });
+            given.rows(
+                count, each, std::span(row).first(each * count), [&](std::span<const double> from, double b, double limit) {
+                    double* to = &rows[4 * count * k];
+                    double square = 0.0, lambda = 0.0, all = 0.0;
+                    int touched = 0;
+                    for (int i = 0; i < count; ++i, to += 4) {
+                        for (int a = 0; a < 3; ++a) to[a] = from[each * i + a] / divisor[4 * i + a];
+                        if (each == 4) slacken(to, from[4 * i + 3] / divisor[4 * i + 3]);
+                        const double part = to[0] * to[0] + to[1] * to[1] + to[2] * to[2] + to[3] * to[3],
+                                     mine = weights[2 * i + 1];
+                        square += part, all += mine;
+                        if (part > 0.0) lambda += mine, ++touched;
+                    }
+                    // a torque that no force changes has no length
+                    const double size = sizes[k] = square == 0.0 ? 1.0 : std::sqrt(square), per = 1.0 / size;
+                    for (to = &rows[4 * count * k]; to < &rows[0] + 4 * count * (k + 1); ++to) *to *= per;
+                    bound[k] = b / size, shares[k] = limit / size;
+                    row_weights[k] = touched ? lambda / touched : all / count;
+                    good = good && size < infinity && std::abs(bound[k]) <= MOST_FORCE && std::abs(shares[k]) <= MOST_FORCE;
+                    ++k;
+                });
             return good;
         }
         // (u, o, t, w) from forces and torsions, or no torsions; and back

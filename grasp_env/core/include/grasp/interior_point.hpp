@@ -28,9 +28,9 @@ public:
     int iterations = 0;
 
     InteriorPoint(Rows<R, D, T> given, std::span<const char> soft)
-        : rows(std::move(given)), cost(rows.count), soft(soft), system_(rows), f_(rows), d_(rows), left_(rows), more_(rows), residual_(rows),
-          ds_(rows.count), dz_(rows.count), scaling_(rows.count), kappa_own_(rows.own.size()), dslack_own_(rows.own.size()),
-          kappa_joint_(rows.joint), dslack_joint_(rows.joint) {
+        : rows(std::move(given)), cost(rows.count), soft(soft), system_(rows), f_(rows), d_(rows), left_(rows), more_(rows),
+          residual_(rows), ds_(rows.count), dz_(rows.count), scaling_(rows.count), kappa_own_(rows.own.size()),
+          dslack_own_(rows.own.size()), kappa_joint_(rows.joint), dslack_joint_(rows.joint) {
         at.z.resize(rows.count), at.s.resize(rows.count);
         at.own.resize(rows.own.size()), at.own_slack.resize(rows.own.size());
         at.joint.resize(rows.joint), at.joint_slack.resize(rows.joint);

@@ -19,9 +19,9 @@ public:
     R value = 0.0, bound = 0.0;
 
     PhiRows(Rows<R, D, 0> given, std::span<const char> soft, int limits)
-        : rows(std::move(given)), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), proof(rows), system_(rows),
-          f_(rows), left_(rows), more_(rows), own_slack_(rows.own.size()), own_trial_(rows.own.size()), joint_slack_(rows.joint),
-          joint_trial_(rows.joint), step_(rows.count), trial_(rows.count) {}
+        : rows(std::move(given)), weights(rows.count), row_weights(limits), soft(soft), z(rows.count), y(rows), proof(rows),
+          system_(rows), f_(rows), left_(rows), more_(rows), own_slack_(rows.own.size()), own_trial_(rows.own.size()),
+          joint_slack_(rows.joint), joint_trial_(rows.joint), step_(rows.count), trial_(rows.count) {}
     static std::size_t room(int count, int joints, int owns, int limits) {
         return Rows<R, D, 0>::room(count, joints, owns) + RowSystem<R, D, 0>::room(count, joints, owns) +
                5 * Space<R, D, 0>::room(count, joints, owns) + 3 * Arena::room<Tuple<R, D>>(count) +

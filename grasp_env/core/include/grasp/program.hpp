@@ -19,8 +19,8 @@ public:
     template <class R, int T> using Engine = InteriorPoint<R, D, T>;
 
     explicit ProgramOn(const Given& given)
-        : count(given.count), limits(given.limits), in_(given), may_exceed_(given.elastic), rest_(count), inside_(count), z_(count),
-          best_(count), room_(in_.slacks()), room_inside_(in_.slacks()), prices_(limits), best_prices_(limits) {}
+        : count(given.count), limits(given.limits), in_(given), may_exceed_(given.elastic), rest_(count), inside_(count),
+          z_(count), best_(count), room_(in_.slacks()), room_inside_(in_.slacks()), prices_(limits), best_prices_(limits) {}
     // For a program, and for solving it: engines live for a call. joints: rows that touch several contacts, at most.
     static std::size_t room(int count, int limits, int joints) {
         const auto most = [&](int joint) {
@@ -34,7 +34,8 @@ public:
     }
 
     // See `Program`.
-    Code least(const double* wrench, Criterion criterion, const Stop& options, const Record& record, double* prices, int budget) {
+    Code least(const double* wrench, Criterion criterion, const Stop& options, const Record& record, double* prices,
+               int budget) {
         const Arena::Scope scope;
         record.clear();
         std::fill(prices, prices + limits, 0.0);
@@ -224,8 +225,7 @@ private:
     double excess(const Field& z) const {
         double most = 0.0;
         for (int k = in_.torsions; k < limits; ++k)
-            if (in_.shares[k] > 0.0)
-                most = std::max(most, (size_ * in_.product(in_.limit[k], z) - in_.bound[k]) / in_.shares[k]);
+            if (in_.shares[k] > 0.0) most = std::max(most, (size_ * in_.product(in_.limit[k], z) - in_.bound[k]) / in_.shares[k]);
         return most;
     }
     // t in units of an excess above that of a start z, where it begins at one; normal forces up to a multiple of those of z.
