@@ -47,14 +47,7 @@ public:
     Contacts(int count, std::span<const double> friction, const Objective& objective = {}, const double* along = nullptr,
              const double* gamma = nullptr) {
         make_room(count);
-        const std::size_t given = friction.size(), n = count;
-        for (std::size_t i = 0; i < n; ++i) {
-            const bool two = given == 2 * n;
-            const double mu_o = friction[two ? 2 * i : given == 1 ? 0 : i], mu_t = two ? friction[2 * i + 1] : mu_o;
-            const Point made = cone_scale(mu_o, mu_t);
-            for (int a = 0; a < 3; ++a) scale[3 * i + a] = made[a];
-        }
-        weigh(objective), transmit(), describe(along, gamma);
+        weigh(objective), rub(friction), describe(along, gamma);
     }
 
     // Contacts in their place; throws std::invalid_argument, which says what is wrong, unless solvers can be made for them.
@@ -99,6 +92,21 @@ public:
     void weigh(const Objective& objective) {
         std::fill(omega.begin(), omega.end(), objective.force_weight);
         std::fill(lambda.begin(), lambda.end(), objective.barrier_weight);
+    }
+    bool weights_good() const {
+        const auto good = [](double v) { return v > 0.0 && v < infinity; };
+        return std::ranges::all_of(omega, good) && std::ranges::all_of(lambda, good);
+    }
+    // Other friction, as of the constructor, from the next `place` on.
+    void rub(std::span<const double> friction) {
+        const std::size_t given = friction.size(), n = count;
+        for (std::size_t i = 0; i < n; ++i) {
+            const bool two = given == 2 * n;
+            const double mu_o = friction[two ? 2 * i : given == 1 ? 0 : i], mu_t = two ? friction[2 * i + 1] : mu_o;
+            const Point made = cone_scale(mu_o, mu_t);
+            for (int a = 0; a < 3; ++a) scale[3 * i + a] = made[a];
+        }
+        transmit();
     }
     // From now on the directions of o are those of the contacts of now, projected, instead of those of the default rule.
     void keep_tangents() {
@@ -206,9 +214,7 @@ private:
     }
     // `place`, or an exception.
     void put(const double* at, const double* inward) {
-        for (int i = 0; i < count; ++i)
-            ask(omega[i] > 0.0 && omega[i] < infinity && lambda[i] > 0.0 && lambda[i] < infinity,
-                "weights must be finite and > 0");
+        ask(weights_good(), "weights must be finite and > 0");
         place(at, inward);
         ask(placing != Placing::refused, "positions must be finite and normals of unit length");
         ask(placing != Placing::rank_lost, "rank(G) < 6");
