@@ -165,6 +165,14 @@ def table() -> dict[str, tuple[Callable[..., Any], dict[str, Any], frozenset[str
         "Model.place": (fresh.place, {"null_space": np.ones((12, 6)), "friction": 0.4, "scale": 1.0, "largest": 20.0}, frozenset()),
         "Model.load": (_core.Model.load, {"bytes": blob}, frozenset()),
         "Model.save": (fresh.save, {}, frozenset()),
+        "ContactReader.read": (
+            _core.ContactReader(
+                least_friction=1e-4, most_friction=1e4, least_length=1e-9, most_length=1e6, distance=1e5, most=1000
+            ).read,
+            {name: calls.CALLS["Contacts.put"].given[name] for name in ("positions", "normals", "tangents")} | {"friction": 0.4},
+            frozenset({"positions", "normals", "tangents"}),
+        ),
+        "Contacts.weighed alike": (calls.contacts().weighed, {"force_weight": 1.0, "barrier_weight": 0.01}, frozenset()),
         "all_finite": (_core.all_finite, {"array": wrench}, frozenset({"array"})),
         "normalise": (_core.normalise, {"normals": calls.SAMPLE.normals.copy()}, frozenset()),
         "record_size": (_core.record_size, {"contacts": 4}, frozenset()),

@@ -298,6 +298,38 @@ def test_a_doubtful_rank_with_torsion_is_left_to_the_singular_values() -> None:
     assert doubts > 3
 
 
+def test_contacts_from_friction_and_torsion() -> None:
+    s, rng = sample(4), np.random.default_rng(9)
+    for mu in (
+        np.array([0.4]),
+        rng.uniform(0.2, 1.0, 4),
+        rng.uniform(0.2, 1.0, (4, 2)),
+        np.array([0.4, 0.0, 0.5, 0.6]),
+    ):
+        made = insides.contacts_from(s.positions, s.normals, mu, np.array([0.0, 0.01, 0.0, 0.02]))
+        two = np.broadcast_to(mu if mu.ndim > 1 else mu[:, None], (4, 2))
+        mean = np.sqrt(two.prod(axis=1))
+        with np.errstate(invalid="ignore"):
+            scale = np.where(mean[:, None] > 0.0, np.column_stack([mean, mean[:, None] / two]), [1.0, 0.0, 0.0])
+        assert made.verdict == GOOD
+        np.testing.assert_allclose(made.arrays["scale"], scale, rtol=4 * EPS)
+        np.testing.assert_array_equal(made.arrays["torsion"], [0.0, 0.01, 0.0, 0.02])
+        other = insides.contacts_from(s.positions, s.normals, np.array([0.7]), np.zeros(0))
+        other.rub(mu)
+        assert other.place(s.positions, s.normals) == GOOD
+        for name in ("scale", "divisor", "rows", "inverse"):
+            np.testing.assert_array_equal(other.arrays[name], made.arrays[name])
+    pinch = (
+        np.array([[0.0, 0.0, -0.02], [0.0, 0.0, 0.02]]),
+        np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]),
+        np.array([0.5]),
+    )
+    assert insides.contacts_from(*pinch, np.array([0.005, 0.005])).verdict == NEEDS_TORSION
+    for gamma, said in (([0.0, 0.0], "rank"), ([0.1], "torsion"), ([0.1, np.nan], "torsion"), ([0.1, -0.1], "torsion")):
+        with pytest.raises(ValueError, match=said):
+            insides.contacts_from(*pinch, np.array(gamma))
+
+
 # internal forces
 
 

@@ -117,17 +117,18 @@ Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::han
 }
 
 // Copies for solvers, whose directions of o are those of now.
-Contacts weighed(const Contacts& contacts, double force_weight, double barrier_weight) {
+template <class Weights> Contacts weighed(const Contacts& contacts, const Weights& weights) {
     if (contacts.placing != Placing::good) throw nb::value_error("rank(G) < 6");
     Contacts made = contacts;
-    made.keep_tangents(), made.weigh(Objective{force_weight, barrier_weight});
+    made.keep_tangents(), made.weigh(weights);
+    if (!made.weights_good()) throw nb::value_error("weights must be finite and > 0");
     return made;
 }
+Contacts weighed_alike(const Contacts& contacts, double force_weight, double barrier_weight) {
+    return weighed(contacts, Objective{force_weight, barrier_weight});
+}
 Contacts weighed_each(const Contacts& contacts, nb::handle weights) {
-    const Numbers each = in(weights, contacts.count, 2);
-    Contacts made = weighed(contacts, 1.0, 1.0);
-    made.weigh(each.data());
-    return made;
+    return weighed(contacts, in(weights, contacts.count, 2).data());
 }
 
 const Contacts& of(nb::handle self) { return nb::cast<const Contacts&>(self); }
@@ -180,7 +181,7 @@ void bind_contacts(nb::module_& m) {
             "lambda, (N, 3) tangents or (0, 3). ValueError where the rank of G is not 6.")
         .def_static("put", &put, "positions"_a, "normals"_a, "scale"_a, "torsion"_a, "tangents"_a,
                     "The same with (N,) torsional friction [m], wherever they are: see `refused` and `clear`.")
-        .def("weighed", &weighed, "force_weight"_a, "barrier_weight"_a,
+        .def("weighed", &weighed_alike, "force_weight"_a, "barrier_weight"_a,
              "A copy for solvers with omega and lambda, its tangents those of now. ValueError where the rank of G is not 6.")
         .def("weighed", &weighed_each, "weights"_a, "The same with (N, 2) omega and lambda.")
         .def_ro("count", &Contacts::count, "N.")

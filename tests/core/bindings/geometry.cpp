@@ -44,6 +44,12 @@ int move(Placement& p, In positions, In normals) {
     return int(p.placed = p.contacts.place(numbers(positions, size), numbers(normals, size)));
 }
 
+Placement from(In positions, In normals, In friction, In torsion) {
+    const auto all = [](const In& a) { return std::span(a.data(), a.size()); };
+    const Contacts contacts = Contacts::from(all(positions), all(normals), all(friction), {}, {}, all(torsion));
+    return {contacts, contacts.placing};
+}
+
 // Those of `all` with these numbers, not placed yet.
 void choose(Placement& p, const Placement& all, const std::vector<int>& chosen) {
     p.contacts.select(all.contacts, chosen);
@@ -72,7 +78,8 @@ nb::dict arrays_of(const Placement& p) {
     const size_t count = c.count, size = 3 * count;
     nb::dict out;
     out["positions"] = array(c.positions, {count, 3}), out["normals"] = array(c.normals, {count, 3});
-    out["omega"] = array(c.omega), out["lambda"] = array(c.lambda), out["torsion"] = array(c.torsion);
+    out["scale"] = array(c.scale, {count, 3}), out["omega"] = array(c.omega), out["lambda"] = array(c.lambda),
+    out["torsion"] = array(c.torsion);
     out["frames"] = array(c.frames, {count, 3, 3});
     out["matrix"] = array(c.matrix, {6, size}), out["cone_matrix"] = array(c.cone_matrix, {6, size});
     std::vector<double> orthonormal;
@@ -116,11 +123,15 @@ void bind_geometry(nb::module_& m) {
         .def_prop_ro("clear", [](const Placement& p) { return p.contacts.clear; })
         .def_prop_ro("arrays", &arrays_of)
         .def("place", &move, "positions"_a, "normals"_a)
+        .def(
+            "rub", [](Placement& p, In friction) { p.contacts.rub({friction.data(), friction.size()}); }, "friction"_a)
         .def("select", &choose, "all"_a, "chosen"_a)
         .def("allocations", &allocations_of, "parts"_a, "calls"_a)
         .def(
             "rescale", [](Placement& p, In scale) { return p.contacts.rescale(numbers(scale, 3 * p.contacts.count)); }, "scale"_a,
             "False where rank is lost.");
+    m.def("contacts_from", &from, "positions"_a, "normals"_a, "friction"_a, "torsion"_a,
+          "ValueError unless solvers can be made.");
     m.def("place", &place, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a = nb::none(),
           "torsion"_a = nb::none());
 }

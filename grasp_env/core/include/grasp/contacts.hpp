@@ -47,8 +47,7 @@ public:
     Contacts(int count, std::span<const double> friction, const Objective& objective = {}, const double* along = nullptr,
              const double* gamma = nullptr) {
         make_room(count);
-        rub(friction);
-        weigh(objective), describe(along, gamma);
+        weigh(objective), rub(friction), describe(along, gamma);
     }
 
     // Contacts in their place; throws std::invalid_argument, which says what is wrong, unless solvers can be made for them.
@@ -86,7 +85,7 @@ public:
         return made;
     }
 
-    // Friction as of the constructor; chosen: where `friction` is of more contacts, which of them these are, and those without any keep none.
+    // Other friction, as of the constructor, from the next `place` on; chosen: where `friction` is of more contacts, which of them these are, and those without any keep none.
     void rub(std::span<const double> friction, std::span<const int> chosen = {}, int of = 0) {
         const std::size_t given = friction.size(), all = chosen.empty() ? count : of;
         for (int k = 0; k < count; ++k) {
@@ -107,6 +106,10 @@ public:
     void weigh(const Objective& objective) {
         std::fill(omega.begin(), omega.end(), objective.force_weight);
         std::fill(lambda.begin(), lambda.end(), objective.barrier_weight);
+    }
+    bool weights_good() const {
+        const auto good = [](double v) { return v > 0.0 && v < infinity; };
+        return std::ranges::all_of(omega, good) && std::ranges::all_of(lambda, good);
     }
     // From now on the directions of o are those of the contacts of now, projected, instead of those of the default rule.
     void keep_tangents() {
@@ -214,9 +217,7 @@ private:
     }
     // `place`, or an exception.
     void put(const double* at, const double* inward) {
-        for (int i = 0; i < count; ++i)
-            ask(omega[i] > 0.0 && omega[i] < infinity && lambda[i] > 0.0 && lambda[i] < infinity,
-                "weights must be finite and > 0");
+        ask(weights_good(), "weights must be finite and > 0");
         place(at, inward);
         ask(placing != Placing::refused, "positions must be finite and normals of unit length");
         ask(placing != Placing::rank_lost, "rank(G) < 6");
