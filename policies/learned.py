@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
@@ -14,19 +13,16 @@ from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_array, flag
 from grasp_env._files import as_path
 from grasp_env.errors import InfeasibleStartError, ModelFileError
-from grasp_env.force import ForceSolution, LinearCombination, Objective, OfflineBasis
+from grasp_env.force import Objective, OfflineBasis
 from grasp_env.force.basis import core_contacts
-from grasp_env.force.method import Loop, readable
 from grasp_env.force.objective import as_objective
-from grasp_env.force.record import CODE, FORCE, LIMIT, REFUSED, record_size
-from grasp_env.force.solution import combination_for
+from grasp_env.force.record import FORCE, REFUSED, record_size
 from grasp_env.grasp import Grasp, null_space_basis
 from grasp_env.grasp.grasp import as_grasp
 from policies.checkpoint import FAULTS, MOST_CONTACTS, Checkpoint, malformed, number, replace, whole
 from policies.features import Features
 
 PRETRAINED = Path(__file__).parent / "pretrained"
-OUTSIDE = " (outside its training range)"
 MOST_DEGREE = 8
 """Largest degree of the polynomials of the friction that weights may be."""
 
@@ -151,68 +147,28 @@ class LearnedInitialForce:
             InfeasibleStartError: contacts that this model does not know, a grasp without force closure, or a wrench that
                 is not finite.
         """
-        return self._started(grasp, wrench, self.objective, None)[1]
+        learned, load = self._learned(grasp), read_load(wrench)
+        record = np.empty(record_size(as_grasp(grasp).n_contacts))
+        if learned.start(load, None, record) == REFUSED:
+            raise _not_finite(load)
+        return record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(-1, 3)
 
     def with_objective(self, objective: Objective) -> LearnedInitialForce:
         """The same model for another `objective`, exact up to scale: Phi knows forces in units of sqrt(lambda / omega) only."""
         return type(self)(self.checkpoint, objective, self.remembers)
 
-    def bind(
-        self,
-        grasp: Grasp,
-        objective: Objective,
-        tolerance: float,
-        limit: int,
-        descend: Callable[[Array, Array, Array], None] | None = None,
-    ) -> Loop:
-        """For optimizers: start and Newton in one compiled call, or the start and then `descend`.
+    def model(self, grasp: Grasp, objective: Objective) -> core.Model:
+        """What optimizers predict with in their compiled call, for a Phi.
 
         Args:
             grasp: the contacts.
             objective: Phi.
-            tolerance: relative gap at which a start is a solution.
-            limit: most accepted steps.
-            descend: see `CompiledRule.bind`.
-        """
-        rule = self if objective == self.objective else self.with_objective(objective)
-        return LearnedLoop(rule._make(grasp, tolerance, limit), rule.name, rule.remembers, descend)
-
-    def start(
-        self, grasp: Grasp, wrench: Wrench, objective: Objective, previous: ForceSolution | None = None
-    ) -> tuple[str, ContactForces]:
-        """For optimizers: the start's name and its force (N, 3) [N].
-
-        The name says when wrench or grasp are outside the training range, and when nothing of the prediction was kept. For another
-        number of contacts, as where a hand loses one, the start is the 12-basis' combination, and the name says that, too.
-
-        Args:
-            grasp: the contacts.
-            wrench: (6,) [N, N m].
-            objective: Phi.
-            previous: a solution to start from where that has less Phi, if this rule remembers; one of another number of
-                contacts is not used.
 
         Raises:
-            InfeasibleStartError: soft or frictionless contacts, no force closure, or a wrench that is not finite.
+            InfeasibleStartError: contacts that this model does not know.
         """
-        if as_grasp(grasp).n_contacts != self.n_contacts:
-            return combination_for(self.name), LinearCombination(objective)(grasp, wrench)
-        return self._started(grasp, wrench, objective, previous)
-
-    def _started(
-        self, grasp: Grasp, wrench: Wrench, objective: Objective, previous: ForceSolution | None
-    ) -> tuple[str, ContactForces]:
         rule = self if objective == self.objective else self.with_objective(objective)
-        learned = rule._learned(grasp)
-        record = np.empty(record_size(grasp.n_contacts))
-        before = None
-        if self.remembers and previous is not None and previous.n_contacts == grasp.n_contacts:
-            before = np.array(previous._record)
-        load = read_load(wrench)
-        if learned.start(load, before, record) == REFUSED:
-            raise _not_finite(load)
-        force = record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(-1, 3)
-        return _said(self.name, learned.outside, learned.replaced), force
+        return rule._model(as_grasp(grasp))
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
         """Whether grasp and wrench lie in the training range; elsewhere the start is still safe, and solutions say so."""
@@ -299,12 +255,6 @@ def _features(numbers: dict[str, object]) -> Features:
     return Features(**{name: number(v, name, -np.inf if name in mean else 0.0) for name, v in numbers.items()})
 
 
-def _said(name: str, outside: bool, replaced: bool) -> str:
-    """The name of a start, with what happened to it."""
-    name += OUTSIDE * outside
-    return combination_for(name) if replaced else name
-
-
 def _not_finite(wrench: Array) -> InfeasibleStartError:
     return InfeasibleStartError(f"a wrench needs finite numbers up to {core.LARGEST:g}, got {wrench.tolist()}")
 
@@ -315,36 +265,4 @@ def read_load(wrench: Any) -> Array:
     Raises:
         InvalidInputError: not (6,) numbers.
     """
-    return wrench.copy() if readable(wrench) else as_array(wrench, (6,), "wrench")
-
-
-class LearnedLoop(Loop):
-    """The control loop's call; what it says of its start hangs on the last wrench."""
-
-    def __init__(
-        self,
-        learned: core.Learned,
-        name: str,
-        remembers: bool,
-        descend: Callable[[Array, Array, Array], None] | None,
-    ) -> None:
-        self.call, self.remembers = learned.solve if descend is None else self._descended, remembers
-        self.solution = self.stopped = ForceSolution
-        self.many = learned.solve_many if descend is None else None
-        self._learned, self._descend = learned, descend
-        self._names = [_said(name, outside, replaced) for replaced in (False, True) for outside in (False, True)]
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """Of the last start."""
-        return self._names[2 * self._learned.replaced + self._learned.outside]
-
-    carried = name  # type: ignore[assignment]
-
-    def _descended(self, wrench: Any, previous: Array | None, record: Array) -> int:
-        code = self._learned.start(wrench, previous, record)
-        if code == LIMIT and self._descend is not None:
-            count = 3 * ((len(record) - FORCE) // 7)
-            self._descend(record[FORCE + count : FORCE + 2 * count].copy(), wrench, record)
-            code = int(record[CODE])
-        return code
+    return as_array(wrench, (6,), "wrench", finite=False)

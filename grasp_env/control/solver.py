@@ -128,18 +128,16 @@ class GeneralPipeline:
 
     def reset(self) -> None:
         """Forgets all calls."""
-        self._optimizer.previous = None
-        self._optimizer.move_to(self.grasp)
+        self._optimizer.forget()
         self._carrier.reset()
 
     def solve(self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None = None) -> ForceSolution:
         """See `CompiledPipeline.solve`; methods without a start ignore `adjust`."""
         optimizer, start = self._optimizer, None
         grasp = Grasp.unchecked(points, normals, self.grasp.models)
-        optimizer.move_to(grasp)
         if adjust is not None and self._starts:
             start = _adjusted(optimizer, self.reference, wrench, adjust)
-        solution = optimizer.solve(np.array(wrench), initial=start)
+        solution = optimizer.solve(np.array(wrench), positions=points, normals=normals, initial=start)
         self._carrier.x[:] = _inside(grasp.to_cone(solution.force))
         self._carrier.frames[:] = grasp.frames
         return solution
