@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from grasp_env import core, ranges
 from grasp_env._check import Array, as_array, as_list, as_text, checked_size, choice, is_a, together, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError, shown
-from grasp_env.force.initial import rule_name
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, names_of
 from grasp_env.force.record import (
@@ -232,7 +231,12 @@ def _solve_one(optimizer: ForceOptimizer, load: Array, record: Array) -> None:
         found = getattr(error, "solution", None)
         if found is None:
             record[:] = 0.0
-            record[CODE], record[OBJECTIVE], record[BOUND], record[CONTACTS] = UNDECIDED, np.inf, -np.inf, optimizer.grasp.n_contacts
+            record[CODE], record[OBJECTIVE], record[BOUND], record[CONTACTS] = (
+                UNDECIDED,
+                np.inf,
+                -np.inf,
+                optimizer.grasp.n_contacts,
+            )
             record[WRENCH : WRENCH + 6] = load
         else:
             record[:] = found._record

@@ -15,7 +15,7 @@ from grasp_env.errors import GraspError, InfeasibleStartError, InvalidInputError
 from grasp_env.force.basis import OfflineBasis, starter
 from grasp_env.force.objective import Objective, as_objective
 from grasp_env.force.repair import Repair, start_replaced
-from grasp_env.force.solution import STARTS, ForceSolution, start_name
+from grasp_env.force.solution import STARTS, ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
 if TYPE_CHECKING:

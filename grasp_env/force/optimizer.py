@@ -14,7 +14,6 @@ from grasp_env._check import (
     Wrench,
     as_array,
     as_list,
-    as_text,
     as_wrench,
     flag,
     instance,
@@ -33,7 +32,16 @@ from grasp_env.errors import (
     shown,
 )
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.initial import Initial, LearnedRule, StartFrom, call_rule, checked_initial, is_rule, rule_name, rule_start
+from grasp_env.force.initial import (
+    Initial,
+    LearnedRule,
+    StartFrom,
+    call_rule,
+    checked_initial,
+    is_rule,
+    rule_name,
+    rule_start,
+)
 from grasp_env.force.limits import ForceLimits, as_limits, checked_jacobian
 from grasp_env.force.objective import Weight
 from grasp_env.force.options import MAX_ITERATIONS, Options, checked_options
@@ -328,10 +336,14 @@ class ForceOptimizer:
         now = self._now(positions, normals, friction, jacobian, torque_bias, None)
         moved = self._moved(now) if any(each is not None for each in now[:3]) else self.grasp
         if not self.core.update(*now[:5]):
-            raise InvalidInputError("the contacts or limits are not possible: give finite numbers and inward unit normals")
+            raise InvalidInputError(
+                "the contacts or limits are not possible: give finite numbers and inward unit normals"
+            )
         self._grasp = moved
 
-    def _now(self, positions: Any, normals: Any, friction: Any, jacobian: Any, torque_bias: Any, contacts: Any) -> tuple[Any, ...]:
+    def _now(
+        self, positions: Any, normals: Any, friction: Any, jacobian: Any, torque_bias: Any, contacts: Any
+    ) -> tuple[Any, ...]:
         """What a call is given, as the core reads it."""
         n, joints = self._count, 0 if self.limits is None else self.limits.joints
 

@@ -119,7 +119,8 @@ class ForceSolution(Solution):
     @property
     def certificate(self) -> Array | None:
         """(6,) for INFEASIBLE: a twist v with G_i^T v in the dual cone of every contact and v . w > 0 (= 0: only forces on the
-        boundary of the cones balance it); see `Feasibility`. None otherwise."""
+        boundary of the cones balance it); see `Feasibility`. None otherwise.
+        """
         return self.multipliers if self.code == INFEASIBLE else None
 
     @property

@@ -24,8 +24,8 @@ from grasp_env._check import Array, Wrench, as_array, checked_size, choice, gene
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
 from grasp_env.force.closure import force_closure
 from grasp_env.force.limits import ForceLimits
-from grasp_env.force.options import CRITERIA
 from grasp_env.force.optimizer import ForceOptimizer
+from grasp_env.force.options import CRITERIA
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
