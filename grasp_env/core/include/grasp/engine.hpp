@@ -120,7 +120,11 @@ public:
         }
         if (needs_basis()) make_basis();
     }
-    std::unique_ptr<Engine> clone() const override { return std::make_unique<EngineOn>(*this); }
+    std::unique_ptr<Engine> clone() const override {
+        auto made = std::make_unique<EngineOn>(*this);
+        made->settle();  // with room for all contacts, whichever touched last, and nothing of the numbers of this one or its call
+        return made;
+    }
     const Contacts& home() const override { return home_; }
     int size() const override { return record_size(home_.count, joints_, limits_.rows); }
 
