@@ -267,6 +267,7 @@ private:
     // The problem's own contacts and limits.
     void settle() {
         home_now_ = false;
+        if (limited_) limited_->newton.rows.reserve(newton_.cones, std::min(limits_.rows, LimitTable::MOST_ROWS));
         place({});
         home_tangents_.load(home_.frames.data(), home_.count);
     }
