@@ -156,7 +156,7 @@ public:
                 code = LIMIT;
             }
         }
-        return deliver(code, out);
+        return deliver(code, out, false);
     }
 
     void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) override {
@@ -729,8 +729,8 @@ private:
 
     // --- the answer
 
-    // What `inner` holds, as a row of all contacts.
-    Code deliver(Code code, const Record& out) {
+    // What `inner` holds, as a row of all contacts. optimum: whether limits have prices there.
+    Code deliver(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
         const int all = home_.count;
         const bool whole = code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED;
@@ -764,7 +764,7 @@ private:
             }
         }
         if (joints_) torques(from, out.torques());
-        if (limits_.rows) price(code, from, out);
+        if (limits_.rows) price(optimum && code != LIMITS_EXCEEDED, from, out);
         return code;
     }
     void torques(const Record& from, double* to) const {
@@ -776,10 +776,9 @@ private:
             }
     }
     // The largest excess of a limit by the force that is returned, and the price of each.
-    void price(Code code, const Record& from, const Record& out) const {
+    void price(bool priced, const Record& from, const Record& out) const {
         double excess = 0.0, *to = out.prices();
         std::fill_n(to, limits_.rows, 0.0);
-        const bool priced = code != LIMITS_EXCEEDED;
         int row = 0;
         const auto normals = [&](const std::vector<double>& limits, double sign) {
             for (int i = 0, k = 0; i < int(limits.size()); ++i) {
