@@ -161,8 +161,9 @@ public:
 
     void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) override {
         const auto alone = [&](std::ptrdiff_t k) { solve({.wrench = wrenches + 6 * k}, rows + size() * k); };
+        const bool placed = place({}) == CONVERGED;
         const auto algorithm = planned(options_, kind_);
-        const bool side_by_side = count >= FEW && home_now_ && placed_ == CONVERGED && options_.start == Start::standard &&
+        const bool side_by_side = count >= FEW && placed && options_.start == Start::standard &&
                                   (algorithm == Algorithm::newton || algorithm == Algorithm::conic) && rest();
         if (!side_by_side) {
             for (std::ptrdiff_t k = 0; k < count; ++k) alone(k);
@@ -274,11 +275,14 @@ private:
 
     // CONVERGED: all of it is in its place.
     Code place(const Now& now) {
-        const bool plain = now.empty();
+        Now given = now;
+        if (touching(now.contacts) == touching(~std::uint64_t(0))) given.contacts = ~std::uint64_t(0);
+        const bool plain = given.empty();
         if (plain && home_now_) return placed_;
         home_now_ = plain;
         return placed_ = take(now);
     }
+    std::uint64_t touching(std::uint64_t mask) const { return home_.count < 64 ? mask & ((std::uint64_t(1) << home_.count) - 1) : mask; }
     Code take(const Now& now) {
         conic_ready_ = general_ready_ = flow_ready_ = rest_sought_ = has_rest_ = false;
         const int all = home_.count;
@@ -289,8 +293,8 @@ private:
             return REFUSED;
         const double* positions = now.positions.empty() ? home_.positions.data() : now.positions.data();
         const double* normals = now.normals.empty() ? home_.normals.data() : now.normals.data();
-        const std::uint64_t every = all < 64 ? (std::uint64_t(1) << all) - 1 : ~std::uint64_t(0), mask = now.contacts & every;
-        if (mask == every) {
+        const std::uint64_t mask = touching(now.contacts);
+        if (mask == touching(~std::uint64_t(0))) {
             for (int i = 0; i < all; ++i) chosen_[i] = i;
             now_.select(home_, {chosen_.data(), std::size_t(all)});
         } else {
