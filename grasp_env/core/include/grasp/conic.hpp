@@ -279,7 +279,7 @@ public:
                 outside = max(outside, cones.blocks[b].mask * -slack(-cones.blocks[b].transposed(y)));
             const double along = dot(minus, y);
             if (along > 0.0 && largest(outside) <= OUTSIDE * along) {
-                twist = y;
+                twist = -1.0 * y;
                 return Inside::none;
             }
         }

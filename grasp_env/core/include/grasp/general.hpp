@@ -105,7 +105,7 @@ public:
         const Record made(now_->record.data(), now_->count);
         now_->load(record.force(), record.torsion());
         const Code code = least_phi({.wrench = before.wrench.data()}, {options.tolerance, std::min(left, MORE_STEPS)}, made);
-        if (code == REFUSED || !(made.summary().objective < before.objective)) return record.code();
+        if (code != CONVERGED && (code == REFUSED || !(made.summary().objective < before.objective))) return record.code();
         made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
         return take(made, record);
     }
