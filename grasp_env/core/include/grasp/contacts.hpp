@@ -14,20 +14,25 @@ enum class Placing { good, refused, rank_lost };  // refused: not finite, or a n
 // The weights of Phi, of all contacts alike: the price of squeezing, and of coming close to a cone [N^2].
 struct Objective { double force_weight = 1.0, barrier_weight = 0.01; };
 
+// A scale of cone coordinates as it is taken, 0: nothing is transmitted; what such coordinates are divided by.
+template <class T> inline T taken_scale(const T& given) { return select((given > 0.0) & (given < infinity), given, T(0.0)); }
+template <class T> inline T divisor_of(const T& scale) { return select(scale > 0.0, scale, T(infinity)); }
+
 class Contacts {
 public:
+    static constexpr double WELL = 1e-6;  // `rank_bound` from which G G^T may be inverted as it is: six digits are left at least
     int count = 0;
     std::vector<double> scale, divisor;  // (N, 3) cone coordinates = scale * force, force = cone coordinates / divisor
-    std::vector<double> omega, lambda;   // (N,) weights of Phi
-    std::vector<double> tangents;        // (N, 3) directions of o, or none: the default rule
+    std::vector<double> omega, lambda;  // (N,) weights of Phi
+    std::vector<double> tangents;  // (N, 3) directions of o, or none: the default rule
 
     UnitFrame unit;
-    std::vector<double> frames;       // (N, 3, 3) columns (n, o, t), object frame
-    std::vector<double> matrix;       // (6, 3N) G
+    std::vector<double> frames;  // (N, 3, 3) columns (n, o, t), object frame
+    std::vector<double> matrix;  // (6, 3N) G
     std::vector<double> cone_matrix;  // (6, 3N) G in cone coordinates
-    std::vector<double> rows;         // (6, 3N) the same in the unit frame
-    std::vector<double> force_rows;   // (6, 3N) G in forces, unit frame; zero where nothing is transmitted
-    std::vector<double> inverse;      // (3N, 6) G^+ in cone coordinates, unit frame: the least change in force
+    std::vector<double> rows;  // (6, 3N) the same in the unit frame
+    std::vector<double> force_rows;  // (6, 3N) G in forces, unit frame; zero where nothing is transmitted
+    std::vector<double> inverse;  // (3N, 6) G^+ in cone coordinates, unit frame: the least change in force
 
     Contacts() = default;
     // scale: (N, 3) mu for the normal and 1 for round cones; 0 where nothing is transmitted. weights: (N, 2) omega, lambda.
@@ -107,10 +112,7 @@ public:
             for (int a = 0; a < 3; ++a) {
                 const int j = 3 * i + a;
                 const Vec6 made = unit_wrench(at, frame[a]), row = used_[j] * unit_wrench(arm, frame[a]);
-#pragma GCC unroll 8
-                for (int r = 0; r < 6; ++r)
-#pragma GCC unroll 8
-                    for (int q = 0; q <= r; ++q) s[packed(r, q)] += row[r] * row[q];
+                add_gram(s, row);
                 for (int r = 0; r < 3; ++r) frames[9 * i + 3 * r + a] = made[r];
                 set_column(matrix.data(), size, j, made), set_column(cone_matrix.data(), size, j, per_[j] * made);
                 set_column(force_rows.data(), size, j, row), set_column(rows.data(), size, j, per_[j] * row);
@@ -144,13 +146,11 @@ private:
     std::vector<double> used_, per_;  // 1 where a force is transmitted; 1 / divisor
     std::vector<double> inward_, work_;  // (N, 3) normals as they are taken; (6, 3N)
     static constexpr double RANK = 1e-8;  // least ratio of singular values of G in the unit frame that counts as rank 6
-    static constexpr double WELL = 1e-6;  // `rank_bound` from which G G^T may be inverted as it is: six digits are left at least
 
     void transmit() {
         for (int j = 0; j < 3 * count; ++j) {
-            if (!(scale[j] > 0.0 && scale[j] < infinity)) scale[j] = 0.0;
-            used_[j] = scale[j] > 0.0, divisor[j] = scale[j] > 0.0 ? scale[j] : infinity;
-            per_[j] = 1.0 / divisor[j];
+            scale[j] = taken_scale(scale[j]), divisor[j] = divisor_of(scale[j]);
+            used_[j] = scale[j] > 0.0, per_[j] = 1.0 / divisor[j];
         }
     }
 
