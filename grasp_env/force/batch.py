@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from grasp_env.force.record import (
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
+    REFUSED,
     RESIDUAL,
     STALLED,
     WRENCH,
@@ -236,37 +238,37 @@ def _one_grasp(optimizer: ForceOptimizer, loads: Array, threads: int) -> ForceSo
 def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
     if len(grasps) != len(loads):
         raise InvalidInputError(f"as many grasps as wrenches are needed, got {len(grasps)} and {len(loads)}")
-    for k, grasp in enumerate(grasps):
-        if not is_a(grasp, Grasp):
-            raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
-    sizes = {grasp.n_contacts for grasp in grasps}
-    if len(sizes) > 1:
-        raise InvalidInputError(f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}")
     if not grasps:
         raise InvalidInputError("at least one grasp is needed to know the number of contacts")
+    if set(map(type, grasps)) != {Grasp}:
+        for k, grasp in enumerate(grasps):
+            if not is_a(grasp, Grasp):
+                raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
+    sizes = set(map(len, [grasp.positions for grasp in grasps]))
+    if len(sizes) > 1:
+        raise InvalidInputError(f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}")
     return grasps
 
 
 def _many_grasps(
     grasps: list[Grasp], loads: Array, method: str, threads: int, options: dict[str, Any]
 ) -> ForceSolutions:
-    distinct = list({id(grasp): grasp for grasp in grasps}.values())
     first = ForceOptimizer(grasps[0], method=method, **options)
     records = np.empty((len(loads), record_size(grasps[0].n_contacts)))
-    solve = _compiled_grasps(first, distinct, options.get("initial"))
+    solve = _compiled_grasps(first, options.get("initial"))
     unfinished = np.arange(len(loads))
     name = "linear_combination" if first._method.takes_start else "central"
     if solve is not None:
-        place = {id(grasp): u for u, grasp in enumerate(distinct)}
-        which = np.array([place[id(grasp)] for grasp in grasps])
-        order = np.argsort(which, kind="stable")  # a grasp's problems one after the other
-        begins = np.searchsorted(which[order], np.arange(len(distinct) + 1)).astype(np.float64)
+        name = INTERNAL if first._method.takes_start else "central"
+        keys = np.fromiter(map(id, grasps), np.int64, len(grasps))
+        order = np.argsort(keys, kind="stable")  # a grasp's problems one after the other
+        news = np.flatnonzero(np.diff(keys[order], prepend=0))
+        begins, distinct = np.append(news, len(grasps)), [grasps[k] for k in order[news].tolist()]
 
         def work(part: slice) -> None:
-            mine = order[int(begins[part.start]) : int(begins[part.stop])]
-            found = np.empty((len(mine), records.shape[1]))
-            solve(distinct[part], begins[part.start : part.stop + 1] - begins[part.start], loads[mine], found)
-            records[mine] = found
+            mine = order[begins[part.start] : begins[part.stop]]
+            counts = begins[part.start : part.stop + 1] - begins[part.start]
+            records[mine] = solve(distinct[part], counts, loads[mine])
 
         _over_parts(work, len(distinct), GRASPS, threads)
         unfinished = _unfinished(records)
@@ -276,15 +278,23 @@ def _many_grasps(
     return ForceSolutions(records, method, name, known)
 
 
+INTERNAL = "internal"
+"""The name of the start that one internal force gives."""
+
+_numbers = attrgetter("positions", "normals", "frames", "models.cone_scale", "models.torsional_friction")
+
+
 def _compiled_grasps(
-    optimizer: ForceOptimizer, grasps: list[Grasp], initial: Any
-) -> Callable[[list[Grasp], Array, Array, Array], None] | None:
-    """(grasps, where the problems of each begin, their wrenches, their records) -> None: the core's call, if it serves them all."""
-    settings, count = optimizer.settings, grasps[0].n_contacts
-    if settings.limits is not None or not all(grasp.hard for grasp in grasps):
+    optimizer: ForceOptimizer, initial: Any
+) -> Callable[[list[Grasp], NDArray[np.intp], Array], Array] | None:
+    """(grasps, where the problems of each begin, their wrenches) -> their records: the core's call, if it serves them.
+
+    Grasps with soft contacts are REFUSED there.
+    """
+    settings, count = optimizer.settings, optimizer.grasp.n_contacts
+    if settings.limits is not None:
         return None
-    combines = settings.correction == "tangent" and (initial is None or as_text(initial) == "linear_combination")
-    if settings.method == "newton" and combines:
+    if settings.method == "newton" and initial is None:
         weights, limit, call = settings.objective.weights(count), settings.max_iterations, core.newton_grasps
     elif settings.method == "conic" and settings.criterion == "sum":
         limit = min(settings.max_iterations, CONIC_ITERATIONS)
@@ -292,14 +302,18 @@ def _compiled_grasps(
     else:
         return None
 
-    def solve(part: list[Grasp], first: Array, loads: Array, records: Array) -> None:
-        arrays = (
-            np.stack([grasp.positions for grasp in part]),
-            np.stack([grasp.normals for grasp in part]),
-            np.stack([grasp.models.cone_scale for grasp in part]),
-            np.stack([grasp.frames[:, :, 1] for grasp in part]),
-        )
-        call(*arrays, weights, first, settings.tolerance, limit, loads, records)
+    def solve(part: list[Grasp], begins: NDArray[np.intp], loads: Array) -> Array:
+        # np.stack takes several times as long: Python at each array
+        joined = (np.concatenate(each) for each in zip(*map(_numbers, part), strict=True))
+        positions, normals, frames, scales, gammas = (each.reshape(len(part), count, -1) for each in joined)
+        tangents = np.ascontiguousarray(frames[..., 1::3])
+        records = np.empty((len(loads), record_size(count)))
+        first = begins.astype(np.float64)
+        call(positions, normals, scales, tangents, weights, first, settings.tolerance, limit, loads, records)
+        soft = gammas.any(axis=(1, 2))
+        if soft.any():
+            records[np.repeat(soft, np.diff(begins)), CODE] = REFUSED
+        return records
 
     return solve
 
@@ -331,7 +345,7 @@ def _one(
     return None if special else solution.initial
 
 
-CHUNK, GRASPS = 4096, 64
+CHUNK, GRASPS = 4096, 256
 """Problems, and grasps, of one call of the core: of whatever many threads, so that answers do not depend on those."""
 
 
