@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 import enum
-from typing import Any
+from typing import Annotated, Any, overload
 
+import numpy
 import numpy as np
 from numpy.typing import NDArray
 
@@ -69,29 +70,104 @@ def normalise(normals: object) -> int:
     Gives (N, 3) directions unit length in place; returns the first that misses it by more than 1e-6, -1: none.
     """
 
+def along_normal(tangents: object, normals: object) -> int:
+    """
+    The first of (N, 3) tangents that is along its unit normal, -1: none is.
+    """
+
 def cone_scale(friction: object, scale: object) -> None:
     """
     Fills (N, 3), cone coordinates = scale * force, of friction (N, 2) along o and t; 0: the normal force alone.
     """
 
-def grasp_arrays(positions: object, normals: object, models: object, tangents: object, frames: object, matrix: object, cone_matrix: object, torsion_matrix: object, centre: object, frame: object) -> float:
-    """
-    Fills the arrays of a `Grasp` from `frames` on; returns its length [m], negative where its rank may not be 6.
-    """
+class ContactReader:
+    """Reads what `Grasp.from_contacts` is given where it is as it should be."""
+
+    def __init__(self, *, least_friction: float, most_friction: float, least_length: float, most_length: float, distance: float, most: int) -> None:
+        """
+        Friction, length of a grasp [m], distance of its origin in lengths and number of contacts that are within range.
+        """
+
+    def read(self, positions: object, normals: object, friction: object, tangents: object) -> Contacts | None:
+        """
+        Hard contacts of float64 arrays: (N, 3), friction a float, (N,) or (N, 2), tangents (N, 3) or None. None: one of them
+        is of another class, shape or layout or out of range, or the rank is not 6 beyond doubt.
+        """
 
 class Contacts:
-    """Hard contacts: what they transmit and weigh, and where they are."""
+    """
+    Contacts: what they transmit and weigh, and where they are. Arrays are those of a `Grasp`.
+    """
 
     @staticmethod
     def make(positions: object, normals: object, scale: object, weights: object, tangents: object) -> Contacts:
         """
-        (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2) omega and lambda,
-        (N, 3) tangents or (0, 3). ValueError where the rank of G is not 6.
+        Hard ones: (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2) omega and
+        lambda, (N, 3) tangents or (0, 3). ValueError where the rank of G is not 6.
         """
+
+    @staticmethod
+    def put(positions: object, normals: object, scale: object, torsion: object, tangents: object) -> Contacts:
+        """
+        The same with (N,) torsional friction [m], wherever they are: see `refused` and `clear`.
+        """
+
+    @overload
+    def weighed(self, force_weight: float, barrier_weight: float) -> Contacts:
+        """
+        A copy for solvers with omega and lambda, its tangents those of now. ValueError where the rank of G is not 6.
+        """
+
+    @overload
+    def weighed(self, weights: object) -> Contacts:
+        """The same with (N, 2) omega and lambda."""
 
     @property
     def count(self) -> int:
         """N."""
+
+    @property
+    def refused(self) -> bool:
+        """Not finite, or not unit normals."""
+
+    @property
+    def clear(self) -> bool:
+        """Whether the rank is 6 beyond doubt, torsion included."""
+
+    @property
+    def soft(self) -> bool:
+        """Whether torsion is transmitted anywhere."""
+
+    @property
+    def length(self) -> float: ...
+
+    @property
+    def centre(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
+
+    @property
+    def positions(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
+
+    @property
+    def normals(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
+
+    @property
+    def tangents(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]:
+        """(N, 3) as given, (0, 3): the default rule."""
+
+    @property
+    def frames(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
+
+    @property
+    def matrix(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
+
+    @property
+    def cone_matrix(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
+
+    @property
+    def torsion_matrix(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
+
+    @property
+    def unit_frame(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
 
 ACCEPTED_GAP: float = 0.01
 
@@ -171,14 +247,28 @@ class Newton:
         x (3N,) = the least Phi on the segment from `safe` to it; returns how far.
         """
 
-def newton_grasps(positions: object, normals: object, scales: object, tangents: object, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+@overload
+def newton_grasps(positions: object, normals: object, scales: object, tangents: object | None, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
     """
-    Newton from the 12-basis of each of U grasps (U, N, 3), weights (N, 2); wrenches first[u] to first[u + 1] - 1 are those of grasp u;
-    REFUSED: it has no force closure. Into (M, 20 + 7N); releases the GIL.
+    Newton from an internal force of each of U grasps (U, N, 3), tangents or None, weights (N, 2); wrenches first[u] to first[u + 1] - 1
+    are those of grasp u; REFUSED: it has no force closure. Into (M, record_size(N)); releases the GIL.
     """
 
-def conic_grasps(positions: object, normals: object, scales: object, tangents: object, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
-    """The same, least sum of normal forces; weights are not read."""
+@overload
+def newton_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+    """
+    The same of U contacts in their place, whose own weights are not read. REFUSED: they are soft, or without force closure.
+    """
+
+@overload
+def conic_grasps(positions: object, normals: object, scales: object, tangents: object | None, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+    """
+    The same, least sum of normal forces; weights are those of the internal forces.
+    """
+
+@overload
+def conic_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+    """The same of contacts in their place."""
 
 FULL_CONTACTS: int = 8
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench, flag, instance
-from grasp_env.errors import InfeasibleStartError, NotConvergedError, RankDeficientGraspError
+from grasp_env.errors import InfeasibleStartError, InvalidInputError, NotConvergedError, RankDeficientGraspError
 from grasp_env.force.objective import Objective, as_objective
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -137,10 +137,16 @@ def core_contacts(grasp: Grasp, objective: Objective, tangents: Array | None = N
     Raises:
         RankDeficientGraspError: rank(G) < 6.
     """
-    weights = as_objective(objective).weights(as_grasp(grasp).n_contacts)
-    along = np.ascontiguousarray(grasp.frames[:, :, 1]) if tangents is None else tangents
+    omega, lam, contacts = as_objective(objective).force_weight, objective.barrier_weight, as_grasp(grasp).contacts
     try:
-        return core.Contacts.make(grasp.positions, grasp.normals, grasp.models.cone_scale, weights, along)
+        if tangents is None and type(omega) is float and type(lam) is float:
+            return contacts.weighed(omega, lam)
+        weights = objective.weights(contacts.count)
+        if tangents is None:
+            return contacts.weighed(weights)
+        return core.Contacts.make(grasp.positions, grasp.normals, grasp.models.cone_scale, weights, tangents)
+    except InvalidInputError:
+        raise
     except ValueError as error:
         raise RankDeficientGraspError(str(error)) from None
 

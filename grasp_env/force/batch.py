@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,6 @@ from grasp_env.force.record import (
     MARGIN,
     MULTIPLIERS,
     OBJECTIVE,
-    REFUSED,
     RESIDUAL,
     STALLED,
     WRENCH,
@@ -244,7 +242,7 @@ def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
         for k, grasp in enumerate(grasps):
             if not is_a(grasp, Grasp):
                 raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
-    sizes = set(map(len, [grasp.positions for grasp in grasps]))
+    sizes = {grasp.contacts.count for grasp in grasps}
     if len(sizes) > 1:
         raise InvalidInputError(f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}")
     return grasps
@@ -260,15 +258,18 @@ def _many_grasps(
     name = "linear_combination" if first._method.takes_start else "central"
     if solve is not None:
         name = INTERNAL if first._method.takes_start else "central"
-        keys = np.fromiter(map(id, grasps), np.int64, len(grasps))
+        contacts = [grasp.contacts for grasp in grasps]
+        keys = np.fromiter(map(id, contacts), np.int64, len(grasps))
         order = np.argsort(keys, kind="stable")  # a grasp's problems one after the other
         news = np.flatnonzero(np.diff(keys[order], prepend=0))
-        begins, distinct = np.append(news, len(grasps)), [grasps[k] for k in order[news].tolist()]
+        begins, distinct = np.append(news, len(grasps)), [contacts[k] for k in order[news].tolist()]
 
         def work(part: slice) -> None:
             mine = order[begins[part.start] : begins[part.stop]]
-            counts = begins[part.start : part.stop + 1] - begins[part.start]
-            records[mine] = solve(distinct[part], counts, loads[mine])
+            first = (begins[part.start : part.stop + 1] - begins[part.start]).astype(np.float64)
+            found = np.empty((len(mine), records.shape[1]))
+            solve(distinct[part], first, loads[mine], found)
+            records[mine] = found
 
         _over_parts(work, len(distinct), GRASPS, threads)
         unfinished = _unfinished(records)
@@ -281,15 +282,13 @@ def _many_grasps(
 INTERNAL = "internal"
 """The name of the start that one internal force gives."""
 
-_numbers = attrgetter("positions", "normals", "frames", "models.cone_scale", "models.torsional_friction")
-
 
 def _compiled_grasps(
     optimizer: ForceOptimizer, initial: Any
-) -> Callable[[list[Grasp], NDArray[np.intp], Array], Array] | None:
-    """(grasps, where the problems of each begin, their wrenches) -> their records: the core's call, if it serves them.
+) -> Callable[[list[core.Contacts], Array, Array, Array], None] | None:
+    """(contacts, where the problems of each begin, their wrenches, their records) -> None: the core's call, if it serves them.
 
-    Grasps with soft contacts are REFUSED there.
+    Soft contacts are REFUSED there.
     """
     settings, count = optimizer.settings, optimizer.grasp.n_contacts
     if settings.limits is not None:
@@ -301,21 +300,9 @@ def _compiled_grasps(
         weights, call = Objective().weights(count), core.conic_grasps
     else:
         return None
-
-    def solve(part: list[Grasp], begins: NDArray[np.intp], loads: Array) -> Array:
-        # np.stack takes several times as long: Python at each array
-        joined = (np.concatenate(each) for each in zip(*map(_numbers, part), strict=True))
-        positions, normals, frames, scales, gammas = (each.reshape(len(part), count, -1) for each in joined)
-        tangents = np.ascontiguousarray(frames[..., 1::3])
-        records = np.empty((len(loads), record_size(count)))
-        first = begins.astype(np.float64)
-        call(positions, normals, scales, tangents, weights, first, settings.tolerance, limit, loads, records)
-        soft = gammas.any(axis=(1, 2))
-        if soft.any():
-            records[np.repeat(soft, np.diff(begins)), CODE] = REFUSED
-        return records
-
-    return solve
+    return lambda contacts, first, loads, records: call(
+        contacts, weights, first, settings.tolerance, limit, loads, records
+    )
 
 
 def _unfinished(records: Array) -> NDArray[np.intp]:

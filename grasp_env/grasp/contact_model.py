@@ -78,13 +78,6 @@ class ContactModels:
         return cls(names, mu, gamma, cone_scale, cone_divisor)._frozen()
 
     @cached_property
-    def packed(self) -> Array:
-        """(7, N) the rows that the core reads: gamma, then cone_scale, then cone_divisor."""
-        rows = np.empty((7, len(self.names)))
-        rows[0], rows[1:4], rows[4:] = self.torsional_friction, self.cone_scale.T, self.cone_divisor.T
-        return rows
-
-    @cached_property
     def mean_friction(self) -> Array:
         """(N,) sqrt(mu_o mu_t); 0 where frictionless. Read-only, shared by all grasps of these contacts."""
         mean = self.cone_scale[:, 0] * (self.friction[:, 0] > 0.0)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
 from grasp_env._check import Array, ContactForces, Wrench, as_array, is_a, together
-from grasp_env.core import grasp_arrays, normalise
+from grasp_env.core import ContactReader, Contacts, along_normal, normalise
 from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, shown
 from grasp_env.grasp.contact_model import ContactModels
 
@@ -20,7 +21,39 @@ RANK_TOLERANCE = 1e-8
 """Least ratio of singular values of G (moments divided by the grasp's length) that counts as rank 6."""
 
 
-@dataclass(frozen=True, eq=False)
+_READER = ContactReader(
+    least_friction=ranges.FRICTION.low,
+    most_friction=ranges.FRICTION.high,
+    least_length=ranges.LENGTH.low,
+    most_length=ranges.LENGTH.high,
+    distance=ranges.DISTANCE,
+    most=ranges.CONTACTS,
+)
+
+
+class _Lazy:
+    """An attribute of a grasp that is made when it is first asked for: a solve asks for few."""
+
+    def __init__(self, make: Callable[[Grasp], Any] | None) -> None:
+        self._make = make
+
+    def __set_name__(self, _: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, grasp: Grasp | None, _: type) -> Any:
+        if grasp is None:
+            return self
+        made = self._make(grasp) if self._make else getattr(grasp.contacts, self._name)
+        vars(grasp)[self._name] = made
+        return made
+
+
+def _lazy(make: Callable[[Grasp], Any] | None = None) -> Any:
+    """What `make` makes of the grasp; None: what its contacts have under this name."""
+    return _Lazy(make)
+
+
+@dataclass(frozen=True, eq=False, init=False)
 class Grasp:
     """Contacts with friction on a rigid object. Make one with `Grasp.from_contacts`.
 
@@ -42,20 +75,20 @@ class Grasp:
             origin is, however large the object.
     """
 
-    positions: Array
-    normals: Array
-    friction: Array
-    frames: Array = field(repr=False)
-    matrix: Array = field(repr=False)
-    length: float = field(repr=False)
-    centre: Array = field(repr=False)
-    cone_matrix: Array = field(repr=False)
-    models: ContactModels = field(repr=False)
-    torsion_matrix: Array = field(repr=False)
-    unit_frame: Array = field(repr=False)
+    positions: Array = field(default=_lazy())
+    normals: Array = field(default=_lazy())
+    friction: Array = field(default=_lazy(lambda grasp: grasp.models.mean_friction))
+    frames: Array = field(default=_lazy(), repr=False)
+    matrix: Array = field(default=_lazy(), repr=False)
+    length: float = field(default=_lazy(), repr=False)
+    centre: Array = field(default=_lazy(), repr=False)
+    cone_matrix: Array = field(default=_lazy(), repr=False)
+    models: ContactModels = field(default=_lazy(lambda grasp: grasp._plain_models()), repr=False)
+    torsion_matrix: Array = field(default=_lazy(), repr=False)
+    unit_frame: Array = field(default=_lazy(), repr=False)
 
-    def __post_init__(self) -> None:
-        # arrays that contradict each other would make wrong forces: `_made` alone fills them
+    def __init__(self, *_: object, **__: object) -> None:
+        # arrays that contradict each other would make wrong forces: `_of` alone fills them
         raise InvalidInputError("a Grasp is made by Grasp.from_contacts, with other friction by with_friction")
 
     @classmethod
@@ -99,6 +132,10 @@ class Grasp:
             >>> pinch.torsion_matrix[5]
             array([ 1., -1.])
         """
+        if torsional_friction is None and type(contact_model) is str and contact_model == "hard":
+            contacts = _READER.read(positions, normals, friction, tangents)
+            if contacts is not None:
+                return cls._of(contacts, _friction=friction if type(friction) is float else np.array(friction))
         try:
             points = _points(positions)
             inward = as_array(normals, (len(points), 3), "normals")
@@ -117,7 +154,7 @@ class Grasp:
                 f"normals must be unit vectors into the object; normal {worst} is {given.tolist()} with "
                 f"length {math.hypot(*given):.6g}: divide it by its length"
             )
-        grasp = cls._made(points, inward, models, _tangents(tangents, inward))
+        grasp = cls._put(points, inward, models, _tangents(tangents, inward))
         if torsional_friction is not None:
             _check_torsion(grasp)
         return grasp
@@ -142,9 +179,8 @@ class Grasp:
             True
         """
         try:
-            return cls._made(
-                positions.copy(), normals.copy(), models, _DEFAULT if tangents is None else tangents.copy()
-            )
+            along = _DEFAULT if tangents is None else np.ascontiguousarray(tangents)
+            return cls._put(np.ascontiguousarray(positions), np.ascontiguousarray(normals), models, along)
         except (AttributeError, TypeError) as error:
             raise InvalidInputError(
                 f"positions, normals and tangents must be C-contiguous float64 arrays (N, 3) and models those of N contacts: {error}; "
@@ -152,28 +188,35 @@ class Grasp:
             ) from None
 
     @classmethod
-    def _made(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
-        count, empty = len(positions), np.empty
-        frames, centre, frame = empty((count, 3, 3)), empty(3), empty((6, 6))
-        matrix, cone_matrix, torsion_matrix = empty((6, 3 * count)), empty((6, 3 * count)), empty((6, count))
-        length = grasp_arrays(
-            positions, normals, models.packed, tangents, frames, matrix, cone_matrix, torsion_matrix, centre, frame
-        )
-        for array in (positions, normals, frames, matrix, centre, cone_matrix, torsion_matrix, frame):
-            array.setflags(False)  # pyright: ignore[reportCallIssue]
-        grasp = object.__new__(cls)
-        vars(grasp).update(  # the frozen dataclass's own __init__ costs a microsecond
-            positions=positions, normals=normals, friction=models.mean_friction, frames=frames, matrix=matrix,
-            length=abs(length), centre=centre, cone_matrix=cone_matrix, models=models, torsion_matrix=torsion_matrix,
-            unit_frame=frame,
-        )  # fmt: skip
-        size = abs(length)
-        far = math.hypot(*centre.tolist()) > ranges.DISTANCE * size
+    def _put(cls, positions: Array, normals: Array, models: ContactModels, tangents: Array) -> Grasp:
+        contacts = Contacts.put(positions, normals, models.cone_scale, models.torsional_friction, tangents)
+        grasp = cls._of(contacts, models=models)
+        size = contacts.length
+        far = math.hypot(*contacts.centre.tolist()) > ranges.DISTANCE * size
         if far or not ranges.LENGTH.low <= size <= ranges.LENGTH.high:
             _check_place(grasp)
-        if not length > 0.0:
+        if contacts.refused:
+            raise InvalidInputError("positions must be finite and normals finite and of unit length")
+        if not contacts.clear:
             grasp.pseudoinverse  # noqa: B018  raises where the rank is not 6
         return grasp
+
+    @classmethod
+    def _of(cls, contacts: Contacts, **known: Any) -> Grasp:
+        grasp = object.__new__(cls)
+        vars(grasp).update(known, _contacts=contacts)
+        return grasp
+
+    def _plain_models(self) -> ContactModels:
+        return ContactModels.checked("hard", vars(self)["_friction"], None, self.n_contacts)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ("positions", "normals", "models")} | {
+            "tangents": self.contacts.tangents
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(vars(self.unchecked(**state)))
 
     @cached_property
     def pseudoinverse(self) -> Array:
@@ -188,9 +231,14 @@ class Grasp:
         return inverse
 
     @property
+    def contacts(self) -> Contacts:
+        """What the core's solvers are made of."""
+        return vars(self)["_contacts"]
+
+    @property
     def hard(self) -> bool:
         """Whether no contact transmits torsion: all that the flows know."""
-        return not self.models.torsional_friction.any()
+        return not self.contacts.soft
 
     def to_cone(self, force: ContactForces) -> Array:
         """Forces `force` (N, 3) [N] -> flat cone coordinates VP = (u, o, t), u = mu * normal (Eq. 18): (3N,) [N].
@@ -236,7 +284,7 @@ class Grasp:
     @property
     def n_contacts(self) -> int:
         """N, the number of contacts."""
-        return self.positions.shape[0]
+        return self.contacts.count
 
     @property
     def null_dimension(self) -> int:
@@ -356,10 +404,8 @@ def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
     if tangents is None:
         return _DEFAULT
     along: Array = as_array(tangents, (len(normals), 3), "tangents")
-    inside = along - normals * np.einsum("ij,ij->i", along, normals)[:, None]
-    short = np.sqrt(np.einsum("ij,ij->i", inside, inside)) <= 1e-6 * np.sqrt(np.einsum("ij,ij->i", along, along))
-    if short.any():
-        worst = int(short.argmax())
+    worst = along_normal(along, normals)
+    if worst >= 0:
         raise InvalidInputError(
             f"tangent {worst} is {along[worst].tolist()}, along its normal {normals[worst].tolist()}: give a direction "
             "in the tangent plane"
@@ -369,7 +415,7 @@ def _tangents(tangents: ArrayLike | None, normals: Array) -> Array:
 
 def _checked_pseudoinverse(matrix: Array, frame: Array, count: int) -> Array:
     if not (np.isfinite(matrix).all() and np.isfinite(frame).all()):
-        raise InvalidInputError("positions and normals must be finite")  # of `unchecked` alone
+        raise InvalidInputError("positions, normals and tangents must be finite")  # of `unchecked` alone
     u, s, vt = np.linalg.svd(frame @ matrix, full_matrices=False)
     if len(s) < 6 or s[-1] < RANK_TOLERANCE * s[0]:
         rank = int((s > RANK_TOLERANCE * s.max(initial=1e-300)).sum())

@@ -141,19 +141,19 @@ def _record() -> np.ndarray:
 def calls() -> dict[str, Call]:
     s, x = SAMPLE, SAMPLE.basis[0]
     force = (x / s.divisor.reshape(-1)).reshape(COUNT, 3)
-    models = np.concatenate([np.zeros((1, COUNT)), s.scale.T, s.divisor.T])
     records, many = np.array([_record()] * 3), (3, SIZE)
     basis, n, c, p, start, bounded = {"basis": s.basis}, newton(), conic(), pipeline(), learned(), limited()
     moved = {"points": s.positions, "normals": s.normals, "wrench": LOADS[0]}
-    geometry = {"frames": (COUNT, 3, 3), "matrix": (6, 12), "cone_matrix": (6, 12), "torsion_matrix": (6, COUNT)}
     place = {"positions": s.positions, "normals": s.normals}
     optional = {"tangents": s.frames[:, :, 1].copy()}
     made = {"tolerance": TOLERANCE, "limit": LIMIT}
     return {
         "Contacts.make": Call(_core.Contacts.make, place | {"scale": s.scale, "weights": s.weights} | optional, {}),
-        "grasp_arrays": Call(
-            _core.grasp_arrays, place | {"models": models} | optional, geometry | {"centre": (3,), "frame": (6, 6)}
+        "Contacts.put": Call(
+            _core.Contacts.put, place | {"scale": s.scale, "torsion": np.full(COUNT, 0.01)} | optional, {}
         ),
+        "Contacts.weighed": Call(contacts().weighed, {"weights": s.weights}, {}),
+        "along_normal": Call(_core.along_normal, optional | {"normals": s.normals}, {}),
         "cone_scale": Call(_core.cone_scale, {"friction": np.full((COUNT, 2), 0.4)}, {"scale": (COUNT, 3)}),
         "limit_rows": Call(_core.limit_rows, LIMITS, {"matrix": (14, COUNT, 4), "bounds": (14,), "limited": (14,)}),
         "contact_rows": Call(
@@ -184,6 +184,11 @@ def calls() -> dict[str, Call]:
             )
             for name, call in (("newton_grasps", _core.newton_grasps), ("conic_grasps", _core.conic_grasps))
         },
+        "newton_grasps of contacts": Call(
+            partial(_core.newton_grasps, [contacts()], **made),
+            {"weights": s.weights, "first": np.array([0.0, 3.0]), "wrenches": LOADS},
+            {"records": many},
+        ),
         "Newton.set_basis": Call(newton().set_basis, basis, {}),
         "Newton.make_basis": Call(partial(newton().make_basis, warm=True), {"interior": s.rest}, {"basis": (13, 12)}),
         "Newton.internal_force": Call(n.internal_force, {}, {"x": (12,)}),

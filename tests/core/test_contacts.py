@@ -9,7 +9,7 @@ from oracles import geometry as oracle
 from samples import Sample, random_contacts, sample, thinned, with_frictionless
 
 EPS = 2.0**-52
-GOOD, REFUSED, RANK_LOST = range(3)
+GOOD, REFUSED, RANK_LOST, NEEDS_TORSION = range(4)
 SWITCH = 0.9
 
 
@@ -200,6 +200,102 @@ def test_another_scale_is_as_if_placed_with_it(kind: str) -> None:
     wanted = insides.place(s.positions, s.normals, scale, s.weights).arrays
     for name, numbers in made.arrays.items():
         np.testing.assert_allclose(numbers, wanted[name], rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("tangents", [False, True])
+@pytest.mark.parametrize("chosen", [[0, 1, 2, 3, 4, 5, 6], [6, 2, 3], [0, 2, 4, 5], [5, 4, 1, 0, 2]])
+def test_some_of_the_contacts_are_as_if_there_were_no_others(chosen: list[int], tangents: bool) -> None:
+    s = with_frictionless(random_contacts(np.random.default_rng(6), 7), slice(3, 4))
+    gamma = np.linspace(0.0, 0.06, 7)
+    given = s.positions, s.normals, s.scale, s.weights, s.normals[:, [1, 2, 0]] if tangents else None, gamma
+    every = insides.place(*given)
+    wanted = insides.place(*(None if a is None else a[chosen] for a in given))
+    part = insides.place(*given)
+    for others in ([1, 2, 4, 6], [0], []):  # whatever it was before
+        part.select(every, others)
+        assert part.verdict == REFUSED
+        assert part.place(s.positions[others], s.normals[others]) == (GOOD if len(others) > 3 else RANK_LOST)
+    part.select(every, chosen)
+    assert part.place(s.positions[chosen], s.normals[chosen]) == wanted.verdict
+    for name, numbers in part.arrays.items():
+        if name != "inverse" or wanted.verdict == GOOD:
+            np.testing.assert_array_equal(numbers, wanted.arrays[name], err_msg=name)
+
+
+@pytest.mark.skipif(not insides.counts_allocations, reason="the sanitizers have an operator new of their own")
+@pytest.mark.parametrize("thin", [1.0, 1e-4, 1e-7, 1e-9])
+@pytest.mark.parametrize("soft", [False, True])
+def test_neither_placing_nor_choosing_allocates(thin: float, soft: bool) -> None:
+    """Whichever way the inverse is found."""
+    s = nearly_on_a_line(np.random.default_rng(7), 6, thin)
+    along = s.normals[:, [1, 2, 0]] if soft else None
+    every = insides.place(s.positions, s.normals, s.scale, s.weights, along, np.full(6, 0.01) if soft else None)
+    parts = [list(range(6)), [0, 1, 2], [5, 3, 1, 0], [0, 1], [2], []]
+    assert every.allocations(parts, 1000) == 0
+
+
+# soft contacts
+
+
+def soft(s: Sample, which: list[int]) -> insides.Placement:
+    gamma = np.zeros(s.count)
+    gamma[which] = 0.01
+    return insides.place(s.positions, s.normals, s.scale, s.weights, None, gamma)
+
+
+def rank_with_torsion(s: Sample, which: list[int]) -> float:
+    turns = np.zeros((6, len(which)))
+    turns[3:] = s.normals[which].T
+    forces = oracle.grasp_matrix(s.positions, s.frames) * (s.scale > 0.0).reshape(-1)
+    return oracle.rank_ratio(s.unit @ np.column_stack([forces, turns]))
+
+
+def test_torsion_where_the_forces_have_rank_six_changes_nothing() -> None:
+    s = sample(5)
+    made = soft(s, [0, 3])
+    assert made.verdict == GOOD
+    assert made.clear
+    for name, numbers in s.placement.arrays.items():
+        if name != "torsion":
+            np.testing.assert_array_equal(made.arrays[name], numbers)
+
+
+def test_what_torsion_makes_up_for() -> None:
+    base = random_contacts(np.random.default_rng(8), 5)
+    two = Sample(*(a[:2] for a in (base.positions, base.normals, base.scale, base.weights)))
+    for which, verdict in (([0, 1], NEEDS_TORSION), ([1], NEEDS_TORSION), ([], RANK_LOST)):
+        made = soft(two, which)
+        assert (rank_with_torsion(two, which) > 1e-8) == (verdict == NEEDS_TORSION)
+        assert made.verdict == verdict
+        assert made.clear == (verdict == NEEDS_TORSION)
+        check = made.arrays
+        np.testing.assert_allclose(check["rows"], two.rows, rtol=0, atol=1e-12)  # all but the inverse is there
+    # a torsion along the line of both points turns nothing else; across it, it cannot turn them about it
+    line = np.array([[0.0, 0.0, -0.02], [0.0, 0.0, 0.02]])
+    across = Sample(line, np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]), two.scale, two.weights)
+    assert soft(across, [0, 1]).verdict == RANK_LOST
+    # one contact has four dimensions, frictionless ones with torsion two
+    one = Sample(*(a[:1] for a in (base.positions, base.normals, base.scale, base.weights)))
+    assert soft(one, [0]).verdict == RANK_LOST
+    smooth = with_frictionless(base, slice(None))
+    assert smooth.placement.verdict == RANK_LOST
+    assert soft(smooth, list(range(5))).verdict == NEEDS_TORSION
+
+
+def test_a_doubtful_rank_with_torsion_is_left_to_the_singular_values() -> None:
+    """Two contacts on a line, whose normals lean away from it by an angle."""
+    doubts = 0
+    for lean in 10.0 ** np.arange(-12.0, 0.0, 0.25):
+        normals = np.array([[1.0, 0.0, lean], [-1.0, 0.0, lean]]) / np.hypot(1.0, lean)
+        line = np.array([[0.3, 0.1, -0.02], [0.3, 0.1, 0.02]])
+        s = Sample(line, normals, np.tile([0.5, 1.0, 1.0], (2, 1)), np.ones((2, 2)))
+        made, ratio = soft(s, [0, 1]), rank_with_torsion(s, [0, 1])
+        if 0.9e-8 < ratio < 1.1e-8:
+            continue
+        assert made.verdict == (NEEDS_TORSION if ratio > 1e-8 else RANK_LOST), ratio
+        assert not made.clear or ratio > 1e-6
+        doubts += made.verdict == NEEDS_TORSION and not made.clear
+    assert doubts > 3
 
 
 # internal forces

@@ -68,11 +68,23 @@ def solved(
     return records
 
 
+def placed(s: Sample) -> _core.Contacts:
+    return _core.Contacts.make(s.positions, s.normals, s.scale, s.weights, np.zeros((0, 3)))
+
+
+def solved_contacts(method: str, given: list[_core.Contacts], loads: np.ndarray) -> np.ndarray:
+    """(M, record_size) of contacts in their place."""
+    count = given[0].count
+    records, weights = np.full((len(loads), _core.record_size(count)), -7.0), np.tile(WEIGHTS, (count, 1))
+    CALLS[method](given, weights, np.arange(len(given) + 1.0), TOLERANCES[method], 200, loads, records)
+    return records
+
+
 def alone(method: str, s: Sample, load: np.ndarray) -> np.ndarray:
     """(record_size,) of the solver of one problem."""
     if method == "newton":
         return EACH[4](s.placement).solved(load, TOLERANCES[method])
-    contacts = _core.Contacts.make(s.positions, s.normals, s.scale, s.weights, np.zeros((0, 3)))
+    contacts = placed(s)
     interior, record = np.empty(3 * s.count), np.empty(_core.record_size(s.count))
     assert _core.Newton.make(contacts, 1e-4, 200).internal_force(interior)
     _core.Conic.make(contacts, TOLERANCES[method], 200, interior).solve(load, None, record)
@@ -81,7 +93,7 @@ def alone(method: str, s: Sample, load: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("lanes", EACH)
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("count", (3, 4, 5, 8, 9))
+@pytest.mark.parametrize("count", [3, 4, 5, 8, 9])
 def test_the_start_is_the_least_force_and_as_much_of_the_internal_as_it_needs(
     lanes: int, kind: str, count: int
 ) -> None:
@@ -109,12 +121,13 @@ def test_the_answers_of_single_solves(method: str, kind: str, count: int) -> Non
     rng = np.random.default_rng(count)
     loads = wrenches(rng, len(given)) * 10.0 ** rng.uniform(-3.0, 0.5, (len(given), 1))
     records, along = solved(method, given, loads), solved(method, given, loads, along=True)
+    listed = solved_contacts(method, [placed(s) for s in given], loads)
     digits = 1e-5 if kind == "thin" else 1e-9
     forces, exact = slice(FORCE, FORCE + 6 * count), [CODE, ITERATIONS]
-    for s, load, found, turned in zip(given, loads, records, along, strict=True):
+    for s, load, *ways in zip(given, loads, records, along, listed, strict=True):
         one = alone(method, s, load)
         near = digits * np.abs(one[forces]).max()
-        for each in (found, turned):
+        for each in ways:
             np.testing.assert_array_equal(each[exact], one[exact])
             np.testing.assert_allclose(each[forces], one[forces], rtol=0, atol=near)
             np.testing.assert_allclose(each[[OBJECTIVE, BOUND]], one[[OBJECTIVE, BOUND]], rtol=10 * digits)
@@ -150,7 +163,7 @@ def test_what_is_not_ordinary_is_solved_alone(method: str, count: int) -> None:
 
 
 @each_method
-@pytest.mark.parametrize("count", (3, 4, 9))
+@pytest.mark.parametrize("count", [3, 4, 9])
 def test_no_answer_hangs_on_its_neighbours(method: str, count: int) -> None:
     """Each grasp has 0 to 20 wrenches; the grasps in another order, and one at a time."""
     given = grasps(count, "hard")
@@ -181,3 +194,21 @@ def test_a_limit_of_iterations_ends_as_it_does_alone(method: str) -> None:
     CALLS[method](*arrays, None, given[0].weights, np.arange(len(given) + 1.0), 1e-8, 2, loads, records)
     assert (records[:, CODE] == _core.codes()["limit"]).all()
     assert (records[:, ITERATIONS] == 2.0).all()
+
+
+@each_method
+def test_soft_contacts_are_refused_and_others_are_not(method: str) -> None:
+    given = grasps(4, "hard")
+    loads = wrenches(np.random.default_rng(2), len(given))
+    contacts = [placed(s) for s in given]
+    before = solved_contacts(method, contacts, loads)
+    s = given[5]
+    contacts[5] = _core.Contacts.put(s.positions, s.normals, s.scale, np.full(4, 0.01), np.zeros((0, 3)))
+    contacts[6] = _core.Contacts.put(s.positions * np.nan, s.normals, s.scale, np.zeros(4), np.zeros((0, 3)))
+    after = solved_contacts(method, contacts, loads)
+    assert (after[[5, 6], CODE] == _core.codes()["refused"]).all()
+    others = np.delete(np.arange(len(given)), [5, 6])
+    np.testing.assert_array_equal(after[others], before[others])
+    for wrong in ([*contacts[:-1], None], [*contacts[:-1], 3], [*contacts[:-1], placed(grasps(5, "hard")[0])]):
+        with pytest.raises(TypeError, match="contacts"):
+            solved_contacts(method, wrong, loads)

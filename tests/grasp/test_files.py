@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +21,12 @@ PLAIN = {
 
 def _same(a: Grasp, b: Grasp) -> None:
     for one, other in ((a, b), (a.models, b.models)):
-        for name, value in vars(one).items():
+        for name in (each.name for each in fields(one)):
+            value = getattr(one, name)
             if isinstance(value, np.ndarray):
-                assert value.tobytes() == vars(other)[name].tobytes(), name  # every bit, signs of zeros too
+                assert value.tobytes() == getattr(other, name).tobytes(), name  # every bit, signs of zeros too
             elif name != "models":
-                assert value == vars(other)[name], name
+                assert value == getattr(other, name), name
 
 
 def _written(folder: Path, **changes: object) -> Path:

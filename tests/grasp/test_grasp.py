@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import copy
+import pickle
+from dataclasses import asdict, replace
+
 import numpy as np
 import pytest
 from oracles import geometry
 from problems import GRASPS, random_grasp
 
-from grasp_env.core import grasp_arrays
+from grasp_env import ranges
 from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError, UnknownNameError
 from grasp_env.grasp import Grasp, presets
 
@@ -185,12 +189,161 @@ def test_a_doubtful_rank_is_left_to_the_singular_values() -> None:
 
 
 @pytest.mark.parametrize("bad", [0.0, np.nan, np.inf])
-def test_the_core_never_says_that_such_arrays_have_full_rank(bad: float) -> None:
+@pytest.mark.parametrize("which", ["positions", "normals", "tangents"])
+def test_unchecked_contacts_that_are_none(which: str, bad: float) -> None:
+    given: dict = {"positions": POSITIONS, "normals": NORMALS, "models": presets.tripod().models}
+    with pytest.raises(GraspError, match=r"finite|rank|centre"):
+        Grasp.unchecked(**(given | {which: np.full((3, 3), bad)}))
+
+
+LOOKS = (
+    "positions",
+    "normals",
+    "friction",
+    "frames",
+    "matrix",
+    "cone_matrix",
+    "torsion_matrix",
+    "centre",
+    "unit_frame",
+)
+
+
+def compared(grasp: Grasp, other: Grasp) -> None:
+    """The same to the bit."""
+    for name in (*LOOKS, "pseudoinverse"):
+        np.testing.assert_array_equal(getattr(grasp, name), getattr(other, name), err_msg=name)
+    for name in ("friction", "torsional_friction", "cone_scale", "cone_divisor"):
+        np.testing.assert_array_equal(getattr(grasp.models, name), getattr(other.models, name), err_msg=name)
+    assert grasp.models.names == other.models.names
+    assert grasp.length == other.length
+
+
+@pytest.mark.parametrize("name", LOOKS)
+def test_what_a_grasp_shows_is_made_when_it_is_asked_for(name: str) -> None:
+    grasp = Grasp.from_contacts(POSITIONS.copy(), NORMALS.copy(), 0.5)
+    assert not {*LOOKS, "models", "pseudoinverse", "length"} & set(vars(grasp))
+    shown = getattr(grasp, name)
+    assert not shown.flags.writeable
+    assert getattr(grasp, name) is shown
+    kept = shown.copy()
+    del grasp  # and it keeps what it reads
+    np.testing.assert_array_equal(shown, kept)
+
+
+@pytest.mark.parametrize("tangents", [False, True])
+@pytest.mark.parametrize("count", [3, 4, 7, 50])
+def test_what_a_grasp_shows_is_the_plain_formula(count: int, tangents: bool) -> None:
+    rng = np.random.default_rng(count)
+    base, mu = random_grasp(rng, count), rng.uniform(0.2, 1.0, (count, 2))
+    along = rng.standard_normal((count, 3)) if tangents else None
+    grasp = Grasp.from_contacts(base.positions, base.normals, mu, tangents=along)
+    frames = np.array([geometry.frame(n, None if along is None else along[k]) for k, n in enumerate(base.normals)])
+    centre, length, unit = geometry.unit_frame(base.positions)
+    matrix, mean = geometry.grasp_matrix(base.positions, frames), np.sqrt(mu.prod(axis=1))
+    scale = np.column_stack([mean, mean / mu[:, 0], mean / mu[:, 1]])
+    wanted = {
+        "positions": base.positions, "normals": base.normals, "frames": frames, "matrix": matrix, "centre": centre,
+        "length": length, "unit_frame": unit, "friction": mean, "cone_matrix": matrix / scale.reshape(-1),
+        "torsion_matrix": np.zeros((6, count)),
+    }  # fmt: skip
+    for name, value in wanted.items():
+        np.testing.assert_allclose(getattr(grasp, name), value, rtol=1e-12, atol=1e-13, err_msg=name)
+    np.testing.assert_array_equal(grasp.models.friction, mu)
+    np.testing.assert_allclose(grasp.models.cone_scale, scale, rtol=1e-15)
+    soft = Grasp.from_contacts(
+        base.positions, base.normals, mu, contact_model=["soft", *(count - 1) * ["hard"]], torsional_friction=0.01
+    )
+    np.testing.assert_array_equal(soft.torsion_matrix[3:, 0], soft.normals[0])
+    assert not soft.torsion_matrix[:3].any()
+    assert not soft.torsion_matrix[:, 1:].any()
+
+
+FRICTION = [0.4, np.float64(0.4), [0.4, 0.5, 0.6], [[0.4, 0.5], [0.6, 0.6], [0.5, 0.4]]]
+OTHERWISE = {
+    "lists": np.ndarray.tolist,
+    "tuples": lambda a: tuple(map(tuple, a)) if a.ndim > 1 else tuple(a),
+    "columns": np.asfortranarray,
+    "swapped": lambda a: a.astype(">f8"),
+    "strided": lambda a: np.repeat(a, 2, axis=0)[::2],
+    "object": lambda a: a.astype(object),
+}
+
+
+@pytest.mark.parametrize("way", OTHERWISE)
+@pytest.mark.parametrize("friction", FRICTION, ids=["number", "numpy's", "each", "elliptic"])
+@pytest.mark.parametrize("tangents", [False, True])
+def test_contacts_that_python_converts_are_the_same_to_the_bit(way: str, friction: object, tangents: bool) -> None:
+    along = np.ascontiguousarray(NORMALS[:, [1, 2, 0]] + NORMALS[:, [2, 0, 1]])
+    given = [POSITIONS + 0.01, NORMALS * (1.0 + 5e-7), friction if isinstance(friction, float) else np.array(friction)]
+    grasp = Grasp.from_contacts(*given, tangents=along if tangents else None)
+    assert "models" not in vars(grasp)  # read in one call
+    turned = [a if isinstance(a, float) else OTHERWISE[way](a) for a in given]
+    other = Grasp.from_contacts(*turned, tangents=OTHERWISE[way](along) if tangents else None)
+    assert "models" in vars(other)
+    compared(grasp, other)
+    compared(grasp, Grasp.from_contacts(*given, contact_model=["hard"] * 3, tangents=along if tangents else None))
+
+
+def test_numbers_of_other_types_are_converted() -> None:
+    wanted = Grasp.from_contacts(2.0 * np.eye(3), -np.eye(3), 1.0)
+    for kind in (np.float32, np.int64, np.float16):
+        compared(Grasp.from_contacts(2 * np.eye(3, dtype=kind), -np.eye(3, dtype=kind), 1), wanted)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"friction": ranges.FRICTION.low * 0.999}, "friction must lie within"),
+        ({"friction": np.array([0.5, 0.5, 1.001e4])}, "friction must lie within"),
+        ({"friction": np.array([[0.5, 0.5], [0.5, 2e4], [0.5, 0.5]])}, "friction must lie within"),
+        ({"friction": np.array([[0.5, 0.5], [0.5, -0.1], [0.5, 0.5]])}, "friction must be > 0"),
+        ({"positions": POSITIONS * 1e-8}, "positions must lie within"),
+        ({"positions": POSITIONS * 1e9}, "positions must lie within"),
+        ({"positions": np.full((3, 3), 1e308) * [[1], [-1], [1]]}, "positions must lie within"),
+        ({"positions": POSITIONS + 1e5}, "positions must have their centre within"),
+        ({"positions": np.ma.array(POSITIONS, mask=np.eye(3) > 0.0)}, "masked entries"),
+        ({"tangents": NORMALS + 1e-7 * NORMALS[:, [1, 2, 0]]}, r"tangent 0 is .*, along its normal"),
+        ({"tangents": np.zeros((3, 3))}, r"tangent 0 is .*, along its normal"),
+        ({"tangents": np.full((3, 3), np.nan)}, "tangents must be finite"),
+        ({"tangents": np.ones((2, 3))}, "tangents must have shape"),
+    ],
+)
+def test_arrays_that_hold_what_is_wrong(change: dict, message: str) -> None:
+    given: dict = {"positions": POSITIONS, "normals": NORMALS, "friction": 0.5, **change}
+    with pytest.raises(InvalidInputError, match=message):
+        Grasp.from_contacts(**given)
+
+
+def test_as_many_contacts_as_are_allowed() -> None:
+    every = np.random.default_rng(0).standard_normal((ranges.CONTACTS + 1, 3))
+    normals = -every / np.linalg.norm(every, axis=1)[:, None]
+    assert Grasp.from_contacts(every[1:], normals[1:], 0.5).n_contacts == ranges.CONTACTS
+    with pytest.raises(InvalidInputError, match="at most 1000 contacts, got 1001"):
+        Grasp.from_contacts(every, normals, 0.5)
+
+
+@pytest.mark.parametrize("name", [*GRASPS, "elliptic"])
+def test_a_grasp_survives_pickling_and_copying_to_the_bit(name: str) -> None:
+    grasp = presets.tripod(FRICTION[3]) if name == "elliptic" else GRASPS[name]
+    for again in (pickle.loads(pickle.dumps(grasp)), copy.copy(grasp), copy.deepcopy(grasp)):
+        compared(again, grasp)
+        assert again != grasp
+        assert not again.matrix.flags.writeable
+
+
+def test_a_grasp_looks_like_its_contacts() -> None:
     grasp = presets.tripod()
-    arrays = [np.empty(getattr(grasp, name).shape) for name in ("frames", "matrix", "cone_matrix", "torsion_matrix")]
-    for positions, normals in ((np.full((3, 3), bad), NORMALS), (POSITIONS, np.full((3, 3), bad))):
-        given = positions, normals, grasp.models.packed, np.zeros((0, 3))
-        assert not grasp_arrays(*given, *arrays, np.empty(3), np.empty((6, 6))) > 0.0
+    assert (
+        repr(grasp) == f"Grasp(positions={grasp.positions!r}, normals={grasp.normals!r}, friction={grasp.friction!r})"
+    )
+    assert set(LOOKS) < set(asdict(grasp))
+    assert {grasp: 1}[grasp] == 1
+    for make in (lambda: replace(grasp, friction=0.3), Grasp):
+        with pytest.raises(
+            InvalidInputError, match=r"made by Grasp\.from_contacts, with other friction by with_friction"
+        ):
+            make()
 
 
 def test_normals_within_rounding_of_unit_length_are_normalised() -> None:

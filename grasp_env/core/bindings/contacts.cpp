@@ -1,53 +1,64 @@
-// Contact geometry: the arrays of a `Grasp`, and the contacts that solvers are made for.
+// Contact geometry: what a `Grasp` is made of, and the contacts that solvers are made for.
 #include <grasp/contacts.hpp>
 
 #include "buffers.hpp"
+#include "views.hpp"
 
 using namespace grasp;
 
 namespace {
 
-// Fills the arrays of a `Grasp`; returns its length [m], negative where its rank may not be 6. models: (7, N) as
-// `ContactModels.packed` has them: gamma, three rows of scale, three of divisor.
-double grasp_arrays(nb::handle positions, nb::handle normals, nb::handle models, nb::handle tangents, nb::handle frames,
-                    nb::handle matrix, nb::handle cone_matrix, nb::handle torsion_matrix, nb::handle centre, nb::handle frame) {
-    const Numbers p = in(positions, -1, 3);
-    const int count = int(p.length(0)), size = 3 * count;
-    const Numbers n = in(normals, count, 3), kinds = in(models, 7, count);
-    const Numbers any = in(tangents, -1, 3), along = any.length(0) ? in(tangents, count, 3) : in(tangents, 0, 3);
-    const Numbers f = out(frames, count, 3, 3), g = out(matrix, 6, size), c = out(cone_matrix, 6, size);
-    const Numbers t = out(torsion_matrix, 6, count), middle = out(centre, 3), map = out(frame, 6, 6);
-    std::vector<double> rows;
-    const double *soft = kinds.data(), *per_mu = kinds.data() + 4 * count;
+// The first tangent that is none: along its unit normal; -1: none is.
+int first_along(int count, const double* tangents, const double* normals) {
+    constexpr double LEAST = 1e-6;  // sine of the angle between them
     for (int i = 0; i < count; ++i) {
-        const Frame axes(point(n.data() + 3 * i), along.length(0) ? along.data() + 3 * i : nullptr);
-        for (int a = 0; a < 3; ++a) {
-            const Vec6 made = unit_wrench(point(p.data() + 3 * i), axes[a]);
-            for (int r = 0; r < 3; ++r) f.data()[9 * i + 3 * r + a] = made[r];
-            set_column(g.data(), size, 3 * i + a, made);
-            set_column(c.data(), size, 3 * i + a, (1.0 / per_mu[count * a + i]) * made);
-        }
+        const Point n = point(normals + 3 * i), o = point(tangents + 3 * i);
+        if (!(length(o - dot(o, n) * n) > LEAST * length(o))) return i;
     }
-    const UnitFrame unit(p.data(), count);
-    unit.write(map.data());
-    for (int a = 0; a < 3; ++a) middle.data()[a] = unit.centre[a];
-    int columns = size;
-    for (int i = 0; i < count; ++i) columns += soft[i] > 0.0;
-    rows.assign(6 * columns, 0.0);
-    int next = size;
-    for (int i = 0; i < count; ++i) {
-        for (int a = 0; a < 3; ++a) {
-            if (kinds.data()[(1 + a) * count + i] > 0.0)
-                set_column(rows.data(), columns, 3 * i + a, unit.of(column(g.data(), size, 3 * i + a).data()));
-            t.data()[count * a + i] = 0.0, t.data()[count * (3 + a) + i] = soft[i] > 0.0 ? n.data()[3 * i + a] : 0.0;
-        }
-        if (soft[i] > 0.0) set_column(rows.data(), columns, next++, unit.of(column(t.data(), count, i).data()));
-    }
-    const Packed6 s = gram(rows.data(), columns);
-    Ldl6 factor;
-    factor.factor(s);
-    return rank_bound(s, factor) > CLEAR_RANK ? unit.length : -unit.length;
+    return -1;
 }
+int along_normal(nb::handle tangents, nb::handle normals) {
+    const Numbers o = in(tangents, -1, 3), n = in(normals, o.length(0), 3);
+    return first_along(int(o.length(0)), o.data(), n.data());
+}
+
+// Reads what `Grasp.from_contacts` is given where it is as it should be: arrays of this layout, numbers within the ranges of
+// `grasp_env/ranges.py`, a rank of 6 beyond doubt. Python converts what is otherwise, or says what is wrong with it.
+struct ContactReader {
+    double least_friction, most_friction, least_length, most_length, distance;
+    int most;
+    PyTypeObject* array;  // numpy's own class: others may hold masks
+
+    nb::object read(nb::handle positions, nb::handle normals, nb::handle friction, nb::handle tangents) const {
+        const bool turned = !tangents.is_none();
+        if (!plain(positions) || !plain(normals) || (turned && !plain(tangents))) return nb::none();
+        const Buffer at(positions), inward(normals), along(tangents);
+        if (!at.has(-1, 3) || at.length(0) > most) return nb::none();
+        const int count = int(at.length(0));
+        if (!inward.has(count, 3) || (turned && !along.has(count, 3))) return nb::none();
+        const auto made = [&](std::span<const double> mu) {
+            return place(Contacts(count, mu, {}, turned ? along.data() : nullptr), mu, at.data(), inward.data());
+        };
+        if (PyFloat_Check(friction.ptr())) return made(std::array{PyFloat_AS_DOUBLE(friction.ptr())});
+        if (!plain(friction)) return nb::none();
+        const Buffer mu(friction);
+        if (mu.has(count)) return made(std::span(mu.data(), count));
+        return mu.has(count, 2) ? made(std::span(mu.data(), 2 * count)) : nb::none();
+    }
+
+private:
+    bool plain(nb::handle given) const { return Py_TYPE(given.ptr()) == array; }
+
+    nb::object place(Contacts&& c, std::span<const double> friction, const double* at, const double* inward) const {
+        for (const double mu : friction)
+            if (!(mu >= least_friction && mu <= most_friction)) return nb::none();
+        if (c.place(at, inward) != Placing::good || !c.clear) return nb::none();
+        const double size = c.unit.length;
+        if (!(size >= least_length && size <= most_length && length(c.unit.centre) <= distance * size)) return nb::none();
+        if (!c.tangents.empty() && first_along(c.count, c.tangents.data(), c.normals.data()) >= 0) return nb::none();
+        return nb::cast(std::move(c));
+    }
+};
 
 // Whether all numbers of a C-contiguous float64 array are finite.
 bool all_finite(nb::handle array) {
@@ -92,6 +103,48 @@ Contacts make(nb::handle positions, nb::handle normals, nb::handle scale, nb::ha
                              along.length(0) ? in(tangents, count, 3).data() : nullptr);
 }
 
+// Contacts wherever they are put: what `placing` and `clear` say of them is for the caller to read.
+Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::handle torsion, nb::handle tangents) {
+    const Numbers p = in(positions, -1, 3);
+    const int count = int(p.length(0));
+    const Numbers n = in(normals, count, 3), s = in(scale, count, 3), gamma = in(torsion, count), along = in(tangents, -1, 3);
+    const std::vector<double> weights(2 * count, 1.0);
+    Contacts made(count, s.data(), weights.data(), along.length(0) ? in(tangents, count, 3).data() : nullptr, gamma.data());
+    made.weigh(Objective{});
+    if (made.place(p.data(), n.data()) == Placing::refused)
+        made.unit = UnitFrame(p.data(), count);  // that says how large they are
+    return made;
+}
+
+// Copies for solvers, whose directions of o are those of now.
+Contacts weighed(const Contacts& contacts, double force_weight, double barrier_weight) {
+    if (contacts.placing != Placing::good) throw nb::value_error("rank(G) < 6");
+    Contacts made = contacts;
+    made.keep_tangents(), made.weigh(Objective{force_weight, barrier_weight});
+    return made;
+}
+Contacts weighed_each(const Contacts& contacts, nb::handle weights) {
+    const Numbers each = in(weights, contacts.count, 2);
+    Contacts made = weighed(contacts, 1.0, 1.0);
+    made.weigh(each.data());
+    return made;
+}
+
+const Contacts& of(nb::handle self) { return nb::cast<const Contacts&>(self); }
+
+ReadOnly torsion_matrix(const Contacts& c) {
+    const std::size_t n = c.count;
+    std::vector<double> made(6 * n);
+    for (std::size_t i = 0; i < n; ++i)
+        for (int a = 0; a < 3 && c.torsion[i] > 0.0; ++a) made[(3 + a) * n + i] = c.normals[3 * i + a];
+    return kept(std::move(made), {6, n});
+}
+ReadOnly unit_frame(const Contacts& c) {
+    std::vector<double> made(36);
+    c.unit.write(made.data());
+    return kept(std::move(made), {6, 6});
+}
+
 }  // namespace
 
 void bind_contacts(nb::module_& m) {
@@ -100,14 +153,51 @@ void bind_contacts(nb::module_& m) {
     m.def("all_finite", &all_finite, "array"_a, "Whether all numbers of a C-contiguous float64 array are finite.");
     m.def("normalise", &normalise, "normals"_a,
           "Gives (N, 3) directions unit length in place; returns the first that misses it by more than 1e-6, -1: none.");
+    m.def("along_normal", &along_normal, "tangents"_a, "normals"_a,
+          "The first of (N, 3) tangents that is along its unit normal, -1: none is.");
     m.def("cone_scale", &scales, "friction"_a, "scale"_a,
           "Fills (N, 3), cone coordinates = scale * force, of friction (N, 2) along o and t; 0: the normal force alone.");
-    m.def("grasp_arrays", &grasp_arrays, "positions"_a, "normals"_a, "models"_a, "tangents"_a, "frames"_a, "matrix"_a,
-          "cone_matrix"_a, "torsion_matrix"_a, "centre"_a, "frame"_a,
-          "Fills the arrays of a `Grasp` from `frames` on; returns its length [m], negative where its rank may not be 6.");
-    nb::class_<Contacts>(m, "Contacts", "Hard contacts: what they transmit and weigh, and where they are.")
-        .def_static("make", &make, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a,
-                    "(N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2) omega and lambda,\n"
-                    "(N, 3) tangents or (0, 3). ValueError where the rank of G is not 6.")
-        .def_ro("count", &Contacts::count, "N.");
+    nb::class_<ContactReader>(m, "ContactReader", "Reads what `Grasp.from_contacts` is given where it is as it should be.")
+        .def(
+            "__init__",
+            [](ContactReader* self, double least_friction, double most_friction, double least_length, double most_length,
+               double distance, int most) {
+                auto* array = reinterpret_cast<PyTypeObject*>(nb::module_::import_("numpy").attr("ndarray").ptr());
+                new (self) ContactReader{least_friction, most_friction, least_length, most_length, distance, most, array};
+            },
+            nb::kw_only(), "least_friction"_a, "most_friction"_a, "least_length"_a, "most_length"_a, "distance"_a, "most"_a,
+            "Friction, length of a grasp [m], distance of its origin in lengths and number of contacts that are within range.")
+        .def("read", &ContactReader::read, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "tangents"_a.none(),
+             nb::sig("def read(self, positions: object, normals: object, friction: object, tangents: object) -> Contacts | None"),
+             "Hard contacts of float64 arrays: (N, 3), friction a float, (N,) or (N, 2), tangents (N, 3) or None. None: one of "
+             "them\n"
+             "is of another class, shape or layout or out of range, or the rank is not 6 beyond doubt.");
+    nb::class_<Contacts>(m, "Contacts",
+                         "Contacts: what they transmit and weigh, and where they are. Arrays are those of a `Grasp`.")
+        .def_static(
+            "make", &make, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a,
+            "Hard ones: (N, 3) positions [m] and inward unit normals, (N, 3) scale of cone coordinates, (N, 2) omega and\n"
+            "lambda, (N, 3) tangents or (0, 3). ValueError where the rank of G is not 6.")
+        .def_static("put", &put, "positions"_a, "normals"_a, "scale"_a, "torsion"_a, "tangents"_a,
+                    "The same with (N,) torsional friction [m], wherever they are: see `refused` and `clear`.")
+        .def("weighed", &weighed, "force_weight"_a, "barrier_weight"_a,
+             "A copy for solvers with omega and lambda, its tangents those of now. ValueError where the rank of G is not 6.")
+        .def("weighed", &weighed_each, "weights"_a, "The same with (N, 2) omega and lambda.")
+        .def_ro("count", &Contacts::count, "N.")
+        .def_prop_ro(
+            "refused", [](const Contacts& c) { return c.placing == Placing::refused; }, "Not finite, or not unit normals.")
+        .def_ro("clear", &Contacts::clear, "Whether the rank is 6 beyond doubt, torsion included.")
+        .def_prop_ro("soft", &Contacts::soft, "Whether torsion is transmitted anywhere.")
+        .def_prop_ro("length", [](const Contacts& c) { return c.unit.length; })
+        .def_prop_ro("centre", [](nb::handle s) { return view(s, &of(s).unit.centre.u, {3}); })
+        .def_prop_ro("positions", [](nb::handle s) { return view(s, of(s).positions.data(), {size_t(of(s).count), 3}); })
+        .def_prop_ro("normals", [](nb::handle s) { return view(s, of(s).normals.data(), {size_t(of(s).count), 3}); })
+        .def_prop_ro(
+            "tangents", [](nb::handle s) { return view(s, of(s).tangents.data(), {of(s).tangents.size() / 3, 3}); },
+            "(N, 3) as given, (0, 3): the default rule.")
+        .def_prop_ro("frames", [](nb::handle s) { return view(s, of(s).frames.data(), {size_t(of(s).count), 3, 3}); })
+        .def_prop_ro("matrix", [](nb::handle s) { return view(s, of(s).matrix.data(), {6, size_t(3 * of(s).count)}); })
+        .def_prop_ro("cone_matrix", [](nb::handle s) { return view(s, of(s).cone_matrix.data(), {6, size_t(3 * of(s).count)}); })
+        .def_prop_ro("torsion_matrix", &torsion_matrix, nb::rv_policy::automatic)
+        .def_prop_ro("unit_frame", &unit_frame, nb::rv_policy::automatic);
 }

@@ -16,5 +16,16 @@ inline View view(nb::handle owner, std::vector<double>& numbers, std::initialize
     return View(numbers.data(), shape, owner);
 }
 
+// The same read-only, and a new array.
+using ReadOnly = nb::ndarray<nb::numpy, const double, nb::c_contig>;
+inline ReadOnly view(nb::handle owner, const double* numbers, std::initializer_list<size_t> shape) {
+    return ReadOnly(numbers, shape, owner);
+}
+inline ReadOnly kept(std::vector<double> numbers, std::initializer_list<size_t> shape) {
+    auto* made = new std::vector<double>(std::move(numbers));
+    return ReadOnly(made->data(), shape,
+                    nb::capsule(made, [](void* p) noexcept { delete static_cast<std::vector<double>*>(p); }));
+}
+
 // A new array (3,).
 inline nb::object array_of(const grasp::Point& p) { return nb::cast(View(const_cast<double*>(&p.u), {3}), nb::rv_policy::copy); }

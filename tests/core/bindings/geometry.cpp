@@ -1,6 +1,8 @@
 // Frames, contacts and their inverses, internal forces.
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/vector.h>
 
+#include "allocations.hpp"
 #include "arrays.hpp"
 
 using namespace grasp;
@@ -29,10 +31,11 @@ nb::tuple unit_frame(In positions) {
 nb::object to_unit(In positions, In wrench) { return array(unit_of(positions).of(numbers(wrench, 6))); }
 nb::object pull_back(In positions, In n) { return array(unit_of(positions).pull_back(six(n))); }
 
-Placement place(In positions, In normals, In scale, In weights, std::optional<In> tangents) {
+Placement place(In positions, In normals, In scale, In weights, std::optional<In> tangents, std::optional<In> torsion) {
     const int count = int(positions.size() / 3);
     const size_t size = 3 * count;
-    Contacts contacts(count, numbers(scale, size), numbers(weights, 2 * count), tangents ? numbers(*tangents, size) : nullptr);
+    Contacts contacts(count, numbers(scale, size), numbers(weights, 2 * count), tangents ? numbers(*tangents, size) : nullptr,
+                      torsion ? numbers(*torsion, count) : nullptr);
     const Placing placed = contacts.place(numbers(positions, size), numbers(normals, size));
     return {contacts, placed};
 }
@@ -41,10 +44,35 @@ int move(Placement& p, In positions, In normals) {
     return int(p.placed = p.contacts.place(numbers(positions, size), numbers(normals, size)));
 }
 
+// Those of `all` with these numbers, not placed yet.
+void choose(Placement& p, const Placement& all, const std::vector<int>& chosen) {
+    p.contacts.select(all.contacts, chosen);
+    p.placed = p.contacts.placing;
+}
+
+// Of placing some contacts of `all` after others, again and again.
+long allocations_of(const Placement& all, const std::vector<std::vector<int>>& parts, int calls) {
+    Contacts part = all.contacts;
+    std::vector<double> positions(all.contacts.positions.size()), normals(positions.size());
+    return counted([&] {
+        for (int k = 0; k < calls; ++k) {
+            const auto& chosen = parts[k % parts.size()];
+            part.select(all.contacts, chosen);
+            for (size_t i = 0; i < chosen.size(); ++i) {
+                std::copy_n(&all.contacts.positions[3 * chosen[i]], 3, &positions[3 * i]);
+                std::copy_n(&all.contacts.normals[3 * chosen[i]], 3, &normals[3 * i]);
+            }
+            part.place(positions.data(), normals.data());
+        }
+    });
+}
+
 nb::dict arrays_of(const Placement& p) {
     const Contacts& c = p.contacts;
     const size_t count = c.count, size = 3 * count;
     nb::dict out;
+    out["positions"] = array(c.positions, {count, 3}), out["normals"] = array(c.normals, {count, 3});
+    out["omega"] = array(c.omega), out["lambda"] = array(c.lambda), out["torsion"] = array(c.torsion);
     out["frames"] = array(c.frames, {count, 3, 3});
     out["matrix"] = array(c.matrix, {6, size}), out["cone_matrix"] = array(c.cone_matrix, {6, size});
     std::vector<double> orthonormal;
@@ -84,11 +112,15 @@ void bind_geometry(nb::module_& m) {
     m.def("null_space", &null_space, "placement"_a, "reference"_a, "(3N, 3N - 6); None: not spanned.");
     nb::class_<Placement>(m, "Placement")
         .def_prop_ro(
-            "verdict", [](const Placement& p) { return int(p.placed); }, "0: good, 1: refused, 2: rank lost.")
+            "verdict", [](const Placement& p) { return int(p.placed); }, "0: good, 1: refused, 2: rank lost, 3: needs torsion.")
+        .def_prop_ro("clear", [](const Placement& p) { return p.contacts.clear; })
         .def_prop_ro("arrays", &arrays_of)
         .def("place", &move, "positions"_a, "normals"_a)
+        .def("select", &choose, "all"_a, "chosen"_a)
+        .def("allocations", &allocations_of, "parts"_a, "calls"_a)
         .def(
             "rescale", [](Placement& p, In scale) { return p.contacts.rescale(numbers(scale, 3 * p.contacts.count)); }, "scale"_a,
             "False where rank is lost.");
-    m.def("place", &place, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a = nb::none());
+    m.def("place", &place, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a = nb::none(),
+          "torsion"_a = nb::none());
 }

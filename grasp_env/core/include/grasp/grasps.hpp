@@ -8,16 +8,53 @@
 
 namespace grasp {
 
+// Where a grasp's contacts are: (N, 3) each, the directions of o `stride` numbers apart, or none.
+struct Site {
+    const double *positions, *normals, *scales, *tangents;
+    int stride;
+};
+
 // Hard contacts of U grasps, N each; problems first[u] to first[u + 1] - 1 are those of grasp u.
-struct Grasps {
+class Grasps {
+public:
     int contacts;
     std::ptrdiff_t count;
-    const double *positions, *normals;  // (U, N, 3) [m], unit length, object frame
-    const double *scales, *tangents;  // (U, N, 3) as `Contacts` takes them
-    const double* weights;  // (N, 2) omega, lambda
-    const double* first;  // (U + 1,)
+    const double *weights, *first;  // (N, 2) omega, lambda; (U + 1,)
 
-    const double* of(const double* numbers, std::ptrdiff_t u) const { return numbers ? numbers + 3 * contacts * u : nullptr; }
+    // positions [m] and normals of unit length, object frame, scales and tangents, or none, as `Contacts` takes them: (U, N, 3) each
+    Grasps(int contacts, std::ptrdiff_t count, const Site& arrays, const double* weights, const double* first)
+        : contacts(contacts), count(count), weights(weights), first(first), arrays_(arrays) {}
+    // (U,) contacts in their place, whose own weights are not read; soft ones are not solved.
+    Grasps(int contacts, std::ptrdiff_t count, const Contacts* const* placed, const double* weights, const double* first)
+        : contacts(contacts), count(count), weights(weights), first(first), placed_(placed) {}
+
+    Site site(std::ptrdiff_t u) const {
+        if (placed_) {
+            const Contacts& c = *placed_[u];
+            return {c.positions.data(), c.normals.data(), c.scale.data(), c.frames.data() + 1, 3};
+        }
+        const auto of = [&](const double* numbers) { return numbers ? numbers + 3 * contacts * u : nullptr; };
+        return {of(arrays_.positions), of(arrays_.normals), of(arrays_.scales), of(arrays_.tangents), 1};
+    }
+    bool has_tangents() const { return placed_ || arrays_.tangents; }
+    // Whether contacts that were placed are those of a hard grasp.
+    bool sound(std::ptrdiff_t u) const { return !placed_ || (placed_[u]->placing == Placing::good && !placed_[u]->soft()); }
+    // Its contacts, alone; in no place where there is no such grasp.
+    Contacts make(std::ptrdiff_t u) const {
+        if (placed_) {
+            Contacts made = *placed_[u];
+            made.weigh(weights);
+            return made;
+        }
+        const Site at = site(u);
+        Contacts made(contacts, at.scales, weights, at.tangents);
+        made.place(at.positions, at.normals);
+        return made;
+    }
+
+private:
+    Site arrays_{};
+    const Contacts* const* placed_ = nullptr;
 };
 
 // One problem: its grasp, its number.
@@ -37,9 +74,12 @@ public:
     // Into the cones; which are ordinary: finite numbers, normals of unit length, rank 6 beyond doubt.
     Mask place(const Grasps& grasps, const Problem (&problems)[W], Cones<V, 0>& cones) {
         const int count = grasps.contacts;
-        gather(grasps, grasps.positions, problems, points_), gather(grasps, grasps.normals, problems, normals_);
-        gather(grasps, grasps.scales, problems, scales_);
-        if (grasps.tangents) gather(grasps, grasps.tangents, problems, tangents_);
+        const bool turned = grasps.has_tangents();
+        for (int lane = 0; lane < W; ++lane) {
+            const Site at = grasps.site(problems[lane].grasp);
+            gather(at.positions, 1, lane, points_), gather(at.normals, 1, lane, normals_), gather(at.scales, 1, lane, scales_);
+            if (turned) gather(at.tangents, at.stride, lane, tangents_);
+        }
         V total{}, off{};
         for (int i = 0; i < count; ++i) {
             total += abs(points_[i].u) + abs(points_[i].o) + abs(points_[i].t);
@@ -51,7 +91,7 @@ public:
         for (int i = 0; i < count; ++i) {
             auto& block = cones.blocks[i];
             const Vec3<V> normal = normalised(normals_[i]), arm = per_length * (points_[i] - cones.unit.centre);
-            const FrameOf<V> frame = grasps.tangents ? FrameOf<V>(normal, tangents_[i]) : FrameOf<V>(normal);
+            const FrameOf<V> frame = turned ? FrameOf<V>(normal, tangents_[i]) : FrameOf<V>(normal);
             for (int a = 0; a < 3; ++a) {
                 const V scale = block.scale[a] = taken_scale(scales_[i][a]), divisor = block.divisor[a] = divisor_of(scale);
                 const Six<V> row = select(scale > 0.0, V(1.0), V(0.0)) * unit_wrench(arm, frame[a]);
@@ -85,11 +125,10 @@ private:
     Field points_, normals_, scales_, tangents_, x_, step_;
     System<V, 0> system_;
 
-    static void gather(const Grasps& grasps, const double* numbers, const Problem (&problems)[W], Field& to) {
-        for (int lane = 0; lane < W; ++lane) {
-            const double* from = grasps.of(numbers, problems[lane].grasp);
-            for (int i = 0; i < grasps.contacts; ++i, from += 3)
-                set(to[i].u, lane, from[0]), set(to[i].o, lane, from[1]), set(to[i].t, lane, from[2]);
+    static void gather(const double* from, int stride, int lane, Field& to) {
+        for (auto& triple : to) {
+            set(triple.u, lane, from[0]), set(triple.o, lane, from[stride]), set(triple.t, lane, from[2 * stride]);
+            from += 3 * stride;
         }
     }
 };
@@ -231,10 +270,11 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
     constexpr int W = REGISTER;
     const auto alone = [&](std::ptrdiff_t u, std::ptrdiff_t from, std::ptrdiff_t count) {
         const Many part{count, many.wrench(from), many.rows + record_size(grasps.contacts) * from};
-        Contacts placed(grasps.contacts, grasps.of(grasps.scales, u), grasps.weights, grasps.of(grasps.tangents, u));
-        const bool good = placed.place(grasps.of(grasps.positions, u), grasps.of(grasps.normals, u)) == Placing::good;
-        if (!good || !one(placed, part))
-            for (std::ptrdiff_t k = 0; k < count; ++k) part.record(k, grasps.contacts).summary().code = REFUSED;
+        if (grasps.sound(u)) {
+            const Contacts made = grasps.make(u);
+            if (made.placing == Placing::good && one(made, part)) return;
+        }
+        for (std::ptrdiff_t k = 0; k < count; ++k) part.record(k, grasps.contacts).summary().code = REFUSED;
     };
     Problem problems[W];
     int waiting = 0;
@@ -251,7 +291,7 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
     };
     for (std::ptrdiff_t u = 0; u < grasps.count; ++u) {
         const auto from = std::ptrdiff_t(grasps.first[u]), until = std::ptrdiff_t(grasps.first[u + 1]);
-        if (until - from >= W) {
+        if (until - from >= W || !grasps.sound(u)) {
             alone(u, from, until - from);
             continue;
         }
