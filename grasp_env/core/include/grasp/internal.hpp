@@ -91,10 +91,13 @@ auto balance_inside(const Cones<V, B>& cones, Field& x, const Field& step, Field
         const S force = cones.largest_normal(x);
         Six<S> missed{};
         open = open & (force < LARGEST) & find(missed);
-        const decltype(open) there = open & (size(missed) < 1e-9 * force) & (cones.largest_normal(step) < 1e-2 * force);
-        if (any(there)) keep(there, x, rest), found = found | there, open = open & !there;
+        auto there = decltype(open)(open & (size(missed) < 1e-9 * force));
+        if (any(there)) {
+            there = there & (cones.largest_normal(step) < 1e-2 * force);
+            keep(there, x, rest), found = found | there, open = open & !there;
+        }
         if (!any(open)) break;
-        const S reach = cones.reach(x, step), alpha = select(reach > 0.0, min(S(1.0), 0.9 / reach), S(1.0));
+        const S reach = cones.reach(x, step), alpha = min(S(1.0), 0.9 / max(reach, S(1e-300)));
         for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step[b];
     }
     cones.balance(rest, Six<S>{});
