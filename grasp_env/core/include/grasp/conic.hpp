@@ -122,6 +122,41 @@ public:
         return moves;
     }
 
+    // What the iterate x, of a wrench of size 1, is as an answer: y scaled onto the boundary of its set by theta, and the force [N]
+    // of a wrench of size `scale`. For any y the largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|),
+    // g = G^T y, over the contacts where that is positive.
+    struct Answer {
+        S theta, price, bound;
+        S gap() const { return select(bound > 0.0, (price - bound) / bound, S(infinity)); }
+    };
+    Answer answer(const Six<S>& minus, const S& scale, Field& force) {
+        V before[6] = {}, steepest{}, squeeze{};
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            c.add_wrench(at[b].x, before);
+            const Vec3<V> g = c.transposed(y);
+            steepest = max(steepest, (g.u + sqrt(g.o * g.o + g.t * g.t)) / c.cost);
+        }
+        const S most = largest(steepest), theta = select(most > 0.0, 1.0 / most, S(1.0));
+        const Six<S> left = sums(before) - minus;
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            auto& x = at[b].x;
+            x -= c.least(left);
+            const V outside = 1e-15 * x.u - slack(x);  // 1e-15: what the rounding of the next lines may cost
+            // the last digits of balance may take x out of its cone: an internal force takes it back
+            squeeze = max(squeeze, 1.1 * c.mask * outside / slack(rest[b]));
+        }
+        const V k = all<V>(largest(squeeze));
+        for (int b = 0; b < blocks(); ++b) force[b] = all<V>(scale) * (at[b].x + k * rest[b]);
+        return {theta, price_of(force), scale * max(theta * dot(minus, y), S(0.0))};
+    }
+    S price_of(const Field& force) const {  // sum of the normal forces [N]
+        V price{};
+        for (int b = 0; b < blocks(); ++b) price += cones.blocks[b].mask * cones.blocks[b].cost * force[b].u;
+        return sum(price);
+    }
+
 private:
     static constexpr double STEP = 0.995;  // the largest part of the way to the boundary
 
@@ -242,7 +277,7 @@ public:
 
     // The iterate as an answer, with its certificate: the iterations' own gap is not proof. Returns the certified gap.
     double conclude(const Posed& posed, int iterations, const Record& record) {
-        const double certified = certify(posed.unit, posed.minus, posed.scale, y, record);
+        const double certified = certify(posed, record);
         Summary& out = record.summary();
         out.code = certified <= options.tolerance ? CONVERGED : STALLED, out.iterations = out.trials = iterations;
         return certified;
@@ -386,53 +421,26 @@ private:
         }
     }
 
-    // Balances the last digits, scales y onto the boundary of its set, writes force and certificates; returns the gap.
-    // For any y the largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|), g = G^T y, over the contacts where
-    // that is positive.
-    double certify(const Vec6& unit, const Vec6& minus, double scale, const Vec6& y, const Record& record) {
-        V before[6] = {}, steepest{}, squeeze{}, price{};
-        for (int b = 0; b < blocks(); ++b) {
-            const auto& c = cones.blocks[b];
-            c.add_wrench(at[b].x, before);
-            const Vec3<V> g = c.transposed(y);
-            steepest = max(steepest, (g.u + sqrt(g.o * g.o + g.t * g.t)) / c.cost);
-        }
-        const double most = largest(steepest), theta = most > 0.0 ? 1.0 / most : 1.0;
-        const Vec6 left = sums(before) - minus;
-        for (int b = 0; b < blocks(); ++b) {
-            const auto& c = cones.blocks[b];
-            auto& x = at[b].x;
-            x -= c.least(left);
-            const V outside = 1e-15 * x.u - slack(x);  // 1e-15: what the rounding of the next lines may cost
-            // the last digits of balance may take x out of its cone: an internal force takes it back
-            squeeze = max(squeeze, 1.1 * c.mask * outside / slack(rest[b]));
-        }
-        const V k = all<V>(largest(squeeze));
-        for (int b = 0; b < blocks(); ++b) {
-            force_[b] = all<V>(scale) * (at[b].x + k * rest[b]), first_[b] = all<V>(scale) * at[b].first;
-            price += cones.blocks[b].mask * cones.blocks[b].cost * force_[b].u;
-        }
+    // Writes force and certificates; returns the gap.
+    double certify(const Posed& posed, const Record& record) {
+        auto made = this->answer(posed.minus, posed.scale, force_);
+        for (int b = 0; b < blocks(); ++b) first_[b] = all<V>(posed.scale) * at[b].first;
         cones.store_force(first_, record.initial_force());
-        cones.certify(force_, unit, record);
+        cones.certify(force_, posed.unit, record);
         Summary& out = record.summary();
-        if (!(out.margin >= 0.0)) price = go_inside(unit, record);
-        out.multipliers = cones.unit.pull_back(theta * y);
-        out.lower_bound = scale * std::max(theta * dot(minus, y), 0.0);
-        out.objective = sum(price);
-        if (!(out.lower_bound > 0.0) || !cones.balanced(force_, unit, out.residual)) return infinity;
-        return (out.objective - out.lower_bound) / out.lower_bound;
+        if (!(out.margin >= 0.0)) go_inside(posed.unit, record), made.price = this->price_of(force_);
+        out.multipliers = cones.unit.pull_back(made.theta * y);
+        out.lower_bound = made.bound, out.objective = made.price;
+        return cones.balanced(force_, posed.unit, out.residual) ? made.gap() : infinity;
     }
     // Where rounding left a force outside a cone: on the way to the start, all of whose digits are inside.
-    [[gnu::cold, gnu::noinline]] V go_inside(const Vec6& unit, const Record& record) {
+    [[gnu::cold, gnu::noinline]] void go_inside(const Vec6& unit, const Record& record) {
         for (double part = 1e-15; !(record.summary().margin >= 0.0); part = std::min(1.0, 4.0 * part)) {
             for (int b = 0; b < blocks(); ++b)
                 force_[b] = part < 1.0 ? force_[b] + all<V>(part) * (first_[b] - force_[b]) : first_[b];
             cones.certify(force_, unit, record);
             if (part == 1.0) break;
         }
-        V price{};
-        for (int b = 0; b < blocks(); ++b) price += cones.blocks[b].mask * cones.blocks[b].cost * force_[b].u;
-        return price;
     }
 };
 

@@ -170,13 +170,7 @@ public:
             ready_conic();
             conic_many(conic_, many);
         } else {
-            newton_many(newton_, many, [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
-                record.summary().code = REFUSED;
-                if (!sane_wrench(many.wrench(k))) return false;
-                w = newton_.cones.unit.of(many.wrench(k));
-                squeeze_inside(w, newton_.x);
-                return true;
-            }, [&](std::ptrdiff_t, const Record& record) { record.summary().code = REFUSED; });
+            newton_many(newton_, rest_, many);
         }
         for (std::ptrdiff_t k = 0; k < count; ++k) {
             const Record record = many.record(k, home_.count);
@@ -401,23 +395,12 @@ private:
     bool rest(bool thorough = false) {
         if (!rest_sought_ || (thorough && !has_rest_)) {
             rest_sought_ = true;
-            has_rest_ = newton_.internal_force(!thorough);
-            if (has_rest_) {
-                const double scale = squeeze(newton_.cones, newton_.x);
-                for (int b = 0; b < int(rest_.size()); ++b) rest_[b] = all<V>(scale) * newton_.x[b];
-            }
+            has_rest_ = newton_.find_rest(rest_, !thorough);
         }
         return has_rest_;
     }
 
     // --- starts
-
-    // x = -G^+ w with as much of the internal force as takes it inside.
-    void squeeze_inside(const Vec6& w, Field& x) {
-        for (int b = 0; b < int(x.size()); ++b) x[b] = -newton_.cones.blocks[b].least(w);
-        const double least = std::max(1.2 * inside(newton_.cones, x, rest_).low, 1.0);
-        for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(least) * rest_[b];
-    }
 
     Start asked(const Ask& ask) const {
         const Start start = ask.start == Start::standard ? options_.start : ask.start;
@@ -459,7 +442,7 @@ private:
         if (flow_ && combine(ask.wrench, w, used_ = Start::linear_combination)) return CONVERGED;
         if (!rest()) return search(w);
         used_ = Start::internal_force;
-        squeeze_inside(w, newton_.x);
+        grasp::begin(newton_.cones, rest_, w, newton_.x);
         return newton_.cones.phi(newton_.x) < infinity ? CONVERGED : UNDECIDED;
     }
     Code search(const Vec6& w) {
@@ -532,7 +515,7 @@ private:
         if (!follows) newton_.cones.balance(x, w);
         begun_ = x;
         if (!rest()) return follows && newton_.cones.phi(x) < infinity;
-        squeeze_inside(w, spare_);
+        grasp::begin(newton_.cones, rest_, w, spare_);
         x = begun_;
         return newton_.starter.segment(newton_.cones, spare_, x) > 0.0;
     }
