@@ -107,11 +107,12 @@ public:
     }
 
     // A step with Mehrotra's corrector: `down` is the predictor's dy (dx + M ds = -x, so that S dy = G x = -w), correct(pull) that
-    // of all. Whether it moves anything; where it does not, it is not taken. EXACT: `correct` leaves dx in q.
-    template <bool EXACT, class F> [[gnu::always_inline]] auto step(const Six<S>& down, F&& correct) {
+    // of all. Whether it moves anything; where it does not, it is not taken. EXACT: `correct` leaves dx in q. least: part of the
+    // gap that centring keeps; 1 stays inside instead of going for the optimum.
+    template <bool EXACT, class F> [[gnu::always_inline]] auto step(const Six<S>& down, F&& correct, double least = 0.0) {
         const auto [primal, dual, cross, square] = predict(down);
         const S after = gap + dual * cross - primal * (gap + cross) - primal * dual * (cross + square);
-        const S part = max(S(0.0), after) / gap, centring = min(part * part * part, S(1.0));
+        const S part = max(S(0.0), after) / gap, centring = max(min(part * part * part, S(1.0)), S(least));
         const S reach = 0.9 + (STEP - 0.9) * min(dual, primal);
         const Six<S> dy = correct(centre(centring * gap / (2.0 * cones.count)));
         const auto [longest_x, longest_s] = direct<EXACT>(dy, reach);
@@ -286,8 +287,9 @@ public:
     // What `find_inside` ends with.
     enum class Inside { found, none, unknown };
     // A force x strictly inside the cones that balances a wrench (unit frame), or the twist that proves that there is none. Needs no
-    // internal force: the same steps from the axes, which miss balance until a whole one is taken. Where no force exists y grows beyond
-    // all prices, and with it what every force within the cones would have to be.
+    // internal force: centred steps from the axes, until what is nearest and balanced is inside. The optimum on the boundary, which
+    // steps without centring go for, is often nearer than balance. Where no force exists y grows beyond all prices, and with it what
+    // every force within the cones would have to be.
     Inside find_inside(const Vec6& w, Field& x, Vec6& twist, int& iterations) {
         const double scale = size(w);
         if (!(scale >= NOTHING)) return Inside::unknown;
@@ -301,14 +303,12 @@ public:
         this->gap = this->price = sum(cost), y = {};
         for (int k = 0; k < SEARCH; ++k, ++iterations) {
             const Vec6 left = missed(minus);
-            if (k > 0 && size(left) <= MISSED * std::max(1.0, widest())) {
-                for (int b = 0; b < blocks(); ++b) x[b] = all<V>(scale) * at[b].x;
-                cones.balance(x, w);
-                return cones.margin(x) > 0.0 ? Inside::found : Inside::unknown;
-            }
+            for (int b = 0; b < blocks(); ++b) x[b] = all<V>(scale) * at[b].x;
+            cones.balance(x, w);
+            if (cones.margin(x) > 0.0) return Inside::found;
             if (!(this->system() > 0.0)) return Inside::unknown;
             const auto correct = [&](const Vec6& pull) { return this->schur.solve(pull - left); };
-            if (!this->template step<false>(this->schur.solve(minus), correct)) return Inside::unknown;
+            if (!this->template step<false>(this->schur.solve(minus), correct, 1.0)) return Inside::unknown;
             V outside{};
             for (int b = 0; b < blocks(); ++b)
                 outside = max(outside, cones.blocks[b].mask * -slack(-cones.blocks[b].transposed(y)));
@@ -323,7 +323,6 @@ public:
 
 private:
     static constexpr int SEARCH = 60;  // steps; a dozen is usual
-    static constexpr double MISSED = 1e-9;  // of the forces: what a balanced force may miss before its last correction
     static constexpr double OUTSIDE = 1e-7;  // a proof: only forces 1e7 times the wrench could balance it
     Field force_, first_;  // what is written
     LaneQr6<V> qr_;
@@ -360,11 +359,6 @@ private:
         }
     }
 
-    double widest() const {
-        V most{};
-        for (int b = 0; b < blocks(); ++b) most = max(most, cones.blocks[b].mask * at[b].x.u);
-        return largest(most);
-    }
     Vec6 missed(const Vec6& minus) const {  // G x + w
         V total[6] = {};
         for (int b = 0; b < blocks(); ++b) cones.blocks[b].add_wrench(at[b].x, total);

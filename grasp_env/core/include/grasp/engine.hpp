@@ -425,7 +425,7 @@ private:
             case Start::learned:
                 if (predicted_ && predict(ask, w)) return CONVERGED;
                 break;
-            case Start::phase_one: return search(w);
+            case Start::phase_one: return search(ask, w);
             case Start::linear_combination:
             case Start::linear_combination_printed:
             case Start::single_value:
@@ -440,18 +440,29 @@ private:
     // The method's own start, or where the contacts have no force closure any force inside.
     Code standard(const Ask& ask, const Vec6& w) {
         if (flow_ && combine(ask.wrench, w, used_ = Start::linear_combination)) return CONVERGED;
-        if (!rest()) return search(w);
+        if (!rest()) return search(ask, w);
         used_ = Start::internal_force;
         grasp::begin(newton_.cones, rest_, w, newton_.x);
         return newton_.cones.phi(newton_.x) < infinity ? CONVERGED : UNDECIDED;
     }
-    Code search(const Vec6& w) {
+    // Any force inside; where the steps find neither that nor a proof, the deepest one.
+    Code search(const Ask& ask, const Vec6& w) {
         used_ = Start::phase_one;
         ready_conic();
         int steps = 0;
         const auto found = conic_.find_inside(w, newton_.x, twist_, steps);
         using Inside = typename ConicOn<V, B>::Inside;
-        return found == Inside::found ? CONVERGED : found == Inside::none ? INFEASIBLE : UNDECIDED;
+        if (found == Inside::found) return CONVERGED;
+        if (found == Inside::none) {
+            twist_ = newton_.cones.unit.pull_back(twist_);
+            return INFEASIBLE;
+        }
+        if (kind_ != Kind::hard || !ready_general()) return UNDECIDED;
+        const Deepest deep = general_.deepest(ask.wrench, 1e-7, force_.data(), nullptr);
+        twist_ = deep.twist;
+        if (deep.code != CONVERGED) return deep.code == INFEASIBLE ? INFEASIBLE : UNDECIDED;
+        newton_.cones.load_force(force_.data(), newton_.x);
+        return newton_.is_start(w) ? CONVERGED : UNDECIDED;
     }
     // A start of the paper and its relatives, from the offline optima.
     bool combine(const double* wrench, const Vec6& w, Start start) {
@@ -597,8 +608,7 @@ private:
         return {.wrench = ask.wrench, .start = from, .optimum = ask.optimum, .trace = ask.trace.data(), .traced = int(ask.trace.size())};
     }
     Code refuted(const Vec6& w, const Record& record) const {
-        const Vec6 twist = newton_.cones.unit.pull_back(twist_);
-        return record.refute((1.0 / grasp::size(twist)) * twist, grasp::size(w));
+        return record.refute((1.0 / grasp::size(twist_)) * twist_, grasp::size(w));
     }
 
     Code newton(const Ask& ask, const Vec6& w, const Record& record) {
@@ -668,7 +678,7 @@ private:
     Code conic(const Ask& ask, const Vec6& w, const Record& record) {
         used_ = Start::central, replaced_ = outside_ = false;
         if (!rest(true)) {
-            if (search(w) == INFEASIBLE) return refuted(w, record);
+            if (search(ask, w) == INFEASIBLE) return refuted(w, record);
             return general(ask, record);
         }
         ready_conic();
