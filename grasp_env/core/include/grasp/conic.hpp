@@ -323,7 +323,7 @@ public:
 
 private:
     static constexpr int SEARCH = 60;  // steps; a dozen is usual
-    static constexpr double OUTSIDE = 1e-7;  // a proof: only forces 1e7 times the wrench could balance it
+    static constexpr double OUTSIDE = 1e-8;  // a proof: only forces 1e8 times the wrench could balance it
     Field force_, first_;  // what is written
     LaneQr6<V> qr_;
     std::vector<double> fitted_;  // scaled, by axes
