@@ -792,6 +792,7 @@ private:
                 if (priced) *to = row_price(row, from);
         }
         out.summary().limit_excess = excess;
+        if (!priced) out.summary().objective = excess;
     }
     // Of the k-th row of the contacts of now: what an optimum's is.
     double row_price(int k, const Record& from) const {
