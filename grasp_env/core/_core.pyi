@@ -247,14 +247,28 @@ class Newton:
         x (3N,) = the least Phi on the segment from `safe` to it; returns how far.
         """
 
-def newton_grasps(positions: object, normals: object, scales: object, tangents: object, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+@overload
+def newton_grasps(positions: object, normals: object, scales: object, tangents: object | None, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
     """
-    Newton from the 12-basis of each of U grasps (U, N, 3), weights (N, 2); wrenches first[u] to first[u + 1] - 1 are those of grasp u;
-    REFUSED: it has no force closure. Into (M, 20 + 7N); releases the GIL.
+    Newton from an internal force of each of U grasps (U, N, 3), tangents or None, weights (N, 2); wrenches first[u] to first[u + 1] - 1
+    are those of grasp u; REFUSED: it has no force closure. Into (M, record_size(N)); releases the GIL.
     """
 
-def conic_grasps(positions: object, normals: object, scales: object, tangents: object, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
-    """The same, least sum of normal forces; weights are not read."""
+@overload
+def newton_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+    """
+    The same of U contacts in their place, whose own weights are not read. REFUSED: they are soft, or without force closure.
+    """
+
+@overload
+def conic_grasps(positions: object, normals: object, scales: object, tangents: object | None, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+    """
+    The same, least sum of normal forces; weights are those of the internal forces.
+    """
+
+@overload
+def conic_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
+    """The same of contacts in their place."""
 
 FULL_CONTACTS: int = 8
 

@@ -125,7 +125,9 @@ class ForceOptimizer:
         grasp, options, initial = self.grasp, self.options, self._initial
         start, model = 0, None
         names, asked = names_of(initial, options)
-        if is_a(initial, ForceSolution):
+        if initial is None:
+            pass
+        elif is_a(initial, ForceSolution):
             start = PREVIOUS
         elif is_a(initial, str):
             start = STARTS.index(initial)

@@ -184,6 +184,11 @@ def calls() -> dict[str, Call]:
             )
             for name, call in (("newton_grasps", _core.newton_grasps), ("conic_grasps", _core.conic_grasps))
         },
+        "newton_grasps of contacts": Call(
+            partial(_core.newton_grasps, [contacts()], **made),
+            {"weights": s.weights, "first": np.array([0.0, 3.0]), "wrenches": LOADS},
+            {"records": many},
+        ),
         "Newton.set_basis": Call(newton().set_basis, basis, {}),
         "Newton.make_basis": Call(partial(newton().make_basis, warm=True), {"interior": s.rest}, {"basis": (13, 12)}),
         "Newton.internal_force": Call(n.internal_force, {}, {"x": (12,)}),

@@ -100,6 +100,8 @@ OPTIONAL = {
     ("Newton.solve_many", "previous"),
     ("LimitedNewton.solve_many", "previous"),
     ("Learned.solve_many", "previous"),
+    ("newton_grasps", "tangents"),
+    ("conic_grasps", "tangents"),
     ("Pipeline.make", "flows"),
     ("Pipeline.solve", "adjust"),
 }

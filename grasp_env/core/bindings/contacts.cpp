@@ -133,6 +133,12 @@ Contacts weighed_each(const Contacts& contacts, nb::handle weights) {
 
 const Contacts& of(nb::handle self) { return nb::cast<const Contacts&>(self); }
 
+bool outwards(const Contacts& c) {
+    for (int i = 0; i < c.count; ++i)
+        if (!(dot(point(&c.normals[3 * i]), point(&c.positions[3 * i]) - c.unit.centre) > 1e-9 * c.unit.length)) return false;
+    return c.count > 0;
+}
+
 ReadOnly torsion_matrix(const Contacts& c) {
     const std::size_t n = c.count;
     std::vector<double> made(6 * n);
@@ -189,6 +195,7 @@ void bind_contacts(nb::module_& m) {
             "refused", [](const Contacts& c) { return c.placing == Placing::refused; }, "Not finite, or not unit normals.")
         .def_ro("clear", &Contacts::clear, "Whether the rank is 6 beyond doubt, torsion included.")
         .def_prop_ro("soft", &Contacts::soft, "Whether torsion is transmitted anywhere.")
+        .def_prop_ro("outwards", &outwards, "Whether all normals point away from the centre of the contacts.")
         .def_prop_ro("length", [](const Contacts& c) { return c.unit.length; })
         .def_prop_ro("centre", [](nb::handle s) { return view(s, &of(s).unit.centre.u, {3}); })
         .def_prop_ro("positions", [](nb::handle s) { return view(s, of(s).positions.data(), {size_t(of(s).count), 3}); })

@@ -7,38 +7,78 @@ using namespace grasp;
 
 namespace {
 
-template <void (*solve)(const Grasps&, const Stop&, const Many&)>
-void solve_grasps(nb::handle positions, nb::handle normals, nb::handle scales, nb::handle tangents, nb::handle weights,
-                  nb::handle first, double tolerance, int limit, nb::handle wrenches, nb::handle records) {
-    const Numbers p = in(positions, -1, -1, 3);
-    const Py_ssize_t grasps = p.length(0), count = p.length(1);
-    const Numbers n = in(normals, grasps, count, 3), s = in(scales, grasps, count, 3), t = in(tangents, grasps, count, 3);
-    const Numbers price = in(weights, count, 2), begin = in(first, grasps + 1), loads = in(wrenches, -1, 6);
-    const Py_ssize_t many = loads.length(0);
-    const Numbers rows = out(records, many, record_size(int(count)));
-    bool rises = begin.data()[0] == 0.0 && begin.data()[grasps] == double(many);
+using Solve = void (*)(const Grasps&, const Stop&, const Many&);
+
+void check_first(const Numbers& first, Py_ssize_t grasps, Py_ssize_t many) {
+    bool rises = first.data()[0] == 0.0 && first.data()[grasps] == double(many);
     for (Py_ssize_t u = 0; u < grasps; ++u) {
-        const double from = begin.data()[u], until = begin.data()[u + 1];
+        const double from = first.data()[u], until = first.data()[u + 1];
         rises = rises && from == std::floor(from) && from <= until;
     }
     if (!rises) throw nb::value_error("first: rising from 0 to the number of wrenches");
-    const Grasps given{int(count), grasps, p.data(), n.data(), s.data(), t.data(), price.data(), begin.data()};
+}
+
+template <Solve solve> void solve_arrays(nb::handle positions, nb::handle normals, nb::handle scales, nb::handle tangents,
+                                         nb::handle weights, nb::handle first, double tolerance, int limit, nb::handle wrenches,
+                                         nb::handle records) {
+    const Numbers p = in(positions, -1, -1, 3);
+    const Py_ssize_t grasps = p.length(0), count = p.length(1);
+    const Numbers n = in(normals, grasps, count, 3), s = in(scales, grasps, count, 3);
+    const Buffer t(tangents);
+    if (!tangents.is_none() && !t.has(grasps, count, 3)) throw nb::type_error("tangents: of all contacts, or None");
+    const Numbers price = in(weights, count, 2), begins = in(first, grasps + 1), loads = in(wrenches, -1, 6);
+    const Py_ssize_t many = loads.length(0);
+    const Numbers rows = out(records, many, record_size(int(count)));
+    check_first(begins, grasps, many);
+    const Site arrays{p.data(), n.data(), s.data(), tangents.is_none() ? nullptr : t.data(), 1};
+    const Grasps given(int(count), grasps, arrays, price.data(), begins.data());
     nb::gil_scoped_release free;
     solve(given, {tolerance, limit}, {many, loads.data(), rows.data()});
 }
 
-template <void (*solve)(const Grasps&, const Stop&, const Many&)>
-void bind(nb::module_& m, const char* name, const char* doc) {
-    m.def(name, &solve_grasps<solve>, "positions"_a, "normals"_a, "scales"_a, "tangents"_a, "weights"_a, "first"_a, "tolerance"_a,
-          "limit"_a, "wrenches"_a, "records"_a, doc);
+template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first, double tolerance, int limit,
+                                           nb::handle wrenches, nb::handle records) {
+    const Numbers price = in(weights, -1, 2), loads = in(wrenches, -1, 6);
+    const Py_ssize_t count = price.length(0), many = loads.length(0), grasps = Py_ssize_t(contacts.size());
+    const Numbers begins = in(first, grasps + 1), rows = out(records, many, record_size(int(count), 0, 0));
+    check_first(begins, grasps, many);
+    std::vector<const Contacts*> placed;
+    placed.reserve(grasps);
+    for (const nb::handle each : contacts) {
+        const Contacts* one = nullptr;
+        if (!nb::try_cast(each, one) || !one || one->count != count) throw nb::type_error("contacts: N of each grasp");
+        placed.push_back(one);
+    }
+    const Grasps given(int(count), grasps, placed.data(), price.data(), begins.data());
+    const int made = record_size(int(count)), whole = record_size(int(count), 0, 0);
+    nb::gil_scoped_release free;
+    std::vector<double> found(made * many);
+    solve(given, {tolerance, limit}, {many, loads.data(), found.data()});
+    for (Py_ssize_t u = 0; u < grasps; ++u)
+        for (auto k = Py_ssize_t(begins.data()[u]); k < Py_ssize_t(begins.data()[u + 1]); ++k) {
+            double* row = std::copy_n(&found[made * k], made, rows.data() + whole * k) - made;
+            Summary& s = Record(row, int(count)).summary();
+            s.start = double(start), s.contacts = double(count), s.replaced = s.outside = s.joints = s.limits = 0.0;
+            std::copy_n(placed[u]->frames.data(), 9 * count, Record(row, int(count)).frames());
+        }
+}
+
+template <Solve solve, Start start> void bind(nb::module_& m, const char* name, const char* arrays, const char* contacts) {
+    m.def(name, &solve_arrays<solve>, "positions"_a, "normals"_a, "scales"_a, "tangents"_a.none(), "weights"_a, "first"_a,
+          "tolerance"_a, "limit"_a, "wrenches"_a, "records"_a, arrays);
+    m.def(name, &solve_contacts<solve, start>, "contacts"_a, "weights"_a, "first"_a, "tolerance"_a, "limit"_a, "wrenches"_a, "records"_a,
+          contacts);
 }
 
 }  // namespace
 
 void bind_grasps(nb::module_& m) {
-    bind<newton_grasps>(
+    bind<newton_grasps, Start::internal_force>(
         m, "newton_grasps",
-        "Newton from the 12-basis of each of U grasps (U, N, 3), weights (N, 2); wrenches first[u] to first[u + 1] - 1 are "
-        "those of grasp u;\nREFUSED: it has no force closure. Into (M, 20 + 7N); releases the GIL.");
-    bind<conic_grasps>(m, "conic_grasps", "The same, least sum of normal forces; weights are not read.");
+        "Newton from an internal force of each of U grasps (U, N, 3), tangents or None, weights (N, 2); wrenches first[u] to "
+        "first[u + 1] - 1\nare those of grasp u; REFUSED: it has no force closure. Into (M, record_size(N)); releases the GIL.",
+        "The same of U contacts in their place, whose own weights are not read, into whole rows of solutions. REFUSED: they are soft, or without force "
+        "closure.");
+    bind<conic_grasps, Start::central>(m, "conic_grasps", "The same, least sum of normal forces; weights are those of the internal forces.",
+                       "The same of contacts in their place.");
 }

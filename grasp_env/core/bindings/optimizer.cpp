@@ -255,7 +255,7 @@ void bind_optimizer(nb::module_& m) {
             s.on.set_basis({in(basis, 13, 3 * s.count).data(), std::size_t(39 * s.count)});
         }, "basis"_a, "Takes the 12-basis with the rest, (13, 3N) cone coordinates.")
         .def("solve_many", &solve_many, "wrenches"_a, "rows"_a, "(M, 6) into (M, size); releases the GIL.")
-        .def_rw("previous", &Solver::previous, "The last solution that has a force, or None.")
+        .def_rw("previous", &Solver::previous, nb::for_setter(nb::arg("solution").none()), "The last solution that has a force, or None.")
         .def_ro("ended", &Solver::ended, "The row of the last call that returned None, unless it could not read its arguments.")
         .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Doubles of a row.");
 }

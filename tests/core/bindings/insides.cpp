@@ -71,6 +71,25 @@ public:
         return nb::make_tuple(found.low, found.high);
     }
 
+    nb::object rest() {
+        Field found = cones().field();
+        return newton_.find_rest(found) ? out(found) : nb::none();
+    }
+    nb::object begun(const In& rest, const In& w) const {
+        Field x = cones().field();
+        begin(cones(), field(rest), six(w), x);
+        return out(x);
+    }
+    // one problem from the internal force; none without one
+    nb::object solved(const In& wrench, double tolerance) {
+        Field found = cones().field();
+        if (!newton_.find_rest(found)) return nb::none();
+        newton_.options.tolerance = tolerance;
+        std::vector<double> row(record_size(contacts_.count));
+        newton_.solve_from(found, {.wrench = numbers(wrench, 6)}, Record(row.data(), contacts_.count));
+        return array(row);
+    }
+
     // basis (13, 3N) in cone coordinates; frames (N, 3, 3) it is written in
     void set_basis(const In& basis, const In& frames) {
         const double* rows = numbers(basis, 13 * size());
@@ -156,6 +175,9 @@ template <class V> void bind(nb::module_& m, const char* name) {
         .def("restore", &I::restore)
         .def("squeezed", &I::squeezed)
         .def("inside", &I::inside)
+        .def("rest", &I::rest)
+        .def("begun", &I::begun)
+        .def("solved", &I::solved)
         .def("set_basis", &I::set_basis)
         .def("combine", &I::combine)
         .def("combination", &I::combination)

@@ -9,55 +9,6 @@ inline constexpr int BASIS_ITERATIONS = 200;
 // Basis forces are starts: where floating point ends before 1e-10 (tiny lambda), one within a hundredth still serves.
 inline constexpr double ACCEPTED_GAP = 1e-2;
 
-// The k >= 0 with point + k ray inside the cone: from `low` to `high`; none where low >= high.
-struct Interval { double low, high; };
-inline Interval inside(const Vec3<double>& point, const Vec3<double>& ray) {
-    // q(k) = a k^2 + 2 b k + c > 0 and u(k) > 0; {q > 0, u > 0} is convex: one interval
-    const double a = lorentz(ray, ray), b = lorentz(point, ray), c = lorentz(point, point);
-    const double discriminant = b * b - a * c;
-    const Interval none{0.0, -1.0};
-    if (!(std::abs(a) + std::abs(b) + std::abs(c) < infinity)) return none;
-    if (a > 0.0) {  // the ray ends inside one of the two opposite cones, so b^2 >= a c but for rounding
-        const double root = std::sqrt(std::max(discriminant, 0.0));
-        double near = 0.0, far = 0.0;
-        if (b > 0.0) near = -(root + b) / a, far = -c / (root + b);
-        else if (root - b > 0.0) near = c / (root - b), far = (root - b) / a;
-        return ray.u > 0.0 ? Interval{std::max(far, 0.0), infinity} : Interval{0.0, near};
-    }
-    if (a < 0.0) {
-        if (!(discriminant > 0.0)) return none;
-        const double root = std::sqrt(discriminant), q = b >= 0.0 ? -(b + root) : root - b;
-        const double first = q / a, second = c / q, one = std::min(first, second), two = std::max(first, second);
-        return point.u + 0.5 * (one + two) * ray.u > 0.0 ? Interval{std::max(one, 0.0), two} : none;
-    }
-    if (b > 0.0) return ray.u > 0.0 ? Interval{std::max(-c / (2.0 * b), 0.0), infinity} : none;  // along the cone's surface
-    if (b < 0.0) return ray.u < 0.0 ? Interval{0.0, -c / (2.0 * b)} : none;
-    return c > 0.0 && point.u > 0.0 ? Interval{0.0, infinity} : none;
-}
-
-template <class V, int B> inline Interval inside(const Cones<V, B>& cones, const typename Cones<V, B>::Field& point,
-                                                 const typename Cones<V, B>::Field& ray) {
-    Interval found{0.0, infinity};
-    for (int i = 0; i < cones.count; ++i) {
-        Vec3<double> p, r;
-        for (int a = 0; a < 3; ++a)
-            p[a] = get(point[i / width<V>][a], i % width<V>), r[a] = get(ray[i / width<V>][a], i % width<V>);
-        const Interval one = inside(p, r);
-        found = {std::max(found.low, one.low), std::min(found.high, one.high)};
-    }
-    return found;
-}
-
-// k > 0 of least Phi(k x) for x strictly inside: Phi(k x) = k a + b / k.
-template <class V, int B> double squeeze(const Cones<V, B>& cones, const typename Cones<V, B>::Field& x) {
-    V force{}, barrier{};
-    for (int b = 0; b < int(x.size()); ++b) {
-        const auto& c = cones.blocks[b];
-        force += c.mask * phi(x[b], {c.weights.omega, V{}}), barrier += c.mask * phi(x[b], {V{}, c.weights.lambda});
-    }
-    return std::sqrt(sum(barrier) / sum(force));
-}
-
 // Makes the basis of a Newton for its contacts: the optimum at rest (12) first, as the others start from it.
 template <class V, int B> class BasisMaker {
 public:
@@ -116,13 +67,8 @@ private:
     }
     // The start of k < 12, in x: the least force with as much of the rest as it needs.
     void begin(int k) {
-        auto& x = newton_.x;
-        const auto& rest = newton_.starter.basis[12];
         pose(k);
-        for (auto& v : x) v = {V{}, V{}, V{}};
-        newton_.cones.balance(x, w_);
-        const double least = std::max(1.1 * inside(newton_.cones, x, rest).low, 1.0);
-        for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(least) * rest[b];
+        grasp::begin(newton_.cones, newton_.starter.basis[12], w_, newton_.x);
     }
     bool begin_warm(int k) {  // twice: the second correction takes the rounding of the first out of the balance
         pose(k);

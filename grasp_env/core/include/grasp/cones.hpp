@@ -17,6 +17,10 @@ template <class V> struct Block {
 
     Vec3<V> transposed(const Six<S>& n) const { return combined(g, n); }   // G^T n
     Vec3<V> least(const Six<S>& n) const { return combined(inverse, n); }  // G^+ n
+    void bind_gjg() {
+        for (int r = 0; r < 6; ++r)
+            for (int s = 0; s <= r; ++s) gjg[packed(r, s)] = lorentz(g[r], g[s]);
+    }
     // out += G x, lane by lane
     void add_wrench(const Vec3<V>& x, V (&out)[6]) const { add(g, x, out); }
 
@@ -48,7 +52,7 @@ public:
     using Field = Blocks<Vec3<V>, B>;  // a triple per contact
     using S = Reduced<V>;
     int count;
-    UnitFrame unit;
+    UnitFrameOf<S> unit;
     Blocks<Block<V>, B> blocks;
 
     explicit Cones(int count) : count(count) { resize(blocks, needed()); }
@@ -79,16 +83,14 @@ public:
                 }
             }
         }
-        for (auto& block : blocks)
-            for (int r = 0; r < 6; ++r)
-                for (int s = 0; s <= r; ++s) block.gjg[packed(r, s)] = lorentz(block.g[r], block.g[s]);
+        for (auto& block : blocks) block.bind_gjg();
     }
 
     // A register of problems, all of them on the contacts of one.
     template <class C, int D> void spread(const Cones<C, D>& one)
         requires many<V>
     {
-        unit = one.unit;
+        unit = UnitFrameOf<S>(one.unit);
         for (int i = 0; i < count; ++i) {
             const auto& from = one.blocks[i / width<C>];
             auto& to = blocks[i];
@@ -118,6 +120,10 @@ public:
         each(lane, [&](int b, int n, int at) {
             for (int a = 0; a < 3; ++a) set(x[b][a], n, from[at + a] * get(blocks[b].scale[a], n));
         });
+    }
+    void to_force(Field& x) const {
+        for (int b = 0; b < int(blocks.size()); ++b)
+            for (int a = 0; a < 3; ++a) x[b][a] = x[b][a] / blocks[b].divisor[a];
     }
     void store_force(const Field& x, double* to) const {
         for (int b = 0; b < int(blocks.size()); ++b)
@@ -166,13 +172,14 @@ public:
         return largest(most);
     }
     // Least distance to a cone's surface.
-    double margin(const Field& x) const {
+    S margin(const Field& x) const {
         V room = all<V>(infinity);
-        for (int b = 0; b < int(blocks.size()); ++b) room = min(room, blocks[b].mask > 0.5 ? slack(x[b]) : all<V>(infinity));
+        for (int b = 0; b < int(blocks.size()); ++b)
+            room = min(room, select(blocks[b].mask > 0.5, slack(x[b]), all<V>(infinity)));
         return least(room);
     }
     // Whether all numbers are finite and below what forces can be.
-    bool sane(const Field& x) const {
+    auto sane(const Field& x) const {
         V total{};
         for (int b = 0; b < int(blocks.size()); ++b) total += abs(x[b].u) + abs(x[b].o) + abs(x[b].t);
         return sum(total) < LARGEST;
@@ -206,12 +213,14 @@ public:
     }
 
     // Whether x, which misses balance by that, counts as balanced.
-    bool balanced(const Field& x, const Vec6& w, double residual) const {
-        return residual <= BALANCED * std::max(size(w), std::min(largest_normal(x), 1.0));
+    auto balanced(const Field& x, const Six<S>& w, const S& residual) const {
+        return residual <= BALANCED * max(size(w), min(largest_normal(x), S(1.0)));
     }
+    // What x misses of balance.
+    S residual(const Field& x, const Six<S>& w) const { return size(wrench(x) + w); }
     // Writes forces, residual and margin of x: what a solution is checked by.
     void certify(const Field& x, const Vec6& w, const Record& record) const {
-        record.summary().residual = size(wrench(x) + w);
+        record.summary().residual = residual(x, w);
         record.summary().margin = margin(x);
         store_force(x, record.force());
     }

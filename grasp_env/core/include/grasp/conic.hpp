@@ -107,11 +107,12 @@ public:
     }
 
     // A step with Mehrotra's corrector: `down` is the predictor's dy (dx + M ds = -x, so that S dy = G x = -w), correct(pull) that
-    // of all. Whether it moves anything; where it does not, it is not taken. EXACT: `correct` leaves dx in q.
-    template <bool EXACT, class F> [[gnu::always_inline]] auto step(const Six<S>& down, F&& correct) {
+    // of all. Whether it moves anything; where it does not, it is not taken. EXACT: `correct` leaves dx in q. least: part of the
+    // gap that centring keeps; 1 stays inside instead of going for the optimum.
+    template <bool EXACT, class F> [[gnu::always_inline]] auto step(const Six<S>& down, F&& correct, double least = 0.0) {
         const auto [primal, dual, cross, square] = predict(down);
         const S after = gap + dual * cross - primal * (gap + cross) - primal * dual * (cross + square);
-        const S part = max(S(0.0), after) / gap, centring = min(part * part * part, S(1.0));
+        const S part = max(S(0.0), after) / gap, centring = max(min(part * part * part, S(1.0)), S(least));
         const S reach = 0.9 + (STEP - 0.9) * min(dual, primal);
         const Six<S> dy = correct(centre(centring * gap / (2.0 * cones.count)));
         const auto [longest_x, longest_s] = direct<EXACT>(dy, reach);
@@ -120,6 +121,41 @@ public:
         y = y + longest_s * dy;
         advance(longest_x, longest_s);
         return moves;
+    }
+
+    // What the iterate x, of a wrench of size 1, is as an answer: y scaled onto the boundary of its set by theta, and the force [N]
+    // of a wrench of size `scale`. For any y the largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|),
+    // g = G^T y, over the contacts where that is positive.
+    struct Answer {
+        S theta, price, bound;
+        S gap() const { return select(bound > 0.0, (price - bound) / bound, S(infinity)); }
+    };
+    Answer answer(const Six<S>& minus, const S& scale, Field& force) {
+        V before[6] = {}, steepest{}, squeeze{};
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            c.add_wrench(at[b].x, before);
+            const Vec3<V> g = c.transposed(y);
+            steepest = max(steepest, (g.u + sqrt(g.o * g.o + g.t * g.t)) / c.cost);
+        }
+        const S most = largest(steepest), theta = select(most > 0.0, 1.0 / most, S(1.0));
+        const Six<S> left = sums(before) - minus;
+        for (int b = 0; b < blocks(); ++b) {
+            const auto& c = cones.blocks[b];
+            auto& x = at[b].x;
+            x -= c.least(left);
+            const V outside = 1e-15 * x.u - slack(x);  // 1e-15: what the rounding of the next lines may cost
+            // the last digits of balance may take x out of its cone: an internal force takes it back
+            squeeze = max(squeeze, 1.1 * c.mask * outside / slack(rest[b]));
+        }
+        const V k = all<V>(largest(squeeze));
+        for (int b = 0; b < blocks(); ++b) force[b] = all<V>(scale) * (at[b].x + k * rest[b]);
+        return {theta, price_of(force), scale * max(theta * dot(minus, y), S(0.0))};
+    }
+    S price_of(const Field& force) const {  // sum of the normal forces [N]
+        V price{};
+        for (int b = 0; b < blocks(); ++b) price += cones.blocks[b].mask * cones.blocks[b].cost * force[b].u;
+        return sum(price);
     }
 
 private:
@@ -242,7 +278,7 @@ public:
 
     // The iterate as an answer, with its certificate: the iterations' own gap is not proof. Returns the certified gap.
     double conclude(const Posed& posed, int iterations, const Record& record) {
-        const double certified = certify(posed.unit, posed.minus, posed.scale, y, record);
+        const double certified = certify(posed, record);
         Summary& out = record.summary();
         out.code = certified <= options.tolerance ? CONVERGED : STALLED, out.iterations = out.trials = iterations;
         return certified;
@@ -251,8 +287,9 @@ public:
     // What `find_inside` ends with.
     enum class Inside { found, none, unknown };
     // A force x strictly inside the cones that balances a wrench (unit frame), or the twist that proves that there is none. Needs no
-    // internal force: the same steps from the axes, which miss balance until a whole one is taken. Where no force exists y grows beyond
-    // all prices, and with it what every force within the cones would have to be.
+    // internal force: centred steps from the axes, until what is nearest and balanced is inside. The optimum on the boundary, which
+    // steps without centring go for, is often nearer than balance. Where no force exists y grows beyond all prices, and with it what
+    // every force within the cones would have to be.
     Inside find_inside(const Vec6& w, Field& x, Vec6& twist, int& iterations) {
         const double scale = size(w);
         if (!(scale >= NOTHING)) return Inside::unknown;
@@ -266,20 +303,15 @@ public:
         this->gap = this->price = sum(cost), y = {};
         for (int k = 0; k < SEARCH; ++k, ++iterations) {
             const Vec6 left = missed(minus);
-            if (k > 0 && size(left) <= MISSED * std::max(1.0, widest())) {
-                for (int b = 0; b < blocks(); ++b) x[b] = all<V>(scale) * at[b].x;
-                cones.balance(x, w);
-                return cones.margin(x) > 0.0 ? Inside::found : Inside::unknown;
-            }
+            for (int b = 0; b < blocks(); ++b) x[b] = all<V>(scale) * at[b].x;
+            cones.balance(x, w);
+            if (cones.margin(x) > 0.0) return Inside::found;
             if (!(this->system() > 0.0)) return Inside::unknown;
             const auto correct = [&](const Vec6& pull) { return this->schur.solve(pull - left); };
-            if (!this->template step<false>(this->schur.solve(minus), correct)) return Inside::unknown;
-            V outside{};
-            for (int b = 0; b < blocks(); ++b)
-                outside = max(outside, cones.blocks[b].mask * -slack(-cones.blocks[b].transposed(y)));
-            const double along = dot(minus, y);
-            if (along > 0.0 && largest(outside) <= OUTSIDE * along) {
-                twist = y;
+            if (!this->template step<false>(this->schur.solve(minus), correct, 1.0)) return Inside::unknown;
+            for (int b = 0; b < blocks(); ++b) x[b] = -cones.blocks[b].transposed(y);
+            if (std::min(dot(minus, y), cones.margin(x)) > ROUNDING * size(y)) {
+                twist = -1.0 * y;
                 return Inside::none;
             }
         }
@@ -288,8 +320,7 @@ public:
 
 private:
     static constexpr int SEARCH = 60;  // steps; a dozen is usual
-    static constexpr double MISSED = 1e-9;  // of the forces: what a balanced force may miss before its last correction
-    static constexpr double OUTSIDE = 1e-7;  // a proof: only forces 1e7 times the wrench could balance it
+    static constexpr double ROUNDING = 1e-12;  // of the twist: what a proof is strict by
     Field force_, first_;  // what is written
     LaneQr6<V> qr_;
     std::vector<double> fitted_;  // scaled, by axes
@@ -325,11 +356,6 @@ private:
         }
     }
 
-    double widest() const {
-        V most{};
-        for (int b = 0; b < blocks(); ++b) most = max(most, cones.blocks[b].mask * at[b].x.u);
-        return largest(most);
-    }
     Vec6 missed(const Vec6& minus) const {  // G x + w
         V total[6] = {};
         for (int b = 0; b < blocks(); ++b) cones.blocks[b].add_wrench(at[b].x, total);
@@ -386,53 +412,26 @@ private:
         }
     }
 
-    // Balances the last digits, scales y onto the boundary of its set, writes force and certificates; returns the gap.
-    // For any y the largest theta with c - theta G^T y in every cone is min c / (g_u + |g_t|), g = G^T y, over the contacts where
-    // that is positive.
-    double certify(const Vec6& unit, const Vec6& minus, double scale, const Vec6& y, const Record& record) {
-        V before[6] = {}, steepest{}, squeeze{}, price{};
-        for (int b = 0; b < blocks(); ++b) {
-            const auto& c = cones.blocks[b];
-            c.add_wrench(at[b].x, before);
-            const Vec3<V> g = c.transposed(y);
-            steepest = max(steepest, (g.u + sqrt(g.o * g.o + g.t * g.t)) / c.cost);
-        }
-        const double most = largest(steepest), theta = most > 0.0 ? 1.0 / most : 1.0;
-        const Vec6 left = sums(before) - minus;
-        for (int b = 0; b < blocks(); ++b) {
-            const auto& c = cones.blocks[b];
-            auto& x = at[b].x;
-            x -= c.least(left);
-            const V outside = 1e-15 * x.u - slack(x);  // 1e-15: what the rounding of the next lines may cost
-            // the last digits of balance may take x out of its cone: an internal force takes it back
-            squeeze = max(squeeze, 1.1 * c.mask * outside / slack(rest[b]));
-        }
-        const V k = all<V>(largest(squeeze));
-        for (int b = 0; b < blocks(); ++b) {
-            force_[b] = all<V>(scale) * (at[b].x + k * rest[b]), first_[b] = all<V>(scale) * at[b].first;
-            price += cones.blocks[b].mask * cones.blocks[b].cost * force_[b].u;
-        }
+    // Writes force and certificates; returns the gap.
+    double certify(const Posed& posed, const Record& record) {
+        auto made = this->answer(posed.minus, posed.scale, force_);
+        for (int b = 0; b < blocks(); ++b) first_[b] = all<V>(posed.scale) * at[b].first;
         cones.store_force(first_, record.initial_force());
-        cones.certify(force_, unit, record);
+        cones.certify(force_, posed.unit, record);
         Summary& out = record.summary();
-        if (!(out.margin >= 0.0)) price = go_inside(unit, record);
-        out.multipliers = cones.unit.pull_back(theta * y);
-        out.lower_bound = scale * std::max(theta * dot(minus, y), 0.0);
-        out.objective = sum(price);
-        if (!(out.lower_bound > 0.0) || !cones.balanced(force_, unit, out.residual)) return infinity;
-        return (out.objective - out.lower_bound) / out.lower_bound;
+        if (!(out.margin >= 0.0)) go_inside(posed.unit, record), made.price = this->price_of(force_);
+        out.multipliers = cones.unit.pull_back(made.theta * y);
+        out.lower_bound = made.bound, out.objective = made.price;
+        return cones.balanced(force_, posed.unit, out.residual) ? made.gap() : infinity;
     }
     // Where rounding left a force outside a cone: on the way to the start, all of whose digits are inside.
-    [[gnu::cold, gnu::noinline]] V go_inside(const Vec6& unit, const Record& record) {
+    [[gnu::cold, gnu::noinline]] void go_inside(const Vec6& unit, const Record& record) {
         for (double part = 1e-15; !(record.summary().margin >= 0.0); part = std::min(1.0, 4.0 * part)) {
             for (int b = 0; b < blocks(); ++b)
                 force_[b] = part < 1.0 ? force_[b] + all<V>(part) * (first_[b] - force_[b]) : first_[b];
             cones.certify(force_, unit, record);
             if (part == 1.0) break;
         }
-        V price{};
-        for (int b = 0; b < blocks(); ++b) price += cones.blocks[b].mask * cones.blocks[b].cost * force_[b].u;
-        return price;
     }
 };
 

@@ -16,8 +16,13 @@ enum class Placing { good, refused, rank_lost, needs_torsion };
 // The weights of Phi, of all contacts alike: the price of squeezing, and of coming close to a cone [N^2].
 struct Objective { double force_weight = 1.0, barrier_weight = 0.01; };
 
+// A scale of cone coordinates as it is taken, 0: nothing is transmitted; what such coordinates are divided by.
+template <class T> inline T taken_scale(const T& given) { return select((given > 0.0) & (given < infinity), given, T(0.0)); }
+template <class T> inline T divisor_of(const T& scale) { return select(scale > 0.0, scale, T(infinity)); }
+
 class Contacts {
 public:
+    static constexpr double WELL = 1e-6;  // `rank_bound` from which G G^T may be inverted as it is: six digits are left at least
     int count = 0;
     std::vector<double> scale, divisor;  // (N, 3) cone coordinates = scale * force, force = cone coordinates / divisor
     std::vector<double> omega, lambda;  // (N,) weights of Phi
@@ -152,10 +157,7 @@ public:
             for (int a = 0; a < 3; ++a) {
                 const int j = 3 * i + a;
                 const Vec6 made = unit_wrench(from, frame[a]), row = used_[j] * unit_wrench(arm, frame[a]);
-#pragma GCC unroll 8
-                for (int r = 0; r < 6; ++r)
-#pragma GCC unroll 8
-                    for (int q = 0; q <= r; ++q) s[packed(r, q)] += row[r] * row[q];
+                add_gram(s, row);
                 for (int r = 0; r < 3; ++r) frames[9 * i + 3 * r + a] = made[r];
                 set_column(matrix.data(), size, j, made), set_column(cone_matrix.data(), size, j, per_[j] * made);
                 set_column(force_rows.data(), size, j, row), set_column(rows.data(), size, j, per_[j] * row);
@@ -195,7 +197,6 @@ private:
     std::vector<double> used_, per_;  // 1 where a force is transmitted; 1 / divisor
     std::vector<double> work_;  // (6, 4N)
     static constexpr double RANK = 1e-8;  // least ratio of singular values of G in the unit frame that counts as rank 6
-    static constexpr double WELL = 1e-6;  // `rank_bound` from which G G^T may be inverted as it is: six digits are left at least
 
     static void ask(bool good, const char* said) {
         if (!good) throw std::invalid_argument(said);
@@ -225,9 +226,8 @@ private:
 
     void transmit() {
         for (int j = 0; j < 3 * count; ++j) {
-            if (!(scale[j] > 0.0 && scale[j] < infinity)) scale[j] = 0.0;
-            used_[j] = scale[j] > 0.0, divisor[j] = scale[j] > 0.0 ? scale[j] : infinity;
-            per_[j] = 1.0 / divisor[j];
+            scale[j] = taken_scale(scale[j]), divisor[j] = divisor_of(scale[j]);
+            used_[j] = scale[j] > 0.0, per_[j] = 1.0 / divisor[j];
         }
     }
 
@@ -248,8 +248,7 @@ private:
             const Point moment = unit.scale() * point(normals.data() + 3 * i);
             const Vec6 column{0.0, 0.0, 0.0, moment.u, moment.o, moment.t};
             set_column(work_.data(), columns, next++, column);
-            for (int r = 0; r < 6; ++r)
-                for (int q = 0; q <= r; ++q) s[packed(r, q)] += column[r] * column[q];
+            add_gram(s, column);
         }
         Ldl6 factor;
         factor.factor(s);

@@ -175,13 +175,7 @@ public:
             ready_conic();
             conic_many(conic_, many);
         } else {
-            newton_many(newton_, many, [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
-                record.summary().code = REFUSED;
-                if (!sane_wrench(many.wrench(k))) return false;
-                w = newton_.cones.unit.of(many.wrench(k));
-                squeeze_inside(w, newton_.x);
-                return true;
-            }, [&](std::ptrdiff_t, const Record& record) { record.summary().code = REFUSED; });
+            newton_many(newton_, rest_, many);
         }
         for (std::ptrdiff_t k = 0; k < count; ++k) {
             const Record record = many.record(k, home_.count);
@@ -410,23 +404,12 @@ private:
     bool rest(bool thorough = false) {
         if (!rest_sought_ || (thorough && !has_rest_)) {
             rest_sought_ = true;
-            has_rest_ = newton_.internal_force(!thorough);
-            if (has_rest_) {
-                const double scale = squeeze(newton_.cones, newton_.x);
-                for (int b = 0; b < int(rest_.size()); ++b) rest_[b] = all<V>(scale) * newton_.x[b];
-            }
+            has_rest_ = newton_.find_rest(rest_, !thorough);
         }
         return has_rest_;
     }
 
     // --- starts
-
-    // x = -G^+ w with as much of the internal force as takes it inside.
-    void squeeze_inside(const Vec6& w, Field& x) {
-        for (int b = 0; b < int(x.size()); ++b) x[b] = -newton_.cones.blocks[b].least(w);
-        const double least = std::max(1.2 * inside(newton_.cones, x, rest_).low, 1.0);
-        for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(least) * rest_[b];
-    }
 
     Start asked(const Ask& ask) const {
         const Start start = ask.start == Start::standard ? options_.start : ask.start;
@@ -451,7 +434,7 @@ private:
             case Start::learned:
                 if (predicted_ && predict(ask, w)) return CONVERGED;
                 break;
-            case Start::phase_one: return search(w);
+            case Start::phase_one: return search(ask, w);
             case Start::linear_combination:
             case Start::linear_combination_printed:
             case Start::single_value:
@@ -466,18 +449,29 @@ private:
     // The method's own start, or where the contacts have no force closure any force inside.
     Code standard(const Ask& ask, const Vec6& w) {
         if (flow_ && combine(ask.wrench, w, used_ = Start::linear_combination)) return CONVERGED;
-        if (!rest()) return search(w);
+        if (!rest()) return search(ask, w);
         used_ = Start::internal_force;
-        squeeze_inside(w, newton_.x);
+        grasp::begin(newton_.cones, rest_, w, newton_.x);
         return newton_.cones.phi(newton_.x) < infinity ? CONVERGED : UNDECIDED;
     }
-    Code search(const Vec6& w) {
+    // Any force inside; where the steps find neither that nor a proof, the deepest one.
+    Code search(const Ask& ask, const Vec6& w) {
         used_ = Start::phase_one;
         ready_conic();
         int steps = 0;
         const auto found = conic_.find_inside(w, newton_.x, twist_, steps);
         using Inside = typename ConicOn<V, B>::Inside;
-        return found == Inside::found ? CONVERGED : found == Inside::none ? INFEASIBLE : UNDECIDED;
+        if (found == Inside::found) return CONVERGED;
+        if (found == Inside::none) {
+            twist_ = newton_.cones.unit.pull_back(twist_);
+            return INFEASIBLE;
+        }
+        if (kind_ != Kind::hard || !ready_general()) return UNDECIDED;
+        const Deepest deep = general_.deepest(ask.wrench, 1e-7, force_.data(), nullptr);
+        twist_ = deep.twist;
+        if (deep.code != CONVERGED) return deep.code == INFEASIBLE ? INFEASIBLE : UNDECIDED;
+        newton_.cones.load_force(force_.data(), newton_.x);
+        return newton_.is_start(w) ? CONVERGED : UNDECIDED;
     }
     // A start of the paper and its relatives, from the offline optima.
     bool combine(const double* wrench, const Vec6& w, Start start) {
@@ -541,7 +535,7 @@ private:
         if (!follows) newton_.cones.balance(x, w);
         begun_ = x;
         if (!rest()) return follows && newton_.cones.phi(x) < infinity;
-        squeeze_inside(w, spare_);
+        grasp::begin(newton_.cones, rest_, w, spare_);
         x = begun_;
         return newton_.starter.segment(newton_.cones, spare_, x) > 0.0;
     }
@@ -623,8 +617,7 @@ private:
         return {.wrench = ask.wrench, .start = from, .optimum = ask.optimum, .trace = ask.trace.data(), .traced = int(ask.trace.size())};
     }
     Code refuted(const Vec6& w, const Record& record) const {
-        const Vec6 twist = newton_.cones.unit.pull_back(twist_);
-        return record.refute((1.0 / grasp::size(twist)) * twist, grasp::size(w));
+        return record.refute((1.0 / grasp::size(twist_)) * twist_, grasp::size(w));
     }
 
     Code newton(const Ask& ask, const Vec6& w, const Record& record) {
@@ -694,7 +687,7 @@ private:
     Code conic(const Ask& ask, const Vec6& w, const Record& record) {
         used_ = Start::central, replaced_ = outside_ = false;
         if (!rest(true)) {
-            if (search(w) == INFEASIBLE) return refuted(w, record);
+            if (search(ask, w) == INFEASIBLE) return refuted(w, record);
             return general(ask, record);
         }
         ready_conic();
@@ -807,6 +800,7 @@ private:
                 if (priced) *to = row_price(row, from);
         }
         out.summary().limit_excess = excess;
+        if (!priced) out.summary().objective = excess;
     }
     // Of the k-th row of the contacts of now: what an optimum's is.
     double row_price(int k, const Record& from) const {

@@ -1,5 +1,6 @@
 // Damped Newton on Phi under balance; linear in the number of contacts.
 #pragma once
+#include "internal.hpp"
 #include "limits.hpp"
 #include "start.hpp"
 #include "steep.hpp"
@@ -13,6 +14,7 @@ inline constexpr double SHORT = 0.7, LONG = 0.95;
 template <class S> struct Rules {
     static constexpr int HALVINGS = 60;
     static constexpr double SHORTEST = 1e-10;  // a step moves x by at least this part of its length
+    static constexpr double ROUNDED = 1e-13;   // part of Phi
     static constexpr double BELOW = -1e-9;  // rounding by which Phi may fall short of its bound
 
     // Whether a value of Phi is certified by a lower bound. Far below it is a force that misses balance: steps restore that.
@@ -25,6 +27,8 @@ template <class S> struct Rules {
         return found < value - 1e-4 * alpha * decrement;
     }
     static auto flat(const S& value, const S& decrement) { return decrement < 1e-9 * value; }
+    // A value of Phi that was made again: the first where rounding alone tells them apart.
+    static S again(const S& found, const S& value) { return select(abs(found - value) <= ROUNDED * value, value, found); }
     // Whether the decrement promises the tolerance: Phi - min Phi is half of it to third order. A bound costs a quarter of an
     // iteration, so it waits for that.
     static auto close(const S& value, const S& decrement, double tolerance) { return decrement < 4.0 * tolerance * value; }
@@ -94,6 +98,16 @@ public:
         return descend_from(begun_, call, w, record);
     }
 
+    // The same from the start that an internal force gives.
+    Code solve_from(const Field& rest, const Call& call, const Record& record) {
+        record.summary().code = REFUSED;
+        if (!sane_wrench(call.wrench)) return REFUSED;
+        const Vec6 w = cones.unit.of(call.wrench);
+        grasp::begin(cones, rest, w, x);
+        begun_ = x;
+        return descend_from(begun_, call, w, record);
+    }
+
     // From the start in x, of which `begun` is a copy, to the record: with steps that reach `fraction` of the way to the
     // boundary, and where those stall along the central path. leaping: the start is an optimum of another wrench, from where the
     // first step goes all of Newton's way, to balance and down at once; REFUSED where that leaves the cones.
@@ -157,21 +171,25 @@ public:
             for (int b = 0; b < int(x.size()); ++b) x[b] += step_[b];
     }
 
-    // An internal force strictly inside the cones, in x: infeasible-start Newton from the axes; false without force closure. `few`: only
-    // as many steps as it nearly always takes.
+    // An internal force strictly inside the cones, in x: infeasible-start Newton from the axes; false without force closure.
+    // `few`: only as many steps as it nearly always takes.
     bool internal_force(bool few = false) {
-        const auto plain = [&] {
-            if (!system.assemble(cones, x)) return false;
-            system.direction(cones, system.multipliers(system.made), step_);
-            return true;
-        };
-        const auto careful = [&] {  // the barrier and any part of the price
-            if (!steep.assemble(cones, x, cones.wrench(x), step_, centring_)) return false;
+        const auto plain = [&](Vec6& missed) { return system.internal_step(cones, x, missed, step_); };
+        const auto careful = [&](Vec6& missed) {  // the barrier and any part of the price
+            if (!steep.assemble(cones, x, missed = cones.wrench(x), step_, centring_)) return false;
             const double part = reachable(0.0);
             for (int b = 0; b < int(x.size()); ++b) step_[b] = all<V>(part) * step_[b] + centring_[b];
             return true;
         };
-        return balance_inside(plain, few ? FEW_STEPS : MANY_STEPS) || (!few && balance_inside(careful, MANY_STEPS));
+        return balance_inside(cones, x, step_, x, few ? FEW_STEPS : MANY_STEPS, plain) ||
+               (!few && balance_inside(cones, x, step_, x, MANY_STEPS, careful));
+    }
+    // The same as long as costs least, into `rest`.
+    bool find_rest(Field& rest, bool few = false) {
+        if (!internal_force(few)) return false;
+        const V scale = all<V>(squeeze(cones, x));
+        for (int b = 0; b < int(x.size()); ++b) rest[b] = scale * x[b];
+        return true;
     }
 
     // What is claimed of x is checked of the force that is returned: balance, cones, gap.
@@ -181,8 +199,8 @@ public:
         if (at.iterations > 0) cones.balance(x, left);  // what rounding left of G x + w
         cones.certify(x, left, record);
         if (!(s.margin > 0.0 && cones.balanced(x, w, s.residual)) && !Rows::turns) mend(safe, w, record);
-        s.objective = cones.phi(x, rows), s.lower_bound = at.bound, s.multipliers = cones.unit.pull_back(at.nu);
-        if (std::abs(s.objective - at.value) <= ROUNDED * at.value) s.objective = at.value;
+        s.objective = By::again(cones.phi(x, rows), at.value), s.lower_bound = at.bound,
+        s.multipliers = cones.unit.pull_back(at.nu);
         if (!cones.balanced(x, w, s.residual) || (code == CONVERGED && !certified(s.objective, at))) code = STALLED;
         s.code = code, s.iterations = at.iterations, s.trials = at.trials, s.limit_excess = 0.0;
         std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
@@ -196,9 +214,7 @@ private:
     static constexpr int REFINEMENTS = 3;
     static constexpr int PATIENCE = Rows::any ? 80 : 40;  // whole descents take half, unless they crawl along a surface
     static constexpr int LONGEST = 400;        // the same along the central path: 40 but where hardly any force is inside
-    static constexpr int FEW_STEPS = 20, MANY_STEPS = 200;  // towards an internal force, which five find, and eleven of 99 %
     static constexpr double AHEAD = 3.0;       // times the part of the price to which x is nearest
-    static constexpr double ROUNDED = 1e-13;   // part of Phi
     static constexpr double MISSED = 1e-8;     // part of wrench and force by which a given start may miss balance
     Field step_, begun_, best_, centring_;
 
@@ -307,22 +323,6 @@ private:
             for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
             at.value = cones.phi(x);
         }
-    }
-
-    template <class F> bool balance_inside(F&& find, int most) {
-        for (int b = 0; b < int(x.size()); ++b)
-            x[b] = {sqrt(cones.blocks[b].weights.lambda / cones.blocks[b].weights.omega), V{}, V{}};
-        for (int iteration = 0; iteration < most; ++iteration) {
-            const double force = cones.largest_normal(x), missed = size(cones.wrench(x));
-            if (!(force < LARGEST) || !find()) return false;
-            if (missed < 1e-9 * force && cones.largest_normal(step_) < 1e-2 * force) {
-                cones.balance(x, Vec6{});
-                return cones.phi(x) < infinity;
-            }
-            const double reach = cones.reach(x, step_), alpha = reach > 0.0 ? std::min(1.0, 0.9 / reach) : 1.0;
-            for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
-        }
-        return false;
     }
 
     // The largest part of the price that a whole step of `follow` may go to: no less than that to which x is nearest, nor far

@@ -27,8 +27,11 @@ public:
     V value{}, bound{}, iterations{}, trials{};
     Six<V> wrench{}, nu{};  // unit frame: what is balanced; multipliers
 
+    NewtonLanes(int count, const Stop& options, double fraction = SHORT)
+        : options(options), cones(count), x(cones.field()), fraction_(fraction), system_(cones), step_(cones.field()) {}
+    // All on the contacts of one.
     template <class C, int B> NewtonLanes(const Cones<C, B>& contacts, const Stop& options, double fraction = SHORT)
-        : options(options), cones(contacts.count), x(cones.field()), fraction_(fraction), system_(cones), step_(cones.field()) {
+        : NewtonLanes(contacts.count, options, fraction) {
         cones.spread(contacts);
     }
 
@@ -37,6 +40,13 @@ public:
         cones.load(start, x, lane);
         for (int r = 0; r < 6; ++r) set(wrench[r], lane, w[r]);
         set(value, lane, phi), set(bound, lane, -infinity), set(iterations, lane, 0.0), set(trials, lane, 0.0);
+    }
+
+    // All of them at once; which have a start.
+    Mask begin(const Field& start, const Six<V>& w) {
+        x = start, wrench = w;
+        value = cones.phi(x), bound = V(-infinity), iterations = trials = V{};
+        return value < infinity;
     }
 
     Vec6 wrench_of(int lane) const { return of(wrench, lane); }
@@ -114,9 +124,16 @@ public:
     V iterations{};
     Six<V> minus{};  // of the wrenches, unit frame, of size 1
 
+    ConicLanes(int count, const Stop& options) : options(options), steps(count) {}
     template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const Stop& options)
-        : options(options), steps(contacts.count) {
+        : ConicLanes(contacts.count, options) {
         steps.cones.spread(contacts);
+    }
+
+    // All of them at once, each from its own internal force; which are not solved by that.
+    Mask begin() {
+        steps.start(minus), iterations = V{};
+        return steps.gap > options.tolerance * steps.price;
     }
 
     // The start of a problem; its last iterate, returning how many it took.
@@ -222,6 +239,23 @@ void newton_many(NewtonOn<V, B>& one, const Many& many, Begin&& begin, Alone&& a
         if (!closed) alone(k, record);
     };
     run(lanes, many.count, enter, leave);
+}
+
+// The same from an internal force strictly inside the cones.
+template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const Many& many) {
+    const int count = one.cones.count;
+    const auto alone = [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); };
+    if (many.count < FEW) {
+        for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
+        return;
+    }
+    const auto start = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
+        record.summary().code = REFUSED;
+        w = one.cones.unit.of(many.wrench(k));
+        begin(one.cones, rest, w, one.x);
+        return sane_wrench(many.wrench(k));
+    };
+    newton_many(one, many, start, alone);
 }
 
 // The same from the combination, or from the previous solutions.

@@ -67,6 +67,14 @@ public:
         return sums(moved);
     }
 
+    // The Newton step to balance without a wrench, and what x misses of it; false where there is none.
+    auto internal_step(const Cones<V, B>& cones, const Field& x, Six<S>& missed, Field& step) {
+        const auto good = assemble(cones, x);
+        missed = made;
+        direction(cones, multipliers(missed), step);
+        return good;
+    }
+
     struct Step { S decrement, reach; };  // squared Newton decrement, 1 / (largest step inside the cones)
 
     // The Newton step at x, where Phi is `value`, with multipliers nu; x misses balance by `left`. Forces at very different depths

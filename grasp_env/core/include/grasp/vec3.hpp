@@ -26,6 +26,11 @@ template <class T> inline Vec3<T> cross(const Vec3<T>& a, const Vec3<T>& b) {
     return {a.o * b.t - a.t * b.o, a.t * b.u - a.u * b.t, a.u * b.o - a.o * b.u};
 }
 
+// Triple by triple.
+template <class T, class Which> inline Vec3<T> select(const Which& which, const Vec3<T>& a, const Vec3<T>& b) {
+    return {select(which, a.u, b.u), select(which, a.o, b.o), select(which, a.t, b.t)};
+}
+
 template <class T> struct Sym3 {
     T uu, uo, ut, oo, ot, tt;
     Vec3<T> operator*(const Vec3<T>& y) const {
