@@ -561,6 +561,24 @@ private:
         return true;
     }
 
+    // What is given, into force_ and least_; whether it is balanced and strictly inside the cones.
+    bool load_given(const Ask& ask) {
+        const std::size_t all = home_.count;
+        if (ask.force.size() != 3 * all || (!ask.torsion.empty() && ask.torsion.size() != all)) return false;
+        double most = 0.0;
+        for (int i = 0; i < now_.count; ++i) {
+            const double* f = &ask.force[3 * chosen_[i]];
+            std::copy_n(f, 3, &force_[3 * i]);
+            least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
+            if (least_[i] != 0.0 && !(divisor_[i] * std::abs(least_[i]) < now_.scale[3 * i] * f[0])) return false;
+            for (int a = 0; a < 3; ++a) most = std::max(most, std::abs(f[a]));
+        }
+        newton_.cones.load_force(force_.data(), newton_.x);
+        if (!newton_.cones.sane(newton_.x) || !(newton_.cones.phi(newton_.x) < infinity)) return false;
+        const double missed = general_.missed(ask.wrench, force_.data(), least_.data());
+        return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(newton_.cones.unit.of(ask.wrench)));
+    }
+
     // What the model predicts, and no more Phi than the method's own start has; better than a previous solution where one is given.
     bool predict(const Ask& ask, const Vec6& w) {
         if (now_.count != home_.count) return false;
@@ -705,19 +723,18 @@ private:
         } else {
             Call call = call_of(ask, From::combination);
             const Start start = asked(ask);
-            replaced_ = false;
+            used_ = Start::phase_one;
             if (start == Start::given) {
-                for (int i = 0; i < now_.count; ++i) {
-                    std::copy_n(&ask.force[3 * chosen_[i]], 3, &force_[3 * i]);
-                    least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
-                }
-                call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
+                if (!load_given(ask)) return REFUSED;
+                used_ = start, call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
             } else if (start == Start::previous && load_previous(ask)) {
                 const Record before(const_cast<double*>(ask.previous));
                 for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
-                call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
+                used_ = start, call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
             }
-            used_ = call.start == From::given ? Start::given : call.start == From::tangent ? Start::previous : Start::phase_one;
+            const bool own = start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous);
+            replaced_ = !own && (used_ == Start::phase_one || !general_.starts_from(call));
+            if (replaced_) used_ = Start::phase_one, call.start = From::combination;
             general_.phi(call, newton_.options, record);
         }
         if (options_.elastic && record.code() == INFEASIBLE) return general_.excess(newton_.options, record);
@@ -762,6 +779,7 @@ private:
         }
         if (joints_) torques(from, out.torques());
         if (limits_.rows) price(optimum && code != LIMITS_EXCEEDED, from, out);
+        if (code == LIMITS_EXCEEDED) s.objective = s.limit_excess;
         return code;
     }
     void torques(const Record& from, double* to) const {
@@ -800,7 +818,6 @@ private:
                 if (priced) *to = row_price(row, from);
         }
         out.summary().limit_excess = excess;
-        if (!priced) out.summary().objective = excess;
     }
     // Of the k-th row of the contacts of now: what an optimum's is.
     double row_price(int k, const Record& from) const {

@@ -86,6 +86,11 @@ public:
         return found.code == INFEASIBLE ? refute(found, wrench.data(), record) : record.code();
     }
 
+    // Whether the start of a call is strictly inside, so that `phi` begins there.
+    bool starts_from(const Call& call) {
+        const Arena::Use use(arena_);
+        return starts(call);
+    }
     // The least Phi. From::given: from the call's force and torsion where they are balanced and strictly inside; From::tangent, pseudoinverse:
     // from what is nearest to them, balanced, where that is strictly inside; else from the deepest force. INFEASIBLE, UNDECIDED: as `conic`.
     Code phi(const Call& call, const Stop& options, const Record& record) {
