@@ -590,6 +590,7 @@ private:
         Field& x = newton_.x;
         if (home_now_) {
             predicted_->force(cones, ask.wrench, w, x);
+            if (flow_) cones.balance(x, w);  // a flow keeps what a start misses: the model's internal forces may be of other contacts
         } else {  // the internal force that it predicts turns with the contacts
             for (auto& v : begun_) v = {V{}, V{}, V{}};
             predicted_->add(ask.wrench, begun_);
