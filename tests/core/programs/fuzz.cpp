@@ -256,7 +256,8 @@ void check(const Given& g, const double* wrench, const Options& options, const R
         if (!(std::abs(phi - s.objective) <= sure * std::abs(phi) || std::abs(phi - s.objective) < 1e-300))
             fail("an objective", record, phi - s.objective);
     }
-    if (!(s.lower_bound <= (1.0 + 1e-6) * s.objective || s.lower_bound < 1e-300)) fail("a bound above a force", record, s.objective - s.lower_bound);
+    const double digits = at.spread < 100.0 ? 1e-6 : 1e-3;  // contacts a million kilometres apart leave few
+    if (!(s.lower_bound <= (1.0 + digits) * s.objective || s.lower_bound < 1e-300)) fail("a bound above a force", record, s.objective - s.lower_bound);
     if (code == CONVERGED && !(s.objective - s.lower_bound <= 1.01 * std::max(options.gap(), 1e-12) * s.lower_bound) && s.objective != 0.0)
         fail("converged, not certified", record, s.objective - s.lower_bound);
 }
@@ -535,7 +536,7 @@ int main(int given, char** arguments) {
     const long count = std::atol(arguments[2]);
     std::vector<std::uint8_t> bytes;
     for (long k = 0; k < count; ++k) {
-        bytes.resize(700);
+        bytes.resize(2000);
         for (std::uint8_t& byte : bytes)
             state = state * 6364136223846793005u + 1442695040888963407u, byte = std::uint8_t(state >> 56);
         std::FILE* last = std::getenv("GRASP_FUZZ_LAST") ? std::fopen(std::getenv("GRASP_FUZZ_LAST"), "wb") : nullptr;

@@ -142,24 +142,9 @@ public:
     }
 
     Code start(const Ask& ask, double* row) override {
-        const Record out = opened(ask, row), record = inner();
+        const Record out = opened(ask, row);
         Code code = place(ask.now);
-        if (code == CONVERGED && !sane_wrench(ask.wrench)) code = REFUSED;
-        if (code == CONVERGED && planned(options_, kind_) == Algorithm::general) {
-            record.clear();
-            code = general(ask, record, {options_.gap(), 0});
-            if (code == CONVERGED || code == STALLED) code = LIMIT;
-        } else if (code == CONVERGED) {
-            const Vec6 w = newton_.cones.unit.of(ask.wrench);
-            code = begin(ask, w);
-            if (code == CONVERGED) {
-                newton_.cones.store_force(newton_.x, record.initial_force());
-                newton_.cones.certify(newton_.x, w, record);
-                record.summary().objective = newton_.cones.phi(newton_.x), record.summary().lower_bound = -infinity;
-                std::fill_n(record.torsion(), now_.count, 0.0);
-                code = LIMIT;
-            }
-        }
+        if (code == CONVERGED) code = sane_wrench(ask.wrench) ? begun(ask, inner()) : REFUSED;
         return deliver(code, out, false);
     }
 
@@ -614,6 +599,26 @@ private:
         }
         if (replaced_) used_ = from;
         return true;
+    }
+
+    // The start of what would serve the call, as a record.
+    Code begun(const Ask& ask, const Record& record) {
+        record.clear();
+        const Vec6 w = newton_.cones.unit.of(ask.wrench);
+        const bool general_serves = planned(options_, kind_) == Algorithm::general ||
+                                    (kind_ == Kind::soft && asked(ask) == Start::given);
+        const Code code = general_serves ? UNDECIDED : begin(ask, w);
+        if (code == CONVERGED) {
+            newton_.cones.store_force(newton_.x, record.initial_force());
+            newton_.cones.certify(newton_.x, w, record);
+            record.summary().objective = newton_.cones.phi(newton_.x), record.summary().lower_bound = -infinity;
+            return LIMIT;
+        }
+        if (code == INFEASIBLE && kind_ != Kind::soft) return refuted(w, record);
+        if (code == REFUSED) return REFUSED;
+        if (flow_) return code;
+        const Code made = general(ask, record, {options_.gap(), 0});
+        return made == CONVERGED || made == STALLED ? LIMIT : made;
     }
 
     // --- algorithms
