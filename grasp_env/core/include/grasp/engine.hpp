@@ -579,13 +579,12 @@ private:
         Field& x = newton_.x;
         if (home_now_) {
             predicted_->force(cones, ask.wrench, w, x);
-            if (flow_) cones.balance(x, w);  // a flow keeps what a start misses: the model's internal forces may be of other contacts
         } else {  // the internal force that it predicts turns with the contacts
             for (auto& v : begun_) v = {V{}, V{}, V{}};
             predicted_->add(ask.wrench, begun_);
             starter.turn(cones, begun_, home_tangents_, x);
-            cones.balance(x, w);
         }
+        cones.balance(x, w);  // whatever the model's file says internal forces are
         const double safe = cones.phi(spare_), said = cones.phi(x);
         const double share = said <= safe ? 1.0 : starter.segment(cones, spare_, x);
         replaced_ = !(share > 0.0) && dot(w, w) > 0.0;
