@@ -383,9 +383,9 @@ private:
                                             4, internal()) == Placing::good;
         return general_ready_;
     }
-    // An internal force as the general program takes one; null: not sought, or none.
+    // An internal force as the general program takes one, whatever was sought before; null: none.
     const double* internal() {
-        if (!has_rest_ || torsional()) return nullptr;
+        if (torsional() || !rest(options_.method == Method::conic)) return nullptr;
         newton_.cones.store_force(rest_, force_.data());
         return force_.data();
     }
