@@ -78,7 +78,7 @@ public:
                 if (!(value >= 0.0)) throw std::invalid_argument("limits must be numbers >= 0");
         for (const auto* each : {&jacobian, &torque_bias})
             for (double value : *each)
-                if (!(std::abs(value) < infinity)) throw std::invalid_argument("the jacobian and torque_bias must be finite");
+                if (!(std::abs(value) <= LARGEST)) throw std::invalid_argument("the jacobian and torque_bias must be finite, up to 1e12");
         rows = view().many();
     }
     std::size_t joints() const { return torque_limit.size(); }
@@ -333,9 +333,9 @@ private:
         }
         if (!limits_.rows) return true;
         for (double value : jacobian_)
-            if (!(std::abs(value) < infinity)) return false;
+            if (!(std::abs(value) <= LARGEST)) return false;
         for (double value : bias_)
-            if (!(std::abs(value) < infinity)) return false;
+            if (!(std::abs(value) <= LARGEST)) return false;
         const bool own = table_.fill(now_, of_now(), 4);
         if (soft) return true;
         kind_ = own ? Kind::limited : Kind::other;
