@@ -252,6 +252,9 @@ class ForceOptimizer:
             solution = self._solve(wrench, positions, normals, friction, jacobian, torque_bias, contacts)
             if solution is not None:
                 return solution
+            row = self.core.ended
+            if row is not None and row[CODE] == INFEASIBLE:
+                raise InfeasibleWrenchError("", ForceSolution(row, self.method, STARTS[int(row[START])]))
         now = (positions, normals, friction, jacobian, torque_bias, contacts)
         return self._solve_checked(wrench, now, initial, optimum, trace)
 
