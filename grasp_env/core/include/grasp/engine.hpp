@@ -702,17 +702,27 @@ private:
                     std::copy_n(&ask.force[3 * chosen_[i]], 3, &force_[3 * i]);
                     least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
                 }
+                if (!is_start(ask, force_.data(), least_.data())) return used_ = start, REFUSED;
                 call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
             } else if (start == Start::previous && load_previous(ask)) {
                 const Record before(const_cast<double*>(ask.previous));
                 for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
                 call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
             }
-            used_ = call.start == From::given ? Start::given : call.start == From::tangent ? Start::previous : Start::phase_one;
             general_.phi(call, newton_.options, record);
+            used_ = general_.begun() ? start : Start::phase_one, replaced_ = used_ != start && call.force;
         }
         if (options_.elastic && record.code() == INFEASIBLE) return general_.excess(newton_.options, record);
         return record.code();
+    }
+
+    // Whether a force with its torsion is balanced and strictly inside the cones.
+    bool is_start(const Ask& ask, const double* force, const double* torsion) {
+        double size = grasp::size(newton_.cones.unit.of(ask.wrench));
+        for (int j = 0; j < 3 * now_.count; ++j) size = std::max(size, std::abs(force[j]));
+        newton_.cones.load_force(force, newton_.x);
+        return newton_.cones.margin(newton_.x) > 0.0 &&
+               general_.missed(ask.wrench, force, torsion) <= General::BALANCE_TOLERANCE * size;
     }
 
     // --- the answer
