@@ -136,7 +136,11 @@ class ForceOptimizer:
         elif is_rule(initial, LearnedRule):
             try:
                 model, start = call_rule(initial, initial.model, grasp, options.objective), LEARNED
-            except InfeasibleStartError:  # contacts that it does not know: solutions say that it was replaced
+                instance(model, core.Model, f"what initial-force rule {rule_name(initial)!r} predicts with")
+            except InfeasibleStartError as error:
+                if error.__cause__ is not None:  # a fault of the rule's
+                    raise
+                # contacts that it does not know: solutions say that it was replaced
                 names = tuple(start_name(name, asked, True, False) for name in names)
         self.compiled = initial is None or start > 0 or is_rule(initial, LearnedRule)
         weights = options.objective
