@@ -93,7 +93,7 @@ public:
         : options_(options), home_(problem.contacts), now_(home_), limits_(problem.limits, home_.count),
           joints_(int(limits_.joints())), newton_(home_.count, {options.gap(), options.limit}),
           conic_(home_.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}), home_tangents_(newton_.cones),
-          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()),
+          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()), foreseen_(newton_.cones.field()),
           general_(home_.count, limits_.rows, home_.soft()), inner_(record_size(home_.count)), turned_(4 * home_.count * joints_),
           force_(3 * home_.count), gathered_(6 * home_.count), divisor_(home_.count, infinity), chosen_(home_.count) {
         if (home_.placing == Placing::refused || home_.placing == Placing::rank_lost)
@@ -213,7 +213,7 @@ private:
     std::optional<FlowOn<V, B>> flow_;
     std::optional<Prediction<V, B>> predicted_;
     Tangents<V, B> home_tangents_;
-    Field rest_, begun_, spare_;  // an internal force; where a descent begins; to work with
+    Field rest_, begun_, spare_, foreseen_;  // an internal force; where a descent begins; to work with; what a model predicts
     General general_;
     LimitTable table_;
     std::vector<double> inner_, turned_, force_, gathered_, divisor_;
@@ -316,7 +316,7 @@ private:
         const auto clear = [](Field& x) {
             for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
         };
-        clear(newton_.x), clear(begun_), clear(spare_), clear(rest_);
+        clear(newton_.x), clear(begun_), clear(spare_), clear(rest_), clear(foreseen_);
         if (limited_) clear(limited_->newton.x);
         if (soft_) clear(soft_->newton.x);
     }
@@ -575,10 +575,10 @@ private:
         const Start from = used_;
         if (!replaced_) used_ = Start::learned;
         if (ask.previous) {
-            begun_ = x;
+            foreseen_ = x;  // the others are where it works
             const Start now = used_;
-            if (carry(ask, w) && cones.phi(newton_.x) < cones.phi(begun_)) used_ = Start::previous, replaced_ = false;
-            else newton_.x = begun_, used_ = now;
+            if (carry(ask, w) && cones.phi(newton_.x) < cones.phi(foreseen_)) used_ = Start::previous, replaced_ = false;
+            else newton_.x = foreseen_, used_ = now;
         }
         if (replaced_) used_ = from;
         return true;
