@@ -434,8 +434,10 @@ private:
                 break;
             default: return standard(ask, w);
         }
-        replaced_ = true;
-        return standard(ask, w);
+        const Code code = standard(ask, w);
+        const bool named = ask.start != Start::standard || options_.start != Start::standard;
+        replaced_ = named || used_ != Start::phase_one;  // without force closure phase one is the method's own
+        return code;
     }
     // The method's own start, or where the contacts have no force closure any force inside.
     Code standard(const Ask& ask, const Vec6& w) {
