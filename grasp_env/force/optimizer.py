@@ -134,14 +134,14 @@ class ForceOptimizer:
         elif is_a(initial, str):
             start = STARTS.index(initial)
         elif is_rule(initial, LearnedRule):
+            start = LEARNED
             try:
-                model, start = call_rule(initial, initial.model, grasp, options.objective), LEARNED
+                model = call_rule(initial, initial.model, grasp, options.objective)
                 instance(model, core.Model, f"what initial-force rule {rule_name(initial)!r} predicts with")
             except InfeasibleStartError as error:
                 if error.__cause__ is not None:  # a fault of the rule's
                     raise
-                # contacts that it does not know: solutions say that it was replaced
-                names = tuple(start_name(name, asked, True, False) for name in names)
+                # else contacts that it does not know: without a model the core replaces it, and says so
         self.compiled = initial is None or start > 0 or is_rule(initial, LearnedRule)
         weights = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float

@@ -115,8 +115,6 @@ public:
         if (options.model) {
             if (!options.model->fits(home_.count)) throw std::invalid_argument("the model is for another number of contacts");
             predicted_.emplace(newton_.cones, *options.model);
-        } else if (options.start == Start::learned) {
-            throw std::invalid_argument("a learned start needs a model");
         }
         if (needs_basis()) make_basis();
     }
