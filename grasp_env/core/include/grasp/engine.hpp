@@ -93,7 +93,7 @@ public:
         : options_(options), home_(problem.contacts), now_(home_), limits_(problem.limits, home_.count),
           joints_(int(limits_.joints())), newton_(home_.count, {options.gap(), options.limit}),
           conic_(home_.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}), home_tangents_(newton_.cones),
-          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()),
+          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()), foreseen_(newton_.cones.field()),
           general_(home_.count, limits_.rows, home_.soft()), inner_(record_size(home_.count)), turned_(4 * home_.count * joints_),
           force_(3 * home_.count), gathered_(6 * home_.count), divisor_(home_.count, infinity), chosen_(home_.count) {
         if (home_.placing == Placing::refused || home_.placing == Placing::rank_lost)
@@ -115,8 +115,6 @@ public:
         if (options.model) {
             if (!options.model->fits(home_.count)) throw std::invalid_argument("the model is for another number of contacts");
             predicted_.emplace(newton_.cones, *options.model);
-        } else if (options.start == Start::learned) {
-            throw std::invalid_argument("a learned start needs a model");
         }
         if (needs_basis()) make_basis();
     }
@@ -213,7 +211,7 @@ private:
     std::optional<FlowOn<V, B>> flow_;
     std::optional<Prediction<V, B>> predicted_;
     Tangents<V, B> home_tangents_;
-    Field rest_, begun_, spare_;  // an internal force; where a descent begins; to work with
+    Field rest_, begun_, spare_, foreseen_;  // an internal force; where a descent begins; to work with; what a model predicts
     General general_;
     LimitTable table_;
     std::vector<double> inner_, turned_, force_, gathered_, divisor_;
@@ -316,7 +314,7 @@ private:
         const auto clear = [](Field& x) {
             for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
         };
-        clear(newton_.x), clear(begun_), clear(spare_), clear(rest_);
+        clear(newton_.x), clear(begun_), clear(spare_), clear(rest_), clear(foreseen_);
         if (limited_) clear(limited_->newton.x);
         if (soft_) clear(soft_->newton.x);
     }
@@ -434,8 +432,10 @@ private:
                 break;
             default: return standard(ask, w);
         }
-        replaced_ = true;
-        return standard(ask, w);
+        const Code code = standard(ask, w);
+        const bool named = ask.start != Start::standard || options_.start != Start::standard;
+        replaced_ = named || used_ != Start::phase_one;  // without force closure phase one is the method's own
+        return code;
     }
     // The method's own start, or where the contacts have no force closure any force inside.
     Code standard(const Ask& ask, const Vec6& w) {
@@ -575,10 +575,10 @@ private:
         const Start from = used_;
         if (!replaced_) used_ = Start::learned;
         if (ask.previous) {
-            begun_ = x;
+            foreseen_ = x;  // the others are where it works
             const Start now = used_;
-            if (carry(ask, w) && cones.phi(newton_.x) < cones.phi(begun_)) used_ = Start::previous, replaced_ = false;
-            else newton_.x = begun_, used_ = now;
+            if (carry(ask, w) && cones.phi(newton_.x) < cones.phi(foreseen_)) used_ = Start::previous, replaced_ = false;
+            else newton_.x = foreseen_, used_ = now;
         }
         if (replaced_) used_ = from;
         return true;
@@ -702,17 +702,27 @@ private:
                     std::copy_n(&ask.force[3 * chosen_[i]], 3, &force_[3 * i]);
                     least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
                 }
+                if (!is_start(ask, force_.data(), least_.data())) return used_ = start, REFUSED;
                 call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
             } else if (start == Start::previous && load_previous(ask)) {
                 const Record before(const_cast<double*>(ask.previous));
                 for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
                 call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
             }
-            used_ = call.start == From::given ? Start::given : call.start == From::tangent ? Start::previous : Start::phase_one;
             general_.phi(call, newton_.options, record);
+            used_ = general_.begun() ? start : Start::phase_one, replaced_ = used_ != start && call.force;
         }
         if (options_.elastic && record.code() == INFEASIBLE) return general_.excess(newton_.options, record);
         return record.code();
+    }
+
+    // Whether a force with its torsion is balanced and strictly inside the cones.
+    bool is_start(const Ask& ask, const double* force, const double* torsion) {
+        double size = grasp::size(newton_.cones.unit.of(ask.wrench));
+        for (int j = 0; j < 3 * now_.count; ++j) size = std::max(size, std::abs(force[j]));
+        newton_.cones.load_force(force, newton_.x);
+        return newton_.cones.margin(newton_.x) > 0.0 &&
+               general_.missed(ask.wrench, force, torsion) <= General::BALANCE_TOLERANCE * size;
     }
 
     // --- the answer

@@ -93,7 +93,8 @@ public:
         record.clear();
         record.summary().code = REFUSED;
         if (!sane_wrench(call.wrench)) return REFUSED;
-        if (!starts(call)) {
+        begun_ = starts(call);
+        if (!begun_) {
             const Deepest found = begin(call.wrench);
             if (found.code != CONVERGED) return refute(found, call.wrench, record);
         }
@@ -115,6 +116,9 @@ public:
         made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
         return take(made, record);
     }
+
+    // Whether the last `phi` began from the call's force.
+    bool begun() const { return begun_; }
 
     // Where a record says INFEASIBLE: in its place the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED, where there
     // is one.
@@ -248,6 +252,7 @@ private:
     Arena arena_;
     std::optional<Now> now_;
     std::optional<Program> program_;
+    bool begun_ = false;
 
     static std::size_t taken(std::size_t bytes) { return bytes <= LARGEST_ROOM ? bytes : 0; }
     static bool soft(double divisor) { return divisor > 0.0 && divisor < infinity; }
