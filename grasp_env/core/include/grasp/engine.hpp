@@ -118,7 +118,11 @@ public:
         }
         if (needs_basis()) make_basis();
     }
-    std::unique_ptr<Engine> clone() const override { return std::make_unique<EngineOn>(*this); }
+    std::unique_ptr<Engine> clone() const override {
+        auto made = std::make_unique<EngineOn>(*this);
+        made->settle();  // with room for all contacts, whichever touched last, and nothing of the numbers of this one or its call
+        return made;
+    }
     const Contacts& home() const override { return home_; }
     int size() const override { return record_size(home_.count, joints_, limits_.rows); }
 
@@ -150,13 +154,14 @@ public:
                 code = LIMIT;
             }
         }
-        return deliver(code, out);
+        return deliver(code, out, false);
     }
 
     void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) override {
         const auto alone = [&](std::ptrdiff_t k) { solve({.wrench = wrenches + 6 * k}, rows + size() * k); };
+        const bool placed = place({}) == CONVERGED;
         const auto algorithm = planned(options_, kind_);
-        const bool side_by_side = count >= FEW && home_now_ && placed_ == CONVERGED && options_.start == Start::standard &&
+        const bool side_by_side = count >= FEW && placed && options_.start == Start::standard &&
                                   (algorithm == Algorithm::newton || algorithm == Algorithm::conic) && rest();
         if (!side_by_side) {
             for (std::ptrdiff_t k = 0; k < count; ++k) alone(k);
@@ -255,17 +260,21 @@ private:
     // The problem's own contacts and limits.
     void settle() {
         home_now_ = false;
+        if (limited_) limited_->newton.rows.reserve(newton_.cones, std::min(limits_.rows, LimitTable::MOST_ROWS));
         place({});
         home_tangents_.load(home_.frames.data(), home_.count);
     }
 
     // CONVERGED: all of it is in its place.
     Code place(const Now& now) {
-        const bool plain = now.empty();
+        Now given = now;
+        if (touching(now.contacts) == touching(~std::uint64_t(0))) given.contacts = ~std::uint64_t(0);
+        const bool plain = given.empty();
         if (plain && home_now_) return placed_;
         home_now_ = plain;
         return placed_ = take(now);
     }
+    std::uint64_t touching(std::uint64_t mask) const { return home_.count < 64 ? mask & ((std::uint64_t(1) << home_.count) - 1) : mask; }
     Code take(const Now& now) {
         conic_ready_ = general_ready_ = flow_ready_ = rest_sought_ = has_rest_ = false;
         const int all = home_.count;
@@ -276,8 +285,8 @@ private:
             return REFUSED;
         const double* positions = now.positions.empty() ? home_.positions.data() : now.positions.data();
         const double* normals = now.normals.empty() ? home_.normals.data() : now.normals.data();
-        const std::uint64_t every = all < 64 ? (std::uint64_t(1) << all) - 1 : ~std::uint64_t(0), mask = now.contacts & every;
-        if (mask == every) {
+        const std::uint64_t mask = touching(now.contacts);
+        if (mask == touching(~std::uint64_t(0))) {
             for (int i = 0; i < all; ++i) chosen_[i] = i;
             now_.select(home_, {chosen_.data(), std::size_t(all)});
         } else {
@@ -552,6 +561,24 @@ private:
         return true;
     }
 
+    // What is given, into force_ and least_; whether it is balanced and strictly inside the cones.
+    bool load_given(const Ask& ask) {
+        const std::size_t all = home_.count;
+        if (ask.force.size() != 3 * all || (!ask.torsion.empty() && ask.torsion.size() != all)) return false;
+        double most = 0.0;
+        for (int i = 0; i < now_.count; ++i) {
+            const double* f = &ask.force[3 * chosen_[i]];
+            std::copy_n(f, 3, &force_[3 * i]);
+            least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
+            if (least_[i] != 0.0 && !(divisor_[i] * std::abs(least_[i]) < now_.scale[3 * i] * f[0])) return false;
+            for (int a = 0; a < 3; ++a) most = std::max(most, std::abs(f[a]));
+        }
+        newton_.cones.load_force(force_.data(), newton_.x);
+        if (!newton_.cones.sane(newton_.x) || !(newton_.cones.phi(newton_.x) < infinity)) return false;
+        const double missed = general_.missed(ask.wrench, force_.data(), least_.data());
+        return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(newton_.cones.unit.of(ask.wrench)));
+    }
+
     // What the model predicts, and no more Phi than the method's own start has; better than a previous solution where one is given.
     bool predict(const Ask& ask, const Vec6& w) {
         if (now_.count != home_.count) return false;
@@ -696,39 +723,28 @@ private:
         } else {
             Call call = call_of(ask, From::combination);
             const Start start = asked(ask);
-            replaced_ = false;
+            used_ = Start::phase_one;
             if (start == Start::given) {
-                for (int i = 0; i < now_.count; ++i) {
-                    std::copy_n(&ask.force[3 * chosen_[i]], 3, &force_[3 * i]);
-                    least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
-                }
-                if (!is_start(ask, force_.data(), least_.data())) return used_ = start, REFUSED;
-                call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
+                if (!load_given(ask)) return REFUSED;
+                used_ = start, call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
             } else if (start == Start::previous && load_previous(ask)) {
                 const Record before(const_cast<double*>(ask.previous));
                 for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
-                call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
+                used_ = start, call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
             }
+            const bool own = start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous);
+            replaced_ = !own && (used_ == Start::phase_one || !general_.starts_from(call));
+            if (replaced_) used_ = Start::phase_one, call.start = From::combination;
             general_.phi(call, newton_.options, record);
-            used_ = general_.begun() ? start : Start::phase_one, replaced_ = used_ != start && call.force;
         }
         if (options_.elastic && record.code() == INFEASIBLE) return general_.excess(newton_.options, record);
         return record.code();
     }
 
-    // Whether a force with its torsion is balanced and strictly inside the cones.
-    bool is_start(const Ask& ask, const double* force, const double* torsion) {
-        double size = grasp::size(newton_.cones.unit.of(ask.wrench));
-        for (int j = 0; j < 3 * now_.count; ++j) size = std::max(size, std::abs(force[j]));
-        newton_.cones.load_force(force, newton_.x);
-        return newton_.cones.margin(newton_.x) > 0.0 &&
-               general_.missed(ask.wrench, force, torsion) <= General::BALANCE_TOLERANCE * size;
-    }
-
     // --- the answer
 
-    // What `inner` holds, as a row of all contacts.
-    Code deliver(Code code, const Record& out) {
+    // What `inner` holds, as a row of all contacts. optimum: whether limits have prices there.
+    Code deliver(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
         const int all = home_.count;
         const bool whole = code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED;
@@ -762,7 +778,8 @@ private:
             }
         }
         if (joints_) torques(from, out.torques());
-        if (limits_.rows) price(code, from, out);
+        if (limits_.rows) price(optimum && code != LIMITS_EXCEEDED, from, out);
+        if (code == LIMITS_EXCEEDED) s.objective = s.limit_excess;
         return code;
     }
     void torques(const Record& from, double* to) const {
@@ -774,10 +791,9 @@ private:
             }
     }
     // The largest excess of a limit by the force that is returned, and the price of each.
-    void price(Code code, const Record& from, const Record& out) const {
+    void price(bool priced, const Record& from, const Record& out) const {
         double excess = 0.0, *to = out.prices();
         std::fill_n(to, limits_.rows, 0.0);
-        const bool priced = code != LIMITS_EXCEEDED;
         int row = 0;
         const auto normals = [&](const std::vector<double>& limits, double sign) {
             for (int i = 0, k = 0; i < int(limits.size()); ++i) {
@@ -802,7 +818,6 @@ private:
                 if (priced) *to = row_price(row, from);
         }
         out.summary().limit_excess = excess;
-        if (!priced) out.summary().objective = excess;
     }
     // Of the k-th row of the contacts of now: what an optimum's is.
     double row_price(int k, const Record& from) const {

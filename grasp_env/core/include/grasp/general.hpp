@@ -86,6 +86,11 @@ public:
         return found.code == INFEASIBLE ? refute(found, wrench.data(), record) : record.code();
     }
 
+    // Whether the start of a call is strictly inside, so that `phi` begins there.
+    bool starts_from(const Call& call) {
+        const Arena::Use use(arena_);
+        return starts(call);
+    }
     // The least Phi. From::given: from the call's force and torsion where they are balanced and strictly inside; From::tangent, pseudoinverse:
     // from what is nearest to them, balanced, where that is strictly inside; else from the deepest force. INFEASIBLE, UNDECIDED: as `conic`.
     Code phi(const Call& call, const Stop& options, const Record& record) {
@@ -93,8 +98,7 @@ public:
         record.clear();
         record.summary().code = REFUSED;
         if (!sane_wrench(call.wrench)) return REFUSED;
-        begun_ = starts(call);
-        if (!begun_) {
+        if (!starts(call)) {
             const Deepest found = begin(call.wrench);
             if (found.code != CONVERGED) return refute(found, call.wrench, record);
         }
@@ -116,9 +120,6 @@ public:
         made.summary().code = code == LIMIT && left > MORE_STEPS ? STALLED : code;
         return take(made, record);
     }
-
-    // Whether the last `phi` began from the call's force.
-    bool begun() const { return begun_; }
 
     // Where a record says INFEASIBLE: in its place the balanced force inside the cones that exceeds the limits least, LIMITS_EXCEEDED, where there
     // is one.
@@ -252,7 +253,6 @@ private:
     Arena arena_;
     std::optional<Now> now_;
     std::optional<Program> program_;
-    bool begun_ = false;
 
     static std::size_t taken(std::size_t bytes) { return bytes <= LARGEST_ROOM ? bytes : 0; }
     static bool soft(double divisor) { return divisor > 0.0 && divisor < infinity; }
