@@ -294,20 +294,31 @@ class ForceOptimizer:
             solution.initial = start_name(STARTS[COMBINATION], str(start.name), True, False)
         return solution
 
-    def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
+    def start(
+        self,
+        wrench: ArrayLike,
+        *,
+        positions: ArrayLike | None = None,
+        normals: ArrayLike | None = None,
+        friction: ArrayLike | None = None,
+        contacts: ArrayLike | None = None,
+        initial: Initial | None = None,
+    ) -> ContactForces:
         """The initial force (N, 3) [N] that `solve` would start from.
 
         Args:
             wrench: (6,) external wrench [N, N m].
+            positions, normals, friction, contacts: of this call, see `solve`.
             initial: a start for this call only.
 
         Raises:
             UnsupportedProblemError: the method starts from its own centre.
+            InvalidInputError, RankDeficientGraspError: see `solve`.
             InfeasibleWrenchError, InfeasibleStartError: see `optimize_force`.
         """
         if self.method == "conic":
             raise UnsupportedProblemError("method 'conic' takes no initial force")
-        load, now = as_wrench(wrench), (None,) * 6
+        load, now = as_wrench(wrench), self._now(positions, normals, friction, None, None, contacts)
         start = self._start(load, now, initial)
         row = self.core.start(start.start, start.force, start.torsion, start.before, load, *now)
         if row[CODE] != LIMIT:

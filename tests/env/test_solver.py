@@ -7,7 +7,7 @@ import pytest
 from golden.pipeline import pipeline_of
 from problems import PAPER_WRENCH, random_grasp
 
-from grasp_env.control.solver import CompiledPipeline
+from grasp_env.control.solver import ContactSolver
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceOptimizer, Repair, Status, phase_one
 from grasp_env.grasp import Grasp, null_space_basis, presets
@@ -77,7 +77,7 @@ def test_on_the_nominal_contacts_the_steps_of_the_general_path(count: int) -> No
     assert solution.lower_bound == pytest.approx(general.lower_bound, rel=1e-9)
 
 
-def run(pipeline: CompiledPipeline, count: int, seed: int, size: tuple[float, float]) -> list[np.ndarray]:
+def run(pipeline: ContactSolver, count: int, seed: int, size: tuple[float, float]) -> list[np.ndarray]:
     rng = np.random.default_rng(seed)
     forces = []
     for k in range(12):
