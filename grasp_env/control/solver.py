@@ -13,7 +13,7 @@ from grasp_env.config import EnvConfig
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import ForceOptimizer, ForceSolution, InitialForceRule, OfflineBasis, Repair
 from grasp_env.force.basis import core_contacts
-from grasp_env.force.record import CONTACTS, REFUSED, STALLED, record_size
+from grasp_env.force.record import REFUSED, STALLED, record_size, whole
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
 
@@ -100,9 +100,7 @@ class ContactSolver:
         self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None
     ) -> ForceSolution | None:
         """The core's call, where need be once more with the 12 optima of the contacts of now; None: it has no solution."""
-        count = self.grasp.n_contacts
-        row = np.zeros(self._optimizer.core.size)
-        record, frames = np.split(row, [record_size(count)])
+        record = np.zeros(record_size(self.grasp.n_contacts))
         code = self.core.solve(points, normals, wrench, adjust, record)
         if code == REFUSED:
             self.core.forget()
@@ -111,11 +109,7 @@ class ContactSolver:
                 basis = OfflineBasis.of(grasp, self.objective).cone_forces
                 self.core.set_basis(basis, np.ascontiguousarray(grasp.frames))
                 code = self.core.solve(points, normals, wrench, adjust, record)
-        if code > STALLED:
-            return None
-        row[CONTACTS] = count
-        frames[:] = self.frames.ravel()
-        return ForceSolution(row, self._optimizer.method, self._initial)
+        return None if code > STALLED else ForceSolution(whole(record, self.frames), self._optimizer.method, self._initial)
 
 
 def make_solver(grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule) -> ContactSolver:

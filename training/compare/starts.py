@@ -22,8 +22,8 @@ from grasp_env.force import (
     optimize_forces,
 )
 from grasp_env.force.basis import starter
-from grasp_env.force.initial import CompiledRule, asked, is_rule
-from grasp_env.force.record import FORCE, record_size
+from grasp_env.force.initial import LearnedRule, call_rule, is_rule
+from grasp_env.force.record import FORCE, record_size, whole
 from grasp_env.force.repair import Correction, carry_over
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
@@ -54,7 +54,7 @@ class Made:
 
     Attributes:
         start: for the trials.
-        options: of a `ForceOptimizer` that has it, for the clock.
+        options: of a `ForceOptimizer` that has it, for the clock; none: it is given the force.
     """
 
     start: Start
@@ -105,7 +105,7 @@ class Workshop:
                 raise DoesNotApply
             return carry_over(grasp, load, before, self.objective, correction)
 
-        return Made(start, {"initial": "previous", "correction": correction})
+        return Made(start, {"initial": "previous"} if correction == "tangent" else {})
 
     def nearest(self, correction: Correction) -> Made:
         """The solution stored for the nearest wrench, corrected; on the fixed grasp and those near it."""
@@ -139,15 +139,17 @@ class Workshop:
 
     def rule(self, rule: InitialForceRule) -> Made:
         """A saved model, where it knows the grasp, or any callable of a user."""
-        compiled = rule if is_rule(rule, CompiledRule) else None
+        remembers = is_rule(rule, LearnedRule) and rule.remembers
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
             if isinstance(rule, LearnedInitialForce):
                 require_near_fixed(grasp)
-            if compiled is None:
-                return asked(rule, rule, grasp, load.copy())
-            previous = as_solution(before) if compiled.remembers and before is not None else None
-            return asked(rule, compiled.start, grasp, load.copy(), self.objective, previous)[1]
+            if before is None or not remembers:
+                return call_rule(rule, rule, grasp, load.copy())
+            # of a flow: where neither prediction nor previous solution has less Phi, it is the paper's start
+            optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=rule, **phi_options(self.objective))
+            optimizer.previous = as_solution(grasp, before)
+            return optimizer.start(load)
 
         return Made(start, {"initial": rule})
 
@@ -233,11 +235,11 @@ def row_of(key: str) -> Row:
     return Row(name, name, GIVEN_COLOURS[0], lambda shop: shop.rule(shop.given[key]), main=True, dashed=True)
 
 
-def as_solution(force: ContactForces) -> ForceSolution:
-    """A force (N, 3) as a previous solution, of which starts read no more than that."""
+def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
+    """A force (N, 3) as a previous solution, of which starts read no more than that and the frames."""
     record = np.zeros(record_size(len(force)))
     record[FORCE : FORCE + force.size] = force.reshape(-1)
-    return ForceSolution(record, "carried", "previous")
+    return ForceSolution(whole(record, grasp.frames), "carried", "previous")
 
 
 class NetworkAlone:
