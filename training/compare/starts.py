@@ -98,14 +98,24 @@ class Workshop:
         return Made.of(initial_rule(name, self.objective), name)
 
     def previous(self, correction: Correction) -> Made:
-        """The previous solution, corrected to the new balance."""
+        """The previous solution, corrected to the new balance: as optimizers do it, or by the least change."""
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
             if before is None:
                 raise DoesNotApply
+            if correction == "tangent":
+                return self._after(grasp, load, before, "previous")
             return carry_over(grasp, load, before, self.objective, correction)
 
         return Made(start, {"initial": "previous"} if correction == "tangent" else {})
+
+    def _after(
+        self, grasp: Grasp, load: Wrench, before: ContactForces, initial: str | InitialForceRule
+    ) -> ContactForces:
+        """The start of an optimizer that has solved before; the paper's where nothing else can be had."""
+        optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=initial, **phi_options(self.objective))
+        optimizer.previous = as_solution(grasp, before)
+        return optimizer.start(load)
 
     def nearest(self, correction: Correction) -> Made:
         """The solution stored for the nearest wrench, corrected; on the fixed grasp and those near it."""
@@ -146,10 +156,7 @@ class Workshop:
                 require_near_fixed(grasp)
             if before is None or not remembers:
                 return call_rule(rule, rule, grasp, load.copy())
-            # of a flow: where neither prediction nor previous solution has less Phi, it is the paper's start
-            optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=rule, **phi_options(self.objective))
-            optimizer.previous = as_solution(grasp, before)
-            return optimizer.start(load)
+            return self._after(grasp, load, before, rule)
 
         return Made(start, {"initial": rule})
 
@@ -177,7 +184,9 @@ class Row:
 
 STARTS: dict[str, Row] = {
     "single_value": Row("single value", "single value", "#8a8a8b", lambda shop: shop.named("single_value")),
-    "phase_one": Row("phase one, the deepest force", "phase one", "#8a9a22", lambda shop: shop.named("phase_one")),
+    "phase_one": Row(
+        "phase one, the deepest force", "phase one", "#8a9a22", lambda shop: Made.of(initial_rule("phase_one", shop.objective))
+    ),
     "lagrange": Row("Lagrange", "Lagrange", "#b3852d", lambda shop: shop.named("lagrange")),
     "linear_combination_printed": Row(
         "12-basis, as printed", "12-basis, printed", "#5fa7e9", lambda shop: shop.named("linear_combination_printed"), dashed=True
