@@ -120,7 +120,7 @@ class ForceLimits:
                 if self.torque_bias is None
                 else as_array(self.torque_bias, (joints,), "torque_bias", ranges.BIAS)
             )
-            arrays |= {"jacobian": jac, "torque_limit": np.broadcast_to(limit, (joints,)).copy(), "torque_bias": bias}
+            arrays |= {"jacobian": np.ascontiguousarray(jac), "torque_limit": np.broadcast_to(limit, (joints,)).copy(), "torque_bias": bias}
         elif self.torque_bias is not None:
             raise InvalidInputError(
                 "torque_bias without torque limits has no effect: give jacobian and torque_limit too"
@@ -165,12 +165,13 @@ class ForceLimits:
         Raises:
             InvalidInputError: see `checked`.
         """
-        least, most, _, limit, bias = self.checked(n_contacts)
-        jac = None if self.jacobian is None else np.ascontiguousarray(checked_jacobian(self.jacobian, n_contacts))
-        some = (least > 0.0).any(), np.isfinite(most).any()
-        return (
-            least if some[0] else None, most if some[1] else None, jac, None if jac is None else limit, None if jac is None else bias
-        )  # fmt: skip
+        arrays = [getattr(self, name) for name in ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")]
+        if any(each is not None and each.ndim and len(each) != n_contacts for each in arrays[:3]):
+            self.checked(n_contacts)  # says what is wrong
+        for k, nothing in enumerate((0.0, np.inf)):
+            if arrays[k].ndim == 0:
+                arrays[k] = None if arrays[k] == nothing else np.full(n_contacts, arrays[k])
+        return tuple(arrays)
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
         """(M,) what each finite limit of `n_contacts` contacts is, in the order of `rows`."""

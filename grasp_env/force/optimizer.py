@@ -105,12 +105,14 @@ class ForceOptimizer:
             initial: where every call starts, as in `optimize_force`; or "previous": where the last one ended.
             method, criterion, limits, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic: see `optimize_force`.
         """
-        self.options = checked_options(
-            method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic
+        asked = (method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic)
+        self._grasp: Grasp | None
+        self.options, self._grasp, self.limits, self._initial = together(
+            lambda: checked_options(*asked),
+            lambda: as_grasp(grasp),
+            lambda: limits if limits is None else as_limits(limits),
+            lambda: initial if initial is None else checked_initial(initial),
         )
-        self._grasp: Grasp | None = as_grasp(grasp)
-        self.limits = limits if limits is None else as_limits(limits)
-        self._initial = initial if initial is None else checked_initial(initial)
         if elastic and limits is None:
             raise InvalidInputError("elastic=True says what to do with limits that no force keeps: give limits")
         if initial is not None and self.options.method == "conic":
@@ -118,7 +120,7 @@ class ForceOptimizer:
         warn_of(grasp)
         self._make()
         if is_a(self._initial, ForceSolution):
-            self.previous, self._initial = self._initial, "previous"
+            self.previous, self._initial = self._fitting(self._initial), "previous"
 
     def _make(self) -> None:
         """What is compiled, for the contacts and limits of now."""
@@ -132,20 +134,26 @@ class ForceOptimizer:
         elif is_a(initial, str):
             start = STARTS.index(initial)
         elif is_rule(initial, LearnedRule):
+            start = LEARNED
             try:
-                model, start = call_rule(initial, initial.model, grasp, options.objective), LEARNED
-            except InfeasibleStartError:  # contacts that it does not know: solutions say that it was replaced
-                names = tuple(start_name(name, asked, True, False) for name in names)
+                model = call_rule(initial, initial.model, grasp, options.objective)
+                instance(model, core.Model, f"what initial-force rule {rule_name(initial)!r} predicts with")
+            except InfeasibleStartError as error:
+                if error.__cause__ is not None:  # a fault of the rule's
+                    raise
+                # else contacts that it does not know: without a model the core replaces it, and says so
         self.compiled = initial is None or start > 0 or is_rule(initial, LearnedRule)
         weights = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
         given = (None,) * 5 if self.limits is None else self.limits.given(grasp.n_contacts)
+        weighed = None if plain else weights.weights(grasp.n_contacts)
         try:
             self.core = core.ForceOptimizer.make(
-                grasp.contacts, None if plain else weights.weights(grasp.n_contacts), weights.force_weight if plain else 1.0,
+                grasp.contacts, weighed, weights.force_weight if plain else 1.0,
                 weights.barrier_weight if plain else 1.0, *given, options.method, options.criterion == "max", start,
                 options.tolerance, options.max_iterations, options.elastic,
                 options.step_rule.parameters() if options.flows else None, model, ForceSolution, options.method, names, asked,
+                start == PREVIOUS or (start == LEARNED and initial.remembers),
             )  # fmt: skip
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
@@ -252,6 +260,9 @@ class ForceOptimizer:
             solution = self._solve(wrench, positions, normals, friction, jacobian, torque_bias, contacts)
             if solution is not None:
                 return solution
+            row = self.core.ended
+            if row is not None and row[CODE] == INFEASIBLE:
+                raise InfeasibleWrenchError("", ForceSolution(row, self.method, STARTS[int(row[START])]))
         now = (positions, normals, friction, jacobian, torque_bias, contacts)
         return self._solve_checked(wrench, now, initial, optimum, trace)
 
@@ -422,9 +433,7 @@ class ForceOptimizer:
         if asked is None or self.method == "conic":
             return StartFrom(0)
         if is_a(asked, ForceSolution):
-            if asked.n_contacts != self._count:
-                raise InfeasibleStartError(f"the solution has {asked.n_contacts} contacts, the grasp {self._count}")
-            return StartFrom(PREVIOUS, before=asked)
+            return StartFrom(PREVIOUS, before=self._fitting(asked))
         if is_a(asked, str):
             if initial is not None and asked in FROM_BASIS:
                 self.core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
@@ -438,6 +447,12 @@ class ForceOptimizer:
         force = np.zeros((self._count, 3))
         force[now[5]] = start.force
         return StartFrom(start.start, start.name, start.replaced, force)
+
+    def _fitting(self, previous: ForceSolution) -> ForceSolution:
+        """A solution to start from, if it is of as many contacts."""
+        if previous.n_contacts != self._count:
+            raise InfeasibleStartError(f"the previous solution has {previous.n_contacts} contacts, the grasp {self._count}")
+        return previous
 
     def _error(self, row: Array, wrench: Wrench, now: tuple[Any, ...], start: StartFrom) -> GraspError:
         """What a row without a force means, in words."""

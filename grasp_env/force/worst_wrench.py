@@ -236,7 +236,7 @@ def _enclosed(
     rng: np.random.Generator,
 ) -> WorstCase:
     """The upper bound by the growing polytope, for a grasp with force closure; wrenches scaled to a unit ball."""
-    grasp, criterion = optimizer.grasp, optimizer.settings.criterion
+    grasp, criterion = optimizer.grasp, optimizer.options.criterion
     unit = WrenchBall(1.0, 1.0, ball.shape)
     # along the ascent's own worst wrench first
     directions = np.concatenate([np.eye(6), rng.standard_normal((16, 6)), best.wrench[None] / ball.radii])

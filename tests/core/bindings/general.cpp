@@ -37,7 +37,7 @@ public:
         });
     }
     nb::tuple phi(const In& wrench, int start, const In& force, const In& torsion, double tolerance, int limit) {
-        const Call call{.wrench = numbers(wrench, 6), .start = Start(start), .force = force.data(), .torsion = torsion.data()};
+        const Call call{.wrench = numbers(wrench, 6), .start = From(start), .force = force.data(), .torsion = torsion.data()};
         return told([&](const Record& record) { general.phi(call, {tolerance, limit}, record); });
     }
     // from a record

@@ -309,11 +309,8 @@ public:
             if (!(this->system() > 0.0)) return Inside::unknown;
             const auto correct = [&](const Vec6& pull) { return this->schur.solve(pull - left); };
             if (!this->template step<false>(this->schur.solve(minus), correct, 1.0)) return Inside::unknown;
-            V outside{};
-            for (int b = 0; b < blocks(); ++b)
-                outside = max(outside, cones.blocks[b].mask * -slack(-cones.blocks[b].transposed(y)));
-            const double along = dot(minus, y);
-            if (along > 0.0 && largest(outside) <= OUTSIDE * along) {
+            for (int b = 0; b < blocks(); ++b) x[b] = -cones.blocks[b].transposed(y);
+            if (std::min(dot(minus, y), cones.margin(x)) > ROUNDING * size(y)) {
                 twist = -1.0 * y;
                 return Inside::none;
             }
@@ -323,7 +320,7 @@ public:
 
 private:
     static constexpr int SEARCH = 60;  // steps; a dozen is usual
-    static constexpr double OUTSIDE = 1e-7;  // a proof: only forces 1e7 times the wrench could balance it
+    static constexpr double ROUNDING = 1e-12;  // of the twist: what a proof is strict by
     Field force_, first_;  // what is written
     LaneQr6<V> qr_;
     std::vector<double> fitted_;  // scaled, by axes

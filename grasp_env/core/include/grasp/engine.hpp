@@ -93,7 +93,7 @@ public:
         : options_(options), home_(problem.contacts), now_(home_), limits_(problem.limits, home_.count),
           joints_(int(limits_.joints())), newton_(home_.count, {options.gap(), options.limit}),
           conic_(home_.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}), home_tangents_(newton_.cones),
-          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()),
+          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()), foreseen_(newton_.cones.field()),
           general_(home_.count, limits_.rows, home_.soft()), inner_(record_size(home_.count)), turned_(4 * home_.count * joints_),
           force_(3 * home_.count), gathered_(6 * home_.count), divisor_(home_.count, infinity), chosen_(home_.count) {
         if (home_.placing == Placing::refused || home_.placing == Placing::rank_lost)
@@ -115,12 +115,14 @@ public:
         if (options.model) {
             if (!options.model->fits(home_.count)) throw std::invalid_argument("the model is for another number of contacts");
             predicted_.emplace(newton_.cones, *options.model);
-        } else if (options.start == Start::learned) {
-            throw std::invalid_argument("a learned start needs a model");
         }
         if (needs_basis()) make_basis();
     }
-    std::unique_ptr<Engine> clone() const override { return std::make_unique<EngineOn>(*this); }
+    std::unique_ptr<Engine> clone() const override {
+        auto made = std::make_unique<EngineOn>(*this);
+        made->settle();  // with room for all contacts, whichever touched last, and nothing of the numbers of this one or its call
+        return made;
+    }
     const Contacts& home() const override { return home_; }
     int size() const override { return record_size(home_.count, joints_, limits_.rows); }
 
@@ -152,13 +154,14 @@ public:
                 code = LIMIT;
             }
         }
-        return deliver(code, out);
+        return deliver(code, out, false);
     }
 
     void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) override {
         const auto alone = [&](std::ptrdiff_t k) { solve({.wrench = wrenches + 6 * k}, rows + size() * k); };
+        const bool placed = place({}) == CONVERGED;
         const auto algorithm = planned(options_, kind_);
-        const bool side_by_side = count >= FEW && home_now_ && placed_ == CONVERGED && options_.start == Start::standard &&
+        const bool side_by_side = count >= FEW && placed && options_.start == Start::standard &&
                                   (algorithm == Algorithm::newton || algorithm == Algorithm::conic) && rest();
         if (!side_by_side) {
             for (std::ptrdiff_t k = 0; k < count; ++k) alone(k);
@@ -213,7 +216,7 @@ private:
     std::optional<FlowOn<V, B>> flow_;
     std::optional<Prediction<V, B>> predicted_;
     Tangents<V, B> home_tangents_;
-    Field rest_, begun_, spare_;  // an internal force; where a descent begins; to work with
+    Field rest_, begun_, spare_, foreseen_;  // an internal force; where a descent begins; to work with; what a model predicts
     General general_;
     LimitTable table_;
     std::vector<double> inner_, turned_, force_, gathered_, divisor_;
@@ -257,17 +260,21 @@ private:
     // The problem's own contacts and limits.
     void settle() {
         home_now_ = false;
+        if (limited_) limited_->newton.rows.reserve(newton_.cones, std::min(limits_.rows, LimitTable::MOST_ROWS));
         place({});
         home_tangents_.load(home_.frames.data(), home_.count);
     }
 
     // CONVERGED: all of it is in its place.
     Code place(const Now& now) {
-        const bool plain = now.empty();
+        Now given = now;
+        if (touching(now.contacts) == touching(~std::uint64_t(0))) given.contacts = ~std::uint64_t(0);
+        const bool plain = given.empty();
         if (plain && home_now_) return placed_;
         home_now_ = plain;
         return placed_ = take(now);
     }
+    std::uint64_t touching(std::uint64_t mask) const { return home_.count < 64 ? mask & ((std::uint64_t(1) << home_.count) - 1) : mask; }
     Code take(const Now& now) {
         conic_ready_ = general_ready_ = flow_ready_ = rest_sought_ = has_rest_ = false;
         const int all = home_.count;
@@ -278,8 +285,8 @@ private:
             return REFUSED;
         const double* positions = now.positions.empty() ? home_.positions.data() : now.positions.data();
         const double* normals = now.normals.empty() ? home_.normals.data() : now.normals.data();
-        const std::uint64_t every = all < 64 ? (std::uint64_t(1) << all) - 1 : ~std::uint64_t(0), mask = now.contacts & every;
-        if (mask == every) {
+        const std::uint64_t mask = touching(now.contacts);
+        if (mask == touching(~std::uint64_t(0))) {
             for (int i = 0; i < all; ++i) chosen_[i] = i;
             now_.select(home_, {chosen_.data(), std::size_t(all)});
         } else {
@@ -316,7 +323,7 @@ private:
         const auto clear = [](Field& x) {
             for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
         };
-        clear(newton_.x), clear(begun_), clear(spare_), clear(rest_);
+        clear(newton_.x), clear(begun_), clear(spare_), clear(rest_), clear(foreseen_);
         if (limited_) clear(limited_->newton.x);
         if (soft_) clear(soft_->newton.x);
     }
@@ -434,8 +441,10 @@ private:
                 break;
             default: return standard(ask, w);
         }
-        replaced_ = true;
-        return standard(ask, w);
+        const Code code = standard(ask, w);
+        const bool named = ask.start != Start::standard || options_.start != Start::standard;
+        replaced_ = named || used_ != Start::phase_one;  // without force closure phase one is the method's own
+        return code;
     }
     // The method's own start, or where the contacts have no force closure any force inside.
     Code standard(const Ask& ask, const Vec6& w) {
@@ -552,6 +561,24 @@ private:
         return true;
     }
 
+    // What is given, into force_ and least_; whether it is balanced and strictly inside the cones.
+    bool load_given(const Ask& ask) {
+        const std::size_t all = home_.count;
+        if (ask.force.size() != 3 * all || (!ask.torsion.empty() && ask.torsion.size() != all)) return false;
+        double most = 0.0;
+        for (int i = 0; i < now_.count; ++i) {
+            const double* f = &ask.force[3 * chosen_[i]];
+            std::copy_n(f, 3, &force_[3 * i]);
+            least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
+            if (least_[i] != 0.0 && !(divisor_[i] * std::abs(least_[i]) < now_.scale[3 * i] * f[0])) return false;
+            for (int a = 0; a < 3; ++a) most = std::max(most, std::abs(f[a]));
+        }
+        newton_.cones.load_force(force_.data(), newton_.x);
+        if (!newton_.cones.sane(newton_.x) || !(newton_.cones.phi(newton_.x) < infinity)) return false;
+        const double missed = general_.missed(ask.wrench, force_.data(), least_.data());
+        return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(newton_.cones.unit.of(ask.wrench)));
+    }
+
     // What the model predicts, and no more Phi than the method's own start has; better than a previous solution where one is given.
     bool predict(const Ask& ask, const Vec6& w) {
         if (now_.count != home_.count) return false;
@@ -575,10 +602,10 @@ private:
         const Start from = used_;
         if (!replaced_) used_ = Start::learned;
         if (ask.previous) {
-            begun_ = x;
+            foreseen_ = x;  // the others are where it works
             const Start now = used_;
-            if (carry(ask, w) && cones.phi(newton_.x) < cones.phi(begun_)) used_ = Start::previous, replaced_ = false;
-            else newton_.x = begun_, used_ = now;
+            if (carry(ask, w) && cones.phi(newton_.x) < cones.phi(foreseen_)) used_ = Start::previous, replaced_ = false;
+            else newton_.x = foreseen_, used_ = now;
         }
         if (replaced_) used_ = from;
         return true;
@@ -696,19 +723,18 @@ private:
         } else {
             Call call = call_of(ask, From::combination);
             const Start start = asked(ask);
-            replaced_ = false;
+            used_ = Start::phase_one;
             if (start == Start::given) {
-                for (int i = 0; i < now_.count; ++i) {
-                    std::copy_n(&ask.force[3 * chosen_[i]], 3, &force_[3 * i]);
-                    least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
-                }
-                call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
+                if (!load_given(ask)) return REFUSED;
+                used_ = start, call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
             } else if (start == Start::previous && load_previous(ask)) {
                 const Record before(const_cast<double*>(ask.previous));
                 for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
-                call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
+                used_ = start, call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
             }
-            used_ = call.start == From::given ? Start::given : call.start == From::tangent ? Start::previous : Start::phase_one;
+            const bool own = start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous);
+            replaced_ = !own && (used_ == Start::phase_one || !general_.starts_from(call));
+            if (replaced_) used_ = Start::phase_one, call.start = From::combination;
             general_.phi(call, newton_.options, record);
         }
         if (options_.elastic && record.code() == INFEASIBLE) return general_.excess(newton_.options, record);
@@ -717,8 +743,8 @@ private:
 
     // --- the answer
 
-    // What `inner` holds, as a row of all contacts.
-    Code deliver(Code code, const Record& out) {
+    // What `inner` holds, as a row of all contacts. optimum: whether limits have prices there.
+    Code deliver(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
         const int all = home_.count;
         const bool whole = code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED;
@@ -752,7 +778,8 @@ private:
             }
         }
         if (joints_) torques(from, out.torques());
-        if (limits_.rows) price(code, from, out);
+        if (limits_.rows) price(optimum && code != LIMITS_EXCEEDED, from, out);
+        if (code == LIMITS_EXCEEDED) s.objective = s.limit_excess;
         return code;
     }
     void torques(const Record& from, double* to) const {
@@ -764,10 +791,9 @@ private:
             }
     }
     // The largest excess of a limit by the force that is returned, and the price of each.
-    void price(Code code, const Record& from, const Record& out) const {
+    void price(bool priced, const Record& from, const Record& out) const {
         double excess = 0.0, *to = out.prices();
         std::fill_n(to, limits_.rows, 0.0);
-        const bool priced = code != LIMITS_EXCEEDED;
         int row = 0;
         const auto normals = [&](const std::vector<double>& limits, double sign) {
             for (int i = 0, k = 0; i < int(limits.size()); ++i) {

@@ -51,6 +51,7 @@ private:
 // Rows on one contact's force each, cone coordinates. Once filled it is filled again without allocating.
 class LimitTable {
 public:
+    static constexpr int MOST_ROWS = 64;  // on one contact
     std::vector<double> normals, bounds, shares, weights, sizes;  // as `LimitRows`; sizes: (M,) what rows were divided by
     std::vector<int> owners;
 
@@ -58,7 +59,7 @@ public:
     // The Jacobian is (N, each, J) in contact frames.
     bool fill(const Contacts& contacts, const ForceLimits& limits, int each = 3) {
         const int count = contacts.count;
-        clear();
+        clear(), reserve(limits.many());  // also for rows that are not reached now
         row_.resize(each * count);
         bool good = true;
         limits.rows(count, each, row_, [&](std::span<const double> row, double bound, double limit) {
@@ -98,8 +99,12 @@ public:
 
 private:
     static constexpr double MOST_FORCE = 1e20;  // [N]
-    static constexpr int MOST_ROWS = 64;  // on one contact
     std::vector<double> row_;
+
+    void reserve(int rows) {
+        normals.reserve(3 * rows), owners.reserve(rows);
+        for (auto* each : {&bounds, &shares, &weights, &sizes}) each->reserve(rows);
+    }
 
     static Point over(const double* row, const double* divisor) {
         return {row[0] / divisor[0], row[1] / divisor[1], row[2] / divisor[2]};

@@ -73,13 +73,24 @@ public:
         const Record made(now_->record.data(), now_->count);
         const Code code = least(before.wrench.data(), Criterion::sum, {options.tolerance, CONIC_ITERATIONS}, left, made);
         const bool ended = code == STALLED || code == LIMIT;
-        if (code == CONVERGED || (ended && gap(made.summary()) < gap(before))) return take(made, record);
-        if (ended || !(gap(before) > before.lower_bound)) return record.code();
-        const Vec6 wrench = before.wrench;  // neither holds a digit
-        if (code == INFEASIBLE) return take(made, record);
-        return refute(deepest(wrench.data()), wrench.data(), record);
+        const Vec6 wrench = before.wrench;
+        if (code == CONVERGED || (ended && gap(made.summary()) < gap(before))) {
+            take(made, record);
+        } else if (!ended && gap(before) > before.lower_bound) {  // neither holds a digit
+            if (code == INFEASIBLE) return take(made, record);
+            return refute(deepest(wrench.data()), wrench.data(), record);
+        }
+        const bool digits = gap(before) <= before.lower_bound && before.residual <= MISSED * program_->unit_size(wrench.data());
+        if (record.code() == CONVERGED || digits) return record.code();
+        const Deepest found = deepest(wrench.data());  // forces so far beyond the wrench that they say nothing
+        return found.code == INFEASIBLE ? refute(found, wrench.data(), record) : record.code();
     }
 
+    // Whether the start of a call is strictly inside, so that `phi` begins there.
+    bool starts_from(const Call& call) {
+        const Arena::Use use(arena_);
+        return starts(call);
+    }
     // The least Phi. From::given: from the call's force and torsion where they are balanced and strictly inside; From::tangent, pseudoinverse:
     // from what is nearest to them, balanced, where that is strictly inside; else from the deepest force. INFEASIBLE, UNDECIDED: as `conic`.
     Code phi(const Call& call, const Stop& options, const Record& record) {
@@ -150,6 +161,7 @@ private:
     static constexpr std::size_t LARGEST_ROOM = std::size_t(1) << 24;  // bytes that are taken before they are needed
     static constexpr double LAST_DIGITS = 1e-9;  // a gap that is left to the rounding of a double
     static constexpr int MORE_STEPS = 1000;  // where another solver stalled: 60 ms with four contacts
+    static constexpr double MISSED = 1e-3;  // of the wrench: an answer that misses more of it is none
     static constexpr double NEXT_TO_NOTHING = 1e-9;  // [N], [N m]
     static constexpr double MOST_FORCE = 1e20;  // [N] beyond which limits are mistakes
 

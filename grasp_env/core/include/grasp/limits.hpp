@@ -59,6 +59,14 @@ public:
     using Field = typename Cones<V, B>::Field;
     int sides = 0;  // how many rows
 
+    // From now on `pack` allocates nothing for as many rows, whichever contacts they are of.
+    void reserve(const Cones<V, B>& cones, int rows) {
+        const int blocks = int(cones.blocks.size());
+        of_.resize(W * blocks);
+        for (auto& mine : of_) mine.reserve(rows);
+        pairs_.reserve(size_t(rows) * blocks);
+        pack(cones, {});
+    }
     // Allocates nothing where the contacts had as many rows before.
     void pack(const Cones<V, B>& cones, const LimitRows& rows) {
         const int blocks = int(cones.blocks.size());
