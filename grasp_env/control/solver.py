@@ -11,9 +11,18 @@ from grasp_env import core
 from grasp_env._check import Array, Wrench, is_a
 from grasp_env.config import EnvConfig
 from grasp_env.errors import InfeasibleStartError
-from grasp_env.force import ForceOptimizer, ForceSolution, InitialForceRule, OfflineBasis, Repair
+from grasp_env.force import (
+    RULES,
+    ForceOptimizer,
+    ForceSolution,
+    InitialForceRule,
+    Objective,
+    OfflineBasis,
+    Repair,
+    initial_rule,
+)
 from grasp_env.force.basis import core_contacts
-from grasp_env.force.record import CONTACTS, REFUSED, STALLED, record_size
+from grasp_env.force.record import REFUSED, STALLED, record_size, whole
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import null_space_basis, reference_basis
 
@@ -49,10 +58,15 @@ class ContactSolver:
         initial = options["initial"]
         self.grasp, self._initial = grasp, initial
         self._compiled = options["method"] in METHODS and is_a(initial, str) and initial in STARTS
-        # what the compiled call refuses has neither the start nor the solution that it asks for
-        self._optimizer = ForceOptimizer(grasp, **{**options, "initial": None} if self._compiled else options)
+        self.objective = Objective(options["force_weight"], options["barrier_weight"])
+        if self._compiled:  # what it refuses has neither this start nor a solution before
+            options = {**options, "initial": None}
+        elif (
+            is_a(initial, str) and initial in RULES
+        ):  # of the contacts of now, where a name's 12 optima are the nominal ones
+            options = {**options, "initial": initial_rule(initial, self.objective)}
+        self._optimizer = ForceOptimizer(grasp, **options)
         made = self._optimizer.options
-        self.objective = made.objective
         self.reference = reference_basis(grasp)
         self.core = core.Pipeline.make(
             core_contacts(grasp, self.objective, np.zeros((0, 3))), made.tolerance, made.max_iterations,
@@ -100,9 +114,7 @@ class ContactSolver:
         self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None
     ) -> ForceSolution | None:
         """The core's call, where need be once more with the 12 optima of the contacts of now; None: it has no solution."""
-        count = self.grasp.n_contacts
-        row = np.zeros(self._optimizer.core.size)
-        record, frames = np.split(row, [record_size(count)])
+        record = np.zeros(record_size(self.grasp.n_contacts))
         code = self.core.solve(points, normals, wrench, adjust, record)
         if code == REFUSED:
             self.core.forget()
@@ -111,11 +123,9 @@ class ContactSolver:
                 basis = OfflineBasis.of(grasp, self.objective).cone_forces
                 self.core.set_basis(basis, np.ascontiguousarray(grasp.frames))
                 code = self.core.solve(points, normals, wrench, adjust, record)
-        if code > STALLED:
-            return None
-        row[CONTACTS] = count
-        frames[:] = self.frames.ravel()
-        return ForceSolution(row, self._optimizer.method, self._initial)
+        return (
+            None if code > STALLED else ForceSolution(whole(record, self.frames), self._optimizer.method, self._initial)
+        )
 
 
 def make_solver(grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule) -> ContactSolver:

@@ -15,7 +15,7 @@ from grasp_env.grasp import Grasp
 
 
 def pipeline_of(grasp: Grasp, **options: Any) -> ContactSolver:
-    """With the defaults of `ForceOptimizer`."""
+    """With the defaults of the environment: the paper's start and flow."""
     given = {"initial": "linear_combination", "method": "reduced_flow", "force_weight": 1.0, "barrier_weight": 0.01}
     return ContactSolver(grasp, {**given, "tolerance": 1e-4, "max_iterations": 20_000, **options})
 

@@ -184,8 +184,9 @@ def time_calls(config: StartsConfig, given: Given, objective: Objective, console
 
         for method in METHODS:
             loop = ForceOptimizer(grasp, method=method, **start.options, **phi)
+            given = None if start.options else alone
             calls[key, method] = (
-                lambda k, loop=loop: loop.solve(cases[k].wrench),
+                lambda k, loop=loop, given=given: loop.solve(cases[k].wrench, initial=given and given(k)),
                 alone if method == METHODS[0] else None,
             )
     for key, solver in solvers.items():

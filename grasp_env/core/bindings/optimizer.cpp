@@ -5,6 +5,7 @@
 #include "buffers.hpp"
 #include "rule.hpp"
 #include "solution.hpp"
+#include "timing.hpp"
 
 using namespace grasp;
 
@@ -229,6 +230,14 @@ void solve_many(const Solver& solver, nb::handle wrenches, nb::handle rows) {
     own.solve_many(loads, {to.data(), loads.size() / 6 * solver.on.size()});
 }
 
+void times(Solver& solver, nb::handle wrenches, int passes, nb::handle rows, nb::handle best) {
+    time_calls(wrenches, passes, solver.on.size(), rows, best, [&](const double* wrench, double* row) {
+        Ask ask{};
+        ask.wrench = wrench;
+        solver.on.solve(ask, row);
+    });
+}
+
 }  // namespace
 
 void bind_optimizer(nb::module_& m) {
@@ -255,6 +264,8 @@ void bind_optimizer(nb::module_& m) {
             s.on.set_basis({in(basis, 13, 3 * s.count).data(), std::size_t(39 * s.count)});
         }, "basis"_a, "Takes the 12-basis with the rest, (13, 3N) cone coordinates.")
         .def("solve_many", &solve_many, "wrenches"_a, "rows"_a, "(M, 6) into (M, size); releases the GIL.")
+        .def("times", &times, "wrenches"_a, "passes"_a, "rows"_a, "best"_a,
+             "Best seconds (M,) of `passes` calls for each of (M, 6), none of which knows another; the rows of the last.")
         .def_rw("previous", &Solver::previous, nb::for_setter(nb::arg("solution").none()), "The last solution that has a force, or None.")
         .def_ro("ended", &Solver::ended, "The row of the last call that returned None, unless it could not read its arguments.")
         .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Doubles of a row.");
