@@ -714,13 +714,14 @@ private:
 
     Code conic(const Ask& ask, const Vec6& w, const Record& record) {
         used_ = Start::central, replaced_ = outside_ = false;
-        if (!rest(true)) {
+        if (!rest()) {
             if (look(w) == INFEASIBLE) return refuted(w, record);
-            return general(ask, record);
+            used_ = Start::central, conic_ready_ = false;
+            if (!rest(true)) return general(ask, record);
         }
         ready_conic();
-        conic_.solve(ask.wrench, record);
-        return ready_general() ? general_.conic_from(newton_.options, record) : record.code();
+        const Code code = conic_.solve(ask.wrench, record);
+        return code != CONVERGED && ready_general() ? general_.conic_from(newton_.options, record) : code;
     }
 
     // The general program, from its own centre, a given force or the previous solution.
@@ -835,7 +836,7 @@ private:
         const int i = table_.owners[k];
         double slack = table_.bounds[k];
         for (int a = 0; a < 3; ++a) slack -= table_.normals[3 * k + a] * from.force()[3 * i + a] * now_.scale[3 * i + a];
-        return table_.weights[k] / (slack * slack * table_.sizes[k]);
+        return slack > 0.0 ? table_.weights[k] / (slack * slack * table_.sizes[k]) : 0.0;
     }
 };
 
