@@ -715,8 +715,9 @@ private:
     Code conic(const Ask& ask, const Vec6& w, const Record& record) {
         used_ = Start::central, replaced_ = outside_ = false;
         if (!rest(true)) {
-            if (look(w) == INFEASIBLE) return refuted(w, record);
-            return general(ask, record);
+            const Code found = look(w);
+            used_ = Start::central;
+            return found == INFEASIBLE ? refuted(w, record) : general(ask, record);
         }
         ready_conic();
         conic_.solve(ask.wrench, record);
