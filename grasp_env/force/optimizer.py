@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -364,6 +365,11 @@ class ForceOptimizer:
                 "the contacts or limits are not possible: give finite numbers and inward unit normals"
             )
         self._grasp = moved
+        if self.limits is not None:
+            given = {
+                name: each.copy() for name, each in (("jacobian", now[3]), ("torque_bias", now[4])) if each is not None
+            }
+            self.limits = replace(self.limits, **given)
 
     def _now(
         self, positions: Any, normals: Any, friction: Any, jacobian: Any, torque_bias: Any, contacts: Any
@@ -451,7 +457,9 @@ class ForceOptimizer:
     def _fitting(self, previous: ForceSolution) -> ForceSolution:
         """A solution to start from, if it is of as many contacts."""
         if previous.n_contacts != self._count:
-            raise InfeasibleStartError(f"the previous solution has {previous.n_contacts} contacts, the grasp {self._count}")
+            raise InfeasibleStartError(
+                f"the previous solution has {previous.n_contacts} contacts, the grasp {self._count}"
+            )
         return previous
 
     def _error(self, row: Array, wrench: Wrench, now: tuple[Any, ...], start: StartFrom) -> GraspError:

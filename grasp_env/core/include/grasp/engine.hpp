@@ -715,8 +715,9 @@ private:
     Code conic(const Ask& ask, const Vec6& w, const Record& record) {
         used_ = Start::central, replaced_ = outside_ = false;
         if (!rest()) {
-            if (look(w) == INFEASIBLE) return refuted(w, record);
+            const Code found = look(w);
             used_ = Start::central, conic_ready_ = false;
+            if (found == INFEASIBLE) return refuted(w, record);
             if (!rest(true)) return general(ask, record);
         }
         ready_conic();
