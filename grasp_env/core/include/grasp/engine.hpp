@@ -143,7 +143,11 @@ public:
         const Record out = opened(ask, row), record = inner();
         Code code = place(ask.now);
         if (code == CONVERGED && !sane_wrench(ask.wrench)) code = REFUSED;
-        if (code == CONVERGED) {
+        if (code == CONVERGED && planned(options_, kind_) == Algorithm::general) {
+            record.clear();
+            code = general(ask, record, {options_.gap(), 0});
+            if (code == CONVERGED || code == STALLED) code = LIMIT;
+        } else if (code == CONVERGED) {
             const Vec6 w = newton_.cones.unit.of(ask.wrench);
             code = begin(ask, w);
             if (code == CONVERGED) {
@@ -600,6 +604,7 @@ private:
         Field& x = newton_.x;
         if (home_now_) {
             predicted_->force(cones, ask.wrench, w, x);
+            if (flow_) cones.balance(x, w);  // a flow keeps what a start misses: the model's internal forces may be of other contacts
         } else {  // the internal force that it predicts turns with the contacts
             for (auto& v : begun_) v = {V{}, V{}, V{}};
             predicted_->add(ask.wrench, begun_);
@@ -726,12 +731,13 @@ private:
     }
 
     // The general program, from its own centre, a given force or the previous solution.
-    Code general(const Ask& ask, const Record& record) {
+    Code general(const Ask& ask, const Record& record) { return general(ask, record, newton_.options); }
+    Code general(const Ask& ask, const Record& record, const Stop& stop) {
         if (!ready_general()) return UNDECIDED;
         by_general_ = true;
         if (options_.method == Method::conic) {
             used_ = Start::central;
-            general_.conic(ask.wrench, options_.criterion, newton_.options, record);
+            general_.conic(ask.wrench, options_.criterion, stop, record);
         } else {
             Call call = call_of(ask, From::combination);
             const Start start = asked(ask);
@@ -747,9 +753,9 @@ private:
             const bool own = start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous);
             replaced_ = !own && (used_ == Start::phase_one || !general_.starts_from(call));
             if (replaced_) used_ = Start::phase_one, call.start = From::combination;
-            general_.phi(call, newton_.options, record);
+            general_.phi(call, stop, record);
         }
-        if (options_.elastic && record.code() == INFEASIBLE) return general_.excess(newton_.options, record);
+        if (options_.elastic && record.code() == INFEASIBLE) return general_.excess(stop, record);
         return record.code();
     }
 
