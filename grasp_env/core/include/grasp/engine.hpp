@@ -417,6 +417,11 @@ private:
 
     // The start of a call in newton_.x, balanced and strictly inside the cones; else why there is none.
     Code begin(const Ask& ask, const Vec6& w) {
+        const Code code = find_start(ask, w);
+        if (code == CONVERGED) newton_.cones.settle(newton_.x);
+        return code;
+    }
+    Code find_start(const Ask& ask, const Vec6& w) {
         replaced_ = outside_ = false;
         const Start start = used_ = asked(ask);
         switch (start) {
@@ -433,6 +438,7 @@ private:
                 if (predicted_ && predict(ask, w)) return CONVERGED;
                 break;
             case Start::phase_one: return search(ask, w);
+            case Start::internal_force: return squeeze(ask, w);
             case Start::linear_combination:
             case Start::linear_combination_printed:
             case Start::single_value:
@@ -449,23 +455,27 @@ private:
     // The method's own start, or where the contacts have no force closure any force inside.
     Code standard(const Ask& ask, const Vec6& w) {
         if (flow_ && combine(ask.wrench, w, used_ = Start::linear_combination)) return CONVERGED;
+        return squeeze(ask, w);
+    }
+    Code squeeze(const Ask& ask, const Vec6& w) {
         if (!rest()) return search(ask, w);
         used_ = Start::internal_force;
         grasp::begin(newton_.cones, rest_, w, newton_.x);
         return newton_.cones.phi(newton_.x) < infinity ? CONVERGED : UNDECIDED;
     }
-    // Any force inside; where the steps find neither that nor a proof, the deepest one.
-    Code search(const Ask& ask, const Vec6& w) {
+    // Any force inside, or the proof that none touches the cones; UNDECIDED: neither is quickly found.
+    Code look(const Vec6& w) {
         used_ = Start::phase_one;
         ready_conic();
         int steps = 0;
         const auto found = conic_.find_inside(w, newton_.x, twist_, steps);
         using Inside = typename ConicOn<V, B>::Inside;
-        if (found == Inside::found) return CONVERGED;
-        if (found == Inside::none) {
-            twist_ = newton_.cones.unit.pull_back(twist_);
-            return INFEASIBLE;
-        }
+        if (found == Inside::none) twist_ = newton_.cones.unit.pull_back(twist_);
+        return found == Inside::found ? CONVERGED : found == Inside::none ? INFEASIBLE : UNDECIDED;
+    }
+    // The same; where that is undecided, by the deepest force.
+    Code search(const Ask& ask, const Vec6& w) {
+        if (const Code code = look(w); code != UNDECIDED) return code;
         if (kind_ != Kind::hard || !ready_general()) return UNDECIDED;
         const Deepest deep = general_.deepest(ask.wrench, 1e-7, force_.data(), nullptr);
         twist_ = deep.twist;
@@ -705,7 +715,7 @@ private:
     Code conic(const Ask& ask, const Vec6& w, const Record& record) {
         used_ = Start::central, replaced_ = outside_ = false;
         if (!rest(true)) {
-            if (search(ask, w) == INFEASIBLE) return refuted(w, record);
+            if (look(w) == INFEASIBLE) return refuted(w, record);
             return general(ask, record);
         }
         ready_conic();
