@@ -2,8 +2,8 @@
 A contact is lost, and comes back
 =================================
 
-One of four fingers leaves the object for 0.2 s. To learn: ``contacts=`` says which ones touch; the force of the others is
-zero, nothing is made anew, and no tick is late. In C++: ``03_lost_contact.cpp``.
+One of four fingers leaves the object for 0.2 s. To learn: ``contacts=`` says which ones touch; the force of the others
+is zero, nothing is made anew, and no tick is late. In C++: ``03_lost_contact.cpp``.
 """
 
 import matplotlib.pyplot as plt
