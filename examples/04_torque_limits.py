@@ -10,7 +10,7 @@ The load grows, and one finger's motors are weak. To learn: forces keep torque l
 import matplotlib.pyplot as plt
 import numpy as np
 
-from grasp_env.force import ForceLimits, ForceOptimizer, Status, joint_torques
+from grasp_env.force import ForceLimits, ForceOptimizer, Status
 from grasp_env.grasp import presets
 
 grasp = presets.paper_cuboid()  # a thumb below, three fingers above
@@ -19,8 +19,8 @@ jacobian = np.kron(np.eye(4), [[0.05, 0, 0], [0.01, -0.02, -0.03], [0.06, 0.05, 
 own_weight = np.tile([0.02, 0.01, 0.005], 4)  # what the links' weight asks of the joints [N m]
 motors = np.repeat([0.8, 0.4, 0.4, 0.1], 3)  # what they give [N m]
 limits = ForceLimits(jacobian=jacobian, torque_limit=motors, torque_bias=own_weight)
-free = ForceOptimizer(grasp, method="newton")
-limited = ForceOptimizer(grasp, method="newton", limits=limits, elastic=True)
+limited = ForceOptimizer(grasp, limits=limits, elastic=True)
+free = ForceOptimizer(grasp, limits=ForceLimits(jacobian=jacobian, torque_limit=np.inf, torque_bias=own_weight))
 
 loads = np.linspace(0, 15, 61)  # [N]
 shares = np.empty((2, len(loads)))  # largest torque of a joint, as a part of its limit
@@ -28,8 +28,8 @@ excess = np.empty(len(loads))
 for k, load in enumerate(loads):
     wrench = [0.7 * load, 0, 0.7 * load, 0, 0, 0]
     kept = limited.solve(wrench)
-    for row, force in zip(shares, (free.solve(wrench).force, kept.force), strict=True):
-        row[k] = (abs(joint_torques(jacobian, grasp.to_object_frame(force), own_weight)) / motors).max()
+    for row, solution in zip(shares, (free.solve(wrench), kept), strict=True):
+        row[k] = (abs(solution.torques) / motors).max()
     excess[k] = kept.limit_excess
     if k % 10 == 0:
         print(

@@ -120,7 +120,11 @@ class ForceLimits:
                 if self.torque_bias is None
                 else as_array(self.torque_bias, (joints,), "torque_bias", ranges.BIAS)
             )
-            arrays |= {"jacobian": np.ascontiguousarray(jac), "torque_limit": np.broadcast_to(limit, (joints,)).copy(), "torque_bias": bias}
+            arrays |= {
+                "jacobian": np.ascontiguousarray(jac),
+                "torque_limit": np.broadcast_to(limit, (joints,)).copy(),
+                "torque_bias": bias,
+            }
         elif self.torque_bias is not None:
             raise InvalidInputError(
                 "torque_bias without torque limits has no effect: give jacobian and torque_limit too"
@@ -162,10 +166,15 @@ class ForceLimits:
     def given(self, n_contacts: int) -> tuple[Array | None, ...]:
         """What the core reads: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,); None: none.
 
+        Args:
+            n_contacts: N.
+
         Raises:
             InvalidInputError: see `checked`.
         """
-        arrays = [getattr(self, name) for name in ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")]
+        arrays = [
+            getattr(self, name) for name in ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
+        ]
         if any(each is not None and each.ndim and len(each) != n_contacts for each in arrays[:3]):
             self.checked(n_contacts)  # says what is wrong
         for k, nothing in enumerate((0.0, np.inf)):
