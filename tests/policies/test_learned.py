@@ -22,7 +22,6 @@ from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from policies.learned import PRETRAINED
 
-
 OWN = {"reduced_flow": "linear_combination", "newton": "internal_force"}
 """Where a method starts that is told nothing."""
 
