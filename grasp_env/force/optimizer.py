@@ -154,7 +154,7 @@ class ForceOptimizer:
                 weights.barrier_weight if plain else 1.0, *given, options.method, options.criterion == "max", start,
                 options.tolerance, options.max_iterations, options.elastic,
                 options.step_rule.parameters() if options.flows else None, model, ForceSolution, options.method, names, asked,
-                start == PREVIOUS or (start == LEARNED and initial.remembers),
+                start == PREVIOUS or (is_rule(initial, LearnedRule) and bool(initial.remembers)),
             )  # fmt: skip
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
