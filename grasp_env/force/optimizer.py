@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,6 +44,7 @@ from grasp_env.force.initial import (
     rule_start,
 )
 from grasp_env.force.limits import ForceLimits, as_limits, checked_jacobian
+from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Weight
 from grasp_env.force.options import MAX_ITERATIONS, Options, checked_options
 from grasp_env.force.record import CODE, FORCE, INFEASIBLE, LIMIT, REFUSED, REPLACED, START, UNDECIDED
@@ -51,9 +52,6 @@ from grasp_env.force.solution import STARTS, ForceSolution, start_name
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of
 from grasp_env.grasp.grasp import Grasp, as_grasp
-
-if TYPE_CHECKING:
-    from grasp_env.force.batch import ForceSolutions
 
 BALANCE_TOLERANCE = 1e-8
 """A start may miss balance by this much of the wrench and force it carries; the rest is an error of the rule."""
@@ -127,7 +125,7 @@ class ForceOptimizer:
         """What is compiled, for the contacts and limits of now."""
         grasp, options, initial = self.grasp, self.options, self._initial
         start, model = 0, None
-        names, asked = names_of(initial, options)
+        self.names = names, asked = names_of(initial, options)
         if initial is None:
             pass
         elif is_a(initial, ForceSolution):
@@ -337,8 +335,6 @@ class ForceOptimizer:
         Raises:
             InvalidInputError: see `optimize_forces`; a wrench that nothing balances has the status INFEASIBLE instead of raising.
         """
-        from grasp_env.force.batch import checked_batch, solve_many
-
         return solve_many(self, *checked_batch(wrenches, workers))
 
     def update(
