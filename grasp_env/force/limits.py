@@ -37,6 +37,10 @@ class LimitArrays(NamedTuple):
     torque_bias: Array
 
 
+LimitNumbers = tuple[Array | None, Array | None, Array | None, Array | None, Array | None]
+"""See `ForceLimits.given`."""
+
+
 class LimitRows(NamedTuple):
     """Limits as A f <= b on f = (normal, o, t, torsion) of contact after contact.
 
@@ -163,7 +167,7 @@ class ForceLimits:
         """J, of the torque limits; 0: there are none."""
         return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
 
-    def given(self, n_contacts: int) -> tuple[Array | None, ...]:
+    def given(self, n_contacts: int) -> LimitNumbers:
         """What the core reads: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,); None: none.
 
         Args:
@@ -180,7 +184,8 @@ class ForceLimits:
         for k, nothing in enumerate((0.0, np.inf)):
             if arrays[k].ndim == 0:
                 arrays[k] = None if arrays[k] == nothing else np.full(n_contacts, arrays[k])
-        return tuple(arrays)
+        least, most, jacobian, limit, bias = arrays
+        return least, most, jacobian, limit, bias
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
         """(M,) what each finite limit of `n_contacts` contacts is, in the order of `rows`."""

@@ -43,7 +43,7 @@ from grasp_env.force.initial import (
     rule_name,
     rule_start,
 )
-from grasp_env.force.limits import ForceLimits, as_limits, checked_jacobian
+from grasp_env.force.limits import ForceLimits, LimitNumbers, as_limits, checked_jacobian
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Weight
 from grasp_env.force.options import MAX_ITERATIONS, Options, checked_options
@@ -144,12 +144,12 @@ class ForceOptimizer:
         self.compiled = initial is None or start > 0 or is_rule(initial, LearnedRule)
         weights = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
-        given = (None,) * 5 if self.limits is None else self.limits.given(grasp.n_contacts)
+        limits: LimitNumbers = (None,) * 5 if self.limits is None else self.limits.given(grasp.n_contacts)
         weighed = None if plain else weights.weights(grasp.n_contacts)
         try:
             self.core = core.ForceOptimizer.make(
                 grasp.contacts, weighed, weights.force_weight if plain else 1.0,
-                weights.barrier_weight if plain else 1.0, *given, options.method, options.criterion == "max", start,
+                weights.barrier_weight if plain else 1.0, *limits, options.method, options.criterion == "max", start,
                 options.tolerance, options.max_iterations, options.elastic,
                 options.step_rule.parameters() if options.flows else None, model, ForceSolution, options.method, names, asked,
                 start == PREVIOUS or (is_rule(initial, LearnedRule) and bool(initial.remembers)),

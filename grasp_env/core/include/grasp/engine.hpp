@@ -78,7 +78,7 @@ public:
                 if (!(value >= 0.0)) throw std::invalid_argument("limits must be numbers >= 0");
         for (const auto* each : {&jacobian, &torque_bias})
             for (double value : *each)
-                if (!(std::abs(value) < infinity)) throw std::invalid_argument("the jacobian and torque_bias must be finite");
+                if (!(std::abs(value) <= LARGEST)) throw std::invalid_argument("the jacobian and torque_bias must be finite, up to 1e12");
         rows = view().many();
     }
     std::size_t joints() const { return torque_limit.size(); }
@@ -93,7 +93,7 @@ public:
         : options_(options), home_(problem.contacts), now_(home_), limits_(problem.limits, home_.count),
           joints_(int(limits_.joints())), newton_(home_.count, {options.gap(), options.limit}),
           conic_(home_.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}), home_tangents_(newton_.cones),
-          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()), foreseen_(newton_.cones.field()),
+          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()), guess_(newton_.cones.field()),
           general_(home_.count, limits_.rows, home_.soft()), inner_(record_size(home_.count)), turned_(4 * home_.count * joints_),
           force_(3 * home_.count), gathered_(6 * home_.count), divisor_(home_.count, infinity), chosen_(home_.count) {
         if (home_.placing == Placing::refused || home_.placing == Placing::rank_lost)
@@ -140,24 +140,9 @@ public:
     }
 
     Code start(const Ask& ask, double* row) override {
-        const Record out = opened(ask, row), record = inner();
+        const Record out = opened(ask, row);
         Code code = place(ask.now);
-        if (code == CONVERGED && !sane_wrench(ask.wrench)) code = REFUSED;
-        if (code == CONVERGED && planned(options_, kind_) == Algorithm::general) {
-            record.clear();
-            code = general(ask, record, {options_.gap(), 0});
-            if (code == CONVERGED || code == STALLED) code = LIMIT;
-        } else if (code == CONVERGED) {
-            const Vec6 w = newton_.cones.unit.of(ask.wrench);
-            code = begin(ask, w);
-            if (code == CONVERGED) {
-                newton_.cones.store_force(newton_.x, record.initial_force());
-                newton_.cones.certify(newton_.x, w, record);
-                record.summary().objective = newton_.cones.phi(newton_.x), record.summary().lower_bound = -infinity;
-                std::fill_n(record.torsion(), now_.count, 0.0);
-                code = LIMIT;
-            }
-        }
+        if (code == CONVERGED) code = sane_wrench(ask.wrench) ? begun(ask, inner()) : REFUSED;
         return deliver(code, out, false);
     }
 
@@ -220,7 +205,7 @@ private:
     std::optional<FlowOn<V, B>> flow_;
     std::optional<Prediction<V, B>> predicted_;
     Tangents<V, B> home_tangents_;
-    Field rest_, begun_, spare_, foreseen_;  // an internal force; where a descent begins; to work with; what a model predicts
+    Field rest_, begun_, spare_, guess_;  // an internal force; where a descent begins; to work with; what a model predicts
     General general_;
     LimitTable table_;
     std::vector<double> inner_, turned_, force_, gathered_, divisor_;
@@ -327,7 +312,7 @@ private:
         const auto clear = [](Field& x) {
             for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
         };
-        clear(newton_.x), clear(begun_), clear(spare_), clear(rest_), clear(foreseen_);
+        clear(newton_.x), clear(begun_), clear(spare_), clear(guess_), clear(rest_);
         if (limited_) clear(limited_->newton.x);
         if (soft_) clear(soft_->newton.x);
     }
@@ -346,9 +331,9 @@ private:
         }
         if (!limits_.rows) return true;
         for (double value : jacobian_)
-            if (!(std::abs(value) < infinity)) return false;
+            if (!(std::abs(value) <= LARGEST)) return false;
         for (double value : bias_)
-            if (!(std::abs(value) < infinity)) return false;
+            if (!(std::abs(value) <= LARGEST)) return false;
         const bool own = table_.fill(now_, of_now(), 4);
         if (soft) return true;
         kind_ = own ? Kind::limited : Kind::other;
@@ -396,9 +381,9 @@ private:
                                             4, internal()) == Placing::good;
         return general_ready_;
     }
-    // An internal force as the general program takes one; null: not sought, or none.
+    // An internal force as the general program takes one, whatever was sought before; null: none.
     const double* internal() {
-        if (!has_rest_ || torsional()) return nullptr;
+        if (torsional() || !rest(options_.method == Method::conic)) return nullptr;
         newton_.cones.store_force(rest_, force_.data());
         return force_.data();
     }
@@ -604,26 +589,45 @@ private:
         Field& x = newton_.x;
         if (home_now_) {
             predicted_->force(cones, ask.wrench, w, x);
-            if (flow_) cones.balance(x, w);  // a flow keeps what a start misses: the model's internal forces may be of other contacts
         } else {  // the internal force that it predicts turns with the contacts
             for (auto& v : begun_) v = {V{}, V{}, V{}};
             predicted_->add(ask.wrench, begun_);
             starter.turn(cones, begun_, home_tangents_, x);
-            cones.balance(x, w);
         }
+        cones.balance(x, w);  // whatever the model's file says internal forces are
         const double safe = cones.phi(spare_), said = cones.phi(x);
         const double share = said <= safe ? 1.0 : starter.segment(cones, spare_, x);
         replaced_ = !(share > 0.0) && dot(w, w) > 0.0;
         const Start from = used_;
         if (!replaced_) used_ = Start::learned;
         if (ask.previous) {
-            foreseen_ = x;  // the others are where it works
+            guess_ = x;
             const Start now = used_;
-            if (carry(ask, w) && cones.phi(newton_.x) < cones.phi(foreseen_)) used_ = Start::previous, replaced_ = false;
-            else newton_.x = foreseen_, used_ = now;
+            if (carry(ask, w) && cones.phi(x) < cones.phi(guess_)) used_ = Start::previous, replaced_ = false;
+            else x = guess_, used_ = now;
         }
         if (replaced_) used_ = from;
         return true;
+    }
+
+    // The start of what would serve the call, as a record.
+    Code begun(const Ask& ask, const Record& record) {
+        record.clear();
+        const Vec6 w = newton_.cones.unit.of(ask.wrench);
+        const bool general_serves = planned(options_, kind_) == Algorithm::general ||
+                                    (kind_ == Kind::soft && asked(ask) == Start::given);
+        const Code code = general_serves ? UNDECIDED : begin(ask, w);
+        if (code == CONVERGED) {
+            newton_.cones.store_force(newton_.x, record.initial_force());
+            newton_.cones.certify(newton_.x, w, record);
+            record.summary().objective = newton_.cones.phi(newton_.x), record.summary().lower_bound = -infinity;
+            return LIMIT;
+        }
+        if (code == INFEASIBLE && kind_ != Kind::soft) return refuted(w, record);
+        if (code == REFUSED) return REFUSED;
+        if (flow_) return code;
+        const Code made = general(ask, record, {options_.gap(), 0});
+        return made == CONVERGED || made == STALLED ? LIMIT : made;
     }
 
     // --- algorithms
