@@ -144,10 +144,12 @@ class ForceOptimizer:
         self.compiled = initial is None or start > 0 or is_rule(initial, LearnedRule)
         weights = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
-        limits: LimitNumbers = (None,) * 5 if self.limits is None else self.limits.given(grasp.n_contacts)
+        limits: LimitNumbers = (
+            (None, None, None, None, None) if self.limits is None else self.limits.given(grasp.n_contacts)
+        )
         weighed = None if plain else weights.weights(grasp.n_contacts)
         try:
-            self.core = core.ForceOptimizer.make(
+            self.core: Any = core.ForceOptimizer.make(
                 grasp.contacts, weighed, weights.force_weight if plain else 1.0,
                 weights.barrier_weight if plain else 1.0, *limits, options.method, options.criterion == "max", start,
                 options.tolerance, options.max_iterations, options.elastic,
