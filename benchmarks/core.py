@@ -35,6 +35,8 @@ SHIFT, TILT = 2e-3, 0.05
 """How far contacts move on a path [m], how far their normals tilt [rad]."""
 LEVER = 0.05
 """How far a finger's joints move its contact [m/rad]."""
+ROOM = 1.1
+"""Torque limits over the largest torques of a path."""
 CALL, RATIO, FIRST = "call", "now over baseline, by rounds", "first solve of a process, newton"
 
 
@@ -116,14 +118,14 @@ def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
 
 
 def strongest(grasp: Grasp, points: Array, normals: Array, wrenches: Array, joints: Array) -> Array:
-    """(3N,) the largest torques [N m] that optimal forces need along a path: limits that hold, and bind."""
+    """(3N,) a little more than the largest torques [N m] that optimal forces need along a path: each step can keep them."""
     optimizer = ForceOptimizer(grasp)
     path = zip(wrenches, points, normals, joints, strict=True)
     torques = [
         np.einsum("nij,ni->nj", each, optimizer.solve(wrench, positions=p, normals=n).object_force)
         for wrench, p, n, each in path
     ]
-    return np.abs(torques).max(axis=0).reshape(-1)
+    return ROOM * np.abs(torques).max(axis=0).reshape(-1)
 
 
 def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:

@@ -145,6 +145,7 @@ def batch(case: Case, passes: int, **options: Any) -> Answers:
     from grasp_env.force import optimize_forces
 
     best, loads = np.inf, case["path_wrenches"].copy()
+    found: Any = None
     for _ in range(passes + 1):
         grasps = grasps_of(case)
         begin = time.perf_counter_ns()
