@@ -137,7 +137,8 @@ int main(int given, char** arguments) {
         {"open conic", {open}, least_sum, press},
     };
     for (const Case& each_case : cases)
-        print(each_case.name, ForceOptimizer(each_case.problem, each_case.options).solve(std::span(each_case.load, 6).first<6>()));
+        print(each_case.name,
+              ForceOptimizer(each_case.problem, each_case.options).solve(std::span(each_case.load, 6).first<6>()));
 
     // starts of a call
     ForceOptimizer solver({contacts}, newton);
@@ -155,8 +156,10 @@ int main(int given, char** arguments) {
     print("phase one", solver.solve({.wrench = wrench, .start = Start::phase_one}));
 
     {  // within limits any force inside the cones is a start, whichever algorithm serves them
-        for (const auto& [name, problem] : {std::pair{"given limited", Problem{contacts, tight}}, {"given shared", {contacts, pair}},
-                                            {"given soft", {soft}}, {"given soft shared", {soft, common}}}) {
+        for (const auto& [name, problem] : {std::pair{"given limited", Problem{contacts, tight}},
+                                            {"given shared", {contacts, pair}},
+                                            {"given soft", {soft}},
+                                            {"given soft shared", {soft, common}}}) {
             const Options options{.tolerance = exact, .elastic = !problem.limits.jacobian.empty()};
             print(name, ForceOptimizer(problem, options).solve({.wrench = wrench, .start = Start::given, .force = best}));
         }
@@ -272,7 +275,8 @@ int main(int given, char** arguments) {
     refused("bias", [&] { ForceOptimizer({contacts, {.jacobian = own, .torque_limit = each, .torque_bias = four}}); });
     refused("limits", [&] { ForceOptimizer({contacts, {.max_normal = each}}); });
     refused("no limit", [&] { ForceOptimizer({contacts, {.max_normal = std::span(bad).first(4)}}); });
-    refused("no jacobian", [&] { ForceOptimizer({contacts, {.jacobian = std::vector<double>(144, none), .torque_limit = each}}); });
+    refused("no jacobian",
+            [&] { ForceOptimizer({contacts, {.jacobian = std::vector<double>(144, none), .torque_limit = each}}); });
     refused("soft flow", [&] { ForceOptimizer({soft}, flow); });
     refused("limited flow", [&] { ForceOptimizer({contacts, limits}, flow); });
     refused("elastic alone", [&] { ForceOptimizer({contacts}, elastic); });
@@ -286,8 +290,8 @@ int main(int given, char** arguments) {
         const double turn = 0.01 * k;
         return std::array<double, 6>{std::sin(turn), std::cos(turn), -1.0, 0.02 * std::cos(turn), 0.0, 0.01};
     };
-    const Start starts[] = {Start::standard, Start::previous, Start::internal_force, Start::linear_combination, Start::single_value,
-                            Start::lagrange, Start::phase_one, Start::learned};
+    const Start starts[] = {Start::standard,     Start::previous, Start::internal_force, Start::linear_combination,
+                            Start::single_value, Start::lagrange, Start::phase_one,      Start::learned};
     std::vector<double> row(1000);
     for (const Case& one : cases) {
         ForceOptimizer first(one.problem, one.options);
@@ -307,8 +311,8 @@ int main(int given, char** arguments) {
             if (k % 5 == 1) given_now.friction = two;
             if (many_rows && k % 4 == 1) given_now.jacobian = arms;
             if (many_rows && k % 4 == 2) given_now.torque_bias = weight;
-            const Record& record = mine.solve(Ask{.wrench = k % 11 == 10 ? one.load : now.data(), .now = given_now,
-                                                  .start = starts[k % 8]});
+            const Record& record =
+                mine.solve(Ask{.wrench = k % 11 == 10 ? one.load : now.data(), .now = given_now, .start = starts[k % 8]});
             const bool ended = record.has_force() || record.code() == INFEASIBLE;
             none_yet += !record.has_force();
             if (k % 13 == 0) mine.start({.wrench = one.load, .now = given_now}, row.data());
