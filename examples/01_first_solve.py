@@ -25,7 +25,7 @@ grasp = Grasp.from_contacts(drawing / 1000, -outward, friction=0.6)  # metres, n
 assert advise(grasp) == []
 
 weight = gravity_wrench(0.3)  # the force [N] and moment [N m] that act ON the mug
-solution = optimize_force(grasp, weight, method="newton")
+solution = optimize_force(grasp, weight)
 solution.raise_for_status()  # an error unless the force is proven optimal
 print(f"\nin metres, inward: {solution.status.value}, squeezes with {solution.total_normal_force:.2f} N in all")
 print("contact   normal        o        t   [N]")

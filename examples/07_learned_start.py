@@ -37,14 +37,14 @@ ax.legend(loc="lower right")
 
 for size in (0.5, 1.0, 2.0):
     load = size * np.array([1, 0.5, -0.6, -0.01, 0.02, 0])  # [N, N m]
-    learned, plain = (optimize_force(grasp, load, method="newton", initial=rule) for rule in (network, None))
+    learned, plain = (optimize_force(grasp, load, initial=rule) for rule in (network, None))
     print(
-        f"wrench x {size}: {learned.iterations} Newton steps from the network, {plain.iterations} from the 12-basis; ",
+        f"wrench x {size}: {learned.iterations} Newton steps from the network, {plain.iterations} from an internal force; ",
         end="",
     )
     print("normal forces", *learned.force[:, 0].round(3), "N")
 
-# the network knows four contacts: with five the solve starts from the 12-basis, and says so
+# the network knows four contacts: with five the solve starts from an internal force, and says so
 print("five fingers:", optimize_force(presets.five_finger_cuboid(), load, initial=network).initial)
 
 plt.show()

@@ -20,7 +20,7 @@ loads[:, 1], loads[:, 2] = 3 * np.cos(np.radians(angles)), 3 * np.sin(np.radians
 
 optimizers = {"exact": ForceOptimizer(grasp, method="conic")}
 for weight in (1e-4, 1e-2, 1e-1, 1.0):
-    optimizers[f"lambda {weight:g}"] = ForceOptimizer(grasp, method="newton", barrier_weight=weight, tolerance=1e-8)
+    optimizers[f"lambda {weight:g}"] = ForceOptimizer(grasp, barrier_weight=weight, tolerance=1e-8)
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")
 squeezes, margins, bends = [], [], []

@@ -18,7 +18,7 @@ def main() -> None:
             folder / "cmake",
             "for find_package(grasp): -Dgrasp_DIR=$(python -m grasp_env.core --cmake-dir)",
         ),
-        ("--include-dir", folder / "include", "of <grasp/grasp.hpp>"),
+        ("--include-dir", folder / "include", "of <grasp/optimizer.hpp>"),
     ):
         asked.add_argument(option, dest="path", action="store_const", const=path, help=said)
     sys.stdout.write(f"{parser.parse_args().path}\n")

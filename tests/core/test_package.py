@@ -91,7 +91,7 @@ def installed(folder: Path) -> Iterator[str]:
         succeed(tool("cmake"), "-S", source, "-B", build, f"-DCMAKE_INSTALL_PREFIX={prefix}", *given, *hidden)
         succeed(tool("cmake"), "--install", build)
         files = {path.relative_to(prefix).as_posix() for path in prefix.rglob("*") if path.is_file()}
-        assert {"include/grasp/grasp.hpp", "share/cmake/grasp/graspConfig.cmake"} <= files
+        assert {"include/grasp/optimizer.hpp", "share/cmake/grasp/graspConfig.cmake"} <= files
         assert not {name for name in files if not name.startswith(("include/grasp/", "share/cmake/grasp/"))}
     yield f"-DCMAKE_PREFIX_PATH={prefix}"
 

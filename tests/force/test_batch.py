@@ -10,7 +10,7 @@ from problems import closure_grasps
 
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, UnknownNameError
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
-from grasp_env.force.batch import CHUNK
+from grasp_env.force.many import CHUNK
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce

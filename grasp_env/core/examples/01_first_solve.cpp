@@ -1,5 +1,5 @@
 // Solve your own contacts: three fingertips carry a mug of 0.3 kg. The same in Python: examples/01_first_solve.py.
-#include <grasp/grasp.hpp>
+#include <grasp/optimizer.hpp>
 
 #include <cmath>
 #include <cstdio>
@@ -16,8 +16,8 @@ int main() {
     const double weight[] = {0, 0, -0.3 * 9.81, 0, 0, 0};  // force [N] and moment [N m] that act ON the mug
 
     const auto contacts = grasp::Contacts::from(positions, normals, 0.6);  // throws where they make no grasp
-    grasp::Newton newton(contacts);
-    const grasp::Record solution = newton.solve(weight);
+    grasp::ForceOptimizer solver({contacts});
+    const grasp::Record& solution = solver.solve(weight);
     if (solution.code() != grasp::CONVERGED) return 1;
 
     const double* force = solution.force();  // (normal, o, t) of each contact, in its own frame

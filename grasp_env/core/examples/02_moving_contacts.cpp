@@ -1,6 +1,6 @@
 // Contacts that move, at 1 kHz: a second of turning a cuboid in four fingers whose tips roll. The same in Python:
 // examples/02_moving_contacts.py.
-#include <grasp/grasp.hpp>
+#include <grasp/optimizer.hpp>
 
 #include <algorithm>
 #include <chrono>
@@ -17,7 +17,7 @@ constexpr double NORMALS[] = {0, 0, 1, 0, 0, -1, 0, 0, -1, 0, 0, -1};
 constexpr double LEVERS[3][3] = {{0.05, 0, 0}, {0.01, -0.02, -0.03}, {0.06, 0.05, 0.03}};
 
 int main() {
-    grasp::Pipeline pipeline(grasp::Contacts::from(POSITIONS, NORMALS, 0.4));
+    grasp::ForceOptimizer solver({grasp::Contacts::from(POSITIONS, NORMALS, 0.4)}, {.start = grasp::Start::previous});
     std::vector<double> took;
     double most = 0, least = INFINITY, p[12], n[12];
     auto next = Clock::now();
@@ -33,15 +33,14 @@ int main() {
         const double wrench[] = {x, 0, z, 0, 0.01 * x - 0.005 * z, 0};
 
         const auto begin = Clock::now();
-        const grasp::Record solution = pipeline.solve(p, n, wrench);
+        const grasp::Record& solution = solver.solve(wrench, {.positions = p, .normals = n});
         took.push_back(std::chrono::duration<double, std::micro>(Clock::now() - begin).count());
         if (solution.code() != grasp::CONVERGED) return 1;
         for (int i = 0; i < 4; ++i) {
-            const double *f = solution.force() + 3 * i, *frame = pipeline.contacts().frames.data() + 9 * i;
+            const double* f = solution.force() + 3 * i;
             least = std::min(least, 0.4 * f[0] - std::hypot(f[1], f[2]));  // friction margin [N]
-            double v[3] = {}, torque[3] = {};  // the force in the object's frame [N]; J^T f of the finger's joints [N m]
-            for (int a = 0; a < 3; ++a)
-                for (int k = 0; k < 3; ++k) v[a] += frame[3 * a + k] * f[k];
+            double v[3], torque[3] = {};  // the force in the object's frame [N]; J^T f of the finger's joints [N m]
+            solution.object_force(i, v);
             for (int a = 0; a < 3; ++a)
                 for (int j = 0; j < 3; ++j) torque[j] += LEVERS[a][j] * v[a];
             for (double each : torque) most = std::max(most, std::abs(each));

@@ -1,10 +1,11 @@
 // What the motors can give: forces keep torque limits, or exceed them least and say so. The same in Python:
 // examples/04_torque_limits.py.
-#include <grasp/grasp.hpp>
+#include <grasp/optimizer.hpp>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <limits>
 
 // A thumb below, three fingers above; metres and unit vectors INTO the object.
 constexpr double POSITIONS[] = {0, 0, -0.05, 0, 0.03, 0.05, -0.03, -0.02, 0.05, 0.03, -0.02, 0.05};
@@ -14,37 +15,36 @@ constexpr double MOTORS[] = {0.8, 0.4, 0.4, 0.1}, OWN_WEIGHT[] = {0.02, 0.01, 0.
 
 int main() {
     const auto contacts = grasp::Contacts::from(POSITIONS, NORMALS, 0.4);
-    double jacobian[12][12] = {}, limit[12], bias[12];  // (N, 3, J) in the contacts' frames; each finger has three joints
+    double jacobian[4][3][12] = {}, limit[12], bias[12],
+           none[12];  // (N, 3, J) in the frame of the positions; a finger has three joints
     for (int i = 0; i < 4; ++i)
         for (int j = 0; j < 3; ++j) {
             limit[3 * i + j] = MOTORS[i], bias[3 * i + j] = OWN_WEIGHT[j];
-            for (int k = 0; k < 3; ++k)
-                for (int a = 0; a < 3; ++a) jacobian[3 * i + k][3 * i + j] += contacts.frames[9 * i + 3 * a + k] * LEVERS[a][j];
+            none[3 * i + j] = std::numeric_limits<double>::infinity();
+            for (int a = 0; a < 3; ++a) jacobian[i][a][3 * i + j] = LEVERS[a][j];
         }
-    const auto largest = [&](const double* force) {  // torque of a joint, as a part of its limit
+    const std::span<const double> joints(&jacobian[0][0][0], 144);
+    grasp::ForceOptimizer free({contacts, {.jacobian = joints, .torque_limit = none, .torque_bias = bias}});
+    grasp::ForceOptimizer limited({contacts, {.jacobian = joints, .torque_limit = limit}}, {.elastic = true});
+    const auto largest = [&](const grasp::Record& solution) {  // torque of a joint, as a part of its limit
         double most = 0;
-        for (int j = 0; j < 12; ++j) {
-            double torque = bias[j];
-            for (int k = 0; k < 12; ++k) torque += jacobian[k][j] * force[k];
-            most = std::max(most, std::abs(torque) / limit[j]);
-        }
+        for (int j = 0; j < 12; ++j) most = std::max(most, std::abs(solution.torques()[j]) / limit[j]);
         return most;
     };
-    grasp::Newton free(contacts);
-    grasp::LimitedNewton limited(contacts, {.jacobian = {&jacobian[0][0], 144}, .torque_limit = limit, .torque_bias = bias});
 
     double naive = 0, strong = 0;
     for (int k = 0; k <= 60; ++k) {
         const double load = 0.25 * k, wrench[] = {0.7 * load, 0, 0.7 * load, 0, 0, 0};
-        const double share = largest(free.solve(wrench).force());
-        const grasp::Record kept = limited.solve(wrench);
-        if (kept.code() == grasp::REFUSED) return 1;
+        const double share = largest(free.solve(wrench));
+        // a loop has another Jacobian and weight at every tick: they come with the call
+        const grasp::Record& kept = limited.solve(wrench, {.jacobian = joints, .torque_bias = bias});
+        if (!kept.has_force()) return 1;
         const bool within = kept.summary().limit_excess == 0;  // else the code is LIMITS_EXCEEDED, and this is by what part
         if (share <= 1) naive = load;
         if (within) strong = load;
         if (k % 10 == 0)
-            std::printf("%4.1f N: %4.0f%% of the limits; minding them %4.0f%%, %s\n", load, 100 * share,
-                        100 * largest(kept.force()), within ? "optimal" : "limits_exceeded");
+            std::printf("%4.1f N: %4.0f%% of the limits; minding them %4.0f%%, %s\n", load, 100 * share, 100 * largest(kept),
+                        within ? "optimal" : "limits_exceeded");
     }
     std::printf("carried: %.1f N without minding the motors, %.1f N within their limits\n", naive, strong);
 }

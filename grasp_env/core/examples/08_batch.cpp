@@ -1,5 +1,5 @@
 // Many wrenches: in C++ a batch is a loop, a solver for each thread. The same in Python: examples/08_batch.py.
-#include <grasp/grasp.hpp>
+#include <grasp/optimizer.hpp>
 
 #include <chrono>
 #include <cmath>
@@ -17,13 +17,13 @@ int main() {
     std::vector<double> least(AROUND * UP);  // sum of normal forces [N] for 5 N in each direction
     const auto begin = std::chrono::steady_clock::now();
     const auto work = [&](int part) {
-        grasp::Conic conic(contacts);  // belongs to its thread; nothing is shared
+        grasp::ForceOptimizer solver({contacts}, {.method = grasp::Method::conic});  // belongs to its thread; nothing is shared
         for (int k = part; k < AROUND * UP; k += THREADS) {
             const double azimuth = (k % AROUND - 180) * std::numbers::pi / 180;
             const double elevation = (k / AROUND - 84) * std::numbers::pi / 180;
             const double flat = 5 * std::cos(elevation);
             const double wrench[] = {flat * std::cos(azimuth), flat * std::sin(azimuth), 5 * std::sin(elevation), 0, 0, 0};
-            const grasp::Record solution = conic.solve(wrench);
+            const grasp::Record& solution = solver.solve(wrench);
             least[k] = solution.code() == grasp::CONVERGED ? solution.summary().objective : INFINITY;
         }
     };

@@ -1,6 +1,6 @@
 // Latencies of a million solves of each kind: `latency MODEL [CALLS]`. One line of each: name, then median, p99, p99.9 and largest
 // [us] by the clock on the wall, and the same by the thread's own clock, which does not run while others have the processor.
-#include <grasp/grasp.hpp>
+#include <grasp/optimizer.hpp>
 
 #include <time.h>
 
@@ -22,7 +22,7 @@ void print(std::vector<double>& all) {
     for (const double p : {0.5, 0.99, 0.999, 1.0}) std::printf(" %.3f", all[std::size_t(p * double(all.size() - 1))]);
 }
 
-// call(k) solves the k-th problem; REFUSED and STALLED count as failed
+// call(k) solves the k-th problem; all but CONVERGED count as failed
 template <class F> void measure(const char* name, int calls, F&& call) {
     std::vector<double> wall(calls), own(calls);
     int failed = 0;
@@ -78,21 +78,28 @@ int main(int given, char** arguments) {
             for (int j = 0; j < 3; ++j) jacobian[(3 * i + a) * 12 + 3 * i + j] = levers[3 * a + j];
     const grasp::ForceLimits limits{.jacobian = jacobian, .torque_limit = torque, .torque_bias = bias};
 
-    grasp::Newton newton(contacts);
-    grasp::Conic conic(contacts);
-    grasp::Pipeline pipeline(contacts);
-    grasp::LimitedNewton limited(contacts, limits);
-    grasp::Learned learned(contacts, grasp::ModelFile::load(arguments[1]));
-    measure("newton, 12-basis:", calls, [&](int k) { return newton.solve(loads[k % many]).code(); });
-    measure("newton, previous:", calls, [&](int k) { return newton.follow(path[k % many]).code(); });
+    const auto model = std::make_shared<const grasp::Model>(grasp::ModelFile::load(arguments[1]));
+    const grasp::Options follows{.start = grasp::Start::previous}, learns{.start = grasp::Start::learned, .model = model};
+    grasp::ForceOptimizer newton({contacts}), follow({contacts}, follows), conic({contacts}, {.method = grasp::Method::conic});
+    grasp::ForceOptimizer limited({contacts, limits}), holding({contacts, limits}, follows), learned({contacts}, learns);
+    const auto moved = [&](int k) { return grasp::Now{.positions = points[k % many], .normals = directions[k % many]}; };
+    const auto some = [&](int k) {
+        grasp::Now now = moved(k);
+        now.contacts = 0b0111;
+        return now;
+    };
+    measure("newton:", calls, [&](int k) { return newton.solve(loads[k % many]).code(); });
+    measure("newton, previous:", calls, [&](int k) { return follow.solve(path[k % many]).code(); });
+    measure("newton, moving contacts:", calls, [&](int k) { return newton.solve(loads[k % many], moved(k)).code(); });
+    measure("previous, moving contacts:", calls, [&](int k) { return follow.solve(path[k % many], moved(k)).code(); });
+    measure("previous, three of four:", calls, [&](int k) { return follow.solve(path[k % many], some(k)).code(); });
     measure("conic:", calls, [&](int k) { return conic.solve(loads[k % many]).code(); });
-    measure("learned start:", calls, [&](int k) { return learned.solve(loads[k % many]).code(); });
-    measure("moving contacts:", calls,
-            [&](int k) { return pipeline.solve(points[k % many], directions[k % many], path[k % many]).code(); });
-    measure("limits, previous:", calls, [&](int k) { return limited.follow(path[k % many]).code(); });
+    measure("learned start:", calls, [&](int k) { return learned.forget(), learned.solve(loads[k % many]).code(); });
+    measure("limits:", calls, [&](int k) { return limited.solve(loads[k % many]).code(); });
+    measure("limits, previous:", calls, [&](int k) { return holding.solve(path[k % many]).code(); });
     measure("limits, moving contacts:", calls, [&](int k) {
-        return limited.move(points[k % many], directions[k % many], limits) ? limited.follow(path[k % many]).code()
-                                                                            : grasp::REFUSED;
+        grasp::Now now = moved(k);
+        now.jacobian = jacobian, now.torque_bias = bias;
+        return holding.solve(path[k % many], now).code();
     });
-    measure("limits, 12-basis:", calls, [&](int k) { return limited.solve(loads[k % many]).code(); });
 }

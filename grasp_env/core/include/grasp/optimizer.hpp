@@ -42,7 +42,8 @@ public:
     Code solve(const Ask& ask, double* row) { return engine_->solve(ask, row); }
     // The start of a call alone, in place of the force: LIMIT, or why there is none.
     Code start(const Ask& ask, double* row) { return engine_->start(ask, row); }
-    // (13, 3N) the offline optima of the problem's contacts in cone coordinates, which the paper's starts combine: see `offline_basis`.
+    // (13, 3N) the offline optima of the problem's contacts in cone coordinates, which the paper's starts combine, from elsewhere: it makes
+    // them itself where its options ask for a flow or for such a start.
     void set_basis(Doubles basis) { engine_->set_basis(basis.data()); }
     // From now on the contacts and limits are these; false, and nothing has changed: numbers that are not possible.
     bool update(const Now& now) { return engine_->update(now); }

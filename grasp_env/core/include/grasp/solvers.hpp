@@ -1,4 +1,4 @@
-// The solvers whatever the number of contacts: what the bindings, and grasp.hpp for other programs, are made of.
+// The solvers whatever the number of contacts: what the bindings are made of. C++ programs include optimizer.hpp.
 #pragma once
 #include "conic.hpp"
 #include "dispatch.hpp"
