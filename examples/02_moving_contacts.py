@@ -2,14 +2,9 @@
 Contacts that move, at 1 kHz
 ============================
 
-<<<<<<< HEAD
-Four fingers hold a cuboid that is turned, and their tips roll. To learn: ``ForceOptimizer.solve`` takes the contacts of
-now in one compiled call, and starts from the last force where that helps. In C++: ``02_moving_contacts.cpp``.
-=======
 Four fingers hold a cuboid that is turned, and their tips roll. To learn: ``solve`` takes the contacts of now, and goes on
 from its last solution; a grasp and a solver made anew give the same forces, many times slower. In C++:
 ``02_moving_contacts.cpp``.
->>>>>>> i26-ctests
 """
 
 from time import perf_counter
@@ -35,31 +30,12 @@ def world(seconds):
     return points, normals, gravity_wrench(0.5, com=[0.005, 0, 0.01], rotation=rotation)
 
 
-<<<<<<< HEAD
-optimizer, cold = ForceOptimizer(nominal, initial="previous"), ForceOptimizer(nominal)
-stamps, margins, torques = np.empty((1000, 4)), np.empty((1000, 4)), np.empty((1000, 12))
-=======
 optimizer = ForceOptimizer(nominal, initial="previous")
 stamps, margins, torques = np.empty((1000, 3)), np.empty((1000, 4)), np.empty((1000, 12))
->>>>>>> i26-ctests
 for tick in range(1000):
     points, normals, wrench = world(1e-3 * tick)
     begin = perf_counter()
     solution = optimizer.solve(wrench, positions=points, normals=normals)
-<<<<<<< HEAD
-    followed = perf_counter()
-    cold.solve(wrench, positions=points, normals=normals)  # knows no other tick
-    solved = perf_counter()
-    optimize_force(Grasp.from_contacts(points, normals, 0.4), wrench)
-    stamps[tick] = begin, followed, solved, perf_counter()
-    margins[tick] = 0.4 * solution.force[:, 0] - np.hypot(*solution.force[:, 1:].T)  # [N] from slipping
-    torques[tick] = joint_torques(jacobian, solution.object_force)
-
-follow, cold, anew = np.median(1e6 * np.diff(stamps), axis=0)
-print(f"median: from the last force {follow:.1f} us, from none {cold:.1f} us, all anew {anew:.1f} us")
-print(f"largest joint torque {abs(torques).max():.3f} N m, least friction margin {margins.min():.3f} N")
-assert margins.min() > 0 and 2 * follow < anew
-=======
     moved = perf_counter()
     anew = optimize_force(Grasp.from_contacts(points, normals, 0.4), wrench)
     stamps[tick] = begin, moved, perf_counter()
@@ -71,7 +47,6 @@ moving, anew = np.median(1e6 * np.diff(stamps), axis=0)
 print(f"median: contacts of the call {moving:.1f} us, all anew {anew:.1f} us")
 print(f"largest joint torque {abs(torques).max():.3f} N m, least friction margin {margins.min():.3f} N")
 assert margins.min() > 0 and 3 * moving < anew
->>>>>>> i26-ctests
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")
 left.plot(margins, label=["thumb", "finger 1", "finger 2", "finger 3"])

@@ -2,13 +2,8 @@
 A contact is lost, and comes back
 =================================
 
-<<<<<<< HEAD
-One of four fingers leaves the object for 0.2 s. To learn: ``contacts=`` says which ones touch; the force of the others
-is zero, nothing is made anew, and no tick is late. In C++: ``03_lost_contact.cpp``.
-=======
 One of four fingers leaves the object for 0.2 s. To learn: ``contacts`` says which fingers touch in a call; the others have
 no force in the answer, and the solver goes on from its last solution. In C++: ``03_lost_contact.cpp``.
->>>>>>> i26-ctests
 """
 
 import matplotlib.pyplot as plt
@@ -32,13 +27,8 @@ for tick in range(1000):
         print(f"{tick} ms, {events[tick]:11} {solution.iterations} iterations, normal forces {normal} N")
 assert forces[500, 3] == 0 and iterations[401] <= iterations[400]
 
-<<<<<<< HEAD
-try:
-    optimizer.solve(wrench, contacts=np.array([True, True, False, False]))
-=======
 try:  # two point contacts cannot balance a wrench of every direction
     optimizer.solve(wrench, contacts=[True, True, False, False])
->>>>>>> i26-ctests
 except RankDeficientGraspError as error:
     print("two remain:", error)
 

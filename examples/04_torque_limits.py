@@ -18,29 +18,17 @@ grasp = presets.paper_cuboid()  # a thumb below, three fingers above
 jacobian = np.kron(np.eye(4), [[0.05, 0, 0], [0.01, -0.02, -0.03], [0.06, 0.05, 0.03]]).reshape(4, 3, 12)
 own_weight = np.tile([0.02, 0.01, 0.005], 4)  # what the links' weight asks of the joints [N m]
 motors = np.repeat([0.8, 0.4, 0.4, 0.1], 3)  # what they give [N m]
-<<<<<<< HEAD
-limits = ForceLimits(jacobian=jacobian, torque_limit=motors, torque_bias=own_weight)
-limited = ForceOptimizer(grasp, limits=limits, elastic=True)
-free = ForceOptimizer(grasp, limits=ForceLimits(jacobian=jacobian, torque_limit=np.inf, torque_bias=own_weight))
-=======
 free = ForceOptimizer(grasp, limits=ForceLimits(jacobian=jacobian, torque_limit=np.inf, torque_bias=own_weight))
 limited = ForceOptimizer(grasp, limits=ForceLimits(jacobian=jacobian, torque_limit=motors), elastic=True)
->>>>>>> i26-ctests
 
 loads = np.linspace(0, 15, 61)  # [N]
 shares = np.empty((2, len(loads)))  # largest torque of a joint, as a part of its limit
 excess = np.empty(len(loads))
 for k, load in enumerate(loads):
     wrench = [0.7 * load, 0, 0.7 * load, 0, 0, 0]
-<<<<<<< HEAD
-    kept = limited.solve(wrench)
-    for row, solution in zip(shares, (free.solve(wrench), kept), strict=True):
-        row[k] = (abs(solution.torques) / motors).max()
-=======
     # a loop has another Jacobian and weight at every tick: they come with the call
     kept = limited.solve(wrench, jacobian=jacobian, torque_bias=own_weight)
     shares[:, k] = [(abs(solution.torques) / motors).max() for solution in (free.solve(wrench), kept)]
->>>>>>> i26-ctests
     excess[k] = kept.limit_excess
     if k % 10 == 0:
         print(
