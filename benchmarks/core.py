@@ -20,8 +20,9 @@ import numpy as np
 from benchmarks.core_side import ROWS
 from benchmarks.problem import problems
 from benchmarks.settings import Benchmark, Effort, tick
+from grasp_env._check import Array
 from grasp_env.errors import GraspError, InvalidInputError
-from grasp_env.force import phase_one
+from grasp_env.force import ForceOptimizer, phase_one
 from grasp_env.grasp import Grasp
 from training.results.claims import Claim
 from training.results.run import commit
@@ -32,6 +33,10 @@ STEP = 0.03
 """Between neighbours on a path [rad]: 200 calls go round once."""
 SHIFT, TILT = 2e-3, 0.05
 """How far contacts move on a path [m], how far their normals tilt [rad]."""
+LEVER = 0.05
+"""How far a finger's joints move its contact [m/rad]."""
+ROOM = 1.1
+"""Torque limits over the largest torques of a path."""
 CALL, RATIO, FIRST = "call", "now over baseline, by rounds", "first solve of a process, newton"
 
 
@@ -102,8 +107,25 @@ def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
         turning = np.cos(angle[:, 0]) * loads[0] + np.sin(angle[:, 0]) * loads[1]
         found = {"positions": grasp.positions, "normals": grasp.normals, "friction": grasp.friction, "wrenches": loads}
         found |= {"path_points": points, "path_normals": normals, "path_wrenches": turning}
+        joints = (
+            LEVER
+            * np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
+            * (1.0 + 0.1 * np.sin(angle[:, :, None] + phase[:, :, None]))
+        )
+        found |= {"path_joints": joints, "torque_limit": strongest(grasp, points, normals, turning, joints)}
         out |= {f"{group}/{name}": value for name, value in found.items()}
     return out
+
+
+def strongest(grasp: Grasp, points: Array, normals: Array, wrenches: Array, joints: Array) -> Array:
+    """(3N,) a little more than the largest torques [N m] that optimal forces need along a path: each step can keep them."""
+    optimizer = ForceOptimizer(grasp)
+    path = zip(wrenches, points, normals, joints, strict=True)
+    torques = [
+        np.einsum("nij,ni->nj", each, optimizer.solve(wrench, positions=p, normals=n).object_force)
+        for wrench, p, n, each in path
+    ]
+    return ROOM * np.abs(torques).max(axis=0).reshape(-1)
 
 
 def process(python: Path, root: Path, words: list[str]) -> list[dict[str, Any]]:

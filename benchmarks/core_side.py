@@ -17,12 +17,14 @@ import numpy as np
 WARM_UP = 20
 """Calls before the clock starts, for every row."""
 Case = dict[str, Any]
-"""A grasp and its problems: wrenches (n, 6), and points (n, N, 3), normals and wrenches along a smooth path."""
+"""A grasp and its problems: wrenches (n, 6), and points (n, N, 3), normals, wrenches and Jacobians (n, N, 3, J) along a smooth path."""
 Answers = tuple[Any, list[float]]
 """Seconds (n,) of each call, the best of the passes, and the objectives (n,), nan where not optimal."""
 
 
-def timed(passes: int, call: Any, calls: list[Any], restart: Callable[[], Any] = lambda: None) -> Answers:
+def timed(
+    passes: int, call: Any, calls: list[Any], restart: Callable[[], Any] = lambda: None, wanted: str = "OPTIMAL"
+) -> Answers:
     """`call(*calls[k])`, a solve with the reading of `.force` and `.status`; a pass begins with `restart()` and an untimed call."""
     solves = not hasattr(call(*calls[0]), "length")  # or makes a grasp
     for given in calls[:WARM_UP]:
@@ -41,7 +43,9 @@ def timed(passes: int, call: Any, calls: list[Any], restart: Callable[[], Any] =
     found = [call(*given) for given in calls]
     if not solves:
         return 1e-9 * best, [grasp.length for grasp in found]
-    return 1e-9 * best, [solution.objective if solution.status.name == "OPTIMAL" else np.nan for solution in found]
+    values = [solution.objective if wanted == "OPTIMAL" else 1.0 for solution in found]
+    ended = [solution.status.name == wanted for solution in found]
+    return 1e-9 * best, [value if good else np.nan for value, good in zip(values, ended, strict=True)]
 
 
 def python(case: Case, passes: int, grasp: str = "grasp", wrenches: str = "wrenches", **options: Any) -> Answers:
@@ -57,12 +61,111 @@ def compiled(case: Case, passes: int, **options: Any) -> Answers:
     """The compiled call alone, start and certificate included, timed in C++; its objectives are those from Python."""
     from grasp_env.force import ForceOptimizer
 
-    method: Any = ForceOptimizer(case["grasp"], **options)._method
+    optimizer: Any = ForceOptimizer(case["grasp"], **options)
+    before = hasattr(optimizer, "_method")  # 84dbd39 and earlier
+    solver = optimizer._method.solver if before else optimizer.core
     loads, best = case["wrenches"], np.empty(len(case["wrenches"]))
-    records = np.zeros((len(loads), 20 + 7 * len(case["positions"])))
-    method.solver.times(loads[:WARM_UP], 1, records[:WARM_UP], best[:WARM_UP])
-    method.solver.times(loads, passes, records, best)
+    records = np.zeros((len(loads), 20 + 7 * len(case["positions"]) if before else solver.size))
+    solver.times(loads[:WARM_UP], 1, records[:WARM_UP], best[:WARM_UP])
+    solver.times(loads, passes, records, best)
     return best, python(case, 1, **options)[1]
+
+
+def path_of(case: Case, *more: str) -> list[Any]:
+    """(points, normals, wrench, ...) of each step."""
+    return list(zip(*(case[f"path_{name}"] for name in ("points", "normals", "wrenches", *more)), strict=True))
+
+
+def moving(case: Case, passes: int, **options: Any) -> Answers:
+    """Contacts and wrench of now into a certified force, from Python, along the path."""
+    from grasp_env import force
+
+    options |= {"method": "newton", "tolerance": 1e-4}
+    if hasattr(force, "ForcePipeline"):  # 84dbd39 and earlier
+        pipeline: Any = force.ForcePipeline(case["grasp"], **options)
+        return timed(passes, pipeline.solve, path_of(case), pipeline.reset)
+    optimizer = force.ForceOptimizer(case["grasp"], **options)
+    solve: Any = lambda points, normals, wrench: optimizer.solve(wrench, positions=points, normals=normals)  # noqa: E731
+    return timed(passes, solve, path_of(case), lambda: setattr(optimizer, "previous", None))
+
+
+def within_limits(case: Case, passes: int, part: float = 1.0, wanted: str = "OPTIMAL", **options: Any) -> Answers:
+    """The same with the Jacobian of now (three joints a finger), within a part of the torque limits."""
+    from grasp_env import force
+    from grasp_env.errors import InfeasibleWrenchError
+    from grasp_env.grasp import Grasp
+
+    limits: Any = {"torque_limit": part * case["torque_limit"]}
+    options |= {"method": "newton", "tolerance": 1e-4}
+    if hasattr(force, "contact_jacobian"):  # 84dbd39 and earlier: Jacobians in contact frames, contacts as grasps
+        turn: Any = force.contact_jacobian
+        first = force.ForceLimits(jacobian=turn(case["grasp"], case["path_jacobians"][0]), **limits)
+        optimizer: Any = force.ForceOptimizer(case["grasp"], limits=first, **options)
+
+        def solve(points: Any, normals: Any, wrench: Any, jacobian: Any) -> Any:
+            grasp = Grasp.from_contacts(points, normals, case["friction"])
+            optimizer.move_to(grasp, force.ForceLimits(jacobian=turn(grasp, jacobian), **limits))
+            return optimizer.solve(wrench)
+    else:
+        given = force.ForceLimits(jacobian=case["path_jacobians"][0], **limits)
+        optimizer = force.ForceOptimizer(case["grasp"], limits=given, **options)
+
+        def solve(points: Any, normals: Any, wrench: Any, jacobian: Any) -> Any:
+            return optimizer.solve(wrench, positions=points, normals=normals, jacobian=jacobian)
+
+    def call(*given: Any) -> Any:
+        try:
+            return solve(*given)
+        except InfeasibleWrenchError as error:
+            return error.solution
+
+    return timed(passes, call, path_of(case, "jacobians"), lambda: setattr(optimizer, "previous", None), wanted)
+
+
+def new_contacts(case: Case, passes: int, **options: Any) -> Answers:
+    """`Grasp.from_contacts` and `optimize_force` along the path: nothing is kept between calls."""
+    from grasp_env.force import optimize_force
+    from grasp_env.grasp import Grasp
+
+    def call(points: Any, normals: Any, wrench: Any) -> Any:
+        return optimize_force(Grasp.from_contacts(points, normals, case["friction"]), wrench, **options)
+
+    return timed(passes, call, path_of(case))
+
+
+def grasps_of(case: Case) -> list[Any]:
+    """Those of the path, with nothing remembered."""
+    from grasp_env.grasp import Grasp
+
+    return [Grasp.from_contacts(points, normals, case["friction"]) for points, normals, _ in path_of(case)]
+
+
+def batch(case: Case, passes: int, **options: Any) -> Answers:
+    """`optimize_forces` of as many grasps as wrenches, on one core: the mean of a batch is the time of each."""
+    from grasp_env.force import optimize_forces
+
+    best, loads = np.inf, case["path_wrenches"].copy()
+    found: Any = None
+    for _ in range(passes + 1):
+        grasps = grasps_of(case)
+        begin = time.perf_counter_ns()
+        found = optimize_forces(grasps, loads, workers=1, **options)
+        best = min(best, time.perf_counter_ns() - begin)
+    return np.full(len(loads), 1e-9 * best / len(loads)), np.where(found.optimal, found.objective, np.nan).tolist()
+
+
+def constructor(case: Case, passes: int, **options: Any) -> Answers:
+    """`ForceOptimizer(grasp, **options)` of grasps that nothing is known of."""
+    from grasp_env.force import ForceOptimizer
+
+    best = np.full(len(case["path_points"]), np.inf)
+    for turn in range(passes + 1):  # the first one warms up
+        for k, grasp in enumerate(grasps_of(case)):
+            begin = time.perf_counter_ns()
+            ForceOptimizer(grasp, **options)
+            if turn:
+                best[k] = min(best[k], time.perf_counter_ns() - begin)
+    return 1e-9 * best, [1.0] * len(best)
 
 
 def making(case: Case, passes: int, name: str, third: Any) -> Answers:
@@ -81,6 +184,18 @@ ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
     ),
     "conic": ("conic to 1e-6, compiled call", lambda *given: compiled(*given, method="conic", tolerance=1e-6)),
     "conic_python": ("the same, ForceOptimizer.solve from Python", lambda *given: python(*given, method="conic", tolerance=1e-6)),
+    "moving_newton": ("contacts of now to certified force by newton to 1e-4, no history, from Python", moving),
+    "moving_newton_previous": ("the same from the previous solution", lambda *given: moving(*given, initial="previous")),
+    "moving_limits": ("contacts and Jacobian of now within torque limits, newton to 1e-4, from Python", within_limits),
+    "moving_limits_previous": ("the same from the previous solution", lambda *given: within_limits(*given, initial="previous")),
+    "moving_limits_infeasible": (
+        "the same where no force keeps the limits, with the error", lambda *given: within_limits(*given, part=0.05, wanted="INFEASIBLE")
+    ),
+    "new_contacts_newton": ("Grasp.from_contacts and optimize_force, newton to 1e-4", lambda *given: new_contacts(*given, method="newton")),
+    "new_contacts_conic": ("the same, conic to 1e-6", lambda *given: new_contacts(*given, method="conic")),
+    "batch_grasps_newton": ("optimize_forces of as many grasps as wrenches on one core, newton", lambda *given: batch(*given, method="newton")),
+    "batch_grasps_conic": ("the same, conic", lambda *given: batch(*given, method="conic")),
+    "constructor": ("ForceOptimizer(grasp, method='newton') of a new grasp", lambda *given: constructor(*given, method="newton")),
     "from_contacts": ("Grasp.from_contacts", lambda case, passes: making(case, passes, "from_contacts", case["friction"])),
     "unchecked": ("Grasp.unchecked", lambda case, passes: making(case, passes, "unchecked", case["grasp"].models)),
     "flow": ("the paper's flow, ForceOptimizer.solve", lambda *given: python(*given, method="reduced_flow")),
@@ -97,11 +212,21 @@ def cases(path: str) -> Iterator[Case]:
     arrays = np.load(path)
     for group in sorted({name.partition("/")[0] for name in arrays.files}):
         case: Case = {name.partition("/")[2]: arrays[name] for name in arrays.files if name.startswith(f"{group}/")}
+        case["path_jacobians"] = jacobians(case["path_joints"])
         contacts = case["positions"], case["normals"], case["friction"]
         case["grasp"] = Grasp.from_contacts(*contacts)
         gamma = 0.1 * case["friction"] * case["grasp"].length
         case["soft"] = Grasp.from_contacts(*contacts, contact_model="soft", torsional_friction=gamma)
         yield case
+
+
+def jacobians(joints: Any) -> Any:
+    """(n, N, 3, 3 N) of fingers with three joints each, of which only their own (n, N, 3, 3) move them."""
+    steps, count = joints.shape[:2]
+    made = np.zeros((steps, count, 3, count, 3))
+    for finger in range(count):
+        made[:, finger, :, finger] = joints[:, finger]
+    return made.reshape(steps, count, 3, 3 * count)
 
 
 def lines(problems: str, passes: int, names: tuple[str, ...]) -> Iterator[dict[str, Any]]:

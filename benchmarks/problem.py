@@ -14,14 +14,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from scipy import sparse
 
 from grasp_env._check import Array, Wrench
 from grasp_env.force import ForceOptimizer
-from grasp_env.force.record import record_size
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.wrench import sample_ball
 from training.data.grasps import BENCH, PRESETS
@@ -101,11 +99,10 @@ def best_times(solve: Callable[[Wrench], object], wrenches: Array, passes: int) 
 def compiled_times(optimizer: ForceOptimizer, wrenches: Array, passes: int) -> tuple[Array, Array]:
     """(n,) seconds of one compiled call for each wrench (n, 6), certificate included, and the records of the solutions.
 
-    The optimizer is a `conic` or `newton` one on hard contacts with force closure; loop and clock are compiled, too.
+    Loop and clock are compiled, too; every call is the first of its optimizer.
     """
-    solver: Any = optimizer._method
     loads, best = np.array(wrenches), np.empty(len(wrenches))
-    records = np.full((len(loads), record_size(optimizer.grasp.n_contacts)), 0.0)
-    solver.solver.times(loads[:WARM_UP], 1, records[:WARM_UP], best[:WARM_UP])
-    solver.solver.times(loads, passes, records, best)
+    records = np.zeros((len(loads), optimizer.core.size))
+    optimizer.core.times(loads[:WARM_UP], 1, records[:WARM_UP], best[:WARM_UP])
+    optimizer.core.times(loads, passes, records, best)
     return best, records

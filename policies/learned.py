@@ -57,9 +57,9 @@ class LearnedInitialForce:
         >>> from grasp_env.force import optimize_force
         >>> from grasp_env.grasp import presets
         >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
-        >>> optimize_force(grasp, wrench).iterations > 10
+        >>> optimize_force(grasp, wrench, method="reduced_flow").iterations > 10
         True
-        >>> optimize_force(grasp, wrench, initial=LearnedInitialForce.pretrained()).iterations < 10
+        >>> optimize_force(grasp, wrench, method="reduced_flow", initial=LearnedInitialForce.pretrained()).iterations < 10
         True
     """
 

@@ -25,7 +25,7 @@ from training.cli import COMMANDS, EXIT_CODES, UsageError, main
 from training.commands.solve import Solve
 
 ROOT = Path(__file__).parents[1]
-LARGE = "--wrench 1000 500 -600 -100 200 0"
+LARGE = "--method reduced_flow --wrench 1000 500 -600 -100 200 0"
 """Too large for the flow to reach its tolerance."""
 LIMITED = "--method newton --max-normal 5 --wrench 0 0 50 0 0 0"
 """No force within the limit balances it."""

@@ -211,7 +211,7 @@ def test_formulas_are_drawn_and_search_finds(site: Path) -> None:
         )
         tab.show(site / "search.html", 1280, 800)
         tab.value(
-            "new Promise(done => { Search.performSearch('pipeline'); const wait = () =>"
+            "new Promise(done => { Search.performSearch('jacobian'); const wait = () =>"
             " /found|matching/.test(document.querySelector('.search-summary').innerText) ? done(true) : setTimeout(wait, 20);"
             " wait(); })"
         )

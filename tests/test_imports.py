@@ -248,8 +248,9 @@ for method in ("reduced_flow", "full_flow", "newton", "conic"):
     optimizer = force.ForceOptimizer(grasp, method=method)
     for k in range(2):
         assert optimizer.solve(wrench).status is force.Status.OPTIMAL
-    optimizer.move_to(presets.tripod())
-    assert optimizer.solve(0.1 * wrench).status is force.Status.OPTIMAL
+    assert optimizer.solve(0.1 * wrench, positions=grasp.positions + 1e-3).status is force.Status.OPTIMAL
+    optimizer.update(friction=0.5)
+    assert optimizer.solve(0.1 * wrench, contacts=[True, True, True, False]).status is force.Status.OPTIMAL
     assert force.optimize_forces(grasp, np.tile(wrench, (3, 1)), method=method).optimal.all()
     assert not loaded(), (method, loaded())
 for initial in ("previous", "linear_combination", "single_value", "lagrange", None):

@@ -325,7 +325,7 @@ def table_one(grasp: Grasp, load: Array) -> Rows:
     """
     phi = Objective(1.0, LAMBDA)
     optimum = ForceOptimizer(grasp, method="newton", barrier_weight=LAMBDA, tolerance=1e-10).solve(load)
-    flow = ForceOptimizer(grasp, barrier_weight=LAMBDA, tolerance=TOLERANCE)
+    flow = ForceOptimizer(grasp, method="reduced_flow", barrier_weight=LAMBDA, tolerance=TOLERANCE)
     for start, (normals, steps) in PAPER_TABLE.items():
         force, iterations = optimum.force, None
         if start != "optimum":

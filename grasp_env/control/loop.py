@@ -11,7 +11,7 @@ from grasp_env import core
 from grasp_env._check import Array, Indices
 from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
-from grasp_env.control.solver import CompiledPipeline, GeneralPipeline, make_pipeline
+from grasp_env.control.solver import ContactSolver, make_solver
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceLimits, ForceSolution, InitialForceRule, Objective, OfflineBasis, optimize_force
@@ -44,13 +44,13 @@ class ContactSet:
 
     Attributes:
         fingers: (n,) int64.
-        pipeline: None where these contacts cannot balance every wrench, or by torsion only.
+        solver: None where these contacts cannot balance every wrench, or by torsion only.
         soft: whether torsion helps: solved by the general program within all limits at every control tick.
         squeeze: (3n,) an internal force with a total normal force of 1 N, contact frames.
     """
 
     fingers: Indices
-    pipeline: CompiledPipeline | GeneralPipeline | None
+    solver: ContactSolver | None
     squeeze: Array
     soft: bool = False
 
@@ -129,8 +129,8 @@ class ForceLoop:
         self._adjustment: Array | None = None
         self.begin_step()
         for made in self._sets.values():
-            if made.pipeline is not None:
-                made.pipeline.reset()
+            if made.solver is not None:
+                made.solver.reset()
 
     @property
     def settling(self) -> bool:
@@ -245,7 +245,7 @@ class ForceLoop:
         self._general = made.soft
         if made.soft:
             return self._took(self._solve_generally(made), made)
-        if made.pipeline is None:
+        if made.solver is None:
             return self._took(None, made)
         points, normals = self.seen.points, self.seen.normals
         if len(made.fingers) < self.count:
@@ -253,7 +253,7 @@ class ForceLoop:
             if adjustment is not None:
                 adjustment = self._projected(adjustment, made)
         try:
-            self.solution = made.pipeline.solve(points, normals, self.wrench, adjustment)
+            self.solution = made.solver.solve(points, normals, self.wrench, adjustment)
         except self._lost_closure:
             return self._took(None, made)
         self._core.give(Hold.optimised, self._core.mask, None)
@@ -332,11 +332,11 @@ class ForceLoop:
 
     def _projected(self, adjustment: Array, made: ContactSet) -> Array | None:
         """The adjustment of all fingers in the internal forces of those that are left."""
-        everything = self._set((1 << self.count) - 1).pipeline
-        if everything is None or made.pipeline is None:
+        everything = self._set((1 << self.count) - 1).solver
+        if everything is None or made.solver is None:
             return None
         forces = (everything.reference @ adjustment).reshape(-1, 3)[made.fingers]
-        return made.pipeline.reference.T @ forces.reshape(-1)
+        return made.solver.reference.T @ forces.reshape(-1)
 
     def _lose(self, made: ContactSet) -> None:
         """No force closure: the last forces of the fingers in contact, balanced as far as their cones let them."""
@@ -347,7 +347,7 @@ class ForceLoop:
         made = self._sets.get(mask)
         if made is None:
             made = self._sets[mask] = self._make_set([finger for finger in range(self.count) if mask >> finger & 1])
-            self._core.add_set(mask, None if made.pipeline is None else made.pipeline.core)
+            self._core.add_set(mask, None if made.solver is None else made.solver.core)
         return made
 
     def _make_set(self, fingers: list[int]) -> ContactSet:
@@ -363,8 +363,8 @@ class ForceLoop:
             rest = nominal.to_force(OfflineBasis.of(nominal, self.objective).cone_forces[12])
         except (RankDeficientGraspError, InfeasibleStartError):
             return ContactSet(index, None, alone)
-        pipeline = make_pipeline(nominal, self.config, self.initial_force)
-        return ContactSet(index, pipeline, rest.reshape(-1) / float(rest[:, 0].sum()))
+        solver = make_solver(nominal, self.config, self.initial_force)
+        return ContactSet(index, solver, rest.reshape(-1) / float(rest[:, 0].sum()))
 
 
 def control_settings(

@@ -28,31 +28,51 @@ def record_size(contacts: int) -> int:
 class Solution:
     """One record and what was said of it; see `grasp_env.force.ForceSolution`."""
 
-    _record: np.ndarray
+    _record: NDArray[np.float64]
     method: str
     initial: str
-    objective_trace: np.ndarray
-    certificate: np.ndarray | None
-    limit_multipliers: Any
+    objective_trace: NDArray[np.float64]
     def __init__(
-        self,
-        record: np.ndarray,
-        method: str,
-        initial: str,
-        objective_trace: np.ndarray = ...,
-        certificate: np.ndarray | None = None,
-        limit_multipliers: Any = ...,
+        self, record: NDArray[np.float64], method: str, initial: str, objective_trace: NDArray[np.float64] = ...
     ) -> None: ...
     @property
     def n_contacts(self) -> int: ...
     @property
     def code(self) -> int: ...
     @property
-    def force(self) -> np.ndarray: ...
+    def iterations(self) -> int: ...
     @property
-    def initial_force(self) -> np.ndarray: ...
+    def trials(self) -> int: ...
     @property
-    def torsion(self) -> np.ndarray: ...
+    def objective(self) -> float: ...
+    @property
+    def lower_bound(self) -> float: ...
+    @property
+    def equilibrium_residual(self) -> float: ...
+    @property
+    def cone_margin(self) -> float: ...
+    @property
+    def limit_excess(self) -> float: ...
+    @property
+    def start_replaced(self) -> bool: ...
+    @property
+    def wrench(self) -> NDArray[np.float64]: ...
+    @property
+    def multipliers(self) -> NDArray[np.float64]: ...
+    @property
+    def force(self) -> NDArray[np.float64]: ...
+    @property
+    def initial_force(self) -> NDArray[np.float64]: ...
+    @property
+    def torsion(self) -> NDArray[np.float64]: ...
+    @property
+    def frames(self) -> NDArray[np.float64]: ...
+    @property
+    def object_force(self) -> NDArray[np.float64]: ...
+    @property
+    def torques(self) -> NDArray[np.float64]: ...
+    @property
+    def limit_multipliers(self) -> NDArray[np.float64]: ...
 
 TANGENT_SWITCH: float = 0.9
 
@@ -139,6 +159,10 @@ class Contacts:
         """Whether torsion is transmitted anywhere."""
 
     @property
+    def outwards(self) -> bool:
+        """Whether all normals point away from the centre of the contacts."""
+
+    @property
     def length(self) -> float: ...
 
     @property
@@ -168,6 +192,62 @@ class Contacts:
 
     @property
     def unit_frame(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
+
+class ForceOptimizer:
+    """`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door."""
+
+    @staticmethod
+    def make(contacts: Contacts, weights: object | None, force_weight: float, barrier_weight: float, min_normal: object | None, max_normal: object | None, jacobian: object | None, torque_limit: object | None, torque_bias: object | None, method: str, largest: bool, start: int, tolerance: float, limit: int, elastic: bool, rule: object | None, model: Model | None, kind: object, name: object, starts: tuple, asked: object, remembers: bool) -> ForceOptimizer:
+        """
+        See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions;
+        asked: the name of the start that is asked for; remembers: whether calls get the previous solution.
+        """
+
+    def solve(self, wrench: object | None, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
+        """
+        A solution; None: an argument cannot be read as it is, or there is no force and `ended` holds the row.
+        """
+
+    def solve_from(self, start: int, initial: object | None, force: object | None, torsion: object | None, before: object | None, optimum: float, trace: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
+        """
+        The same from a start of its own; optimum: a known minimum or nan; trace: (T,) receives Phi of the first iterates.
+        """
+
+    def start(self, start: int, force: object | None, torsion: object | None, before: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
+        """The row of the start alone."""
+
+    def update(self, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None) -> bool:
+        """
+        From now on contacts and limits are these; False: they are not possible, and nothing has changed.
+        """
+
+    def set_basis(self, basis: object) -> None:
+        """Takes the 12-basis with the rest, (13, 3N) cone coordinates."""
+
+    def solve_many(self, wrenches: object, rows: object) -> None:
+        """(M, 6) into (M, size); releases the GIL."""
+
+    def times(self, wrenches: object, passes: int, rows: object, best: object) -> None:
+        """
+        Best seconds (M,) of `passes` calls for each of (M, 6), none of which knows another; the rows of the last.
+        """
+
+    @property
+    def previous(self) -> object:
+        """The last solution that has a force, or None."""
+
+    @previous.setter
+    def previous(self, solution: object | None) -> None: ...
+
+    @property
+    def ended(self) -> object:
+        """
+        The row of the last call that returned None, unless it could not read its arguments.
+        """
+
+    @property
+    def size(self) -> int:
+        """Doubles of a row."""
 
 ACCEPTED_GAP: float = 0.01
 
@@ -257,7 +337,7 @@ def newton_grasps(positions: object, normals: object, scales: object, tangents: 
 @overload
 def newton_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
     """
-    The same of U contacts in their place, whose own weights are not read. REFUSED: they are soft, or without force closure.
+    The same of U contacts in their place, whose own weights are not read, into whole rows of solutions. REFUSED: they are soft, or without force closure.
     """
 
 @overload

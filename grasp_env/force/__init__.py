@@ -7,7 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from grasp_env.force.basis import OfflineBasis
-from grasp_env.force.batch import ForceSolutions, optimize_forces
+from grasp_env.force.batch import optimize_forces
 from grasp_env.force.description import cone_margin, description_matrix
 from grasp_env.force.initial import (
     RULES,
@@ -19,6 +19,7 @@ from grasp_env.force.initial import (
     initial_rule,
 )
 from grasp_env.force.limits import ForceLimits
+from grasp_env.force.many import ForceSolutions
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
 from grasp_env.force.options import DESCENTS, METHODS

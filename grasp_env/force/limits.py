@@ -37,6 +37,10 @@ class LimitArrays(NamedTuple):
     torque_bias: Array
 
 
+LimitNumbers = tuple[Array | None, Array | None, Array | None, Array | None, Array | None]
+"""See `ForceLimits.given`."""
+
+
 class LimitRows(NamedTuple):
     """Limits as A f <= b on f = (normal, o, t, torsion) of contact after contact.
 
@@ -120,7 +124,11 @@ class ForceLimits:
                 if self.torque_bias is None
                 else as_array(self.torque_bias, (joints,), "torque_bias", ranges.BIAS)
             )
-            arrays |= {"jacobian": jac, "torque_limit": np.broadcast_to(limit, (joints,)).copy(), "torque_bias": bias}
+            arrays |= {
+                "jacobian": np.ascontiguousarray(jac),
+                "torque_limit": np.broadcast_to(limit, (joints,)).copy(),
+                "torque_bias": bias,
+            }
         elif self.torque_bias is not None:
             raise InvalidInputError(
                 "torque_bias without torque limits has no effect: give jacobian and torque_limit too"
@@ -159,18 +167,25 @@ class ForceLimits:
         """J, of the torque limits; 0: there are none."""
         return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
 
-    def given(self, n_contacts: int) -> tuple[Array | None, ...]:
+    def given(self, n_contacts: int) -> LimitNumbers:
         """What the core reads: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,); None: none.
+
+        Args:
+            n_contacts: N.
 
         Raises:
             InvalidInputError: see `checked`.
         """
-        least, most, _, limit, bias = self.checked(n_contacts)
-        jac = None if self.jacobian is None else np.ascontiguousarray(checked_jacobian(self.jacobian, n_contacts))
-        some = (least > 0.0).any(), np.isfinite(most).any()
-        return (
-            least if some[0] else None, most if some[1] else None, jac, None if jac is None else limit, None if jac is None else bias
-        )  # fmt: skip
+        arrays = [
+            getattr(self, name) for name in ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
+        ]
+        if any(each is not None and each.ndim and len(each) != n_contacts for each in arrays[:3]):
+            self.checked(n_contacts)  # says what is wrong
+        for k, nothing in enumerate((0.0, np.inf)):
+            if arrays[k].ndim == 0:
+                arrays[k] = None if arrays[k] == nothing else np.full(n_contacts, arrays[k])
+        least, most, jacobian, limit, bias = arrays
+        return least, most, jacobian, limit, bias
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
         """(M,) what each finite limit of `n_contacts` contacts is, in the order of `rows`."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +43,8 @@ from grasp_env.force.initial import (
     rule_name,
     rule_start,
 )
-from grasp_env.force.limits import ForceLimits, as_limits, checked_jacobian
+from grasp_env.force.limits import ForceLimits, LimitNumbers, as_limits, checked_jacobian
+from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Weight
 from grasp_env.force.options import MAX_ITERATIONS, Options, checked_options
 from grasp_env.force.record import CODE, FORCE, INFEASIBLE, LIMIT, REFUSED, REPLACED, START, UNDECIDED
@@ -50,9 +52,6 @@ from grasp_env.force.solution import STARTS, ForceSolution, start_name
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of
 from grasp_env.grasp.grasp import Grasp, as_grasp
-
-if TYPE_CHECKING:
-    from grasp_env.force.batch import ForceSolutions
 
 BALANCE_TOLERANCE = 1e-8
 """A start may miss balance by this much of the wrench and force it carries; the rest is an error of the rule."""
@@ -105,12 +104,14 @@ class ForceOptimizer:
             initial: where every call starts, as in `optimize_force`; or "previous": where the last one ended.
             method, criterion, limits, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic: see `optimize_force`.
         """
-        self.options = checked_options(
-            method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic
+        asked = (method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic)
+        self._grasp: Grasp | None
+        self.options, self._grasp, self.limits, self._initial = together(
+            lambda: checked_options(*asked),
+            lambda: as_grasp(grasp),
+            lambda: limits if limits is None else as_limits(limits),
+            lambda: initial if initial is None else checked_initial(initial),
         )
-        self._grasp: Grasp | None = as_grasp(grasp)
-        self.limits = limits if limits is None else as_limits(limits)
-        self._initial = initial if initial is None else checked_initial(initial)
         if elastic and limits is None:
             raise InvalidInputError("elastic=True says what to do with limits that no force keeps: give limits")
         if initial is not None and self.options.method == "conic":
@@ -118,13 +119,13 @@ class ForceOptimizer:
         warn_of(grasp)
         self._make()
         if is_a(self._initial, ForceSolution):
-            self.previous, self._initial = self._initial, "previous"
+            self.previous, self._initial = self._fitting(self._initial), "previous"
 
     def _make(self) -> None:
         """What is compiled, for the contacts and limits of now."""
         grasp, options, initial = self.grasp, self.options, self._initial
         start, model = 0, None
-        names, asked = names_of(initial, options)
+        self.names = names, asked = names_of(initial, options)
         if initial is None:
             pass
         elif is_a(initial, ForceSolution):
@@ -132,20 +133,28 @@ class ForceOptimizer:
         elif is_a(initial, str):
             start = STARTS.index(initial)
         elif is_rule(initial, LearnedRule):
+            start = LEARNED
             try:
-                model, start = call_rule(initial, initial.model, grasp, options.objective), LEARNED
-            except InfeasibleStartError:  # contacts that it does not know: solutions say that it was replaced
-                names = tuple(start_name(name, asked, True, False) for name in names)
+                model = call_rule(initial, initial.model, grasp, options.objective)
+                instance(model, core.Model, f"what initial-force rule {rule_name(initial)!r} predicts with")
+            except InfeasibleStartError as error:
+                if error.__cause__ is not None:  # a fault of the rule's
+                    raise
+                # else contacts that it does not know: without a model the core replaces it, and says so
         self.compiled = initial is None or start > 0 or is_rule(initial, LearnedRule)
         weights = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
-        given = (None,) * 5 if self.limits is None else self.limits.given(grasp.n_contacts)
+        limits: LimitNumbers = (
+            (None, None, None, None, None) if self.limits is None else self.limits.given(grasp.n_contacts)
+        )
+        weighed = None if plain else weights.weights(grasp.n_contacts)
         try:
-            self.core = core.ForceOptimizer.make(
-                grasp.contacts, None if plain else weights.weights(grasp.n_contacts), weights.force_weight if plain else 1.0,
-                weights.barrier_weight if plain else 1.0, *given, options.method, options.criterion == "max", start,
+            self.core: Any = core.ForceOptimizer.make(
+                grasp.contacts, weighed, weights.force_weight if plain else 1.0,
+                weights.barrier_weight if plain else 1.0, *limits, options.method, options.criterion == "max", start,
                 options.tolerance, options.max_iterations, options.elastic,
                 options.step_rule.parameters() if options.flows else None, model, ForceSolution, options.method, names, asked,
+                start == PREVIOUS or (is_rule(initial, LearnedRule) and bool(initial.remembers)),
             )  # fmt: skip
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
@@ -252,6 +261,9 @@ class ForceOptimizer:
             solution = self._solve(wrench, positions, normals, friction, jacobian, torque_bias, contacts)
             if solution is not None:
                 return solution
+            row = self.core.ended
+            if row is not None and row[CODE] == INFEASIBLE:
+                raise InfeasibleWrenchError("", ForceSolution(row, self.method, STARTS[int(row[START])]))
         now = (positions, normals, friction, jacobian, torque_bias, contacts)
         return self._solve_checked(wrench, now, initial, optimum, trace)
 
@@ -283,20 +295,31 @@ class ForceOptimizer:
             solution.initial = start_name(STARTS[COMBINATION], str(start.name), True, False)
         return solution
 
-    def start(self, wrench: ArrayLike, *, initial: Initial | None = None) -> ContactForces:
+    def start(
+        self,
+        wrench: ArrayLike,
+        *,
+        positions: ArrayLike | None = None,
+        normals: ArrayLike | None = None,
+        friction: ArrayLike | None = None,
+        contacts: ArrayLike | None = None,
+        initial: Initial | None = None,
+    ) -> ContactForces:
         """The initial force (N, 3) [N] that `solve` would start from.
 
         Args:
             wrench: (6,) external wrench [N, N m].
+            positions, normals, friction, contacts: of this call, see `solve`.
             initial: a start for this call only.
 
         Raises:
             UnsupportedProblemError: the method starts from its own centre.
+            InvalidInputError, RankDeficientGraspError: see `solve`.
             InfeasibleWrenchError, InfeasibleStartError: see `optimize_force`.
         """
         if self.method == "conic":
             raise UnsupportedProblemError("method 'conic' takes no initial force")
-        load, now = as_wrench(wrench), (None,) * 6
+        load, now = as_wrench(wrench), self._now(positions, normals, friction, None, None, contacts)
         start = self._start(load, now, initial)
         row = self.core.start(start.start, start.force, start.torsion, start.before, load, *now)
         if row[CODE] != LIMIT:
@@ -314,8 +337,6 @@ class ForceOptimizer:
         Raises:
             InvalidInputError: see `optimize_forces`; a wrench that nothing balances has the status INFEASIBLE instead of raising.
         """
-        from grasp_env.force.batch import checked_batch, solve_many
-
         return solve_many(self, *checked_batch(wrenches, workers))
 
     def update(
@@ -342,6 +363,11 @@ class ForceOptimizer:
                 "the contacts or limits are not possible: give finite numbers and inward unit normals"
             )
         self._grasp = moved
+        if self.limits is not None:
+            given = {
+                name: each.copy() for name, each in (("jacobian", now[3]), ("torque_bias", now[4])) if each is not None
+            }
+            self.limits = replace(self.limits, **given)
 
     def _now(
         self, positions: Any, normals: Any, friction: Any, jacobian: Any, torque_bias: Any, contacts: Any
@@ -411,9 +437,7 @@ class ForceOptimizer:
         if asked is None or self.method == "conic":
             return StartFrom(0)
         if is_a(asked, ForceSolution):
-            if asked.n_contacts != self._count:
-                raise InfeasibleStartError(f"the solution has {asked.n_contacts} contacts, the grasp {self._count}")
-            return StartFrom(PREVIOUS, before=asked)
+            return StartFrom(PREVIOUS, before=self._fitting(asked))
         if is_a(asked, str):
             if initial is not None and asked in FROM_BASIS:
                 self.core.set_basis(OfflineBasis.of(self.grasp, self.options.objective).cone_forces)
@@ -427,6 +451,14 @@ class ForceOptimizer:
         force = np.zeros((self._count, 3))
         force[now[5]] = start.force
         return StartFrom(start.start, start.name, start.replaced, force)
+
+    def _fitting(self, previous: ForceSolution) -> ForceSolution:
+        """A solution to start from, if it is of as many contacts."""
+        if previous.n_contacts != self._count:
+            raise InfeasibleStartError(
+                f"the previous solution has {previous.n_contacts} contacts, the grasp {self._count}"
+            )
+        return previous
 
     def _error(self, row: Array, wrench: Wrench, now: tuple[Any, ...], start: StartFrom) -> GraspError:
         """What a row without a force means, in words."""

@@ -118,8 +118,10 @@ class ForceSolution(Solution):
 
     @property
     def certificate(self) -> Array | None:
-        """(6,) for INFEASIBLE: a twist v with G_i^T v in the dual cone of every contact and v . w > 0 (= 0: only forces on the
-        boundary of the cones balance it); see `Feasibility`. None otherwise.
+        """(6,) the proof of INFEASIBLE, else None.
+
+        A twist v with G_i^T v in the dual cone of every contact and v . w > 0 (= 0: only forces on the boundary of the cones balance
+        it); see `Feasibility`.
         """
         return self.multipliers if self.code == INFEASIBLE else None
 

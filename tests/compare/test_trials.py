@@ -218,7 +218,7 @@ def test_whole_calls_start_where_the_starts_say(starts):
     for key, made in starts.items():
         loop = ForceOptimizer(grasp, method="reduced_flow", **made.options)
         before = loop.solve(first).force
-        solution = loop.solve(second)
+        solution = loop.solve(second, initial=None if made.options else made.start(grasp, second, before))
         assert solution.status is Status.OPTIMAL
         if key.startswith("learned"):
             assert PHI.value(grasp.to_cone(solution.initial_force)) <= paper * (1.0 + 1e-12)

@@ -69,7 +69,10 @@ FRAME = (CUBOID.positions, CUBOID.normals)
 ELLIPTIC = Grasp.from_contacts(*FRAME, np.tile([0.4, 0.6], (4, 1)))
 SLIPPERY = Grasp.from_contacts(*FRAME, [0.4, 0.4, 0.4, 0.0], contact_model=["hard"] * 3 + ["frictionless"])
 SOFT = Grasp.from_contacts(
-    *FRAME, [0.5, 0.5, 0.7, 0.5], contact_model=["soft", "hard", "soft", "soft"], torsional_friction=[0.02, 0, 0.01, 0.01]
+    *FRAME,
+    [0.5, 0.5, 0.7, 0.5],
+    contact_model=["soft", "hard", "soft", "soft"],
+    torsional_friction=[0.02, 0, 0.01, 0.01],
 )
 OPEN = Grasp.from_contacts(CUBOID.positions, np.tile([0, 0, 1], (4, 1)), 0.4)
 NORMAL = ForceLimits(0.5, 6.0)
@@ -139,7 +142,12 @@ def test_results_are_those_of_python(said: dict[str, str], name: str) -> None:
 def test_where_calls_begin(said: dict[str, str], name: str, start: str, replaced: int) -> None:
     found = numbers(said[name])
     assert (found["start"], found["replaced"]) == (start, replaced)
-    same = {"given soft": "soft", "given limited": "elastic", "given shared": "pair", "given soft shared": "soft shared"}
+    same = {
+        "given soft": "soft",
+        "given limited": "elastic",
+        "given shared": "pair",
+        "given soft shared": "soft shared",
+    }
     expected = numbers(said[same.get(name, "three" if name == "three named" else "newton")])
     assert found["code"] == expected["code"]
     assert found["objective"] == pytest.approx(expected["objective"], rel=1e-3 if name == "given limited" else 2e-9)

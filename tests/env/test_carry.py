@@ -121,7 +121,7 @@ def test_carry_without_an_optimum_is_the_carried_combination() -> None:
     pipeline, force = pipeline_of(grasp), np.empty((4, 3))
     assert np.isnan(pipeline.x).all()
     assert pipeline.core.carry(grasp.positions.copy(), grasp.normals.copy(), PAPER_WRENCH.copy(), force) == REPAIRED
-    np.testing.assert_allclose(force, ForceOptimizer(grasp).start(PAPER_WRENCH), atol=1e-12)
+    np.testing.assert_allclose(force, ForceOptimizer(grasp, method="reduced_flow").start(PAPER_WRENCH), atol=1e-12)
 
 
 def test_frames_that_switch_axes_carry_the_force_along() -> None:

@@ -7,7 +7,7 @@ import pytest
 from golden.pipeline import pipeline_of
 from problems import PAPER_WRENCH, random_grasp
 
-from grasp_env.control.solver import CompiledPipeline
+from grasp_env.control.solver import ContactSolver
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
 from grasp_env.force import ForceOptimizer, Repair, Status, phase_one
 from grasp_env.grasp import Grasp, null_space_basis, presets
@@ -69,7 +69,7 @@ def test_the_optimum_of_the_general_path(count: int, method: str, initial: str) 
 def test_on_the_nominal_contacts_the_steps_of_the_general_path(count: int) -> None:
     grasp = NOMINAL[count]
     solution = pipeline_of(grasp).solve(grasp.positions, grasp.normals, PAPER_WRENCH)
-    general = ForceOptimizer(grasp).solve(PAPER_WRENCH)
+    general = ForceOptimizer(grasp, method="reduced_flow").solve(PAPER_WRENCH)
     assert (solution.iterations, solution.trials) == (general.iterations, general.trials)
     np.testing.assert_allclose(solution.force, general.force, rtol=0, atol=1e-9)
     np.testing.assert_allclose(solution.initial_force, general.initial_force, rtol=0, atol=1e-12)
@@ -77,7 +77,7 @@ def test_on_the_nominal_contacts_the_steps_of_the_general_path(count: int) -> No
     assert solution.lower_bound == pytest.approx(general.lower_bound, rel=1e-9)
 
 
-def run(pipeline: CompiledPipeline, count: int, seed: int, size: tuple[float, float]) -> list[np.ndarray]:
+def run(pipeline: ContactSolver, count: int, seed: int, size: tuple[float, float]) -> list[np.ndarray]:
     rng = np.random.default_rng(seed)
     forces = []
     for k in range(12):
@@ -178,7 +178,7 @@ def test_an_adjustment_is_along_the_basis_of_any_number_of_contacts(count: int) 
 
 def test_an_adjustment_on_the_nominal_contacts_to_the_last_digits() -> None:
     grasp = NOMINAL[4]
-    pipeline, optimizer = pipeline_of(grasp), ForceOptimizer(grasp)
+    pipeline, optimizer = pipeline_of(grasp), ForceOptimizer(grasp, method="reduced_flow")
     rng = np.random.default_rng(0)
     for scale in (0.01, 0.1, 1.0, 10.0):
         adjust = scale * rng.standard_normal(6)
@@ -212,7 +212,7 @@ def test_status_of_a_flow_cut_short() -> None:
     grasp = NOMINAL[4]
     pipeline = pipeline_of(grasp, max_iterations=3)
     solution = pipeline.solve(grasp.positions, grasp.normals, PAPER_WRENCH)
-    general = ForceOptimizer(grasp, max_iterations=3).solve(PAPER_WRENCH)
+    general = ForceOptimizer(grasp, method="reduced_flow", max_iterations=3).solve(PAPER_WRENCH)
     assert (solution.status, solution.iterations) == (Status.ITERATION_LIMIT, 3)
     np.testing.assert_allclose(solution.force, general.force, rtol=1e-9)  # the same steps, another rounding
     np.testing.assert_allclose(pipeline.x, grasp.to_cone(solution.force), rtol=1e-12)

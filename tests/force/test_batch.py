@@ -10,7 +10,7 @@ from problems import closure_grasps
 
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, UnknownNameError
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
-from grasp_env.force.batch import CHUNK
+from grasp_env.force.many import CHUNK
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce
@@ -256,7 +256,7 @@ def test_a_refused_move_changes_nothing() -> None:
     optimizer = ForceOptimizer(GRASP, method="newton", force_weight=[1.0] * 4)
     load = sample_ball(np.random.default_rng(6), 1)[0]
     before = optimizer.solve(load)
-    with pytest.raises(InvalidInputError, match="force_weight has 4 entries, the grasp 5 contacts"):
-        optimizer.move_to(presets.five_finger_cuboid())
+    with pytest.raises(InvalidInputError, match=r"positions must have shape \(4, 3\), got \(5, 3\)"):
+        optimizer.update(positions=presets.five_finger_cuboid().positions)
     assert optimizer.grasp is GRASP
     np.testing.assert_array_equal(optimizer.solve(load).force, before.force)

@@ -260,7 +260,7 @@ def test_order_of_calls_does_not_matter() -> None:
         (UnsupportedProblemError, {"method": "newton", "criterion": "max"}),
         (UnsupportedProblemError, {"method": "reduced_flow", "criterion": "max"}),
         (UnsupportedProblemError, {"method": "reduced_flow", "limits": ForceLimits(max_normal=9.0)}),
-        (UnsupportedProblemError, {"method": "full_flow", "limits": ForceLimits()}),
+        (UnsupportedProblemError, {"method": "full_flow", "limits": ForceLimits(min_normal=0.1)}),
         (InvalidInputError, {"limits": {"max_normal": 3.0}}),
         (InvalidInputError, {"limits": 3.0}),
         (InvalidInputError, {"limits": ForceLimits(max_normal=[3.0, 3.0])}),

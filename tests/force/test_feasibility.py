@@ -8,7 +8,6 @@ from problems import closure_grasps, pyramid_margin, random_grasp
 
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError
 from grasp_env.force import (
-    RULES,
     ForceLimits,
     Objective,
     OfflineBasis,
@@ -87,8 +86,8 @@ def without_closure() -> tuple[Grasp, np.ndarray]:
     return Grasp.from_contacts(positions, [[0.0, 0.0, 1.0]] * 3, 0.4), np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
-@pytest.mark.parametrize("rule", RULES)
-def test_an_impossible_wrench_raises_with_its_certificate(rule: str) -> None:
+@pytest.mark.parametrize("rule", [None, "phase_one", "internal_force", "previous"])
+def test_an_impossible_wrench_raises_with_its_certificate(rule: str | None) -> None:
     grasp, pull = without_closure()
     with pytest.raises(InfeasibleWrenchError, match="certificate") as caught:
         optimize_force(grasp, pull, initial=rule)

@@ -205,9 +205,9 @@ def fail(*_: object) -> NoReturn:
         (lambda: 1, "fails with TypeError"),
         (failing(__call__=fail), "'mine' fails with LookupError"),
         (failing(objective=property(fail)), "'mine' fails with LookupError"),
-        (failing(start=fail, bind=fail), "'mine' fails with LookupError"),
-        (failing(start=fail, bind=lambda *_: 3), "what initial-force rule 'mine' binds to must be a Loop, got 3"),
-        (failing(start=lambda *_: None, bind=fail), "'mine' fails with TypeError"),
+        (failing(model=fail), "'mine' fails with LookupError"),
+        (failing(model=lambda *_: 3), "'mine' .*must be a Model, got 3"),
+        (failing(model=lambda *_: None), "'mine' .*must be a Model, got None"),
     ],
 )
 @pytest.mark.parametrize("method", ["newton", "reduced_flow"])
@@ -219,7 +219,7 @@ def test_a_rule_that_fails(rule: Any, told: str, method: str) -> None:
 def test_a_rule_whose_name_fails_is_called_after_its_class() -> None:
     for rule in (failing(name=property(fail)), failing(name=3, __eq__=fail, __str__=fail, __repr__=fail)):
         assert optimize_force(GRASP, PAPER_WRENCH, initial=rule).initial == "Failing"
-        with pytest.raises(InfeasibleWrenchError):  # fingers that only push upwards
+        with pytest.raises(InfeasibleStartError):  # fingers that only push upwards
             optimize_force(
                 Grasp.from_contacts(GRASP.positions, [[0.0, 0.0, 1.0]] * 4, 0.4), [0, 0, 1, 0, 0, 0], initial=rule
             )
@@ -235,18 +235,12 @@ def test_what_an_optimizer_holds_is_checked_where_it_is_set() -> None:
     for odd in (3, "previous", GRASP, Status.OPTIMAL):
         with pytest.raises(InvalidInputError, match="previous must be a ForceSolution or None"):
             optimizer.previous = odd
-    with pytest.raises(InvalidInputError, match="a Grasp is needed"):
-        optimizer.grasp = 3
-    moved = presets.paper_cuboid(0.7)
-    optimizer.grasp = moved
-    assert moved.residual(optimizer.solve(PAPER_WRENCH).force, PAPER_WRENCH) < 1e-9
-    assert optimizer.solve(PAPER_WRENCH).total_normal_force < optimize_force(GRASP, PAPER_WRENCH).total_normal_force
 
 
 def test_options_of_a_batch_have_names() -> None:
     with pytest.raises(
         UnknownNameError,
-        match=r"unknown option 'tolerence': did you mean 'tolerance'\? choose one of 'initial', 'method', ",
+        match=r"unknown option 'tolerence': did you mean 'tolerance'\? choose one of 'method', 'initial', ",
     ):
         optimize_forces(GRASP, PAPER_WRENCH[None], tolerence=1e-3)
 
@@ -277,9 +271,9 @@ def test_a_previous_solution_with_another_number_of_contacts() -> None:
         optimize_force(GRASP, PAPER_WRENCH, initial=five)
 
 
-@pytest.mark.parametrize("initial", [*RULES, "previous"])
+@pytest.mark.parametrize("initial", [None, "phase_one", "internal_force", "previous"])
 @pytest.mark.parametrize("method", DESCENTS)
-def test_an_infeasible_wrench_carries_its_proof(initial: str, method: str) -> None:
+def test_an_infeasible_wrench_carries_its_proof(initial: str | None, method: str) -> None:
     floor = Grasp.from_contacts([[0.03, 0, 0], [-0.03, 0.02, 0], [-0.02, -0.03, 0]], [[0.0, 0.0, 1.0]] * 3, 0.4)
     lift = np.array([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])  # contacts only push up; nothing pulls down
     with pytest.raises(InfeasibleWrenchError, match=r"\[0\.0, 0\.0, 2\.0, .*certificate.*add contacts") as caught:

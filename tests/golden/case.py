@@ -52,7 +52,7 @@ def loads(name: str, wanted: np.ndarray) -> np.ndarray:
 
 def problem_of(grasp: Grasp, wrench: np.ndarray, options: dict[str, Any]) -> Problem:
     """What these options of `ForceOptimizer` ask."""
-    method = options.get("method", "reduced_flow")
+    method = options.get("method", "newton")
     return Problem(
         grasp,
         np.asarray(wrench),

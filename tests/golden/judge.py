@@ -34,8 +34,6 @@ BALANCE = 1e-11
 """Residual of balance as a part of forces and wrench; or ten times the recorded one, where contacts are far from the origin."""
 NOTHING = 1e-280
 """[N] below which wrenches and forces count as none."""
-REPLACED = "linear_combination ({} was replaced)"
-"""What a solution has said since the records were made where nothing of its start was kept."""
 FACETS = 64
 ITERATES, ITERATE = 10, 1e-3
 """Entries of a flow's trace that are compared, and how closely: the first ones follow from the step rule, later ones from rounding; a
@@ -53,7 +51,7 @@ def _compare(case: Case, now: Outcome, then: Outcome) -> list[str]:
     if now.end != then.end and not _as_good(case, now, then):
         return [f"ended {now.end} {now.text!r}, recorded {then.end} {then.text!r}"]
     out: list[str] = []
-    if now.text not in (then.text, REPLACED.format(then.text)) and not _restarted(now, then):
+    if now.text != then.text:
         out.append(f"says {now.text!r}, recorded {then.text!r}")
     if now.end not in SOLVED:
         if now.end in ("InfeasibleWrenchError", "infeasible"):
@@ -81,15 +79,6 @@ def _compare(case: Case, now: Outcome, then: Outcome) -> list[str]:
     if then.extra.size:
         out += _trace(now, then, case)
     return out
-
-
-def _restarted(now: Outcome, then: Outcome) -> bool:
-    """Newton within limits, or with soft contacts, began from the deepest force, whose search was not counted; now from the 12-basis of the
-    contacts without them.
-    """
-    newton = now.problem is not None and now.problem.method == "newton"
-    general = now.problem is not None and (now.problem.limits is not None or not now.problem.grasp.hard)
-    return newton and general and (now.text, then.text) == ("linear_combination", "phase_one")
 
 
 def _as_good(case: Case, now: Outcome, then: Outcome) -> bool:
@@ -170,10 +159,7 @@ def _bounds(now: Outcome, then: Outcome) -> list[str]:
 
 
 def _steps(now: Outcome, then: Outcome, problem: Problem) -> list[str]:
-    if _restarted(now, then) or "stalled" in (
-        now.end,
-        then.end,
-    ):  # where rounding ends a solve, and after how many steps, is rounding too
+    if "stalled" in (now.end, then.end):  # where rounding ends a solve, and after how many steps, is rounding too
         return []
     factor, more = FLOW_STEPS if problem.method in FLOWS else (1.0, STEPS)
     most = factor * then.iterations + more

@@ -10,14 +10,14 @@ from golden.case import BASIS, Case, named, problem_of
 from golden.grasps import GRASPS, PAPER, wrenches
 from golden.record import Outcome, of_solution
 
-from grasp_env.control.solver import CompiledPipeline
+from grasp_env.control.solver import ContactSolver
 from grasp_env.grasp import Grasp
 
 
-def pipeline_of(grasp: Grasp, **options: Any) -> CompiledPipeline:
-    """With the defaults of `ForceOptimizer`."""
+def pipeline_of(grasp: Grasp, **options: Any) -> ContactSolver:
+    """With the defaults of the environment: the paper's start and flow."""
     given = {"initial": "linear_combination", "method": "reduced_flow", "force_weight": 1.0, "barrier_weight": 0.01}
-    return CompiledPipeline(grasp, {**given, "tolerance": 1e-4, "max_iterations": 20_000, **options})
+    return ContactSolver(grasp, {**given, "tolerance": 1e-4, "max_iterations": 20_000, **options})
 
 
 def path(grasp: Grasp, steps: int, size: tuple[float, float], smooth: bool) -> list[tuple[np.ndarray, np.ndarray]]:

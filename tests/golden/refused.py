@@ -38,14 +38,14 @@ WRENCHES: dict[str, Any] = {
 }  # fmt: skip
 OPTIONS: dict[str, dict[str, Any]] = {
     "method": {"method": "simplex"}, "criterion": {"criterion": "mean"}, "rule": {"initial": "newest"},
-    "learned by name": {"initial": "learned"}, "initial": {"initial": 3}, "correction": {"correction": "none"},
+    "learned by name": {"initial": "learned"}, "initial": {"initial": 3},
     "most -1": {"max_iterations": -1}, "most 1.5": {"max_iterations": 1.5}, "most True": {"max_iterations": True},
     "tolerance 0": {"tolerance": 0.0}, "tolerance nan": {"tolerance": np.nan}, "tolerance text": {"tolerance": "much"},
     "omega": {"force_weight": -1.0}, "lambda": {"barrier_weight": 0.0}, "lambda inf": {"barrier_weight": np.inf},
     "weights of three": {"force_weight": (1.0, 2.0, 3.0)}, "weights with nan": {"barrier_weight": (0.1, np.nan, 0.1, 0.1)},
     "limits": {"limits": 5.0}, "step rule": {"step_rule": 0.1}, "max with newton": {"method": "newton", "criterion": "max"},
     "conic from a start": {"method": "conic", "initial": "previous"},
-    "limits with the flow": {"limits": ForceLimits(max_normal=5.0)},
+    "limits with the flow": {"method": "reduced_flow", "limits": ForceLimits(max_normal=5.0)},
     "limits of three": {"method": "newton", "limits": ForceLimits(max_normal=[5.0, 5.0, 5.0])},
     "basis with limits": {"method": "newton", "limits": ForceLimits(max_normal=5.0), "initial": "linear_combination"},
 }  # fmt: skip
@@ -79,7 +79,7 @@ def _calls() -> dict[str, Callable[[], object]]:
         "grasp, three normals": lambda: make(points, normals[:3], 0.4),
         "preset": lambda: presets.preset("fist"),
         "no grasp": lambda: optimize_force("grasp", PAPER),  # type: ignore[arg-type]
-        "flow on soft": lambda: optimize_force(SOFT, PAPER),
+        "flow on soft": lambda: optimize_force(SOFT, PAPER, method="reduced_flow"),
         "basis on soft": lambda: optimize_force(SOFT, PAPER, method="newton", initial="linear_combination"),
         "full flow": lambda: optimize_force(SOFT, PAPER, method="full_flow"),
         "start of conic": lambda: ForceOptimizer(CUBOID, method="conic").start(PAPER),

@@ -134,5 +134,4 @@ def test_a_control_loop_is_not_warned_again() -> None:
     optimizer = ForceOptimizer(grasp, method="newton")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        optimizer.move_to(Grasp.from_contacts(grasp.positions, -grasp.normals, 0.5))
-        optimizer.solve(np.zeros(6))
+        optimizer.solve(np.zeros(6), normals=-grasp.normals)

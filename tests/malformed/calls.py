@@ -45,7 +45,9 @@ SOFT = Grasp.from_contacts(CUBOID.positions, CUBOID.normals, 0.4, contact_model=
 PAPER = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 FORCE = np.array([[9.0, 0.0, 0.0], [3.6, 0.0, 0.0], [2.7, 0.0, 0.0], [2.7, 0.0, 0.0]])
 SOLVED = f.optimize_force(CUBOID, PAPER, method="newton")
+PLACE: dict[str, Any] = {"positions": CUBOID.positions, "normals": CUBOID.normals, "friction": CUBOID.friction}
 JACOBIAN = 0.1 * np.random.default_rng(0).standard_normal((4, 3, 5))
+LIMITED = f.ForceLimits(jacobian=JACOBIAN, torque_limit=2.0)
 
 
 @dataclass(frozen=True)
@@ -245,9 +247,18 @@ def calls(folder: Path) -> dict[str, Call]:
         "ForceSolution": Call(
             lambda record: repr(f.ForceSolution(record, "newton", "previous")), {"record": SOLVED._record}
         ),
-        "a rule": Call(_ruled, {"force": SOLVED.force, "name": "mine", "objective": f.Objective(), "remembers": False, "start": None, "bind": None}),
+        "a rule": Call(_ruled, {"force": SOLVED.force, "name": "mine", "objective": f.Objective(), "remembers": False, "model": None}),
         "ForceOptimizer.start": Call(_with(lambda: _optimizer("newton"), "start"), {"wrench": PAPER, "initial": "lagrange"}),
-        "ForceOptimizer.move_to": Call(_with(lambda: _optimizer("newton"), "move_to"), {"grasp": CUBOID, "limits": f.ForceLimits(max_normal=50.0)}),
+        "ForceOptimizer.update": Call(
+            _with(lambda: f.ForceOptimizer(CUBOID, limits=LIMITED), "update"), {**PLACE, "jacobian": JACOBIAN, "torque_bias": np.zeros(5)}
+        ),
+        "ForceOptimizer.solve there": Call(
+            _with(lambda: f.ForceOptimizer(CUBOID, limits=LIMITED), "solve"),
+            {"wrench": PAPER, **PLACE, "jacobian": JACOBIAN, "torque_bias": np.zeros(5), "contacts": np.ones(4, dtype=bool)}, 3.0,
+        ),
+        "ForceOptimizer.solve_many": Call(
+            _with(lambda: _optimizer("newton"), "solve_many"), {"wrenches": np.tile(PAPER, (3, 1)), "workers": 1}
+        ),
         "optimize_forces": Call(
             f.optimize_forces,
             {"grasps": CUBOID, "wrenches": np.tile(PAPER, (3, 1)), "method": "newton", "workers": 1, "tolerance": 1e-4, "initial": None},

@@ -9,11 +9,21 @@ import numpy as np
 import pytest
 
 from grasp_env.errors import InfeasibleStartError, InvalidInputError
-from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, cone_margin, optimize_force, start_replaced
-from grasp_env.force.record import OBJECTIVE, record_size
+from grasp_env.force import (
+    ForceOptimizer,
+    Objective,
+    OfflineBasis,
+    cone_margin,
+    optimize_force,
+    optimize_forces,
+    start_replaced,
+)
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from policies.learned import PRETRAINED
+
+OWN = {"reduced_flow": "linear_combination", "newton": "internal_force"}
+"""Where a method starts that is told nothing."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +63,7 @@ def test_balanced_strictly_feasible_never_worse_than_the_basis(rule, shift, fric
 
 
 def steps(grasp, wrenches, rule) -> np.ndarray:
-    newton, flow = ForceOptimizer(grasp, method="newton", tolerance=1e-10), ForceOptimizer(grasp)
+    newton, flow = ForceOptimizer(grasp, method="newton", tolerance=1e-10), ForceOptimizer(grasp, method="reduced_flow")
     return np.array([flow.solve(w, initial=rule, optimum=newton.solve(w).objective).iterations for w in wrenches])
 
 
@@ -80,7 +90,7 @@ def test_one_compiled_call_gives_what_start_and_solve_give(rule):
 
 def test_a_start_is_kept_where_the_flow_is_cut_short(rule):
     grasp, w = presets.paper_cuboid(), 20 * np.array(wrench.PAPER_CONSTANT)
-    solution = ForceOptimizer(grasp, initial=rule, max_iterations=0, tolerance=1e-13).solve(w)
+    solution = ForceOptimizer(grasp, method="reduced_flow", initial=rule, max_iterations=0, tolerance=1e-13).solve(w)
     assert (solution.status.name, solution.initial) == ("ITERATION_LIMIT", f"{rule.name} (outside its training range)")
     np.testing.assert_allclose(solution.force, rule(grasp, w), rtol=1e-12)
 
@@ -98,7 +108,7 @@ def test_certificates_of_the_compiled_call(rule):
 def test_with_another_phi_it_is_as_good_in_that_one(rule, barrier_weight):
     """Phi knows forces in units of sqrt(lambda / omega) only, so the model is exact up to that scale."""
     grasp = presets.paper_cuboid()
-    optimizer = ForceOptimizer(grasp, initial=rule, barrier_weight=barrier_weight)
+    optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=rule, barrier_weight=barrier_weight)
     basis = OfflineBasis.of(grasp, optimizer.objective)
     counts = []
     for w in wrench.sample_ball(np.random.default_rng(5), 100) * np.sqrt(barrier_weight / 0.01):
@@ -123,14 +133,12 @@ def test_memory_is_never_worse_than_either(rule):
     """Along a smooth path nothing is left to do; after a jump it is at least as good as the model alone."""
     grasp = presets.paper_cuboid()
     remembering = LearnedInitialForce.pretrained(remembers=True)
-    optimizer = ForceOptimizer(grasp, initial=remembering)
+    optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=remembering)
     path = wrench.sample_path(np.random.default_rng(6), 200)
     counts = [optimizer.solve(w).iterations for w in path][1:]
     assert max(counts) <= 7
     jump = np.random.default_rng(7).normal(size=6) * [5, 5, 5, 0.2, 0.2, 0.2]
-    previous = optimizer.previous
-    _, force = remembering.start(grasp, jump, optimizer.objective, previous)
-    value = optimizer.objective.value(grasp.to_cone(force))
+    value = optimizer.objective.value(grasp.to_cone(optimizer.start(jump)))
     assert value <= optimizer.objective.value(grasp.to_cone(rule(grasp, jump))) * (1 + 1e-4)
 
 
@@ -140,14 +148,13 @@ def test_a_remembering_start_is_never_worse_than_the_previous_start_and_keeps_it
 
     grasp, objective = presets.paper_cuboid(), Objective()
     remembering = LearnedInitialForce(rule.checkpoint, remembers=True)
-    optimizer = ForceOptimizer(grasp, initial=remembering)
+    optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=remembering)
     rng = np.random.default_rng(11)
     for w in wrench.sample_magnitudes(rng, 300, 0.1, 20.0):
         before = optimizer.previous
         if before is not None:
             classical = objective.value(grasp.to_cone(carry_over(grasp, w, before.force, objective)))
-            _, force = remembering.start(grasp, w, objective, before)
-            assert objective.value(grasp.to_cone(force)) <= classical * (1 + 1e-12)
+            assert objective.value(grasp.to_cone(optimizer.start(w))) <= classical * (1 + 1e-12)
         solution = optimizer.solve(w)
         bound = objective.lower_bound(solution.multipliers, grasp.cone_matrix, w)
         if solution.iterations == 0:
@@ -168,19 +175,43 @@ def test_an_episode_in_the_environment(rule):
 
 @pytest.mark.parametrize("grasp", [presets.tripod(), presets.five_finger_cuboid()])
 @pytest.mark.parametrize("method", ["reduced_flow", "newton"])
-def test_another_number_of_contacts_starts_from_the_combination_and_says_so(rule, grasp, method):
-    """As where a hand loses a finger: an optimizer goes on. The rule itself, asked for a force, does not know these contacts."""
+def test_another_number_of_contacts_starts_from_the_methods_own_and_says_so(rule, grasp, method):
+    """The rule itself, asked for a force, does not know these contacts."""
     w = np.array(wrench.PAPER_CONSTANT)
-    optimizer = ForceOptimizer(presets.paper_cuboid(), initial=rule, method=method)
-    assert (optimizer.solve(w).initial, optimizer.solve(w).start_replaced) == (rule.name, False)
-    optimizer.move_to(grasp)
-    solution, plain = optimizer.solve(w), optimize_force(grasp, w, method=method)
-    assert (solution.initial, solution.start_replaced) == (f"linear_combination ({rule.name} was replaced)", True)
+    solution, plain = (optimize_force(grasp, w, method=method, initial=initial) for initial in (rule, None))
+    assert (solution.initial, solution.start_replaced) == (f"{OWN[method]} ({rule.name} was replaced)", True)
     np.testing.assert_allclose(solution.initial_force, plain.initial_force, atol=1e-12)
     assert solution.iterations == plain.iterations
     for call in (rule, rule.raw, rule.covers):
         with pytest.raises(InfeasibleStartError, match="4 contacts"):
             call(grasp, w)
+
+
+@pytest.mark.parametrize("method", ["reduced_flow", "newton"])
+def test_a_lost_finger_starts_from_one_internal_force_and_says_so(rule, method):
+    grasp, w = presets.paper_cuboid(), 0.3 * np.array(wrench.PAPER_CONSTANT)
+    optimizer = ForceOptimizer(grasp, initial=rule, method=method)
+    assert optimizer.solve(w).initial == rule.name
+    three = optimizer.solve(w, contacts=[True, True, True, False])
+    assert three.initial.endswith(f"({rule.name} was replaced)")
+    assert optimizer.solve(w).initial == rule.name
+
+
+@pytest.mark.parametrize("method", ["reduced_flow", "newton"])
+def test_the_learned_force_moves_with_the_contacts(rule, method):
+    """In the same call; never more Phi than the method's own start has there."""
+    grasp, rng = presets.paper_cuboid(), np.random.default_rng(12)
+    learned, plain = (ForceOptimizer(grasp, initial=initial, method=method) for initial in (rule, None))
+    kept = 0
+    for w in wrench.sample_ball(rng, 50):
+        places = grasp.positions + 2e-3 * rng.standard_normal((4, 3)) * [1, 1, 0]
+        there = Grasp.from_contacts(places, grasp.normals, grasp.friction)
+        one, other = learned.solve(w, positions=places), plain.solve(w, positions=places)
+        assert one.objective == pytest.approx(other.objective, rel=2e-4)
+        phi = [learned.objective.value(there.to_cone(s.initial_force)) for s in (one, other)]
+        assert phi[0] <= phi[1] * (1 + 1e-12)
+        kept += one.initial == rule.name
+    assert kept > 40
 
 
 def test_what_a_model_does_not_know(rule):
@@ -204,10 +235,15 @@ def test_a_network_of_which_nothing_is_kept_is_told(rule, method, part, replaced
     wild, grasp = LearnedInitialForce(replace(rule.checkpoint, tensors=weights)), presets.paper_cuboid()
     optimizer = ForceOptimizer(grasp, method=method, initial=wild)
     for w in wrench.sample_ball(np.random.default_rng(0), 20):
-        for solution in (optimizer.solve(w), optimizer.solve(w, initial=wild)):
+        # a rule of one call is asked for a force, which is never worse than the combination
+        for solution, own in (
+            (optimizer.solve(w), OWN[method]),
+            (optimizer.solve(w, initial=wild), OWN["reduced_flow"]),
+        ):
             assert solution.start_replaced is replaced
-            assert solution.initial == (f"linear_combination ({wild.name} was replaced)" if replaced else wild.name)
-            assert start_replaced(grasp, w, solution.initial_force) is replaced
+            assert solution.initial == (f"{own} ({wild.name} was replaced)" if replaced else wild.name)
+            if own == OWN["reduced_flow"]:
+                assert start_replaced(grasp, w, solution.initial_force) is replaced
 
 
 def test_pickle_keeps_every_bit(rule):
@@ -228,18 +264,14 @@ def test_model_card_and_size_of_the_shipped_model(rule):
 
 def worse(rule: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray) -> int:
     """How many starts have more Phi than the 12-basis' combination."""
-    solve = rule.bind(grasp, rule.objective, np.inf, 0, lambda start, wrench, record: None).call
-    basis, record = OfflineBasis.of(grasp, rule.objective).cone_forces, np.empty(record_size(grasp.n_contacts))
+    starts = optimize_forces(grasp, wrenches, method="reduced_flow", initial=rule, max_iterations=0, tolerance=1e-13)
+    basis = OfflineBasis.of(grasp, rule.objective).cone_forces
     shares = np.concatenate([np.maximum(wrenches, 0), np.maximum(-wrenches, 0)], axis=1)
     rest = np.maximum(0, 1 - shares.sum(axis=1, keepdims=True))
     paper = np.concatenate([shares, rest], axis=1) @ basis
     u, o, t = np.moveaxis(paper.reshape(len(wrenches), -1, 3), 2, 0)
     limit = (3 * u + 0.01 * (1 / u + 2 * u / (u * u - o * o - t * t))).sum(axis=1)
-    count = 0
-    for w, most in zip(wrenches, limit, strict=True):
-        solve(w, None, record)
-        count += not record[OBJECTIVE] <= most * (1 + 1e-12)
-    return count
+    return int((~(starts.objective <= limit * (1 + 1e-12))).sum())
 
 
 @pytest.mark.parametrize("size", [1.0, 30.0, 1e5, 1e20, 3e38])

@@ -52,7 +52,7 @@ def test_iterations_are_those_of_the_optimizer_with_these_weights(found):
     for omega, barrier, rule in ((1.0, 0.001, "adaptive"), (2.0, 0.1, "bb_short")):
         phi = {"force_weight": omega, "barrier_weight": barrier}
         newton = ForceOptimizer(GRASP, method="newton", tolerance=1e-12, **phi)  # type: ignore[arg-type]
-        flow = ForceOptimizer(GRASP, step_rule=rules[rule], **phi)  # type: ignore[arg-type]
+        flow = ForceOptimizer(GRASP, method="reduced_flow", step_rule=rules[rule], **phi)  # type: ignore[arg-type]
         mine = chosen(weights, f"rule == '{rule}' and force_weight == {omega} and barrier_weight == {barrier}")
         for k in (0, 11):
             best, row = newton.solve(loads[k]), mine.iloc[k]
@@ -125,7 +125,9 @@ def test_table_one_balances_the_wrench_and_repeats_the_printed_numbers(found):
     assert wide.loc[("table_one_paper", "optimum")].tolist() == [3.25, 0.66, 0.79, 1.21]
     best = ForceOptimizer(GRASP, method="newton", tolerance=1e-12).solve(PAPER_CONSTANT)
     np.testing.assert_allclose(wide.loc[("table_one", "optimum")], best.force[:, 0], rtol=1e-6)
-    flow = ForceOptimizer(GRASP).solve(PAPER_CONSTANT, initial="single_value", optimum=best.objective)
+    flow = ForceOptimizer(GRASP, method="reduced_flow").solve(
+        PAPER_CONSTANT, initial="single_value", optimum=best.objective
+    )
     steps = chosen(found.rows, "contact == 0 and start == 'single_value'").set_index("case")
     assert steps["iterations"].to_dict() == {"table_one": flow.iterations, "table_one_paper": 160}
     assert steps.loc["table_one", "force_sum"] == pytest.approx(wide.loc[("table_one", "single_value")].sum())

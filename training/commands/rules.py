@@ -10,7 +10,7 @@ from grasp_env.force import RULES, InitialForceRule
 
 def rule(name: str) -> str | InitialForceRule:
     """A rule's name, "learned" for the shipped model, or the path of a saved one."""
-    if name in RULES or name == "previous":
+    if name in (*RULES, "internal_force", "previous"):
         return name
     from policies import LearnedInitialForce
 
@@ -19,5 +19,5 @@ def rule(name: str) -> str | InitialForceRule:
     if name.endswith((".json", ".safetensors")) or isfile(f"{name}.json"):
         return LearnedInitialForce.load(name)
     raise UnknownNameError(
-        "initial-force rule", name, (*RULES, "previous", "learned"), ", or give a saved model's path"
+        "initial-force rule", name, (*RULES, "internal_force", "previous", "learned"), ", or give a saved model's path"
     )

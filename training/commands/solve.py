@@ -13,7 +13,7 @@ import numpy as np
 
 from grasp_env.errors import GraspError, GraspWarning, InvalidInputError
 from grasp_env.force import METHODS, RULES, ForceLimits, ForceSolution, optimize_force
-from grasp_env.force.method import CRITERIA
+from grasp_env.force.options import CRITERIA
 from grasp_env.grasp import Grasp, advise, load_grasp, save_grasp
 from grasp_env.grasp.presets import PRESETS, preset
 from grasp_env.grasp.wrench import PAPER_CONSTANT
@@ -44,9 +44,9 @@ class Solve:
         grasp: a grasp's JSON file instead of a preset.
         save_grasp: also write the grasp as such a file.
         friction: replaces the preset's or the file's coefficient.
-        initial: start of the methods on Phi: linear_combination (the paper's), single_value, lagrange, phase_one, "learned" for the
-            shipped network, or the path of a fitted one.
-        method: reduced_flow and full_flow (the paper's) and newton make Phi least, conic the normal forces.
+        initial: start of the methods on Phi: internal_force, linear_combination (the paper's), single_value, lagrange, phase_one,
+            "learned" for the shipped network, or the path of a fitted one.
+        method: newton, reduced_flow and full_flow (the paper's) make Phi least, conic the normal forces.
         criterion: what conic makes least: sum or maximum of the normal forces.
         barrier_weight: lambda of Phi [N^2]: more of it holds further from slipping, and squeezes more.
         tolerance: relative gap to the certified bound.
@@ -60,8 +60,8 @@ class Solve:
     grasp: Annotated[Path | None, left_out("the preset", "FILE")] = None
     save_grasp: Annotated[Path | None, left_out("nothing is written", "FILE")] = None
     friction: Annotated[float | None, left_out("its own", "MU")] = None
-    initial: Annotated[str | None, left_out("linear_combination", "RULE|FILE")] = None
-    method: Annotated[str, one_of(METHODS)] = "reduced_flow"
+    initial: Annotated[str | None, left_out("internal_force, of the flows linear_combination", "RULE|FILE")] = None
+    method: Annotated[str, one_of(METHODS)] = "newton"
     criterion: Annotated[str, one_of(CRITERIA)] = "sum"
     barrier_weight: float = 0.01
     tolerance: Annotated[float, left_out("1e-4, of conic 1e-6", "GAP")] = 0.0
@@ -79,7 +79,7 @@ class Solve:
         if self.initial == "previous":
             raise InvalidInputError(
                 "a single solve has no previous solution: leave --initial out, or choose one of "
-                f"{', '.join(map(repr, RULES))}, 'learned'; from solve to solve ForceOptimizer(grasp, initial='previous') remembers"
+                f"'internal_force', {', '.join(map(repr, RULES))}, 'learned'; from solve to solve ForceOptimizer(grasp, initial='previous') remembers"
             )
         advice = advise(grasp)
         sys.stderr.writelines(f"grasp: look again: {text}\n" for text in advice)

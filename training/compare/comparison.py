@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from grasp_env._check import ContactForces
 from grasp_env.force import ForceOptimizer, InitialForceRule, Objective
 from grasp_env.grasp import presets
 from policies.learned import PRETRAINED
@@ -179,13 +180,14 @@ def time_calls(config: StartsConfig, given: Given, objective: Objective, console
     calls: dict[tuple[str | None, str], tuple[Callable[[int], object], Callable[[int], object] | None]] = {}
     for key, start in made.items():
 
-        def alone(k: int, start: Made = start) -> object:
+        def alone(k: int, start: Made = start) -> ContactForces:
             return start.start(grasp, cases[k].wrench, optima[k - 1])
 
         for method in METHODS:
             loop = ForceOptimizer(grasp, method=method, **start.options, **phi)
+            force = None if start.options else alone
             calls[key, method] = (
-                lambda k, loop=loop: loop.solve(cases[k].wrench),
+                lambda k, loop=loop, force=force: loop.solve(cases[k].wrench, initial=force and force(k)),
                 alone if method == METHODS[0] else None,
             )
     for key, solver in solvers.items():

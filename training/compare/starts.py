@@ -22,8 +22,8 @@ from grasp_env.force import (
     optimize_forces,
 )
 from grasp_env.force.basis import starter
-from grasp_env.force.initial import CompiledRule, asked, is_rule
-from grasp_env.force.record import FORCE, record_size
+from grasp_env.force.initial import LearnedRule, call_rule, is_rule
+from grasp_env.force.record import FORCE, record_size, whole
 from grasp_env.force.repair import Correction, carry_over
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
@@ -54,7 +54,7 @@ class Made:
 
     Attributes:
         start: for the trials.
-        options: of a `ForceOptimizer` that has it, for the clock.
+        options: of a `ForceOptimizer` that has it, for the clock; none: it is given the force.
     """
 
     start: Start
@@ -98,14 +98,24 @@ class Workshop:
         return Made.of(initial_rule(name, self.objective), name)
 
     def previous(self, correction: Correction) -> Made:
-        """The previous solution, corrected to the new balance."""
+        """The previous solution, corrected to the new balance: as optimizers do it, or by the least change."""
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
             if before is None:
                 raise DoesNotApply
+            if correction == "tangent":
+                return self._after(grasp, load, before, "previous")
             return carry_over(grasp, load, before, self.objective, correction)
 
-        return Made(start, {"initial": "previous", "correction": correction})
+        return Made(start, {"initial": "previous"} if correction == "tangent" else {})
+
+    def _after(
+        self, grasp: Grasp, load: Wrench, before: ContactForces, initial: str | InitialForceRule
+    ) -> ContactForces:
+        """The start of an optimizer that has solved before; the paper's where nothing else can be had."""
+        optimizer = ForceOptimizer(grasp, method="reduced_flow", initial=initial, **phi_options(self.objective))
+        optimizer.previous = as_solution(grasp, before)
+        return optimizer.start(load)
 
     def nearest(self, correction: Correction) -> Made:
         """The solution stored for the nearest wrench, corrected; on the fixed grasp and those near it."""
@@ -139,15 +149,14 @@ class Workshop:
 
     def rule(self, rule: InitialForceRule) -> Made:
         """A saved model, where it knows the grasp, or any callable of a user."""
-        compiled = rule if is_rule(rule, CompiledRule) else None
+        remembers = is_rule(rule, LearnedRule) and rule.remembers
 
         def start(grasp: Grasp, load: Wrench, before: ContactForces | None) -> ContactForces:
             if isinstance(rule, LearnedInitialForce):
                 require_near_fixed(grasp)
-            if compiled is None:
-                return asked(rule, rule, grasp, load.copy())
-            previous = as_solution(before) if compiled.remembers and before is not None else None
-            return asked(rule, compiled.start, grasp, load.copy(), self.objective, previous)[1]
+            if before is None or not remembers:
+                return call_rule(rule, rule, grasp, load.copy())
+            return self._after(grasp, load, before, rule)
 
         return Made(start, {"initial": rule})
 
@@ -175,7 +184,9 @@ class Row:
 
 STARTS: dict[str, Row] = {
     "single_value": Row("single value", "single value", "#8a8a8b", lambda shop: shop.named("single_value")),
-    "phase_one": Row("phase one, the deepest force", "phase one", "#8a9a22", lambda shop: shop.named("phase_one")),
+    "phase_one": Row(
+        "phase one, the deepest force", "phase one", "#8a9a22", lambda shop: Made.of(initial_rule("phase_one", shop.objective))
+    ),
     "lagrange": Row("Lagrange", "Lagrange", "#b3852d", lambda shop: shop.named("lagrange")),
     "linear_combination_printed": Row(
         "12-basis, as printed", "12-basis, printed", "#5fa7e9", lambda shop: shop.named("linear_combination_printed"), dashed=True
@@ -233,11 +244,11 @@ def row_of(key: str) -> Row:
     return Row(name, name, GIVEN_COLOURS[0], lambda shop: shop.rule(shop.given[key]), main=True, dashed=True)
 
 
-def as_solution(force: ContactForces) -> ForceSolution:
-    """A force (N, 3) as a previous solution, of which starts read no more than that."""
+def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
+    """A force (N, 3) as a previous solution, of which starts read no more than that and the frames."""
     record = np.zeros(record_size(len(force)))
     record[FORCE : FORCE + force.size] = force.reshape(-1)
-    return ForceSolution(record, "carried", "previous")
+    return ForceSolution(whole(record, grasp.frames), "carried", "previous")
 
 
 class NetworkAlone:

@@ -40,7 +40,7 @@ def scores(
     for friction, chosen in groupby(range(len(wrenches)), key=lambda k: float(frictions[k])):
         here = grasp.with_friction(friction)
         exact, newton = (newton_optimizer(here, model.objective, gap) for gap in (EXACT, TOLERANCE))
-        reduced = ForceOptimizer(here, tolerance=TOLERANCE, **phi_options(model.objective))
+        reduced = ForceOptimizer(here, method="reduced_flow", tolerance=TOLERANCE, **phi_options(model.objective))
         for wrench in wrenches[list(chosen)]:
             raw, start = model.raw(here, wrench), alone(here, wrench)
             gap = model.objective.value(here.to_cone(start)) / exact.solve(wrench).objective - 1.0

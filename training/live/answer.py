@@ -44,7 +44,7 @@ def answer(
     grasp: Grasp,
     wrench: Array,
     method: str = "newton",
-    start: str | InitialForceRule = "linear_combination",
+    start: str | InitialForceRule = "internal_force",
     barrier_weight: float = 0.01,
     max_normal: float = math.inf,
     previous: ForceSolution | None = None,
@@ -65,7 +65,7 @@ def answer(
         >>> from grasp_env.grasp import presets
         >>> found = answer(presets.paper_cuboid(), np.array([1, 0.5, -0.6, -0.1, 0.2, 0]))
         >>> found.status, found.solution.iterations
-        ('held', 6)
+        ('held', 5)
     """
     settings = {"method": method, "barrier_weight": barrier_weight, "max_iterations": 5000}
     settings["initial"] = None if method == "conic" else start

@@ -125,7 +125,7 @@ class BareContacts(Window):
             self.limit = gui.add_slider("max normal force, N", 0.5, NO_LIMIT, 0.5, NO_LIMIT, hint="50: no limit")
         with gui.add_folder("Solver"):
             self.method = gui.add_dropdown("method", [*METHODS], initial_value=method)
-            self.start = gui.add_dropdown("start", [*STARTS])
+            self.start = gui.add_dropdown("start", ["internal_force", *STARTS])
             self.weight = gui.add_slider("lambda, log10 N²", -6.0, 1.0, 0.1, -2.0, hint="more: further from slipping")
         self.again = gui.add_button("Start again", color="gray")
         self.on(self.again.on_click, self._reset)

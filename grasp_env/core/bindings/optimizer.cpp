@@ -5,6 +5,7 @@
 #include "buffers.hpp"
 #include "rule.hpp"
 #include "solution.hpp"
+#include "timing.hpp"
 
 using namespace grasp;
 
@@ -45,9 +46,9 @@ public:
 
     // kind: the class of solutions; method: its name; starts: what solutions call each `Start`
     Solver(const Problem& problem, const Options& options, nb::object kind, nb::object method, nb::tuple starts,
-           nb::object name)
+           nb::object name, bool remembers)
         : on(problem, options), count(problem.contacts.count), joints(int(problem.limits.torque_limit.size())),
-          remembers_(options.start == Start::previous || options.start == Start::learned), asked_(options.start), kind_(kind),
+          remembers_(remembers), asked_(options.start), kind_(kind),
           method_(method), name_(name), starts_(starts) {}
 
     // A solution; None: an argument cannot be read as it is, or it ended without a force: `ended` is its row then.
@@ -197,7 +198,7 @@ std::vector<double> copied(nb::handle array) {
 
 Solver* make(const Contacts& given, nb::handle weights, double force_weight, double barrier_weight, nb::handle min_normal, nb::handle max_normal, nb::handle jacobian, nb::handle torque_limit,
              nb::handle torque_bias, const char* method, bool largest, int start, double tolerance, int limit, bool elastic,
-             nb::handle rule, const Model* model, nb::object kind, nb::object name, nb::tuple starts, nb::object asked_name) {
+             nb::handle rule, const Model* model, nb::object kind, nb::object name, nb::tuple starts, nb::object asked_name, bool remembers) {
     Contacts contacts = given;
     if (weights.is_none()) contacts.weigh(Objective{force_weight, barrier_weight});
     else contacts.weigh(in(weights, contacts.count, 2).data());
@@ -215,7 +216,7 @@ Solver* make(const Contacts& given, nb::handle weights, double force_weight, dou
                     .elastic = elastic};
     if (!rule.is_none()) options.step_rule = rule_of(rule);
     if (model) options.model = std::make_shared<const Model>(*model);
-    return new Solver({contacts, {least, most, moves, torques, bias}}, options, kind, name, starts, asked_name);
+    return new Solver({contacts, {least, most, moves, torques, bias}}, options, kind, name, starts, asked_name, remembers);
 }
 
 void solve_many(const Solver& solver, nb::handle wrenches, nb::handle rows) {
@@ -229,6 +230,14 @@ void solve_many(const Solver& solver, nb::handle wrenches, nb::handle rows) {
     own.solve_many(loads, {to.data(), loads.size() / 6 * solver.on.size()});
 }
 
+void times(Solver& solver, nb::handle wrenches, int passes, nb::handle rows, nb::handle best) {
+    time_calls(wrenches, passes, solver.on.size(), rows, best, [&](const double* wrench, double* row) {
+        Ask ask{};
+        ask.wrench = wrench;
+        solver.on.solve(ask, row);
+    });
+}
+
 }  // namespace
 
 void bind_optimizer(nb::module_& m) {
@@ -236,9 +245,9 @@ void bind_optimizer(nb::module_& m) {
     nb::class_<Solver>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door.")
         .def_static("make", &make, "contacts"_a, "weights"_a.none(), "force_weight"_a, "barrier_weight"_a, "min_normal"_a.none(), "max_normal"_a.none(), "jacobian"_a.none(),
                     "torque_limit"_a.none(), "torque_bias"_a.none(), "method"_a, "largest"_a, "start"_a, "tolerance"_a, "limit"_a,
-                    "elastic"_a, "rule"_a.none(), "model"_a.none(), "kind"_a, "name"_a, "starts"_a, "asked"_a,
+                    "elastic"_a, "rule"_a.none(), "model"_a.none(), "kind"_a, "name"_a, "starts"_a, "asked"_a, "remembers"_a,
                     "See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions;\n"
-                    "asked: the name of the start that is asked for.")
+                    "asked: the name of the start that is asked for; remembers: whether calls get the previous solution.")
         .def("solve", &Solver::solve, "wrench"_a.none(), "positions"_a.none(), "normals"_a.none(), "friction"_a.none(),
              "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
              "A solution; None: an argument cannot be read as it is, or there is no force and `ended` holds the row.")
@@ -255,6 +264,8 @@ void bind_optimizer(nb::module_& m) {
             s.on.set_basis({in(basis, 13, 3 * s.count).data(), std::size_t(39 * s.count)});
         }, "basis"_a, "Takes the 12-basis with the rest, (13, 3N) cone coordinates.")
         .def("solve_many", &solve_many, "wrenches"_a, "rows"_a, "(M, 6) into (M, size); releases the GIL.")
+        .def("times", &times, "wrenches"_a, "passes"_a, "rows"_a, "best"_a,
+             "Best seconds (M,) of `passes` calls for each of (M, 6), none of which knows another; the rows of the last.")
         .def_rw("previous", &Solver::previous, nb::for_setter(nb::arg("solution").none()), "The last solution that has a force, or None.")
         .def_ro("ended", &Solver::ended, "The row of the last call that returned None, unless it could not read its arguments.")
         .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Doubles of a row.");

@@ -64,6 +64,14 @@ public:
         return out;
     }
 
+    // Lanes without a contact get the force (1, 0, 0), at which their gradient vanishes: nothing moves them, and they move nothing.
+    void settle(Field& x) const {
+        for (int b = 0; b < int(blocks.size()); ++b) {
+            const V& used = blocks[b].mask;
+            x[b] = {used * x[b].u + (1.0 - used), used * x[b].o, used * x[b].t};
+        }
+    }
+
     void pack(const Contacts& c) {
         const int size = 3 * count;
         unit = c.unit;

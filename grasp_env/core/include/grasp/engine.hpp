@@ -115,8 +115,6 @@ public:
         if (options.model) {
             if (!options.model->fits(home_.count)) throw std::invalid_argument("the model is for another number of contacts");
             predicted_.emplace(newton_.cones, *options.model);
-        } else if (options.start == Start::learned) {
-            throw std::invalid_argument("a learned start needs a model");
         }
         if (needs_basis()) make_basis();
     }
@@ -408,6 +406,11 @@ private:
 
     // The start of a call in newton_.x, balanced and strictly inside the cones; else why there is none.
     Code begin(const Ask& ask, const Vec6& w) {
+        const Code code = find_start(ask, w);
+        if (code == CONVERGED) newton_.cones.settle(newton_.x);
+        return code;
+    }
+    Code find_start(const Ask& ask, const Vec6& w) {
         replaced_ = outside_ = false;
         const Start start = used_ = asked(ask);
         switch (start) {
@@ -424,6 +427,7 @@ private:
                 if (predicted_ && predict(ask, w)) return CONVERGED;
                 break;
             case Start::phase_one: return search(ask, w);
+            case Start::internal_force: return squeeze(ask, w);
             case Start::linear_combination:
             case Start::linear_combination_printed:
             case Start::single_value:
@@ -432,29 +436,35 @@ private:
                 break;
             default: return standard(ask, w);
         }
-        replaced_ = true;
-        return standard(ask, w);
+        const Code code = standard(ask, w);
+        const bool named = ask.start != Start::standard || options_.start != Start::standard;
+        replaced_ = named || used_ != Start::phase_one;  // without force closure phase one is the method's own
+        return code;
     }
     // The method's own start, or where the contacts have no force closure any force inside.
     Code standard(const Ask& ask, const Vec6& w) {
         if (flow_ && combine(ask.wrench, w, used_ = Start::linear_combination)) return CONVERGED;
+        return squeeze(ask, w);
+    }
+    Code squeeze(const Ask& ask, const Vec6& w) {
         if (!rest()) return search(ask, w);
         used_ = Start::internal_force;
         grasp::begin(newton_.cones, rest_, w, newton_.x);
         return newton_.cones.phi(newton_.x) < infinity ? CONVERGED : UNDECIDED;
     }
-    // Any force inside; where the steps find neither that nor a proof, the deepest one.
-    Code search(const Ask& ask, const Vec6& w) {
+    // Any force inside, or the proof that none touches the cones; UNDECIDED: neither is quickly found.
+    Code look(const Vec6& w) {
         used_ = Start::phase_one;
         ready_conic();
         int steps = 0;
         const auto found = conic_.find_inside(w, newton_.x, twist_, steps);
         using Inside = typename ConicOn<V, B>::Inside;
-        if (found == Inside::found) return CONVERGED;
-        if (found == Inside::none) {
-            twist_ = newton_.cones.unit.pull_back(twist_);
-            return INFEASIBLE;
-        }
+        if (found == Inside::none) twist_ = newton_.cones.unit.pull_back(twist_);
+        return found == Inside::found ? CONVERGED : found == Inside::none ? INFEASIBLE : UNDECIDED;
+    }
+    // The same; where that is undecided, by the deepest force.
+    Code search(const Ask& ask, const Vec6& w) {
+        if (const Code code = look(w); code != UNDECIDED) return code;
         if (kind_ != Kind::hard || !ready_general()) return UNDECIDED;
         const Deepest deep = general_.deepest(ask.wrench, 1e-7, force_.data(), nullptr);
         twist_ = deep.twist;
@@ -713,13 +723,15 @@ private:
 
     Code conic(const Ask& ask, const Vec6& w, const Record& record) {
         used_ = Start::central, replaced_ = outside_ = false;
-        if (!rest(true)) {
-            if (search(ask, w) == INFEASIBLE) return refuted(w, record);
-            return general(ask, record);
+        if (!rest()) {
+            const Code found = look(w);
+            used_ = Start::central, conic_ready_ = false;
+            if (found == INFEASIBLE) return refuted(w, record);
+            if (!rest(true)) return general(ask, record);
         }
         ready_conic();
-        conic_.solve(ask.wrench, record);
-        return ready_general() ? general_.conic_from(newton_.options, record) : record.code();
+        const Code code = conic_.solve(ask.wrench, record);
+        return code != CONVERGED && ready_general() ? general_.conic_from(newton_.options, record) : code;
     }
 
     // The general program, from its own centre, a given force or the previous solution.
@@ -835,7 +847,7 @@ private:
         const int i = table_.owners[k];
         double slack = table_.bounds[k];
         for (int a = 0; a < 3; ++a) slack -= table_.normals[3 * k + a] * from.force()[3 * i + a] * now_.scale[3 * i + a];
-        return table_.weights[k] / (slack * slack * table_.sizes[k]);
+        return slack > 0.0 ? table_.weights[k] / (slack * slack * table_.sizes[k]) : 0.0;
     }
 };
 

@@ -34,7 +34,7 @@ struct Options {
     int limit = 20000;       // most accepted steps
     bool elastic = false;    // where no force keeps the limits: the one that exceeds them least, instead of the proof
     StepRule step_rule{};    // of the flows
-    std::shared_ptr<const Model> model{};  // of Start::learned
+    std::shared_ptr<const Model> model{};  // of Start::learned; none: that is replaced
 
     double gap() const { return tolerance > 0.0 ? tolerance : method == Method::conic ? 1e-6 : 1e-4; }
 };

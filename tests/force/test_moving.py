@@ -1,0 +1,384 @@
+"""What a call is given holds for that call: other places, frictions, Jacobians, fewer contacts, and one frame for all of it."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+from force.clarabel_reference import Reference, contact_frames
+
+from grasp_env.errors import (
+    GraspError,
+    InfeasibleWrenchError,
+    InvalidInputError,
+    NotConvergedError,
+    RankDeficientGraspError,
+)
+from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, joint_torques, optimize_force
+from grasp_env.grasp import Grasp, presets
+
+FIVE = presets.five_finger_cuboid()
+LOAD = np.array([0.4, -0.3, 0.7, 0.01, -0.008, 0.005])
+RNG = np.random.default_rng(3)
+
+
+def own_joints(count: int, each: int = 3, rows: int = 3) -> np.ndarray:
+    """(N, rows, J): three joints a finger, levers of some centimetres."""
+    jacobian = np.zeros((count, rows, each * count))
+    for k in range(count):
+        jacobian[k, :, each * k : each * (k + 1)] = 0.05 * np.random.default_rng([7, k]).standard_normal((rows, each))
+    return jacobian
+
+
+SOFT = Grasp.from_contacts(FIVE.positions, FIVE.normals, 0.4, contact_model="soft", torsional_friction=0.005)
+ELLIPTIC = Grasp.from_contacts(FIVE.positions, FIVE.normals, np.tile([0.4, 0.6], (5, 1)))
+OWN = ForceLimits(jacobian=own_joints(5), torque_limit=0.5, torque_bias=np.linspace(-0.05, 0.05, 15))
+SHARED = ForceLimits(jacobian=0.03 * np.random.default_rng(8).standard_normal((5, 3, 4)), torque_limit=0.9)
+KINDS: dict[str, tuple[Grasp, dict[str, Any]]] = {
+    "newton": (FIVE, {}),
+    "newton, elliptic": (ELLIPTIC, {}),
+    "newton, soft": (SOFT, {}),
+    "newton, normal limits": (FIVE, {"limits": ForceLimits(min_normal=0.05, max_normal=8.0)}),
+    "newton, own joints": (FIVE, {"limits": OWN}),
+    "newton, shared joints": (FIVE, {"limits": SHARED}),
+    "newton, soft, own joints": (SOFT, {"limits": ForceLimits(jacobian=own_joints(5, rows=6), torque_limit=0.5)}),
+    "newton, elastic": (FIVE, {"limits": ForceLimits(max_normal=0.4), "elastic": True}),
+    "reduced_flow": (FIVE, {"method": "reduced_flow"}),
+    "full_flow": (FIVE, {"method": "full_flow"}),
+    "conic": (FIVE, {"method": "conic"}),
+    "conic, largest": (FIVE, {"method": "conic", "criterion": "max"}),
+    "conic, own joints": (FIVE, {"method": "conic", "limits": OWN}),
+    "conic, soft": (SOFT, {"method": "conic"}),
+}
+
+
+def moved(k: int, grasp: Grasp = FIVE, size: float = 2e-3) -> dict[str, np.ndarray]:
+    """Places and normals a little off."""
+    rng = np.random.default_rng([11, k])
+    normals = grasp.normals + 0.03 * rng.standard_normal(grasp.normals.shape)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    return {"positions": grasp.positions + size * rng.standard_normal(grasp.positions.shape), "normals": normals}
+
+
+def part_of(limits: ForceLimits | None, chosen: np.ndarray) -> ForceLimits | None:
+    """The limits of those contacts; joints stay."""
+    if limits is None:
+        return None
+    each = {name: getattr(limits, name) for name in ("min_normal", "max_normal", "torque_limit", "torque_bias")}
+    each |= {name: value[chosen] for name, value in each.items() if name.endswith("normal") and np.ndim(value)}
+    jacobian = limits.jacobian
+    return ForceLimits(**each) if jacobian is None else ForceLimits(**each, jacobian=np.asarray(jacobian)[chosen])
+
+
+def rows_of(solution: ForceSolution) -> np.ndarray:
+    """Everything that a solution says."""
+    return solution._record.copy()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_order_of_calls_does_not_matter(kind: str) -> None:
+    """To the bit, whatever the calls between had."""
+    grasp, options = KINDS[kind]
+    optimizer = ForceOptimizer(grasp, **options)
+    calls: list[dict[str, Any]] = [
+        {},
+        moved(0),
+        {"friction": 0.5 if grasp is not ELLIPTIC else np.tile([0.5, 0.5], (5, 1))},
+        {"contacts": [True, True, True, True, False]},
+        {**moved(1), "contacts": [True, False, True, True, True]},
+        {},
+    ]
+    limits = options.get("limits")
+    if limits is not None and limits.jacobian is not None:
+        calls.insert(2, {"jacobian": 0.9 * np.asarray(limits.jacobian)})
+        calls.insert(4, {"torque_bias": np.full(limits.joints, 0.01)})
+    forward = [rows_of(optimizer.solve(LOAD, **call)) for call in calls]
+    backward = [rows_of(optimizer.solve(LOAD, **call)) for call in calls[::-1]][::-1]
+    alone = [rows_of(ForceOptimizer(grasp, **options).solve(LOAD, **call)) for call in calls]
+    np.testing.assert_array_equal(forward, backward)
+    np.testing.assert_array_equal(forward, alone)
+    np.testing.assert_array_equal(forward[0], forward[-1])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_other_places_are_another_grasp(kind: str) -> None:
+    grasp, options = KINDS[kind]
+    optimizer = ForceOptimizer(grasp, **options)
+    close = 0.02 if options.get("elastic") else 3e-6 if "conic" in kind else 3e-4
+    for k in range(4):
+        now = moved(k)
+        friction = 0.35 + 0.1 * k
+        models = {"contact_model": grasp.models.names[0], "torsional_friction": 0.005 if grasp is SOFT else None}
+        there = Grasp.from_contacts(now["positions"], now["normals"], friction, **models)
+        found, want = optimizer.solve(LOAD, **now, friction=friction), optimize_force(there, LOAD, **options)
+        assert found.status is want.status
+        assert found.objective == pytest.approx(want.objective, rel=close)
+        np.testing.assert_allclose(found.frames, there.frames, atol=1e-14)
+        assert there.residual(found.force, LOAD, found.torsion) < 1e-9 * np.abs(found.force).max()
+        assert there.cone_margin(found.force) >= 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
+    """The same verdict and optimum as a grasp of that subset, and no force elsewhere: all 31 subsets of five."""
+    grasp, options = KINDS[kind]
+    optimizer = ForceOptimizer(grasp, **options)
+    close = 0.02 if options.get("elastic") else 3e-6 if "conic" in kind else 3e-4
+    solved = 0
+    for bits in range(1, 32):
+        touching = np.array([bool(bits >> k & 1) for k in range(5)])
+        try:
+            part = Grasp.from_contacts(
+                grasp.positions[touching], grasp.normals[touching], grasp.models.friction[touching],
+                contact_model=grasp.models.names[0], torsional_friction=0.005 if grasp is SOFT else None,
+            )  # fmt: skip
+        except RankDeficientGraspError:
+            with pytest.raises(RankDeficientGraspError):
+                optimizer.solve(LOAD, contacts=touching)
+            continue
+        chosen = {**options, "limits": part_of(options.get("limits"), touching)}
+        try:
+            want = optimize_force(part, LOAD, **chosen)
+        except GraspError as error:
+            with pytest.raises(type(error)):
+                optimizer.solve(LOAD, contacts=touching)
+            continue
+        found = optimizer.solve(LOAD, contacts=touching)
+        solved += 1
+        assert found.status is want.status, (bits, found, want)
+        assert found.objective == pytest.approx(want.objective, rel=close), (bits, found, want)
+        assert (found.force[~touching] == 0.0).all()
+        assert (found.torsion[~touching] == 0.0).all()
+        assert (found.object_force[~touching] == 0.0).all()
+        assert part.residual(found.force[touching], LOAD, found.torsion[touching]) < 1e-9
+    assert solved > 3
+
+
+def test_no_contact_and_lists_of_bits() -> None:
+    optimizer = ForceOptimizer(FIVE)
+    with pytest.raises(RankDeficientGraspError):
+        optimizer.solve(LOAD, contacts=[False] * 5)
+    whole = optimizer.solve(LOAD)
+    np.testing.assert_array_equal(optimizer.solve(LOAD, contacts=(True,) * 5).force, whole.force)
+    np.testing.assert_array_equal(optimizer.solve(LOAD, contacts=np.ones(5, dtype=bool)).force, whole.force)
+
+
+def test_torques_of_a_call() -> None:
+    """J^T f + bias of the Jacobian and bias of the call, soft contacts' moments included."""
+    for grasp, rows in ((FIVE, 3), (SOFT, 6)):
+        limits = ForceLimits(jacobian=own_joints(5, rows=rows), torque_limit=0.5)
+        optimizer = ForceOptimizer(grasp, limits=limits)
+        for k in range(5):
+            jacobian = own_joints(5, rows=rows) + 0.01 * np.random.default_rng(k).standard_normal((5, rows, 15))
+            bias = 0.05 * np.random.default_rng(k).standard_normal(15)
+            now = moved(k)
+            found = optimizer.solve(LOAD, **now, jacobian=jacobian, torque_bias=bias)
+            moment = found.torsion[:, None] * now["normals"] if rows == 6 else None
+            want = joint_torques(jacobian, found.object_force, bias, moment=moment)
+            np.testing.assert_allclose(found.torques, want, atol=1e-13)
+            assert (np.abs(found.torques) <= 0.5).all()
+            # the limits hold by themselves too
+            plain = np.einsum("nrj,nr->j", jacobian[:, :3], found.object_force) + bias
+            if moment is not None:
+                plain += np.einsum("nrj,nr->j", jacobian[:, 3:], moment)
+            np.testing.assert_allclose(found.torques, plain, atol=1e-13)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if "elliptic" not in kind])
+def test_one_frame(kind: str) -> None:
+    """Everything turned and shifted together: the force turns along, its parts in the contact frames may not."""
+    grasp, options = KINDS[kind]
+    tolerance = 1e-6 if "conic" in kind else 1e-10
+    optimizer = ForceOptimizer(grasp, **options, tolerance=tolerance)
+    turn = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    shift = np.array([0.3, -0.2, 0.5])
+    pull, moment = turn @ LOAD[:3], turn @ LOAD[3:]
+    there = {
+        "positions": grasp.positions @ turn.T + shift,
+        "normals": grasp.normals @ turn.T,
+    }
+    limits = options.get("limits")
+    if limits is not None and limits.jacobian is not None:
+        given = np.asarray(limits.jacobian)
+        there["jacobian"] = np.concatenate([turn @ given[:, k : k + 3] for k in range(0, given.shape[1], 3)], axis=1)
+    here = optimizer.solve(LOAD)
+    found = optimizer.solve(np.concatenate([pull, moment + np.cross(shift, pull)]), **there)
+    assert found.status is here.status
+    assert found.objective == pytest.approx(here.objective, rel=0.02 if options.get("elastic") else 2.0 * tolerance)
+    if not options.get("elastic") and "conic" not in kind:  # whose optima need not be single points
+        # Phi is flat at its least: the root of the gap is what forces are known to
+        size = np.abs(here.force).max()
+        np.testing.assert_allclose(found.object_force, here.object_force @ turn.T, atol=1e-4 * size)
+        np.testing.assert_allclose(found.torques, here.torques, atol=1e-5 * size)
+
+
+def test_frames_and_object_force_are_what_they_say() -> None:
+    optimizer = ForceOptimizer(FIVE)
+    for k in range(10):
+        now = moved(k)
+        found = optimizer.solve(LOAD, **now)
+        frames = contact_frames(now["normals"])
+        np.testing.assert_allclose(found.frames, frames, atol=1e-14)
+        np.testing.assert_allclose(found.object_force, np.einsum("nij,nj->ni", frames, found.force), atol=1e-14)
+        total = np.concatenate(
+            [found.object_force.sum(axis=0), np.cross(now["positions"], found.object_force).sum(axis=0)]
+        )
+        np.testing.assert_allclose(total, -LOAD, atol=1e-12)
+    again = pickle.loads(pickle.dumps(found))
+    np.testing.assert_array_equal(again.frames, found.frames)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_update_is_a_new_optimizer(kind: str) -> None:
+    grasp, options = KINDS[kind]
+    optimizer = ForceOptimizer(grasp, **options)
+    now = moved(2)
+    limits = options.get("limits")
+    more: dict[str, Any] = {}
+    if limits is not None and limits.jacobian is not None:
+        more = {"jacobian": 1.1 * np.asarray(limits.jacobian), "torque_bias": np.full(limits.joints, 0.02)}
+        options = {**options, "limits": ForceLimits(**more, torque_limit=limits.torque_limit)}
+    optimizer.update(**now, friction=0.45, **more)
+    models = {"contact_model": grasp.models.names[0], "torsional_friction": 0.005 if grasp is SOFT else None}
+    anew = ForceOptimizer(Grasp.from_contacts(now["positions"], now["normals"], 0.45, **models), **options)
+    one, other = optimizer.solve(LOAD), anew.solve(LOAD)
+    assert one.status is other.status
+    np.testing.assert_allclose(one.force, other.force, rtol=0, atol=1e-9 * np.abs(other.force).max())
+    np.testing.assert_array_equal(optimizer.grasp.positions, now["positions"])
+    np.testing.assert_array_equal(pickle.loads(pickle.dumps(optimizer)).solve(LOAD).force, one.force)
+    # what a call has is still that call's alone
+    np.testing.assert_array_equal(rows_of(optimizer.solve(LOAD)), rows_of(one))
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"positions": np.zeros((4, 3))}, r"positions must have shape \(5, 3\), got \(4, 3\)"),
+    ({"positions": "here"}, "positions must be numbers"),
+    ({"positions": np.full((5, 3), np.nan)}, "positions must be finite"),
+    ({"normals": np.ones(3)}, r"normals must have shape \(5, 3\)"),
+    ({"normals": 2.0 * FIVE.normals}, "normal"),
+    ({"normals": np.zeros((5, 3))}, "normal"),
+    ({"friction": -0.1}, "friction"),
+    ({"friction": [0.4, 0.4]}, "friction"),
+    ({"friction": np.nan}, "friction"),
+    ({"friction": "rough"}, "friction"),
+    ({"jacobian": np.zeros((5, 3, 4))}, "jacobian must be that of 15 joints"),
+    ({"jacobian": np.zeros((4, 3, 15))}, "jacobian"),
+    ({"jacobian": np.full((5, 3, 15), np.inf)}, "jacobian"),
+    ({"torque_bias": np.zeros(4)}, "torque_bias"),
+    ({"torque_bias": np.full(15, np.nan)}, "torque_bias"),
+    ({"torque_bias": "none"}, "torque_bias"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("given", "told"), WRONG)
+@pytest.mark.parametrize("call", ["solve", "update"])
+def test_wrong_arguments_are_named(given: dict[str, Any], told: str, call: str) -> None:
+    optimizer = ForceOptimizer(FIVE, limits=OWN)
+    before = optimizer.solve(LOAD)
+    ask: Callable[..., Any] = optimizer.update if call == "update" else lambda **k: optimizer.solve(LOAD, **k)
+    with pytest.raises(InvalidInputError, match=told):
+        ask(**given)
+    np.testing.assert_array_equal(optimizer.solve(LOAD).force, before.force)
+
+
+@pytest.mark.parametrize("contacts", [[True] * 4, 3, "11111", [1, 1, 1, 1, 1], np.ones(5), [[True] * 5]])
+def test_wrong_contacts_are_named(contacts: Any) -> None:
+    with pytest.raises(InvalidInputError, match=r"contacts must be \(5,\) of true and false"):
+        ForceOptimizer(FIVE).solve(LOAD, contacts=contacts)
+
+
+@pytest.mark.parametrize("given", [{"jacobian": own_joints(5)}, {"torque_bias": np.zeros(15)}])
+def test_torques_need_limits(given: dict[str, Any]) -> None:
+    with pytest.raises(InvalidInputError):
+        ForceOptimizer(FIVE).solve(LOAD, **given)
+
+
+def test_contacts_on_a_line_lose_their_rank() -> None:
+    optimizer = ForceOptimizer(presets.tripod())
+    line = {"positions": [[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]], "normals": [[1.0, 0, 0]] * 3}
+    with pytest.raises(RankDeficientGraspError):
+        optimizer.solve(LOAD, **line)
+    with pytest.raises(RankDeficientGraspError):
+        optimizer.update(**line)
+    assert optimizer.solve(0.1 * LOAD).status is Status.OPTIMAL
+
+
+LIMITS = {
+    "free": None,
+    "normal forces": ForceLimits(max_normal=6.0),
+    "torques": ForceLimits(jacobian=own_joints(4), torque_limit=0.35),
+    "shared": ForceLimits(jacobian=0.03 * np.random.default_rng(9).standard_normal((4, 3, 4)), torque_limit=0.5),
+}
+
+
+@pytest.mark.parametrize("method", ["newton", "conic"])
+@pytest.mark.parametrize("name", LIMITS)
+def test_a_normal_that_turns_away_against_clarabel(name: str, method: str) -> None:
+    """0 to 60 degrees in steps of 1: feasible and infeasible where Clarabel says so, and conic as much as it says."""
+    pytest.importorskip("clarabel")
+    grasp, limits = presets.paper_cuboid(), LIMITS[name]
+    optimizer = ForceOptimizer(grasp, method=method, limits=limits)
+    load, verdicts = np.array([0.5, 0.2, -0.6, -0.01, 0.02, 0.0]), set()
+    for degrees in range(61):
+        angle = np.radians(degrees)
+        normals = grasp.normals.copy()
+        normals[1] = [np.sin(angle), 0.0, -np.cos(angle)]
+        reference = Reference(Grasp.from_contacts(grasp.positions, normals, 0.4), limits)
+        margin = reference.margin(load)
+        try:
+            found = optimizer.solve(load, normals=normals)
+        except InfeasibleWrenchError as error:
+            found = error.solution
+        except NotConvergedError:
+            assert abs(margin) < 1e-6
+            continue
+        assert found is not None
+        if found.status is Status.INFEASIBLE:
+            assert margin < 1e-6
+            assert margin > -1e-6 or reference.separates(found.certificate, load) > 0.0
+            verdicts.add(False)
+            continue
+        verdicts.add(True)
+        assert margin > -1e-6
+        assert reference.residual(found.force, found.torsion, load) < 1e-9
+        assert reference.violation(found.force, found.torsion) <= 1e-9
+        if margin > 1e-4:
+            assert found.status is Status.OPTIMAL, (degrees, margin)
+        if method == "conic" and margin > 1e-4:
+            assert found.objective == pytest.approx(reference.solve(load).objective, rel=2e-6)
+    assert verdicts
+
+
+@pytest.mark.parametrize("method", ["newton", "reduced_flow"])
+@pytest.mark.parametrize("limits", [None, ForceLimits(max_normal=8.0)], ids=["free", "limits"])
+def test_previous_never_fails_where_no_start_is_named(method: str, limits: ForceLimits | None) -> None:
+    """An object that lies on three tips: there is no force closure, and what was before fits or is replaced."""
+    if limits is not None and method != "newton":
+        pytest.skip("flows know no limits")
+    rng = np.random.default_rng(17)
+    tips = np.array([[0.03, 0.0, 0.0], [-0.02, 0.03, 0.0], [-0.02, -0.03, 0.0]])
+    floor = Grasp.from_contacts(tips, [[0.0, 0.0, 1.0]] * 3, 0.5)
+    cold, warm = (ForceOptimizer(floor, method=method, limits=limits, initial=start) for start in (None, "previous"))
+    solved = replaced = 0
+    for k in range(200):
+        load = np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0]) + rng.standard_normal(6) * [0.6, 0.6, 1.5, 0.02, 0.02, 0.002]
+        now = {"positions": tips + 2e-3 * rng.standard_normal((3, 3))} if k % 3 else {}
+        want = None
+        with suppress(InfeasibleWrenchError):
+            want = cold.solve(load, **now)
+        if want is None:
+            with pytest.raises(InfeasibleWrenchError):
+                warm.solve(load, **now)
+            continue
+        found = warm.solve(load, **now)
+        solved += 1
+        replaced += found.start_replaced
+        assert found.status is want.status is Status.OPTIMAL
+        assert found.objective == pytest.approx(want.objective, rel=3e-4)
+    assert solved > 100
+    assert replaced > 0
