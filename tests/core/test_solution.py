@@ -9,30 +9,83 @@ import sys
 import numpy as np
 import pytest
 
-from grasp_env.core import Solution, record_fields, record_size
+from grasp_env.core import Solution, codes, record_fields
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceSolution
 
-FORCE = record_fields()["force"]
+PLACES, CODES = record_fields(), codes()
+FORCE = PLACES["force"]
 
 
-def made(count: int = 4) -> ForceSolution:
-    return ForceSolution(np.arange(float(record_size(count))), "newton", "previous")
+def row(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> np.ndarray:
+    """A record of so many numbers, each of which is its place behind the summary, and what is said in the summary."""
+    numbers = np.arange(float(FORCE + 16 * count + joints + limits))
+    numbers[:FORCE] = 0.0
+    for name, value in (said | {"contacts": count, "joints": joints, "limits": limits}).items():
+        numbers[PLACES[name]] = value
+    return numbers
 
 
+def made(count: int = 4, joints: int = 0, limits: int = 0, **said: float) -> ForceSolution:
+    return ForceSolution(row(count, joints, limits, **said), "newton", "previous")
+
+
+@pytest.mark.parametrize(("joints", "limits"), [(0, 0), (12, 24), (3, 0), (0, 5)])
 @pytest.mark.parametrize("count", [0, 1, 4, 50])
-def test_arrays_are_views_of_the_record(count: int) -> None:
-    solution = made(count)
-    numbers = np.arange(float(record_size(count)))[FORCE:]
+def test_arrays_are_views_of_the_record(count: int, joints: int, limits: int) -> None:
+    solution = made(count, joints, limits)
+    numbers = row(count, joints, limits)[FORCE:]
     assert solution.n_contacts == count
-    np.testing.assert_array_equal(solution.force, numbers[: 3 * count].reshape(count, 3))
-    np.testing.assert_array_equal(solution.initial_force, numbers[3 * count : 6 * count].reshape(count, 3))
-    np.testing.assert_array_equal(solution.torsion, numbers[6 * count :])
-    for view in (solution.force, solution.initial_force, solution.torsion):
+    shapes = {
+        "force": (count, 3), "initial_force": (count, 3), "torsion": (count,), "frames": (count, 3, 3), "torques": (joints,),
+        "limit_multipliers": (limits,),
+    }  # fmt: skip
+    at = 0
+    for name, shape in shapes.items():
+        view, size = getattr(solution, name), int(np.prod(shape))
+        np.testing.assert_array_equal(view, numbers[at : at + size].reshape(shape))
         assert not view.flags.writeable
         assert view.dtype == np.float64
         with pytest.raises(ValueError, match="read-only"):
             view[...] = 0.0
+        at += size
+    assert at == len(numbers)
+
+
+def test_the_summary_is_read_off() -> None:
+    said = {
+        "iterations": 3, "trials": 5, "objective": 7.5, "lower_bound": 7.25, "residual": 1e-9, "margin": 0.5,
+        "limit_excess": 0.125, "replaced": 1,
+    }  # fmt: skip
+    solution = made(**said)
+    names = {"residual": "equilibrium_residual", "margin": "cone_margin", "replaced": "start_replaced"}
+    for name, value in said.items():
+        assert getattr(solution, names.get(name, name)) == value
+    assert type(solution.iterations) is type(solution.trials) is int
+    assert solution.start_replaced is True
+    numbers = row()
+    for name, first in (("wrench", 0.0), ("multipliers", 10.0)):
+        numbers[PLACES[name] : PLACES[name] + 6] = first + np.arange(6)
+        np.testing.assert_array_equal(getattr(ForceSolution(numbers, "newton", "given"), name), first + np.arange(6))
+
+
+def test_forces_along_the_axes_of_the_positions() -> None:
+    """Columns of the frames, at each contact."""
+    rng, numbers = np.random.default_rng(0), row()
+    numbers[FORCE:] = rng.standard_normal(len(numbers) - FORCE)
+    solution = ForceSolution(numbers, "newton", "given")
+    expected = np.einsum("nij,nj->ni", solution.frames, solution.force)
+    np.testing.assert_allclose(solution.object_force, expected, rtol=1e-14, atol=1e-15)
+    solution.object_force[:] = 0.0  # made anew each time
+    assert solution.object_force.any()
+
+
+@pytest.mark.parametrize("code", ["infeasible", "limits_exceeded"])
+def test_what_has_no_prices_and_what_has_a_proof(code: str) -> None:
+    solution = made(4, 2, 4, code=CODES[code])
+    assert solution.limit_multipliers.shape == (0,)
+    assert (solution.certificate is None) == (code != "infeasible")
+    assert made(4, 2, 4).certificate is None
 
 
 def test_a_force_outlives_its_solution() -> None:
@@ -40,17 +93,26 @@ def test_a_force_outlives_its_solution() -> None:
     force, expected = solution.force, solution.force.copy()
     del solution
     gc.collect()
-    filler = [np.full(48, -1.0) for _ in range(1000)]  # takes what was freed
+    filler = [np.full(len(row()), -1.0) for _ in range(1000)]  # takes what was freed
     np.testing.assert_array_equal(force, expected)
     assert len(filler) == 1000
 
 
 def test_nothing_leaks() -> None:
-    record, trace = np.zeros(record_size(4)), np.zeros(3)
+    record, trace = row(4, 2, 4), np.zeros(3)
     before = sys.getrefcount(record), sys.getrefcount(trace)
     for _ in range(100):
         solution = ForceSolution(record, "newton", "given", trace)
-        for name in ("force", "initial_force", "torsion", "status", "objective_trace"):
+        for name in (
+            "force",
+            "initial_force",
+            "torsion",
+            "frames",
+            "torques",
+            "limit_multipliers",
+            "object_force",
+            "objective_trace",
+        ):
             getattr(solution, name)
         del solution
     assert (sys.getrefcount(record), sys.getrefcount(trace)) == before
@@ -60,31 +122,32 @@ def test_nothing_leaks() -> None:
     "record",
     [
         None,
-        [0.0] * 48,
-        np.zeros(19),
-        np.zeros(47),
-        np.zeros((1, 48)),
-        np.zeros(48, dtype=np.float32),
-        np.zeros(96)[::2],
-        np.zeros(48).astype(">f8"),
-        np.full(48, 4.0),  # a call that was refused is no solution
-        np.full(48, 0.5),
-        np.full(48, -1.0),
-        np.full(48, np.nan),
-        np.full(48, 1e300),
-        np.array([0.0, np.nan] + 46 * [0.0]),
+        list(row()),
+        np.zeros(FORCE - 1),
+        np.zeros(0),
+        row()[:-1],
+        np.append(row(), 0.0),
+        row()[None],
+        row().astype(np.float32),
+        np.repeat(row(), 2)[::2],
+        row().astype(">f8"),
+        *(row(code=CODES[name]) for name in ("refused", "rank_lost")),  # a call that has no answer is no solution
+        *(row(code=code) for code in (0.5, -1.0, np.nan, 1e300, 99.0)),
+        *(row(iterations=number) for number in (np.nan, -1.0)),
+        *(row(start=start) for start in (0.5, 99.0)),
+        np.where(np.arange(len(row())) == PLACES["contacts"], 5.0, row()),
+        np.where(np.arange(len(row())) == PLACES["joints"], 1e300, row()),
+        np.where(np.arange(len(row())) == PLACES["limits"], -1.0, row()),
     ],
 )
 def test_only_records_are_taken(record: object) -> None:
-    with pytest.raises(InvalidInputError, match="a record must be a C-contiguous float64 array of 20"):
+    with pytest.raises(InvalidInputError, match="a record must be a C-contiguous float64 array whose numbers say"):
         Solution(record, "newton", "given")  # pyright: ignore[reportArgumentType]
 
 
 def test_pickled_whole() -> None:
-    solution = ForceSolution(
-        np.arange(48.0), "conic", "central", np.ones(2), certificate=np.ones(6), limit_multipliers=np.ones(3)
-    )
+    solution = ForceSolution(row(4, 12, 24), "conic", "central", np.ones(2))
     again = pickle.loads(pickle.dumps(solution))
     assert type(again) is ForceSolution
-    for name in ("_record", "method", "initial", "objective_trace", "certificate", "limit_multipliers"):
+    for name in ("_record", "method", "initial", "objective_trace", "frames", "torques", "limit_multipliers"):
         np.testing.assert_array_equal(getattr(again, name), getattr(solution, name))
