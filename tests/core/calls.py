@@ -11,8 +11,9 @@ from samples import sample, wrenches
 from test_pipeline import reference_of
 
 from grasp_env.core import _core
-from grasp_env.force import ForceLimits
+from grasp_env.force import ForceLimits, ForceSolution
 from grasp_env.force.program import ForceProgram
+from grasp_env.force.solution import STARTS
 from grasp_env.grasp import Grasp
 
 REFUSED = _core.codes()["refused"]
@@ -71,6 +72,24 @@ def limited() -> _core.LimitedNewton:
 
 def pipeline() -> _core.Pipeline:
     return _core.Pipeline.make(contacts(), TOLERANCE, LIMIT, SAMPLE.basis, SAMPLE.frames, True, INTERNAL)
+
+
+LIMITED = LIMITS | {"jacobian": np.full((COUNT, 6, 3), 0.05)}
+
+
+def optimizer(**given: object) -> _core.ForceOptimizer:
+    """Within limits on normal forces and three joints."""
+    least, most, jacobian, torques, biases = LIMITED.values()
+    arrays: dict[str, object] = {
+        "weights": SAMPLE.weights, "min_normal": least, "max_normal": most, "jacobian": jacobian, "torque_limit": torques,
+        "torque_bias": biases, "rule": None,
+    }  # fmt: skip
+    options = {
+        "force_weight": 1.0, "barrier_weight": 0.01, "method": "newton", "largest": False, "start": 0, "tolerance": TOLERANCE,
+        "limit": LIMIT, "elastic": False, "model": None, "kind": ForceSolution, "name": "newton", "starts": STARTS,
+        "asked": "internal_force", "remembers": False,
+    }  # fmt: skip
+    return _core.ForceOptimizer.make(contacts(), **arrays | options | given)
 
 
 def model(placed: bool = True) -> _core.Model:
@@ -147,12 +166,46 @@ def calls() -> dict[str, Call]:
     place = {"positions": s.positions, "normals": s.normals}
     optional = {"tangents": s.frames[:, :, 1].copy()}
     made = {"tolerance": TOLERANCE, "limit": LIMIT}
+    one = optimizer()
+    now = place | {
+        "friction": s.scale[:, :1] / s.scale[:, 1:],
+        "jacobian": LIMITED["jacobian"],
+        "torque_bias": LIMITED["biases"],
+    }
+    own = {"start": STARTS.index("given"), "before": None, "contacts": None}
+    balanced = {
+        "force": optimizer().solve(LOADS[0], *(6 * [None])).force.copy(),
+        "torsion": np.zeros(COUNT),
+        "wrench": LOADS[0],
+    }
+    whole = {"rows": (3, one.size)}
     return {
         "Contacts.make": Call(_core.Contacts.make, place | {"scale": s.scale, "weights": s.weights} | optional, {}),
         "Contacts.put": Call(
             _core.Contacts.put, place | {"scale": s.scale, "torsion": np.full(COUNT, 0.01)} | optional, {}
         ),
         "Contacts.weighed": Call(contacts().weighed, {"weights": s.weights}, {}),
+        "ForceOptimizer.make": Call(
+            optimizer,
+            {"weights": s.weights, "min_normal": LIMITED["least"], "max_normal": LIMITED["most"], "rule": RULE}
+            | {"jacobian": LIMITED["jacobian"], "torque_limit": LIMITED["torques"], "torque_bias": LIMITED["biases"]},
+            {},
+        ),
+        # what it cannot read it leaves to Python
+        "ForceOptimizer.solve": Call(
+            lambda **given: one.solve(**given, contacts=None) is not None, now | {"wrench": LOADS[0]}, {}
+        ),
+        "ForceOptimizer.solve_from": Call(
+            lambda **given: one.solve_from(**given, **own, initial="given", optimum=np.nan) is not None,
+            balanced | now,
+            {"trace": (5,)},
+            frozenset({"trace"}),
+        ),
+        "ForceOptimizer.start": Call(lambda **given: bool(one.start(**given, **own)[0] != REFUSED), balanced | now, {}),
+        "ForceOptimizer.update": Call(optimizer().update, now, {}),
+        "ForceOptimizer.set_basis": Call(optimizer().set_basis, basis, {}),
+        "ForceOptimizer.solve_many": Call(one.solve_many, {"wrenches": LOADS}, whole),
+        "ForceOptimizer.times": Call(partial(one.times, passes=1), {"wrenches": LOADS}, whole | {"best": (3,)}),
         "along_normal": Call(_core.along_normal, optional | {"normals": s.normals}, {}),
         "cone_scale": Call(_core.cone_scale, {"friction": np.full((COUNT, 2), 0.4)}, {"scale": (COUNT, 3)}),
         "limit_rows": Call(_core.limit_rows, LIMITS, {"matrix": (14, COUNT, 4), "bounds": (14,), "limited": (14,)}),
@@ -187,7 +240,7 @@ def calls() -> dict[str, Call]:
         "newton_grasps of contacts": Call(
             partial(_core.newton_grasps, [contacts()], **made),
             {"weights": s.weights, "first": np.array([0.0, 3.0]), "wrenches": LOADS},
-            {"records": many},
+            {"records": (3, SIZE + 9 * COUNT)},
         ),
         "Newton.set_basis": Call(newton().set_basis, basis, {}),
         "Newton.make_basis": Call(partial(newton().make_basis, warm=True), {"interior": s.rest}, {"basis": (13, 12)}),

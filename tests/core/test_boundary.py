@@ -91,6 +91,12 @@ SPOILED = {
 
 ROWS_OF_ANY = {"a row more", "a row less", "one more", "one less", "empty"}
 OPTIONAL = {
+    *(("ForceOptimizer.make", name) for name in ("weights", "min_normal", "max_normal", "torque_bias", "rule")),
+    *(
+        (f"ForceOptimizer.{call}", name)
+        for call in ("solve", "solve_from", "start", "update")
+        for name in ("positions", "normals", "friction", "jacobian", "torque_bias", "torsion", "trace")
+    ),
     ("Flow.solve", "previous"),
     ("Newton.make_basis", "interior"),
     ("Learned.solve", "previous"),
@@ -113,6 +119,8 @@ def fits(name: str, argument: str, spoiled: object, right: np.ndarray, way: str)
     if argument in CALLS[name].any_length and way in ROWS_OF_ANY:
         return True
     if (way == "none" and (name, argument) in OPTIONAL) or (way == "empty" and (name, argument) in EMPTY_IS_NONE):
+        return True
+    if way == "number" and argument == "friction":  # one for all contacts
         return True
     same = isinstance(spoiled, np.ndarray) and spoiled.dtype.char == "d" and spoiled.dtype.isnative
     return same and spoiled.flags.c_contiguous and spoiled.shape == right.shape

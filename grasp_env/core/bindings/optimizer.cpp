@@ -186,14 +186,13 @@ private:
     double friction_ = 0.0;
 };
 
-std::vector<double> copied(nb::handle array) {
+// The numbers of an array of this shape, -1: any length; of None none.
+template <class... Sizes> std::vector<double> copied(nb::handle array, Sizes... sizes) {
     if (array.is_none()) return {};
-    const Buffer given(array);
-    return {given.data(), given.data() + [&] {
-                std::size_t total = 1;
-                for (int a = 0; a < given.axes(); ++a) total *= given.length(a);
-                return total;
-            }()};
+    const Numbers given = in(array, sizes...);
+    std::size_t total = 1;
+    for (int a = 0; a < given.axes(); ++a) total *= std::size_t(given.length(a));
+    return {given.data(), given.data() + total};
 }
 
 Solver* make(const Contacts& given, nb::handle weights, double force_weight, double barrier_weight, nb::handle min_normal, nb::handle max_normal, nb::handle jacobian, nb::handle torque_limit,
@@ -202,8 +201,9 @@ Solver* make(const Contacts& given, nb::handle weights, double force_weight, dou
     Contacts contacts = given;
     if (weights.is_none()) contacts.weigh(Objective{force_weight, barrier_weight});
     else contacts.weigh(in(weights, contacts.count, 2).data());
-    const std::vector<double> least = copied(min_normal), most = copied(max_normal), moves = copied(jacobian),
-                              torques = copied(torque_limit), bias = copied(torque_bias);
+    const int count = contacts.count;
+    const std::vector<double> least = copied(min_normal, count), most = copied(max_normal, count), torques = copied(torque_limit, -1),
+                              bias = copied(torque_bias, torques.size()), moves = copied(jacobian, count, -1, torques.size());
     const std::string asked = method;
     Options options{.method = asked == "newton"         ? Method::newton
                               : asked == "reduced_flow" ? Method::reduced_flow
