@@ -10,7 +10,18 @@ import pytest
 from samples import Sample, random_contacts, sample, thinned, with_frictionless, wrenches
 
 from grasp_env.core import _core
-from grasp_env.force.record import BOUND, CODE, FORCE, ITERATIONS, MARGIN, MULTIPLIERS, OBJECTIVE, RESIDUAL, WRENCH
+from grasp_env.force.record import (
+    BOUND,
+    CODE,
+    CONTACTS,
+    FORCE,
+    ITERATIONS,
+    MARGIN,
+    MULTIPLIERS,
+    OBJECTIVE,
+    RESIDUAL,
+    WRENCH,
+)
 
 EACH = {1: insides.Insides1, 4: insides.Insides4, 8: insides.Insides8}
 COUNTS = tuple(range(3, 13))
@@ -73,11 +84,16 @@ def placed(s: Sample) -> _core.Contacts:
 
 
 def solved_contacts(method: str, given: list[_core.Contacts], loads: np.ndarray) -> np.ndarray:
-    """(M, record_size) of contacts in their place."""
+    """(M, record_size) of contacts in their place, whose rows go on with their frames."""
     count = given[0].count
-    records, weights = np.full((len(loads), _core.record_size(count)), -7.0), np.tile(WEIGHTS, (count, 1))
-    CALLS[method](given, weights, np.arange(len(given) + 1.0), TOLERANCES[method], 200, loads, records)
-    return records
+    size, weights = _core.record_size(count), np.tile(WEIGHTS, (count, 1))
+    rows = np.full((len(loads), size + 9 * count), -7.0)
+    CALLS[method](given, weights, np.arange(len(given) + 1.0), TOLERANCES[method], 200, loads, rows)
+    assert (rows[:, CONTACTS] == count).all()
+    for contacts, row in zip(given, rows, strict=True):  # where there is a solution
+        if row[CODE] == 0.0:
+            np.testing.assert_array_equal(row[size:], np.ravel(contacts.frames))
+    return rows[:, :size]
 
 
 def alone(method: str, s: Sample, load: np.ndarray) -> np.ndarray:
