@@ -460,6 +460,7 @@ private:
         const auto found = conic_.find_inside(w, newton_.x, twist_, steps);
         using Inside = typename ConicOn<V, B>::Inside;
         if (found == Inside::none) twist_ = newton_.cones.unit.pull_back(twist_);
+        if (found == Inside::found && !(newton_.cones.phi(newton_.x) < infinity)) return UNDECIDED;  // numbers out of range
         return found == Inside::found ? CONVERGED : found == Inside::none ? INFEASIBLE : UNDECIDED;
     }
     // The same; where that is undecided, by the deepest force.
@@ -731,6 +732,7 @@ private:
         }
         ready_conic();
         const Code code = conic_.solve(ask.wrench, record);
+        if (code == REFUSED) return general(ask, record);
         return code != CONVERGED && ready_general() ? general_.conic_from(newton_.options, record) : code;
     }
 

@@ -60,7 +60,9 @@ public:
     Code conic(const double* wrench, Criterion criterion, const Stop& options, const Record& record) {
         const Arena::Use use(arena_);
         const Code code = least(wrench, criterion, {options.tolerance, CONIC_ITERATIONS}, options.limit, record);
-        if (code != REFUSED || !sane_wrench(wrench)) return code;
+        const Summary& s = record.summary();
+        const bool lost = code == STALLED && s.lower_bound > (1.0 + 1e-6) * s.objective;  // neither holds a digit
+        if ((code != REFUSED && !lost) || !sane_wrench(wrench)) return code;
         return refute(deepest(wrench), wrench, record);
     }
     // The same, of a least sum, from the record of a solver that stopped short of the tolerance; the better of the two stays. Its iterations count.
