@@ -72,7 +72,9 @@ struct Given {
     // Whether contacts and joints are of this world, so that doubles tell what is within limits and optimal.
     bool has_digits() const {
         const auto large = [](double most) { return [most](double v) { return std::abs(v) > most; }; };
-        return !std::ranges::any_of(positions, large(100.0)) && !std::ranges::any_of(jacobian, large(1e6));
+        const auto tiny = [](double mu) { return mu > 0.0 && mu < 1e-9; };
+        return !std::ranges::any_of(positions, large(100.0)) && !std::ranges::any_of(jacobian, large(1e6)) &&
+               !std::ranges::any_of(friction, tiny) && !std::ranges::any_of(friction, large(1e9));
     }
     ForceLimits limits() const { return {least, most, jacobian, torque, bias}; }
 };
@@ -166,7 +168,7 @@ void check(const Given& g, const double* wrench, const Options& options, const R
         if (code != INFEASIBLE) return;
         for (const double v : s.multipliers)
             if (!(std::abs(v) < infinity)) fail("a proof of no numbers", record, v);
-        if (!g.limited()) check_proof(g, wrench, record);
+        if (!g.limited() && g.has_digits()) check_proof(g, wrench, record);
         return;
     }
     for (const double* v = record.force(); v < end; ++v)
@@ -182,6 +184,7 @@ void check(const Given& g, const double* wrench, const Options& options, const R
     for (int j = 0; j < joints; ++j) torques[j] += g.bias.empty() ? 0.0 : g.bias[j];
     for (int a = 0; a < 3; ++a) missed[a] += wrench[a];
     double moment[3], nearest = infinity;
+    bool slips = false;
     cross(at.centre, wrench, moment);
     for (int a = 0; a < 3; ++a) missed[3 + a] += wrench[3 + a], missed[3 + a] += -moment[a];
     for (int i = 0; i < n; ++i) {
@@ -216,10 +219,11 @@ void check(const Given& g, const double* wrench, const Options& options, const R
             }
 
         // u, o, t and torsion in the units of Phi
-        const bool slips = g.slippery(i);
-        const double mu_o = g.mu(i, 0), mu_t = g.mu(i, 1), mu = slips ? 1.0 : std::sqrt(mu_o) * std::sqrt(mu_t);
-        if (slips && (f[1] != 0.0 || f[2] != 0.0)) fail("a tangential force without friction", record, f[1]);
-        const double u = mu * f[0], side = slips ? 0.0 : mu * std::hypot(f[1] / mu_o, f[2] / mu_t);
+        const bool free = g.slippery(i);
+        slips = slips || free;
+        const double mu_o = g.mu(i, 0), mu_t = g.mu(i, 1), mu = free ? 1.0 : std::sqrt(mu_o) * std::sqrt(mu_t);
+        if (free && (f[1] != 0.0 || f[2] != 0.0)) fail("a tangential force without friction", record, f[1]);
+        const double u = mu * f[0], side = free ? 0.0 : mu * std::hypot(f[1] / mu_o, f[2] / mu_t);
         const double gamma = g.torsion(i), twisted = gamma > 0.0 ? mu * std::abs(turn) / gamma : 0.0;
         if (gamma == 0.0 && turn != 0.0) fail("torsion of a hard contact", record, turn);
         const double room = std::min(u - side, u - twisted), slack = exact ? 1e-14 * u : INSIDE * std::max(u, most);
@@ -271,7 +275,9 @@ void check(const Given& g, const double* wrench, const Options& options, const R
     // what was minimized
     if (!exact) phi = options.criterion == Criterion::sum ? normals : largest;
     if (!g.limited() || !exact) {
-        const double sure = 1e-9 + (exact ? 1e-13 / nearest : 0.0);
+        // what a flow has in a frictionless contact's tangents, rounding of steep bases, counts in its Phi, and is not transmitted
+        const bool flow = options.method == Method::reduced_flow || options.method == Method::full_flow;
+        const double sure = (flow && slips ? 1e-3 : 1e-9) + (exact ? 1e-13 / nearest : 0.0);
         if (!(std::abs(phi - s.objective) <= sure * std::abs(phi) || std::abs(phi - s.objective) < 1e-300))
             fail("an objective", record, phi - s.objective);
     }
