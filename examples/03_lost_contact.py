@@ -28,7 +28,7 @@ for tick in range(1000):
 assert forces[500, 3] == 0 and iterations[401] <= iterations[400]
 
 try:  # two point contacts cannot balance a wrench of every direction
-    optimizer.solve(wrench, contacts=[True, True, False, False])
+    optimizer.solve([0, 0, 2, 0, 0, 0], contacts=[True, True, False, False])
 except RankDeficientGraspError as error:
     print("two remain:", error)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from samples import sample, wrenches
@@ -77,14 +78,14 @@ def pipeline() -> _core.Pipeline:
 LIMITED = LIMITS | {"jacobian": np.full((COUNT, 6, 3), 0.05)}
 
 
-def optimizer(**given: object) -> _core.ForceOptimizer:
+def optimizer(**given: Any) -> _core.ForceOptimizer:
     """Within limits on normal forces and three joints."""
     least, most, jacobian, torques, biases = LIMITED.values()
-    arrays: dict[str, object] = {
+    arrays: dict[str, Any] = {
         "weights": SAMPLE.weights, "min_normal": least, "max_normal": most, "jacobian": jacobian, "torque_limit": torques,
         "torque_bias": biases, "rule": None,
     }  # fmt: skip
-    options = {
+    options: dict[str, Any] = {
         "force_weight": 1.0, "barrier_weight": 0.01, "method": "newton", "largest": False, "start": 0, "tolerance": TOLERANCE,
         "limit": LIMIT, "elastic": False, "model": None, "kind": ForceSolution, "name": "newton", "starts": STARTS,
         "asked": "internal_force", "remembers": False,
@@ -166,15 +167,16 @@ def calls() -> dict[str, Call]:
     place = {"positions": s.positions, "normals": s.normals}
     optional = {"tangents": s.frames[:, :, 1].copy()}
     made = {"tolerance": TOLERANCE, "limit": LIMIT}
-    one = optimizer()
-    now = place | {
+    one: Any = optimizer()
+    now: dict[str, Any] = place | {
         "friction": s.scale[:, :1] / s.scale[:, 1:],
         "jacobian": LIMITED["jacobian"],
         "torque_bias": LIMITED["biases"],
     }
     own = {"start": STARTS.index("given"), "before": None, "contacts": None}
+    first: Any = one.solve(LOADS[0], *(6 * [None]))
     balanced = {
-        "force": optimizer().solve(LOADS[0], *(6 * [None])).force.copy(),
+        "force": first.force.copy(),
         "torsion": np.zeros(COUNT),
         "wrench": LOADS[0],
     }
