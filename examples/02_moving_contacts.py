@@ -2,8 +2,8 @@
 Contacts that move, at 1 kHz
 ============================
 
-Four fingers hold a cuboid that is turned, and their tips roll. To learn: ``solve`` takes the contacts of now, and goes on
-from its last solution; a grasp and a solver made anew give the same forces, many times slower. In C++:
+Four fingers hold a cuboid that is turned, and their tips roll. To learn: ``solve`` takes the contacts of now, and goes
+on from its last solution; a grasp and a solver made anew give the same forces, many times slower. In C++:
 ``02_moving_contacts.cpp``.
 """
 

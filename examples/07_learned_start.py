@@ -39,7 +39,8 @@ for size in (0.5, 1.0, 2.0):
     load = size * np.array([1, 0.5, -0.6, -0.01, 0.02, 0])  # [N, N m]
     learned, plain = (optimize_force(grasp, load, initial=rule) for rule in (network, None))
     print(
-        f"wrench x {size}: {learned.iterations} Newton steps from the network, {plain.iterations} from an internal force; ",
+        f"wrench x {size}: {learned.iterations} Newton steps from the network, "
+        f"{plain.iterations} from an internal force; ",
         end="",
     )
     print("normal forces", *learned.force[:, 0].round(3), "N")

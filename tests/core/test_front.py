@@ -134,7 +134,7 @@ def test_results_are_those_of_python(said: dict[str, str], name: str) -> None:
     ("name", "start", "replaced"),
     [
         ("given", "given", 0), ("again", "previous", 0), ("forgotten", "internal_force", 0), ("phase one", "phase_one", 0),
-        ("all named", "single_value", 0), ("three named", "internal_force", 1),
+        ("all named", "single_value", 0), ("no model", "internal_force", 1), ("three named", "internal_force", 1),
         ("given soft", "given", 0), ("given limited", "given", 0), ("given shared", "phase_one", 1),
         ("given soft shared", "given", 0),
     ],
@@ -215,7 +215,6 @@ def test_a_batch_does_not_know_the_calls_before_it(said: dict[str, str]) -> None
         ("limited flow", "the flows know hard contacts without limits"),
         ("elastic alone", "elastic belongs to limits"),
         ("criterion", "the criterion belongs to conic"),
-        ("no model", "a learned start needs a model"),
         ("file", "nowhere is no whole model file: LearnedInitialForce.export writes one"),
         ("model for three", "the model is for another number of contacts"),
     ],

@@ -153,6 +153,7 @@ int main(int given, char** arguments) {
     const Options single{.start = Start::single_value, .tolerance = exact};
     print("all named", ForceOptimizer({contacts}, single).solve(wrench, {.contacts = 0b1111}));
     print("three named", ForceOptimizer({contacts}, single).solve(wrench, {.contacts = 0b0111}));
+    print("no model", ForceOptimizer({contacts}, {.start = Start::learned, .tolerance = exact}).solve(wrench));
     print("phase one", solver.solve({.wrench = wrench, .start = Start::phase_one}));
 
     {  // within limits any force inside the cones is a start, whichever algorithm serves them
@@ -281,7 +282,6 @@ int main(int given, char** arguments) {
     refused("limited flow", [&] { ForceOptimizer({contacts, limits}, flow); });
     refused("elastic alone", [&] { ForceOptimizer({contacts}, elastic); });
     refused("criterion", [&] { ForceOptimizer({contacts}, {.criterion = Criterion::largest}); });
-    refused("no model", [&] { ForceOptimizer({contacts}, {.start = Start::learned}); });
     refused("file", [&] { ModelFile::load("nowhere"); });
     refused("model for three", [&] { ForceOptimizer({Contacts::from(all.first(9), up.first(9), 0.4)}, learning); });
 
