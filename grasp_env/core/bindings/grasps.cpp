@@ -36,8 +36,8 @@ template <Solve solve> void solve_arrays(nb::handle positions, nb::handle normal
     solve(given, {tolerance, limit}, {many, loads.data(), rows.data()});
 }
 
-template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first, double tolerance, int limit,
-                                           nb::handle wrenches, nb::handle records) {
+template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first, double tolerance,
+                                                        int limit, nb::handle wrenches, nb::handle records) {
     const Numbers price = in(weights, -1, 2), loads = in(wrenches, -1, 6);
     const Py_ssize_t count = price.length(0), many = loads.length(0), grasps = Py_ssize_t(contacts.size());
     const Numbers begins = in(first, grasps + 1), rows = out(records, many, record_size(int(count), 0, 0));
@@ -66,8 +66,8 @@ template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::h
 template <Solve solve, Start start> void bind(nb::module_& m, const char* name, const char* arrays, const char* contacts) {
     m.def(name, &solve_arrays<solve>, "positions"_a, "normals"_a, "scales"_a, "tangents"_a.none(), "weights"_a, "first"_a,
           "tolerance"_a, "limit"_a, "wrenches"_a, "records"_a, arrays);
-    m.def(name, &solve_contacts<solve, start>, "contacts"_a, "weights"_a, "first"_a, "tolerance"_a, "limit"_a, "wrenches"_a, "records"_a,
-          contacts);
+    m.def(name, &solve_contacts<solve, start>, "contacts"_a, "weights"_a, "first"_a, "tolerance"_a, "limit"_a, "wrenches"_a,
+          "records"_a, contacts);
 }
 
 }  // namespace
@@ -77,8 +77,10 @@ void bind_grasps(nb::module_& m) {
         m, "newton_grasps",
         "Newton from an internal force of each of U grasps (U, N, 3), tangents or None, weights (N, 2); wrenches first[u] to "
         "first[u + 1] - 1\nare those of grasp u; REFUSED: it has no force closure. Into (M, record_size(N)); releases the GIL.",
-        "The same of U contacts in their place, whose own weights are not read, into whole rows of solutions. REFUSED: they are soft, or without force "
+        "The same of U contacts in their place, whose own weights are not read, into whole rows of solutions. REFUSED: they are "
+        "soft, or without force "
         "closure.");
-    bind<conic_grasps, Start::central>(m, "conic_grasps", "The same, least sum of normal forces; weights are those of the internal forces.",
-                       "The same of contacts in their place.");
+    bind<conic_grasps, Start::central>(m, "conic_grasps",
+                                       "The same, least sum of normal forces; weights are those of the internal forces.",
+                                       "The same of contacts in their place.");
 }

@@ -19,7 +19,8 @@ public:
         given_ = true;
         if (!PyArray_Check(object.ptr())) return;
         const PyArrayObject* a = reinterpret_cast<PyArrayObject*>(object.ptr());
-        if (PyArray_TYPE(a) == NPY_DOUBLE && PyArray_ISCARRAY_RO(const_cast<PyArrayObject*>(a))) array_ = const_cast<PyArrayObject*>(a);
+        if (PyArray_TYPE(a) == NPY_DOUBLE && PyArray_ISCARRAY_RO(const_cast<PyArrayObject*>(a)))
+            array_ = const_cast<PyArrayObject*>(a);
     }
     bool given() const { return given_; }
     // Of this shape, -1: any length.
@@ -45,11 +46,10 @@ public:
     nb::object previous = nb::none();  // the last solution with a force
 
     // kind: the class of solutions; method: its name; starts: what solutions call each `Start`
-    Solver(const Problem& problem, const Options& options, nb::object kind, nb::object method, nb::tuple starts,
-           nb::object name, bool remembers)
+    Solver(const Problem& problem, const Options& options, nb::object kind, nb::object method, nb::tuple starts, nb::object name,
+           bool remembers)
         : on(problem, options), count(problem.contacts.count), joints(int(problem.limits.torque_limit.size())),
-          remembers_(remembers), asked_(options.start), kind_(kind),
-          method_(method), name_(name), starts_(starts) {}
+          remembers_(remembers), asked_(options.start), kind_(kind), method_(method), name_(name), starts_(starts) {}
 
     // A solution; None: an argument cannot be read as it is, or it ended without a force: `ended` is its row then.
     nb::object solve(nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
@@ -134,7 +134,8 @@ private:
         if (contacts.is_none()) return true;
         if (!PyArray_Check(contacts.ptr())) return false;
         PyArrayObject* which = reinterpret_cast<PyArrayObject*>(contacts.ptr());
-        if (PyArray_TYPE(which) != NPY_BOOL || PyArray_NDIM(which) != 1 || PyArray_DIM(which, 0) != count || count > 64) return false;
+        if (PyArray_TYPE(which) != NPY_BOOL || PyArray_NDIM(which) != 1 || PyArray_DIM(which, 0) != count || count > 64)
+            return false;
         ask.now.contacts = 0;
         for (int i = 0; i < count; ++i)
             ask.now.contacts |= std::uint64_t(*static_cast<npy_bool*>(PyArray_GETPTR1(which, i)) != 0) << i;
@@ -173,7 +174,9 @@ private:
         nb::handle name = named && used == int(Start::given) ? initial : starts_[used];
         nb::object told;
         if (s.replaced != 0.0 || s.outside != 0.0) {
-            const nb::handle wanted = named ? initial : asked == asked_ || asked == Start::standard ? nb::handle(name_) : starts_[int(asked)];
+            const nb::handle wanted = named                                         ? initial
+                                      : asked == asked_ || asked == Start::standard ? nb::handle(name_)
+                                                                                    : starts_[int(asked)];
             told = nb::module_::import_("grasp_env.force.solution")
                        .attr("start_name")(name, wanted, s.replaced != 0.0, s.outside != 0.0);
             name = told;
@@ -195,15 +198,17 @@ template <class... Sizes> std::vector<double> copied(nb::handle array, Sizes... 
     return {given.data(), given.data() + total};
 }
 
-Solver* make(const Contacts& given, nb::handle weights, double force_weight, double barrier_weight, nb::handle min_normal, nb::handle max_normal, nb::handle jacobian, nb::handle torque_limit,
-             nb::handle torque_bias, const char* method, bool largest, int start, double tolerance, int limit, bool elastic,
-             nb::handle rule, const Model* model, nb::object kind, nb::object name, nb::tuple starts, nb::object asked_name, bool remembers) {
+Solver* make(const Contacts& given, nb::handle weights, double force_weight, double barrier_weight, nb::handle min_normal,
+             nb::handle max_normal, nb::handle jacobian, nb::handle torque_limit, nb::handle torque_bias, const char* method,
+             bool largest, int start, double tolerance, int limit, bool elastic, nb::handle rule, const Model* model,
+             nb::object kind, nb::object name, nb::tuple starts, nb::object asked_name, bool remembers) {
     Contacts contacts = given;
     if (weights.is_none()) contacts.weigh(Objective{force_weight, barrier_weight});
     else contacts.weigh(in(weights, contacts.count, 2).data());
     const int count = contacts.count;
-    const std::vector<double> least = copied(min_normal, count), most = copied(max_normal, count), torques = copied(torque_limit, -1),
-                              bias = copied(torque_bias, torques.size()), moves = copied(jacobian, count, -1, torques.size());
+    const std::vector<double> least = copied(min_normal, count), most = copied(max_normal, count),
+                              torques = copied(torque_limit, -1), bias = copied(torque_bias, torques.size()),
+                              moves = copied(jacobian, count, -1, torques.size());
     const std::string asked = method;
     Options options{.method = asked == "newton"         ? Method::newton
                               : asked == "reduced_flow" ? Method::reduced_flow
@@ -243,30 +248,35 @@ void times(Solver& solver, nb::handle wrenches, int passes, nb::handle rows, nb:
 void bind_optimizer(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
     nb::class_<Solver>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door.")
-        .def_static("make", &make, "contacts"_a, "weights"_a.none(), "force_weight"_a, "barrier_weight"_a, "min_normal"_a.none(), "max_normal"_a.none(), "jacobian"_a.none(),
-                    "torque_limit"_a.none(), "torque_bias"_a.none(), "method"_a, "largest"_a, "start"_a, "tolerance"_a, "limit"_a,
-                    "elastic"_a, "rule"_a.none(), "model"_a.none(), "kind"_a, "name"_a, "starts"_a, "asked"_a, "remembers"_a,
-                    "See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions;\n"
-                    "asked: the name of the start that is asked for; remembers: whether calls get the previous solution.")
+        .def_static(
+            "make", &make, "contacts"_a, "weights"_a.none(), "force_weight"_a, "barrier_weight"_a, "min_normal"_a.none(),
+            "max_normal"_a.none(), "jacobian"_a.none(), "torque_limit"_a.none(), "torque_bias"_a.none(), "method"_a, "largest"_a,
+            "start"_a, "tolerance"_a, "limit"_a, "elastic"_a, "rule"_a.none(), "model"_a.none(), "kind"_a, "name"_a, "starts"_a,
+            "asked"_a, "remembers"_a,
+            "See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions;\n"
+            "asked: the name of the start that is asked for; remembers: whether calls get the previous solution.")
         .def("solve", &Solver::solve, "wrench"_a.none(), "positions"_a.none(), "normals"_a.none(), "friction"_a.none(),
              "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
              "A solution; None: an argument cannot be read as it is, or there is no force and `ended` holds the row.")
-        .def("solve_from", &Solver::solve_from, "start"_a, "initial"_a.none(), "force"_a.none(), "torsion"_a.none(), "before"_a.none(),
-             "optimum"_a, "trace"_a.none(), "wrench"_a, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(),
-             "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
+        .def("solve_from", &Solver::solve_from, "start"_a, "initial"_a.none(), "force"_a.none(), "torsion"_a.none(),
+             "before"_a.none(), "optimum"_a, "trace"_a.none(), "wrench"_a, "positions"_a.none(), "normals"_a.none(),
+             "friction"_a.none(), "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
              "The same from a start of its own; optimum: a known minimum or nan; trace: (T,) receives Phi of the first iterates.")
         .def("start", &Solver::start, "start"_a, "force"_a.none(), "torsion"_a.none(), "before"_a.none(), "wrench"_a,
              "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(), "torque_bias"_a.none(),
              "contacts"_a.none(), "The row of the start alone.")
         .def("update", &Solver::update, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(),
-             "torque_bias"_a.none(), "From now on contacts and limits are these; False: they are not possible, and nothing has changed.")
-        .def("set_basis", [](Solver& s, nb::handle basis) {
-            s.on.set_basis({in(basis, 13, 3 * s.count).data(), std::size_t(39 * s.count)});
-        }, "basis"_a, "Takes the 12-basis with the rest, (13, 3N) cone coordinates.")
+             "torque_bias"_a.none(),
+             "From now on contacts and limits are these; False: they are not possible, and nothing has changed.")
+        .def(
+            "set_basis",
+            [](Solver& s, nb::handle basis) { s.on.set_basis({in(basis, 13, 3 * s.count).data(), std::size_t(39 * s.count)}); },
+            "basis"_a, "Takes the 12-basis with the rest, (13, 3N) cone coordinates.")
         .def("solve_many", &solve_many, "wrenches"_a, "rows"_a, "(M, 6) into (M, size); releases the GIL.")
         .def("times", &times, "wrenches"_a, "passes"_a, "rows"_a, "best"_a,
              "Best seconds (M,) of `passes` calls for each of (M, 6), none of which knows another; the rows of the last.")
-        .def_rw("previous", &Solver::previous, nb::for_setter(nb::arg("solution").none()), "The last solution that has a force, or None.")
+        .def_rw("previous", &Solver::previous, nb::for_setter(nb::arg("solution").none()),
+                "The last solution that has a force, or None.")
         .def_ro("ended", &Solver::ended, "The row of the last call that returned None, unless it could not read its arguments.")
         .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Doubles of a row.");
 }

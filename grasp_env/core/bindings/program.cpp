@@ -49,11 +49,8 @@ nb::tuple deepest_force(Program& program, nb::handle wrench, double tolerance, n
 int least_phi(Program& program, nb::handle wrench, nb::handle weights, nb::handle row_weights, nb::handle z, double optimum,
               nb::handle trace, double tolerance, int limit, nb::handle record, nb::handle prices) {
     const Numbers load = in(wrench, 6), values = out(trace, -1);
-    const Call call{.wrench = load.data(),
-                    .start = From::given,
-                    .optimum = optimum,
-                    .trace = values.data(),
-                    .traced = int(values.length(0))};
+    const Call call{
+        .wrench = load.data(), .start = From::given, .optimum = optimum, .trace = values.data(), .traced = int(values.length(0))};
     return program.least_phi(call, in(weights, program.count, 2).data(), in(row_weights, program.limits).data(),
                              in(z, program.count, 4).data(), {tolerance, limit},
                              Record(out(record, record_size(program.count)).data(), program.count),

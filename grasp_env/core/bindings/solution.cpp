@@ -58,7 +58,8 @@ PyObject* make(PyTypeObject* type, PyObject* arguments, PyObject* named) {
     if (!is_record(record)) {
         try {
             return refuse(
-                "a record must be a C-contiguous float64 array whose numbers say how many they are, the first a code of `Status`: take "
+                "a record must be a C-contiguous float64 array whose numbers say how many they are, the first a code of "
+                "`Status`: take "
                 "a solver's");
         } catch (nb::python_error& error) {
             error.restore();
@@ -124,8 +125,7 @@ PyObject* object_force(PyObject* self, void*) {
     const npy_intp shape[] = {count(self), 3};
     PyObject* made = PyArray_SimpleNew(2, shape, NPY_DOUBLE);
     if (!made) return nullptr;
-    for (int i = 0; i < int(shape[0]); ++i)
-        record(self).object_force(i, static_cast<double*>(PyArray_DATA(array(made))) + 3 * i);
+    for (int i = 0; i < int(shape[0]); ++i) record(self).object_force(i, static_cast<double*>(PyArray_DATA(array(made))) + 3 * i);
     return made;
 }
 template <double grasp::Summary::* field> PyObject* number(PyObject* self, void*) {
@@ -161,7 +161,8 @@ PyGetSetDef read[] = {
     {"limit_excess", number<&Summary::limit_excess>, nullptr,
      "Largest excess of a limit, as a part of that limit; 0 within all. See `elastic` of `optimize_force`.", nullptr},
     {"start_replaced", truth<&Summary::replaced>, nullptr,
-     "True if nothing is left of the start that was asked for, so that the solve began from another; `initial` says which.", nullptr},
+     "True if nothing is left of the start that was asked for, so that the solve began from another; `initial` says which.",
+     nullptr},
     {"frames", frames, nullptr, "(N, 3, 3) columns (n, o, t) of each contact, in the frame of the positions.", nullptr},
     {"object_force", object_force, nullptr, "(N, 3) N: `force` along the axes of the frame of the positions.", nullptr},
     {"torques", torques, nullptr,

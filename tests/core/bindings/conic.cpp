@@ -14,8 +14,8 @@ public:
     explicit AnyConic(std::unique_ptr<Conic> on) : on_(std::move(on)) {}
     static std::unique_ptr<AnyConic> make(int lanes, int blocks, const Placement& p, double tolerance, int limit,
                                           const In& interior) {
-        return std::make_unique<AnyConic>(instance_of<detail::ConicAny, Conic>(
-            lanes, blocks, p.contacts, Stop{tolerance, limit}, numbers(interior, 3 * p.contacts.count)));
+        return std::make_unique<AnyConic>(instance_of<detail::ConicAny, Conic>(lanes, blocks, p.contacts, Stop{tolerance, limit},
+                                                                               numbers(interior, 3 * p.contacts.count)));
     }
     std::unique_ptr<AnyConic> clone() const { return std::make_unique<AnyConic>(on_->clone()); }
 

@@ -34,7 +34,8 @@ inline constexpr Plan PLANS[] = {
 inline std::optional<Algorithm> planned(const Options& options, Kind kind) {
     for (const Plan& plan : PLANS)
         if (plan.method == options.method && plan.kind == kind)
-            return plan.algorithm == Algorithm::conic && options.criterion != Criterion::sum ? Algorithm::general : plan.algorithm;
+            return plan.algorithm == Algorithm::conic && options.criterion != Criterion::sum ? Algorithm::general
+                                                                                             : plan.algorithm;
     return {};
 }
 
@@ -78,7 +79,8 @@ public:
                 if (!(value >= 0.0)) throw std::invalid_argument("limits must be numbers >= 0");
         for (const auto* each : {&jacobian, &torque_bias})
             for (double value : *each)
-                if (!(std::abs(value) <= LARGEST)) throw std::invalid_argument("the jacobian and torque_bias must be finite, up to 1e12");
+                if (!(std::abs(value) <= LARGEST))
+                    throw std::invalid_argument("the jacobian and torque_bias must be finite, up to 1e12");
         rows = view().many();
     }
     std::size_t joints() const { return torque_limit.size(); }
@@ -93,9 +95,10 @@ public:
         : options_(options), home_(problem.contacts), now_(home_), limits_(problem.limits, home_.count),
           joints_(int(limits_.joints())), newton_(home_.count, {options.gap(), options.limit}),
           conic_(home_.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}), home_tangents_(newton_.cones),
-          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()), guess_(newton_.cones.field()),
-          general_(home_.count, limits_.rows, home_.soft()), inner_(record_size(home_.count)), turned_(4 * home_.count * joints_),
-          force_(3 * home_.count), gathered_(6 * home_.count), divisor_(home_.count, infinity), chosen_(home_.count) {
+          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()),
+          guess_(newton_.cones.field()), general_(home_.count, limits_.rows, home_.soft()), inner_(record_size(home_.count)),
+          turned_(4 * home_.count * joints_), force_(3 * home_.count), gathered_(6 * home_.count),
+          divisor_(home_.count, infinity), chosen_(home_.count) {
         if (home_.placing == Placing::refused || home_.placing == Placing::rank_lost)
             throw std::invalid_argument("the contacts must be placed: Contacts::from");
         if (limits_.rows) limited_.emplace(home_.count, newton_.options), limited_->elastic = options.elastic;
@@ -111,7 +114,8 @@ public:
         if (options.criterion == Criterion::excess || (options.criterion != Criterion::sum && options.method != Method::conic))
             throw std::invalid_argument("the criterion belongs to conic: sum or largest");
         settle();
-        if (flows) flow_.emplace(newton_.cones, options.step_rule, options.method == Method::full_flow ? Form::full : Form::reduced);
+        if (flows)
+            flow_.emplace(newton_.cones, options.step_rule, options.method == Method::full_flow ? Form::full : Form::reduced);
         if (options.model) {
             if (!options.model->fits(home_.count)) throw std::invalid_argument("the model is for another number of contacts");
             predicted_.emplace(newton_.cones, *options.model);
@@ -242,7 +246,8 @@ private:
     }
     // The 12-basis of the problem's contacts; without force closure there is none, and starts that need it are replaced.
     void make_basis() {
-        newton_.starter.has_basis = placed_ == CONVERGED && newton_.internal_force() && grasp::make_basis(newton_, false) < ACCEPTED_GAP;
+        newton_.starter.has_basis =
+            placed_ == CONVERGED && newton_.internal_force() && grasp::make_basis(newton_, false) < ACCEPTED_GAP;
         newton_.starter.basis_tangents = newton_.starter.tangents;
     }
 
@@ -263,12 +268,15 @@ private:
         home_now_ = plain;
         return placed_ = take(now);
     }
-    std::uint64_t touching(std::uint64_t mask) const { return home_.count < 64 ? mask & ((std::uint64_t(1) << home_.count) - 1) : mask; }
+    std::uint64_t touching(std::uint64_t mask) const {
+        return home_.count < 64 ? mask & ((std::uint64_t(1) << home_.count) - 1) : mask;
+    }
     Code take(const Now& now) {
         conic_ready_ = general_ready_ = flow_ready_ = rest_sought_ = has_rest_ = false;
         const int all = home_.count;
         const std::size_t triples = std::size_t(3 * all);
-        if ((!now.positions.empty() && now.positions.size() != triples) || (!now.normals.empty() && now.normals.size() != triples) ||
+        if ((!now.positions.empty() && now.positions.size() != triples) ||
+            (!now.normals.empty() && now.normals.size() != triples) ||
             (!now.jacobian.empty() && now.jacobian.size() != limits_.jacobian.size()) ||
             (!now.torque_bias.empty() && now.torque_bias.size() != std::size_t(joints_)))
             return REFUSED;
@@ -283,7 +291,8 @@ private:
             int count = 0;
             for (int i = 0; i < all; ++i) {
                 if (!(mask >> i & 1)) continue;
-                std::copy_n(positions + 3 * i, 3, &gathered_[3 * count]), std::copy_n(normals + 3 * i, 3, &gathered_[3 * (all + count)]);
+                std::copy_n(positions + 3 * i, 3, &gathered_[3 * count]),
+                    std::copy_n(normals + 3 * i, 3, &gathered_[3 * (all + count)]);
                 chosen_[count++] = i;
             }
             if (count == 0) return RANK_LOST;
@@ -320,8 +329,7 @@ private:
     bool limit(const Now& now) {
         jacobian_ = now.jacobian.empty() ? Doubles(limits_.jacobian) : now.jacobian;
         bias_ = now.torque_bias.empty() ? Doubles(limits_.torque_bias) : now.torque_bias;
-        for (int i = 0; i < now_.count; ++i)
-            divisor_[i] = now_.torsion[i] > 0.0 ? now_.scale[3 * i] / now_.torsion[i] : infinity;
+        for (int i = 0; i < now_.count; ++i) divisor_[i] = now_.torsion[i] > 0.0 ? now_.scale[3 * i] / now_.torsion[i] : infinity;
         const bool soft = now_.soft();
         if (joints_) turn_jacobian();
         kind_ = soft ? (limits_.rows || now_.placing == Placing::needs_torsion ? Kind::other : Kind::soft) : Kind::hard;
@@ -350,12 +358,10 @@ private:
             double* to = &turned_[4 * joints_ * i];
             for (int a = 0; a < 3; ++a)
                 for (int j = 0; j < joints_; ++j)
-                    to[joints_ * a + j] =
-                        f[a] * from[j] + f[3 + a] * from[joints_ + j] + f[6 + a] * from[2 * joints_ + j];
+                    to[joints_ * a + j] = f[a] * from[j] + f[3 + a] * from[joints_ + j] + f[6 + a] * from[2 * joints_ + j];
             for (int j = 0; j < joints_; ++j)
-                to[3 * joints_ + j] = rows < 6 ? 0.0
-                                               : f[0] * from[3 * joints_ + j] + f[3] * from[4 * joints_ + j] +
-                                                     f[6] * from[5 * joints_ + j];
+                to[3 * joints_ + j] =
+                    rows < 6 ? 0.0 : f[0] * from[3 * joints_ + j] + f[3] * from[4 * joints_ + j] + f[6] * from[5 * joints_ + j];
         }
     }
     // The limits of the contacts of now, with the Jacobian (n, 4, J) in contact frames.
@@ -377,8 +383,8 @@ private:
     }
     bool ready_general() {
         if (!general_ready_ || !general_.placed())  // a copy of it holds nothing
-            general_ready_ = general_.place(now_, torsional() ? divisor_.data() : nullptr, limits_.rows ? of_now() : ForceLimits{},
-                                            4, internal()) == Placing::good;
+            general_ready_ = general_.place(now_, torsional() ? divisor_.data() : nullptr,
+                                            limits_.rows ? of_now() : ForceLimits{}, 4, internal()) == Placing::good;
         return general_ready_;
     }
     // An internal force as the general program takes one, whatever was sought before; null: none.
@@ -545,7 +551,8 @@ private:
         const Record before(const_cast<double*>(ask.previous));  // only read
         if (before.contacts() != home_.count || !before.has_force()) return false;
         for (int i = 0; i < now_.count; ++i) {
-            const double *f = before.force() + 3 * chosen_[i], *from = before.frames() + 9 * chosen_[i], *to = &now_.frames[9 * i];
+            const double *f = before.force() + 3 * chosen_[i], *from = before.frames() + 9 * chosen_[i],
+                         *to = &now_.frames[9 * i];
             double* out = &force_[3 * i];
             if (std::equal(from, from + 9, to)) {
                 std::copy_n(f, 3, out);
@@ -615,8 +622,8 @@ private:
     Code begun(const Ask& ask, const Record& record) {
         record.clear();
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
-        const bool general_serves = planned(options_, kind_) == Algorithm::general ||
-                                    (kind_ == Kind::soft && asked(ask) == Start::given);
+        const bool general_serves =
+            planned(options_, kind_) == Algorithm::general || (kind_ == Kind::soft && asked(ask) == Start::given);
         const Code code = general_serves ? UNDECIDED : begin(ask, w);
         if (code == CONVERGED) {
             newton_.cones.store_force(newton_.x, record.initial_force());
@@ -652,7 +659,11 @@ private:
     }
     static bool studied(const Ask& ask) { return ask.optimum == ask.optimum || !ask.trace.empty(); }
     static Call call_of(const Ask& ask, From from = From::given) {
-        return {.wrench = ask.wrench, .start = from, .optimum = ask.optimum, .trace = ask.trace.data(), .traced = int(ask.trace.size())};
+        return {.wrench = ask.wrench,
+                .start = from,
+                .optimum = ask.optimum,
+                .trace = ask.trace.data(),
+                .traced = int(ask.trace.size())};
     }
     Code refuted(const Vec6& w, const Record& record) const {
         return record.refute((1.0 / grasp::size(twist_)) * twist_, grasp::size(w));
@@ -691,7 +702,9 @@ private:
         }
         const bool follows = call.start == From::tangent;
         const auto make = [&](const Vec6&, bool previous) {
-            begun = previous ? (carry(ask, w) ? CONVERGED : UNDECIDED) : follows ? (replaced_ = true, standard(ask, w)) : begin(ask, w);
+            begun = previous  ? (carry(ask, w) ? CONVERGED : UNDECIDED)
+                    : follows ? (replaced_ = true, standard(ask, w))
+                              : begin(ask, w);
             if (begun == CONVERGED) on.x = newton_.x;
             return begun == CONVERGED;
         };
@@ -756,7 +769,8 @@ private:
                 for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
                 used_ = start, call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
             }
-            const bool own = start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous);
+            const bool own =
+                start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous);
             replaced_ = !own && (used_ == Start::phase_one || !general_.starts_from(call));
             if (replaced_) used_ = Start::phase_one, call.start = From::combination;
             general_.phi(call, stop, record);
@@ -776,7 +790,8 @@ private:
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);
             if (code == INFEASIBLE) {
                 const Summary& from = inner().summary();
-                s.iterations = from.iterations, s.trials = from.trials, s.residual = from.residual, s.multipliers = from.multipliers;
+                s.iterations = from.iterations, s.trials = from.trials, s.residual = from.residual,
+                s.multipliers = from.multipliers;
                 s.objective = s.lower_bound = infinity, s.start = double(used_), s.replaced = replaced_;
             }
             s.code = code;

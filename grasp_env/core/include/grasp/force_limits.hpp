@@ -68,7 +68,8 @@ public:
         return good;
     }
     // One more row (N, each) on forces, which touches one contact or none. limit: by how much b grows where all of it grows.
-    bool add(int count, const double* row, const double* divisor, const double* lambda, double bound, double limit, int each = 3) {
+    bool add(int count, const double* row, const double* divisor, const double* lambda, double bound, double limit,
+             int each = 3) {
         int owner = -1;
         double mean = 0.0;
         for (int i = 0; i < count; ++i) {

@@ -125,8 +125,7 @@ public:
     Six<V> minus{};  // of the wrenches, unit frame, of size 1
 
     ConicLanes(int count, const Stop& options) : options(options), steps(count) {}
-    template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const Stop& options)
-        : ConicLanes(contacts.count, options) {
+    template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const Stop& options) : ConicLanes(contacts.count, options) {
         steps.cones.spread(contacts);
     }
 

@@ -34,8 +34,7 @@ public:
     }
 
     // See `Program`.
-    Code least(const double* wrench, Criterion criterion, const Stop& options, const Record& record, double* prices,
-               int budget) {
+    Code least(const double* wrench, Criterion criterion, const Stop& options, const Record& record, double* prices, int budget) {
         const Arena::Scope scope;
         record.clear();
         std::fill(prices, prices + limits, 0.0);

@@ -21,31 +21,31 @@ enum Code {
 enum class Start {
     standard,      // the method's own: Newton's is one internal force, a flow's the linear combination, conic has its centre
     internal_force,  // -G^+ w with as much of one internal force as takes it inside the cones
-    linear_combination,          // of the 12 offline optima (the paper, Sec. III), with the rest that keeps it inside at small wrenches
+    linear_combination,  // of the 12 offline optima (the paper, Sec. III), with the rest that keeps it inside at small wrenches
     linear_combination_printed,  // the same as printed
     single_value,  // -G^+ w with as much of the optimum at rest as takes it inside the cones
-    lagrange,      // the least weighted distance from a normal squeeze
-    phase_one,     // a force inside the cones that balances the wrench, found by an interior point
-    previous,      // the last solution
-    given,         // a force of the caller
-    learned,       // what a trained model predicts
-    central,       // an interior point's own
+    lagrange,  // the least weighted distance from a normal squeeze
+    phase_one,  // a force inside the cones that balances the wrench, found by an interior point
+    previous,  // the last solution
+    given,  // a force of the caller
+    learned,  // what a trained model predicts
+    central,  // an interior point's own
 };
 
 struct Summary {
-    double code = REFUSED;   // a `Code`
-    double iterations = 0;   // accepted steps
-    double trials = 0;       // all steps tried
-    double objective = 0;    // Phi, or the sum or maximum of the normal forces [N]; where limits are exceeded, the excess
+    double code = REFUSED;  // a `Code`
+    double iterations = 0;  // accepted steps
+    double trials = 0;  // all steps tried
+    double objective = 0;  // Phi, or the sum or maximum of the normal forces [N]; where limits are exceeded, the excess
     double lower_bound = 0;  // no balanced force has a smaller objective; -inf: none
-    double residual = 0;     // largest |component| of G f + w in the unit frame [N]
-    double margin = 0;       // least distance to a cone's surface [N]
+    double residual = 0;  // largest |component| of G f + w in the unit frame [N]
+    double margin = 0;  // least distance to a cone's surface [N]
     double limit_excess = 0;  // largest excess of a limit, as a part of it; 0 within
-    Vec6 wrench{};       // what is balanced [N, N m]
+    Vec6 wrench{};  // what is balanced [N, N m]
     Vec6 multipliers{};  // nu of balance: grad objective = G^T nu (+ the cones' multipliers); where INFEASIBLE the twist
-    double start = 0;     // a `Start`: where it began
+    double start = 0;  // a `Start`: where it began
     double replaced = 0;  // 1: nothing of the start that was asked for is left, so it began from `start`
-    double outside = 0;   // 1: a trained model's training did not cover this wrench
+    double outside = 0;  // 1: a trained model's training did not cover this wrench
     double contacts = 0, joints = 0, limits = 0;  // how many numbers follow: N, J, M
 };
 inline constexpr int SUMMARY = sizeof(Summary) / sizeof(double);
@@ -68,11 +68,11 @@ public:
     }
     Summary& summary() const { return *reinterpret_cast<Summary*>(row_); }
     int contacts() const { return count_; }
-    double* force() const { return row_ + SUMMARY; }                  // (N, 3) [N]: normal, o, t
-    double* initial_force() const { return force() + 3 * count_; }    // (N, 3) [N]
-    double* torsion() const { return force() + 6 * count_; }          // (N,) [N m]
-    double* frames() const { return force() + 7 * count_; }           // (N, 3, 3) columns (n, o, t), the frame of the positions
-    double* torques() const { return force() + 16 * count_; }         // (J,) [N m], those besides the grasp's included
+    double* force() const { return row_ + SUMMARY; }  // (N, 3) [N]: normal, o, t
+    double* initial_force() const { return force() + 3 * count_; }  // (N, 3) [N]
+    double* torsion() const { return force() + 6 * count_; }  // (N,) [N m]
+    double* frames() const { return force() + 7 * count_; }  // (N, 3, 3) columns (n, o, t), the frame of the positions
+    double* torques() const { return force() + 16 * count_; }  // (J,) [N m], those besides the grasp's included
     double* prices() const { return torques() + int(summary().joints); }  // (M,) >= 0, of the limits
     void clear() const { std::fill(row_, row_ + record_size(count_), 0.0); }
     // INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed: the wrench, unit frame [N]

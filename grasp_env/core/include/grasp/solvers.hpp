@@ -116,8 +116,7 @@ public:
     Stop options;
 
     // basis: (13, 3N) the offline optima; model: one that `fits` the contacts
-    static std::unique_ptr<Learned> make(const Contacts& contacts, const Stop& options, const double* basis,
-                                         const Model& model);
+    static std::unique_ptr<Learned> make(const Contacts& contacts, const Stop& options, const double* basis, const Model& model);
     virtual ~Learned() = default;
     virtual std::unique_ptr<Learned> clone() const = 0;
     virtual Code start(const double* wrench, const double* previous, double* row) = 0;
@@ -135,8 +134,8 @@ protected:
 // Contacts that move from call to call; see `PipelineOn`.
 class alignas(64) Pipeline {
 public:
-    static std::unique_ptr<Pipeline> make(const Contacts& nominal, const Stop& options, const double* basis,
-                                          const double* frames, bool remembers, const double* reference, const StepRule* flows);
+    static std::unique_ptr<Pipeline> make(const Contacts& nominal, const Stop& options, const double* basis, const double* frames,
+                                          bool remembers, const double* reference, const StepRule* flows);
     virtual ~Pipeline() = default;
     virtual Held& held() = 0;
     virtual const Contacts& contacts() const = 0;
