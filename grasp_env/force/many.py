@@ -139,6 +139,7 @@ class ForceSolutions(Sequence[ForceSolution]):
 
         Example:
             >>> import numpy as np
+            >>> from grasp_env.force import optimize_forces
             >>> from grasp_env.grasp import presets
             >>> batch = optimize_forces(presets.tripod(), np.zeros((3, 6)), method="conic")
             >>> {status.value: count for status, count in batch.counts().items()}

@@ -137,7 +137,9 @@ class BarzilaiBorweinStep:
         >>> from grasp_env.force import optimize_force
         >>> from grasp_env.grasp import presets
         >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
-        >>> optimize_force(grasp, wrench, step_rule=BarzilaiBorweinStep()).iterations < optimize_force(grasp, wrench).iterations
+        >>> rules = BarzilaiBorweinStep(), AdaptiveStep()
+        >>> few, many = (optimize_force(grasp, wrench, method="reduced_flow", step_rule=rule) for rule in rules)
+        >>> few.iterations < many.iterations
         True
     """
 
