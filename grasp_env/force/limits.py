@@ -176,16 +176,19 @@ class ForceLimits:
         Raises:
             InvalidInputError: see `checked`.
         """
-        arrays = [
-            getattr(self, name) for name in ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
-        ]
-        if any(each is not None and each.ndim and len(each) != n_contacts for each in arrays[:3]):
-            self.checked(n_contacts)  # says what is wrong
-        for k, nothing in enumerate((0.0, np.inf)):
-            if arrays[k].ndim == 0:
-                arrays[k] = None if arrays[k] == nothing else np.full(n_contacts, arrays[k])
-        least, most, jacobian, limit, bias = arrays
-        return least, most, jacobian, limit, bias
+        least, most, jacobian = (self._numbers(name) for name in ("min_normal", "max_normal", "jacobian"))
+        if least is not None and least.ndim == 0:
+            least = np.full(n_contacts, least) if least else None
+        if most is not None and most.ndim == 0:
+            most = np.full(n_contacts, most) if most < np.inf else None
+        for each in (least, most, jacobian):
+            if each is not None and len(each) != n_contacts:
+                self.checked(n_contacts)  # says what is wrong
+        return least, most, jacobian, self._numbers("torque_limit"), self._numbers("torque_bias")
+
+    def _numbers(self, name: str) -> Array | None:
+        """An attribute, which is an array once it is checked."""
+        return vars(self)[name]
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
         """(M,) what each finite limit of `n_contacts` contacts is, in the order of `rows`."""

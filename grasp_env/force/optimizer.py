@@ -106,12 +106,18 @@ class ForceOptimizer:
         """
         asked = (method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic)
         self._grasp: Grasp | None
-        self.options, self._grasp, self.limits, self._initial = together(
-            lambda: checked_options(*asked),
-            lambda: as_grasp(grasp),
-            lambda: limits if limits is None else as_limits(limits),
-            lambda: initial if initial is None else checked_initial(initial),
-        )
+        try:
+            self.options, self._grasp = checked_options(*asked), as_grasp(grasp)
+            self.limits = limits if limits is None else as_limits(limits)
+            self._initial = initial if initial is None else checked_initial(initial)
+        except GraspError:
+            together(  # all that is wrong
+                lambda: checked_options(*asked),
+                lambda: as_grasp(grasp),
+                lambda: as_limits(limits),
+                lambda: checked_initial(initial),
+            )
+            raise
         if elastic and limits is None:
             raise InvalidInputError("elastic=True says what to do with limits that no force keeps: give limits")
         if initial is not None and self.options.method == "conic":
@@ -124,16 +130,16 @@ class ForceOptimizer:
     def _make(self) -> None:
         """What is compiled, for the contacts and limits of now."""
         grasp, options, initial = self.grasp, self.options, self._initial
-        start, model = 0, None
+        start, model, remembers = 0, None, False
         self.names = names, asked = names_of(initial, options)
         if initial is None:
             pass
         elif is_a(initial, ForceSolution):
-            start = PREVIOUS
+            start, remembers = PREVIOUS, True
         elif is_a(initial, str):
-            start = STARTS.index(initial)
+            start, remembers = STARTS.index(initial), initial == "previous"
         elif is_rule(initial, LearnedRule):
-            start = LEARNED
+            start, remembers = LEARNED, bool(initial.remembers)
             try:
                 model = call_rule(initial, initial.model, grasp, options.objective)
                 instance(model, core.Model, f"what initial-force rule {rule_name(initial)!r} predicts with")
@@ -141,8 +147,8 @@ class ForceOptimizer:
                 if error.__cause__ is not None:  # a fault of the rule's
                     raise
                 # else contacts that it does not know: without a model the core replaces it, and says so
-        self.compiled = initial is None or start > 0 or is_rule(initial, LearnedRule)
-        weights = options.objective
+        self.compiled = initial is None or start > 0
+        weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
         limits: LimitNumbers = (
             (None, None, None, None, None) if self.limits is None else self.limits.given(grasp.n_contacts)
@@ -154,7 +160,7 @@ class ForceOptimizer:
                 weights.barrier_weight if plain else 1.0, *limits, options.method, options.criterion == "max", start,
                 options.tolerance, options.max_iterations, options.elastic,
                 options.step_rule.parameters() if options.flows else None, model, ForceSolution, options.method, names, asked,
-                start == PREVIOUS or (is_rule(initial, LearnedRule) and bool(initial.remembers)),
+                remembers,
             )  # fmt: skip
         except ValueError as error:
             raise UnsupportedProblemError(f"{error}; got method {options.method!r}") from None
