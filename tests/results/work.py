@@ -69,6 +69,10 @@ def threads(shard: int) -> pd.DataFrame:
 
 
 def process(shard: tuple[int, Path]) -> pd.DataFrame:
-    """Which process runs a shard, long enough for all of them to get one."""
-    time.sleep(0.5)
-    return table([{"problem": shard[0], "bytes": os.getpid()}])
+    """Which process runs a shard. It waits for a second one, which a busy machine may take many seconds to start, for a minute at most."""
+    place, folder = shard
+    (folder / f"process-{os.getpid()}").touch()
+    until = time.monotonic() + 60
+    while len(list(folder.glob("process-*"))) < 2 and time.monotonic() < until:
+        time.sleep(0.05)
+    return table([{"problem": place, "bytes": os.getpid()}])
