@@ -167,6 +167,15 @@ def test_no_contact_and_lists_of_bits() -> None:
     np.testing.assert_array_equal(optimizer.solve(LOAD, contacts=np.ones(5, dtype=bool)).force, whole.force)
 
 
+@pytest.mark.parametrize("name", ["linear_combination", "linear_combination_printed", "single_value", "lagrange"])
+def test_starts_from_the_basis_after_a_call_with_fewer_contacts(name: str) -> None:
+    optimizer = ForceOptimizer(FIVE)
+    optimizer.solve(LOAD, contacts=[True, True, True, True, False])
+    found = optimizer.solve(LOAD, initial=name)
+    np.testing.assert_array_equal(found.initial_force, ForceOptimizer(FIVE).solve(LOAD, initial=name).initial_force)
+    assert found.initial.startswith(name)
+
+
 def test_torques_of_a_call() -> None:
     """J^T f + bias of the Jacobian and bias of the call, soft contacts' moments included."""
     for grasp, rows in ((FIVE, 3), (SOFT, 6)):

@@ -131,6 +131,7 @@ public:
     int size() const override { return record_size(home_.count, joints_, limits_.rows); }
 
     void set_basis(const double* basis) override {
+        place({});  // the last call may have had fewer contacts
         for (int k = 0; k < 13; ++k) newton_.cones.load(basis + 3 * home_.count * k, newton_.starter.basis[k]);
         newton_.starter.basis_tangents.load(home_.frames.data(), home_.count);
         newton_.starter.has_basis = true;
