@@ -92,10 +92,7 @@ public:
 
     // basis (13, 3N) in cone coordinates; frames (N, 3, 3) it is written in
     void set_basis(const In& basis, const In& frames) {
-        const double* rows = numbers(basis, 13 * size());
-        for (int k = 0; k < 13; ++k) cones().load(rows + size() * k, starter().basis[k]);
-        starter().basis_tangents.load(numbers(frames, 3 * size()), contacts_.count);
-        starter().has_basis = true;
+        starter().set_basis(cones(), numbers(basis, 13 * size()), numbers(frames, 3 * size()));
     }
     nb::object combine(const In& wrench) {
         Field x = cones().field();

@@ -132,9 +132,7 @@ public:
 
     void set_basis(const double* basis) override {
         place({});  // the last call may have had fewer contacts
-        for (int k = 0; k < 13; ++k) newton_.cones.load(basis + 3 * home_.count * k, newton_.starter.basis[k]);
-        newton_.starter.basis_tangents.load(home_.frames.data(), home_.count);
-        newton_.starter.has_basis = true;
+        newton_.starter.set_basis(newton_.cones, basis, home_.frames.data());
     }
 
     Code solve(const Ask& ask, double* row) override {

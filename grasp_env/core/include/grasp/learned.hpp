@@ -111,8 +111,7 @@ public:
     LearnedOn(const Contacts& contacts, const Stop& options, const double* basis, const Model& model)
         : newton(contacts.count, options), predicted_(packed(contacts), model), safe_(newton.cones.field()),
           guess_(newton.cones.field()), begun_(newton.cones.field()) {
-        for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, newton.starter.basis[k]);
-        newton.starter.has_basis = true;
+        newton.starter.set_basis(newton.cones, basis);
     }
 
     // The start into a record: LIMIT, for a descent has to go on from it; REFUSED: numbers that are not finite.

@@ -57,10 +57,7 @@ public:
     void forget() { std::fill(held.x.begin(), held.x.end(), std::numeric_limits<double>::quiet_NaN()); }
 
     void set_basis(const double* basis, const double* frames) {
-        auto& starter = newton.starter;
-        for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, starter.basis[k]);
-        starter.basis_tangents.load(frames, contacts.count);
-        starter.has_basis = true;
+        newton.starter.set_basis(newton.cones, basis, frames);
         std::copy(basis, basis + 39 * contacts.count, held.basis.begin());
         std::copy(frames, frames + 9 * contacts.count, held.basis_frames.begin());
     }

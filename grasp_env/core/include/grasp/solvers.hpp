@@ -170,17 +170,14 @@ public:
     }
     void solve_many(const Many& many) override { solve_each(*this, many); }
     double make_basis(bool warm, const double* interior, double* basis) override {
-        if (warm) load_basis(basis);
+        if (warm) set_basis(basis);
         else if (interior) on_.cones.load(interior, on_.x);
         else if (!on_.internal_force()) return infinity;
         const double gap = grasp::make_basis(on_, warm);
         for (int k = 0; k < 13; ++k) on_.cones.store(on_.starter.basis[k], basis + 3 * contacts.count * k);
         return gap;
     }
-    void set_basis(const double* basis) override {
-        load_basis(basis);
-        on_.starter.has_basis = true;
-    }
+    void set_basis(const double* basis) override { on_.starter.set_basis(on_.cones, basis); }
     bool has_basis() const override { return on_.starter.has_basis; }
     bool internal_force(double* x) override {
         const bool found = on_.internal_force();
@@ -225,11 +222,6 @@ public:
 
 protected:
     NewtonOn<V, B> on_;
-
-private:
-    void load_basis(const double* basis) {
-        for (int k = 0; k < 13; ++k) on_.cones.load(basis + 3 * contacts.count * k, on_.starter.basis[k]);
-    }
 };
 
 template <class V, int B> class NewtonAny final : public DescentAny<Newton, V, B> {
@@ -275,9 +267,7 @@ public:
         auto& newton = on_.newton;
         newton.cones.pack(contacts);
         newton.rows.pack(newton.cones, rows);
-        for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, newton.starter.basis[k]);
-        newton.starter.basis_tangents.load(contacts.frames.data(), contacts.count);
-        newton.starter.has_basis = true;
+        newton.starter.set_basis(newton.cones, basis, contacts.frames.data());
         on_.elastic = elastic;
     }
     std::unique_ptr<LimitedNewton> clone() const override { return std::make_unique<LimitedAny>(*this); }
@@ -302,9 +292,7 @@ template <class V, int B> class SoftAny final : public SoftNewton {
 public:
     SoftAny(const Contacts& contacts, const Stop& options, const double* divisor, const double* basis)
         : SoftNewton(contacts), on_(contacts, options, divisor) {
-        auto& newton = on_.newton;
-        for (int k = 0; k < 13; ++k) newton.cones.load(basis + 3 * contacts.count * k, newton.starter.basis[k]);
-        newton.starter.has_basis = true;
+        on_.newton.starter.set_basis(on_.newton.cones, basis);
     }
     std::unique_ptr<SoftNewton> clone() const override { return std::make_unique<SoftAny>(*this); }
     Code solve(const Call& call, double* row) override { return on_.solve(call, Record(row, contacts.count)); }

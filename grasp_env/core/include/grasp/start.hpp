@@ -57,6 +57,13 @@ public:
         for (auto& row : basis) row = cones.field();
     }
 
+    // rows: (13, 3N) cone coordinates; frames: (N, 3, 3) that they are written in, where the contacts may move.
+    void set_basis(const Cones<V, B>& cones, const double* rows, const double* frames = nullptr) {
+        for (int k = 0; k < 13; ++k) cones.load(rows + 3 * cones.count * k, basis[k]);
+        if (frames) basis_tangents.load(frames, cones.count);
+        has_basis = true;
+    }
+
     void combine(const double* wrench, Field& out, bool printed = false) const {
         const Combination made(wrench, printed);
         for (int b = 0; b < int(out.size()); ++b) {
