@@ -135,7 +135,7 @@ class Contacts:
     @overload
     def weighed(self, force_weight: float, barrier_weight: float) -> Contacts:
         """
-        A copy for solvers with omega and lambda, its tangents those of now. ValueError where the rank of G is not 6.
+        A copy for solvers with omega and lambda, with the current tangents. ValueError where the rank of G is not 6.
         """
 
     @overload
@@ -208,12 +208,12 @@ class ForceOptimizer:
         A solution; None: an argument cannot be read as it is, or there is no force and `ended` holds the row.
         """
 
-    def solve_from(self, start: int, initial: object | None, force: object | None, torsion: object | None, before: object | None, optimum: float, trace: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
+    def solve_from(self, start: int, initial: object | None, force: object | None, before: object | None, optimum: float, trace: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
         """
         The same from a start of its own; optimum: a known minimum or nan; trace: (T,) receives Phi of the first iterates.
         """
 
-    def start(self, start: int, force: object | None, torsion: object | None, before: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
+    def start(self, start: int, force: object | None, before: object | None, wrench: object, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None, contacts: object | None) -> object:
         """The row of the start alone."""
 
     def update(self, positions: object | None, normals: object | None, friction: object | None, jacobian: object | None, torque_bias: object | None) -> bool:
@@ -247,7 +247,7 @@ class ForceOptimizer:
 
     @property
     def size(self) -> int:
-        """Doubles of a row."""
+        """Numbers of a row."""
 
 ACCEPTED_GAP: float = 0.01
 
@@ -258,7 +258,7 @@ def combine(basis: object, wrench: object, printed: bool, to: object) -> None:
 
 def solve_scaled(contacts: Contacts, scales: object, wrenches: object, forces: object, tolerance: float, limit: int, records: object) -> None:
     """
-    Newton from given forces (M, N, 3) on contacts with M scales (M, N, 3) of cone coordinates, into (M, 20 + 7N).
+    Newton from given forces (M, N, 3) on contacts with M scales (M, N, 3) of cone coordinates, into (M, record_size(N)).
     """
 
 class Newton:
@@ -296,7 +296,7 @@ class Newton:
 
     def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
         """
-        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
+        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
         """
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
@@ -401,7 +401,7 @@ class LimitedNewton:
 
     def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
         """
-        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
+        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
         """
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
@@ -428,7 +428,7 @@ class SoftNewton:
 
     def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
         """
-        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
+        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
         """
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
@@ -448,7 +448,7 @@ class Conic:
 
     def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
         """
-        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
+        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
         """
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
@@ -516,7 +516,7 @@ class Learned:
 
     def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
         """
-        (M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
+        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
         """
 
     def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
@@ -588,12 +588,12 @@ class Pipeline:
 
     def solve(self, points: object | None, normals: object | None, wrench: object | None, adjust: object | None, record: object) -> int:
         """
-        Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or None into a record; returns the code.
+        Current contacts (N, 3), wrench (6,), adjust (3N - 6,) or None into a record; returns the code.
         """
 
     def carry(self, points: object, normals: object, wrench: object, force: object) -> int:
         """
-        The last optimum carried to contacts and wrench of now, (N, 3); 0: carried, 1: repaired, 2: clipped.
+        The last optimum carried to the current contacts and wrench, (N, 3); 0: carried, 1: repaired, 2: clipped.
         """
 
     def carry_from(self, points: object, normals: object, wrench: object, then: object, frames: object, force: object) -> int:

@@ -9,21 +9,14 @@ from typing import TYPE_CHECKING, Any
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.batch import optimize_forces
 from grasp_env.force.description import cone_margin, description_matrix
-from grasp_env.force.initial import (
-    RULES,
-    InitialForceRule,
-    Lagrange,
-    LinearCombination,
-    PhaseOne,
-    SingleValue,
-    initial_rule,
-)
+from grasp_env.force.initial import InitialForceRule, LinearCombination
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.many import ForceSolutions
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer, optimize_force
 from grasp_env.force.options import DESCENTS, METHODS
 from grasp_env.force.repair import Repair, carry_over, start_replaced
+from grasp_env.force.rules import RULES, Lagrange, PhaseOne, SingleValue, initial_rule
 from grasp_env.force.solution import ForceSolution, Status
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep
 from grasp_env.force.torques import joint_torques

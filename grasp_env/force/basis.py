@@ -132,7 +132,7 @@ def core_contacts(grasp: Grasp, objective: Objective, tangents: Array | None = N
     Args:
         grasp: the contacts.
         objective: Phi.
-        tangents: (N, 3) directions of o when they move, (0, 3): the default rule; None: those of now.
+        tangents: (N, 3) directions of o when they move, (0, 3): the default rule; None: the current ones.
 
     Raises:
         RankDeficientGraspError: rank(G) < 6.

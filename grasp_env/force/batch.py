@@ -14,10 +14,7 @@ from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force.many import ForceSolutions, checked_batch, over_parts, solve_many, solve_one
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import ForceOptimizer
-from grasp_env.force.record import (
-    CODE,
-    CONVERGED,
-)
+from grasp_env.force.record import CODE, CONVERGED
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
 
@@ -74,14 +71,10 @@ def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
         for k, grasp in enumerate(grasps):
             if not is_a(grasp, Grasp):
                 raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
-    sizes = {contacts.count for contacts in map(_contacts, grasps)}
+    sizes = {grasp.n_contacts for grasp in grasps}
     if len(sizes) > 1:
         raise InvalidInputError(f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}")
     return grasps
-
-
-def _contacts(grasp: Grasp) -> core.Contacts:
-    return grasp.contacts
 
 
 def _many_grasps(grasps: list[Grasp], loads: Array, threads: int, options: dict[str, Any]) -> ForceSolutions:

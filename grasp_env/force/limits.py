@@ -168,7 +168,7 @@ class ForceLimits:
         return 0 if self.jacobian is None else np.asarray(self.jacobian).shape[2]
 
     def given(self, n_contacts: int) -> LimitNumbers:
-        """What the core reads: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,); None: none.
+        """The arrays that the core takes: least and largest normal forces (N,), Jacobian (N, 3 or 6, J), torque limits and bias (J,); None: none.
 
         Args:
             n_contacts: N.

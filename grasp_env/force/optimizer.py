@@ -45,10 +45,10 @@ from grasp_env.force.initial import (
 )
 from grasp_env.force.limits import ForceLimits, LimitNumbers, as_limits, checked_jacobian
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
-from grasp_env.force.objective import Weight
+from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.options import MAX_ITERATIONS, Options, checked_options
 from grasp_env.force.record import CODE, FORCE, INFEASIBLE, LIMIT, REFUSED, REPLACED, START, UNDECIDED
-from grasp_env.force.solution import STARTS, ForceSolution, start_name
+from grasp_env.force.solution import COMBINATION, GIVEN, LEARNED, PREVIOUS, STARTS, ForceSolution, start_name
 from grasp_env.force.step_size import StepRule
 from grasp_env.grasp.advice import warn_of
 from grasp_env.grasp.grasp import Grasp, as_grasp
@@ -105,7 +105,6 @@ class ForceOptimizer:
             method, criterion, limits, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic: see `optimize_force`.
         """
         asked = (method, criterion, force_weight, barrier_weight, tolerance, max_iterations, step_rule, elastic)
-        self._grasp: Grasp | None
         try:
             self.options, self._grasp = checked_options(*asked), as_grasp(grasp)
             self.limits = limits if limits is None else as_limits(limits)
@@ -128,7 +127,7 @@ class ForceOptimizer:
             self.previous, self._initial = self._fitting(self._initial), "previous"
 
     def _make(self) -> None:
-        """What is compiled, for the contacts and limits of now."""
+        """Makes the compiled optimizer."""
         grasp, options, initial = self.grasp, self.options, self._initial
         start, model, remembers = 0, None, False
         self.names = names, asked = names_of(initial, options)
@@ -146,7 +145,7 @@ class ForceOptimizer:
             except InfeasibleStartError as error:
                 if error.__cause__ is not None:  # a fault of the rule's
                     raise
-                # else contacts that it does not know: without a model the core replaces it, and says so
+                # else contacts that it does not know: without a model the core replaces the start, and `initial` names both
         self.compiled = initial is None or start > 0
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
@@ -175,8 +174,6 @@ class ForceOptimizer:
     @property
     def grasp(self) -> Grasp:
         """The contacts it was made for, or last updated to."""
-        if self._grasp is None:
-            self._grasp = self._moved((None,) * 6)
         return self._grasp
 
     @property
@@ -190,7 +187,7 @@ class ForceOptimizer:
         return self.options.method
 
     @property
-    def objective(self) -> Any:
+    def objective(self) -> Objective:
         """Phi."""
         return self.options.objective
 
@@ -269,7 +266,7 @@ class ForceOptimizer:
                 return solution
             row = self.core.ended
             if row is not None and row[CODE] == INFEASIBLE:
-                raise InfeasibleWrenchError("", ForceSolution(row, self.method, STARTS[int(row[START])]))
+                raise self._infeasible(row)
         now = (positions, normals, friction, jacobian, torque_bias, contacts)
         return self._solve_checked(wrench, now, initial, optimum, trace)
 
@@ -289,9 +286,7 @@ class ForceOptimizer:
             raise InvalidInputError("jacobian and torque_bias belong to torque limits: make the optimizer with limits")
         start = self._start(load, now, initial)
         values = np.full(self.max_iterations + 1, np.nan) if trace else None
-        solution = self.core.solve_from(
-            start.start, start.name, start.force, start.torsion, start.before, known, values, load, *now
-        )
+        solution = self.core.solve_from(start.start, start.name, start.force, start.before, known, values, load, *now)
         if solution is None:
             raise self._error(self.core.ended, load, now, start)
         if values is not None:
@@ -323,15 +318,22 @@ class ForceOptimizer:
             InvalidInputError, RankDeficientGraspError: see `solve`.
             InfeasibleWrenchError, InfeasibleStartError: see `optimize_force`.
         """
+        now = {"positions": positions, "normals": normals, "friction": friction, "contacts": contacts}
+        return self._begin(wrench, initial=initial, **now)[0]
+
+    def _begin(
+        self, wrench: ArrayLike, *, initial: Initial | None = None, **given: ArrayLike | None
+    ) -> tuple[ContactForces, bool]:
+        """`start`, and whether another start took the place of the one that was asked for."""
         if self.method == "conic":
             raise UnsupportedProblemError("method 'conic' takes no initial force")
-        load, now = as_wrench(wrench), self._now(positions, normals, friction, None, None, contacts)
+        load, now = as_wrench(wrench), self._now(**given)
         start = self._start(load, now, initial)
-        row = self.core.start(start.start, start.force, start.torsion, start.before, load, *now)
+        row = self.core.start(start.start, start.force, start.before, load, *now)
         if row[CODE] != LIMIT:
             raise self._error(row, load, now, start)
         n = self._count
-        return row[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3)
+        return row[FORCE + 3 * n : FORCE + 6 * n].reshape(n, 3), start.replaced or bool(row[REPLACED])
 
     def solve_many(self, wrenches: ArrayLike, *, workers: int | None = None) -> ForceSolutions:
         """The forces for many wrenches, none of which knows the others: `optimize_forces` of this optimizer.
@@ -362,7 +364,7 @@ class ForceOptimizer:
         Raises:
             InvalidInputError, RankDeficientGraspError: see `solve`; the optimizer stays as it was.
         """
-        now = self._now(positions, normals, friction, jacobian, torque_bias, None)
+        now = self._now(positions, normals, friction, jacobian, torque_bias)
         moved = self._moved(now) if any(each is not None for each in now[:3]) else self.grasp
         if not self.core.update(*now[:5]):
             raise InvalidInputError(
@@ -376,9 +378,15 @@ class ForceOptimizer:
             self.limits = replace(self.limits, **given)
 
     def _now(
-        self, positions: Any, normals: Any, friction: Any, jacobian: Any, torque_bias: Any, contacts: Any
+        self,
+        positions: Any = None,
+        normals: Any = None,
+        friction: Any = None,
+        jacobian: Any = None,
+        torque_bias: Any = None,
+        contacts: Any = None,
     ) -> tuple[Any, ...]:
-        """What a call is given, as the core reads it."""
+        """The checked arrays of a call, in the order of the core's arguments."""
         n, joints = self._count, 0 if self.limits is None else self.limits.joints
 
         def made(value: Any, shape: tuple[int | None, ...], name: str, within: Any = None) -> Any:
@@ -434,7 +442,7 @@ class ForceOptimizer:
         )
 
     def _start(self, wrench: Wrench, now: tuple[Any, ...], initial: Initial | None) -> StartFrom:
-        """Where a call begins, as the core reads it.
+        """The start of a call.
 
         Raises:
             InfeasibleStartError: a rule fails, or returns no force.
@@ -466,12 +474,14 @@ class ForceOptimizer:
             )
         return previous
 
+    def _infeasible(self, row: Array, start: str | None = None) -> InfeasibleWrenchError:
+        return InfeasibleWrenchError("", ForceSolution(row, self.method, start or STARTS[int(row[START])]))
+
     def _error(self, row: Array, wrench: Wrench, now: tuple[Any, ...], start: StartFrom) -> GraspError:
         """What a row without a force means, in words."""
         code = row[CODE]
         if code == INFEASIBLE:
-            name = start.name or STARTS[int(row[START])]
-            return InfeasibleWrenchError("", ForceSolution(row, self.method, name))
+            return self._infeasible(row, start.name)
         if code == UNDECIDED:
             return NotConvergedError(
                 f"neither a force nor a proof that there is none was found for wrench {wrench.tolist()}: forces, limits and weights are too "
@@ -499,13 +509,8 @@ class ForceOptimizer:
         self.previous = previous
 
 
-COMBINATION, PREVIOUS, GIVEN, LEARNED = (
-    STARTS.index(name) for name in ("linear_combination", "previous", "given", "learned")
-)
-
-
 def names_of(initial: Any, options: Options) -> tuple[tuple[str, ...], str]:
-    """What solutions call each start of an optimizer, in the order of `STARTS`, and the one that it asks for."""
+    """The names of starts in the solutions of an optimizer, in the order of `STARTS`, and the name of the one it asks for."""
     if options.method == "conic":
         return STARTS, "central"
     if initial is None:
@@ -595,4 +600,4 @@ def optimize_force(
     return ForceOptimizer(grasp, **options).solve(wrench, optimum=optimum, trace=trace)
 
 
-__all__ = ["ForceOptimizer", "names_of", "optimize_force"]
+__all__ = ["ForceOptimizer", "optimize_force"]

@@ -23,7 +23,10 @@ STARTS = (
     "learned",
     "central",
 )
-"""What solutions call each `Start` of the core, in its order."""
+"""The names of the core's `Start`, in its order."""
+COMBINATION, PREVIOUS, GIVEN, LEARNED = (
+    STARTS.index(name) for name in ("linear_combination", "previous", "given", "learned")
+)
 
 
 class Status(Enum):

@@ -27,7 +27,7 @@ class StepRule(Protocol):
     """What a flow asks of a step rule."""
 
     def parameters(self) -> Array:
-        """(5,) kind, first, grow, shrink, decrease: what the core reads."""
+        """(5,) kind, first, grow, shrink, decrease, as the core takes them."""
         ...
 
 

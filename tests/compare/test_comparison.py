@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.force.initial import SingleValue
+from grasp_env.force import SingleValue
 from training.cli import main
 from training.compare import comparison
 from training.compare.cases import SETS

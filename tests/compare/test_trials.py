@@ -7,7 +7,7 @@ import pytest
 
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import RULES, ForceOptimizer, Objective, OfflineBasis, Repair, Status
-from grasp_env.force.initial import SingleValue, StartRule
+from grasp_env.force.rules import SingleValue, StartRule
 from grasp_env.grasp import presets, wrench
 from training.compare import trial
 from training.compare.case import Case

@@ -175,11 +175,7 @@ def calls() -> dict[str, Call]:
     }
     own = {"start": STARTS.index("given"), "before": None, "contacts": None}
     first: Any = one.solve(LOADS[0], *(6 * [None]))
-    balanced = {
-        "force": first.force.copy(),
-        "torsion": np.zeros(COUNT),
-        "wrench": LOADS[0],
-    }
+    balanced = {"force": first.force.copy(), "wrench": LOADS[0]}
     whole = {"rows": (3, one.size)}
     return {
         "Contacts.make": Call(_core.Contacts.make, place | {"scale": s.scale, "weights": s.weights} | optional, {}),

@@ -95,7 +95,7 @@ OPTIONAL = {
     *(
         (f"ForceOptimizer.{call}", name)
         for call in ("solve", "solve_from", "start", "update")
-        for name in ("positions", "normals", "friction", "jacobian", "torque_bias", "torsion", "trace")
+        for name in ("positions", "normals", "friction", "jacobian", "torque_bias", "trace")
     ),
     ("Flow.solve", "previous"),
     ("Newton.make_basis", "interior"),

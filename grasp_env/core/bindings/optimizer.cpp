@@ -61,25 +61,25 @@ public:
         return made(ask, asked_, nb::handle());
     }
     // The same from a start of this call. initial: the start's name for the solution, or None: its own.
-    nb::object solve_from(int start, nb::handle initial, nb::handle force, nb::handle torsion, nb::handle before, double optimum,
-                          nb::handle trace, nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction,
-                          nb::handle jacobian, nb::handle torque_bias, nb::handle contacts) {
+    nb::object solve_from(int start, nb::handle initial, nb::handle force, nb::handle before, double optimum, nb::handle trace,
+                          nb::handle wrench, nb::handle positions, nb::handle normals, nb::handle friction, nb::handle jacobian,
+                          nb::handle torque_bias, nb::handle contacts) {
         ended = nb::none();
         Ask ask{};
         if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts))
             throw nb::type_error("C-contiguous float64 arrays are needed");
-        from(ask, start, force, torsion, before);
+        from(ask, start, force, before);
         ask.optimum = optimum;
         if (!trace.is_none()) ask.trace = {out(trace, -1).data(), std::size_t(out(trace, -1).length(0))};
         return made(ask, Start(start), initial);
     }
     // The start alone, a record whose force it is; its code says LIMIT, or why there is none.
-    nb::object start(int start, nb::handle force, nb::handle torsion, nb::handle before, nb::handle wrench, nb::handle positions,
-                     nb::handle normals, nb::handle friction, nb::handle jacobian, nb::handle torque_bias, nb::handle contacts) {
+    nb::object start(int start, nb::handle force, nb::handle before, nb::handle wrench, nb::handle positions, nb::handle normals,
+                     nb::handle friction, nb::handle jacobian, nb::handle torque_bias, nb::handle contacts) {
         Ask ask{};
         if (!read(ask, wrench, positions, normals, friction, jacobian, torque_bias, contacts))
             throw nb::type_error("C-contiguous float64 arrays are needed");
-        from(ask, start, force, torsion, before);
+        from(ask, start, force, before);
         nb::object row = new_row();
         on.start(ask, data(row.ptr()));
         return row;
@@ -148,15 +148,13 @@ private:
         ask.wrench = load.data();
         return now(ask, positions, normals, friction, jacobian, torque_bias, contacts);
     }
-    void from(Ask& ask, int start, nb::handle force, nb::handle torsion, nb::handle before) const {
+    void from(Ask& ask, int start, nb::handle force, nb::handle before) const {
         if (start < 0 || start > int(Start::central)) throw nb::value_error("no such start");
         ask.start = Start(start);
-        const auto numbers = [](const Given& given, std::initializer_list<npy_intp> shape) {
-            if (!given.given()) return Doubles{};
-            if (!given.has(shape)) throw nb::type_error("a C-contiguous float64 array of another shape is needed");
-            return given.numbers();
-        };
-        ask.force = numbers(Given(force), {count, 3}), ask.torsion = numbers(Given(torsion), {count});
+        if (const Given given(force); given.given()) {
+            if (!given.has({count, 3})) throw nb::type_error("a C-contiguous float64 array (N, 3) is needed");
+            ask.force = given.numbers();
+        }
         if (!before.is_none()) ask.previous = row_of(before.ptr());
     }
     nb::object made(const Ask& ask, Start asked, nb::handle initial) {
@@ -258,13 +256,13 @@ void bind_optimizer(nb::module_& m) {
         .def("solve", &Solver::solve, "wrench"_a.none(), "positions"_a.none(), "normals"_a.none(), "friction"_a.none(),
              "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
              "A solution; None: an argument cannot be read as it is, or there is no force and `ended` holds the row.")
-        .def("solve_from", &Solver::solve_from, "start"_a, "initial"_a.none(), "force"_a.none(), "torsion"_a.none(),
-             "before"_a.none(), "optimum"_a, "trace"_a.none(), "wrench"_a, "positions"_a.none(), "normals"_a.none(),
-             "friction"_a.none(), "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
+        .def("solve_from", &Solver::solve_from, "start"_a, "initial"_a.none(), "force"_a.none(), "before"_a.none(), "optimum"_a,
+             "trace"_a.none(), "wrench"_a, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(),
+             "torque_bias"_a.none(), "contacts"_a.none(),
              "The same from a start of its own; optimum: a known minimum or nan; trace: (T,) receives Phi of the first iterates.")
-        .def("start", &Solver::start, "start"_a, "force"_a.none(), "torsion"_a.none(), "before"_a.none(), "wrench"_a,
-             "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(), "torque_bias"_a.none(),
-             "contacts"_a.none(), "The row of the start alone.")
+        .def("start", &Solver::start, "start"_a, "force"_a.none(), "before"_a.none(), "wrench"_a, "positions"_a.none(),
+             "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(), "torque_bias"_a.none(), "contacts"_a.none(),
+             "The row of the start alone.")
         .def("update", &Solver::update, "positions"_a.none(), "normals"_a.none(), "friction"_a.none(), "jacobian"_a.none(),
              "torque_bias"_a.none(),
              "From now on contacts and limits are these; False: they are not possible, and nothing has changed.")
@@ -278,5 +276,5 @@ void bind_optimizer(nb::module_& m) {
         .def_rw("previous", &Solver::previous, nb::for_setter(nb::arg("solution").none()),
                 "The last solution that has a force, or None.")
         .def_ro("ended", &Solver::ended, "The row of the last call that returned None, unless it could not read its arguments.")
-        .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Doubles of a row.");
+        .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Numbers of a row.");
 }
