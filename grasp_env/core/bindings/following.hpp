@@ -20,7 +20,7 @@ template <class Solver> int follow(Solver& newton, nb::handle wrench, nb::handle
 }
 
 inline constexpr const char* SOLVE_MANY =
-    "(M, 6) into (M, 20 + 7N), each as `solve` without a previous record or with its row of `previous`; releases the GIL.";
+    "(M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.";
 template <class Solver> void solve_many(const Solver& solver, nb::handle wrenches, nb::handle previous, nb::handle records) {
     const int size = grasp::record_size(solver.contacts.count);
     const Numbers loads = in(wrenches, -1, 6);

@@ -104,9 +104,9 @@ void bind_newton(nb::module_& m) {
     m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
           "The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest "
           "(Eqs. 33, 34).");
-    m.def("solve_scaled", &solve_scaled, "contacts"_a, "scales"_a, "wrenches"_a, "forces"_a, "tolerance"_a, "limit"_a,
-          "records"_a,
-          "Newton from given forces (M, N, 3) on contacts with M scales (M, N, 3) of cone coordinates, into (M, 20 + 7N).");
+    m.def(
+        "solve_scaled", &solve_scaled, "contacts"_a, "scales"_a, "wrenches"_a, "forces"_a, "tolerance"_a, "limit"_a, "records"_a,
+        "Newton from given forces (M, N, 3) on contacts with M scales (M, N, 3) of cone coordinates, into (M, record_size(N)).");
     nb::class_<Newton>(m, "Newton",
                        "Newton on Phi and the starts, on the hard contacts of one grasp; x is in cone coordinates [N].")
         .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a)

@@ -95,10 +95,10 @@ public:
         : options_(options), home_(problem.contacts), now_(home_), limits_(problem.limits, home_.count),
           joints_(int(limits_.joints())), newton_(home_.count, {options.gap(), options.limit}),
           conic_(home_.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}), home_tangents_(newton_.cones),
-          rest_(newton_.cones.field()), begun_(newton_.cones.field()), spare_(newton_.cones.field()),
+          rest_(newton_.cones.field()), origin_(newton_.cones.field()), spare_(newton_.cones.field()),
           guess_(newton_.cones.field()), general_(home_.count, limits_.rows, home_.soft()), inner_(record_size(home_.count)),
           turned_(4 * home_.count * joints_), force_(3 * home_.count), gathered_(6 * home_.count),
-          divisor_(home_.count, infinity), chosen_(home_.count) {
+          divisor_(home_.count, infinity), turn_(home_.count), least_(home_.count), most_(home_.count), chosen_(home_.count) {
         if (home_.placing == Placing::refused || home_.placing == Placing::rank_lost)
             throw std::invalid_argument("the contacts must be placed: Contacts::from");
         if (limits_.rows) limited_.emplace(home_.count, newton_.options), limited_->elastic = options.elastic;
@@ -145,7 +145,7 @@ public:
     Code start(const Ask& ask, double* row) override {
         const Record out = opened(ask, row);
         Code code = place(ask.now);
-        if (code == CONVERGED) code = sane_wrench(ask.wrench) ? begun(ask, inner()) : REFUSED;
+        if (code == CONVERGED) code = sane_wrench(ask.wrench) ? write_start(ask, inner()) : REFUSED;
         return deliver(code, out, false);
     }
 
@@ -208,13 +208,14 @@ private:
     std::optional<FlowOn<V, B>> flow_;
     std::optional<Prediction<V, B>> predicted_;
     Tangents<V, B> home_tangents_;
-    Field rest_, begun_, spare_, guess_;  // an internal force; where a descent begins; to work with; what a model predicts
+    Field rest_, origin_, spare_, guess_;  // an internal force; where a descent begins; to work with; what a model predicts
     General general_;
     LimitTable table_;
     std::vector<double> inner_, turned_, force_, gathered_, divisor_;
-    std::vector<int> chosen_;  // the numbers of the contacts of now
+    std::vector<double> turn_, least_, most_;  // torsion of a start; limits of normal forces of the contacts that touch
+    std::vector<int> chosen_;  // their numbers
 
-    // Of the contacts of now.
+    // Of the contacts in place.
     Kind kind_ = Kind::hard;
     Code placed_ = REFUSED;
     bool home_now_ = false;  // whether they are those of the problem
@@ -320,11 +321,11 @@ private:
         const auto clear = [](Field& x) {
             for (auto& v : x) v = {all<V>(1.0), V{}, V{}};
         };
-        clear(newton_.x), clear(begun_), clear(spare_), clear(guess_), clear(rest_);
+        clear(newton_.x), clear(origin_), clear(spare_), clear(guess_), clear(rest_);
         if (limited_) clear(limited_->newton.x);
         if (soft_) clear(soft_->newton.x);
     }
-    // Limits of the contacts of now, and what kind of problem that makes; false: numbers that are none.
+    // Limits of the contacts in place, and what kind of problem they make; false: numbers that are none.
     bool limit(const Now& now) {
         jacobian_ = now.jacobian.empty() ? Doubles(limits_.jacobian) : now.jacobian;
         bias_ = now.torque_bias.empty() ? Doubles(limits_.torque_bias) : now.torque_bias;
@@ -341,7 +342,7 @@ private:
             if (!(std::abs(value) <= LARGEST)) return false;
         for (double value : bias_)
             if (!(std::abs(value) <= LARGEST)) return false;
-        const bool own = table_.fill(now_, of_now(), 4);
+        const bool own = table_.fill(now_, limits_in_place(), 4);
         if (soft) return true;
         kind_ = own ? Kind::limited : Kind::other;
         if (!own) return true;
@@ -363,8 +364,8 @@ private:
                     rows < 6 ? 0.0 : f[0] * from[3 * joints_ + j] + f[3] * from[4 * joints_ + j] + f[6] * from[5 * joints_ + j];
         }
     }
-    // The limits of the contacts of now, with the Jacobian (n, 4, J) in contact frames.
-    ForceLimits of_now() {
+    // The limits of the contacts in place, with the Jacobian (n, 4, J) in contact frames.
+    ForceLimits limits_in_place() {
         const auto chosen = [&](const std::vector<double>& from, std::vector<double>& to) {
             if (from.empty()) return Doubles{};
             to.resize(now_.count);
@@ -374,8 +375,6 @@ private:
         return {chosen(limits_.min_normal, least_), chosen(limits_.max_normal, most_),
                 Doubles(turned_).first(std::size_t(4) * now_.count * joints_), limits_.torque_limit, bias_};
     }
-    std::vector<double> least_ = std::vector<double>(home_.count), most_ = least_;
-
     void ready_conic() {
         if (conic_ready_) return;
         conic_.cones = newton_.cones, conic_.rest = rest_, conic_ready_ = true;
@@ -383,7 +382,7 @@ private:
     bool ready_general() {
         if (!general_ready_ || !general_.placed())  // a copy of it holds nothing
             general_ready_ = general_.place(now_, torsional() ? divisor_.data() : nullptr,
-                                            limits_.rows ? of_now() : ForceLimits{}, 4, internal()) == Placing::good;
+                                            limits_.rows ? limits_in_place() : ForceLimits{}, 4, internal()) == Placing::good;
         return general_ready_;
     }
     // An internal force as the general program takes one, whatever was sought before; null: none.
@@ -392,7 +391,7 @@ private:
         newton_.cones.store_force(rest_, force_.data());
         return force_.data();
     }
-    // An internal force of the contacts of now, of least Phi among its multiples; false without force closure.
+    // An internal force of the contacts in place, of least Phi among its multiples; false without force closure.
     bool rest(bool thorough = false) {
         if (!rest_sought_ || (thorough && !has_rest_)) {
             rest_sought_ = true;
@@ -530,7 +529,7 @@ private:
         return true;
     }
 
-    // A previous solution in the frames of now, balanced by the change that is least in the Hessian of Phi.
+    // A previous solution in the current frames, balanced by the change that is least in the Hessian of Phi.
     bool carry(const Ask& ask, const Vec6& w) {
         if (!load_previous(ask)) return false;
         Field& x = newton_.x;
@@ -538,13 +537,13 @@ private:
         const bool follows = before < infinity && newton_.starter.tangent(newton_.cones, newton_.system, w, x);
         if (follows && newton_.cones.phi(x) <= CLOSE * before) return true;
         if (!follows) newton_.cones.balance(x, w);
-        begun_ = x;
+        origin_ = x;
         if (!rest()) return follows && newton_.cones.phi(x) < infinity;
         grasp::begin(newton_.cones, rest_, w, spare_);
-        x = begun_;
+        x = origin_;
         return newton_.starter.segment(newton_.cones, spare_, x) > 0.0;
     }
-    // Into newton_.x and force_: of the contacts that touch now, in their frames.
+    // Into newton_.x, force_ and turn_: of the contacts that touch now, in their frames.
     bool load_previous(const Ask& ask) {
         if (!ask.previous) return false;
         const Record before(const_cast<double*>(ask.previous));  // only read
@@ -553,6 +552,7 @@ private:
             const double *f = before.force() + 3 * chosen_[i], *from = before.frames() + 9 * chosen_[i],
                          *to = &now_.frames[9 * i];
             double* out = &force_[3 * i];
+            turn_[i] = before.torsion()[chosen_[i]];
             if (std::equal(from, from + 9, to)) {
                 std::copy_n(f, 3, out);
                 continue;
@@ -567,7 +567,7 @@ private:
         return true;
     }
 
-    // What is given, into force_ and least_; whether it is balanced and strictly inside the cones.
+    // What is given, into force_ and turn_; whether it is balanced and strictly inside the cones.
     bool load_given(const Ask& ask) {
         const std::size_t all = home_.count;
         if (ask.force.size() != 3 * all || (!ask.torsion.empty() && ask.torsion.size() != all)) return false;
@@ -575,13 +575,13 @@ private:
         for (int i = 0; i < now_.count; ++i) {
             const double* f = &ask.force[3 * chosen_[i]];
             std::copy_n(f, 3, &force_[3 * i]);
-            least_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
-            if (least_[i] != 0.0 && !(divisor_[i] * std::abs(least_[i]) < now_.scale[3 * i] * f[0])) return false;
+            turn_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
+            if (turn_[i] != 0.0 && !(divisor_[i] * std::abs(turn_[i]) < now_.scale[3 * i] * f[0])) return false;
             for (int a = 0; a < 3; ++a) most = std::max(most, std::abs(f[a]));
         }
         newton_.cones.load_force(force_.data(), newton_.x);
         if (!newton_.cones.sane(newton_.x) || !(newton_.cones.phi(newton_.x) < infinity)) return false;
-        const double missed = general_.missed(ask.wrench, force_.data(), least_.data());
+        const double missed = general_.missed(ask.wrench, force_.data(), turn_.data());
         return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(newton_.cones.unit.of(ask.wrench)));
     }
 
@@ -597,9 +597,9 @@ private:
         if (home_now_) {
             predicted_->force(cones, ask.wrench, w, x);
         } else {  // the internal force that it predicts turns with the contacts
-            for (auto& v : begun_) v = {V{}, V{}, V{}};
-            predicted_->add(ask.wrench, begun_);
-            starter.turn(cones, begun_, home_tangents_, x);
+            for (auto& v : origin_) v = {V{}, V{}, V{}};
+            predicted_->add(ask.wrench, origin_);
+            starter.turn(cones, origin_, home_tangents_, x);
         }
         cones.balance(x, w);  // whatever the model's file says internal forces are
         const double safe = cones.phi(spare_), said = cones.phi(x);
@@ -618,7 +618,7 @@ private:
     }
 
     // The start of what would serve the call, as a record.
-    Code begun(const Ask& ask, const Record& record) {
+    Code write_start(const Ask& ask, const Record& record) {
         record.clear();
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
         const bool general_serves =
@@ -674,8 +674,8 @@ private:
         if (begun == REFUSED) return REFUSED;
         Code code = REFUSED;
         if (begun == CONVERGED) {
-            begun_ = newton_.x;
-            code = newton_.descend_from(begun_, call_of(ask), w, record);
+            origin_ = newton_.x;
+            code = newton_.descend_from(origin_, call_of(ask), w, record);
         }
         if (code == REFUSED) return used_ == Start::given ? REFUSED : general(ask, record);
         if (code == STALLED && !studied(ask) && ready_general()) code = general_.phi_from(newton_.options, record);
@@ -719,9 +719,7 @@ private:
         used_ = asked(ask), replaced_ = outside_ = false;
         if (used_ == Start::given) return general(ask, record);
         if (used_ == Start::previous && load_previous(ask)) {
-            const Record before(const_cast<double*>(ask.previous));
-            for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
-            call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
+            call.start = From::tangent, call.force = force_.data(), call.torsion = turn_.data();
         }
         const bool follows = call.start == From::tangent;
         const auto make = [&](const Vec6&) {
@@ -762,11 +760,9 @@ private:
             used_ = Start::phase_one;
             if (start == Start::given) {
                 if (!load_given(ask)) return REFUSED;
-                used_ = start, call.start = From::given, call.force = force_.data(), call.torsion = least_.data();
+                used_ = start, call.start = From::given, call.force = force_.data(), call.torsion = turn_.data();
             } else if (start == Start::previous && load_previous(ask)) {
-                const Record before(const_cast<double*>(ask.previous));
-                for (int i = 0; i < now_.count; ++i) least_[i] = before.torsion()[chosen_[i]];
-                used_ = start, call.start = From::tangent, call.force = force_.data(), call.torsion = least_.data();
+                used_ = start, call.start = From::tangent, call.force = force_.data(), call.torsion = turn_.data();
             }
             const bool own =
                 start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous);
@@ -784,8 +780,8 @@ private:
     Code deliver(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
         const int all = home_.count;
-        const bool whole = code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED;
-        if (!whole) {
+        s.code = code;
+        if (!out.has_force()) {
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);
             if (code == INFEASIBLE) {
                 const Summary& from = inner().summary();
@@ -793,7 +789,6 @@ private:
                 s.multipliers = from.multipliers;
                 s.objective = s.lower_bound = infinity, s.start = double(used_), s.replaced = replaced_;
             }
-            s.code = code;
             return code;
         }
         const Record from = inner();
@@ -857,7 +852,7 @@ private:
         }
         out.summary().limit_excess = excess;
     }
-    // Of the k-th row of the contacts of now: what an optimum's is.
+    // The price of the k-th row of the contacts in place, at an optimum.
     double row_price(int k, const Record& from) const {
         if (by_general_) return general_.prices()[k];
         const int i = table_.owners[k];

@@ -117,9 +117,11 @@ public:
     // The start into a record: LIMIT, for a descent has to go on from it; REFUSED: numbers that are not finite.
     // previous: (3N,) an optimum of another wrench [N], or null.
     Code start(const double* wrench, const double* previous, const Record& record) {
-        Vec6 w;
-        if (!begin(wrench, previous, w, record)) return REFUSED;
         Summary& s = record.summary();
+        s.code = REFUSED;
+        if (!sane_wrench(wrench)) return REFUSED;
+        const Vec6 w = newton.cones.unit.of(wrench);
+        if (!begin(wrench, previous, w)) return REFUSED;
         s.code = LIMIT, s.iterations = s.trials = 0.0, s.objective = newton.cones.phi(newton.x), s.lower_bound = -infinity;
         s.limit_excess = 0.0, s.multipliers.fill(0.0);
         std::copy(wrench, wrench + 6, s.wrench.begin());
@@ -131,8 +133,10 @@ public:
 
     // The start, and Newton from it.
     Code solve(const double* wrench, const double* previous, const Record& record) {
-        Vec6 w;
-        if (!begin(wrench, previous, w, record)) return REFUSED;
+        record.summary().code = REFUSED;
+        if (!sane_wrench(wrench)) return REFUSED;
+        const Vec6 w = newton.cones.unit.of(wrench);
+        if (!begin(wrench, previous, w)) return REFUSED;
         const Call call{.wrench = wrench, .start = From::given};
         begun_ = newton.x;
         const Code code = newton.descend_from(begun_, call, w, record);
@@ -142,14 +146,11 @@ public:
         return newton.descend_from(safe_, call, w, record);
     }
 
-    // The best of the combination, the network's force and the previous optimum, in newton.x, and the wrench in the unit frame;
-    // false, and REFUSED in the record, where numbers are not finite.
-    bool begin(const double* wrench, const double* previous, Vec6& w, const Record& record) {
-        record.summary().code = REFUSED;
-        if (!sane_wrench(wrench)) return false;
+    // The best of the combination, the network's force and the previous optimum, in newton.x; false: numbers out of range.
+    // w: the wrench in the unit frame.
+    bool begin(const double* wrench, const double* previous, const Vec6& w) {
         auto& cones = newton.cones;
         auto& starter = newton.starter;
-        w = cones.unit.of(wrench);
         outside = !covers(wrench);
         starter.combine(wrench, safe_);
         double value = cones.phi(safe_);

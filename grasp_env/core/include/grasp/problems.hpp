@@ -191,8 +191,8 @@ inline constexpr int FEW = REGISTER / 2;  // problems that are not worth the lan
 struct Many {
     std::ptrdiff_t count;
     const double* wrenches;  // (M, 6) [N, N m]
-    double* rows;  // (M, 20 + 7N) records
-    const double* previous = nullptr;  // (M, 20 + 7N) of other solutions to start from, or none
+    double* rows;  // (M, record_size(N))
+    const double* previous = nullptr;  // (M, record_size(N)) of other solutions to start from, or none
 
     const double* wrench(std::ptrdiff_t k) const { return wrenches + 6 * k; }
     Record record(std::ptrdiff_t k, int contacts) const { return {rows + record_size(contacts) * k, contacts}; }
@@ -207,18 +207,25 @@ struct Many {
     }
 };
 
-// Newton on many wrenches of one grasp. begin(k, w, record): makes the start of problem k in one.x and its wrench in the unit
-// frame, or writes the record and returns false; alone(k, record): solves it in the ordinary way.
+// Newton on many wrenches of one grasp. begin(k, w): makes the start of problem k in one.x, for its wrench in the unit frame, or
+// returns false: it is refused; alone(k, record): solves it in the ordinary way.
 template <class V, int B, class Begin, class Alone>
 void newton_many(NewtonOn<V, B>& one, const Many& many, Begin&& begin, Alone&& alone) {
     auto& cones = one.cones;
     const int count = cones.count;
+    if (many.count < FEW) {
+        for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
+        return;
+    }
     NewtonLanes<REGISTER> lanes(cones, one.options);
     std::vector<double> x(3 * count);
     const auto enter = [&](int lane, std::ptrdiff_t k) {
         const Record record = many.record(k, count);
-        Vec6 w;
-        if (!begin(k, w, record)) return false;
+        const Vec6 w = cones.unit.of(many.wrench(k));
+        if (!sane_wrench(many.wrench(k)) || !begin(k, w)) {
+            record.summary().code = REFUSED;
+            return false;
+        }
         cones.store_force(one.x, record.initial_force()), cones.store(one.x, x.data());
         const double value = cones.phi(one.x);
         if (!(value < infinity)) {
@@ -242,35 +249,16 @@ void newton_many(NewtonOn<V, B>& one, const Many& many, Begin&& begin, Alone&& a
 
 // The same from an internal force strictly inside the cones.
 template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const Many& many) {
-    const int count = one.cones.count;
-    const auto alone = [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); };
-    if (many.count < FEW) {
-        for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
-        return;
-    }
-    const auto start = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
-        record.summary().code = REFUSED;
-        w = one.cones.unit.of(many.wrench(k));
-        begin(one.cones, rest, w, one.x);
-        return sane_wrench(many.wrench(k));
-    };
-    newton_many(one, many, start, alone);
+    const auto start = [&](std::ptrdiff_t, const Vec6& w) { return begin(one.cones, rest, w, one.x), true; };
+    newton_many(one, many, start,
+                [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); });
 }
 
 // The same from the combination, or from the previous solutions.
 template <class V, int B> void newton_many(NewtonOn<V, B>& one, const Many& many) {
     const int count = one.cones.count;
-    const auto alone = [&](std::ptrdiff_t k, const Record& record) { one.solve(many.call(k, count), record); };
-    if (many.count < FEW) {
-        for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
-        return;
-    }
-    const auto begin = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
-        record.summary().code = REFUSED;
-        w = one.cones.unit.of(many.wrench(k));
-        return sane_wrench(many.wrench(k)) && one.begin(many.call(k, count), w);
-    };
-    newton_many(one, many, begin, alone);
+    const auto begin = [&](std::ptrdiff_t k, const Vec6& w) { return one.begin(many.call(k, count), w); };
+    newton_many(one, many, begin, [&](std::ptrdiff_t k, const Record& record) { one.solve(many.call(k, count), record); });
 }
 
 // The least sum of normal forces, for many wrenches of one grasp.

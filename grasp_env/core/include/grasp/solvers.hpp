@@ -59,7 +59,7 @@ protected:
 // Newton on Phi within limits on each contact's force; see `LimitedOn`.
 class alignas(64) LimitedNewton {
 public:
-    Contacts contacts;  // of now
+    Contacts contacts;  // the current ones
 
     // basis: (13, 3N) as of `Newton`
     static std::unique_ptr<LimitedNewton> make(const Contacts& contacts, const Stop& options, const LimitRows& rows,
@@ -333,8 +333,8 @@ public:
     }
     void solve_many(const Many& many) override {
         on_.newton.options = options;
-        const auto begin = [&](std::ptrdiff_t k, Vec6& w, const Record& record) {
-            return on_.begin(many.wrench(k), many.call(k, contacts.count).force, w, record);
+        const auto begin = [&](std::ptrdiff_t k, const Vec6& w) {
+            return on_.begin(many.wrench(k), many.call(k, contacts.count).force, w);
         };
         newton_many(on_.newton, many, begin, [&](std::ptrdiff_t k, const Record& record) {
             on_.solve(many.wrench(k), many.call(k, contacts.count).force, record);
