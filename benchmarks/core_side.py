@@ -77,7 +77,7 @@ def path_of(case: Case, *more: str) -> list[Any]:
 
 
 def moving(case: Case, passes: int, **options: Any) -> Answers:
-    """Contacts and wrench of now into a certified force, from Python, along the path."""
+    """Current contacts and wrench into a certified force, from Python, along the path."""
     from grasp_env import force
 
     options |= {"method": "newton", "tolerance": 1e-4}
@@ -90,7 +90,7 @@ def moving(case: Case, passes: int, **options: Any) -> Answers:
 
 
 def within_limits(case: Case, passes: int, part: float = 1.0, wanted: str = "OPTIMAL", **options: Any) -> Answers:
-    """The same with the Jacobian of now (three joints a finger), within a part of the torque limits."""
+    """The same with the current Jacobian (three joints a finger), within a part of the torque limits."""
     from grasp_env import force
     from grasp_env.errors import InfeasibleWrenchError
     from grasp_env.grasp import Grasp
@@ -184,9 +184,9 @@ ROWS: dict[str, tuple[str, Callable[[Case, int], Answers]]] = {
     ),
     "conic": ("conic to 1e-6, compiled call", lambda *given: compiled(*given, method="conic", tolerance=1e-6)),
     "conic_python": ("the same, ForceOptimizer.solve from Python", lambda *given: python(*given, method="conic", tolerance=1e-6)),
-    "moving_newton": ("contacts of now to certified force by newton to 1e-4, no history, from Python", moving),
+    "moving_newton": ("current contacts to certified force by newton to 1e-4, no history, from Python", moving),
     "moving_newton_previous": ("the same from the previous solution", lambda *given: moving(*given, initial="previous")),
-    "moving_limits": ("contacts and Jacobian of now within torque limits, newton to 1e-4, from Python", within_limits),
+    "moving_limits": ("current contacts and Jacobian within torque limits, newton to 1e-4, from Python", within_limits),
     "moving_limits_previous": ("the same from the previous solution", lambda *given: within_limits(*given, initial="previous")),
     "moving_limits_infeasible": (
         "the same where no force keeps the limits, with the error", lambda *given: within_limits(*given, part=0.05, wanted="INFEASIBLE")

@@ -2,7 +2,7 @@
 Contacts that move, at 1 kHz
 ============================
 
-Four fingers hold a cuboid that is turned, and their tips roll. To learn: ``solve`` takes the contacts of now, and goes
+Four fingers hold a cuboid that is turned, and their tips roll. To learn: ``solve`` takes the current contacts, and goes
 on from its last solution; a grasp and a solver made anew give the same forces, many times slower. In C++:
 ``02_moving_contacts.cpp``.
 """
@@ -21,7 +21,7 @@ jacobian = np.kron(np.eye(4), [[0.05, 0, 0], [0.01, -0.02, -0.03], [0.06, 0.05, 
 
 
 def world(seconds):
-    """Contact points [m], inward normals and the wrench [N, N m] of now, all in the object's frame."""
+    """Contact points [m], inward normals and the wrench [N, N m] at this moment, all in the object's frame."""
     roll, turn = 6 * seconds + np.arange(4), np.pi * seconds  # the tips by a millimetre, the cuboid about y
     points = nominal.positions + 1e-3 * np.column_stack([np.sin(roll), np.cos(roll), np.zeros(4)])
     normals = nominal.normals + 1e-2 * np.column_stack([np.sin(roll), np.zeros((4, 2))])

@@ -65,7 +65,7 @@ class ForceLoop:
     Attributes:
         iterations, trials: of all optimisations since `begin_step`.
         solution: the last optimisation; None before the first, after one that failed, and for controllers without any.
-        closure: whether the contacts of now can balance the wrench.
+        closure: whether the current contacts can balance the wrench.
         seen: what the controller sees of the scene.
         wrench: (6,) that the forces balance [N, N m], object frame.
         torques: (M,) of the joints, commanded [N m].
@@ -287,7 +287,7 @@ class ForceLoop:
         return solution
 
     def limits(self, fingers: Indices) -> ForceLimits:
-        """The motors' limits on the forces of some fingers (n,) at the contacts of now: what their links' weight leaves."""
+        """The motors' limits on the forces of some fingers (n,) at the current contacts: what their links' weight leaves."""
         seen, kinematics = self.seen, self.scene.kinematics
         jacobian = np.empty((len(fingers), 6, len(seen.angles)))
         _, y, z = seen.rotation.T

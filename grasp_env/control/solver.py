@@ -28,16 +28,16 @@ from grasp_env.grasp.null_space import null_space_basis, reference_basis
 
 METHODS = ("reduced_flow", "newton")
 STARTS = ("linear_combination", "previous")
-"""What the core's `Pipeline` solves; all else is the `ForceOptimizer`'s."""
+"""Methods of the core's `Pipeline`; `ForceOptimizer` solves the others."""
 
 
 class ContactSolver:
     """Optimal forces of hard contacts that move a little from call to call, held where the control loop carries them on.
 
     The paper's start, or the previous solution, and a method on Phi are one compiled call. That start is the combination of the 12
-    offline optima of the nominal grasp, taken to the contacts of now by the tangent correction; where that leaves the cones, or Phi grows
-    by more than a factor of two, the 12 optima are computed again for the contacts of now. All else, and what that call refuses, is
-    `ForceOptimizer.solve` on the contacts of now. A result depends on the nominal grasp and the calls since `reset`, on nothing else.
+    offline optima of the nominal grasp, taken to the current contacts by the tangent correction; where that leaves the cones, or Phi grows
+    by more than a factor of two, the 12 optima are computed again for the current contacts. All else, and what that call refuses, is
+    `ForceOptimizer.solve` on the current contacts. A result depends on the nominal grasp and the calls since `reset`, on nothing else.
 
     Attributes:
         core: holds the last optimum, from where the control loop carries it on.
@@ -61,9 +61,7 @@ class ContactSolver:
         self.objective = Objective(options["force_weight"], options["barrier_weight"])
         if self._compiled:  # what it refuses has neither this start nor a solution before
             options = {**options, "initial": None}
-        elif (
-            is_a(initial, str) and initial in RULES
-        ):  # of the contacts of now, where a name's 12 optima are the nominal ones
+        elif is_a(initial, str) and initial in RULES:  # made for the contacts of the call, not for the nominal ones
             options = {**options, "initial": initial_rule(initial, self.objective)}
         self._optimizer = ForceOptimizer(grasp, **options)
         made = self._optimizer.options
@@ -83,13 +81,13 @@ class ContactSolver:
         self.core.reset()
 
     def solve(self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None = None) -> ForceSolution:
-        """The optimal force on the contacts of now, in frames by the default rule.
+        """The optimal force on the current contacts, in frames by the default rule.
 
         Args:
             points: (N, 3) contact points [m], object frame. All arrays are C-contiguous float64.
             normals: (N, 3) inward unit normals, object frame.
             wrench: (6,) external wrench on the object [N, N m], object frame.
-            adjust: (3N - 6,) coordinates [N] in `null_space_basis(grasp of now, self.reference)` of an internal force added to
+            adjust: (3N - 6,) coordinates [N] in `null_space_basis(current grasp, self.reference)` of an internal force added to
                 the start, which is then repaired (`Repair`); None: none. `conic`, which has no start, ignores it.
 
         Raises:
@@ -113,7 +111,7 @@ class ContactSolver:
     def _solve_compiled(
         self, points: Array, normals: Array, wrench: Wrench, adjust: Array | None
     ) -> ForceSolution | None:
-        """The core's call, where need be once more with the 12 optima of the contacts of now; None: it has no solution."""
+        """The core's call, where need be once more with the 12 optima of the current contacts; None: it has no solution."""
         record = np.zeros(record_size(self.grasp.n_contacts))
         code = self.core.solve(points, normals, wrench, adjust, record)
         if code == REFUSED:

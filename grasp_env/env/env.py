@@ -351,7 +351,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         return external, push
 
     def _believed_gravity(self, scene: Scene) -> Array:
-        """(3,) [m/s^2] that the controller counts on: the one of now only where wrenches are measured."""
+        """(3,) [m/s^2] that the controller counts on: the current one only where wrenches are measured."""
         return scene.gravity if self.config.wrench == "measured" else self._upright
 
     def _lost(self) -> str:

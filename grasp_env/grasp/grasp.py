@@ -232,7 +232,7 @@ class Grasp:
 
     @property
     def contacts(self) -> Contacts:
-        """What the core's solvers are made of."""
+        """The compiled contacts, which every solver takes."""
         return vars(self)["_contacts"]
 
     @property

@@ -151,7 +151,7 @@ class Mujoco(Simulator):
         return self.data
 
     def _turned(self) -> Array:
-        """Object frame to world frame, (3, 3), of now: MuJoCo's own is that of the start of its last step."""
+        """Object frame to world frame, (3, 3), at present: MuJoCo's own is that of the start of its last step."""
         mujoco.mju_quat2Mat(self._rotation, self.data.qpos[self._turn])
         return self._rotation.reshape(3, 3)
 

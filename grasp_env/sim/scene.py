@@ -34,7 +34,7 @@ class Scene:
 
     Attributes:
         simulator: The physics engine that `config.engine` names. kinematics: of the hand. core: hand, object and what was read, in the core.
-        gravity: (3,) of now [m/s^2], world frame.
+        gravity: (3,) current [m/s^2], world frame.
 
     Raises:
         InvalidInputError: A finger cannot reach its contact.

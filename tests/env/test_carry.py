@@ -35,10 +35,10 @@ def test_carry_follows_the_optimum(count: int) -> None:
             np.testing.assert_array_equal(array, before)
         grasp = grasp_of(count, points, normals)
         assert grasp.residual(force, wrench) < 1e-9
-        # to first order the optimum of now
+        # to first order the current optimum
         best = ForceOptimizer(grasp, method="newton", tolerance=1e-10).solve(wrench)
         np.testing.assert_allclose(force, best.force, atol=1e-2)
-        # the tangent correction of now, exactly: the tangents turn by less than rounding shows
+        # the current tangent correction, exactly: the tangents turn by less than rounding shows
         x = tangent_correction(pipeline.x, grasp.cone_matrix, wrench, WEIGHTS[count])
         np.testing.assert_allclose(grasp.to_cone(force), x, atol=1e-5)
 

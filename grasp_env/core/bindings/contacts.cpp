@@ -116,7 +116,7 @@ Contacts put(nb::handle positions, nb::handle normals, nb::handle scale, nb::han
     return made;
 }
 
-// Copies for solvers, whose directions of o are those of now.
+// Copies for solvers, with the current directions of o.
 template <class Weights> Contacts weighed(const Contacts& contacts, const Weights& weights) {
     if (contacts.placing != Placing::good) throw nb::value_error("rank(G) < 6");
     Contacts made = contacts;
@@ -188,7 +188,7 @@ void bind_contacts(nb::module_& m) {
         .def_static("put", &put, "positions"_a, "normals"_a, "scale"_a, "torsion"_a, "tangents"_a,
                     "The same with (N,) torsional friction [m], wherever they are: see `refused` and `clear`.")
         .def("weighed", &weighed_alike, "force_weight"_a, "barrier_weight"_a,
-             "A copy for solvers with omega and lambda, its tangents those of now. ValueError where the rank of G is not 6.")
+             "A copy for solvers with omega and lambda, with the current tangents. ValueError where the rank of G is not 6.")
         .def("weighed", &weighed_each, "weights"_a, "The same with (N, 2) omega and lambda.")
         .def_ro("count", &Contacts::count, "N.")
         .def_prop_ro(

@@ -83,9 +83,9 @@ void bind_pipeline(nb::module_& m) {
             },
             "basis"_a, "frames"_a, "Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.")
         .def("solve", &solve, "points"_a.none(), "normals"_a.none(), "wrench"_a.none(), "adjust"_a.none(), "record"_a,
-             "Contacts (N, 3) of now, wrench (6,), adjust (3N - 6,) or None into a record; returns the code.")
+             "Current contacts (N, 3), wrench (6,), adjust (3N - 6,) or None into a record; returns the code.")
         .def("carry", &carry, "points"_a, "normals"_a, "wrench"_a, "force"_a,
-             "The last optimum carried to contacts and wrench of now, (N, 3); 0: carried, 1: repaired, 2: clipped.")
+             "The last optimum carried to the current contacts and wrench, (N, 3); 0: carried, 1: repaired, 2: clipped.")
         .def("carry_from", &carry_from, "points"_a, "normals"_a, "wrench"_a, "then"_a, "frames"_a, "force"_a,
              "The same of forces (N, 3) [N] in frames (N, 3, 3) of contacts nearby.")
         .def("arrays", &arrays, "Views of what is held, by name: overwritten in place.");

@@ -23,7 +23,7 @@ int main() {
     auto next = Clock::now();
     for (int tick = 0; tick < 1000; ++tick) {
         const double turn = std::numbers::pi * tick * 1e-3;
-        for (int i = 0; i < 4; ++i) {  // contacts of now: they roll by a millimetre and a hundredth of a radian
+        for (int i = 0; i < 4; ++i) {  // current contacts: they roll by a millimetre and a hundredth of a radian
             const double roll = 6e-3 * tick + i, size = std::hypot(1, 0.01 * std::sin(roll));
             p[3 * i] = POSITIONS[3 * i] + 1e-3 * std::sin(roll), p[3 * i + 1] = POSITIONS[3 * i + 1] + 1e-3 * std::cos(roll);
             n[3 * i] = 0.01 * std::sin(roll) / size, n[3 * i + 1] = 0, n[3 * i + 2] = NORMALS[3 * i + 2] / size;

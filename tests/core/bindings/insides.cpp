@@ -99,7 +99,7 @@ public:
         starter().combine(numbers(wrench, 6), x);
         return out(x);
     }
-    // found or not, and the combination carried to the contacts of now
+    // found or not, and the combination carried to the current contacts
     nb::tuple combination(const In& wrench, bool moved) {
         Field x = cones().field();
         starter().moved = moved;

@@ -166,7 +166,7 @@ int main(int given, char** arguments) {
         }
     }
 
-    // contacts of a call, of now on, and some of them
+    // contacts of a call, from then on, and some of them
     const auto point = [](int k) {
         std::array<double, 12> out;
         for (int j = 0; j < 12; ++j) out[j] = positions[j] + 0.0005 * std::sin(0.01 * k + j);

@@ -15,7 +15,7 @@ public:
 
     int dimension() const { return columns_; }
 
-    // False where the reference does not span the null space of the contacts of now.
+    // False where the reference does not span the null space of the current contacts.
     bool place(const Contacts& c) {
         for (int j = 0; j < size_; ++j)
             for (int k = 0; k < columns_; ++k) {

@@ -116,7 +116,7 @@ public:
         const auto good = [](double v) { return v > 0.0 && v < infinity; };
         return std::ranges::all_of(omega, good) && std::ranges::all_of(lambda, good);
     }
-    // From now on the directions of o are those of the contacts of now, projected, instead of those of the default rule.
+    // From now on the directions of o are those of the current contacts, projected, instead of those of the default rule.
     void keep_tangents() {
         tangents.resize(3 * count);
         for (int j = 0; j < 3 * count; ++j) tangents[j] = frames[3 * j + 1];

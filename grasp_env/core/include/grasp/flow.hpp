@@ -25,7 +25,7 @@ public:
         : rule(rule), projection_(cones, form), next_(cones.field()), gradient_(cones.field()), there_(cones.field()),
           step_(cones.field()), past_(cones.field()) {}
 
-    // The contacts of now; false where G has lost rank.
+    // The current contacts; false where G has lost rank.
     bool place(const Cones<V, B>& cones) { return projection_.place(cones); }
 
     // The step at x made so many times; returns its last number.

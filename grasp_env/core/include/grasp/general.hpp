@@ -24,7 +24,7 @@ public:
         return *this;
     }
 
-    // The contacts of now, in their place, and their weights. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <= normal force in cone
+    // The current contacts, in their place, and their weights. torsion_divisor: (N,) v = divisor * torsion [1 / m], abs(v) <= normal force in cone
     // coordinates; inf or 0: not soft; null: none is. limits: their Jacobian is (N, each, J), each 3 or, with the torsion's row, 4.
     // internal: (N, 3) a force strictly inside the cones that balances itself, where one is known: `conic` finds one else. rank_lost: not even
     // with torsion do the contacts make all wrenches. Nothing is kept of the arguments.

@@ -72,8 +72,8 @@ public:
         return code;
     }
 
-    // Between two solves: the last optimum carried to contacts and wrench of now, back inside the cones if need be. Changes
-    // nothing that is held. force: (N, 3) [N] in the frames of the contacts of now.
+    // Between two solves: the last optimum carried to the current contacts and wrench, back inside the cones if need be. Changes
+    // nothing that is held. force: (N, 3) [N] in the frames of the current contacts.
     Carried carry(const Load& load, double* force) {
         const Placing placed = place(load);
         newton.cones.load(held.x.data(), newton.x);
@@ -126,7 +126,7 @@ private:
     Tangents<V, B> last_;  // those of the last optimum
     Field turned_, safe_;
 
-    // Contacts of now and the start there, in newton.x; false where there is none.
+    // Current contacts and the start there, in newton.x; false where there is none.
     bool begin(const Load& load) {
         if (place(load) != Placing::good) return false;
         const Vec6 w = newton.cones.unit.of(load.wrench);
@@ -164,7 +164,7 @@ private:
         return newton.descend_from(turned_, call, w, record);
     }
 
-    // The force of the contacts of now becomes the last optimum; also one cut short: balanced and inside the cones.
+    // The force of the current contacts becomes the last optimum; also one cut short: balanced and inside the cones.
     void keep(const Record& record) {
         const double* force = record.force();
         for (int j = 0; j < 3 * contacts.count; ++j) held.x[j] = force[j] * contacts.scale[j];
@@ -181,7 +181,7 @@ private:
         return placed;
     }
 
-    // The last optimum in the frames of now; false where there is none.
+    // The last optimum in the current frames; false where there is none.
     bool turn_last() {
         newton.cones.load(held.x.data(), newton.x);
         turn_from(held.frames.data());
@@ -192,7 +192,7 @@ private:
         newton.starter.turn(newton.cones, newton.x, last_, turned_);
     }
 
-    // The offline basis of the contacts of now in place of the one that is held; false: none found from there.
+    // The offline basis of the current contacts in place of the one that is held; false: none found from there.
     bool renew() {
         auto& starter = newton.starter;
         spare_ = starter.basis;

@@ -47,7 +47,7 @@ public:
         }
     }
 
-    // The matrices for the contacts of now; false where G has lost rank.
+    // The matrices for the current contacts; false where G has lost rank.
     bool place(const Cones<V, B>& cones) {
         if (!orthonormalise(cones)) return false;
         if (form_ == Form::full) fill_full();

@@ -49,7 +49,7 @@ template <class V, int B> class Starter {
 public:
     using Field = typename Cones<V, B>::Field;
     std::array<Field, 13> basis;  // argmin Phi for +e_1..+e_6, -e_1..-e_6 and for no wrench, cone coordinates
-    Tangents<V, B> basis_tangents, tangents;  // those the basis is written in, and those of now
+    Tangents<V, B> basis_tangents, tangents;  // those the basis is written in, and the current ones
     bool has_basis = false, moved = false;  // moved: the contacts are not those of the basis any more
 
     explicit Starter(const Cones<V, B>& cones)
@@ -73,7 +73,7 @@ public:
         }
     }
 
-    // The combination on the contacts of now, w the wrench in their unit frame; false where it is outside the cones, or far.
+    // The combination on the current contacts, w the wrench in their unit frame; false where it is outside the cones, or far.
     bool combination(const Cones<V, B>& cones, System<V, B>& system, const double* wrench, const Vec6& w, Field& out) {
         if (!moved) {
             combine(wrench, out);
@@ -86,7 +86,7 @@ public:
         return value < infinity && value <= FAR * cones.phi(there_);
     }
 
-    // An optimum of other contacts or another wrench, in x, carried to those of now and strictly inside the cones: never worse
+    // An optimum of other contacts or another wrench, in x, carried to the current ones and strictly inside the cones: never worse
     // than `safe`, the combination. The tangent correction is kept as it is where it is better than that.
     void carry(const Cones<V, B>& cones, System<V, B>& system, const Field& safe, const Vec6& w, From how, Field& x) {
         const bool follows = how == From::tangent && cones.phi(x) < infinity && tangent(cones, system, w, x);
@@ -137,7 +137,7 @@ public:
         return true;
     }
 
-    // out = x with its tangential parts turned from the tangents `from` into those of now. What the frames' tilt takes off a
+    // out = x with its tangential parts turned from the tangents `from` into the current ones. What the frames' tilt takes off a
     // tangential force is left out, so that out is inside the cones where x is (round cones).
     void turn(const Cones<V, B>& cones, const Field& x, const Tangents<V, B>& from, Field& out) const {
         for (int b = 0; b < int(out.size()); ++b) {
