@@ -202,7 +202,7 @@ def test_a_batch_does_not_know_the_calls_before_it(said: dict[str, str]) -> None
         ("normals", "normals must be as many as positions"),
         ("length", "positions must be finite and normals of unit length"),
         ("nan", "positions must be finite and normals of unit length"),
-        ("friction", "friction must be finite and >= 0"),
+        ("friction", "friction must be 0 to 1e12"),
         ("weights", "weights must be finite and > 0"),
         ("nothing", "positions must be three numbers of each contact"),
         ("not placed", "the contacts must be placed"),

@@ -65,10 +65,12 @@ public:
     }
 
     // Lanes without a contact get the force (1, 0, 0), at which their gradient vanishes: nothing moves them, and they move nothing.
+    // Nor is there a tangent where there is no friction.
     void settle(Field& x) const {
         for (int b = 0; b < int(blocks.size()); ++b) {
             const V& used = blocks[b].mask;
-            x[b] = {used * x[b].u + (1.0 - used), used * x[b].o, used * x[b].t};
+            const V grips = select(blocks[b].scale.o > 0.0, used, V{});
+            x[b] = {used * x[b].u + (1.0 - used), grips * x[b].o, grips * x[b].t};
         }
     }
 

@@ -67,9 +67,9 @@ public:
         ask(normals.size() == size, "normals must be as many as positions");
         ask(along.empty() || along.size() == size, "tangents must be as many as positions, or none");
         ask(given == 1 || given == count || given == 2 * count, "friction must be one number, N or 2N");
-        ask(finite(friction), "friction must be finite and >= 0");
+        ask(sane(friction), "friction must be 0 to 1e12");
         ask(gamma.empty() || gamma.size() == count, "torsion must be one number of each contact, or none");
-        ask(finite(gamma), "torsion must be finite and >= 0");
+        ask(sane(gamma), "torsion must be 0 to 1e12");
         Contacts made(int(count), friction, objective, along.empty() ? nullptr : along.data(),
                       gamma.empty() ? nullptr : gamma.data());
         made.put(positions.data(), normals.data());
@@ -201,8 +201,8 @@ private:
     static void ask(bool good, const char* said) {
         if (!good) throw std::invalid_argument(said);
     }
-    static bool finite(std::span<const double> numbers) {
-        return std::ranges::all_of(numbers, [](double v) { return v >= 0.0 && v < infinity; });
+    static bool sane(std::span<const double> numbers) {
+        return std::ranges::all_of(numbers, [](double v) { return v >= 0.0 && v <= LARGEST; });
     }
 
     void make_room(int contacts) {

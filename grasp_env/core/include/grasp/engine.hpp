@@ -302,7 +302,7 @@ private:
         if (const std::size_t given = now.friction.size(); given > 0) {
             if (given != 1 && given != std::size_t(all) && given != 2 * std::size_t(all)) return REFUSED;
             for (double mu : now.friction)
-                if (!(mu >= 0.0 && mu < infinity)) return REFUSED;
+                if (!(mu >= 0.0 && mu <= LARGEST)) return REFUSED;
             now_.rub(now.friction, {chosen_.data(), std::size_t(now_.count)}, all);
         }
         const Placing placed = now_.place(positions, normals);
