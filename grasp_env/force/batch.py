@@ -71,7 +71,7 @@ def _checked_grasps(grasps: list[Any], loads: Array) -> list[Grasp]:
         for k, grasp in enumerate(grasps):
             if not is_a(grasp, Grasp):
                 raise InvalidInputError(f"grasps must be Grasp objects, entry {k} is {type(grasp).__name__}")
-    sizes = {grasp.n_contacts for grasp in grasps}
+    sizes = {grasp.contacts.count for grasp in grasps}
     if len(sizes) > 1:
         raise InvalidInputError(f"grasps of one number of contacts are needed in a batch, got {sorted(sizes)}")
     return grasps

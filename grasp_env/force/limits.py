@@ -7,7 +7,7 @@ limits are linear in the forces: `ForceLimits.rows` lists them as A f <= b.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -37,6 +37,7 @@ class LimitArrays(NamedTuple):
     torque_bias: Array
 
 
+_NUMBERS = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
 LimitNumbers = tuple[Array | None, Array | None, Array | None, Array | None, Array | None]
 """See `ForceLimits.given`."""
 
@@ -176,7 +177,8 @@ class ForceLimits:
         Raises:
             InvalidInputError: see `checked`.
         """
-        least, most, jacobian = (self._numbers(name) for name in ("min_normal", "max_normal", "jacobian"))
+        made: dict[str, Any] = vars(self)  # arrays, once they are checked
+        least, most, jacobian, limit, bias = map(made.__getitem__, _NUMBERS)
         if least is not None and least.ndim == 0:
             least = np.full(n_contacts, least) if least else None
         if most is not None and most.ndim == 0:
@@ -184,11 +186,7 @@ class ForceLimits:
         for each in (least, most, jacobian):
             if each is not None and len(each) != n_contacts:
                 self.checked(n_contacts)  # says what is wrong
-        return least, most, jacobian, self._numbers("torque_limit"), self._numbers("torque_bias")
-
-    def _numbers(self, name: str) -> Array | None:
-        """An attribute, which is an array once it is checked."""
-        return vars(self)[name]
+        return least, most, jacobian, limit, bias
 
     def labels(self, n_contacts: int) -> tuple[str, ...]:
         """(M,) what each finite limit of `n_contacts` contacts is, in the order of `rows`."""
