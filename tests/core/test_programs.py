@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,15 @@ def test_many_bytes_by_chance_under_the_sanitizers(compiler: str, tmp_path: Path
     """clang++ also with libFuzzer: `-fsanitize=fuzzer,address,undefined` without -DGRASP_SEEDED."""
     fuzz = program("fuzz", tmp_path, "-DGRASP_SEEDED", *SANITIZED, compiler=compiler)
     assert succeed(fuzz, SEED + "1", "10000") == "10000\n"
+
+
+@pytest.mark.slow
+def test_nothing_is_read_before_it_is_written(tmp_path: Path) -> None:
+    """Valgrind follows every bit; it does not know AVX-512."""
+    if not shutil.which("valgrind"):
+        pytest.skip("valgrind is not installed")
+    fuzz = program("fuzz", tmp_path, "-DGRASP_SEEDED", "-O1", "-march=x86-64-v3")
+    assert succeed("valgrind", "-q", "--error-exitcode=9", fuzz, SEED, "2000") == "2000\n"
 
 
 @pytest.mark.slow

@@ -65,7 +65,7 @@ public:
         of_.resize(W * blocks);
         for (auto& mine : of_) mine.reserve(rows);
         pairs_.reserve(size_t(rows) * blocks);
-        pack(cones, {});
+        make_room(blocks);
     }
     // Allocates nothing where the contacts had as many rows before.
     void pack(const Cones<V, B>& cones, const LimitRows& rows) {
@@ -82,7 +82,7 @@ public:
             each_ = std::max(each_, int(mine.size()));
         }
         pairs_.assign(size_t(each_) * blocks, none());
-        resize(scale_, blocks), resize(room_, blocks), resize(more_, blocks), resize(leans_, blocks);
+        make_room(blocks);
         for (int b = 0; b < blocks; ++b) {
             const auto& w = cones.blocks[b].weights;
             scale_[b] = sqrt(w.lambda / w.omega);
@@ -288,6 +288,7 @@ private:
         const double inside = least(nearest);
         leaning_ = inside > INSIDE && inside < infinity;
         if (!leaning_) {
+            lean_ = {};
             for (auto& each : leans_) each = V{};
             return;
         }
@@ -314,6 +315,7 @@ private:
         return nu - (1.0 + SURE) * largest(lacking) * lean_;
     }
 
+    void make_room(int blocks) { resize(scale_, blocks), resize(room_, blocks), resize(more_, blocks), resize(leans_, blocks); }
     static Pair<V> none() {
         Pair<V> out{};
         out.high.bound = out.low.bound = all<V>(UNBOUNDED);
