@@ -124,7 +124,7 @@ def test_the_start_is_the_least_force_and_as_much_of_the_internal_as_it_needs(
             least = -s.inverse @ w
             needed = made.inside(least, rest)[0]
             x = made.begun(rest, w)
-            wanted = least + max(1.0, 1.2 * needed) * rest
+            wanted = least + max(1.0, 1.1 * needed + 0.5) * rest
             np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-11 * np.abs(wanted).max())
             assert made.phi(x) < np.inf
 
@@ -138,7 +138,7 @@ def test_the_answers_of_single_solves(method: str, kind: str, count: int) -> Non
     loads = wrenches(rng, len(given)) * 10.0 ** rng.uniform(-3.0, 0.5, (len(given), 1))
     records, along = solved(method, given, loads), solved(method, given, loads, along=True)
     listed = solved_contacts(method, [placed(s) for s in given], loads)
-    digits = 1e-5 if kind == "thin" else 1e-9
+    digits = 1e-5 if kind == "thin" else 1e-8  # a random grasp near no closure squeezes a hundred times the load
     forces, exact = slice(FORCE, FORCE + 6 * count), [CODE, ITERATIONS]
     for s, load, *ways in zip(given, loads, records, along, listed, strict=True):
         one = alone(method, s, load)

@@ -54,8 +54,8 @@ template <class V, int B> Reduced<V> squeeze(const Cones<V, B>& cones, const typ
     return sqrt(sum(barrier) / sum(force));
 }
 
-// The start of a wrench w (unit frame), into x: the least force, and of an internal force strictly inside, `rest`, a fifth more
-// than brings it inside, or all.
+// The start of a wrench w (unit frame), into x: the least force, and of an internal force strictly inside, `rest`, a tenth and a half
+// more than brings it inside, or all.
 template <class V, int B> void begin(const Cones<V, B>& cones, const typename Cones<V, B>::Field& rest, const Six<Reduced<V>>& w,
                                      typename Cones<V, B>::Field& x) {
     using S = Reduced<V>;
@@ -64,7 +64,7 @@ template <class V, int B> void begin(const Cones<V, B>& cones, const typename Co
         x[b] = -cones.blocks[b].least(w);
         needed = max(needed, crossing(x[b], rest[b]));
     }
-    const V part = all<V>(max(S(1.0), 1.2 * largest(needed)));
+    const V part = all<V>(max(S(1.0), 1.1 * largest(needed) + 0.5));
     for (int b = 0; b < int(x.size()); ++b) x[b] += part * rest[b];
 }
 
