@@ -211,6 +211,7 @@ def test_a_batch_does_not_know_the_calls_before_it(said: dict[str, str]) -> None
         ("limits", "limits of normal forces must be one of each contact, or none"),
         ("no limit", "limits must be numbers >= 0"),
         ("no jacobian", "the jacobian and torque_bias must be finite"),
+        ("tolerance", "the tolerance is a part of the objective: at most 1"),
         ("soft flow", "the flows know hard contacts without limits"),
         ("limited flow", "the flows know hard contacts without limits"),
         ("elastic alone", "elastic belongs to limits"),

@@ -281,6 +281,7 @@ int main(int given, char** arguments) {
     refused("soft flow", [&] { ForceOptimizer({soft}, flow); });
     refused("limited flow", [&] { ForceOptimizer({contacts, limits}, flow); });
     refused("elastic alone", [&] { ForceOptimizer({contacts}, elastic); });
+    refused("tolerance", [&] { ForceOptimizer({contacts}, {.tolerance = 2.0}); });
     refused("criterion", [&] { ForceOptimizer({contacts}, {.criterion = Criterion::largest}); });
     refused("file", [&] { ModelFile::load("nowhere"); });
     refused("model for three", [&] { ForceOptimizer({Contacts::from(all.first(9), up.first(9), 0.4)}, learning); });

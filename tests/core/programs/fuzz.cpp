@@ -231,7 +231,7 @@ void check(const Given& g, const double* wrench, const Options& options, const R
         phi += 3.0 * g.objective.force_weight * u + lambda * (1.0 / u + 1.0 / (u - side) + 1.0 / (u + side));
         if (gamma > 0.0) phi += lambda * (1.0 / (u - twisted) + 1.0 / (u + twisted));
     }
-    for (int r = 0; r < 6; ++r) {
+    for (int r = 0; r < 6 && at.spread < 1e6; ++r) {  // metres: further apart balance has no digits
         const double unit = r < 3 ? 1.0 : at.spread;
         double size = 0.0;
         for (int q = 0; q < 6; ++q) size += missed[q].size / (q < 3 ? 1.0 : at.spread);
@@ -261,7 +261,7 @@ void check(const Given& g, const double* wrench, const Options& options, const R
     if (rows != int(s.limits)) fail("limits", record, rows);
     if (!(std::abs(excess - s.limit_excess) <= 1e-9 * excess || excess == s.limit_excess))
         fail("an excess", record, excess - s.limit_excess);
-    if (!whole || !g.has_digits()) return;
+    if (!whole || !g.has_digits() || most > 1e12) return;
     if (code == LIMITS_EXCEEDED) {
         if (!options.elastic || s.objective != s.limit_excess) fail("no excess", record, s.limit_excess);
         // where torques add up to a limit's millionth of a millionth, or forces are a giganewton, which of them exceed it is rounding
@@ -520,7 +520,7 @@ void run(Bytes& from) {
             asked = "again";
             copy.solve(again, other.data());
             check(moved.given, load.w, options, Record(other.data()));
-            compare(record, Record(other.data()));
+            if (moved.given.has_digits()) compare(record, Record(other.data()));
             on->solve(again, row.data());
             if (std::memcmp(row.data(), other.data(), size * sizeof(double)) != 0)
                 fail("other bits the second time", Record(row.data()), 0.0);

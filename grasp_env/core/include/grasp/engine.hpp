@@ -110,6 +110,7 @@ public:
             if (options.method == Method::full_flow && home_.count > FULL_CONTACTS)
                 throw std::invalid_argument("the full flow is dense: at most 8 contacts");
         }
+        if (!(options.tolerance <= 1.0)) throw std::invalid_argument("the tolerance is a part of the objective: at most 1");
         if (options.elastic && !limits_.rows) throw std::invalid_argument("elastic belongs to limits: give some");
         if (options.criterion == Criterion::excess || (options.criterion != Criterion::sum && options.method != Method::conic))
             throw std::invalid_argument("the criterion belongs to conic: sum or largest");

@@ -30,7 +30,7 @@ struct Options {
     Method method = Method::newton;
     Criterion criterion = Criterion::sum;  // of conic: of the normal forces
     Start start = Start::standard;
-    double tolerance = 0.0;  // relative certified gap; 0: 1e-4, of conic 1e-6
+    double tolerance = 0.0;  // relative certified gap, at most 1; 0: 1e-4, of conic 1e-6
     int limit = 20000;       // most accepted steps
     bool elastic = false;    // where no force keeps the limits: the one that exceeds them least, instead of the proof
     StepRule step_rule{};    // of the flows
