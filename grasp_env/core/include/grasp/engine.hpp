@@ -781,6 +781,8 @@ private:
     Code deliver(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
         const int all = home_.count;
+        // where rounding left the cones there is no force to speak of
+        if ((code == STALLED || code == LIMIT) && !(inner().summary().objective < infinity)) code = UNDECIDED;
         s.code = code;
         if (!out.has_force()) {
             std::fill(out.force(), out.force() + size() - SUMMARY, 0.0);
