@@ -5,12 +5,13 @@ from __future__ import annotations
 from os.path import isfile
 
 from grasp_env.errors import UnknownNameError
-from grasp_env.force import RULES, InitialForceRule
+from grasp_env.force import InitialForceRule
+from grasp_env.force.initial import NAMES
 
 
 def rule(name: str) -> str | InitialForceRule:
     """A rule's name, "learned" for the shipped model, or the path of a saved one."""
-    if name in (*RULES, "internal_force", "previous"):
+    if name in NAMES:
         return name
     from policies import LearnedInitialForce
 
@@ -18,6 +19,4 @@ def rule(name: str) -> str | InitialForceRule:
         return LearnedInitialForce.pretrained()
     if name.endswith((".json", ".safetensors")) or isfile(f"{name}.json"):
         return LearnedInitialForce.load(name)
-    raise UnknownNameError(
-        "initial-force rule", name, (*RULES, "internal_force", "previous", "learned"), ", or give a saved model's path"
-    )
+    raise UnknownNameError("initial-force rule", name, (*NAMES, "learned"), ", or give a saved model's path")
