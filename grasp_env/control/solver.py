@@ -28,7 +28,7 @@ from grasp_env.grasp.null_space import null_space_basis, reference_basis
 
 METHODS = ("reduced_flow", "newton")
 STARTS = ("linear_combination", "previous")
-"""Methods of the core's `Pipeline`; `ForceOptimizer` solves the others."""
+"""Methods and starts of the core's `Pipeline`; `ForceOptimizer` solves all others."""
 
 
 class ContactSolver:

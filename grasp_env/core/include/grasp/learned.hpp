@@ -117,11 +117,9 @@ public:
     // The start into a record: LIMIT, for a descent has to go on from it; REFUSED: numbers that are not finite.
     // previous: (3N,) an optimum of another wrench [N], or null.
     Code start(const double* wrench, const double* previous, const Record& record) {
+        Vec6 w;
+        if (!begun(wrench, previous, w, record)) return REFUSED;
         Summary& s = record.summary();
-        s.code = REFUSED;
-        if (!sane_wrench(wrench)) return REFUSED;
-        const Vec6 w = newton.cones.unit.of(wrench);
-        if (!begin(wrench, previous, w)) return REFUSED;
         s.code = LIMIT, s.iterations = s.trials = 0.0, s.objective = newton.cones.phi(newton.x), s.lower_bound = -infinity;
         s.limit_excess = 0.0, s.multipliers.fill(0.0);
         std::copy(wrench, wrench + 6, s.wrench.begin());
@@ -133,10 +131,8 @@ public:
 
     // The start, and Newton from it.
     Code solve(const double* wrench, const double* previous, const Record& record) {
-        record.summary().code = REFUSED;
-        if (!sane_wrench(wrench)) return REFUSED;
-        const Vec6 w = newton.cones.unit.of(wrench);
-        if (!begin(wrench, previous, w)) return REFUSED;
+        Vec6 w;
+        if (!begun(wrench, previous, w, record)) return REFUSED;
         const Call call{.wrench = wrench, .start = From::given};
         begun_ = newton.x;
         const Code code = newton.descend_from(begun_, call, w, record);
@@ -187,6 +183,14 @@ public:
     }
 
 private:
+    // `begin` and the wrench in the unit frame; false, and REFUSED in the record: numbers out of range.
+    bool begun(const double* wrench, const double* previous, Vec6& w, const Record& record) {
+        record.summary().code = REFUSED;
+        if (!sane_wrench(wrench)) return false;
+        w = newton.cones.unit.of(wrench);
+        return begin(wrench, previous, w);
+    }
+
     Prediction<V, B> predicted_;
     Field safe_, guess_, begun_;  // the combination; what the network says; where a descent begins
 
