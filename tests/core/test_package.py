@@ -17,7 +17,9 @@ from grasp_env.grasp import presets
 
 ROOT = Path(__file__).parents[2]
 CORE, CONSUMER = ROOT / "grasp_env/core", Path(__file__).parent / "programs/consumer"
-HEADERS = sorted(path.name for path in (CORE / "include/grasp").glob("*.hpp"))
+HEADERS = sorted(
+    path.relative_to(CORE / "include/grasp").as_posix() for path in (CORE / "include/grasp").rglob("*.hpp")
+)
 FLAGS = ["-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Wno-psabi", "-Werror"]
 SHADOW = {"g++": "-Wshadow=local", "clang++": "-Wshadow"}
 """GCC takes a constructor's parameters for shadows of what they fill."""
@@ -78,7 +80,7 @@ def test_headers_stand_alone(compiler: str) -> None:
 
 @pytest.mark.parametrize("flag", ["-Ofast", pytest.param("-ffinite-math-only", marks=pytest.mark.slow)])
 def test_fast_math_is_refused(flag: str) -> None:
-    done = check("g++", ["lanes.hpp"], flag)
+    done = check("g++", ["math/lanes.hpp"], flag)
     assert done.returncode != 0
     assert "-ffast-math drops the checks for NaN" in done.stderr
 
@@ -142,6 +144,17 @@ def test_a_program_finds_the_headers(way, tmp_path: Path) -> None:
     command = (tmp_path / "build/compile_commands.json").read_text()
     assert f"{tmp_path}/" in command.partition("-isystem ")[2]
     assert "-ffp-contract=fast" in command
+
+
+@pytest.mark.parametrize(
+    ("option", "warned"), [("", True), ("Debug", True), ("Release", False), ("RelWithDebInfo", False)]
+)
+def test_a_build_without_optimization_warns(option: str, warned: bool, tmp_path: Path) -> None:
+    done = run(
+        tool("cmake"), "-S", CONSUMER, "-B", tmp_path, f"-Dgrasp_DIR={CORE / 'cmake'}", f"-DCMAKE_BUILD_TYPE={option}"
+    )
+    assert done.returncode == 0, done.stderr
+    assert ("not optimized" in done.stderr) == warned
 
 
 def test_another_version_is_not_found(tmp_path: Path) -> None:

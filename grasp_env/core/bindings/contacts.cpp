@@ -1,5 +1,5 @@
 // Contact geometry: what a `Grasp` is made of, and the contacts that solvers are made for.
-#include <grasp/contacts.hpp>
+#include <grasp/contacts/contacts.hpp>
 
 #include "buffers.hpp"
 #include "views.hpp"

@@ -4,7 +4,7 @@
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
-#include <grasp/controller.hpp>
+#include <grasp/hand/controller.hpp>
 
 #include "scene.hpp"
 #include "views.hpp"

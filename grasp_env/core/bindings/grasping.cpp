@@ -6,7 +6,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
-#include <grasp/grasp_search.hpp>
+#include <grasp/planner/search.hpp>
 
 #include "buffers.hpp"
 

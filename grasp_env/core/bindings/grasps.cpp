@@ -1,5 +1,5 @@
 // Problems on many grasps.
-#include <grasp/grasps.hpp>
+#include <grasp/many/grasps.hpp>
 
 #include "buffers.hpp"
 

@@ -3,7 +3,7 @@
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
-#include <grasp/model_file.hpp>
+#include <grasp/learned/model_file.hpp>
 #include <grasp/solvers.hpp>
 
 #include "following.hpp"

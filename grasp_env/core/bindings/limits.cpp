@@ -1,7 +1,7 @@
 // Newton on Phi within limits.
 #include <nanobind/stl/unique_ptr.h>
 
-#include <grasp/force_limits.hpp>
+#include <grasp/terms/force_limits.hpp>
 #include <grasp/solvers.hpp>
 
 #include "following.hpp"

@@ -1,6 +1,6 @@
 // Phi itself, contact by contact.
-#include <grasp/contacts.hpp>
-#include <grasp/phi.hpp>
+#include <grasp/contacts/contacts.hpp>
+#include <grasp/phi/phi.hpp>
 
 #include "buffers.hpp"
 

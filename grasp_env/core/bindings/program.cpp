@@ -1,7 +1,7 @@
 // The general program.
 #include <nanobind/stl/unique_ptr.h>
 
-#include <grasp/program.hpp>
+#include <grasp/general/program.hpp>
 
 #include "buffers.hpp"
 #include "timing.hpp"

@@ -1,7 +1,7 @@
 // A step rule from the numbers of `StepRule.parameters`.
 #pragma once
 
-#include <grasp/flow.hpp>
+#include <grasp/flow/flow.hpp>
 
 #include "buffers.hpp"
 

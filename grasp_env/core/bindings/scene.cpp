@@ -4,7 +4,7 @@
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/vector.h>
 
-#include <grasp/snapshot.hpp>
+#include <grasp/hand/snapshot.hpp>
 
 #include "scene.hpp"
 #include "views.hpp"

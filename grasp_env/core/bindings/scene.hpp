@@ -3,7 +3,7 @@
 
 #include <nanobind/ndarray.h>
 
-#include <grasp/snapshot.hpp>
+#include <grasp/hand/snapshot.hpp>
 
 #include "buffers.hpp"
 

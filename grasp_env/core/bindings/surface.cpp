@@ -1,7 +1,7 @@
 // Surfaces of objects.
 #include <nanobind/stl/string.h>
 
-#include <grasp/surface.hpp>
+#include <grasp/hand/surface.hpp>
 
 #include "buffers.hpp"
 #include "views.hpp"

@@ -5,7 +5,7 @@
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
-#include <grasp/reach.hpp>
+#include <grasp/hand/reach.hpp>
 
 #include "buffers.hpp"
 

@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include <grasp/geometry.hpp>
+#include <grasp/contacts/geometry.hpp>
 
 #include "module.hpp"
 

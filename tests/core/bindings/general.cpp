@@ -1,5 +1,5 @@
 // The general program as real-time code has it.
-#include <grasp/general.hpp>
+#include <grasp/general/general.hpp>
 
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

@@ -1,5 +1,5 @@
 // Gaps of segments, and the linear program of the grasp search.
-#include <grasp/grasp_search.hpp>
+#include <grasp/planner/search.hpp>
 
 #include "arrays.hpp"
 

@@ -1,8 +1,8 @@
 // A hand of four fingers around a cube, without a simulator: control ticks as a loop makes them.
 #include <random>
 
-#include <grasp/controller.hpp>
-#include <grasp/reach.hpp>
+#include <grasp/hand/controller.hpp>
+#include <grasp/hand/reach.hpp>
 
 #include "allocations.hpp"
 #include "module.hpp"

@@ -1,7 +1,7 @@
 // The general program's insides, on dense rows (m, N, 4) in (u, o, t, w): which are of one contact is found here.
 #include <nanobind/stl/string.h>
 
-#include <grasp/program.hpp>
+#include <grasp/general/program.hpp>
 
 #include "allocations.hpp"
 #include "arrays.hpp"

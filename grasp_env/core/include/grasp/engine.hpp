@@ -1,10 +1,10 @@
 // What is behind `ForceOptimizer`: which algorithm serves which problem, what goes on where it gives up, and where each begins.
 #pragma once
-#include "basis.hpp"
-#include "general.hpp"
-#include "limited.hpp"
-#include "problem.hpp"
-#include "soft.hpp"
+#include <grasp/phi/basis.hpp>
+#include <grasp/general/general.hpp>
+#include <grasp/terms/limited.hpp>
+#include <grasp/problem.hpp>
+#include <grasp/terms/soft.hpp>
 
 namespace grasp::detail {
 

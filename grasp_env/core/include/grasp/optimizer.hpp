@@ -7,9 +7,9 @@
 // Setting up allocates, and throws std::invalid_argument, which says what is wrong. Solving never throws and never allocates: every call
 // says how it ended. An object belongs to one thread at a time; several may run at once. Python's `ForceOptimizer` is this class.
 #pragma once
-#include "dispatch.hpp"
-#include "engine.hpp"
-#include "model_file.hpp"
+#include <grasp/math/dispatch.hpp>
+#include <grasp/engine.hpp>
+#include <grasp/learned/model_file.hpp>
 
 namespace grasp {
 

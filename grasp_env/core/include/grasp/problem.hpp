@@ -2,10 +2,10 @@
 #pragma once
 #include <memory>
 #include <optional>
-#include "constraints.hpp"
-#include "flow.hpp"
-#include "force_limits.hpp"
-#include "learned.hpp"
+#include <grasp/general/constraints.hpp>
+#include <grasp/flow/flow.hpp>
+#include <grasp/terms/force_limits.hpp>
+#include <grasp/learned/learned.hpp>
 
 namespace grasp {
 

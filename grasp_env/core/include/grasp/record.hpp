@@ -1,7 +1,7 @@
 // One solution as one row of numbers: what solvers write, single or in a batch.
 #pragma once
 #include <cstddef>
-#include "linear6.hpp"
+#include <grasp/math/linear6.hpp>
 
 namespace grasp {
 

@@ -1,12 +1,12 @@
 // The solvers whatever the number of contacts: what the bindings are made of. C++ programs include optimizer.hpp.
 #pragma once
-#include "conic.hpp"
-#include "dispatch.hpp"
-#include "grasps.hpp"
-#include "learned.hpp"
-#include "limited.hpp"
-#include "pipeline.hpp"
-#include "soft.hpp"
+#include <grasp/conic/conic.hpp>
+#include <grasp/math/dispatch.hpp>
+#include <grasp/many/grasps.hpp>
+#include <grasp/learned/learned.hpp>
+#include <grasp/terms/limited.hpp>
+#include <grasp/hand/pipeline.hpp>
+#include <grasp/terms/soft.hpp>
 
 namespace grasp::generic {
 

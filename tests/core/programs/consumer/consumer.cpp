@@ -1,4 +1,5 @@
 #include <grasp/optimizer.hpp>
+#include <grasp/planner/search.hpp>
 
 #include <cstdio>
 

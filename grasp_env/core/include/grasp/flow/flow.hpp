@@ -1,0 +1,255 @@
+// The paper's gradient flow, x_{k+1} = x_k + alpha_k d_k (Eqs. 12, 26): every x_k balanced and inside the cones, Phi falling.
+#pragma once
+#include <grasp/phi/newton.hpp>
+#include <grasp/flow/projection.hpp>
+
+namespace grasp {
+
+// alpha_k, as data; see `step_size.py`.
+struct StepRule {
+    enum Kind { FIXED, ARMIJO, ADAPTIVE, BARZILAI_BORWEIN, EXACT };
+    static constexpr double ALTERNATE = 0.0, LONG_ONLY = 1.0;  // BARZILAI_BORWEIN has its variant in `grow`; else the short one
+    int kind = ADAPTIVE;
+    double first = 0.3;  // first trial step [N / omega]
+    double grow = 1.5;  // factor after an accepted step
+    double shrink = 0.5;  // after a rejected one
+    double decrease = 0.0;  // share of alpha |d|^2 by which Phi has to fall; of EXACT: of the slope that may be left
+};
+
+template <class V, int B> class FlowOn {
+public:
+    using Field = typename Cones<V, B>::Field;
+    StepRule rule;
+
+    FlowOn(const Cones<V, B>& cones, const StepRule& rule, Form form)
+        : rule(rule), projection_(cones, form), next_(cones.field()), gradient_(cones.field()), there_(cones.field()),
+          step_(cones.field()), past_(cones.field()) {}
+
+    // The current contacts; false where G has lost rank.
+    bool place(const Cones<V, B>& cones) { return projection_.place(cones); }
+
+    // The step at x made so many times; returns its last number.
+    double repeat(const Cones<V, B>& cones, Field& x, int times) {
+        for (int b = 0; b < int(x.size()); ++b) gradient_[b] = gradient(x[b], cones.blocks[b].weights);
+        for (int k = 0; k < times; ++k) {
+            projection_.apply(cones, x, gradient_, step_);
+            const V little = all<V>(1e-30) * step_[0].u;  // one after the other
+            x[0].u += little, gradient_[0].u += little;
+        }
+        return get(step_[0].u, 0);
+    }
+
+    // From the start in on.x, which is balanced and strictly inside, to the record.
+    Code descend(NewtonOn<V, B>& on, const Call& call, const Vec6& w, const Record& record) {
+        const auto& cones = on.cones;
+        const int blocks = int(cones.blocks.size());
+        cones.store_force(on.x, record.initial_force());
+        // x_k, the gradient there, d_k; x_k + alpha d_k, the gradient there; d_{k-1}: in registers where their number is fixed
+        Local x = on.x, gradient = gradient_, step = step_, next = next_, there = there_, past = past_;
+        for (int b = 0; b < blocks; ++b) step[b] = past[b] = {V{}, V{}, V{}};
+        // Phi at x + alpha step, which goes to `next`, its gradient to `there`; +inf outside
+        const auto ahead = [&](double alpha) {
+            V total{}, room = all<V>(infinity);
+            for (int b = 0; b < blocks; ++b) {
+                const auto& c = cones.blocks[b];
+                const Vec3<V> at = next[b] = x[b] + all<V>(alpha) * step[b];
+                total += c.mask * phi(at, c.weights, there[b]);
+                room = min(room, min(at.u, lorentz(at, at)));
+            }
+            const double value = sum(total);
+            return least(room) > 0.0 && value == value ? value : infinity;
+        };
+        // its first and second derivative by alpha
+        const auto slope = [&] { return total_of([&](int b) { return dot(there[b], step[b]); }); };
+        const auto bend = [&] {
+            return total_of([&](int b) { return cones.blocks[b].mask * curvature(next[b], step[b], cones.blocks[b].weights); });
+        };
+        const auto mixed = [&] {  // <d_k, d_{k-1}>, which d_k then is
+            const double product = total_of([&](int b) { return inner(step[b], past[b]); });
+            for (int b = 0; b < blocks; ++b) past[b] = step[b];
+            return product;
+        };
+        Progress at{.alpha = rule.first, .value = ahead(0.0)};
+        if (!(at.value < infinity)) return REFUSED;
+        Proof proof(call, on.options.tolerance);
+        const auto look = [&] {
+            if (proof.known) return;
+            on.x = x;
+            proof.take(bound_at(on, w), at);
+        };
+        Code code = LIMIT;
+        for (;; ++at.k) {
+            for (int b = 0; b < blocks; ++b) x[b] = next[b], gradient[b] = there[b];
+            if (at.k < call.traced) call.trace[at.k] = at.value;
+            const bool last = at.k >= on.options.limit;
+            if (last || proof.due(at)) look();
+            if (proof.closes(at.value)) code = CONVERGED;
+            if (last || code == CONVERGED) break;
+            projection_.apply(cones, x, gradient, step);  // d_k
+            at.length = total_of([&](int b) { return squared(step[b]); });
+            at.size = total_of([&](int b) { return cones.blocks[b].mask * squared(x[b]); });
+            propose(at, mixed, bend);
+            if (!accept(at, ahead, slope, bend)) {  // x_{k+1}
+                look();
+                code = proof.closes(at.value) ? CONVERGED : STALLED;
+                break;
+            }
+        }
+        on.x = x;
+        Summary& s = record.summary();
+        s.iterations = at.k, s.trials = at.trials, s.objective = at.value, s.lower_bound = proof.best.value;
+        s.multipliers = cones.unit.pull_back(proof.known ? bound_at(on, w).multipliers : proof.best.multipliers);
+        std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
+        return finish(on, w, code, proof.known, record);
+    }
+
+private:
+    using Local = std::conditional_t<B == 0, Field&, Field>;
+    static constexpr double SHORTEST = 1e-10;  // the first trial of an iteration moves x by at least this part of its length
+    static constexpr double ROUNDED = 1e-16;  // and none by less than this
+    static constexpr double LONGEST = 1e300;
+    static constexpr double FLAT = 1e-12;  // where <s, y> is below this share of <s, s> / alpha Phi is straight to rounding,
+    static constexpr double LEAP = 10.0;  // and alpha grows by this factor
+    static constexpr int SEARCHES = 60;  // trials of a search for the exact minimum, before it settles for any decrease
+    static constexpr int PATIENCE = 100;  // trials of an iteration after which steps are halved at least, so that they end
+    Projection<V, B> projection_;
+    Field next_, gradient_, there_, step_, past_;
+
+    // How far a descent has come.
+    struct Progress {
+        double alpha, value;  // alpha_k; Phi at x_k
+        double gained = 0.0;  // by how much the last step lowered it
+        double length = 0.0, before = 0.0, size = 0.0;  // |d_k|^2, |d_{k-1}|^2, |x_k|^2
+        int k = 0, trials = 0;
+
+        bool moves(double part) const { return alpha * alpha * length > part * part * size; }  // x by more than this part of it
+    };
+    struct Bound {
+        double value;
+        Vec6 multipliers;
+    };
+
+    // What is known of min Phi, and when to compute a bound again, which costs as much as several iterations: not while steps
+    // gain more than what may be left, and once one is close, where the next will do. A bound falls short of min Phi by up to
+    // SHORT times the square of the gap, in parts of it.
+    struct Proof {
+        bool known;  // the optimum is, to the caller
+        double tolerance;  // relative gap that is asked for
+        Bound best;
+        int next = 0;  // iteration at which to look in any case
+        double goal = -infinity;  // Phi at which to look
+
+        Proof(const Call& call, double tolerance)
+            : known(call.optimum == call.optimum), tolerance(tolerance), best{known ? call.optimum : -infinity, {}} {}
+
+        bool closes(double value) const { return best.value > 0.0 && value - best.value <= tolerance * best.value; }
+        bool due(const Progress& at) const { return (at.k >= next || at.value <= goal) && at.gained <= tolerance * at.value; }
+        void take(const Bound& found, const Progress& at) {
+            if (found.value >= best.value) best = found;
+            const double bound = best.value, gap = at.value - bound;
+            const bool close = bound > 0.0 && gap < CLOSE * bound;
+            next = at.k + std::max(1, at.k / (close ? 2 : 8));
+            goal = close ? bound + tolerance * bound + std::min(0.5, SHORT * gap / bound) * gap : -infinity;
+        }
+        static constexpr double CLOSE = 1e-2, SHORT = 300.0;
+    };
+
+    template <class F> double total_of(F&& part) const {
+        V total{};
+        for (int b = 0; b < int(step_.size()); ++b) total += part(b);
+        return sum(total);
+    }
+
+    // The first trial of alpha_k, by the rule.
+    template <class Mixed, class Bend> void propose(Progress& at, Mixed&& mixed, Bend&& bend) const {
+        if (rule.kind == StepRule::BARZILAI_BORWEIN) {
+            const double product = mixed();
+            if (at.k > 0) at.alpha *= inverse_curvature(at.before, at.length, product, at.k);
+            at.before = at.length;
+        } else if (rule.kind == StepRule::EXACT) {
+            const double here = bend();
+            at.alpha = here > 0.0 ? at.length / here : rule.first;
+        } else if (rule.kind == StepRule::ADAPTIVE) {
+            if (at.k > 0) at.alpha *= rule.grow;
+        } else {
+            at.alpha = rule.first;
+        }
+        at.alpha = std::min(at.alpha, LONGEST);
+        // a step far shorter than x, left from a start near the apex, grows from here instead of stalling
+        if (at.alpha * at.alpha * at.length < SHORTEST * SHORTEST * at.size && at.length > 0.0)
+            at.alpha = SHORTEST * std::sqrt(at.size / at.length);
+    }
+
+    // Trials of alpha_k until Phi falls, by as much as the rule asks; false where no step that moves x lets it.
+    template <class Ahead, class Slope, class Bend> bool accept(Progress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
+        const double decrease = rule.kind == StepRule::ARMIJO ? rule.decrease * at.length : 0.0;
+        double trial = rule.kind == StepRule::EXACT ? search(at, ahead, slope, bend) : infinity;
+        bool accepted = trial < at.value;
+        for (int tried = 0; !accepted && at.moves(ROUNDED); ++tried) {
+            ++at.trials;
+            trial = ahead(at.alpha);
+            accepted = trial < at.value && trial <= at.value - decrease * at.alpha;
+            if (!accepted) at.alpha *= tried < PATIENCE ? rule.shrink : std::min(rule.shrink, 0.5);
+        }
+        if (accepted) at.gained = at.value - trial, at.value = trial;
+        return accepted;
+    }
+
+    // Lower bound of min Phi from the Newton multipliers at on.x; -inf: none.
+    [[gnu::noinline]] static Bound bound_at(NewtonOn<V, B>& on, const Vec6& w) {
+        if (!on.system.assemble(on.cones, on.x)) return {-infinity, {}};
+        const Vec6 nu = on.system.multipliers(on.system.made + w);
+        return {on.cones.lower_bound(nu, w), nu};
+    }
+
+    // Barzilai and Borwein (1988) in the metric of P, over alpha: with s the step before and y the change of the projected
+    // gradient, <s, s> / <s, y> or <s, y> / <y, y>.
+    double inverse_curvature(double before, double now, double mixed, int iterations) const {
+        const double s_y = before - mixed, y_y = (before - mixed) + (now - mixed);
+        if (!(s_y > FLAT * before && y_y > 0.0)) return LEAP;
+        const bool alternate = rule.grow == StepRule::ALTERNATE, only = rule.grow == StepRule::LONG_ONLY;
+        return only || (alternate && iterations % 2 == 0) ? before / s_y : s_y / y_y;
+    }
+
+    // Phi where its slope is as small as the rule asks, along alpha: Newton on the slope, kept in a bracket; inf: not found.
+    template <class Ahead, class Slope, class Bend> double search(Progress& at, Ahead&& ahead, Slope&& slope, Bend&& bend) const {
+        double low = 0.0, high = infinity;
+        for (int n = 0; n < SEARCHES; ++n) {
+            ++at.trials;
+            const double trial = ahead(at.alpha), down = slope();
+            double guess = -1.0;
+            if (trial < infinity) {
+                if (std::abs(down) <= rule.decrease * at.length) return trial;
+                guess = at.alpha - down / bend();
+            }
+            (trial < infinity && down < 0.0 ? low : high) = at.alpha;
+            if (!(low < guess && guess < high)) guess = high < infinity ? 0.5 * (low + high) : 2.0 * at.alpha;
+            at.alpha = guess;
+        }
+        return infinity;
+    }
+
+    // What rounding left of balance, and the certificates: CONVERGED only where the force itself keeps what that says.
+    Code finish(NewtonOn<V, B>& on, const Vec6& w, Code code, bool known, const Record& record) {
+        const auto& cones = on.cones;
+        Summary& s = record.summary();
+        if (s.iterations > 0.0) {
+            next_ = on.x;
+            cones.balance(on.x, w);
+            if (!(cones.phi(on.x) < infinity)) on.x = next_;
+        }
+        cones.certify(on.x, w, record);
+        const double reached = cones.phi(on.x);
+        const bool honest = std::abs(reached - s.objective) <= HONEST * s.objective;
+        if (!honest) s.objective = reached;
+        const bool below = !known && s.objective - s.lower_bound < -HONEST * s.lower_bound;  // its bound: it misses balance
+        const bool near = s.objective - s.lower_bound <= on.options.tolerance * s.lower_bound;
+        if (code == CONVERGED && !(near && !below && cones.balanced(on.x, w, s.residual) && s.margin > 0.0)) code = STALLED;
+        s.code = code, s.limit_excess = 0.0;
+        std::fill(record.torsion(), record.torsion() + cones.count, 0.0);
+        return code;
+    }
+    static constexpr double HONEST = 1e-9;  // part by which Phi may be off through rounding
+};
+
+}  // namespace grasp

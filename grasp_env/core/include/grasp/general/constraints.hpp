@@ -1,0 +1,271 @@
+// What limits the forces of a program: balance, cones, torsion, further rows; and the interior points that stay within them.
+//
+// Contact i has z_i = (u, o, t, w): cone coordinates and, where it is soft, w = u - |torsion| in units of its limit with a row w <= 2u.
+// Balance is taken with orthonormal rows, G = L Q, so that contacts close to each other cost no digits.
+#pragma once
+#include <memory>
+#include <grasp/general/interior_point.hpp>
+
+namespace grasp {
+
+// What a program is made of; arrays are row-major.
+struct Given {
+    int count, limits;  // N, M
+    const double* frame;  // (6, 6) wrenches into the unit frame
+    const double* balance;  // (6, N, 4) of (u, o, t, w), unit frame
+    const double* rows;  // (M, N, 4) of length one: rows . z <= bound; those of torsion come first
+    const double* bound;  // (M,) [N]
+    const double* divisor;  // (N, 4) force and torsion from z; inf where nothing is transmitted
+    const double* shares;  // (M,) [N] by how much a bound grows where its limit grows by all of itself; 0: never
+    bool elastic;  // whether the least excess will be asked
+};
+
+// `excess`: the largest part of itself by which a limit is exceeded, t with rows . z <= bound + t share.
+enum class Criterion { sum, largest, excess };
+
+namespace detail {
+
+// The least, or what is no number.
+inline double least_of(std::span<const double> values) {
+    double least = infinity;
+    for (double value : values) least = value >= least ? least : value;
+    return least;
+}
+
+template <int D> struct Constraints {
+    using Row = std::span<const Tuple<double, D>>;  // z, or coefficients of it
+    using Field = Kept<Tuple<double, D>>;
+    // Rows of coefficients.
+    class Matrix {
+    public:
+        Matrix(std::size_t rows, std::size_t count) : numbers_(rows * count), count_(count) {}
+        Row operator[](int r) const { return {numbers_.data() + count_ * r, count_}; }
+        std::span<Tuple<double, D>> operator[](int r) { return {numbers_.data() + count_ * r, count_}; }
+
+    private:
+        Field numbers_;
+        std::size_t count_;
+    };
+    int count, limits, torsions = 0;  // N, M; the first rows are those of torsion
+    Kept<char> soft;
+    Kept<double> price, divisor, bound, shares;  // price: normal force = price u
+    Kept<int> torsion_row;  // (N,) -1: not soft
+    Kept<int> owner;  // (M,) the one contact that a row touches; N: none, SEVERAL: more than one
+    Kept<int> own;  // rows of at most one contact, by contact
+    Matrix balance, limit, turn;  // (6,) G, (M,), (6,) Q
+    double frame[6][6], lower[6][6] = {};  // L
+
+    explicit Constraints(const Given& given)
+        : count(given.count), limits(given.limits), soft(count), price(count), divisor(given.divisor, given.divisor + 4 * count),
+          bound(given.bound, given.bound + limits), shares(given.shares, given.shares + limits), torsion_row(count, -1),
+          owner(limits), own(limits), balance(6, count), limit(limits, count), turn(6, count) {
+        std::copy(given.frame, given.frame + 36, &frame[0][0]);
+        for (int i = 0; i < count; ++i) {
+            soft[i] = divisor[4 * i + 3] < infinity, price[i] = 1.0 / divisor[4 * i];
+            if (soft[i]) torsion_row[i] = torsions++;
+        }
+        const auto take = [&](const double* from, int many, Matrix& to) {
+            for (int k = 0; k < many; ++k)
+                for (int i = 0; i < count; ++i, from += 4) std::copy(from, from + D, to[k][i].begin());
+        };
+        take(given.balance, 6, balance), take(given.rows, limits, limit);
+        find_owners();
+        orthonormalise();
+    }
+    static std::size_t room(int count, int limits) {
+        return Arena::room<char>(count) + Arena::room<double>(count) + Arena::room<double>(4 * count) +
+               2 * Arena::room<double>(limits) + Arena::room<int>(count) + 2 * Arena::room<int>(limits) +
+               2 * Arena::room<Tuple<double, D>>(6 * count) + Arena::room<Tuple<double, D>>(std::size_t(limits) * count);
+    }
+
+    // What keeps the first `many` limits: T = 0 the least sum of normal forces; 1 the least of a t above each normal force, or above each
+    // excess; 2 the largest of a depth m, with the share r of the wrench.
+    template <class R, int T> InteriorPoint<R, D, T> engine(int many, Criterion criterion = Criterion::sum) const {
+        InteriorPoint<R, D, T> made(rows<R, T>(many, criterion), soft);
+        if constexpr (T == 1) made.shared_cost = {R(1.0)};
+        if constexpr (T == 2) made.shared_cost = {R(-1.0), R(0.0)};
+        if constexpr (T == 0)
+            for (int i = 0; i < count; ++i) made.cost[i][0] = price[i];
+        return made;
+    }
+    // (1, 0, 0, 1): the way into a cone.
+    static Tuple<double, D> inwards() {
+        Tuple<double, D> out{};
+        out[0] = 1.0;
+        if (D == 4) out[D - 1] = 1.0;
+        return out;
+    }
+    // For what `rooms` writes.
+    Kept<double> slacks() const { return Kept<double>(2 * count + limits); }
+    static double product(Row a, Row b) {
+        double total = 0.0;
+        for (std::size_t i = 0; i < a.size(); ++i) total += inner(a[i], b[i]);
+        return total;
+    }
+    Vec6 in_frame(const double* wrench) const {
+        Vec6 out{};
+        for (int r = 0; r < 6; ++r)
+            for (int q = 0; q < 6; ++q) out[r] += frame[r][q] * wrench[q];
+        return out;
+    }
+    Vec6 solve_lower(Vec6 a) const {
+        for (int r = 0; r < 6; ++r) {
+            for (int q = 0; q < r; ++q) a[r] -= lower[r][q] * a[q];
+            a[r] /= lower[r][r];
+        }
+        return a;
+    }
+    // Multipliers of the wrench as it is given from those of the turned balance.
+    Vec6 pull_back(const Vec6& a) const { return out_of_frame(solve_upper(a)); }
+    Vec6 solve_upper(Vec6 a) const {
+        for (int r = 5; r >= 0; --r) {
+            for (int q = r + 1; q < 6; ++q) a[r] -= lower[q][r] * a[q];
+            a[r] /= lower[r][r];
+        }
+        return a;
+    }
+    Vec6 out_of_frame(const Vec6& a) const {
+        Vec6 out{};
+        for (int q = 0; q < 6; ++q)
+            for (int r = 0; r < 6; ++r) out[q] += frame[r][q] * a[r];
+        return out;
+    }
+    // The largest number of the least-norm force of a turned wrench: a size that does not hang on units.
+    double largest_of(const Vec6& turned) const {
+        double most = 0.0;
+        for (int i = 0; i < count; ++i)
+            for (int a = 0; a < D; ++a) {
+                double value = 0.0;
+                for (int r = 0; r < 6; ++r) value += turn[r][i][a] * turned[r];
+                most = std::abs(value) <= most ? most : std::abs(value);
+            }
+        return most;
+    }
+    // z -= Q^T a
+    void subtract(Field& z, const Vec6& a) const {
+        for (int r = 0; r < 6; ++r)
+            for (int i = 0; i < count; ++i) add(z[i], -a[r], turn[r][i]);
+    }
+    Vec6 wrench_of(const Field& z) const {
+        Vec6 out;
+        for (int r = 0; r < 6; ++r) out[r] = product(balance[r], z);
+        return out;
+    }
+    // Whether G has rank 6, as far as its digits can tell.
+    bool full() const {
+        double square = 0.0, inverse = 0.0;
+        for (int r = 0; r < 6; ++r) {
+            Vec6 unit{};
+            unit[r] = 1.0;
+            for (double value : solve_lower(unit)) inverse += value * value;
+            for (int q = 0; q <= r; ++q) square += lower[r][q] * lower[r][q];
+        }
+        return square * inverse * RANK * RANK < 1.0;
+    }
+    // What G z + w misses off z, by the least change; returns what is left. What is z's own rounding stays: where contacts are close to each
+    // other its least change is far larger than it.
+    double rebalance(Field& z, const Vec6& unit) const {
+        double most = 0.0;
+        for (int i = 0; i < count; ++i) most = std::max(most, z[i][0]);
+        for (int pass = 0;; ++pass) {
+            const Vec6 left = wrench_of(z) + unit;
+            if (pass == 2 || grasp::size(left) <= LAST * most) return grasp::size(left);
+            subtract(z, solve_lower(left));
+        }
+    }
+
+    template <class R, int T> Rows<R, D, T> rows(int many, Criterion criterion = Criterion::sum) const {
+        int joints = T == 2 ? 7 : 6, owns = T == 0 ? 0 : T == 2 ? 1 : count + (criterion == Criterion::excess);
+        for (int k = 0; k < many; ++k) ++(owner[k] == SEVERAL ? joints : owns);
+        Rows<R, D, T> out(count, T == 2 ? 7 : 6, joints, owns);
+        for (int r = 0; r < 6; ++r) {
+            Tuple<R, T> shared{};
+            if constexpr (T == 2)
+                for (int i = 0; i < count; ++i) shared[0] += inward(i, turn[r][i]);
+            out.add_joint(turn[r], shared, -1);
+        }
+        if constexpr (T == 2) {
+            Field total(count);
+            for (auto& z : total) z[0] = 1.0;
+            out.add_joint(total, {R(count), R(1.0)}, -1);
+            out.doubtful = 6;
+        }
+        for (int k = 0; k < many; ++k)
+            if (owner[k] == SEVERAL) out.add_joint(limit[k], {}, k);
+        for (int i = 0, next = 0; i <= count; ++i) {
+            for (; next < int(own.size()) && owner[own[next]] == i; ++next)
+                if (own[next] < many) out.add_own(i, i < count ? wide<R>(limit[own[next]][i]) : Tuple<R, D>{}, {}, own[next]);
+            if constexpr (T == 1)
+                if (i < count) {  // normal <= t, or where t is an excess <= a bound to come
+                    Tuple<R, D> row{};
+                    row[0] = price[i];
+                    out.add_own(i, row, {R(criterion == Criterion::excess ? 0.0 : -1.0)}, -1);
+                }
+        }
+        if constexpr (T == 1)
+            if (criterion == Criterion::excess) out.add_own(count, {}, {R(-1.0)}, -1);
+        if constexpr (T == 2) out.add_own(count, {}, {R(1.0), R(-1.0)}, -1);
+        out.finish();
+        return out;
+    }
+
+    // What a row makes of it.
+    double inward(int i, const Tuple<double, D>& row) const { return row[0] + (D == 4 && soft[i] ? row[D - 1] : 0.0); }
+
+    // Slack of every cone, w and limit, less what rounding may cost.
+    template <class Bound> void rooms(const Field& z, int many, Kept<double>& out, Bound&& right) const {
+        int next = 0;
+        for (int i = 0; i < count; ++i) {
+            out[next++] = slack(cone(z[i])) - PAD * z[i][0];
+            if (D == 4 && soft[i]) out[next++] = z[i][D - 1] - PAD * z[i][0];
+        }
+        for (int k = 0; k < many; ++k) {
+            double value = right(k), sizes = std::abs(value);
+            for (int i = 0; i < count; ++i)
+                for (int a = 0; a < D; ++a) {
+                    const double part = limit[k][i][a] * z[i][a];
+                    value -= part, sizes += std::abs(part);
+                }
+            out[next++] = value - PAD * sizes;
+        }
+        std::fill(out.begin() + next, out.end(), infinity);
+    }
+
+private:
+    static constexpr int SEVERAL = -1;
+    static constexpr double RANK = 1e-13;  // a ratio of singular values that rounding may have made
+    static constexpr double PAD = 6e-16;  // of the numbers that make a slack: what rounding may cost on the way to forces
+    static constexpr double LAST = 4e-16;  // of the largest normal force: what rounding it may cost balance
+
+    void find_owners() {
+        for (int k = 0; k < limits; ++k) {
+            int touched = 0;
+            owner[k] = count;
+            for (int i = 0; i < count; ++i)
+                if (inner(limit[k][i], limit[k][i]) > 0.0) owner[k] = touched++ ? SEVERAL : i;
+        }
+        int many = 0;
+        for (int k = 0; k < limits; ++k)
+            if (owner[k] != SEVERAL) own[many++] = k;
+        own.resize(many);
+        std::sort(own.begin(), own.end(), [&](int a, int b) { return std::pair(owner[a], a) < std::pair(owner[b], b); });
+    }
+    // G = L Q by Gram and Schmidt, twice.
+    void orthonormalise() {
+        turn = balance;
+        for (int r = 0; r < 6; ++r) {
+            for (int pass = 0; pass < 2; ++pass)
+                for (int q = 0; q < r; ++q) {
+                    const double along = product(turn[r], turn[q]);
+                    lower[r][q] += along;
+                    for (int i = 0; i < count; ++i) add(turn[r][i], -along, turn[q][i]);
+                }
+            lower[r][r] = std::sqrt(product(turn[r], turn[r]));
+            for (auto& z : turn[r])
+                for (double& value : z) value /= lower[r][r];
+        }
+    }
+};
+
+}  // namespace detail
+}  // namespace grasp

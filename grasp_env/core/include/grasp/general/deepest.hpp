@@ -1,0 +1,149 @@
+// The force deepest inside the limits of a program, or the twist that proves that there is none.
+#pragma once
+#include <grasp/general/constraints.hpp>
+
+namespace grasp {
+
+// A margin up to this, of one for forces that sum to one, counts as the boundary: no force strictly inside.
+inline constexpr double CLEAR = 1e-9;
+
+struct Deepest {
+    Code code = REFUSED;  // INFEASIBLE: no force strictly inside, `twist` is the proof
+    int iterations = 0;
+    double margin = 0.0;
+    Vec6 twist{};  // [linear; angular], largest component one
+};
+
+namespace detail {
+
+// max m with depth m in all cones and the first limits, forces and the wrench's share r summing to one, m <= r.
+template <int D> class Depth {
+public:
+    using Field = typename Constraints<D>::Field;
+
+    Depth(const Constraints<D>& in, int many) : in_(&in), many_(many), room_(in.slacks()), prices_(in.limits) {}
+
+    // Into z [N]: strictly inside where CONVERGED, balanced with the wrench.
+    Deepest find(const double* wrench, double tolerance, Field& z) {
+        const Deepest found = find<double>(wrench, tolerance, z);
+        return found.code == CONVERGED || found.code == INFEASIBLE ? found : find<Twice>(wrench, tolerance, z);
+    }
+
+private:
+    static constexpr double ROUNDING = 1e-14;  // of the numbers that make a proof, per term: far above what rounding may cost
+    const Constraints<D>* in_;
+    int many_;
+    Kept<double> room_, prices_;
+
+    template <class R> Deepest find(const double* wrench, double tolerance, Field& z) {
+        const Arena::Scope scope;
+        auto engine = in_->template engine<R, 2>(many_);
+        const Vec6 load = in_->in_frame(wrench);
+        double size = grasp::size(load);
+        bool free = size == 0.0;
+        for (int k = 0; k < many_; ++k) size = std::max(size, -in_->bound[k]), free = free && in_->bound[k] == 0.0;
+        if (!(size > NOTHING)) {  // of a rest the tightest limit is the unit
+            size = 1.0;
+            for (int k = 0; k < many_; ++k)
+                if (in_->bound[k] > NOTHING) size = std::min(size, in_->bound[k]);
+        }
+        const Vec6 unit = (1.0 / size) * load, turned = in_->solve_lower(unit);
+        ask(engine, turned, size);
+        const auto& at = engine.at;
+        Deepest found;
+        found.code = engine.run(tolerance, 0.1 * CLEAR, 0.0, 200, [] { return 0.0; });
+        found.iterations = engine.iterations, found.margin = double(at.t[0]);
+        const double part = double(at.t[1]), scale = free ? 1.0 : 1.0 / part;
+        for (int i = 0; i < in_->count; ++i) {
+            z[i] = narrow(at.z[i]);
+            add(z[i], found.margin, in_->inwards());
+            if (D == 4 && !in_->soft[i]) z[i][D - 1] = 1.0;
+            for (double& value : z[i]) value *= scale;
+        }
+        if (free || part > 0.0) in_->rebalance(z, unit);
+        for (auto& each : z)
+            for (double& value : each) value *= size;
+        Vec6 y;
+        for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]);
+        y = in_->solve_upper(y);
+        const Vec6 twist = in_->out_of_frame(y);
+        found.twist = (1.0 / std::max(grasp::size(twist), 1e-300)) * twist;
+        in_->rooms(z, many_, room_, [&](int k) { return in_->bound[k]; });
+        if (found.margin > CLEAR && least_of(room_) > 0.0) found.code = CONVERGED;
+        else if (found.margin <= CLEAR && found.code == CONVERGED) found.code = INFEASIBLE;
+        else if (separates(engine, y, unit, size)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
+        else if (found.code == CONVERGED) found.code = STALLED;  // slow is not infeasible
+        return found;
+    }
+    // What a row is multiplied by there: a bound far above the wrench makes a row of its size, not a huge one.
+    double evened(int k, double size) const { return 1.0 / std::max(1.0, std::abs(in_->bound[k]) / size); }
+    // What a unit of depth takes of a limit's slack.
+    double inset(int k) const {
+        double total = 1.0;
+        for (int i = 0; i < in_->count; ++i) total += in_->inward(i, in_->limit[k][i]);
+        return total;
+    }
+    // Whether y, a twist in the unit frame, proves with the limits' multipliers that no force is within the limits, wherever they
+    // come from: G^T y + sum price row is in every dual cone and y . w > sum price bound, both by more than rounding can have made.
+    template <class R> bool separates(const InteriorPoint<R, D, 2>& engine, const Vec6& y, const Vec6& unit, double size) {
+        const auto& rows = engine.rows;
+        for (const auto& row : rows.own)
+            if (row.label >= 0)
+                prices_[row.label] = evened(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
+        for (int r = rows.equal; r < rows.joint; ++r)
+            prices_[rows.label[r]] = evened(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
+        const double rounding = ROUNDING * (8 + many_);
+        for (int i = 0; i < in_->count; ++i) {
+            Tuple<double, D> dual{};
+            double terms = 0.0;
+            const auto take = [&](double part, const Tuple<double, D>& row) {
+                add(dual, part, row);
+                for (double value : row) terms += std::abs(part * value);
+            };
+            for (int r = 0; r < 6; ++r) take(y[r], in_->balance[r][i]);
+            for (int k = 0; k < many_; ++k) take(prices_[k], in_->limit[k][i]);
+            if (D == 4 && in_->soft[i] && !(dual[D - 1] > rounding * terms)) {  // w has no price to move away from: see `certify`
+                const Tuple<double, D>& row = in_->limit[in_->torsion_row[i]][i];
+                const double raised = (2.0 * rounding * terms - dual[D - 1]) / row[D - 1];
+                prices_[in_->torsion_row[i]] += raised, take(raised, row);
+            }
+            if (!(slack(cone(dual)) > rounding * terms)) return false;
+        }
+        double value = 0.0, terms = 0.0;
+        const auto take = [&](double part) { value += part, terms += std::abs(part); };
+        for (int r = 0; r < 6; ++r) take(y[r] * unit[r]);
+        for (int k = 0; k < many_; ++k) take(-prices_[k] * in_->bound[k] / size);
+        return value > rounding * terms && terms < infinity;
+    }
+    // The program of a wrench, from units: its turned balance and every limit, of the size of the wrench.
+    template <class R> void ask(InteriorPoint<R, D, 2>& engine, const Vec6& turned, double size) const {
+        auto& at = engine.at;
+        for (int r = 0; r < engine.rows.joint; ++r) {
+            const int name = engine.rows.label[r];
+            if (r < 6) engine.rows.coupling[r][1] = turned[r];
+            engine.rows.right[r] = r == 6 ? 1.0 : 0.0;
+            if (name >= 0) {
+                const double part = evened(name, size);
+                engine.rows.coupling[r] = {R(part * inset(name)), R(-part * in_->bound[name] / size)};
+                for (int i = 0; i < in_->count; ++i)
+                    for (int a = 0; a < D; ++a) engine.rows.columns[engine.rows.joint * i + r][a] = part * in_->limit[name][i][a];
+            }
+            at.joint[r] = r < 7 ? 0.0 : 1.0, at.joint_slack[r] = 1.0;
+        }
+        for (int k = 0; k < int(engine.rows.own.size()); ++k) {
+            auto& row = engine.rows.own[k];
+            if (row.label >= 0) {
+                const double part = evened(row.label, size);
+                row.shared = {R(part * inset(row.label)), R(-part * in_->bound[row.label] / size)};
+                if (row.contact < in_->count)
+                    for (int a = 0; a < D; ++a) row.row[a] = part * in_->limit[row.label][row.contact][a];
+            }
+            at.own[k] = at.own_slack[k] = 1.0;
+        }
+        at.t = {};
+        for (int i = 0; i < in_->count; ++i) at.z[i] = at.s[i] = wide<R>(in_->inwards());
+    }
+};
+
+}  // namespace detail
+}  // namespace grasp

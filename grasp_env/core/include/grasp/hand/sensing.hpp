@@ -1,0 +1,108 @@
+// What the controller sees of a scene: late and noisy where that is asked for, and the external wrench as far as it is known.
+#pragma once
+#include <grasp/hand/balance.hpp>
+
+namespace grasp {
+
+// The external wrench from what moved the object besides contacts and gravity, filtered: force = d(m v)/dt - sum f - m g and
+// moment = d(R I R^T omega)/dt - sum p x f over one tick, in the object frame at its end. The forces must be means over that tick, as
+// the change of momentum is: those of its last physics step ring where contacts are stiff, and the hand would answer them. A mass
+// that differs from the believed one shows up as a wrench, as does gravity that is not the one known.
+class WrenchEstimator {
+public:
+    double tick = 1.0, keep = 0.0;  // [s]; the share of its last value that the filter keeps over a tick
+    Vec6 estimate{};                // [N, N m], object frame
+
+    // The first call after it only takes the momentum.
+    void reset() { *this = {tick, keep}; }
+    WrenchEstimator() = default;
+    WrenchEstimator(double tick, double keep) : tick(tick), keep(keep) {}
+
+    const Vec6& operator()(const Snapshot& seen, const Body& body, const Point& gravity) {
+        const Point linear = body.mass * seen.linear;
+        const Point angular = seen.rotation * (body.inertia * seen.to_object(seen.angular));
+        if (started_) {
+            const double rate = 1.0 / tick;
+            Point force = seen.to_object(rate * (linear - linear_) - body.mass * gravity);
+            Point moment = seen.to_object(rate * (angular - angular_));
+            for (std::size_t i = 0; i < seen.forces.size(); ++i) {
+                force -= seen.forces[i];
+                moment -= cross(seen.points[i], seen.forces[i]);
+            }
+            estimate = keep * estimate + (1.0 - keep) * Vec6{force.u, force.o, force.t, moment.u, moment.o, moment.t};
+        }
+        linear_ = linear, angular_ = angular, started_ = true;
+        return estimate;
+    }
+
+private:
+    bool started_ = false;
+    Point linear_{}, angular_{};  // momentum [N s], [N m s], world
+};
+
+enum class WrenchSource { measured, estimated, none };
+
+struct SensorSettings {
+    WrenchSource wrench = WrenchSource::measured;
+    double tick = 0.0, keep = 0.0;  // [s]; of the estimate: see `WrenchEstimator`
+    int delay = 0, wrench_delay = 0;  // ticks by which everything, and measured wrenches besides, come late
+    double pose_noise = 0.0, tactile_noise = 0.0;  // standard deviations: [m] per axis, part of the force per axis
+};
+
+class Sensors {
+public:
+    const SensorSettings settings;
+
+    Sensors(std::shared_ptr<const Scene> given, const SensorSettings& settings)
+        : settings(settings), scene_(std::move(given)), estimator_(settings.tick, settings.keep), own_(scene_->now),
+          told_(settings.delay + settings.wrench_delay + 1) {
+        if (!exact()) late_.assign(settings.delay + 1, own_);  // `perfect` is not set yet
+    }
+    Sensors(const Sensors&) = delete;
+
+    bool perfect = false;  // seen as it is, whatever the settings: while the hand takes over the object
+    // Whether the scene is seen as it is.
+    bool exact() const { return perfect || !(settings.delay || settings.pose_noise > 0.0 || settings.tactile_noise > 0.0); }
+    const Snapshot& seen() const { return exact() ? scene_->now : own_; }
+    Vec6 external{};                  // wrench on the object as it is known [N, N m], object frame
+
+    // As before the first tick: the scene stood still.
+    void reset() {
+        estimator_.reset();
+        std::fill(late_.begin(), late_.end(), scene_->now);
+        std::fill(told_.begin(), told_.end(), Vec6{});
+        tick_ = 0;
+    }
+
+    // The scene of this tick. wrench: (6,) the external one as a perfect sensor would tell it. noise: (3 + 3N,) standard normal
+    // numbers where anything is noisy. gravity: as far as known.
+    void see(const double* wrench, const double* noise, const Body& body, const Point& gravity) {
+        if (!exact()) look(noise);
+        std::copy(wrench, wrench + 6, told_[tick_ % told_.size()].begin());
+        ++tick_;
+        switch (settings.wrench) {
+            case WrenchSource::measured: external = told_[tick_ % told_.size()]; break;
+            case WrenchSource::estimated: external = estimator_(seen(), body, gravity); break;
+            case WrenchSource::none: external = {}; break;
+        }
+    }
+
+private:
+    std::shared_ptr<const Scene> scene_;
+    WrenchEstimator estimator_;
+    std::vector<Snapshot> late_;
+    Snapshot own_;  // what is seen where that is not the scene's
+    std::vector<Vec6> told_;
+    std::size_t tick_ = 0;
+
+    void look(const double* noise) {
+        late_[tick_ % late_.size()] = scene_->now;
+        own_ = late_[(tick_ + 1) % late_.size()];
+        own_.position += settings.pose_noise * point(noise);
+        for (std::size_t i = 0; i < own_.forces.size(); ++i)
+            own_.forces[i] += settings.tactile_noise * length(own_.forces[i]) * point(noise + 3 + 3 * i);
+        if (settings.delay) own_.advance(*scene_->tree, scene_->surface, scene_->gravity, settings.delay * settings.tick);
+    }
+};
+
+}  // namespace grasp

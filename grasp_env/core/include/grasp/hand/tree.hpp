@@ -1,0 +1,187 @@
+// A hand as a tree of links, each moved by a joint: where the links are, how points of them move, what pushes with them.
+#pragma once
+#include <array>
+#include <algorithm>
+#include <memory>
+#include <numeric>
+#include <grasp/hand/rotation.hpp>
+
+namespace grasp {
+
+struct Link {
+    int parent;         // the link that carries it, of a smaller number; -1: the palm
+    Point offset;       // of its joint in the parent's frame [m]
+    Rotation rotation;  // its frame at angle 0 to the parent's
+    Point axis;         // of its joint, unit, its own frame
+    double mass;        // [kg]
+    Point center;       // of mass, its own frame [m]
+    double lower, upper, torque_limit;  // [rad], [rad], [N m]; of a sliding joint [m], [m], [N]
+    bool sliding = false;               // along its axis
+    int driver = -1;  // the joint that it is coupled to, not coupled itself: angle = ratio * its angle + shift
+    double ratio = 1.0, shift = 0.0;
+    std::array<double, 6> inertia{};    // xx, xy, xz, yy, yz, zz about the centre of mass [kg m^2], its own frame
+
+    bool coupled() const { return driver >= 0; }
+};
+
+// The sphere with which a finger touches.
+struct Tip {
+    int link;
+    Point center;  // [m], the link's frame
+    double radius;  // [m]
+};
+
+struct Tree {
+    std::vector<Link> links;  // M, joint j moves link j
+    std::vector<Tip> tips;  // N
+
+    int joints() const { return int(links.size()); }
+    int fingers() const { return int(tips.size()); }
+    // Coupled joints follow theirs; angles: (M,)
+    void couple(double* angles) const {
+        for (int j = 0; j < joints(); ++j)
+            if (const Link& link = links[j]; link.coupled()) angles[j] = link.ratio * angles[link.driver] + link.shift;
+    }
+    // The joint with a motor that moves a joint.
+    int mover(int joint) const { return links[joint].coupled() ? links[joint].driver : joint; }
+    // The joints with motors that move a fingertip, ascending: the driver of a coupled joint may lie in another finger.
+    std::vector<int> movers(int finger) const {
+        std::vector<int> out;
+        for (int j = tips[finger].link; j >= 0; j = links[j].parent) out.push_back(mover(j));
+        std::sort(out.begin(), out.end());
+        out.erase(std::unique(out.begin(), out.end()), out.end());
+        return out;
+    }
+    // How many of some fingers the motor of each joint moves, (M,).
+    std::vector<int> users(const std::vector<int>& fingers) const {
+        std::vector<int> out(joints());
+        for (int i : fingers)
+            for (int j : movers(i)) ++out[j];
+        return out;
+    }
+    std::vector<int> all_fingers() const {
+        std::vector<int> out(fingers());
+        std::iota(out.begin(), out.end(), 0);
+        return out;
+    }
+    // The finger whose tip is on a link; -1: none.
+    int finger_at(int link) const {
+        for (int i = fingers() - 1; i >= 0; --i)
+            if (tips[i].link == link) return i;
+        return -1;
+    }
+
+    // What one finger needs: its joints alone, which `joints` tells. One that is coupled to a joint of another finger is free here.
+    Tree chain(int finger, std::vector<int>& joints) const {
+        joints.clear();
+        for (int j = tips[finger].link; j >= 0; j = links[j].parent) joints.insert(joints.begin(), j);
+        Tree out{{}, {tips[finger]}};
+        for (int j : joints) {
+            out.links.push_back(links[j]);
+            Link& made = out.links.back();
+            made.parent = int(out.links.size()) - 2;
+            const auto driver = std::find(joints.begin(), joints.end(), made.driver);
+            made.driver = driver == joints.end() ? -1 : int(driver - joints.begin());
+        }
+        out.tips[0].link = int(joints.size()) - 1;
+        return out;
+    }
+};
+
+// Where all links are, world frame.
+class Posture {
+public:
+    std::vector<Rotation> frames;  // link frame to world frame
+    std::vector<Point> origins, axes;  // of the joints [m], unit
+
+    explicit Posture(std::shared_ptr<const Tree> tree)
+        : frames(tree->joints()), origins(tree->joints()), axes(tree->joints()), tree_(std::move(tree)) {}
+
+    // angles: (M,) [rad]
+    void trace(const double* angles) {
+        for (int j = 0; j < tree_->joints(); ++j) {
+            const Link& link = tree_->links[j];
+            const bool carried = link.parent >= 0;
+            const Rotation rest = carried ? frames[link.parent] * link.rotation : link.rotation;
+            origins[j] = at(link.parent, link.offset);
+            axes[j] = rest * link.axis;
+            if (link.sliding) origins[j] += angles[j] * axes[j], frames[j] = rest;
+            else frames[j] = rest.turned(link.axis, angles[j]);
+        }
+    }
+
+    // A point of a link's frame; -1: of the palm's, which is the world's.
+    Point at(int link, const Point& local) const { return link < 0 ? local : origins[link] + frames[link] * local; }
+    Point tip(int finger) const { return at(tree_->tips[finger].link, tree_->tips[finger].center); }
+
+    // f(j, how a point of the link moves per speed of joint j): parts of the Jacobian's columns; a coupled joint's are its driver's.
+    template <class F> void carriers(int link, const Point& place, F&& f) const {
+        for (int j = link; j >= 0; j = tree_->links[j].parent) {
+            const Link& joint = tree_->links[j];
+            const Point moves = joint.sliding ? axes[j] : cross(axes[j], place - origins[j]);
+            if (joint.coupled()) f(joint.driver, joint.ratio * moves);
+            else f(j, moves);
+        }
+    }
+    // f(j, how the link turns per speed of joint j), world frame
+    template <class F> void turners(int link, F&& f) const {
+        for (int j = link; j >= 0; j = tree_->links[j].parent) {
+            const Link& joint = tree_->links[j];
+            if (!joint.sliding) f(tree_->mover(j), joint.coupled() ? joint.ratio * axes[j] : axes[j]);
+        }
+    }
+    // (3, M) into `out`
+    void jacobian(int link, const Point& place, double* out) const {
+        const int count = tree_->joints();
+        std::fill(out, out + 3 * count, 0.0);
+        carriers(link, place, [&](int j, const Point& moves) {
+            for (int k = 0; k < 3; ++k) out[count * k + j] += moves[k];
+        });
+    }
+    // [m/s], of a point fixed to the link; rates: (M,) [rad/s]
+    Point velocity(int link, const Point& place, const double* rates) const {
+        Point out{0.0, 0.0, 0.0};
+        carriers(link, place, [&](int j, const Point& moves) { out += rates[j] * moves; });
+        return out;
+    }
+    // torques (M,) += J^T force: that with which the link pushes there
+    void push(int link, const Point& place, const Point& force, double* torques) const {
+        carriers(link, place, [&](int j, const Point& moves) { torques[j] += dot(moves, force); });
+    }
+    // torques (M,) += that with which the link turns by a moment [N m]
+    void twist(int link, const Point& moment, double* torques) const {
+        turners(link, [&](int j, const Point& turns) { torques[j] += dot(turns, moment); });
+    }
+    // torques (M,) that carry the weight of all links [N m]; gravity [m/s^2]
+    void support(const Point& gravity, double* torques) const {
+        std::fill(torques, torques + tree_->joints(), 0.0);
+        for (int j = 0; j < tree_->joints(); ++j) {
+            const Link& link = tree_->links[j];
+            push(j, at(j, link.center), -link.mass * gravity, torques);
+        }
+    }
+
+    // (M, M) into `out` [kg m^2]: kinetic energy = 1/2 rates^T out rates; rows and columns of coupled joints are zero.
+    void mass_matrix(double* out) const {
+        const int count = tree_->joints();
+        std::vector<Point> moves(count), turns(count);
+        std::fill(out, out + count * count, 0.0);
+        for (int l = 0; l < count; ++l) {
+            const Link& link = tree_->links[l];
+            std::fill(moves.begin(), moves.end(), Point{0.0, 0.0, 0.0}),
+                std::fill(turns.begin(), turns.end(), Point{0.0, 0.0, 0.0});
+            carriers(l, at(l, link.center), [&](int j, const Point& a) { moves[j] += a; });
+            turners(l, [&](int j, const Point& a) { turns[j] += frames[l].transposed(a); });
+            const auto& i = link.inertia;
+            const Sym3<double> inertia{i[0], i[1], i[2], i[3], i[4], i[5]};
+            for (int j = 0; j < count; ++j)
+                for (int k = 0; k < count; ++k)
+                    out[count * j + k] += link.mass * dot(moves[j], moves[k]) + dot(turns[j], inertia * turns[k]);
+        }
+    }
+
+private:
+    std::shared_ptr<const Tree> tree_;
+};
+
+}  // namespace grasp

@@ -1,0 +1,337 @@
+// Problems on many grasps. Those of a grasp that has many are solved as such; of all others a register holds W, each on the contacts
+// of its own grasp, from these to the record. What is not ordinary there is solved again by itself, from the beginning. What a lane
+// does hangs on no other.
+#pragma once
+#include <grasp/phi/basis.hpp>
+#include <grasp/math/dispatch.hpp>
+#include <grasp/many/problems.hpp>
+
+namespace grasp {
+
+// Where a grasp's contacts are: (N, 3) each, the directions of o `stride` numbers apart, or none.
+struct Site {
+    const double *positions, *normals, *scales, *tangents;
+    int stride;
+};
+
+// Hard contacts of U grasps, N each; problems first[u] to first[u + 1] - 1 are those of grasp u.
+class Grasps {
+public:
+    int contacts;
+    std::ptrdiff_t count;
+    const double *weights, *first;  // (N, 2) omega, lambda; (U + 1,)
+
+    // positions [m] and normals of unit length, object frame, scales and tangents, or none, as `Contacts` takes them: (U, N, 3) each
+    Grasps(int contacts, std::ptrdiff_t count, const Site& arrays, const double* weights, const double* first)
+        : contacts(contacts), count(count), weights(weights), first(first), arrays_(arrays) {}
+    // (U,) contacts in their place, whose own weights are not read; soft ones are not solved.
+    Grasps(int contacts, std::ptrdiff_t count, const Contacts* const* placed, const double* weights, const double* first)
+        : contacts(contacts), count(count), weights(weights), first(first), placed_(placed) {}
+
+    Site site(std::ptrdiff_t u) const {
+        if (placed_) {
+            const Contacts& c = *placed_[u];
+            return {c.positions.data(), c.normals.data(), c.scale.data(), c.frames.data() + 1, 3};
+        }
+        const auto of = [&](const double* numbers) { return numbers ? numbers + 3 * contacts * u : nullptr; };
+        return {of(arrays_.positions), of(arrays_.normals), of(arrays_.scales), of(arrays_.tangents), 1};
+    }
+    bool has_tangents() const { return placed_ || arrays_.tangents; }
+    // Whether contacts that were placed are those of a hard grasp.
+    bool sound(std::ptrdiff_t u) const { return !placed_ || (placed_[u]->placing == Placing::good && !placed_[u]->soft()); }
+    // Its contacts, alone; in no place where there is no such grasp.
+    Contacts make(std::ptrdiff_t u) const {
+        if (placed_) {
+            Contacts made = *placed_[u];
+            made.weigh(weights);
+            return made;
+        }
+        const Site at = site(u);
+        Contacts made(contacts, at.scales, weights, at.tangents);
+        made.place(at.positions, at.normals);
+        return made;
+    }
+
+private:
+    Site arrays_{};
+    const Contacts* const* placed_ = nullptr;
+};
+
+// One problem: its grasp, its number.
+struct Case { std::ptrdiff_t grasp, number; };
+
+// The contacts of W grasps, a lane for each, as `Contacts` places those of one.
+template <int W> class PlacedLanes {
+public:
+    using V = Each<W>;
+    using Mask = typename V::Mask;
+    using Field = typename Cones<V, 0>::Field;
+
+    explicit PlacedLanes(int count)
+        : points_(count), normals_(count), scales_(count), tangents_(count), x_(count), step_(count),
+          system_(Cones<V, 0>(count)) {}
+
+    // Into the cones; which are ordinary: finite numbers, normals of unit length, rank 6 beyond doubt.
+    Mask place(const Grasps& grasps, const Case (&problems)[W], Cones<V, 0>& cones) {
+        const int count = grasps.contacts;
+        const bool turned = grasps.has_tangents();
+        for (int lane = 0; lane < W; ++lane) {
+            const Site at = grasps.site(problems[lane].grasp);
+            gather(at.positions, 1, lane, points_), gather(at.normals, 1, lane, normals_), gather(at.scales, 1, lane, scales_);
+            if (turned) gather(at.tangents, at.stride, lane, tangents_);
+        }
+        V total{}, off{};
+        for (int i = 0; i < count; ++i) {
+            total += abs(points_[i].u) + abs(points_[i].o) + abs(points_[i].t);
+            off += select(abs(length(normals_[i]) - 1.0) <= UNIT_TOLERANCE, V(0.0), V(1.0));
+        }
+        cones.unit = UnitFrameOf<V>(count, [&](int i) { return points_[i]; });
+        const V per_length = cones.unit.scale();
+        Packed<V> s{};
+        for (int i = 0; i < count; ++i) {
+            auto& block = cones.blocks[i];
+            const Vec3<V> normal = normalised(normals_[i]), arm = per_length * (points_[i] - cones.unit.centre);
+            const FrameOf<V> frame = turned ? FrameOf<V>(normal, tangents_[i]) : FrameOf<V>(normal);
+            for (int a = 0; a < 3; ++a) {
+                const V scale = block.scale[a] = taken_scale(scales_[i][a]), divisor = block.divisor[a] = divisor_of(scale);
+                const Six<V> row = select(scale > 0.0, V(1.0), V(0.0)) * unit_wrench(arm, frame[a]);
+                add_gram(s, row);
+                const V per = 1.0 / divisor;
+                for (int r = 0; r < 6; ++r) block.g[r][a] = per * row[r], block.inverse[r][a] = row[r];
+            }
+            block.cost = 1.0 / block.divisor.u, block.mask = V(1.0);
+            block.weights = {V(grasps.weights[2 * i]), V(grasps.weights[2 * i + 1])};
+            block.bind_gjg();
+        }
+        Ldl<V> factor;
+        factor.factor(s);
+        for (auto& block : cones.blocks)
+            for (int a = 0; a < 3; ++a) {
+                Six<V> row;
+                for (int r = 0; r < 6; ++r) row[r] = block.inverse[r][a];
+                row = factor.solve(row);
+                for (int r = 0; r < 6; ++r) block.inverse[r][a] = block.scale[a] * row[r];
+            }
+        return (total < infinity) & (off == 0.0) & (rank_bound(s, factor) > Contacts::WELL);
+    }
+
+    // `NewtonOn::internal_force`, where few plain steps find one.
+    Mask internal_force(const Cones<V, 0>& cones, Field& rest) {
+        return balance_inside(cones, x_, step_, rest, FEW_STEPS,
+                              [&](Six<V>& missed) { return system_.internal_step(cones, x_, missed, step_); });
+    }
+
+private:
+    Field points_, normals_, scales_, tangents_, x_, step_;
+    System<V, 0> system_;
+
+    static void gather(const double* from, int stride, int lane, Field& to) {
+        for (auto& triple : to) {
+            set(triple.u, lane, from[0]), set(triple.o, lane, from[stride]), set(triple.t, lane, from[2 * stride]);
+            from += 3 * stride;
+        }
+    }
+};
+
+// What W problems, each on a grasp of its own, are given and end with.
+template <int W> struct GraspLanes {
+    using V = Each<W>;
+    using Mask = typename V::Mask;
+    using Field = typename Cones<V, 0>::Field;
+
+    const Grasps& grasps;
+    const Many& many;
+    PlacedLanes<W> placed;
+    Six<V> w{}, nu{};  // wrenches and multipliers, unit frame
+    Field rest, first, force;  // internal force, start, answer: cone coordinates
+    V iterations{}, trials{}, objective{}, bound{}, residual{}, margin{};
+
+    GraspLanes(const Grasps& grasps, const Many& many)
+        : grasps(grasps), many(many), placed(grasps.contacts), rest(grasps.contacts), first(rest), force(rest) {}
+
+    // The contacts into the cones; which problems are ordinary.
+    Mask place(const Case (&problems)[W], Cones<V, 0>& cones) {
+        const Mask good = placed.place(grasps, problems, cones) & placed.internal_force(cones, rest);
+        for (int lane = 0; lane < W; ++lane)
+            for (int r = 0; r < 6; ++r) set(w[r], lane, many.wrench(problems[lane].number)[r]);
+        const Mask sane = size(w) <= LARGEST;
+        w = cones.unit.of(w);
+        return good & sane;
+    }
+
+    // Of the answers; which are balanced.
+    Mask check(const Cones<V, 0>& cones) {
+        residual = cones.residual(force, w), margin = cones.margin(force);
+        return cones.balanced(force, w, residual);
+    }
+
+    // The records of those that converged.
+    void write(const Case (&problems)[W], const Mask& good, const Cones<V, 0>& cones) {
+        nu = cones.unit.pull_back(nu);
+        cones.to_force(first), cones.to_force(force);
+        for (int lane = 0; lane < W; ++lane) {
+            if (!good[lane]) continue;
+            const Record record = many.record(problems[lane].number, grasps.contacts);
+            record.clear();
+            Summary& s = record.summary();
+            s.code = CONVERGED, s.iterations = get(iterations, lane), s.trials = get(trials, lane);
+            s.objective = get(objective, lane), s.lower_bound = get(bound, lane);
+            s.residual = get(residual, lane), s.margin = get(margin, lane), s.multipliers = of(nu, lane);
+            std::copy_n(many.wrench(problems[lane].number), 6, s.wrench.begin());
+            cones.store(force, record.force(), lane), cones.store(first, record.initial_force(), lane);
+        }
+    }
+};
+
+template <int W> class NewtonGrasps {
+public:
+    using V = Each<W>;
+    using Mask = typename V::Mask;
+
+    NewtonGrasps(const Grasps& grasps, const Stop& options, const Many& many)
+        : group_(grasps, many), lanes_(grasps.contacts, options) {}
+
+    // Solves the problems that are `wanted` and ordinary; returns which those are.
+    Mask solve(const Case (&problems)[W], const Mask& wanted) {
+        auto& g = group_;
+        Mask live = wanted & g.place(problems, lanes_.cones);
+        const auto& cones = lanes_.cones;
+        const V scale = squeeze(cones, g.rest);
+        for (auto& x : g.rest) x = scale * x;
+        begin(cones, g.rest, g.w, g.first);
+        live &= lanes_.begin(g.first, g.w);
+        Mask good{};
+        while (any(live)) {
+            const auto [closed, alone] = lanes_.step(live);
+            live &= ~(closed | alone), good |= closed;
+            if (!any(closed)) continue;
+            keep(closed, lanes_.x, g.force), g.nu = select(closed, lanes_.nu, g.nu);
+            g.objective = select(closed, lanes_.value, g.objective), g.bound = select(closed, lanes_.bound, g.bound);
+            g.iterations = select(closed, lanes_.iterations, g.iterations), g.trials = select(closed, lanes_.trials, g.trials);
+        }
+        lanes_.x = g.force;
+        cones.balance(lanes_.x, g.w);  // what rounding left of G x + w
+        keep(g.iterations > 0.0, lanes_.x, g.force);
+        good &= g.check(cones) & (g.margin > 0.0);
+        g.objective = Rules<V>::again(cones.phi(g.force), g.objective);
+        good &= Rules<V>::certified(g.objective, g.bound, lanes_.options.tolerance);
+        g.write(problems, good, cones);
+        return good;
+    }
+
+private:
+    GraspLanes<W> group_;
+    NewtonLanes<W> lanes_;
+};
+
+template <int W> class ConicGrasps {
+public:
+    using V = Each<W>;
+    using Mask = typename V::Mask;
+
+    ConicGrasps(const Grasps& grasps, const Stop& options, const Many& many)
+        : group_(grasps, many), lanes_(grasps.contacts, options) {}
+
+    Mask solve(const Case (&problems)[W], const Mask& wanted) {
+        auto& g = group_;
+        auto& steps = lanes_.steps;
+        Mask live = wanted & g.place(problems, steps.cones);
+        const auto& cones = steps.cones;
+        const V scale = size(g.w);
+        live &= (scale >= NOTHING) & cones.sane(g.rest) & (cones.margin(g.rest) > 0.0);
+        steps.rest = g.rest, lanes_.minus = (-1.0 / scale) * g.w;
+        live &= lanes_.begin();
+        for (int b = 0; b < cones.count; ++b) g.first[b] = scale * steps.at[b].x;
+        Mask good{};
+        while (any(live)) {
+            const auto [closed, alone] = lanes_.step(live);
+            live &= ~(closed | alone), good |= closed;
+            if (!any(closed)) continue;
+            for (int b = 0; b < cones.count; ++b) g.force[b] = select(closed, steps.at[b].x, g.force[b]);
+            g.nu = select(closed, steps.y, g.nu), g.iterations = select(closed, lanes_.iterations, g.iterations);
+        }
+        for (int b = 0; b < cones.count; ++b) steps.at[b].x = g.force[b];
+        steps.y = g.nu;
+        const auto made = steps.answer(lanes_.minus, scale, g.force);
+        g.nu = made.theta * g.nu, g.bound = made.bound, g.objective = made.price, g.trials = g.iterations;
+        good &= g.check(cones) & (g.margin >= 0.0) & (made.gap() <= lanes_.options.tolerance);
+        g.write(problems, good, cones);
+        return good;
+    }
+
+private:
+    GraspLanes<W> group_;
+    ConicLanes<W> lanes_;
+};
+
+// All problems: those of a grasp that has many, and those that a group leaves, by one(contacts, problems), which is false where there is
+// no force closure: their records say REFUSED.
+template <class Group, class F> void solve_grasps(const Grasps& grasps, const Many& many, Group& group, F&& one) {
+    constexpr int W = REGISTER;
+    const auto alone = [&](std::ptrdiff_t u, std::ptrdiff_t from, std::ptrdiff_t count) {
+        const Many part{count, many.wrench(from), many.rows + record_size(grasps.contacts) * from};
+        if (grasps.sound(u)) {
+            const Contacts made = grasps.make(u);
+            if (made.placing == Placing::good && one(made, part)) return;
+        }
+        for (std::ptrdiff_t k = 0; k < count; ++k) part.record(k, grasps.contacts).summary().code = REFUSED;
+    };
+    Case problems[W];
+    int waiting = 0;
+    const auto solve = [&] {
+        typename Group::Mask wanted{};
+        for (int lane = 0; lane < W; ++lane) {
+            if (lane < waiting) wanted[lane] = -1;
+            else problems[lane] = problems[0];  // something must stand there
+        }
+        const auto good = group.solve(problems, wanted);
+        for (int lane = 0; lane < waiting; ++lane)
+            if (!good[lane]) alone(problems[lane].grasp, problems[lane].number, 1);
+        waiting = 0;
+    };
+    for (std::ptrdiff_t u = 0; u < grasps.count; ++u) {
+        const auto from = std::ptrdiff_t(grasps.first[u]), until = std::ptrdiff_t(grasps.first[u + 1]);
+        if (until - from >= W || !grasps.sound(u)) {
+            alone(u, from, until - from);
+            continue;
+        }
+        for (std::ptrdiff_t k = from; k < until; ++k) {
+            problems[waiting++] = {u, k};
+            if (waiting == W) solve();
+        }
+    }
+    if (waiting > 0) solve();
+}
+
+// Newton, each grasp from an internal force of its own. REFUSED: no force closure in floating point.
+inline void newton_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
+    NewtonGrasps<REGISTER> group(grasps, options, many);
+    dispatch(grasps.contacts, [&]<class V, int B>() {
+        NewtonOn<V, B> one(grasps.contacts, options);
+        auto rest = one.cones.field();
+        solve_grasps(grasps, many, group, [&](const Contacts& contacts, const Many& part) {
+            one.cones.pack(contacts);
+            const bool found = one.find_rest(rest);
+            if (found) newton_many(one, rest, part);
+            return found;
+        });
+    });
+}
+
+// The least sum of normal forces.
+inline void conic_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
+    ConicGrasps<REGISTER> group(grasps, options, many);
+    dispatch(grasps.contacts, [&]<class V, int B>() {
+        NewtonOn<V, B> newton(grasps.contacts, options);
+        ConicOn<V, B> one(grasps.contacts, options);
+        solve_grasps(grasps, many, group, [&](const Contacts& contacts, const Many& part) {
+            newton.cones.pack(contacts), one.cones.pack(contacts);
+            if (!newton.internal_force()) return false;
+            one.rest = newton.x;
+            conic_many(one, part);
+            return true;
+        });
+    });
+}
+
+}  // namespace grasp

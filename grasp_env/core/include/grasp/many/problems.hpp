@@ -1,0 +1,296 @@
+// Many problems side by side: a register holds one contact of W problems, and a problem that ends makes room for the next. What a
+// lane does hangs on no other lane: an answer is the same whatever stands beside it. A problem begins and ends by itself, in the
+// registers of one (`NewtonOn`, `ConicOn`), and what is not an ordinary descent is solved there from its start on.
+#pragma once
+#include <grasp/conic/conic.hpp>
+
+namespace grasp {
+
+// The numbers of one problem.
+template <int W> inline Vec6 of(const Six<Each<W>>& a, int lane) {
+    Vec6 out;
+    for (int r = 0; r < 6; ++r) out[r] = get(a[r], lane);
+    return out;
+}
+
+// Which problems have reached their tolerance, and which must be solved by themselves.
+template <class Mask> struct Ended { Mask closed, alone; };
+
+template <int W> class NewtonLanes {
+public:
+    using V = Each<W>;
+    using Mask = typename V::Mask;
+    using Field = typename Cones<V, 0>::Field;
+    Stop options;
+    Cones<V, 0> cones;
+    Field x;  // the iterates
+    V value{}, bound{}, iterations{}, trials{};
+    Six<V> wrench{}, nu{};  // unit frame: what is balanced; multipliers
+
+    NewtonLanes(int count, const Stop& options, double fraction = SHORT)
+        : options(options), cones(count), x(cones.field()), fraction_(fraction), system_(cones), step_(cones.field()) {}
+    // All on the contacts of one.
+    template <class C, int B> NewtonLanes(const Cones<C, B>& contacts, const Stop& options, double fraction = SHORT)
+        : NewtonLanes(contacts.count, options, fraction) {
+        cones.spread(contacts);
+    }
+
+    // A problem: its start (3N,), balanced and strictly inside, in cone coordinates, its wrench, Phi there.
+    void begin(int lane, const double* start, const Vec6& w, double phi) {
+        cones.load(start, x, lane);
+        for (int r = 0; r < 6; ++r) set(wrench[r], lane, w[r]);
+        set(value, lane, phi), set(bound, lane, -infinity), set(iterations, lane, 0.0), set(trials, lane, 0.0);
+    }
+
+    // All of them at once; which have a start.
+    Mask begin(const Field& start, const Six<V>& w) {
+        x = start, wrench = w;
+        value = cones.phi(x), bound = V(-infinity), iterations = trials = V{};
+        return value < infinity;
+    }
+
+    Vec6 wrench_of(int lane) const { return of(wrench, lane); }
+    Progress progress(int lane) const {
+        return {.value = get(value, lane),
+                .bound = get(bound, lane),
+                .iterations = int(get(iterations, lane)),
+                .trials = int(get(trials, lane)),
+                .nu = of(nu, lane)};
+    }
+
+    // One step of those that are `live`, as `NewtonOn::descend` takes it.
+    Ended<Mask> step(const Mask& live) {
+        const double tolerance = options.tolerance;
+        Mask open = live & system_.assemble(cones, x) & (iterations < double(std::min(options.limit, PATIENCE)));
+        const Six<V> left = system_.made + wrench;
+        nu = system_.multipliers(left);
+        NoRows none;
+        const auto [decrement, reach] = system_.step(cones, x, nu, left, value, step_, none);
+        if (const Mask look = open & By::close(value, decrement, tolerance); any(look))
+            raise(look, cones.lower_bound(nu, wrench));
+        Mask certified = open & By::certified(value, bound, tolerance);
+        open &= ~certified;
+        if (!any(open)) return {certified, live & ~certified};
+
+        V alpha = By::longest(reach, fraction_);
+        const Mask moved = search(open, decrement, alpha);
+        for (int b = 0; b < int(x.size()); ++b) x[b] += alpha * step_[b];
+        iterations += select(moved, V(1.0), V(0.0));
+        const Mask look = moved & (alpha == V(1.0)) & By::small(value, decrement, tolerance);
+        if (any(look)) {
+            raise(look, cones.lower_bound(nu, wrench, x, By::tight(tolerance)));
+            certified |= look & By::certified(value, bound, tolerance);
+        }
+        return {certified, live & ~(certified | moved)};
+    }
+
+private:
+    using By = Rules<V>;
+    static constexpr int PATIENCE = 40;  // steps that an ordinary descent never takes
+    double fraction_;  // of the way to the boundary
+    System<V, 0> system_;
+    Field step_;
+
+    void raise(const Mask& which, const V& found) { bound = select(which, max(bound, found), bound); }
+
+    // Halves the alpha of those that are open until Phi falls, and with it `value`; those of others become 0. Which have moved.
+    Mask search(Mask open, const V& decrement, V& alpha) {
+        const Mask flat = By::flat(value, decrement);
+        Mask moved{};
+        V taken{};
+        for (int halving = 0; halving < By::HALVINGS; ++halving, alpha = 0.5 * alpha) {
+            trials += select(open, V(1.0), V(0.0));
+            const V found = cones.phi_along(x, step_, alpha);
+            Mask good = open & (By::falls(found, value, alpha, decrement) | (flat & (found <= value)));
+            if (const Mask suspect = halving > 0 ? good : good & flat; any(suspect)) {
+                const Mask far = alpha * cones.largest_normal(step_) > By::SHORTEST * cones.largest_normal(x);
+                open &= ~(suspect & ~far), good &= ~(suspect & ~far);
+            }
+            value = select(good, found, value), taken = select(good, alpha, taken);
+            moved |= good, open &= ~good;
+            if (!any(open)) break;
+        }
+        alpha = taken;
+        return moved;
+    }
+};
+
+template <int W> class ConicLanes {
+public:
+    using V = Each<W>;
+    using Mask = typename V::Mask;
+    Stop options;
+    ConicSteps<V, 0> steps;
+    V iterations{};
+    Six<V> minus{};  // of the wrenches, unit frame, of size 1
+
+    ConicLanes(int count, const Stop& options) : options(options), steps(count) {}
+    template <class C, int B> ConicLanes(const Cones<C, B>& contacts, const Stop& options) : ConicLanes(contacts.count, options) {
+        steps.cones.spread(contacts);
+    }
+
+    // All of them at once, each from its own internal force; which are not solved by that.
+    Mask begin() {
+        steps.start(minus), iterations = V{};
+        return steps.gap > options.tolerance * steps.price;
+    }
+
+    // The start of a problem; its last iterate, returning how many it took.
+    template <class C, int B> void begin(int lane, const ConicSteps<C, B>& from, const Vec6& w) {
+        each(from, [&](int b, int c, int n, int a) {
+            set(steps.at[c].x[a], lane, get(from.at[b].x[a], n)), set(steps.at[c].s[a], lane, get(from.at[b].s[a], n));
+        });
+        for (int r = 0; r < 6; ++r) set(steps.y[r], lane, from.y[r]), set(minus[r], lane, w[r]);
+        set(steps.gap, lane, from.gap), set(steps.price, lane, from.price), set(iterations, lane, 0.0);
+    }
+    template <class C, int B> int end(int lane, ConicSteps<C, B>& to) const {
+        each(to, [&](int b, int c, int n, int a) { set(to.at[b].x[a], n, get(steps.at[c].x[a], lane)); });
+        to.y = of(steps.y, lane);
+        return int(get(iterations, lane));
+    }
+
+    Ended<Mask> step(const Mask& live) {
+        const Mask sound = live & (steps.system() > 0.0) & (iterations < double(options.limit));
+        const auto solve = [&](const Six<V>& pull) { return steps.schur.solve(pull); };
+        const Mask moved = sound & steps.template step<false>(solve(minus), solve);
+        iterations += 1.0;
+        return {moved & (steps.gap <= options.tolerance * steps.price), live & ~moved};
+    }
+
+private:
+    // f(block, contact, its lane there, coordinate)
+    template <class C, int B, class F> static void each(const ConicSteps<C, B>& one, F&& f) {
+        for (int c = 0; c < one.cones.count; ++c)
+            for (int a = 0; a < 3; ++a) f(c / width<C>, c, c % width<C>, a);
+    }
+};
+
+// Solves problems 0 .. many - 1 in the lanes. begin(lane, k): puts problem k into a lane, or deals with it otherwise and returns
+// false; end(lane, k, closed): takes it out.
+template <class Many, class Begin, class End> void run(Many& lanes, std::ptrdiff_t many, Begin&& begin, End&& end) {
+    constexpr int W = sizeof(typename Many::V) / sizeof(double);
+    std::ptrdiff_t next = 0, problem[W] = {};
+    typename Many::Mask live{};
+    const auto fill = [&](int lane) {
+        live[lane] = 0;
+        while (next < many && !live[lane])
+            if (begin(lane, problem[lane] = next++)) live[lane] = -1;
+    };
+    for (int lane = 0; lane < W; ++lane) fill(lane);
+    while (any(live)) {
+        const auto [closed, alone] = lanes.step(live);
+        if (!any(closed | alone)) continue;
+        for (int lane = 0; lane < W; ++lane)
+            if (closed[lane] || alone[lane]) end(lane, problem[lane], bool(closed[lane])), fill(lane);
+    }
+}
+
+inline constexpr int FEW = REGISTER / 2;  // problems that are not worth the lanes
+
+// What many calls of a solver read and write, a row of each for a problem.
+struct Many {
+    std::ptrdiff_t count;
+    const double* wrenches;  // (M, 6) [N, N m]
+    double* rows;  // (M, record_size(N))
+    const double* previous = nullptr;  // (M, record_size(N)) of other solutions to start from, or none
+
+    const double* wrench(std::ptrdiff_t k) const { return wrenches + 6 * k; }
+    Record record(std::ptrdiff_t k, int contacts) const { return {rows + record_size(contacts) * k, contacts}; }
+    // A start from problem k's row of `previous`; the combination where there are none.
+    Call call(std::ptrdiff_t k, int contacts) const {
+        Call call{.wrench = wrench(k)};
+        if (previous) {
+            const Record before(const_cast<double*>(previous) + record_size(contacts) * k, contacts);  // only read
+            call.start = From::tangent, call.force = before.force(), call.torsion = before.torsion();
+        }
+        return call;
+    }
+};
+
+// Newton on many wrenches of one grasp. begin(k, w): makes the start of problem k in one.x, for its wrench in the unit frame, or
+// returns false: it is refused; alone(k, record): solves it in the ordinary way.
+template <class V, int B, class Begin, class Alone>
+void newton_many(NewtonOn<V, B>& one, const Many& many, Begin&& begin, Alone&& alone) {
+    auto& cones = one.cones;
+    const int count = cones.count;
+    if (many.count < FEW) {
+        for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
+        return;
+    }
+    NewtonLanes<REGISTER> lanes(cones, one.options);
+    std::vector<double> x(3 * count);
+    const auto enter = [&](int lane, std::ptrdiff_t k) {
+        const Record record = many.record(k, count);
+        const Vec6 w = cones.unit.of(many.wrench(k));
+        if (!sane_wrench(many.wrench(k)) || !begin(k, w)) {
+            record.summary().code = REFUSED;
+            return false;
+        }
+        cones.store_force(one.x, record.initial_force()), cones.store(one.x, x.data());
+        const double value = cones.phi(one.x);
+        if (!(value < infinity)) {
+            alone(k, record);
+            return false;
+        }
+        lanes.begin(lane, x.data(), w, value);
+        return true;
+    };
+    const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
+        const Record record = many.record(k, count);
+        if (closed) {
+            lanes.cones.store(lanes.x, x.data(), lane), cones.load(x.data(), one.x);
+            const Call call{.wrench = many.wrench(k), .start = From::given};
+            closed = one.finish(CONVERGED, one.x, call, lanes.wrench_of(lane), lanes.progress(lane), record) == CONVERGED;
+        }
+        if (!closed) alone(k, record);
+    };
+    run(lanes, many.count, enter, leave);
+}
+
+// The same from an internal force strictly inside the cones.
+template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const Many& many) {
+    const auto start = [&](std::ptrdiff_t, const Vec6& w) { return begin(one.cones, rest, w, one.x), true; };
+    newton_many(one, many, start,
+                [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); });
+}
+
+// The same from the combination, or from the previous solutions.
+template <class V, int B> void newton_many(NewtonOn<V, B>& one, const Many& many) {
+    const int count = one.cones.count;
+    const auto begin = [&](std::ptrdiff_t k, const Vec6& w) { return one.begin(many.call(k, count), w); };
+    newton_many(one, many, begin, [&](std::ptrdiff_t k, const Record& record) { one.solve(many.call(k, count), record); });
+}
+
+// The least sum of normal forces, for many wrenches of one grasp.
+template <class V, int B> void conic_many(ConicOn<V, B>& one, const Many& many) {
+    const int count = one.cones.count;
+    if (many.count < FEW) {
+        for (std::ptrdiff_t k = 0; k < many.count; ++k) one.solve(many.wrench(k), many.record(k, count));
+        return;
+    }
+    ConicLanes<REGISTER> lanes(one.cones, one.options);
+    typename ConicOn<V, B>::Posed posed[REGISTER];
+    const auto enter = [&](int lane, std::ptrdiff_t k) {
+        const Record record = many.record(k, count);
+        if (!one.pose(many.wrench(k), posed[lane], record)) return false;
+        one.start(posed[lane].minus);
+        if (one.gap <= one.options.tolerance * one.price) {  // a start that is good enough
+            one.solve(many.wrench(k), record);
+            return false;
+        }
+        lanes.begin(lane, one, posed[lane].minus);
+        return true;
+    };
+    const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
+        const Record record = many.record(k, count);
+        if (closed) {
+            one.start(posed[lane].minus);  // for the record
+            const int iterations = lanes.end(lane, one);
+            closed = one.conclude(posed[lane], iterations, record) <= one.options.tolerance;
+        }
+        if (!closed) one.solve(many.wrench(k), record);
+    };
+    run(lanes, many.count, enter, leave);
+}
+
+}  // namespace grasp

@@ -1,0 +1,112 @@
+// The offline part: the optima of Phi for the 12 unit wrenches, and for none (paper, Sec. III).
+#pragma once
+#include <grasp/many/problems.hpp>
+
+namespace grasp {
+
+inline constexpr double BASIS_TOLERANCE = 1e-10;
+inline constexpr int BASIS_ITERATIONS = 200;
+// Basis forces are starts: where floating point ends before 1e-10 (tiny lambda), one within a hundredth still serves.
+inline constexpr double ACCEPTED_GAP = 1e-2;
+
+// Makes the basis of a Newton for its contacts: the optimum at rest (12) first, as the others start from it.
+template <class V, int B> class BasisMaker {
+public:
+    explicit BasisMaker(NewtonOn<V, B>& newton) : newton_(newton), kept_(newton.options) {
+        newton.options = {BASIS_TOLERANCE, BASIS_ITERATIONS};
+    }
+    ~BasisMaker() { newton_.options = kept_; }
+
+    // From those of nearby contacts, which the basis holds; returns the worst relative gap, inf: failed.
+    double warm() {
+        for (int k = 12; k >= 0 && worst_ < infinity; --k) {
+            if (begin_warm(k)) descend(k);
+            else if (k < 12) alone(k);
+            else worst_ = infinity;
+        }
+        return made();
+    }
+    // From nothing; newton.x is an internal force strictly inside. Allocates.
+    double cold() {
+        auto& x = newton_.x;
+        const double scale = squeeze(newton_.cones, x);
+        for (auto& v : x) v = all<V>(scale) * v;
+        descend(12);
+        if (!(worst_ < infinity)) return made();
+        NewtonLanes<REGISTER> lanes(newton_.cones, newton_.options, LONG);
+        std::vector<double> flat(3 * newton_.cones.count);
+        const auto enter = [&](int lane, std::ptrdiff_t k) {
+            begin(int(k)), newton_.cones.store(x, flat.data());
+            const double value = newton_.cones.phi(x);
+            if (value < infinity) lanes.begin(lane, flat.data(), w_, value);
+            else worst_ = infinity;
+            return value < infinity;
+        };
+        const auto leave = [&](int lane, std::ptrdiff_t k, bool closed) {
+            if (!closed) return alone(int(k));
+            w_ = lanes.wrench_of(lane);
+            lanes.cones.store(lanes.x, flat.data(), lane), newton_.cones.load(flat.data(), x);
+            const Progress at = lanes.progress(lane);
+            keep(int(k), at.value, at.bound);
+        };
+        run(lanes, 12, enter, leave);
+        return made();
+    }
+
+private:
+    NewtonOn<V, B>& newton_;
+    const Stop kept_;
+    double worst_ = 0.0;
+    double wrench_[6];
+    Vec6 w_;  // the wrench of an optimum, given frame and unit frame
+
+    void pose(int k) {
+        std::fill(wrench_, wrench_ + 6, 0.0);
+        if (k < 12) wrench_[k % 6] = k < 6 ? 1.0 : -1.0;
+        w_ = newton_.cones.unit.of(wrench_);
+    }
+    // The start of k < 12, in x: the least force with as much of the rest as it needs.
+    void begin(int k) {
+        pose(k);
+        grasp::begin(newton_.cones, newton_.starter.basis[12], w_, newton_.x);
+    }
+    bool begin_warm(int k) {  // twice: the second correction takes the rounding of the first out of the balance
+        pose(k);
+        newton_.x = newton_.starter.basis[k];
+        const auto follows = [&] {
+            return newton_.starter.tangent(newton_.cones, newton_.system, w_, newton_.x) &&
+                   newton_.cones.phi(newton_.x) < infinity;
+        };
+        return follows() && follows();
+    }
+    void alone(int k) { begin(k), descend(k); }
+    void descend(int k) {
+        pose(k);
+        const Record record(newton_.row.data(), newton_.cones.count);
+        if (!(newton_.cones.phi(newton_.x) < infinity)) {
+            worst_ = infinity;
+            return;
+        }
+        newton_.descend_from(newton_.starter.safe() = newton_.x, {.wrench = wrench_, .start = From::given}, w_, record, LONG);
+        keep(k, record.summary().objective, record.summary().lower_bound);
+    }
+    void keep(int k, double value, double bound) {
+        newton_.polish(w_);
+        newton_.cones.balance(newton_.x, w_);
+        newton_.starter.basis[k] = newton_.x;
+        worst_ = bound > 0.0 ? std::max(worst_, (value - bound) / bound) : infinity;
+    }
+    double made() {
+        newton_.starter.has_basis = worst_ < ACCEPTED_GAP, newton_.starter.moved = false;
+        return worst_;
+    }
+};
+
+// Fills the basis of `newton` for its contacts; returns the worst relative gap, inf: failed.
+// warm: the basis holds the optima of nearby contacts to start from; else newton.x is an internal force strictly inside.
+template <class V, int B> double make_basis(NewtonOn<V, B>& newton, bool warm) {
+    BasisMaker<V, B> maker(newton);
+    return warm ? maker.warm() : maker.cold();
+}
+
+}  // namespace grasp

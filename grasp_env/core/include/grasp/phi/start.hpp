@@ -1,0 +1,156 @@
+// ONE way to make an initial force: balanced, strictly inside the cones, never worse in Phi than the paper's combination.
+#pragma once
+#include <grasp/phi/system.hpp>
+
+namespace grasp {
+
+inline constexpr double FAR = 2.0;  // where carrying the combination to moved contacts makes Phi grow by more, the basis is old
+
+enum class From {
+    combination,  // of the 12 offline optima (the paper, Sec. III)
+    given,  // a force as it is
+    tangent,  // a previous optimum: the change that is least in the Hessian of Phi, which follows it to first order
+    pseudoinverse,  // a previous optimum: the least change in force, G^+
+};
+
+// sum E_k f_k + max(0, 1 - sum E_k) f_rest, E_k = max(0, +-w_k) (Eqs. 33, 34): which of the 13 offline optima (+e_1..+e_6,
+// -e_1..-e_6, rest), and how much of each. As `printed` without the rest, which keeps it away from P = 0 at small wrenches.
+struct Combination {
+    int rows[7];
+    double weights[7];
+
+    Combination(const double* wrench, bool printed) {
+        double total = 0.0;
+        for (int k = 0; k < 6; ++k) {
+            weights[k] = std::abs(wrench[k]), total += weights[k];
+            rows[k] = wrench[k] > 0.0 ? k : k + 6;
+        }
+        rows[6] = 12, weights[6] = printed ? 0.0 : std::max(0.0, 1.0 - total);
+    }
+};
+
+// The tangents that a force is written in.
+template <class V, int B> struct Tangents {
+    using Field = typename Cones<V, B>::Field;
+    Field o, t;
+
+    explicit Tangents(const Cones<V, B>& cones) : o(cones.field()), t(cones.field()) {}
+    // frames: (N, 3, 3) columns (n, o, t)
+    void load(const double* frames, int count) {
+        for (int i = 0; i < count; ++i)
+            for (int r = 0; r < 3; ++r) {
+                set(o[i / width<V>][r], i % width<V>, frames[9 * i + 3 * r + 1]);
+                set(t[i / width<V>][r], i % width<V>, frames[9 * i + 3 * r + 2]);
+            }
+    }
+};
+
+template <class V, int B> class Starter {
+public:
+    using Field = typename Cones<V, B>::Field;
+    std::array<Field, 13> basis;  // argmin Phi for +e_1..+e_6, -e_1..-e_6 and for no wrench, cone coordinates
+    Tangents<V, B> basis_tangents, tangents;  // those the basis is written in, and the current ones
+    bool has_basis = false, moved = false;  // moved: the contacts are not those of the basis any more
+
+    explicit Starter(const Cones<V, B>& cones)
+        : basis_tangents(cones), tangents(cones), there_(cones.field()), safe_(cones.field()), step_(cones.field()) {
+        for (auto& row : basis) row = cones.field();
+    }
+
+    // rows: (13, 3N) cone coordinates; frames: (N, 3, 3) that they are written in, where the contacts may move.
+    void set_basis(const Cones<V, B>& cones, const double* rows, const double* frames = nullptr) {
+        for (int k = 0; k < 13; ++k) cones.load(rows + 3 * cones.count * k, basis[k]);
+        if (frames) basis_tangents.load(frames, cones.count);
+        has_basis = true;
+    }
+
+    void combine(const double* wrench, Field& out, bool printed = false) const {
+        const Combination made(wrench, printed);
+        for (int b = 0; b < int(out.size()); ++b) {
+            Vec3<V> x = all<V>(made.weights[6]) * basis[12][b];
+            for (int k = 0; k < 6; ++k) x += all<V>(made.weights[k]) * basis[made.rows[k]][b];
+            out[b] = x;
+        }
+    }
+
+    // The combination on the current contacts, w the wrench in their unit frame; false where it is outside the cones, or far.
+    bool combination(const Cones<V, B>& cones, System<V, B>& system, const double* wrench, const Vec6& w, Field& out) {
+        if (!moved) {
+            combine(wrench, out);
+            return true;
+        }
+        combine(wrench, there_);
+        turn(cones, there_, basis_tangents, out);
+        if (!tangent(cones, system, w, out)) return false;
+        const double value = cones.phi(out);
+        return value < infinity && value <= FAR * cones.phi(there_);
+    }
+
+    // An optimum of other contacts or another wrench, in x, carried to the current ones and strictly inside the cones: never worse
+    // than `safe`, the combination. The tangent correction is kept as it is where it is better than that.
+    void carry(const Cones<V, B>& cones, System<V, B>& system, const Field& safe, const Vec6& w, From how, Field& x) {
+        const bool follows = how == From::tangent && cones.phi(x) < infinity && tangent(cones, system, w, x);
+        if (!follows) cones.balance(x, w);
+        if (!(follows && cones.phi(x) < cones.phi(safe))) segment(cones, safe, x);
+    }
+
+    // x = the force of least Phi on the segment from `safe` (strictly inside) to x; returns how far along. Phi is convex there:
+    // its slope is driven to zero by bisection inside the cones, to a thousandth. Never worse than either end.
+    double segment(const Cones<V, B>& cones, const Field& safe, Field& x) {
+        if (!cones.sane(x)) {
+            x = safe;
+            return 0.0;
+        }
+        for (int b = 0; b < int(x.size()); ++b) step_[b] = x[b] - safe[b];
+        const double value_safe = cones.phi(safe), value_x = cones.phi(x);
+        double low = 0.0, high = 1.0, best = 0.0, best_value = value_safe;
+        if (value_x == infinity) {
+            const double reach = cones.reach(safe, step_);
+            high = reach > 0.0 ? std::min(1.0, 0.999 / reach) : 1.0;
+        } else if (value_x < best_value) {
+            best = 1.0, best_value = value_x;
+        }
+        double theta = high;
+        for (int round = 0; round < 40; ++round) {
+            const double value = cones.phi_along(safe, step_, theta);
+            if (value < best_value) best = theta, best_value = value;
+            if (value == infinity) {
+                high = theta;
+            } else if (cones.slope_along(safe, step_, theta) <= 0.0) {
+                if (theta == 1.0) break;
+                low = theta;
+            } else {
+                high = theta;
+            }
+            if (high - low < 1e-3 * high) break;
+            theta = 0.5 * (low + high);
+        }
+        if (best != 1.0)
+            for (int b = 0; b < int(x.size()); ++b) x[b] = safe[b] + all<V>(best) * step_[b];
+        return best;
+    }
+
+    // x += the tangent correction to G x + w = 0, then what rounding left of balance by the least change
+    bool tangent(const Cones<V, B>& cones, System<V, B>& system, const Vec6& w, Field& x) {
+        if (!system.assemble(cones, x)) return false;
+        cones.subtract(x, system.restore(cones, system.made + w, x) + w);
+        return true;
+    }
+
+    // out = x with its tangential parts turned from the tangents `from` into the current ones. What the frames' tilt takes off a
+    // tangential force is left out, so that out is inside the cones where x is (round cones).
+    void turn(const Cones<V, B>& cones, const Field& x, const Tangents<V, B>& from, Field& out) const {
+        for (int b = 0; b < int(out.size()); ++b) {
+            const auto& c = cones.blocks[b];
+            const Vec3<V> along = (x[b].o / c.divisor.o) * from.o[b] + (x[b].t / c.divisor.t) * from.t[b];
+            out[b] = {x[b].u, dot(tangents.o[b], along) * c.scale.o, dot(tangents.t[b], along) * c.scale.t};
+        }
+    }
+
+    Field& safe() { return safe_; }
+
+private:
+    Field there_, safe_, step_;
+};
+
+}  // namespace grasp

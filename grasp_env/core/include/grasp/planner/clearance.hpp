@@ -1,0 +1,54 @@
+// How far a hand's links are from an object and from one another.
+#pragma once
+#include <grasp/planner/convex.hpp>
+#include <grasp/hand/tree.hpp>
+
+namespace grasp {
+
+// An object, in the world frame.
+struct Obstacle {
+    Surface surface;
+    Solid solid;
+
+    explicit Obstacle(Surface given) : surface(std::move(given)), solid(Solid::of(surface)) {}
+};
+
+// Of a placed limb from the object; a lower bound where it is above `enough` [m].
+inline double gap(const Obstacle& object, const Placed& limb, double enough = infinity) {
+    const double radius = limb.solid->radius;
+    if (limb.solid->is_line()) return gap(object.surface, limb.axis, enough + radius) - radius;
+    return gap(Placed(object.solid), limb, enough);
+}
+
+// A solid that is fixed to a link.
+struct Limb {
+    int link;     // -1: the palm
+    Solid solid;  // link frame
+    bool tip;     // part of a fingertip, which is there to touch
+
+    bool is_sphere_of_tip() const { return tip && solid.is_line(); }
+    Placed at(const Posture& posture) const {
+        return link < 0 ? Placed(solid) : Placed(solid, posture.origins[link], posture.frames[link]);
+    }
+};
+
+// Links of which nobody asks how far they are apart: those of one joint, and what always touches.
+class Together {
+public:
+    explicit Together(const Tree& tree, const std::vector<std::pair<int, int>>& pairs = {})
+        : count_(tree.joints() + 1), pairs_(count_ * count_, 0) {
+        for (int j = -1; j < tree.joints(); ++j) add(j, j);
+        for (int j = 0; j < tree.joints(); ++j) add(j, tree.links[j].parent);
+        for (const auto& [a, b] : pairs) add(a, b);
+    }
+    // -1: the palm
+    bool operator()(int a, int b) const { return pairs_[count_ * (a + 1) + b + 1]; }
+
+private:
+    int count_;
+    std::vector<char> pairs_;
+
+    void add(int a, int b) { pairs_[count_ * (a + 1) + b + 1] = pairs_[count_ * (b + 1) + a + 1] = 1; }
+};
+
+}  // namespace grasp

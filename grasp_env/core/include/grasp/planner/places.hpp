@@ -1,0 +1,411 @@
+// Places on an object that one finger of a hand can touch on its own.
+//
+// A finger whose tip goes anywhere reaches them by inverse kinematics. One with fewer joints, or in a plane, meets the object
+// where it does: from a posture of its joints one of them closes until the tip touches. Joints that move several fingers stay
+// where they are.
+#pragma once
+#include <grasp/planner/clearance.hpp>
+#include <grasp/hand/reach.hpp>
+
+namespace grasp {
+
+// What a place must keep.
+struct Margins {
+    double flat;  // [m] of flat surface around it
+    double joints;  // [rad] from the joints' limits
+    double clearance;  // [m] of the links from the object
+};
+
+// What a grasp must do. Wrenches are (force, moment / length) [N].
+struct Demand {
+    double friction;
+    double length;  // [m]
+    std::vector<Vec6> loads;  // that the contacts make; 0 is inside their convex hull
+    double space;  // between fingers [m]
+    double torsion = 0.0;  // moment about the normal over its force, of soft contacts [m]
+    double start = 0.0;  // [m] between tip and object before the fingers close
+    Point gravity{0.0, 0.0, 0.0};  // [m/s^2]
+};
+
+inline constexpr double BEHIND =
+    1e-3;  // [m] from the object that is enough for the rest of a fingertip, which moves with its sphere
+inline constexpr double PI = 3.14159265358979323846;
+inline constexpr double FULL = 30.0;  // [N] that weigh as much as a joint at its torque limit
+
+// Where to begin inside the object [m], and what to add to the direction towards the finger; for fingers that only close the six
+// numbers in [0, 1) of which these were made.
+struct Ray {
+    Point start, aside;
+    Vec6 draws;
+};
+
+struct Place {
+    Point point, normal;  // [m], inward
+    std::vector<Placed> limbs;  // of the finger, when it is there
+    std::vector<double> replies;  // see `grasp_search.hpp`
+    std::vector<double> angles, start;  // of the finger's joints there, and before it closes where that is known [rad]
+    std::vector<Point> efforts;  // of the joints that can be the limit: what 1 N takes of the torque that is left, times `FULL`
+
+    // Of a force [N]: 1 for each newton of it along the normal, or what the joint nearest to its limit feels.
+    double cost(const Point& force) const {
+        double most = 1.0;
+        for (const Point& effort : efforts) most = std::max(most, std::abs(dot(effort, force)));
+        return most;
+    }
+};
+
+// How many rays ended at an edge, out of reach, near a joint's limit, with a link at the object, without room to start, without
+// push.
+struct Misses { int edge = 0, far = 0, limit = 0, touching = 0, start = 0, weak = 0; };
+
+// One finger of a hand: its joints as a tree of their own, and the limbs that they carry.
+class Finger {
+public:
+    std::vector<int> joints;  // numbers in the hand
+    std::vector<int> carried;  // numbers of its limbs in the hand
+    std::vector<Limb> limbs;  // links as numbered in the finger
+    bool free = false;  // its tip goes anywhere near
+
+    // home: (M,) [rad] of the hand, where the inverse kinematics starts; users: (M,) how many fingers each motor moves
+    Finger(const Tree& hand, int number, const std::vector<Limb>& all, const double* home, const std::vector<int>& users)
+        : tree_(made(hand, number, home, users)), reach_(tree_), posture_(tree_) {
+        for (int j : joints) home_.push_back(home[j]);
+        for (std::size_t c = 0; c < all.size(); ++c) {
+            const auto at = std::find(joints.begin(), joints.end(), all[c].link);
+            if (at == joints.end()) continue;
+            carried.push_back(int(c)), limbs.push_back(all[c]);
+            limbs.back().link = int(at - joints.begin());
+        }
+        angles_ = home_;
+        free = own_.size() >= 3 && spatial();
+        posture_.trace(home_.data());
+        const Point tip = posture_.tip(0);
+        direction_ = (1.0 / std::max(length(tip), 1e-9)) * tip;
+    }
+
+    bool carries(int limb) const { return std::binary_search(carried.begin(), carried.end(), limb); }
+
+    // Up to `most` places that it reaches with its links clear of the object.
+    void find(const Obstacle& object, const Demand& demand, const std::vector<Ray>& rays, const Margins& margins,
+              std::size_t most, std::vector<Place>& places, Misses& misses) {
+        places.clear();
+        // one joint meets the object in few ways, two do so along lines
+        const std::size_t tries = free || own_.size() > 2 ? rays.size() : own_.size() == 2 ? 40 : 4;
+        for (std::size_t r = 0; r < std::min(rays.size(), tries); ++r) {
+            const Ray& ray = rays[r];
+            if (places.size() == most) return;
+            Nearest place;
+            Place made;
+            if (free) {
+                if (!walk(object.surface, ray, place)) continue;
+                if (!flat(object.surface, place, margins.flat)) {
+                    ++misses.edge;
+                    continue;
+                }
+                if (!reaches(place, margins.joints, misses)) continue;
+            } else if (!closes(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins, place, made.start,
+                               misses)) {
+                continue;
+            }
+            if (!clear(object, margins.clearance, made.limbs)) {
+                ++misses.touching;
+                continue;
+            }
+            made.point = place.point, made.normal = place.inward, made.angles = angles_;
+            weigh(demand, made.efforts);
+            places.push_back(std::move(made));
+        }
+    }
+
+    // Angles of the finger's joints where its tip is `away` from a place [m]; false where it cannot be there.
+    bool stand_off(const Place& place, double away, std::vector<double>& angles) {
+        if (!free) {
+            angles = place.start;
+            return true;
+        }
+        const Point tip = place.point - (tree_->tips[0].radius + away) * place.normal;
+        double missed;
+        for (const std::vector<double>* from : {&std::as_const(home_), &place.angles}) {
+            reach_.solve(&tip, from->data(), 1, angles_.data(), &missed);
+            angles = angles_;
+            if (missed <= REACHED) return true;
+        }
+        return false;
+    }
+
+private:
+    static constexpr double AROUND = 0.15;  // of the joints' ranges, about the rest posture
+    std::vector<int> own_;  // joints with a motor that moves no other finger, as numbered in the finger
+    std::shared_ptr<const Tree> tree_;
+    Reach reach_;
+    Posture posture_;
+    std::vector<double> home_, angles_;
+    Point direction_;  // from the object to the finger
+
+    std::shared_ptr<const Tree> made(const Tree& hand, int number, const double* home, const std::vector<int>& users) {
+        auto out = std::make_shared<Tree>(hand.chain(number, joints));
+        for (std::size_t k = 0; k < joints.size(); ++k) {
+            Link& link = out->links[k];
+            const bool follows = hand.links[joints[k]].coupled();
+            if (users[hand.mover(joints[k])] > 1 || (follows && !link.coupled())) link.lower = link.upper = home[joints[k]];
+            else if (!follows) own_.push_back(int(k));
+        }
+        for (Link& link : out->links)
+            if (link.coupled() && out->links[link.driver].lower == out->links[link.driver].upper)
+                link.lower = link.upper = link.ratio * out->links[link.driver].lower + link.shift;
+        return out;
+    }
+
+    double low(int joint) const { return std::max(tree_->links[joint].lower, -PI); }
+    double high(int joint) const { return std::min(tree_->links[joint].upper, PI); }
+    void trace() {
+        tree_->couple(angles_.data());
+        posture_.trace(angles_.data());
+    }
+
+    // Whether the tip moves in all directions, at one of some postures.
+    bool spatial() {
+        constexpr double LEAST = 1e-4;  // of the determinant of J J^T over its mean eigenvalue's cube
+        const int count = int(joints.size());
+        std::vector<double> jacobian(3 * count);
+        double best = 0.0;
+        for (double part : {-1.0, 0.35, 0.5, 0.65}) {
+            for (int j : own_) angles_[j] = part < 0.0 ? home_[j] : low(j) + part * (high(j) - low(j));
+            trace();
+            posture_.jacobian(count - 1, posture_.tip(0), jacobian.data());
+            Point rows[3] = {{0, 0, 0}, {0, 0, 0}, {0, 0, 0}};
+            for (int r = 0; r < 3; ++r)
+                for (int c = 0; c < 3; ++c)
+                    for (int j : own_) rows[r][c] += jacobian[count * r + j] * jacobian[count * c + j];
+            const double mean = (rows[0][0] + rows[1][1] + rows[2][2]) / 3.0;
+            if (mean > 0.0) best = std::max(best, dot(rows[0], cross(rows[1], rows[2])) / (mean * mean * mean));
+        }
+        angles_ = home_;
+        return best > LEAST;
+    }
+
+    // From inside along a ray to the surface; false where the start is not inside.
+    bool walk(const Surface& surface, const Ray& ray, Nearest& place) const {
+        constexpr int STEPS = 8;  // exactly along the ray does not matter
+        const Point way = direction_ + ray.aside;
+        const double size = length(way);
+        Point center = ray.start;
+        place = surface.nearest(center);
+        if (place.distance >= 0.0 || size < 0.1) return false;
+        for (int step = 0; step < STEPS; ++step) {
+            center -= (place.distance / size) * way;
+            place = surface.nearest(center);
+            if (place.distance > -1e-4) break;
+        }
+        return true;
+    }
+
+    // Whether the normal turns by less than 20 degrees up to `size` away.
+    static bool flat(const Surface& surface, const Nearest& place, double size) {
+        const Point& n = place.inward;
+        int least = 0;
+        for (int k = 1; k < 3; ++k)
+            if (std::abs(n[k]) < std::abs(n[least])) least = k;
+        Point side = -n[least] * n;
+        side[least] += 1.0;
+        side = (size / length(side)) * side;
+        for (const Point& step : {side, cross(n, side), -side, -cross(n, side)})
+            if (dot(surface.nearest(place.point + step - 0.1 * size * n).inward, n) < 0.94) return false;
+        return true;
+    }
+
+    bool reaches(const Nearest& place, double margin, Misses& misses) {
+        const Point tip = place.point - tree_->tips[0].radius * place.inward;
+        double missed;
+        reach_.solve(&tip, home_.data(), 1, angles_.data(), &missed);
+        if (missed > REACHED) {
+            ++misses.far;
+            return false;
+        }
+        for (int j : own_)
+            if (angles_[j] < tree_->links[j].lower + margin || angles_[j] > tree_->links[j].upper - margin) {
+                ++misses.limit;
+                return false;
+            }
+        return true;
+    }
+
+    // One joint closes from a drawn posture until the tip touches: there into `angles_`, `start` with the tip clear.
+    // spread: of the postures around that at rest, of the joints' ranges.
+    bool closes(const Surface& surface, const Demand& demand, const Vec6& draws, double spread, const Margins& margins,
+                Nearest& place, std::vector<double>& start, Misses& misses) {
+        constexpr int STEPS = 24, HALVES = 40;
+        constexpr double PUSH = 0.4;  // of the tip's largest motion, along the normal
+        if (own_.empty()) {
+            ++misses.far;
+            return false;
+        }
+        const int count = int(own_.size());
+        for (int k = 0; k < count; ++k) {
+            const double from = low(own_[k]) + margins.joints, to = high(own_[k]) - margins.joints;
+            const double middle = std::min(std::max(home_[own_[k]], from), to),
+                         least = std::max(from, middle - spread * (to - from));
+            const double most = std::min(to, middle + spread * (to - from));
+            angles_[own_[k]] = least + draws[k % 5] * (most - least);
+        }
+        const int joint = own_[std::min(int(draws[5] * count), count - 1)];
+        const double radius = tree_->tips[0].radius, first = low(joint), size = high(joint) - first;
+        const auto distance = [&](double part) {
+            angles_[joint] = first + part * size;
+            trace();
+            place = surface.nearest(posture_.tip(0));
+            return place.distance - radius;
+        };
+        // between a part of the range where the tip is more than `away` off, and one where it is less
+        const auto between = [&](double off, double on, double away) {
+            for (int k = 0; k < HALVES; ++k) (distance(0.5 * (off + on)) > away ? off : on) = 0.5 * (off + on);
+            return off;
+        };
+        std::array<double, STEPS + 1> found;
+        for (int k = 0; k <= STEPS; ++k) found[k] = distance(double(k) / STEPS);
+        std::array<int, 2 * STEPS> meets;  // k > 0: the tip meets it on its way up to step k; k < 0: down to step -k - 1
+        int ways = 0;
+        for (int k = 1; k <= STEPS; ++k) {
+            if (found[k - 1] > 0.0 && found[k] <= 0.0) meets[ways++] = k;
+            if (found[k] > 0.0 && found[k - 1] <= 0.0) meets[ways++] = -k;
+        }
+        if (ways == 0) {
+            ++misses.far;
+            return false;
+        }
+        const int meet = meets[std::min(int(draws[(count - 1) % 5] * ways), ways - 1)], back = meet > 0 ? -1 : 1;
+        const int inside = meet > 0 ? meet : -meet - 1;
+        const double touching = between(double(inside + back) / STEPS, double(inside) / STEPS, 0.0);
+        int clear = inside + back;
+        while (clear >= 0 && clear <= STEPS && found[clear] < demand.start) clear += back;
+        if (clear < 0 || clear > STEPS) {
+            ++misses.start;
+            return false;
+        }
+        if (demand.start > 0.0) {
+            const double near = clear == inside + back ? touching : double(clear - back) / STEPS;
+            distance(between(double(clear) / STEPS, near, demand.start));
+        } else {
+            distance(touching);
+        }
+        start = angles_;
+        distance(touching);
+        if (!flat(surface, place, margins.flat)) {
+            ++misses.edge;
+            return false;
+        }
+        const double at = angles_[joint], margin = std::min(margins.joints, 0.1 * size);
+        if (at < first + margin || at > first + size - margin) {
+            ++misses.limit;
+            return false;
+        }
+        std::vector<Point> moves(joints.size(), Point{0.0, 0.0, 0.0});
+        posture_.carriers(int(joints.size()) - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
+        double push = 0.0, most = 0.0;
+        for (int j : own_) push = std::max(push, std::abs(dot(moves[j], place.inward))), most = std::max(most, length(moves[j]));
+        if (push < PUSH * most) {
+            ++misses.weak;
+            return false;
+        }
+        return true;
+    }
+
+    // Whether the limbs are that far from the object at `angles_`; writes where they are.
+    bool clear(const Obstacle& object, double margin, std::vector<Placed>& there) {
+        posture_.trace(angles_.data());
+        for (const Limb& limb : limbs) {
+            const double enough = limb.solid.radius + margin;
+            there.push_back(limb.at(posture_));
+            const Placed& placed = there.back();
+            if (limb.solid.is_line()) {
+                if (!limb.tip && gap(object.surface, placed.axis, enough) < enough) return false;
+            } else if (nearer(Placed(object.solid), placed, limb.tip ? std::min(margin, BEHIND) : margin)) {
+                return false;
+            }
+        }
+        return true;
+    }
+
+    // What forces on the tip take of the torques that the links' weight leaves, where that can be what limits them.
+    void weigh(const Demand& demand, std::vector<Point>& efforts) const {
+        constexpr double LEAST = 0.05;  // of its limit that is left of a torque
+        const int count = int(joints.size());
+        std::vector<double> weight(count);
+        std::vector<Point> moves(count, Point{0.0, 0.0, 0.0});
+        posture_.support(demand.gravity, weight.data());
+        posture_.carriers(count - 1, posture_.tip(0), [&](int j, const Point& along) { moves[j] += along; });
+        const double largest = std::sqrt(1.0 + demand.friction * demand.friction);  // of a force over its normal part
+        for (int j = 0; j < count; ++j) {
+            const double limit = tree_->links[j].torque_limit;
+            const Point effort = (FULL / std::max(limit - std::abs(weight[j]), LEAST * limit)) * moves[j];
+            if (length(effort) * largest > 1.0) efforts.push_back(effort);
+        }
+    }
+};
+
+// The limbs of a hand, and its fingers one by one.
+struct HandLimbs {
+    std::shared_ptr<const Tree> tree;
+    std::vector<Limb> all;
+    Together together;
+    std::vector<double> home;  // (M,) [rad]
+    std::vector<Finger> fingers;
+
+    HandLimbs(std::shared_ptr<const Tree> hand, std::vector<Limb> limbs, Together pairs, const double* rest)
+        : tree(std::move(hand)), all(std::move(limbs)), together(std::move(pairs)), home(rest, rest + tree->joints()) {
+        const std::vector<int> users = tree->users(tree->all_fingers());
+        for (int i = 0; i < tree->fingers(); ++i) fingers.emplace_back(*tree, i, all, rest, users);
+    }
+
+    // The same hand with its palm turned, then shifted [m], and another rest posture.
+    HandLimbs moved(const Rotation& turn, const Point& shift, const double* rest) const {
+        auto hand = std::make_shared<Tree>(*tree);
+        for (Link& link : hand->links)
+            if (link.parent < 0) link.offset = shift + turn * link.offset, link.rotation = turn * link.rotation;
+        std::vector<Limb> limbs = all;
+        for (Limb& limb : limbs)
+            if (limb.link < 0) limb.solid = limb.solid.moved(turn, shift);
+        return {hand, std::move(limbs), together, rest};
+    }
+
+    // Least distances [m]: of the links, without the spheres of fingertips, from the object; of links and tips from one another.
+    // Above `enough` a lower bound.
+    std::pair<double, double> clearance(const Obstacle& object, const double* angles, double enough = infinity) const {
+        Posture posture(tree);
+        posture.trace(angles);
+        double away = enough, apart = enough;
+        std::vector<Placed> there;
+        there.reserve(all.size());
+        for (const Limb& limb : all) {
+            const Placed placed = limb.at(posture);
+            if (!limb.is_sphere_of_tip()) {
+                const double least = gap(object, placed, away);
+                if (!limb.tip || least < BEHIND) away = std::min(away, least);
+            }
+            for (std::size_t e = 0; e < there.size(); ++e)
+                if (!together(limb.link, all[e].link)) apart = std::min(apart, gap(placed, there[e], apart));
+            there.push_back(placed);
+        }
+        return {away, apart};
+    }
+    // How far the rest of a finger and the palm are from a ball about a point that touches the tip, in a posture; at most
+    // `enough` [m].
+    double beside(int finger, const Posture& posture, const Point& middle, double enough) const {
+        const double radius = length(posture.tip(finger) - middle) - tree->tips[finger].radius;
+        const Solid ball = Solid::of(Segment{middle, middle}, std::max(radius, 0.0));
+        double least = enough;
+        for (std::size_t c = 0; c < all.size(); ++c)
+            if ((all[c].link < 0 || fingers[finger].carries(int(c))) && !all[c].is_sphere_of_tip())
+                least = std::min(least, gap(Placed(ball), all[c].at(posture), least));
+        return least;
+    }
+    // Of the palm from the object [m].
+    double palm_gap(const Obstacle& object) const {
+        double least = infinity;
+        for (const Limb& limb : all)
+            if (limb.link < 0) least = std::min(least, gap(object, Placed(limb.solid), least));
+        return least;
+    }
+};
+
+}  // namespace grasp

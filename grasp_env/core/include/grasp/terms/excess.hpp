@@ -1,0 +1,234 @@
+// Where no force keeps the limits: the balanced force in the cones that exceeds them least.
+//
+//     min t  s.t.  G x = -w,  x_i in the cone,  a . x <= b + t share      max -sum y b - nu . w  s.t.  sum y share = 1,
+//                                                                              s_i = sum y a - G_i^T nu in the cone,  y >= 0
+//
+// A primal-dual interior point as in conic.hpp. The rows are rank-one changes of a contact's scaling, t is one border of the 6 x
+// 6 system; x is balanced throughout, and the multipliers of every iterate bound t (`LimitTerms::farkas`), dual feasible or not.
+#pragma once
+#include <grasp/conic/conic.hpp>
+#include <grasp/terms/limits.hpp>
+
+namespace grasp {
+
+inline constexpr double EXCESS_WITHIN = 1e-2;  // part of the least excess by which the found one may be above it
+inline constexpr double EXCESS_FLOOR = 1e-6;   // and by how much anyway: part of a limit
+
+template <class V, int B> class LeastExcess {
+public:
+    using Field = typename Cones<V, B>::Field;
+
+    struct Found {
+        bool certified;
+        int iterations;
+        double bound;
+        Vec6 multipliers;
+    };  // d t / d w = -multipliers
+
+    explicit LeastExcess(const Cones<V, B>& cones) { resize(at_, cones.blocks.size()); }
+
+    // From x in the cones, balanced, outside the limits; it is overwritten.
+    Found solve(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, const Vec6& w, Field& x) {
+        const int blocks = int(x.size());
+        double t = BEGIN * rows.excess(x) + EXCESS_FLOOR;
+        Vec6 nu{};
+        begin(cones, rows, x, t);
+        Found out{false, 0, 0.0, {}};
+        for (; out.iterations < MOST; ++out.iterations) {
+            const auto [gap, curvature] = scale(cones, rows, x, t);
+            const bool good = system.assemble(cones, x, [&](int b, Vec3<V>& gradient, Sym3<V>& inverse) {
+                gradient = Vec3<V>{V{}, V{}, V{}}, inverse = at_[b].inverse;
+            });
+            if (!good) return out;
+            const Border border = bordered(cones, system, curvature);
+            const Vec6 left = system.made + w;
+            // predictor: all products to nothing
+            Step step = direct(cones, rows, system, border, left, -1.0, x);
+            const double after = reached(cones, rows, x, step);
+            const double part = std::clamp(after / gap, 0.0, 1.0), enough = ENOUGH * allowed(out.bound);
+            const double target = std::max(std::max(part * part * part, CENTRE) * gap, enough) / (cones.count + rows.sides);
+            const double slope = correct(cones, rows, system, target);
+            step = direct(cones, rows, system, border, left, slope, x);
+            const double primal = std::min(1.0, REACH * step.primal), dual = std::min(1.0, REACH * step.dual);
+            if (!(primal + dual > 1e-6)) return out;
+            for (int b = 0; b < blocks; ++b) {
+                x[b] += all<V>(primal) * at_[b].dx, at_[b].s += all<V>(dual) * at_[b].ds;
+                rows.for_each(
+                    b, [&](Pair<V>& p) { p.sides([&](Side<V>& side, double) { side.price += all<V>(dual) * side.dprice; }); });
+            }
+            t += primal * step.dt, nu = nu + dual * (step.nu - nu);
+            const auto proof = rows.farkas(cones, nu, w, t);
+            if (proof.share > 0.0 && -proof.value > out.bound * proof.share)
+                out.bound = -proof.value / proof.share, out.multipliers = (1.0 / proof.share) * proof.nu;
+            if (out.bound > 0.0 && rows.excess(x) - out.bound <= AIM * allowed(out.bound)) {
+                out.certified = true, ++out.iterations;
+                return out;
+            }
+        }
+        return out;
+    }
+
+private:
+    static constexpr int MOST = 50;
+    static constexpr double BEGIN = 1.5;   // of the excess at the start: how much limits are raised there
+    static constexpr double REACH = 0.95;  // part of the way to the boundary
+    static constexpr double CENTRE = 0.1;  // least part of the gap that a step aims at: iterates far off the centre jam
+    static constexpr double ENOUGH = 0.5;  // of the gap that may be left: no step aims below it
+    static constexpr double AIM = 0.9;     // what the last digits of balance may take from the certificate is not spent
+
+    static double allowed(double bound) { return std::max(EXCESS_WITHIN * bound, EXCESS_FLOOR); }
+
+    struct At {
+        Vec3<V> s, l, mixed;  // dual slack; the scaled point; sum bend share a
+        Scaling<V> m;
+        Sym3<V> inverse;      // (M^-1 + sum bend a a^T)^-1
+        Vec3<V> dx, ds, d;    // steps; the scaled right side
+    };
+    Blocks<At, B> at_;
+
+    // Everything central: s = mu J x / (x . J x), y = mu / slack, mu so that sum y share = 1.
+    void begin(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
+        V total{};
+        for (int b = 0; b < int(x.size()); ++b)
+            rows.for_each(b, [&](Pair<V>& p) {
+                const V along = dot(p.a, x[b]);
+                p.sides([&](Side<V>& side, double sign) {
+                    side.at(sign * along, t), side.price = (side.weight > 0.0 ? all<V>(1.0) : V{}) / side.slack;
+                    total += side.price * side.share;
+                });
+            });
+        const V mu = all<V>(1.0 / sum(total));
+        for (int b = 0; b < int(cones.blocks.size()); ++b) {
+            const V part = mu / lorentz(x[b], x[b]);
+            at_[b].s = {part * x[b].u, -part * x[b].o, -part * x[b].t};
+            rows.for_each(b, [&](Pair<V>& p) { p.sides([&](Side<V>& side, double) { side.price *= mu; }); });
+        }
+    }
+
+    // Slacks, scalings and blocks at x and t; the gap and the second derivative by t.
+    struct Scaled { double gap, curvature; };
+    Scaled scale(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const Field& x, double t) {
+        V gap{}, curvature{};
+        for (int b = 0; b < int(x.size()); ++b) {
+            auto& at = at_[b];
+            at.m = Scaling<V>(x[b], at.s), at.l = at.m.scaled(at.s);
+            const auto& [v, eta, shrink, root] = at.m;
+            const V twice = 2.0 * eta;
+            at.inverse = {twice * v.u * v.u - eta, twice * v.u * v.o, twice * v.u * v.t,
+                          twice * v.o * v.o + eta, twice * v.o * v.t, twice * v.t * v.t + eta};
+            at.mixed = {V{}, V{}, V{}};
+            gap += cones.blocks[b].mask * dot(x[b], at.s);
+            rows.for_each(b, [&](Pair<V>& p) {
+                const V along = dot(p.a, x[b]);
+                V mixed{};
+                p.sides([&](Side<V>& side, double sign) {
+                    side.at(sign * along, t), side.bend = side.price / side.slack;
+                    side.dslack = side.dprice = V{};  // of the predictor, whose right side they are: none
+                    const V share = side.bend * side.share;
+                    mixed += sign * share, curvature += share * side.share, gap += side.price * side.slack;
+                });
+                at.mixed += mixed * p.a;
+                p.bend(at.inverse);
+            });
+            at.d = {V{}, V{}, V{}};
+        }
+        return {sum(gap), sum(curvature)};
+    }
+
+    // t's border of the system: what S does not know.
+    struct Border {
+        Vec6 side, across;
+        double pivot;
+    };
+    Border bordered(const Cones<V, B>& cones, const System<V, B>& system, double curvature) {
+        V sides[6] = {}, square{};
+        for (int b = 0; b < int(at_.size()); ++b) {
+            const Vec3<V> h = at_[b].inverse * at_[b].mixed;
+            cones.blocks[b].add_wrench(h, sides), square += dot(at_[b].mixed, h);
+        }
+        const Vec6 side = sums(sides), across = system.schur.solve(side);
+        return {side, across, curvature - sum(square) + dot(side, across)};
+    }
+
+    // The whole step for the gradients in `system` and `slope`, that of t: new multipliers nu, dt, and how far x and s may go.
+    struct Step {
+        Vec6 nu;
+        double dt, primal, dual;
+    };
+    Step direct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, const System<V, B>& system, const Border& border,
+                const Vec6& left, double slope, const Field& x) {
+        V cross{};
+        for (int b = 0; b < int(at_.size()); ++b) cross -= dot(at_[b].inverse * at_[b].mixed, system.gradient[b]);
+        const Vec6 first = system.multipliers(left);
+        const double dt = (slope + sum(cross) + dot(border.side, first)) / border.pivot;
+        const Vec6 nu = first - dt * border.across;
+        V primal = all<V>(1e-9), dual = all<V>(1e-9);
+        for (int b = 0; b < int(at_.size()); ++b) {
+            auto& at = at_[b];
+            const auto& c = cones.blocks[b];
+            const Vec3<V> y = c.transposed(nu);
+            at.dx = c.mask * (at.inverse * (y - system.gradient[b] + all<V>(dt) * at.mixed));
+            at.ds = -y - at.s;
+            rows.for_each(b, [&](Pair<V>& p) {
+                const V along = dot(p.a, at.dx);
+                V price{};
+                p.sides([&](Side<V>& side, double sign) {
+                    // dprice holds the right side: what the price would be without a change of slack
+                    const V there = side.dprice;
+                    side.dslack = all<V>(dt) * side.share - sign * along;
+                    side.dprice = there - side.bend * side.dslack - side.price;
+                    price += sign * (side.price + side.dprice);
+                    primal = max(primal, -side.dslack / side.slack);
+                    dual = max(dual, side.weight > 0.0 ? -side.dprice / side.price : V{});
+                });
+                at.ds += price * p.a;
+            });
+            at.ds = c.mask * at.ds;
+            primal = max(primal, Boundary<V>(x[b]).per(at.dx)), dual = max(dual, Boundary<V>(at.s).per(at.ds));
+        }
+        return {nu, dt, 1.0 / largest(primal), 1.0 / largest(dual)};
+    }
+
+    // The gap after the predictor.
+    double reached(const Cones<V, B>& cones, const LimitTerms<V, B>& rows, const Field& x, const Step& step) const {
+        const V primal = all<V>(std::min(1.0, step.primal)), dual = all<V>(std::min(1.0, step.dual));
+        V gap{};
+        for (int b = 0; b < int(x.size()); ++b) {
+            gap += cones.blocks[b].mask * dot(x[b] + primal * at_[b].dx, at_[b].s + dual * at_[b].ds);
+            rows.for_each(b, [&](const Pair<V>& p) {
+                p.sides([&](const Side<V>& side, double) {
+                    gap += (side.slack + primal * side.dslack) * (side.price + dual * side.dprice);
+                });
+            });
+        }
+        return sum(gap);
+    }
+
+    // The corrector's right sides, from the predictor's steps: gradients into `system`, prices without a change of slack into
+    // dprice; returns the slope of t.
+    double correct(const Cones<V, B>& cones, LimitTerms<V, B>& rows, System<V, B>& system, double target) {
+        V slope{}, pull[6] = {};
+        for (int b = 0; b < int(at_.size()); ++b) {
+            auto& at = at_[b];
+            const Vec3<V> l = at.l, e = at.m.scaled(at.ds), f = l + e;
+            const Vec3<V> r{all<V>(target) / at.m.eta + dot(f, e), f.u * e.o + e.u * f.o, f.u * e.t + e.u * f.t};
+            const V h = lorentz(l, r) * at.m.root * at.m.root, i = 1.0 / l.u;
+            at.d = {h, (r.o - h * l.o) * i, (r.t - h * l.t) * i};
+            Vec3<V> gradient = -at.m.unscaled(at.d);
+            rows.for_each(b, [&](Pair<V>& p) {
+                p.sides([&](Side<V>& side, double sign) {
+                    const V aim = side.weight > 0.0 ? all<V>(target) - side.dslack * side.dprice : V{};
+                    side.dprice = aim / side.slack;
+                    slope += side.dprice * side.share;
+                    gradient += (sign * side.dprice) * p.a;
+                });
+            });
+            system.gradient[b] = cones.blocks[b].mask * gradient;
+            cones.blocks[b].add_wrench(at.inverse * system.gradient[b], pull);
+        }
+        system.pull = sums(pull);
+        return sum(slope) - 1.0;
+    }
+};
+
+}  // namespace grasp

@@ -1,0 +1,98 @@
+// Newton on Phi within limits, in one call: the optimum, a proof that there is none, or the force that exceeds limits least.
+#pragma once
+#include <grasp/terms/excess.hpp>
+
+namespace grasp {
+
+template <class V, int B> class LimitedOn {
+public:
+    NewtonOn<V, B, LimitTerms<V, B>> newton;
+    bool elastic = false;  // where no force keeps the limits: the one that exceeds them least
+
+    LimitedOn(int count, const Stop& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
+
+    // From the 12-basis of the contacts without limits, a previous optimum, or any balanced force inside the cones.
+    // REFUSED: numbers that are not finite, no start, or a problem for the general program, nearly infeasible or out of digits.
+    // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within
+    // the limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
+    Code solve(const Call& call, const Record& record) {
+        return solve(call, record, [&](const Vec6& w, bool previous) {
+            Call own = call;
+            if (!previous && call.start != From::given) own.start = From::combination;
+            return newton.begin(own, w);
+        });
+    }
+    // begin(w, previous): makes the start in newton.x, that of the call or, `previous`, the optimum of another wrench balanced; whether
+    // there is one.
+    template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
+        Summary& s = record.summary();
+        s.code = REFUSED;
+        if (!sane_wrench(call.wrench)) return REFUSED;
+        const Vec6 w = newton.cones.unit.of(call.wrench);
+        if (elastic && call.exceeding && begin(w, true) && again(call, w, record)) return LIMITS_EXCEEDED;
+        Code code = call.start == From::tangent ? follow(call, w, record) : REFUSED;
+        if (unusable(code)) code = begin(w, false) ? descend(call, w, record) : REFUSED;
+        if (code == INFEASIBLE)
+            code = elastic ? exceed(w, record) : record.refute((-1.0 / size(s.multipliers)) * s.multipliers, size(w));
+        if (unusable(code)) code = REFUSED;
+        s.code = code;
+        return code;
+    }
+
+private:
+    static constexpr double FIRM = 0.5;  // of the least slack of a previous force: there the parabola begins
+    typename Cones<V, B>::Field begun_;
+    LeastExcess<V, B> least_;
+
+    bool unusable(Code code) const {
+        return code == REFUSED || code == STALLED || (code == LIMIT && !newton.rows.within(newton.x));
+    }
+
+    // From a previous optimum.
+    Code follow(const Call& call, const Vec6& w, const Record& record) {
+        newton.cones.load_force(call.force, newton.x);
+        const double room = newton.rows.tightest(newton.x);
+        newton.rows.soften(room > 0.0 ? std::min(newton.rows.SOFTEST, FIRM * room) : newton.rows.SOFTEST);
+        begun_ = newton.x;
+        return newton.descend_from(begun_, call, w, record, SHORT, true);
+    }
+
+    Code descend(const Call& call, const Vec6& w, const Record& record) {
+        begun_ = newton.x;
+        Code code = STALLED;
+        for (double fraction : {SHORT, LONG}) {
+            newton.x = begun_;
+            newton.rows.soften(newton.rows.SOFTEST);
+            code = newton.descend_from(begun_, call, w, record, fraction);
+            if (code != STALLED) break;
+        }
+        return code;
+    }
+
+    // Whether the least excess follows from a previous one in newton.x, without the proof that there is any.
+    bool again(const Call& call, const Vec6& w, const Record& record) {
+        if (!(newton.rows.excess(newton.x) > EXCESS_FLOOR)) return false;
+        newton.cones.store_force(newton.x, record.initial_force());
+        std::fill(record.torsion(), record.torsion() + newton.cones.count, 0.0);
+        Summary& s = record.summary();
+        s.iterations = s.trials = 0.0;
+        std::copy(call.wrench, call.wrench + 6, s.wrench.begin());
+        const bool found = exceed(w, record) == LIMITS_EXCEEDED && s.lower_bound > EXCESS_FLOOR;
+        s.code = found ? LIMITS_EXCEEDED : REFUSED;
+        return found;
+    }
+
+    Code exceed(const Vec6& w, const Record& record) {
+        const auto& cones = newton.cones;
+        const auto found = least_.solve(cones, newton.rows, newton.system, w, newton.x);
+        cones.balance(newton.x, w);
+        cones.certify(newton.x, w, record);
+        Summary& s = record.summary();
+        s.iterations += found.iterations, s.trials += found.iterations;
+        s.objective = s.limit_excess = newton.rows.excess(newton.x);
+        s.lower_bound = found.bound, s.multipliers = cones.unit.pull_back(found.multipliers);
+        return found.certified && s.margin > 0.0 ? LIMITS_EXCEEDED : STALLED;
+    }
+};
+
+}  // namespace grasp
