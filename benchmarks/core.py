@@ -22,8 +22,9 @@ from benchmarks.problem import problems
 from benchmarks.settings import Benchmark, Effort, tick
 from grasp_env._check import Array
 from grasp_env.errors import GraspError, InvalidInputError
-from grasp_env.force import ForceOptimizer, phase_one
+from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
+from grasp_env.quality import feasibility
 from training.results.claims import Claim
 from training.results.run import commit
 from training.results.table import join, pd
@@ -101,7 +102,7 @@ def arrays(seed: int, count: int, wrenches: int) -> dict[str, Any]:
             normals = grasp.normals + part * TILT * tilt * np.cos(angle + phase)
             normals /= np.sqrt((normals**2).sum(axis=2, keepdims=True))
             path = (Grasp.from_contacts(p, n, grasp.friction) for p, n in zip(points, normals, strict=True))
-            if all(phase_one(moved, np.zeros(6)).feasible for moved in path):
+            if all(feasibility(moved, np.zeros(6)).feasible for moved in path):
                 break
             part *= 0.5
         turning = np.cos(angle[:, 0]) * loads[0] + np.sin(angle[:, 0]) * loads[1]

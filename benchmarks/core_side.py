@@ -82,7 +82,7 @@ def moving(case: Case, passes: int, **options: Any) -> Answers:
 
     options |= {"method": "newton", "tolerance": 1e-4}
     if hasattr(force, "ForcePipeline"):  # 84dbd39 and earlier
-        pipeline: Any = force.ForcePipeline(case["grasp"], **options)
+        pipeline = vars(force)["ForcePipeline"](case["grasp"], **options)
         return timed(passes, pipeline.solve, path_of(case), pipeline.reset)
     optimizer = force.ForceOptimizer(case["grasp"], **options)
     solve: Any = lambda points, normals, wrench: optimizer.solve(wrench, positions=points, normals=normals)  # noqa: E731
@@ -98,7 +98,7 @@ def within_limits(case: Case, passes: int, part: float = 1.0, wanted: str = "OPT
     limits: Any = {"torque_limit": part * case["torque_limit"]}
     options |= {"method": "newton", "tolerance": 1e-4}
     if hasattr(force, "contact_jacobian"):  # 84dbd39 and earlier: Jacobians in contact frames, contacts as grasps
-        turn: Any = force.contact_jacobian
+        turn: Any = vars(force)["contact_jacobian"]
         first = force.ForceLimits(jacobian=turn(case["grasp"], case["path_jacobians"][0]), **limits)
         optimizer: Any = force.ForceOptimizer(case["grasp"], limits=first, **options)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,10 @@ from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_array, flag
 from grasp_env._files import as_path
 from grasp_env.errors import InfeasibleStartError, ModelFileError
-from grasp_env.force import Objective, OfflineBasis
-from grasp_env.force.basis import core_contacts
+from grasp_env.force import Objective
+from grasp_env.force.basis import start_of, starter
 from grasp_env.force.objective import as_objective
-from grasp_env.force.record import FORCE, REFUSED, record_size
+from grasp_env.force.solution import LEARNED
 from grasp_env.grasp import Grasp, null_space_basis
 from grasp_env.grasp.grasp import as_grasp
 from policies.checkpoint import FAULTS, MOST_CONTACTS, Checkpoint, malformed, number, replace, whole
@@ -90,7 +90,7 @@ class LearnedInitialForce:
         self.remembers = flag(remembers, "remembers")
         self._reference = checkpoint.tensors["reference"].astype(np.float64)
         self._made: tuple[float, core.Network] | None = None
-        self._prepared: tuple[Grasp, core.Learned] | None = None
+        self._prepared: _Prepared | None = None
 
     @staticmethod
     def load(path: str | Path, *, remembers: bool = False) -> LearnedInitialForce:
@@ -147,11 +147,11 @@ class LearnedInitialForce:
             InfeasibleStartError: contacts that this model does not know, a grasp without force closure, or a wrench that
                 is not finite.
         """
-        learned, load = self._learned(grasp), read_load(wrench)
-        record = np.empty(record_size(as_grasp(grasp).n_contacts))
-        if learned.start(load, None, record) == REFUSED:
+        load = read_load(wrench)
+        force = start_of(self._prepare(grasp).starter, LEARNED, load, None)
+        if force is None:
             raise _not_finite(load)
-        return record[FORCE : FORCE + 3 * grasp.n_contacts].reshape(-1, 3)
+        return force
 
     def with_objective(self, objective: Objective) -> LearnedInitialForce:
         """The same model for another `objective`, exact up to scale: Phi knows forces in units of sqrt(lambda / omega) only."""
@@ -172,7 +172,7 @@ class LearnedInitialForce:
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
         """Whether grasp and wrench lie in the training range; elsewhere the start is still safe, and solutions say so."""
-        return self._learned(grasp).covers(read_load(wrench))
+        return self._prepare(grasp).model.covers(read_load(wrench))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """The network's own force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced, perhaps outside the cones.
@@ -180,19 +180,21 @@ class LearnedInitialForce:
         Raises:
             InfeasibleStartError: see `__call__`.
         """
-        learned = self._learned(grasp)
-        force = np.empty((grasp.n_contacts, 3))
-        load = read_load(wrench)
-        if not learned.predict(load, force):
+        on, load = self._prepare(grasp), read_load(wrench)
+        if not (np.abs(load) <= core.LARGEST).all():
             raise _not_finite(load)
-        return force
+        coordinates = np.empty(on.internal.shape[1])
+        on.model.predict(load, coordinates)
+        return (on.internal @ coordinates - grasp.pseudoinverse @ load).reshape(-1, 3)
 
-    def _learned(self, grasp: Grasp) -> core.Learned:
-        """The start alone on a grasp, kept for the last one."""
-        prepared = self._prepared  # one tuple, read once: threads may share a rule
-        if prepared is None or prepared[0] is not grasp:
-            prepared = self._prepared = grasp, self._make(as_grasp(grasp), 0.0, 0)
-        return prepared[1]
+    def _prepare(self, grasp: Grasp) -> _Prepared:
+        """The model on a grasp, kept for the last one."""
+        prepared = self._prepared  # read once: threads may share a rule
+        if prepared is None or prepared.grasp is not grasp:
+            model = self._model(as_grasp(grasp))
+            internal = null_space_basis(grasp, self._reference)
+            prepared = self._prepared = _Prepared(grasp, model, starter(grasp, self.objective, model), internal)
+        return prepared
 
     def _model(self, grasp: Grasp) -> core.Model:
         """What the core's start reads besides the contacts."""
@@ -239,14 +241,19 @@ class LearnedInitialForce:
         most = float(np.finfo(np.float32).max)
         return np.concatenate(parts).clip(-most, most)
 
-    def _make(self, grasp: Grasp, tolerance: float, limit: int) -> core.Learned:
-        model = self._model(grasp)
-        basis = OfflineBasis.of(grasp, self.objective).cone_forces
-        return core.Learned.make(core_contacts(grasp, self.objective), tolerance, limit, basis, model)
-
     def __reduce__(self) -> tuple[Any, ...]:
         # the prepared grasp is a cache; sub-process environments get the checkpoint
         return type(self), (self.checkpoint, self.objective, self.remembers)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A model on the contacts of one grasp; its predictions are coordinates of the columns of `internal` (3N, 3N - 6)."""
+
+    grasp: Grasp
+    model: core.Model
+    starter: core.ForceOptimizer
+    internal: Array
 
 
 def _features(numbers: dict[str, object]) -> Features:

@@ -21,7 +21,15 @@ pytest.importorskip("sphinx", reason="the extra docs is not installed")
 from sphinx.util.inventory import InventoryFile
 
 ROOT = Path(__file__).parents[1]
-MODULES = ("grasp_env.grasp", "grasp_env.force", "grasp_env.sim", "policies", "grasp_env.env", "grasp_env.task")
+MODULES = (
+    "grasp_env.grasp",
+    "grasp_env.force",
+    "grasp_env.quality",
+    "grasp_env.sim",
+    "policies",
+    "grasp_env.env",
+    "grasp_env.task",
+)
 PUBLIC = [f"{module}.{name}" for module in MODULES for name in import_module(module).__all__]
 WHOLE = ("grasp_env.config", "grasp_env.errors", "grasp_env.grasp.presets", "grasp_env.grasp.wrench")
 """Modules without __all__: every name of theirs that is a class or a function of their own."""
@@ -29,13 +37,13 @@ INSIDE = {"grasp_env.errors.shown"}
 PAGES = ("index.html", "mathematics.html", "api/force.html", "gallery/index.html", "search.html")
 
 SHOWN_BY = {
-    "grasp_env.force.Epsilon": "grasp_env.force.epsilon",
-    "grasp_env.force.Feasibility": "grasp_env.force.phase_one",
-    "grasp_env.force.ForceClosure": "grasp_env.force.force_closure",
+    "grasp_env.quality.Epsilon": "grasp_env.quality.epsilon",
+    "grasp_env.quality.Feasibility": "grasp_env.quality.feasibility",
+    "grasp_env.quality.ForceClosure": "grasp_env.quality.force_closure",
     "grasp_env.force.ForceSolution": "grasp_env.force.optimize_force",
-    "grasp_env.force.GraspQuality": "grasp_env.force.quality",
+    "grasp_env.quality.GraspQuality": "grasp_env.quality.quality",
     "grasp_env.force.Status": "grasp_env.force.optimize_force",
-    "grasp_env.force.WorstCase": "grasp_env.force.worst_case",
+    "grasp_env.quality.WorstCase": "grasp_env.quality.worst_case",
 }
 """Answers, by the call that gives them: its example shows them."""
 NO_EXAMPLE = {

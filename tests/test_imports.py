@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SOLVER = {"numpy", "scipy", "grasp_env"}
-"""All that `grasp_env.grasp` and `grasp_env.force` may import besides the standard library."""
+"""All that `grasp_env.grasp`, `grasp_env.force` and `grasp_env.quality` may import besides the standard library."""
 
 
 def _imports(path: Path) -> set[str]:
@@ -58,7 +58,7 @@ def test_packages_never_import_upwards(package: str, forbidden: set[str]) -> Non
     assert {path: roots for path, roots in guilty.items() if roots} == {}
 
 
-@pytest.mark.parametrize("package", ["grasp", "force"])
+@pytest.mark.parametrize("package", ["grasp", "force", "quality"])
 def test_the_solver_imports_numpy_and_scipy_only(package: str) -> None:
     allowed = SOLVER | set(sys.stdlib_module_names)
     inside = (
@@ -69,14 +69,16 @@ def test_the_solver_imports_numpy_and_scipy_only(package: str) -> None:
         "grasp_env.ranges",
         "grasp_env.grasp",
         "grasp_env.force",
+        "grasp_env.quality",
     )
     for path in _files("grasp_env", package):
         assert _roots(path) <= allowed, path
         for name in _imports(path):
             # `from grasp_env import core` also names the package itself
             assert not name.startswith("grasp_env.") or name.startswith(inside), (path, name)
-            # geometry knows nothing of forces
-            assert package == "force" or not name.startswith("grasp_env.force"), (path, name)
+            # geometry knows nothing of forces, forces nothing of how good a grasp is
+            above = {"grasp": ("grasp_env.force", "grasp_env.quality"), "force": "grasp_env.quality", "quality": ()}
+            assert not name.startswith(above[package]), (path, name)
 
 
 def test_the_core_is_below_everything_else() -> None:
@@ -98,6 +100,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "_files": {"errors", "_check"},
         "grasp": {"errors", "ranges", "core", "_check", "_files"},
         "force": {"errors", "ranges", "core", "_check", "grasp"},
+        "quality": {"errors", "ranges", "core", "_check", "grasp", "force"},
         "sim": {"errors", "ranges", "core", "_extras", "_check", "_files", "grasp"},
         "task": {"errors", "ranges", "_check", "grasp"},
         "config": {"errors", "ranges", "_check", "_files", "force", "sim", "task"},

@@ -123,39 +123,46 @@ class Cases:
     ) -> None:
         self.grasp, self.wrenches, self.omega, self.form = grasp, wrenches, omega, form
         self.objective = Objective(omega, barrier)
-        self._contacts, self._basis = core_contacts(grasp, self.objective), OfflineBasis.of(grasp, self.objective)
-        self.starts = np.array([self._basis.combine(load) for load in wrenches])
+        self.contacts, basis = core_contacts(grasp, self.objective), OfflineBasis.of(grasp, self.objective)
+        self.starts = np.array([basis.combine(load) for load in wrenches])
         newton = ForceOptimizer(grasp, method="newton", force_weight=omega, barrier_weight=barrier, tolerance=1e-11)
         solutions = [newton.solve(load) for load in wrenches]
         self.optima = np.array([solution.objective for solution in solutions])
         self.forces = np.array([solution.force for solution in solutions])
 
-    def flow(self, rule: StepRule, tolerance: float = TOLERANCE, limit: int = ITERATION_LIMIT) -> core.Flow:
-        """The flow with that rule."""
-        return core.Flow.on(self._contacts, tolerance, limit, self.form, rule.parameters())
-
-    def run(self, flow: core.Flow, k: int, optimum: float, trace: Array) -> Array:
+    def run(
+        self,
+        rule: StepRule,
+        k: int,
+        optimum: float,
+        tolerance: float = TOLERANCE,
+        limit: int = ITERATION_LIMIT,
+        trace: Array | None = None,
+    ) -> Array:
         """The record of wrench k from its start."""
         record = np.empty(record_size(self.grasp.n_contacts))
-        flow.descend(self.wrenches[k], self.starts[k], optimum, trace, record)
+        core.descend_flow(
+            self.contacts, self.form, rule.parameters(), tolerance, limit, self.wrenches[k], self.starts[k], optimum,
+            np.empty(0) if trace is None else trace, record,
+        )  # fmt: skip
         return record
 
     def descents(self, rule: StepRule, count: int | None = None) -> list[Array]:
         """The records of the first `count` wrenches to a gap of 1e-4."""
-        flow, none = self.flow(rule), np.empty(0)
-        return [self.run(flow, k, float(self.optima[k]), none) for k in range(len(self.wrenches[:count]))]
+        return [self.run(rule, k, float(self.optima[k])) for k in range(len(self.wrenches[:count]))]
 
     def gaps(self, rule: StepRule, limit: int = 5000) -> Array:
         """(steps + 1,) the relative gap of Phi of the first wrench at every iterate, to 1e-12."""
         trace, best = np.full(limit + 1, np.nan), float(self.optima[0])
-        record = self.run(self.flow(rule, 1e-12, limit), 0, best, trace)
+        record = self.run(rule, 0, best, 1e-12, limit, trace)
         return trace[: int(record[ITERATIONS]) + 1] / best - 1.0
 
     def microseconds(self, rule: StepRule, repeats: int = 5) -> Array:
         """(n,) shortest of `repeats` certified compiled calls per wrench."""
-        flow, best = self.flow(rule), np.empty(len(self.wrenches))
-        flow.set_basis(self._basis.cone_forces)
-        flow.times(self.wrenches, repeats, np.empty((len(best), record_size(self.grasp.n_contacts))), best)
+        weights = {"force_weight": self.omega, "barrier_weight": self.objective.barrier_weight}
+        flow = ForceOptimizer(self.grasp, method="reduced_flow", step_rule=rule, **weights)
+        best = np.empty(len(self.wrenches))
+        flow.core.times(self.wrenches, repeats, np.empty((len(best), flow.core.size)), best)
         return 1e6 * best
 
     def tuned_step(self, count: int = 20) -> float:
@@ -254,16 +261,18 @@ def costs(grasps: tuple[Grasp, ...], repeats: int) -> Rows:
 
 def _product(cases: Cases) -> float:
     """Nanoseconds of one product step."""
-    flow, x = cases.flow(AdaptiveStep()), cases.grasp.to_cone(cases.starts[0])
+    x = cases.grasp.to_cone(cases.starts[0])
     # a fifth of a millisecond: seldom interrupted
-    return _each(lambda count: flow.repeat(x, count), 100 if cases.form == "full" else 5000)
+    return _each(
+        lambda count: core.repeat_step(cases.contacts, cases.form, x, count), 100 if cases.form == "full" else 5000
+    )
 
 
 def _iteration(cases: Cases) -> float:
     """Nanoseconds per accepted step with a step short enough that neither trials fail nor an optimum comes near."""
 
     def descend(count: int) -> None:
-        record = cases.run(cases.flow(FixedStep(1e-6), limit=count), 0, 1e-9, np.empty(0))
+        record = cases.run(FixedStep(1e-6), 0, 1e-9, limit=count)
         assert (record[CODE], record[ITERATIONS], record[TRIALS]) == (LIMIT, count, count)
 
     return _each(descend, 100 if cases.form == "full" else 1000)

@@ -193,11 +193,20 @@ class Contacts:
     @property
     def unit_frame(self) -> Annotated[NDArray[numpy.float64], dict(order='C', writable=False)]: ...
 
+ACCEPTED_GAP: float = 0.01
+
+CLEAR: float = 1e-09
+
+def combine(basis: object, wrench: object, printed: bool, to: object) -> None:
+    """
+    The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest (Eqs. 33, 34).
+    """
+
 class ForceOptimizer:
     """`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door."""
 
     @staticmethod
-    def make(contacts: Contacts, weights: object | None, force_weight: float, barrier_weight: float, min_normal: object | None, max_normal: object | None, jacobian: object | None, torque_limit: object | None, torque_bias: object | None, method: str, largest: bool, start: int, tolerance: float, limit: int, elastic: bool, rule: object | None, model: Model | None, kind: object, name: object, starts: tuple, asked: object, remembers: bool) -> ForceOptimizer:
+    def make(contacts: Contacts, weights: object | None = None, force_weight: float = 1.0, barrier_weight: float = 0.01, min_normal: object | None = None, max_normal: object | None = None, jacobian: object | None = None, torque_limit: object | None = None, torque_bias: object | None = None, method: str = 'newton', largest: bool = False, start: int = 0, tolerance: float = 0.0, limit: int = 20000, elastic: bool = False, rule: object | None = None, model: Model | None = None, kind: object | None = None, name: object | None = None, starts: tuple = (), asked: object | None = None, remembers: bool = False) -> ForceOptimizer:
         """
         See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions;
         asked: the name of the start that is asked for; remembers: whether calls get the previous solution.
@@ -224,6 +233,17 @@ class ForceOptimizer:
     def set_basis(self, basis: object) -> None:
         """Takes the 12-basis with the rest, (13, 3N) cone coordinates."""
 
+    def make_basis(self, basis: object, warm: bool) -> float:
+        """
+        Fills that, and takes it; returns the worst relative gap, inf: it did not converge, nan: no force closure. warm: it holds that of nearby contacts.
+        """
+
+    def deepest(self, wrench: object, force: object, torsion: object, twist: object) -> tuple[int, int, float]:
+        """
+        The force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that none is;
+        returns (code, iterations, margin).
+        """
+
     def solve_many(self, wrenches: object, rows: object) -> None:
         """(M, 6) into (M, size); releases the GIL."""
 
@@ -246,213 +266,46 @@ class ForceOptimizer:
         """
 
     @property
+    def count(self) -> int:
+        """Contacts."""
+
+    @property
     def size(self) -> int:
         """Numbers of a row."""
 
-ACCEPTED_GAP: float = 0.01
-
-def combine(basis: object, wrench: object, printed: bool, to: object) -> None:
-    """
-    The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest (Eqs. 33, 34).
-    """
-
-def solve_scaled(contacts: Contacts, scales: object, wrenches: object, forces: object, tolerance: float, limit: int, records: object) -> None:
-    """
-    Newton from given forces (M, N, 3) on contacts with M scales (M, N, 3) of cone coordinates, into (M, record_size(N)).
-    """
-
-class Newton:
-    """
-    Newton on Phi and the starts, on the hard contacts of one grasp; x is in cone coordinates [N].
-    """
-
-    @staticmethod
-    def make(contacts: Contacts, tolerance: float, limit: int) -> Newton: ...
-
-    def set_basis(self, basis: object) -> None:
-        """Takes the 12-basis with the rest force, (13, 3N) in cone coordinates."""
-
-    def make_basis(self, basis: object, warm: bool = False, interior: object | None = None) -> float:
-        """
-        Fills the 12-basis, (13, 3N); returns the worst relative gap, inf: none.
-        warm: it holds that of nearby contacts.
-        interior: (3N,) an internal force strictly inside the cones; None: it is searched.
-        """
-
-    def internal_force(self, x: object) -> bool:
-        """
-        Fills x (3N,) with an internal force strictly inside; False: none found.
-        """
-
-    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
-        """
-        From the 12-basis, or from the force of a previous record carried over, into a record; returns the code.
-        """
-
-    def descend(self, wrench: object, force: object, optimum: float, trace: object, record: object) -> int:
-        """
-        From a force (N, 3); optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.
-        """
-
-    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
-        """
-        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
-        """
-
-    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
-        """Best seconds of `passes` calls each, into (M,)."""
-
-    def carry(self, wrench: object, previous: object, tangent: bool, force: object) -> bool:
-        """
-        A previous optimum (N, 3) carried to this wrench, by the tangent correction or by G^+; False: not finite.
-        """
-
-    def repair(self, wrench: object, candidate: object, force: object) -> bool:
-        """
-        The force of least Phi on the way from the combination to a candidate (N, 3), balanced; False: not finite.
-        """
-
-    def inside(self, point: object, ray: object) -> tuple[float, float]:
-        """
-        (low, high) of the k with point + k ray strictly inside; none: low >= high.
-        """
-
-    def newton_step(self, wrench: object, x: object, step: object, multipliers: object) -> float:
-        """
-        The Newton step at x (3N,); returns the squared decrement, negative where there is none.
-        """
-
-    def segment(self, safe: object, x: object) -> float:
-        """
-        x (3N,) = the least Phi on the segment from `safe` to it; returns how far.
-        """
-
-@overload
-def newton_grasps(positions: object, normals: object, scales: object, tangents: object | None, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
-    """
-    Newton from an internal force of each of U grasps (U, N, 3), tangents or None, weights (N, 2); wrenches first[u] to first[u + 1] - 1
-    are those of grasp u; REFUSED: it has no force closure. Into (M, record_size(N)); releases the GIL.
-    """
-
-@overload
 def newton_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
     """
-    The same of U contacts in their place, whose own weights are not read, into whole rows of solutions. REFUSED: they are soft, or without force closure.
+    U contacts in their place, whose own weights are not read but `weights` (N, 2); wrenches first[u] to
+    first[u + 1] - 1 are those of contacts u. Into whole rows of solutions; releases the GIL.
+    REFUSED: they are soft, or without force closure.
     """
 
-@overload
-def conic_grasps(positions: object, normals: object, scales: object, tangents: object | None, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
-    """
-    The same, least sum of normal forces; weights are those of the internal forces.
-    """
-
-@overload
 def conic_grasps(contacts: list, weights: object, first: object, tolerance: float, limit: int, wrenches: object, records: object) -> None:
-    """The same of contacts in their place."""
+    """
+    U contacts in their place, whose own weights are not read but `weights` (N, 2); wrenches first[u] to
+    first[u + 1] - 1 are those of contacts u. Into whole rows of solutions; releases the GIL.
+    REFUSED: they are soft, or without force closure.
+    """
 
 FULL_CONTACTS: int = 8
 
-class Flow(Newton):
-    """The paper's flows: all of Newton's calls, with their steps."""
+def descend_flow(contacts: Contacts, form: str, rule: object, tolerance: float, limit: int, wrench: object, force: object, optimum: float, trace: object, record: object) -> int:
+    """
+    A flow from a balanced force (N, 3) inside the cones, into a record; returns the code. rule: (5,) kind, first, grow,
+    shrink, decrease, see `step_size.py`; optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.
+    """
 
-    @staticmethod
-    def on(contacts: Contacts, tolerance: float, limit: int, form: str, rule: object) -> Flow:
-        """
-        form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the fewest products.
-        rule: (5,) kind, first, grow, shrink, decrease, see `step_size.py`.
-        """
-
-    def repeat(self, x: object, times: int) -> float:
-        """Makes the step at x (3N,) so many times; for measurements."""
+def repeat_step(contacts: Contacts, form: str, x: object, times: int) -> float:
+    """
+    Makes the product step of a flow at x (3N,), cone coordinates, so many times; returns its last number.
+    form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the fewest products.
+    """
 
 def limit_rows(least: object, most: object, jacobian: object, torques: object, biases: object, matrix: object, bounds: object, limited: object) -> int:
     """
     Finite limits of normal forces (N,) and, with a Jacobian (N, 4, J), of torques (J,), as rows A f <= b on force and
     torsion: fills A (R, N, 4), b (R,) and what each limit is (R,), R = 2 (N + J), up to the number that it returns.
     """
-
-def contact_rows(divisor: object, lambdas: object, matrix: object, bounds: object, limited: object, normals: object, table: object) -> bool:
-    """
-    Rows (M, N, 3) on forces as those that `LimitedNewton` takes, of contacts with a divisor (N, 3) and lambda (N,): fills
-    normals (M, 3) and a table (5, M) of bounds, shares, weights, what rows were divided by, and owners. False: one touches
-    several contacts, or is beyond what solvers can bear.
-    """
-
-class LimitedNewton:
-    """
-    Newton on Phi within limits a . x <= b on the force of one contact each.
-    """
-
-    @staticmethod
-    def make(contacts: Contacts, tolerance: float, limit: int, normals: object, bounds: object, shares: object, weights: object, owners: object, basis: object, elastic: bool) -> LimitedNewton:
-        """
-        Rows a (M, 3) of length one or zero, b (M,), by how much b grows with all of its limit (M,), lambda (M,),
-        which contact (M,); the 12-basis without limits (13, 3N).
-        elastic: where no force keeps them, the one that exceeds them least.
-        """
-
-    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
-        """
-        From the 12-basis, or from the force of a previous record, into a record; returns the code.
-        """
-
-    def descend(self, wrench: object, force: object, record: object) -> int:
-        """From a balanced force (N, 3) inside the cones."""
-
-    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
-        """
-        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
-        """
-
-    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
-        """Best seconds of `passes` calls each, into (M,)."""
-
-class SoftNewton:
-    """Newton on Phi with soft contacts."""
-
-    @staticmethod
-    def make(contacts: Contacts, tolerance: float, limit: int, divisor: object, basis: object) -> SoftNewton:
-        """
-        Torsion in units of its limit / torsion (N,), inf where a contact is not soft; the 12-basis without torsion (13, 3N).
-        """
-
-    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
-        """
-        From the 12-basis, or from force and torsion of a previous record, into a record; returns the code.
-        """
-
-    def descend(self, wrench: object, force: object, torsion: object, optimum: float, trace: object, record: object) -> int:
-        """
-        From a balanced force (N, 3) inside the cones with torsions (N,) within their limits.
-        """
-
-    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
-        """
-        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
-        """
-
-    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
-        """Best seconds of `passes` calls each, into (M,)."""
-
-class Conic:
-    """The least sum of normal forces on the hard contacts of one grasp."""
-
-    @staticmethod
-    def make(contacts: Contacts, tolerance: float, limit: int, interior: object) -> Conic:
-        """
-        interior: (3N,) an internal force strictly inside the cones, cone coordinates.
-        """
-
-    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
-        """Into a record; returns the code. previous: not read."""
-
-    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
-        """
-        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
-        """
-
-    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
-        """Best seconds of `passes` calls each, into (M,)."""
 
 NETWORK_FEATURES: int = 8
 
@@ -491,79 +344,12 @@ class Model:
     def load(bytes: bytes) -> Model | None:
         """The model that `save` wrote; None: it is not whole."""
 
-class Learned:
-    """
-    A trained model's starts on the hard contacts of one grasp, and Newton from them.
-    """
-
-    @staticmethod
-    def make(contacts: Contacts, tolerance: float, limit: int, basis: object, model: Model) -> Learned:
-        """basis: (13, 3N) the offline optima, cone coordinates."""
-
-    def start(self, wrench: object | None, previous: object | None, record: object) -> int:
-        """
-        The start into a record; returns `limit`, for a descent has to go on from it.
-        previous: the record of another wrench's optimum, or None.
-        """
-
-    def solve(self, wrench: object | None, previous: object | None, record: object) -> int:
-        """The start, and Newton from it, into a record; returns the code."""
-
-    def predict(self, wrench: object, force: object) -> bool:
-        """
-        The network's own force (N, 3) [N], perhaps outside the cones. False: not finite.
-        """
-
-    def solve_many(self, wrenches: object, previous: object | None, records: object) -> None:
-        """
-        (M, 6) into (M, record_size(N)), each as `solve` without a previous record or with its row of `previous`; releases the GIL.
-        """
-
-    def times(self, wrenches: object, passes: int, records: object, best: object) -> None:
-        """Best seconds of `passes` solves each, into (M,)."""
-
     def covers(self, wrench: object) -> bool:
         """Whether wrench, contacts and friction lie in the training range."""
 
-    @property
-    def outside(self) -> bool:
-        """Whether the last wrench was not covered."""
-
-    @property
-    def replaced(self) -> bool:
+    def predict(self, wrench: object, coordinates: object) -> None:
         """
-        Whether nothing of the last prediction was kept: the combination was taken.
-        """
-
-CLEAR: float = 1e-09
-
-class Program:
-    """
-    Any contacts, further limits: the least sum or maximum of normal forces, the deepest force, Phi.
-    """
-
-    @staticmethod
-    def make(frame: object, balance: object, rows: object, bound: object, divisor: object, shares: object, elastic: bool) -> Program:
-        """See `Given` in program.hpp."""
-
-    def least_force(self, wrench: object | None, largest: bool, tolerance: float, limit: int, record: object, prices: object) -> int:
-        """
-        Into a record and the limits' prices (M,); returns the code. INFEASIBLE: the record's multipliers are the proof.
-        """
-
-    def least_excess(self, wrench: object, limit: int, record: object, prices: object) -> int:
-        """
-        The balanced force in the cones that exceeds limits least, of an elastic program; returns LIMITS_EXCEEDED where it is found.
-        """
-
-    def least_phi(self, wrench: object, weights: object, row_weights: object, z: object, optimum: float, trace: object, tolerance: float, limit: int, record: object, prices: object) -> int:
-        """
-        The least Phi from z (N, 4), balanced and strictly inside; optimum: nan or a known minimum.
-        """
-
-    def deepest(self, wrench: object, tolerance: float, z: object, twist: object) -> tuple:
-        """
-        The deepest force into z (N, 4), the separating twist into (6,); returns (code, iterations, margin).
+        The internal force that the network predicts, in coordinates (3N - 6,) [N] of the null space.
         """
 
 class Pipeline:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from grasp_env import core
 from grasp_env._check import Array, ContactForces, Wrench, as_wrench, flag, instance
-from grasp_env.errors import InfeasibleStartError, InvalidInputError, NotConvergedError, RankDeficientGraspError
+from grasp_env.errors import InfeasibleStartError, InvalidInputError, RankDeficientGraspError
 from grasp_env.force.objective import Objective, as_objective
+from grasp_env.force.record import CODE, FORCE, LIMIT
+from grasp_env.force.solution import COMBINATION
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 
@@ -54,26 +56,18 @@ class OfflineBasis:
         objective = as_objective(objective)
         if warm is not None:
             instance(warm, OfflineBasis, "warm")
-        solver = core.Newton.make(core_contacts(grasp, objective), 1.0, 0)
+        solver = _compiled(grasp, objective)
         forces = np.empty((13, 3 * grasp.n_contacts))
         if warm is not None and len(warm.cone_divisor) == grasp.n_contacts:
             forces[:] = warm.cone_forces
             if solver.make_basis(forces, warm=True) < core.ACCEPTED_GAP:
                 return cls(grasp.models.cone_divisor, objective, forces)
-        if not solver.internal_force(np.empty(forces.shape[1])):
-            from grasp_env.force.feasibility import phase_one  # the general program, which also proves that
-
-            interior = None
-            with suppress(NotConvergedError):  # closure within rounding of none
-                interior = phase_one(grasp, np.zeros(6)).force
-            if interior is None:
-                raise InfeasibleStartError(
-                    "the grasp has no force closure, so the offline basis does not exist; "
-                    "use initial='phase_one', which needs a force for this wrench only"
-                )
-            gap = solver.make_basis(forces, interior=grasp.to_cone(interior))
-        else:
-            gap = solver.make_basis(forces)
+        gap = solver.make_basis(forces, warm=False)
+        if np.isnan(gap):
+            raise InfeasibleStartError(
+                "the grasp has no force closure, so the offline basis does not exist; "
+                "use initial='phase_one', which needs a force for this wrench only"
+            )
         if not gap < core.ACCEPTED_GAP:
             raise InfeasibleStartError(
                 f"the offline basis did not converge at barrier_weight={objective.barrier_weight}: raise it, or the grasp "
@@ -151,20 +145,37 @@ def core_contacts(grasp: Grasp, objective: Objective, tangents: Array | None = N
         raise RankDeficientGraspError(str(error)) from None
 
 
-def starter(grasp: Grasp, objective: Objective) -> core.Newton:
-    """The core's starts on a grasp with its 12-basis, remembered as long as `grasp` lives.
+def starter(grasp: Grasp, objective: Objective, model: core.Model | None = None) -> core.ForceOptimizer:
+    """A compiled optimizer whose own start is the combination of the grasp's 12-basis: what repairs and predictions fall back on.
 
     Raises:
         InfeasibleStartError: see `OfflineBasis.compute`.
     """
-    known = _STARTERS.setdefault(grasp, {})
-    if objective not in known:
-        basis = OfflineBasis.of(grasp, objective)
-        known[objective] = core.Newton.make(core_contacts(grasp, objective), 1.0, 0)
-        known[objective].set_basis(basis.cone_forces)
-    return known[objective]
+    basis = OfflineBasis.of(grasp, objective)
+    made = _compiled(grasp, objective, start=COMBINATION, model=model)
+    made.set_basis(basis.cone_forces)
+    return made
+
+
+def start_of(
+    optimizer: core.ForceOptimizer, start: int, wrench: Wrench, force: ContactForces | None
+) -> ContactForces | None:
+    """The start (N, 3) [N] that a compiled optimizer makes, on its own contacts; None: it has none.
+
+    Args:
+        optimizer: see `starter`.
+        start: a place in `STARTS`.
+        wrench: (6,) [N, N m].
+        force: (N, 3) [N] to start from, where the start takes one.
+    """
+    row: Any = optimizer.start(start, force, None, wrench, None, None, None, None, None, None)
+    return row[FORCE : FORCE + 3 * optimizer.count].reshape(-1, 3).copy() if row[CODE] == LIMIT else None
+
+
+def _compiled(grasp: Grasp, objective: Objective, **options: Any) -> core.ForceOptimizer:
+    contacts = core_contacts(grasp, objective)  # says what is wrong with them
+    return core.ForceOptimizer.make(contacts, objective.weights(grasp.n_contacts), **options)
 
 
 # weak keys: a basis goes with its grasp
 _REMEMBERED: WeakKeyDictionary[Grasp, dict[Objective, OfflineBasis]] = WeakKeyDictionary()
-_STARTERS: WeakKeyDictionary[Grasp, dict[Objective, core.Newton]] = WeakKeyDictionary()

@@ -1,4 +1,4 @@
-"""The description matrix P, cone coordinates and the cone margin (paper, Eqs. 4, 5 and 18).
+"""The description matrix P and cone coordinates (paper, Eqs. 4, 5 and 18).
 
 P_i = [[u, 0, o], [0, u, t], [o, t, u]] with u = mu * normal; P_i > 0 exactly when the force lies strictly inside the
 friction cone sqrt(o^2 + t^2) < mu * normal. Eigenvalues: u, u + s, u - s with s = sqrt(o^2 + t^2).
@@ -42,21 +42,6 @@ def description_matrix(force: ContactForces, friction: Array) -> Array:
     for k, (u, o, t) in enumerate(x):
         matrix[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = [[u, 0.0, o], [0.0, u, t], [o, t, u]]
     return matrix
-
-
-def cone_margin(force: ContactForces, friction: Array) -> float:
-    """Min over contacts of mu * normal - sqrt(o^2 + t^2) [N]: the least eigenvalue of P; > 0 strictly inside.
-
-    Args:
-        force: (N, 3) [N]: normal, o, t.
-        friction: a coefficient, or (N,), of round cones; see `Grasp.cone_margin` for others.
-
-    Example:
-        >>> cone_margin(np.array([[10.0, 3.0, 0.0]]), np.array([0.4]))
-        1.0
-    """
-    u, o, t = _forces(force, friction).T
-    return float((u - np.hypot(o, t)).min())
 
 
 def _forces(force: ContactForces, friction: Array) -> Array:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from grasp_env import ranges
+from grasp_env import core, ranges
 from grasp_env._check import ContactForces, Wrench, as_array, as_wrench, choice
-from grasp_env.force.basis import OfflineBasis, starter
+from grasp_env.errors import InfeasibleStartError
+from grasp_env.force.basis import OfflineBasis, start_of, starter
 from grasp_env.force.objective import Objective, as_objective
+from grasp_env.force.solution import GUESS, PREVIOUS
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 SAME = 1e-12
@@ -52,10 +55,8 @@ class Repair:
         Raises:
             InvalidInputError: the candidate has another shape, or the wrench is not finite.
         """
-        flat = as_array(candidate, (as_grasp(grasp).n_contacts, 3), "candidate", finite=False)
-        out = np.empty(flat.shape)
-        starter(grasp, self.objective).repair(as_wrench(wrench), flat, out)
-        return out
+        force = as_array(candidate, (as_grasp(grasp).n_contacts, 3), "candidate", finite=False)
+        return _started(grasp, self.objective, GUESS, as_wrench(wrench), force)
 
 
 def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
@@ -87,7 +88,7 @@ def start_replaced(grasp: Grasp, wrench: Wrench, force: ContactForces) -> bool:
 def carry_over(
     grasp: Grasp, wrench: Wrench, previous: ContactForces, objective: Objective, correction: Correction = "tangent"
 ) -> ContactForces:
-    """A previous optimum carried to a new grasp and wrench, and repaired.
+    """A previous optimum carried to a new grasp and wrench, strictly inside the cones.
 
     Args:
         grasp: the grasp as it is now.
@@ -115,6 +116,20 @@ def carry_over(
     choice(correction, "correction", CORRECTIONS)
     wrench = as_wrench(wrench)
     before = as_array(previous, (as_grasp(grasp).n_contacts, 3), "previous", ranges.SIZE)
-    out = np.empty(before.shape)
-    starter(grasp, as_objective(objective)).carry(wrench, before, correction == "tangent", out)
-    return out
+    return _started(grasp, as_objective(objective), PREVIOUS if correction == "tangent" else GUESS, wrench, before)
+
+
+def _started(grasp: Grasp, objective: Objective, start: int, wrench: Wrench, force: ContactForces) -> ContactForces:
+    """A start of the core from a force (N, 3) [N] that need be neither balanced nor inside the cones."""
+    known = _STARTERS.setdefault(grasp, {})
+    if objective not in known:
+        known[objective] = starter(grasp, objective)
+    made = start_of(known[objective], start, wrench, force)
+    if made is None:
+        raise InfeasibleStartError(
+            f"no force strictly inside the cones was found from there for wrench {wrench.tolist()}"
+        )
+    return made
+
+
+_STARTERS: WeakKeyDictionary[Grasp, dict[Objective, core.ForceOptimizer]] = WeakKeyDictionary()

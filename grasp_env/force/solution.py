@@ -20,12 +20,13 @@ STARTS = (
     "phase_one",
     "previous",
     "given",
+    "guess",
     "learned",
     "central",
 )
 """The names of the core's `Start`, in its order."""
-COMBINATION, PREVIOUS, GIVEN, LEARNED = (
-    STARTS.index(name) for name in ("linear_combination", "previous", "given", "learned")
+COMBINATION, PREVIOUS, GIVEN, GUESS, LEARNED = (
+    STARTS.index(name) for name in ("linear_combination", "previous", "given", "guess", "learned")
 )
 
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from grasp_env.config import EnvConfig
-from grasp_env.force import Objective, phase_one
+from grasp_env.force import Objective
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
+from grasp_env.quality import feasibility
 from training.compare.cases import (
     DIRECTION_SIZES,
     DISPLACEMENT,
@@ -83,7 +84,7 @@ def test_contacts_lie_on_a_solid_and_press_into_it(base, shape):
         assert np.abs(places).max() <= HALF[1]
     grasp = recipe.closed(rng, 4)
     assert recipe.friction[0] <= grasp.friction.min() <= grasp.friction.max() <= recipe.friction[1]
-    assert phase_one(grasp, np.zeros(6)).margin > recipe.margin / 4
+    assert feasibility(grasp, np.zeros(6)).margin > recipe.margin / 4
 
 
 def test_near_grasps_are_near_and_random_ones_close():
@@ -97,7 +98,7 @@ def test_near_grasps_are_near_and_random_ones_close():
     for count in (3, 4, 5):
         grasp = EVALUATION.closed(np.random.default_rng(count), count)
         assert grasp.n_contacts == count
-        assert phase_one(grasp, np.zeros(6)).margin > 0.0
+        assert feasibility(grasp, np.zeros(6)).margin > 0.0
         with pytest.raises(DoesNotApply):
             require_near_fixed(grasp)
 

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.force import SingleValue
+from grasp_env.force.rules import CoreStart
 from training.cli import main
 from training.compare import comparison
 from training.compare.cases import SETS
@@ -63,7 +63,7 @@ def own(tmp_path_factory):
 @pytest.fixture(scope="module")
 def given(own):
     lock = []  # a rule that only this process can name
-    mine = {"squeeze": lambda grasp, wrench: SingleValue()(grasp, wrench) if lock == [] else None}
+    mine = {"squeeze": lambda grasp, wrench: CoreStart("single_value")(grasp, wrench) if lock == [] else None}
     return Given.of((f"sometimes={own}:Sometimes", f"outside={own}:outside"), (f"mine={own}:Solver",), mine)
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import RULES, ForceOptimizer, Objective, OfflineBasis, Repair, Status
-from grasp_env.force.rules import SingleValue, StartRule
+from grasp_env.force.rules import CoreStart, StartRule
 from grasp_env.grasp import presets, wrench
 from training.compare import trial
 from training.compare.case import Case
@@ -128,7 +130,7 @@ def test_forces_that_are_no_starts_are_told_from_each_other(starts):
     given = {
         "unbalanced": lambda grasp, load: np.tile([1.0, 0.0, 0.0], (grasp.n_contacts, 1)),
         "outside": lambda grasp, load: -(grasp.pseudoinverse @ load).reshape(-1, 3),
-        "own": lambda grasp, load: SingleValue()(grasp, load),
+        "own": lambda grasp, load: CoreStart("single_value")(grasp, load),
         "discarded": lambda grasp, load: Repair()(grasp, load, np.tile([10.0, 0.0, 0.0], (grasp.n_contacts, 1))),
     }
     chosen_ = {
@@ -238,8 +240,8 @@ def test_one_entry_is_all_that_a_start_needs(monkeypatch):
     monkeypatch.setitem(
         STARTS, "new", Row("three corrections", "three", "#101010", lambda shop: shop.stepped("lagrange", 3))
     )
-    monkeypatch.setitem(RULES, "newest", StartRule("the newest of all", SingleValue))
-    made = Workshop(PHI, {"mine": SingleValue()}).made()
+    monkeypatch.setitem(RULES, "newest", StartRule("the newest of all", partial(CoreStart, "single_value")))
+    made = Workshop(PHI, {"mine": CoreStart("single_value")}).made()
     assert [*made][-3:] == ["new", "newest", "mine"]
     rows = table(trials("ball", make_cases("ball", 2, 0), made, {}, PHI))
     assert {"new", "newest", "mine"} <= {*rows["start"]}

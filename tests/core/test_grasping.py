@@ -8,8 +8,9 @@ import pytest
 from scipy.optimize import linprog
 
 from grasp_env import core
-from grasp_env.force import ForceOptimizer, force_closure
+from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
+from grasp_env.quality import force_closure
 
 
 def test_gaps() -> None:

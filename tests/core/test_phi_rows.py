@@ -7,17 +7,17 @@ from functools import cache
 import _core_test as insides
 import numpy as np
 import pytest
+from grasp_env.force.program import ForceProgram
 from oracles import phi as oracle
 from problems import GRASPS
 from scipy.linalg import null_space
 from scipy.optimize import minimize
 
 from grasp_env.force import ForceLimits
-from grasp_env.force.feasibility import phase_one
 from grasp_env.force.objective import Objective
-from grasp_env.force.program import ForceProgram
 from grasp_env.force.record import LIMIT, REFUSED
 from grasp_env.grasp import Grasp
+from grasp_env.quality import feasibility
 
 LOAD = np.array([0.7, -0.4, 0.9, 0.011, -0.007, 0.013])
 
@@ -69,7 +69,7 @@ class Dense:
         self.stacked = np.concatenate([self.turned, self.program.rows])
         self.rights = np.concatenate([self.right, self.program.bound])
         self.lower = lower
-        start = phase_one(self.grasp, load, GENERAL[name][1])
+        start = feasibility(self.grasp, load, GENERAL[name][1])
         assert start.force is not None
         self.start = self.program.balanced(self.program.variables(start.force, start.torsion), load)
 

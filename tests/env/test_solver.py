@@ -9,8 +9,9 @@ from problems import PAPER_WRENCH, random_grasp
 
 from grasp_env.control.solver import ContactSolver
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
-from grasp_env.force import ForceOptimizer, Repair, Status, phase_one
+from grasp_env.force import ForceOptimizer, Repair, Status
 from grasp_env.grasp import Grasp, null_space_basis, presets
+from grasp_env.quality import feasibility
 
 NOMINAL = {3: presets.tripod(), 4: presets.paper_cuboid(), 5: presets.five_finger_cuboid()}
 SMALL = (1e-3, 0.02)
@@ -155,7 +156,7 @@ def test_an_adjustment_is_along_the_basis_of_any_number_of_contacts(count: int) 
     rng = np.random.default_rng(count)
     while True:
         nominal = random_grasp(rng, count)
-        if phase_one(nominal, np.zeros(6)).margin > 0.02:
+        if feasibility(nominal, np.zeros(6)).margin > 0.02:
             break
     pipeline, turned = pipeline_of(nominal, method="newton"), 0.1 * rng.standard_normal((count, 3))
     points = nominal.positions + 2e-3 * rng.standard_normal((count, 3))

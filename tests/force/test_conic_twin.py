@@ -14,9 +14,9 @@ from problems import GRASPS, PAPER_WRENCH, random_grasp
 from grasp_env import core
 from grasp_env.force import Objective, record
 from grasp_env.force.basis import core_contacts
-from grasp_env.force.feasibility import phase_one
 from grasp_env.force.record import LIMIT
 from grasp_env.grasp import Grasp
+from grasp_env.quality import feasibility
 
 LOAD = np.array([0.7, -0.4, 0.9, 0.011, -0.007, 0.013])
 CUBOID = GRASPS["cuboid, 4"]
@@ -69,7 +69,7 @@ def closed_grasp(count: int, kind: str) -> tuple[Grasp, np.ndarray]:
         elif kind == "last one frictionless":
             models = ["hard"] * (count - 1) + ["frictionless"]
             grasp = Grasp.from_contacts(grasp.positions, grasp.normals, grasp.friction, contact_model=models)
-        found = phase_one(grasp, np.zeros(6))
+        found = feasibility(grasp, np.zeros(6))
         if found.force is not None and found.margin > 0.02:
             return grasp, grasp.to_cone(found.force)
 

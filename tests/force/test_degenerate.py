@@ -7,10 +7,11 @@ import pytest
 from oracles.phi import phi
 from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp, weights
 
-from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, cone_margin, optimize_force, phase_one
+from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, optimize_force
 from grasp_env.force.basis import starter
 from grasp_env.grasp import Grasp, presets
 from grasp_env.grasp import wrench as wrenches
+from grasp_env.quality import feasibility
 
 
 def _inside(rng: np.random.Generator) -> np.ndarray:
@@ -52,9 +53,9 @@ def test_phase_one_on_grasps_next_to_a_symmetric_one() -> None:
         noise = rng.standard_normal(preset.positions.shape)
         for size in 10.0 ** -np.arange(2, 17.0):
             grasp = Grasp.from_contacts(preset.positions + size * 0.05 * noise, preset.normals, preset.friction)
-            force = phase_one(grasp, np.zeros(6)).force
+            force = feasibility(grasp, np.zeros(6)).force
             assert force is not None
-            assert cone_margin(force, grasp.friction) > 0.0
+            assert grasp.cone_margin(force) > 0.0
             assert grasp.residual(force, np.zeros(6)) < 1e-12 * np.abs(force).max()
 
 
@@ -98,7 +99,7 @@ def test_repair_of_twenty_thousand_candidates_through_the_class() -> None:
         value, least = (phi(grasp.to_cone(f), weights(grasp.to_cone(f))) for f in (force, safe))
         # coordinates go to forces and back: one rounding, which the barrier amplifies by u / margin
         assert value <= least * (1.0 + 1e-11)
-        assert cone_margin(force, grasp.friction) > 0.0
+        assert grasp.cone_margin(force) > 0.0
         size = np.abs(force).max() + wrenches.magnitude(load)
         assert grasp.residual(force, load) <= 1e-9 * size
         better += value < 0.999 * least

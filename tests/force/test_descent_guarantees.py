@@ -7,7 +7,7 @@ import pytest
 from problems import GRASPS, PAPER_WRENCH, PROBLEMS, Problem, closure_grasps
 
 from grasp_env.errors import NotConvergedError
-from grasp_env.force import DESCENTS, AdaptiveStep, ForceOptimizer, ForceSolution, Status, cone_margin, optimize_force
+from grasp_env.force import DESCENTS, AdaptiveStep, ForceOptimizer, ForceSolution, Status, optimize_force
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
 
@@ -30,10 +30,10 @@ def _assert_valid(solution: ForceSolution, grasp: Grasp) -> None:
             np.abs(force).max() + np.abs(solution.wrench[:3]).max() + np.abs(solution.wrench[3:]).max() / grasp.length
         )
         assert np.abs(left).max() <= BALANCE * size
-        assert cone_margin(force, grasp.friction) > 0.0
+        assert grasp.cone_margin(force) > 0.0
     # the solver sums in another order and in cone coordinates: rounding of twelve products
     rounding = 1e-14 * (np.abs(solution.force).max() + np.abs(solution.wrench).max() / grasp.length)
-    assert abs(solution.cone_margin - cone_margin(solution.force, grasp.friction)) <= rounding
+    assert abs(solution.cone_margin - grasp.cone_margin(solution.force)) <= rounding
     assert (
         abs(solution.equilibrium_residual - grasp.residual(solution.force, solution.wrench)) <= rounding / grasp.length
     )

@@ -13,8 +13,9 @@ from scipy.optimize import minimize
 from grasp_env.errors import (
     InfeasibleWrenchError,
 )
-from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, joint_torques, optimize_force, phase_one
+from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, joint_torques, optimize_force
 from grasp_env.grasp import Grasp
+from grasp_env.quality import feasibility
 
 
 def prices(found: ForceSolution, reference: Reference) -> np.ndarray:
@@ -254,7 +255,7 @@ def test_newton_agrees_with_scipy(name: str) -> None:
     grasp, load, limits = PROBLEMS[name]
     found = optimize_force(grasp, load, method="newton", limits=limits, tolerance=1e-9)
     reference = Reference(grasp, limits)
-    start = phase_one(grasp, load, limits)
+    start = feasibility(grasp, load, limits)
     free = reference.transmits.reshape(-1) > 0.0
     units = np.where(np.arange(4 * grasp.n_contacts) % 4 == 3, 0.005, 1.0)[free]
     basis = null_space(reference.matrix.reshape(6, -1)[:, free] * units)
@@ -345,4 +346,4 @@ def test_phase_one_decides_tight_limits(seed: int) -> None:
         limits = random_limits(rng, grasp, float(np.abs(Reference(grasp).load(load)).max()))
         margin = Reference(grasp, limits).margin(load)
         if abs(margin) > 1e-6:
-            assert phase_one(grasp, load, limits).feasible == (margin > 0.0)
+            assert feasibility(grasp, load, limits).feasible == (margin > 0.0)

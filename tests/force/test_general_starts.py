@@ -7,8 +7,9 @@ import pytest
 from force.general_problems import CUBOID, LOAD, NAMES, PINCH, PROBLEMS, mixed, soft
 
 from grasp_env.errors import GraspError, InfeasibleStartError, InvalidInputError, UnsupportedProblemError
-from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, phase_one
+from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force
 from grasp_env.grasp import Grasp
+from grasp_env.quality import feasibility
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -16,10 +17,10 @@ def test_any_start_ends_at_the_same_optimum(name: str) -> None:
     grasp, load, limits = PROBLEMS[name]
     optimizer = ForceOptimizer(grasp, method="newton", limits=limits, tolerance=1e-9)
     want = optimizer.solve(load)
-    deep = phase_one(grasp, load, limits)
+    deep = feasibility(grasp, load, limits)
     starts = [want, optimize_force(grasp, 1.05 * load, method="newton", limits=limits), "previous"]
     if not grasp.models.torsional_friction.any():
-        starts += [deep.force, deep.force.tolist(), lambda g, w: phase_one(g, w, limits).force, "phase_one"]
+        starts += [deep.force, deep.force.tolist(), lambda g, w: feasibility(g, w, limits).force, "phase_one"]
     for start in starts:
         found = optimizer.solve(load, initial=start)
         assert found.status is Status.OPTIMAL
@@ -91,7 +92,7 @@ def test_a_given_force_has_to_be_balanced_and_inside(shared: bool) -> None:
     limits = ForceLimits(jacobian=np.full((4, 3, 1), 0.01), torque_limit=0.5) if shared else None
     grasp = CUBOID if shared else soft()
     optimizer = ForceOptimizer(grasp, method="newton", limits=limits)
-    good = phase_one(CUBOID, LOAD).force
+    good = feasibility(CUBOID, LOAD).force
     assert optimizer.solve(LOAD, initial=good).initial in ("given", "phase_one (given was replaced)")
     for bad, why in ((1.1 * good, "misses balance"), (-good, "misses balance|leaves the friction cones")):
         with pytest.raises(InfeasibleStartError, match=why):

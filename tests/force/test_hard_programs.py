@@ -8,8 +8,8 @@ from force.clarabel_reference import Reference, random_grasp, random_limits, ran
 
 from grasp_env.errors import GraspError, InfeasibleWrenchError, NotConvergedError
 from grasp_env.force import ForceLimits, ForceOptimizer, Status
-from grasp_env.force.closure import force_closure
 from grasp_env.grasp import Grasp
+from grasp_env.quality import force_closure
 
 
 def near_closure(rng: np.random.Generator) -> Grasp:

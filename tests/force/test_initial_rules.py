@@ -15,18 +15,16 @@ from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import (
     RULES,
     ForceOptimizer,
-    Lagrange,
     LinearCombination,
     Objective,
     OfflineBasis,
-    PhaseOne,
     Repair,
-    cone_margin,
     initial_rule,
     optimize_force,
     optimize_forces,
     start_replaced,
 )
+from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
 
@@ -43,7 +41,7 @@ def _wrenches() -> list[np.ndarray]:
 def _assert_start(grasp: Grasp, wrench: np.ndarray, force: np.ndarray) -> None:
     assert force.shape == (grasp.n_contacts, 3)
     assert np.isfinite(force).all()
-    assert cone_margin(force, grasp.friction) > 0.0
+    assert grasp.cone_margin(force) > 0.0
     size = np.abs(force).max() + np.abs(wrench[:3]).max() + np.abs(wrench[3:]).max() / grasp.length
     # rounding of sums of forces of this size: far below what a flow may add
     assert grasp.residual(force, wrench) <= 1e-10 * size
@@ -84,7 +82,7 @@ def _best_lagrange_margin(grasp: Grasp, wrench: np.ndarray) -> float:
     at_zero, slope = force(0.0), force(1.0) - force(0.0)
 
     def loss(k: float) -> float:  # convex in k: minus a minimum of concave margins
-        return -cone_margin(at_zero + k * slope, grasp.friction)
+        return -grasp.cone_margin(at_zero + k * slope)
 
     far = 1e4 * (1.0 + np.abs(at_zero).max())
     answers = [
@@ -94,7 +92,7 @@ def _best_lagrange_margin(grasp: Grasp, wrench: np.ndarray) -> float:
 
 
 def test_lagrange_has_a_start_or_none_exists() -> None:
-    rule = Lagrange()
+    rule = CoreStart("lagrange")
     starts = misses = 0
     rng = np.random.default_rng(1)
     for grasp in (*GRASPS.values(), *closure_grasps(40)):
@@ -116,7 +114,7 @@ def test_lagrange_has_a_start_or_none_exists() -> None:
 def test_lagrange_minimises_what_it_says() -> None:
     """Some k makes the start the KKT point of that k: stationarity is linear, so k is found by least squares."""
     grasp = GRASPS["cuboid, 4"]
-    force = Lagrange()(grasp, PAPER_WRENCH).reshape(-1)
+    force = CoreStart("lagrange")(grasp, PAPER_WRENCH).reshape(-1)
     weights = np.tile([1.0, 10.0, 10.0], 4)
     normals = np.tile([1.0, 0.0, 0.0], 4)
     # W (f - k n) = G^T nu for some (k, nu)
@@ -135,7 +133,7 @@ def test_single_value_is_the_pseudoinverse_plus_the_least_squeeze() -> None:
     np.testing.assert_allclose(force, particular + k * rest, atol=1e-12)
     # 1.1 times the least feasible factor: at k / 1.1 the margin is zero
     assert k > 1.0
-    assert cone_margin(particular + k / 1.1 * rest, grasp.friction) == pytest.approx(0.0, abs=1e-12)
+    assert grasp.cone_margin(particular + k / 1.1 * rest) == pytest.approx(0.0, abs=1e-12)
     # and at no wrench it is the rest force itself
     np.testing.assert_allclose(initial_rule("single_value")(grasp, np.zeros(6)), rest, rtol=1e-14)
 
@@ -220,7 +218,8 @@ def test_each_wrench_of_a_batch_says_whether_its_start_was_replaced() -> None:
 
 
 @pytest.mark.parametrize(
-    "rule", [None, "linear_combination", LinearCombination(), "single_value", Lagrange(), PhaseOne()]
+    "rule",
+    [None, "linear_combination", LinearCombination(), "single_value", CoreStart("lagrange"), CoreStart("phase_one")],
 )
 def test_starts_that_were_asked_for_are_not_called_replaced(rule: Any) -> None:
     for wrench in (PAPER_WRENCH, np.zeros(6)):

@@ -11,6 +11,7 @@ import pytest
 from force.clarabel_reference import KINDS, SOLVED, Reference, _run, random_limits, random_wrench
 from force.clarabel_reference import random_grasp as random_contacts
 from force.test_hard_programs import clustered, near_closure
+from grasp_env.force.program import ForceProgram
 from problems import random_grasp
 
 from grasp_env.errors import (
@@ -19,18 +20,10 @@ from grasp_env.errors import (
     InfeasibleWrenchError,
     InvalidInputError,
 )
-from grasp_env.force import (
-    ForceLimits,
-    ForceOptimizer,
-    ForceSolution,
-    Status,
-    optimize_force,
-    optimize_forces,
-    phase_one,
-)
-from grasp_env.force.program import ForceProgram
+from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, optimize_force, optimize_forces
 from grasp_env.force.record import BOUND, CODE, EXCESS, LIMITS_EXCEEDED, MULTIPLIERS
 from grasp_env.grasp import Grasp, presets
+from grasp_env.quality import feasibility
 
 CUBOID = presets.paper_cuboid()
 LOAD = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
@@ -62,7 +55,7 @@ def closed(rng: np.random.Generator, count: int) -> Grasp:
     """With force closure."""
     while True:
         grasp = random_grasp(rng, count)
-        if phase_one(grasp, np.zeros(6)).feasible:
+        if feasibility(grasp, np.zeros(6)).feasible:
             return grasp
 
 
@@ -162,7 +155,7 @@ def test_the_general_program_agrees(seed: int) -> None:
     for load in loads(rng, 10):
         found = outcome(optimizer, load)
         if found.status is Status.INFEASIBLE:
-            assert not phase_one(grasp, load, limits).feasible
+            assert not feasibility(grasp, load, limits).feasible
             continue
         optimal += 1
         want = optimizer.solve(load, trace=True)  # what studies ask goes to the general program

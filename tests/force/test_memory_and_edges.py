@@ -9,16 +9,9 @@ import numpy as np
 import pytest
 
 from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.force import (
-    ForceOptimizer,
-    OfflineBasis,
-    Repair,
-    Status,
-    optimize_force,
-    optimize_forces,
-    phase_one,
-)
+from grasp_env.force import ForceOptimizer, OfflineBasis, Repair, Status, optimize_force, optimize_forces
 from grasp_env.grasp import Grasp, presets
+from grasp_env.quality import feasibility
 
 
 def test_a_remembered_basis_does_not_keep_its_grasp_alive():
@@ -75,7 +68,7 @@ def test_wrong_kinds():
     with pytest.raises(InvalidInputError, match="1e\\+12"):
         optimize_force(grasp, [1e200] * 6)
     with pytest.raises(InvalidInputError, match="finite"):
-        phase_one(grasp, np.full(6, np.nan))
+        feasibility(grasp, np.full(6, np.nan))
     with pytest.raises(UnknownNameError, match="preset"):
         presets.preset(["a"])  # type: ignore[arg-type]
 

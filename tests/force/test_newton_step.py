@@ -14,10 +14,10 @@ from scipy.linalg import null_space
 from grasp_env import core
 from grasp_env.force import record
 from grasp_env.force.basis import core_contacts
-from grasp_env.force.feasibility import phase_one
 from grasp_env.force.objective import Objective
 from grasp_env.force.record import LIMIT
 from grasp_env.grasp import Grasp
+from grasp_env.quality import feasibility
 
 LOAD = np.array([0.7, -0.4, 0.9, 0.011, -0.007, 0.013])
 COUNTS = (3, 4, 5, 9)
@@ -31,7 +31,7 @@ def some_grasp(count: int) -> Grasp:
         base = random_grasp(rng, count)
         both = np.column_stack([base.friction, rng.uniform(0.3, 1.0, count)])
         grasp = Grasp.from_contacts(base.positions + np.array([0.3, -0.2, 0.1]), base.normals, both)
-        if phase_one(grasp, np.zeros(6)).margin > 0.06:
+        if feasibility(grasp, np.zeros(6)).margin > 0.06:
             return grasp
 
 
@@ -45,7 +45,7 @@ def objective_of(count: int, barrier: float = 0.01) -> Objective:
 
 def start_near_the_optimum(grasp: Grasp, objective: Objective, load: np.ndarray, away: float) -> np.ndarray:
     """Cone coordinates, balanced: the optimum of the dense twin, then a seeded internal force."""
-    force = phase_one(grasp, load).force
+    force = feasibility(grasp, load).force
     assert force is not None
     x, g, unit = grasp.to_cone(force).reshape(-1), grasp.unit_frame @ grasp.cone_matrix, grasp.unit_frame @ load
     for _ in range(60):

@@ -11,7 +11,7 @@ from oracles.phi import phi
 from problems import PAPER_WRENCH, closure_grasps, random_grasp, weights
 
 from grasp_env import core
-from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, carry_over, cone_margin, optimize_force
+from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, Repair, carry_over, optimize_force
 from grasp_env.force.basis import core_contacts, starter
 from grasp_env.force.repair import CORRECTIONS, Correction
 from grasp_env.grasp import Grasp, presets, wrench
@@ -105,7 +105,7 @@ def test_best_on_segment_is_the_best_of_the_segment(grasp: Grasp) -> None:
         theta, out = best_on_segment(grasp, safe, candidate)
         assert 0.0 <= theta <= 1.0
         value = phi(out, weights(safe))
-        assert cone_margin(grasp.to_force(out), grasp.friction) > 0.0
+        assert grasp.cone_margin(grasp.to_force(out)) > 0.0
         assert value <= phi(safe, weights(safe)) * (1.0 + ROUNDING)
         assert value <= phi(candidate, weights(safe)) * (1.0 + ROUNDING)
         scan = min(phi(safe + k * (candidate - safe), weights(safe)) for k in thetas)
@@ -157,7 +157,7 @@ def test_repair_of_twenty_thousand_candidates_is_never_worse_than_the_basis() ->
             x = safe.copy()
         _, out = best_on_segment(grasp, safe, x)
         assert phi(out, weights(safe)) <= phi(safe, weights(safe)) * (1.0 + ROUNDING)
-        assert cone_margin(grasp.to_force(out), grasp.friction) > 0.0
+        assert grasp.cone_margin(grasp.to_force(out)) > 0.0
         force = grasp.to_force(out)
         # what a candidate of 1e8 N leaves of its balance is 1e-7 N, times the part of it that is taken
         assert grasp.residual(force, load) <= 1e-9 * (np.abs(force).max() + np.abs(load).max() / grasp.length)
@@ -178,7 +178,7 @@ def test_repair_through_the_class() -> None:
         force = repair(grasp, load, candidate)
         # the core compares sums of another order than `Objective.value`
         assert OBJECTIVE.value(grasp.to_cone(force)) <= OBJECTIVE.value(safe) * (1.0 + 1e-14)
-        assert cone_margin(force, grasp.friction) > 0.0
+        assert grasp.cone_margin(force) > 0.0
         assert grasp.residual(force, load) <= 1e-9 * (np.abs(force).max() + np.abs(load).max() / grasp.length)
         # what is good already is kept: the optimum stays where it is
     solution = optimize_force(GRASPS[1], PAPER_WRENCH, method="newton", tolerance=1e-10)
@@ -203,7 +203,7 @@ def test_carry_over_to_another_grasp_and_wrench(grasp: Grasp, correction: Correc
         for jump in (0.0, 1e-2, 0.3, 30.0):
             target = load + jump * rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
             force = carry_over(there, target, previous, OBJECTIVE, correction)
-            assert cone_margin(force, there.friction) > 0.0
+            assert there.cone_margin(force) > 0.0
             # rounding of G^+ and of the 12-basis
             assert there.residual(force, target) <= 1e-10 * (np.abs(force).max() + np.abs(target).max() / there.length)
             safe = there.to_cone(OfflineBasis.of(there).combine(target))

@@ -25,13 +25,13 @@ from grasp_env.force import (
     ForceOptimizer,
     LinearCombination,
     Objective,
-    SingleValue,
     Status,
     carry_over,
     initial_rule,
     optimize_force,
     optimize_forces,
 )
+from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import Grasp, presets
 
 GRASP = presets.paper_cuboid()
@@ -186,7 +186,7 @@ class Rule:
     name, remembers = "mine", False
 
     def __call__(self, grasp: Grasp, wrench: np.ndarray) -> np.ndarray:
-        return SingleValue()(grasp, wrench)
+        return CoreStart("single_value")(grasp, wrench)
 
 
 def failing(**parts: object) -> Rule:

@@ -23,9 +23,9 @@ from grasp_env.force import (
     initial_rule,
     optimize_force,
     optimize_forces,
-    phase_one,
 )
 from grasp_env.grasp import Grasp, presets
+from grasp_env.quality import feasibility
 
 CUBOID, SOFT = GRASPS["cuboid"], GRASPS["soft"]
 GOOD = np.array([[9.0, 0.0, 0.0], [3.6, 0.0, 0.0], [2.7, 0.0, 0.0], [2.7, 0.0, 0.0]])
@@ -91,7 +91,7 @@ def _calls() -> dict[str, Callable[[], object]]:
         "rule": lambda: initial_rule("newest"),
         "basis without closure": lambda: LinearCombination()(GRASPS["floor"], PAPER),
         "previous of five": lambda: optimize_force(CUBOID, PAPER, initial=optimize_force(GRASPS["5 uneven"], PAPER)),
-        "phase one of text": lambda: phase_one(CUBOID, "down"),  # type: ignore[arg-type]
+        "phase one of text": lambda: feasibility(CUBOID, "down"),  # type: ignore[arg-type]
         "objective": lambda: Objective(1.0, "much"),  # type: ignore[arg-type]
         "fixed step": lambda: FixedStep(0.0),
         "adaptive step": lambda: AdaptiveStep(grow=0.5),

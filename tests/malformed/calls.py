@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from grasp_env import force as f
+from grasp_env import quality as q
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.env.plan import make_plan
+from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import (
     Grasp,
     gravity_wrench,
@@ -105,7 +107,7 @@ def _plan(**settings: Any) -> Any:
 
 
 def _quality(**keywords: Any) -> Any:
-    found = f.quality(**keywords)
+    found = q.quality(**keywords)
     return [found.closure_margin, found.min_singular_value, found.isotropy]
 
 
@@ -304,9 +306,10 @@ def calls(folder: Path) -> dict[str, Call]:
         "OfflineBasis.compute": Call(f.OfflineBasis.compute, {"grasp": CUBOID, "objective": None, "warm": None}),
         "OfflineBasis.combine": Call(f.OfflineBasis.of(CUBOID).combine, {"wrench": PAPER, "printed": False}),
         "OfflineBasis.moved_to": Call(f.OfflineBasis.of(CUBOID).moved_to, {"grasp": CUBOID}),
-        **{r.__name__: Call(_started(r), state) for r in (f.LinearCombination, f.SingleValue, f.Lagrange, f.PhaseOne)},
+        "LinearCombination": Call(_started(f.LinearCombination), state),
+        **{name: Call(_started(partial(CoreStart, name)), state) for name in ("single_value", "lagrange", "phase_one")},
         "rules with an objective": Call(
-            lambda objective, **k: f.SingleValue(objective)(**k), {**state, "objective": f.Objective(1.0, 0.1)}
+            lambda objective, **k: CoreStart("single_value", objective)(**k), {**state, "objective": f.Objective(1.0, 0.1)}
         ),
         "initial_rule": Call(f.initial_rule, {"name": "lagrange", "objective": None}),
         "FixedStep": Call(f.FixedStep, {"size": 0.3}),
@@ -323,16 +326,15 @@ def calls(folder: Path) -> dict[str, Call]:
             {"first": 0.3, "shrink": 0.5, "slope": 1e-4},
         ),
         "description_matrix": Call(f.description_matrix, {"force": FORCE, "friction": CUBOID.friction}),
-        "cone_margin": Call(f.cone_margin, {"force": FORCE, "friction": CUBOID.friction}),
         "joint_torques": Call(f.joint_torques, {"jacobian": JACOBIAN, "force": FORCE, "bias": np.zeros(5), "moment": None}),
-        "force_closure": Call(f.force_closure, {"grasp": CUBOID, "limits": None}),
-        "phase_one": Call(f.phase_one, {**state, "limits": None}),
-        "singular_values": Call(f.singular_values, {"grasp": CUBOID, "length": 0.05}),
-        "epsilon": Call(f.epsilon, {"grasp": CUBOID, "length": 0.05, **worst}, 0.3),
+        "force_closure": Call(q.force_closure, {"grasp": CUBOID, "limits": None}),
+        "feasibility": Call(q.feasibility, {**state, "limits": None}),
+        "singular_values": Call(q.singular_values, {"grasp": CUBOID, "length": 0.05}),
+        "epsilon": Call(q.epsilon, {"grasp": CUBOID, "length": 0.05, **worst}, 0.3),
         "quality": Call(_quality, {"grasp": CUBOID, **{k: v for k, v in worst.items() if k != "criterion"}}, 0.2),
-        "worst_case": Call(f.worst_case, {"grasp": CUBOID, "wrenches": np.tile(PAPER, (2, 1)), "limits": None, **worst}),
-        "worst_case, ball": Call(f.worst_case, {"grasp": CUBOID, "wrenches": f.WrenchBall(1.0, 0.05), "limits": None, **worst}, 0.3),
-        "WrenchBall": Call(f.WrenchBall, {"force": 1.0, "moment": 0.05, "shape": "product"}),
+        "worst_case": Call(q.worst_case, {"grasp": CUBOID, "wrenches": np.tile(PAPER, (2, 1)), "limits": None, **worst}),
+        "worst_case, ball": Call(q.worst_case, {"grasp": CUBOID, "wrenches": q.WrenchBall(1.0, 0.05), "limits": None, **worst}, 0.3),
+        "WrenchBall": Call(q.WrenchBall, {"force": 1.0, "moment": 0.05, "shape": "product"}),
         "pretrained": Call(LearnedInitialForce.pretrained, {"remembers": False}, 0.3),
         **{
             f"learned, {method}": Call(_with(_learned, method), state) for method in ("__call__", "covers", "raw")

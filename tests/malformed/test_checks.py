@@ -16,17 +16,9 @@ from scipy import sparse
 from grasp_env import ranges
 from grasp_env._check import as_array, choice, flag, instance, number, positive, together, whole
 from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError, shown
-from grasp_env.force import (
-    AdaptiveStep,
-    ForceLimits,
-    Objective,
-    Status,
-    WrenchBall,
-    force_closure,
-    optimize_force,
-    worst_case,
-)
+from grasp_env.force import AdaptiveStep, ForceLimits, Objective, Status, optimize_force
 from grasp_env.grasp import Grasp, presets
+from grasp_env.quality import WrenchBall, force_closure, worst_case
 from grasp_env.ranges import Range
 
 CUBOID = presets.paper_cuboid()

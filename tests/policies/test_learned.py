@@ -9,15 +9,7 @@ import numpy as np
 import pytest
 
 from grasp_env.errors import InfeasibleStartError, InvalidInputError
-from grasp_env.force import (
-    ForceOptimizer,
-    Objective,
-    OfflineBasis,
-    cone_margin,
-    optimize_force,
-    optimize_forces,
-    start_replaced,
-)
+from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, optimize_force, optimize_forces, start_replaced
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from policies.learned import PRETRAINED
@@ -57,7 +49,7 @@ def test_balanced_strictly_feasible_never_worse_than_the_basis(rule, shift, fric
         force = rule(grasp, w)
         scale = np.abs(force).max() + np.abs(w).max()
         assert grasp.residual(force, w) < 1e-11 * scale  # rounding of a 12-term sum, moments over 5 cm
-        assert cone_margin(force, grasp.friction) > 0
+        assert grasp.cone_margin(force) > 0
         paper = objective.value(grasp.to_cone(basis.combine(w)))
         assert objective.value(grasp.to_cone(force)) <= paper * (1 + 1e-12)
 

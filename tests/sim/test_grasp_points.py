@@ -12,9 +12,10 @@ from hands import load_hand
 
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
-from grasp_env.force import ForceOptimizer, force_closure
+from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
 from grasp_env.grasp.presets import paper_cuboid
+from grasp_env.quality import force_closure
 from grasp_env.sim import HANDS, HandKinematics
 from grasp_env.sim.bullet import create_body, joint_indices
 from grasp_env.sim.client import Client, bullet

@@ -13,8 +13,8 @@ from hands import gripper
 
 from grasp_env import core
 from grasp_env.errors import InvalidInputError
-from grasp_env.force import force_closure
 from grasp_env.grasp import Grasp
+from grasp_env.quality import force_closure
 from grasp_env.sim import HANDS, HandDescription, HandKinematics, ObjectDescription, place_hand
 from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.grasping.points import FRICTION_MARGIN, GraspPlan, plan_grasp

@@ -19,9 +19,9 @@ from grasp_env.force import (
     Objective,
     OfflineBasis,
     initial_rule,
+    optimize_force,
     optimize_forces,
 )
-from grasp_env.force.basis import starter
 from grasp_env.force.initial import LearnedRule, call_rule, is_rule
 from grasp_env.force.record import FORCE, record_size, whole
 from grasp_env.force.repair import Correction, carry_over
@@ -185,7 +185,7 @@ class Row:
 STARTS: dict[str, Row] = {
     "single_value": Row("single value", "single value", "#8a8a8b", lambda shop: shop.named("single_value")),
     "phase_one": Row(
-        "phase one, the deepest force", "phase one", "#8a9a22", lambda shop: Made.of(initial_rule("phase_one", shop.objective))
+        "phase one, any force inside", "phase one", "#8a9a22", lambda shop: Made.of(initial_rule("phase_one", shop.objective))
     ),
     "lagrange": Row("Lagrange", "Lagrange", "#b3852d", lambda shop: shop.named("lagrange")),
     "linear_combination_printed": Row(
@@ -263,13 +263,17 @@ class NetworkAlone:
         if grasp.cone_margin(raw) > 0.0:
             return raw
         safe = OfflineBasis.of(grasp, self.model.objective).combine(load)
-        way = raw - safe
-        _, reach = starter(grasp, self.model.objective).inside(grasp.to_cone(safe), grasp.to_cone(way))
-        return safe + min(1.0, KEPT * reach) * way
+        inside, outside = 0.0, 1.0
+        for _ in range(40):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (
+                (middle, outside) if grasp.cone_margin(safe + middle * (raw - safe)) > 0.0 else (inside, middle)
+            )
+        return safe + KEPT * inside * (raw - safe)
 
 
 class NewtonSteps:
-    """Another start after a few Newton steps on Phi within balance, each as long as lowers Phi most.
+    """Another start after the first steps of Newton.
 
     For a previous optimum one such step is its tangent correction: the others get what it gets.
     """
@@ -279,17 +283,8 @@ class NewtonSteps:
 
     def __call__(self, grasp: Grasp, load: Wrench) -> ContactForces:
         """See `InitialForceRule`."""
-        x = grasp.to_cone(self.rule(grasp, load))
-        step, multipliers, solver = np.empty_like(x), np.empty(6), starter(grasp, self.objective)
-        for _ in range(self.steps):
-            if solver.newton_step(load, x, step, multipliers) < 0.0:
-                break
-            step += x
-            solver.segment(x, step)
-            x = step.copy()
-        force = grasp.to_force(x).reshape(-1)
-        # rounding of the steps, which a nearly singular G makes visible
-        return (force - grasp.pseudoinverse @ (grasp.matrix @ force + load)).reshape(-1, 3)
+        start, phi = self.rule(grasp, load), phi_options(self.objective)
+        return optimize_force(grasp, load, initial=start, max_iterations=self.steps, tolerance=1e-12, **phi).force
 
 
 class Stored:

@@ -10,8 +10,9 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import GraspError, RankDeficientGraspError
-from grasp_env.force import OfflineBasis, phase_one
+from grasp_env.force import OfflineBasis
 from grasp_env.grasp import Grasp, presets
+from grasp_env.quality import feasibility
 
 PRESETS = {3: presets.tripod, 4: presets.paper_cuboid, 5: presets.five_finger_cuboid}
 """By their number of contacts."""
@@ -55,7 +56,7 @@ class Recipe:
 
     def closes(self, grasp: Grasp) -> bool:
         """Whether a grasp has force closure worth the name."""
-        if phase_one(grasp, np.zeros(6)).margin <= self.margin / grasp.n_contacts:
+        if feasibility(grasp, np.zeros(6)).margin <= self.margin / grasp.n_contacts:
             return False
         if self.basis:
             try:

@@ -8,12 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from grasp_env import core
 from grasp_env._check import Array
 from grasp_env.errors import NotConvergedError
-from grasp_env.force import Objective, OfflineBasis
-from grasp_env.force.basis import core_contacts
-from grasp_env.force.record import BOUND, FORCE, OBJECTIVE, record_size
+from grasp_env.force import Objective, optimize_forces
 from grasp_env.grasp import Grasp, null_space_basis
 from grasp_env.grasp.wrench import sample_ball, sample_magnitudes
 
@@ -93,41 +90,38 @@ def label(
         NotConvergedError: a label missed 1e-6, which would train on a wrong answer.
     """
     count = len(wrenches)
-    # a force inside the narrowest cones is inside all: one basis serves every friction
-    narrow = grasp.with_friction(float(friction.min()))
-    basis = OfflineBasis.of(narrow, objective)
-    contacts = core_contacts(narrow, objective)
+    grasps = {mu: grasp.with_friction(mu) for mu in np.unique(friction).tolist()}
+    phi = {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight}
+    solutions = optimize_forces(
+        [grasps[mu] for mu in friction.tolist()],
+        wrenches,
+        tolerance=LABEL_GAP,
+        max_iterations=LABEL_ITERATIONS,
+        workers=workers,
+        **phi,
+    )
     null_space = null_space_basis(grasp, reference)
     dimension = null_space.shape[1]
-    coordinates = np.empty((count, dimension), np.float32)
     metric = np.empty((count, dimension, dimension), np.float32)
-    least = np.empty(count)
+    force, least = solutions.force.reshape(count, -1), solutions.objective
+    with np.errstate(divide="ignore", invalid="ignore"):
+        worst = float(
+            np.where(solutions.lower_bound > 0.0, least / solutions.lower_bound - 1.0, np.inf).max(initial=0.0)
+        )
+    if not worst <= 1e-6:
+        raise NotConvergedError(f"a training label has a relative gap of {worst:.2g}")
 
-    def work(part: slice) -> float:
-        starts, scale = np.empty((part.stop - part.start, grasp.n_contacts, 3)), np.ones_like(grasp.normals)
-        scales = np.broadcast_to(scale, starts.shape).copy()
-        scales[:, :, 0] = friction[part, None]
-        for start, load in zip(starts, wrenches[part], strict=True):
-            start[:] = basis.combine(load)
-        records = np.empty((len(starts), record_size(grasp.n_contacts)))
-        core.solve_scaled(contacts, scales, wrenches[part], starts, LABEL_GAP, LABEL_ITERATIONS, records)
-        value, bound = records[:, OBJECTIVE], records[:, BOUND]
-        least[part] = value
-        force = records[:, FORCE : FORCE + 3 * grasp.n_contacts]
-        coordinates[part] = force @ null_space
-        for begin in range(0, len(records), CHUNK):
-            few = slice(begin, begin + CHUNK)
-            where = slice(part.start + begin, part.start + min(begin + CHUNK, len(records)))
-            metric[where] = _metric(force[few], scales[few], null_space, objective, value[few])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return float(np.where(bound > 0.0, (value - bound) / bound, np.inf).max(initial=0.0))
+    def work(part: slice) -> None:
+        for begin in range(part.start, part.stop, CHUNK):
+            few = slice(begin, min(begin + CHUNK, part.stop))
+            scales = np.ones((few.stop - few.start, grasp.n_contacts, 3))
+            scales[:, :, 0] = friction[few, None]
+            metric[few] = _metric(force[few], scales, null_space, objective, least[few])
 
     edges = np.linspace(0, count, workers + 1).astype(int)
     with ThreadPoolExecutor(workers) as pool:
-        worst = max(pool.map(work, (slice(a, b) for a, b in pairwise(edges))))
-    if worst > 1e-6:
-        raise NotConvergedError(f"a training label has a relative gap of {worst:.2g}")
-    return Dataset(wrenches, friction, coordinates, metric, least)
+        list(pool.map(work, (slice(a, b) for a, b in pairwise(edges))))
+    return Dataset(wrenches, friction, (force @ null_space).astype(np.float32), metric, least)
 
 
 def _metric(force: Array, scales: Array, null_space: Array, objective: Objective, least: Array) -> Array:

@@ -10,7 +10,6 @@
 #include "views.hpp"
 
 using namespace grasp;
-using namespace grasp::generic;
 
 namespace {
 

@@ -1,14 +1,12 @@
-// The paper's gradient flows.
-#include <nanobind/stl/unique_ptr.h>
-
+// The paper's flows in every form, for studies; `ForceOptimizer` offers two of them as methods.
 #include <string>
 
-#include <grasp/solvers.hpp>
+#include <grasp/flow/flow.hpp>
+#include <grasp/math/dispatch.hpp>
 
 #include "rule.hpp"
 
 using namespace grasp;
-using namespace grasp::generic;
 
 namespace {
 
@@ -20,19 +18,51 @@ Form form_of(const std::string& name, const Contacts& contacts) {
     return Form::full;
 }
 
-std::unique_ptr<Flow> make(const Contacts& contacts, double tolerance, int limit, const char* form, nb::handle rule) {
-    return Flow::make(contacts, {tolerance, limit}, form_of(form, contacts), rule_of(rule));
+// From a force (N, 3), which the flow descends from in its form.
+int descend(const Contacts& contacts, const char* name, nb::handle rule, double tolerance, int limit, nb::handle wrench,
+            nb::handle force, double optimum, nb::handle trace, nb::handle record) {
+    const Form form = form_of(name, contacts);
+    const StepRule steps = rule_of(rule);
+    const int count = contacts.count;
+    const Numbers load = in(wrench, 6), start = in(force, count, 3), values = out(trace, -1), row = out(record, record_size(count));
+    const Call call{.wrench = load.data(), .optimum = optimum, .trace = values.data(), .traced = int(values.length(0))};
+    Code code = REFUSED;
+    dispatch(count, [&]<class V, int B>() {
+        NewtonOn<V, B> on(count, {tolerance, limit});
+        on.cones.pack(contacts);
+        on.cones.load_force(start.data(), on.x);
+        const Vec6 w = on.cones.unit.of(load.data());
+        FlowOn<V, B> flow(on.cones, steps, form);
+        if (sane_wrench(load.data()) && on.is_start(w) && flow.place(on.cones))
+            code = flow.descend(on, call, w, Record(row.data(), count));
+    });
+    return code;
 }
 
-double repeat(Flow& flow, nb::handle x, int times) { return flow.repeat(in(x, 3 * flow.contacts.count).data(), times); }
+double repeat(const Contacts& contacts, const char* name, nb::handle x, int times) {
+    const Form form = form_of(name, contacts);
+    const double* at = in(x, 3 * contacts.count).data();
+    double last = 0.0;
+    dispatch(contacts.count, [&]<class V, int B>() {
+        Cones<V, B> cones(contacts.count);
+        cones.pack(contacts);
+        auto from = cones.field();
+        cones.load(at, from);
+        FlowOn<V, B> flow(cones, StepRule{}, form);
+        if (flow.place(cones)) last = flow.repeat(cones, from, times);
+    });
+    return last;
+}
 
 }  // namespace
 
 void bind_flow(nb::module_& m) {
     m.attr("FULL_CONTACTS") = FULL_CONTACTS;
-    nb::class_<Flow, Newton>(m, "Flow", "The paper's flows: all of Newton's calls, with their steps.")
-        .def_static("on", &make, "contacts"_a, "tolerance"_a, "limit"_a, "form"_a, "rule"_a,
-                    "form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the fewest products.\n"
-                    "rule: (5,) kind, first, grow, shrink, decrease, see `step_size.py`.")
-        .def("repeat", &repeat, "x"_a, "times"_a, "Makes the step at x (3N,) so many times; for measurements.");
+    m.def("descend_flow", &descend, "contacts"_a, "form"_a, "rule"_a, "tolerance"_a, "limit"_a, "wrench"_a, "force"_a, "optimum"_a,
+          "trace"_a, "record"_a,
+          "A flow from a balanced force (N, 3) inside the cones, into a record; returns the code. rule: (5,) kind, first, grow,\n"
+          "shrink, decrease, see `step_size.py`; optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.");
+    m.def("repeat_step", &repeat, "contacts"_a, "form"_a, "x"_a, "times"_a,
+          "Makes the product step of a flow at x (3N,), cone coordinates, so many times; returns its last number.\n"
+          "form: full (Eq. 12, up to FULL_CONTACTS), paper (Eq. 26) or reduced, the same in the fewest products.");
 }

@@ -18,24 +18,6 @@ void check_first(const Numbers& first, Py_ssize_t grasps, Py_ssize_t many) {
     if (!rises) throw nb::value_error("first: rising from 0 to the number of wrenches");
 }
 
-template <Solve solve> void solve_arrays(nb::handle positions, nb::handle normals, nb::handle scales, nb::handle tangents,
-                                         nb::handle weights, nb::handle first, double tolerance, int limit, nb::handle wrenches,
-                                         nb::handle records) {
-    const Numbers p = in(positions, -1, -1, 3);
-    const Py_ssize_t grasps = p.length(0), count = p.length(1);
-    const Numbers n = in(normals, grasps, count, 3), s = in(scales, grasps, count, 3);
-    const Buffer t(tangents);
-    if (!tangents.is_none() && !t.has(grasps, count, 3)) throw nb::type_error("tangents: of all contacts, or None");
-    const Numbers price = in(weights, count, 2), begins = in(first, grasps + 1), loads = in(wrenches, -1, 6);
-    const Py_ssize_t many = loads.length(0);
-    const Numbers rows = out(records, many, record_size(int(count)));
-    check_first(begins, grasps, many);
-    const Site arrays{p.data(), n.data(), s.data(), tangents.is_none() ? nullptr : t.data(), 1};
-    const Grasps given(int(count), grasps, arrays, price.data(), begins.data());
-    nb::gil_scoped_release free;
-    solve(given, {tolerance, limit}, {many, loads.data(), rows.data()});
-}
-
 template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::handle weights, nb::handle first, double tolerance,
                                                         int limit, nb::handle wrenches, nb::handle records) {
     const Numbers price = in(weights, -1, 2), loads = in(wrenches, -1, 6);
@@ -63,24 +45,15 @@ template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::h
         }
 }
 
-template <Solve solve, Start start> void bind(nb::module_& m, const char* name, const char* arrays, const char* contacts) {
-    m.def(name, &solve_arrays<solve>, "positions"_a, "normals"_a, "scales"_a, "tangents"_a.none(), "weights"_a, "first"_a,
-          "tolerance"_a, "limit"_a, "wrenches"_a, "records"_a, arrays);
-    m.def(name, &solve_contacts<solve, start>, "contacts"_a, "weights"_a, "first"_a, "tolerance"_a, "limit"_a, "wrenches"_a,
-          "records"_a, contacts);
-}
-
 }  // namespace
 
 void bind_grasps(nb::module_& m) {
-    bind<newton_grasps, Start::internal_force>(
-        m, "newton_grasps",
-        "Newton from an internal force of each of U grasps (U, N, 3), tangents or None, weights (N, 2); wrenches first[u] to "
-        "first[u + 1] - 1\nare those of grasp u; REFUSED: it has no force closure. Into (M, record_size(N)); releases the GIL.",
-        "The same of U contacts in their place, whose own weights are not read, into whole rows of solutions. REFUSED: they are "
-        "soft, or without force "
-        "closure.");
-    bind<conic_grasps, Start::central>(m, "conic_grasps",
-                                       "The same, least sum of normal forces; weights are those of the internal forces.",
-                                       "The same of contacts in their place.");
+    const char* arguments = "U contacts in their place, whose own weights are not read but `weights` (N, 2); wrenches first[u] to\n"
+                            "first[u + 1] - 1 are those of contacts u. Into whole rows of solutions; releases the GIL.\n"
+                            "REFUSED: they are soft, or without force closure.";
+    const auto bind = [&](const char* name, auto solve) {
+        m.def(name, solve, "contacts"_a, "weights"_a, "first"_a, "tolerance"_a, "limit"_a, "wrenches"_a, "records"_a, arguments);
+    };
+    bind("newton_grasps", &solve_contacts<newton_grasps, Start::internal_force>);
+    bind("conic_grasps", &solve_contacts<conic_grasps, Start::central>);
 }

@@ -1,16 +1,12 @@
-// Trained models and their starts.
+// Trained models.
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <grasp/learned/model_file.hpp>
-#include <grasp/solvers.hpp>
 
-#include "following.hpp"
-#include "timing.hpp"
+#include "buffers.hpp"
 
 using namespace grasp;
-using namespace grasp::generic;
 
 namespace {
 
@@ -51,31 +47,11 @@ nb::bytes save(const Model& model) {
     return nb::bytes(bytes.data(), bytes.size());
 }
 
-std::unique_ptr<Learned> make(const Contacts& contacts, double tolerance, int limit, nb::handle basis, const Model& model) {
-    if (!model.fits(contacts.count)) throw nb::value_error("the model's network or null space is for other contacts");
-    return Learned::make(contacts, {tolerance, limit}, in(basis, 13, 3 * contacts.count).data(), model);
-}
+bool covers(const Model& model, nb::handle wrench) { return model.covers(in(wrench, 6).data()); }
 
-// From the combination or the network, or from the force of a previous record where that is better. REFUSED where the wrench is
-// no (6,) float64 array of finite numbers, or the previous record is of other contacts.
-template <Code (Learned::*run)(const double*, const double*, double*)>
-int called(Learned& learned, nb::handle wrench, nb::handle previous, nb::handle record) {
-    const int count = learned.contacts.count, size = record_size(count);
-    const Buffer load(wrench);
-    const Numbers row = out(record, size);
-    if (!load.has(6)) return REFUSED;
-    if (previous.is_none()) return (learned.*run)(load.data(), nullptr, row.data());
-    const Buffer before(previous);
-    return before.has(size) ? (learned.*run)(load.data(), Record(before.data(), count).force(), row.data()) : REFUSED;
-}
-
-bool predict(Learned& learned, nb::handle wrench, nb::handle force) {
-    return learned.predict(in(wrench, 6).data(), out(force, learned.contacts.count, 3).data());
-}
-
-void times(Learned& learned, nb::handle wrenches, int passes, nb::handle records, nb::handle best) {
-    time_calls(wrenches, passes, record_size(learned.contacts.count), records, best,
-               [&](const double* wrench, double* row) { learned.solve(wrench, nullptr, row); });
+void predict(Model& model, nb::handle wrench, nb::handle coordinates) {
+    const Numbers to = out(coordinates, model.network.outputs());
+    model.predict(in(wrench, 6).data(), std::span(to.data(), std::size_t(to.length(0))));
 }
 
 }  // namespace
@@ -96,23 +72,8 @@ void bind_learned(nb::module_& m) {
         .def("save", &save, "What `grasp::ModelFile` reads: one file for C++ programs.")
         .def_static(
             "load", [](nb::bytes bytes) { return ModelFile::read({bytes.c_str(), bytes.size()}); }, "bytes"_a,
-            "The model that `save` wrote; None: it is not whole.");
-    nb::class_<Learned>(m, "Learned", "A trained model's starts on the hard contacts of one grasp, and Newton from them.")
-        .def_static("make", &make, "contacts"_a, "tolerance"_a, "limit"_a, "basis"_a, "model"_a,
-                    "basis: (13, 3N) the offline optima, cone coordinates.")
-        .def("start", &called<&Learned::start>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
-             "The start into a record; returns `limit`, for a descent has to go on from it.\n"
-             "previous: the record of another wrench's optimum, or None.")
-        .def("solve", &called<&Learned::solve>, "wrench"_a.none(), "previous"_a.none(), "record"_a,
-             "The start, and Newton from it, into a record; returns the code.")
-        .def("predict", &predict, "wrench"_a, "force"_a,
-             "The network's own force (N, 3) [N], perhaps outside the cones. False: not finite.")
-        .def("solve_many", &solve_many<Learned>, "wrenches"_a, "previous"_a.none(), "records"_a, SOLVE_MANY)
-        .def("times", &times, "wrenches"_a, "passes"_a, "records"_a, "best"_a, "Best seconds of `passes` solves each, into (M,).")
-        .def(
-            "covers", [](const Learned& learned, nb::handle wrench) { return learned.covers(in(wrench, 6).data()); }, "wrench"_a,
-            "Whether wrench, contacts and friction lie in the training range.")
-        .def_prop_ro("outside", &Learned::outside, "Whether the last wrench was not covered.")
-        .def_prop_ro("replaced", &Learned::replaced,
-                     "Whether nothing of the last prediction was kept: the combination was taken.");
+            "The model that `save` wrote; None: it is not whole.")
+        .def("covers", &covers, "wrench"_a, "Whether wrench, contacts and friction lie in the training range.")
+        .def("predict", &predict, "wrench"_a, "coordinates"_a,
+             "The internal force that the network predicts, in coordinates (3N - 6,) [N] of the null space.");
 }

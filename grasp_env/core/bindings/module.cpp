@@ -9,14 +9,10 @@ NB_MODULE(_core, m) {
     bind_solution(m);
     bind_contacts(m);
     bind_optimizer(m);
-    bind_newton(m);
     bind_grasps(m);
     bind_flow(m);
     bind_limits(m);
-    bind_soft(m);
-    bind_conic(m);
     bind_learned(m);
-    bind_program(m);
     bind_pipeline(m);
     bind_phi(m);
     bind_surface(m);

@@ -241,16 +241,47 @@ void times(Solver& solver, nb::handle wrenches, int passes, nb::handle rows, nb:
     });
 }
 
+nb::typed<nb::tuple, int, int, double> deepest(Solver& solver, nb::handle wrench, nb::handle force, nb::handle torsion,
+                                               nb::handle twist) {
+    const Numbers load = in(wrench, 6), to = out(force, solver.count, 3), turn = out(torsion, solver.count), proof = out(twist, 6);
+    const std::size_t count = solver.count;
+    const Deepest found = solver.on.deepest(Wrench(load.data(), 6), {to.data(), 3 * count}, {turn.data(), count});
+    std::copy(found.twist.begin(), found.twist.end(), proof.data());
+    return nb::make_tuple(int(found.code), found.iterations, found.margin);
+}
+
+double fill_basis(Solver& solver, nb::handle basis, bool warm) {
+    const std::size_t size = 39 * std::size_t(solver.count);
+    return solver.on.make_basis({out(basis, 13, 3 * solver.count).data(), size}, warm);
+}
+
+// the combination of a 12-basis (13, M), into (M,)
+void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
+    const Numbers rows = in(basis, 13, -1), load = in(wrench, 6);
+    const Py_ssize_t size = rows.length(1);
+    const Numbers sum = out(to, size);
+    const Combination made(load.data(), printed);
+    std::fill(sum.data(), sum.data() + size, 0.0);
+    for (int k = 0; k < 7; ++k)
+        for (Py_ssize_t j = 0; j < size; ++j) sum.data()[j] += made.weights[k] * rows.data()[size * made.rows[k] + j];
+}
+
 }  // namespace
 
 void bind_optimizer(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
+    m.attr("ACCEPTED_GAP") = ACCEPTED_GAP, m.attr("CLEAR") = CLEAR;
+    m.def("combine", &combine, "basis"_a, "wrench"_a, "printed"_a, "to"_a,
+          "The combination of a 12-basis with its rest (13, M) for a wrench, into (M,); `printed`: without the rest "
+          "(Eqs. 33, 34).");
     nb::class_<Solver>(m, "ForceOptimizer", "`grasp::ForceOptimizer`; `grasp_env.force.ForceOptimizer` is its door.")
         .def_static(
-            "make", &make, "contacts"_a, "weights"_a.none(), "force_weight"_a, "barrier_weight"_a, "min_normal"_a.none(),
-            "max_normal"_a.none(), "jacobian"_a.none(), "torque_limit"_a.none(), "torque_bias"_a.none(), "method"_a, "largest"_a,
-            "start"_a, "tolerance"_a, "limit"_a, "elastic"_a, "rule"_a.none(), "model"_a.none(), "kind"_a, "name"_a, "starts"_a,
-            "asked"_a, "remembers"_a,
+            "make", &make, "contacts"_a, "weights"_a.none() = nb::none(), "force_weight"_a = 1.0, "barrier_weight"_a = 0.01,
+            "min_normal"_a.none() = nb::none(), "max_normal"_a.none() = nb::none(), "jacobian"_a.none() = nb::none(),
+            "torque_limit"_a.none() = nb::none(), "torque_bias"_a.none() = nb::none(), "method"_a = "newton", "largest"_a = false,
+            "start"_a = 0, "tolerance"_a = 0.0, "limit"_a = 20000, "elastic"_a = false, "rule"_a.none() = nb::none(),
+            "model"_a.none() = nb::none(), "kind"_a = nb::none(), "name"_a = nb::none(), "starts"_a = nb::tuple(),
+            "asked"_a = nb::none(), "remembers"_a = false,
             "See `Problem` and `Options`. start: a number of `starts`, the names of each `Start`; kind: the class of solutions;\n"
             "asked: the name of the start that is asked for; remembers: whether calls get the previous solution.")
         .def("solve", &Solver::solve, "wrench"_a.none(), "positions"_a.none(), "normals"_a.none(), "friction"_a.none(),
@@ -270,11 +301,17 @@ void bind_optimizer(nb::module_& m) {
             "set_basis",
             [](Solver& s, nb::handle basis) { s.on.set_basis({in(basis, 13, 3 * s.count).data(), std::size_t(39 * s.count)}); },
             "basis"_a, "Takes the 12-basis with the rest, (13, 3N) cone coordinates.")
+        .def("make_basis", &fill_basis, "basis"_a, "warm"_a,
+             "Fills that, and takes it; returns the worst relative gap, inf: it did not converge, nan: no force closure. warm: it holds that of nearby contacts.")
+        .def("deepest", &deepest, "wrench"_a, "force"_a, "torsion"_a, "twist"_a,
+             "The force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that none is;\n"
+             "returns (code, iterations, margin).")
         .def("solve_many", &solve_many, "wrenches"_a, "rows"_a, "(M, 6) into (M, size); releases the GIL.")
         .def("times", &times, "wrenches"_a, "passes"_a, "rows"_a, "best"_a,
              "Best seconds (M,) of `passes` calls for each of (M, 6), none of which knows another; the rows of the last.")
         .def_rw("previous", &Solver::previous, nb::for_setter(nb::arg("solution").none()),
                 "The last solution that has a force, or None.")
         .def_ro("ended", &Solver::ended, "The row of the last call that returned None, unless it could not read its arguments.")
+        .def_ro("count", &Solver::count, "Contacts.")
         .def_prop_ro("size", [](const Solver& s) { return s.on.size(); }, "Numbers of a row.");
 }

@@ -1,14 +1,13 @@
 // Contacts that move from call to call.
 #include <nanobind/stl/unique_ptr.h>
 
-#include <grasp/solvers.hpp>
+#include <grasp/hand/pipeline.hpp>
 
 #include "buffers.hpp"
 #include "rule.hpp"
 #include "views.hpp"
 
 using namespace grasp;
-using namespace grasp::generic;
 
 namespace {
 

@@ -24,8 +24,3 @@ void time_calls(nb::handle wrenches, int passes, int size, nb::handle records, n
             least.data()[k] = std::min(least.data()[k], spent.count());
         }
 }
-// Of every Newton, from its 12-basis.
-template <class Solver> void newton_times(Solver& newton, nb::handle wrenches, int passes, nb::handle records, nb::handle best) {
-    time_calls(wrenches, passes, grasp::record_size(newton.contacts.count), records, best,
-               [&](const double* wrench, double* row) { newton.solve({.wrench = wrench}, row); });
-}

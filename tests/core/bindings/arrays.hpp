@@ -3,7 +3,10 @@
 
 #include <nanobind/ndarray.h>
 
-#include <grasp/solvers.hpp>
+#include <memory>
+
+#include <grasp/conic/conic.hpp>
+#include <grasp/contacts/adjust.hpp>
 
 #include "module.hpp"
 

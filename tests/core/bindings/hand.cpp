@@ -3,6 +3,7 @@
 
 #include <grasp/hand/controller.hpp>
 #include <grasp/hand/reach.hpp>
+#include <grasp/optimizer.hpp>
 
 #include "allocations.hpp"
 #include "module.hpp"
@@ -28,7 +29,7 @@ std::shared_ptr<Tree> tree_of(int more) {
 struct Trial {
     std::shared_ptr<Tree> tree;
     std::shared_ptr<Scene> scene;
-    std::unique_ptr<generic::Pipeline> pipeline;
+    std::unique_ptr<Pipeline> pipeline;
     std::unique_ptr<Controller> controller;
     std::vector<double> reading, noise, record;
     int ticks = 0;
@@ -45,11 +46,9 @@ struct Trial {
             weights[2 * i] = 1.0, weights[2 * i + 1] = 0.01;
         }
         const Contacts contacts = Contacts::checked(4, places, inwards, scale, weights);
-        const auto newton = generic::Newton::make(contacts, {1e-6, 100});
-        std::vector<double> interior(12), basis(13 * 12), reference(12 * 6);
-        newton->internal_force(interior.data());
-        newton->make_basis(false, interior.data(), basis.data());
-        pipeline = generic::Pipeline::make(contacts, {1e-6, 100}, basis.data(), contacts.frames.data(), false, reference.data(),
+        std::vector<double> basis(13 * 12), reference(12 * 6);
+        ForceOptimizer({contacts}).make_basis(basis);
+        pipeline = Pipeline::make(contacts, {1e-6, 100}, basis.data(), contacts.frames.data(), false, reference.data(),
                                            nullptr);
         ControlSettings settings;
         settings.body.mass = 0.2, settings.body.position_gain = 100.0, settings.body.position_damping = 8.0;

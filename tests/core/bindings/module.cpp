@@ -17,14 +17,10 @@ NB_MODULE(_core_test, m) {
     bind_linear6(m);
     bind_geometry(m);
     bind_insides(m);
-    bind_newton(m);
-    bind_conic(m);
-    bind_limits(m);
-    bind_soft(m);
+    bind_optimizer(m);
     bind_program(m);
     bind_general(m);
     bind_pipeline(m);
-    bind_learned(m);
     bind_grasping(m);
     bind_allocations(m);
     bind_hand(m);

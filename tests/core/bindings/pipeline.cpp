@@ -2,11 +2,12 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/unique_ptr.h>
 
+#include <grasp/hand/pipeline.hpp>
+
 #include "allocations.hpp"
 #include "arrays.hpp"
 
 using namespace grasp;
-using namespace grasp::generic;
 
 namespace {
 

@@ -48,8 +48,10 @@ public:
     virtual Code start(const Ask& ask, double* row) = 0;
     virtual void solve_many(std::ptrdiff_t count, const double* wrenches, double* rows) = 0;
     virtual bool update(const Now& now) = 0;
+    virtual Deepest deepest(const double* wrench, double* force, double* torsion) = 0;
     // (13, 3N) the offline optima of the problem's contacts in cone coordinates, for starts that combine them.
     virtual void set_basis(const double* basis) = 0;
+    virtual double make_basis(double* basis, bool warm) = 0;
     virtual const Contacts& home() const = 0;
     virtual int size() const = 0;  // numbers of a row
 };
@@ -121,7 +123,7 @@ public:
             if (!options.model->fits(home_.count)) throw std::invalid_argument("the model is for another number of contacts");
             predicted_.emplace(newton_.cones, *options.model);
         }
-        if (needs_basis()) make_basis();
+        if (needs_basis()) fill_basis();
     }
     std::unique_ptr<Engine> clone() const override {
         auto made = std::make_unique<EngineOn>(*this);
@@ -134,6 +136,19 @@ public:
     void set_basis(const double* basis) override {
         place({});  // the last call may have had fewer contacts
         newton_.starter.set_basis(newton_.cones, basis, home_.frames.data());
+    }
+    double make_basis(double* basis, bool warm) override {
+        place({});
+        if (warm) newton_.starter.set_basis(newton_.cones, basis);
+        const double gap = fill_basis(warm);
+        if (gap < infinity)
+            for (int k = 0; k < 13; ++k) newton_.cones.store(newton_.starter.basis[k], basis + 3 * home_.count * k);
+        return gap;
+    }
+
+    Deepest deepest(const double* wrench, double* force, double* torsion) override {
+        const bool ready = place({}) == CONVERGED && sane_wrench(wrench) && ready_general();
+        return ready ? general_.deepest(wrench, 1e-7, force, torsion) : Deepest{};
     }
 
     Code solve(const Ask& ask, double* row) override {
@@ -192,7 +207,7 @@ public:
         if (!now.torque_bias.empty()) limits_.torque_bias.assign(now.torque_bias.begin(), now.torque_bias.end());
         settle();
         newton_.starter.has_basis = false;
-        if (needs_basis()) make_basis();
+        if (needs_basis()) fill_basis();
         return true;
     }
 
@@ -245,11 +260,23 @@ private:
         return flow_ || options_.start == Start::linear_combination || options_.start == Start::linear_combination_printed ||
                options_.start == Start::single_value || options_.start == Start::lagrange;
     }
-    // The 12-basis of the problem's contacts; without force closure there is none, and starts that need it are replaced.
-    void make_basis() {
-        newton_.starter.has_basis =
-            placed_ == CONVERGED && newton_.internal_force() && grasp::make_basis(newton_, false) < ACCEPTED_GAP;
-        newton_.starter.basis_tangents = newton_.starter.tangents;
+    // The 12-basis of the problem's contacts; without force closure there is none, and starts that need it are replaced. warm: from that of
+    // nearby contacts. Returns the worst relative gap, inf: it did not converge, nan: no force closure.
+    double fill_basis(bool warm = false) {
+        auto& starter = newton_.starter;
+        starter.has_basis = false;
+        if (placed_ != CONVERGED || (!warm && !squeezes())) return std::numeric_limits<double>::quiet_NaN();
+        const double gap = grasp::make_basis(newton_, warm);
+        starter.has_basis = gap < ACCEPTED_GAP, starter.basis_tangents = starter.tangents;
+        return gap;
+    }
+    // An internal force strictly inside the cones, in newton_.x.
+    bool squeezes() {
+        if (newton_.internal_force()) return true;
+        const double nothing[6] = {};
+        if (!ready_general() || general_.deepest(nothing, 1e-7, force_.data(), nullptr).code != CONVERGED) return false;
+        newton_.cones.load_force(force_.data(), newton_.x);
+        return newton_.is_start(Vec6{});
     }
 
     // The problem's own contacts and limits.
@@ -420,14 +447,14 @@ private:
         const Start start = used_ = asked(ask);
         switch (start) {
             case Start::given:
-                if (ask.force.size() != std::size_t(3 * home_.count)) return REFUSED;
-                for (int i = 0; i < now_.count; ++i) std::copy_n(&ask.force[3 * chosen_[i]], 3, &force_[3 * i]);
-                newton_.cones.load_force(force_.data(), newton_.x);
-                return newton_.is_start(w) ? CONVERGED : REFUSED;
+                return load_force(ask.force) && newton_.is_start(w) ? CONVERGED : REFUSED;
             case Start::previous:
-                if (!ask.previous) return standard(ask, w);
+                if (!ask.previous && ask.force.empty()) return standard(ask, w);
                 if (carry(ask, w)) return CONVERGED;
                 break;
+            case Start::guess:
+                if (ask.force.size() != std::size_t(3 * home_.count)) return REFUSED;
+                return standard(ask, w) == CONVERGED && guess(ask, w) ? CONVERGED : UNDECIDED;
             case Start::learned:
                 if (predicted_ && predict(ask, w)) return CONVERGED;
                 break;
@@ -448,7 +475,8 @@ private:
     }
     // The method's own start, or where the contacts have no force closure any force inside.
     Code standard(const Ask& ask, const Vec6& w) {
-        if (flow_ && combine(ask.wrench, w, used_ = Start::linear_combination)) return CONVERGED;
+        const bool combines = flow_ || options_.start == Start::linear_combination;
+        if (combines && combine(ask.wrench, w, used_ = Start::linear_combination)) return CONVERGED;
         return squeeze(ask, w);
     }
     Code squeeze(const Ask& ask, const Vec6& w) {
@@ -544,9 +572,16 @@ private:
         x = origin_;
         return newton_.starter.segment(newton_.cones, spare_, x) > 0.0;
     }
+    // A force (N, 3) of the caller into newton_.x and force_, of the contacts that touch now.
+    bool load_force(Doubles force) {
+        if (force.size() != std::size_t(3 * home_.count)) return false;
+        for (int i = 0; i < now_.count; ++i) std::copy_n(&force[3 * chosen_[i]], 3, &force_[3 * i]), turn_[i] = 0.0;
+        newton_.cones.load_force(force_.data(), newton_.x);
+        return true;
+    }
     // Into newton_.x, force_ and turn_: of the contacts that touch now, in their frames.
     bool load_previous(const Ask& ask) {
-        if (!ask.previous) return false;
+        if (!ask.previous) return load_force(ask.force);
         const Record before(const_cast<double*>(ask.previous));  // only read
         if (before.contacts() != home_.count || !before.has_force()) return false;
         for (int i = 0; i < now_.count; ++i) {
@@ -586,6 +621,23 @@ private:
         return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(newton_.cones.unit.of(ask.wrench)));
     }
 
+    // What is in newton_.x is balanced by the least change and taken towards the method's own start, in spare_, until it has no more Phi.
+    void bring_inside(const Vec6& w, Start start) {
+        const auto& cones = newton_.cones;
+        cones.balance(newton_.x, w);
+        const bool better = cones.phi(newton_.x) <= cones.phi(spare_);
+        const double share = better ? 1.0 : newton_.starter.segment(cones, spare_, newton_.x);
+        replaced_ = !(share > 0.0) && dot(w, w) > 0.0;
+        if (!replaced_) used_ = start;
+    }
+    // A force of the caller, from the method's own start in newton_.x.
+    bool guess(const Ask& ask, const Vec6& w) {
+        spare_ = newton_.x;
+        load_force(ask.force);
+        bring_inside(w, Start::guess);
+        return newton_.cones.phi(newton_.x) < infinity;
+    }
+
     // What the model predicts, and no more Phi than the method's own start has; better than a previous solution where one is given.
     bool predict(const Ask& ask, const Vec6& w) {
         if (now_.count != home_.count) return false;
@@ -602,12 +654,8 @@ private:
             predicted_->add(ask.wrench, origin_);
             starter.turn(cones, origin_, home_tangents_, x);
         }
-        cones.balance(x, w);  // whatever the model's file says internal forces are
-        const double safe = cones.phi(spare_), said = cones.phi(x);
-        const double share = said <= safe ? 1.0 : starter.segment(cones, spare_, x);
-        replaced_ = !(share > 0.0) && dot(w, w) > 0.0;
         const Start from = used_;
-        if (!replaced_) used_ = Start::learned;
+        bring_inside(w, Start::learned);
         if (ask.previous) {
             guess_ = x;
             const Start now = used_;
@@ -766,7 +814,7 @@ private:
                 used_ = start, call.start = From::tangent, call.force = force_.data(), call.torsion = turn_.data();
             }
             const bool own =
-                start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous);
+                start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous && ask.force.empty());
             replaced_ = !own && (used_ == Start::phase_one || !general_.starts_from(call));
             if (replaced_) used_ = Start::phase_one, call.start = From::combination;
             general_.phi(call, stop, record);

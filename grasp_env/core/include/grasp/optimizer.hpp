@@ -45,6 +45,13 @@ public:
     // (13, 3N) the offline optima of the problem's contacts in cone coordinates, which the paper's starts combine, from elsewhere: it makes
     // them itself where its options ask for a flow or for such a start.
     void set_basis(Doubles basis) { engine_->set_basis(basis.data()); }
+    // Fills these, and takes them; returns the worst relative gap, inf: it did not converge, nan: no force closure. warm: they hold those of nearby contacts.
+    double make_basis(std::span<double> basis, bool warm = false) { return engine_->make_basis(basis.data(), warm); }
+    // The force (N, 3) [N] and torsion (N,) [N m] deepest inside the cones and limits that balances the wrench, or the twist that proves that
+    // none is inside. With wrench zero: force closure.
+    Deepest deepest(Wrench wrench, std::span<double> force, std::span<double> torsion) {
+        return engine_->deepest(wrench.data(), force.data(), torsion.data());
+    }
     // From now on the contacts and limits are these; false, and nothing has changed: numbers that are not possible.
     bool update(const Now& now) { return engine_->update(now); }
     // (M, 6) wrenches into M rows of `size()` numbers, each as `solve` without a previous solution. This allocates.

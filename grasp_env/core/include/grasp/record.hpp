@@ -28,6 +28,7 @@ enum class Start {
     phase_one,  // a force inside the cones that balances the wrench, found by an interior point
     previous,  // the last solution
     given,  // a force of the caller
+    guess,  // a force of the caller, balanced and brought inside the cones: never worse in Phi than the method's own start
     learned,  // what a trained model predicts
     central,  // an interior point's own
 };

@@ -97,7 +97,7 @@ public:
     void begin_step() { effort = {}; }
 
     // What fingers in contact carry: those of a set, with the pipeline, on its nominal contacts, that has their last optimum, or none.
-    void add_set(std::uint64_t which, generic::Pipeline* pipeline) {
+    void add_set(std::uint64_t which, Pipeline* pipeline) {
         Set made{fingers_of(which), pipeline, {}};
         if (pipeline) made.limits.emplace(tree, made.fingers, *pipeline, settings.limited);
         sets_.insert_or_assign(which, std::move(made));
@@ -187,7 +187,7 @@ private:
 
     struct Set {
         std::vector<int> fingers;
-        generic::Pipeline* pipeline = nullptr;
+        Pipeline* pipeline = nullptr;
         std::optional<TorqueLimits> limits;
         bool limited = false;  // whether its forces of the last tick are those of `limits`
     };

@@ -1,9 +1,11 @@
 // Contacts that move from call to call: frames and G, the start, Newton or the flow, and the certificates in one call.
 #pragma once
+#include <memory>
 #include <optional>
 #include <grasp/contacts/adjust.hpp>
 #include <grasp/phi/basis.hpp>
 #include <grasp/flow/flow.hpp>
+#include <grasp/math/dispatch.hpp>
 #include <grasp/phi/newton.hpp>
 
 namespace grasp {
@@ -209,5 +211,49 @@ private:
         return true;
     }
 };
+
+// Contacts that move from call to call; see `PipelineOn`.
+class alignas(64) Pipeline {
+public:
+    static std::unique_ptr<Pipeline> make(const Contacts& nominal, const Stop& options, const double* basis, const double* frames,
+                                          bool remembers, const double* reference, const StepRule* flows);
+    virtual ~Pipeline() = default;
+    virtual Held& held() = 0;
+    virtual const Contacts& contacts() const = 0;
+    virtual void reset() = 0;
+    virtual void forget() = 0;
+    virtual void set_basis(const double* basis, const double* frames) = 0;
+    virtual Code solve(const Load& load, double* row) = 0;
+    virtual Carried carry(const Load& load, double* force) = 0;
+    virtual Carried carry_from(const Load& load, const double* then, const double* frames, double* force) = 0;
+};
+
+namespace detail {
+
+template <class V, int B> class PipelineAny final : public Pipeline {
+public:
+    template <class... Arguments> explicit PipelineAny(const Arguments&... arguments) : on_(arguments...) {}
+    Held& held() override { return on_.held; }
+    const Contacts& contacts() const override { return on_.contacts; }
+    void reset() override { on_.reset(); }
+    void forget() override { on_.forget(); }
+    void set_basis(const double* basis, const double* frames) override { on_.set_basis(basis, frames); }
+    Code solve(const Load& load, double* row) override { return on_.solve(load, row); }
+    Carried carry(const Load& load, double* force) override { return on_.carry(load, force); }
+    Carried carry_from(const Load& load, const double* then, const double* frames, double* force) override {
+        return on_.carry_from(load, then, frames, force);
+    }
+
+private:
+    PipelineOn<V, B> on_;
+};
+
+}  // namespace detail
+
+inline std::unique_ptr<Pipeline> Pipeline::make(const Contacts& nominal, const Stop& options, const double* basis,
+                                                const double* frames, bool remembers, const double* reference,
+                                                const StepRule* flows) {
+    return instance<Pipeline, detail::PipelineAny>(nominal.count, nominal, options, basis, frames, remembers, reference, flows);
+}
 
 }  // namespace grasp

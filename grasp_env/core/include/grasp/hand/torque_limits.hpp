@@ -1,10 +1,67 @@
 // The motors' limits on the forces of some fingers: what is left of them beside other torques, and Newton within that.
 #pragma once
-#include <grasp/terms/force_limits.hpp>
-#include <grasp/solvers.hpp>
+#include <grasp/hand/pipeline.hpp>
 #include <grasp/hand/tree.hpp>
+#include <grasp/terms/force_limits.hpp>
+#include <grasp/terms/limited.hpp>
 
 namespace grasp {
+
+// Newton on Phi within limits on each contact's force, of contacts that move; see `LimitedOn`.
+class alignas(64) LimitedNewton {
+public:
+    Contacts contacts;  // the current ones
+
+    // basis: (13, 3N) the offline optima, cone coordinates
+    static std::unique_ptr<LimitedNewton> make(const Contacts& contacts, const Stop& options, const double* basis);
+    virtual ~LimitedNewton() = default;
+    // The contacts and their limits are now these, a little away from those of the basis. Allocates nothing where each contact had
+    // as many rows before. Unless `good`, nothing may be solved before it is called again.
+    virtual Placing move(const double* positions, const double* normals, const LimitRows& rows) = 0;
+    virtual Code solve(const Call& call, double* row) = 0;
+
+protected:
+    explicit LimitedNewton(const Contacts& contacts) : contacts(contacts) {}
+};
+
+namespace detail {
+
+template <class V, int B> class LimitedAny final : public LimitedNewton {
+public:
+    LimitedAny(const Contacts& contacts, const Stop& options, const double* basis)
+        : LimitedNewton(contacts), on_(contacts.count, options) {
+        on_.newton.cones.pack(contacts);
+        on_.newton.starter.set_basis(on_.newton.cones, basis, contacts.frames.data());
+        on_.elastic = true;
+    }
+    Placing move(const double* positions, const double* normals, const LimitRows& rows) override {
+        auto& newton = on_.newton;
+        const Placing placed = contacts.place(positions, normals);
+        if (placed != Placing::good) return placed;
+        newton.cones.pack(contacts);
+        newton.rows.pack(newton.cones, rows);
+        newton.starter.tangents.load(contacts.frames.data(), contacts.count);
+        newton.starter.moved = true;
+        return placed;
+    }
+    Code solve(const Call& call, double* row) override {
+        const auto begin = [&](const Vec6& w, bool previous) {
+            Call own = call;
+            if (!previous && call.start != From::given) own.start = From::combination;
+            return on_.newton.begin(own, w);
+        };
+        return on_.solve(call, Record(row, contacts.count), begin);
+    }
+
+private:
+    LimitedOn<V, B> on_;
+};
+
+}  // namespace detail
+
+inline std::unique_ptr<LimitedNewton> LimitedNewton::make(const Contacts& contacts, const Stop& options, const double* basis) {
+    return instance<LimitedNewton, detail::LimitedAny>(contacts.count, contacts, options, basis);
+}
 
 // The fingers of one set and their joints, M of the hand.
 class TorqueLimits {
@@ -13,10 +70,10 @@ public:
     bool shares = false;     // a joint moves several of the fingers: `solve` keeps the limits of the others only
 
     // pipeline: on the nominal contacts of the fingers; tolerance and limit as of `Stop`
-    TorqueLimits(std::shared_ptr<const Tree> tree, const std::vector<int>& fingers, generic::Pipeline& pipeline,
+    TorqueLimits(std::shared_ptr<const Tree> tree, const std::vector<int>& fingers, Pipeline& pipeline,
                  const Stop& options)
         : tree_(std::move(tree)), fingers_(fingers),
-          newton_(generic::LimitedNewton::make(pipeline.contacts(), options, LimitRows{}, pipeline.held().basis.data(), true)),
+          newton_(LimitedNewton::make(pipeline.contacts(), options, pipeline.held().basis.data())),
           row_(record_size(int(fingers.size()))), last_(3 * fingers.size()), own_(tree_->joints(), -1) {
         const std::vector<int> users = tree_->users(fingers_);
         for (int j = 0; j < tree_->joints(); ++j) {
@@ -72,7 +129,7 @@ public:
 private:
     std::shared_ptr<const Tree> tree_;
     std::vector<int> fingers_;
-    std::unique_ptr<generic::LimitedNewton> newton_;
+    std::unique_ptr<LimitedNewton> newton_;
     LimitTable table_;
     std::vector<double> row_, last_;  // a record; the last forces (3n,)
     bool exceeding_ = false;  // whether those exceed limits

@@ -8,12 +8,6 @@
 
 namespace grasp {
 
-// Where a grasp's contacts are: (N, 3) each, the directions of o `stride` numbers apart, or none.
-struct Site {
-    const double *positions, *normals, *scales, *tangents;
-    int stride;
-};
-
 // Hard contacts of U grasps, N each; problems first[u] to first[u + 1] - 1 are those of grasp u.
 class Grasps {
 public:
@@ -21,40 +15,21 @@ public:
     std::ptrdiff_t count;
     const double *weights, *first;  // (N, 2) omega, lambda; (U + 1,)
 
-    // positions [m] and normals of unit length, object frame, scales and tangents, or none, as `Contacts` takes them: (U, N, 3) each
-    Grasps(int contacts, std::ptrdiff_t count, const Site& arrays, const double* weights, const double* first)
-        : contacts(contacts), count(count), weights(weights), first(first), arrays_(arrays) {}
     // (U,) contacts in their place, whose own weights are not read; soft ones are not solved.
     Grasps(int contacts, std::ptrdiff_t count, const Contacts* const* placed, const double* weights, const double* first)
         : contacts(contacts), count(count), weights(weights), first(first), placed_(placed) {}
 
-    Site site(std::ptrdiff_t u) const {
-        if (placed_) {
-            const Contacts& c = *placed_[u];
-            return {c.positions.data(), c.normals.data(), c.scale.data(), c.frames.data() + 1, 3};
-        }
-        const auto of = [&](const double* numbers) { return numbers ? numbers + 3 * contacts * u : nullptr; };
-        return {of(arrays_.positions), of(arrays_.normals), of(arrays_.scales), of(arrays_.tangents), 1};
-    }
-    bool has_tangents() const { return placed_ || arrays_.tangents; }
-    // Whether contacts that were placed are those of a hard grasp.
-    bool sound(std::ptrdiff_t u) const { return !placed_ || (placed_[u]->placing == Placing::good && !placed_[u]->soft()); }
-    // Its contacts, alone; in no place where there is no such grasp.
-    Contacts make(std::ptrdiff_t u) const {
-        if (placed_) {
-            Contacts made = *placed_[u];
-            made.weigh(weights);
-            return made;
-        }
-        const Site at = site(u);
-        Contacts made(contacts, at.scales, weights, at.tangents);
-        made.place(at.positions, at.normals);
+    const Contacts& operator[](std::ptrdiff_t u) const { return *placed_[u]; }
+    // Whether they are those of a hard grasp.
+    bool sound(std::ptrdiff_t u) const { return placed_[u]->placing == Placing::good && !placed_[u]->soft(); }
+    Contacts weighed(std::ptrdiff_t u) const {
+        Contacts made = *placed_[u];
+        made.weigh(weights);
         return made;
     }
 
 private:
-    Site arrays_{};
-    const Contacts* const* placed_ = nullptr;
+    const Contacts* const* placed_;
 };
 
 // One problem: its grasp, its number.
@@ -74,11 +49,10 @@ public:
     // Into the cones; which are ordinary: finite numbers, normals of unit length, rank 6 beyond doubt.
     Mask place(const Grasps& grasps, const Case (&problems)[W], Cones<V, 0>& cones) {
         const int count = grasps.contacts;
-        const bool turned = grasps.has_tangents();
         for (int lane = 0; lane < W; ++lane) {
-            const Site at = grasps.site(problems[lane].grasp);
-            gather(at.positions, 1, lane, points_), gather(at.normals, 1, lane, normals_), gather(at.scales, 1, lane, scales_);
-            if (turned) gather(at.tangents, at.stride, lane, tangents_);
+            const Contacts& at = grasps[problems[lane].grasp];
+            gather(at.positions.data(), 1, lane, points_), gather(at.normals.data(), 1, lane, normals_);
+            gather(at.scale.data(), 1, lane, scales_), gather(at.frames.data() + 1, 3, lane, tangents_);
         }
         V total{}, off{};
         for (int i = 0; i < count; ++i) {
@@ -91,7 +65,7 @@ public:
         for (int i = 0; i < count; ++i) {
             auto& block = cones.blocks[i];
             const Vec3<V> normal = normalised(normals_[i]), arm = per_length * (points_[i] - cones.unit.centre);
-            const FrameOf<V> frame = turned ? FrameOf<V>(normal, tangents_[i]) : FrameOf<V>(normal);
+            const FrameOf<V> frame(normal, tangents_[i]);
             for (int a = 0; a < 3; ++a) {
                 const V scale = block.scale[a] = taken_scale(scales_[i][a]), divisor = block.divisor[a] = divisor_of(scale);
                 const Six<V> row = select(scale > 0.0, V(1.0), V(0.0)) * unit_wrench(arm, frame[a]);
@@ -271,7 +245,7 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
     const auto alone = [&](std::ptrdiff_t u, std::ptrdiff_t from, std::ptrdiff_t count) {
         const Many part{count, many.wrench(from), many.rows + record_size(grasps.contacts) * from};
         if (grasps.sound(u)) {
-            const Contacts made = grasps.make(u);
+            const Contacts made = grasps.weighed(u);
             if (made.placing == Placing::good && one(made, part)) return;
         }
         for (std::ptrdiff_t k = 0; k < count; ++k) part.record(k, grasps.contacts).summary().code = REFUSED;

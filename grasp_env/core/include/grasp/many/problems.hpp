@@ -192,27 +192,17 @@ struct Many {
     std::ptrdiff_t count;
     const double* wrenches;  // (M, 6) [N, N m]
     double* rows;  // (M, record_size(N))
-    const double* previous = nullptr;  // (M, record_size(N)) of other solutions to start from, or none
-
     const double* wrench(std::ptrdiff_t k) const { return wrenches + 6 * k; }
     Record record(std::ptrdiff_t k, int contacts) const { return {rows + record_size(contacts) * k, contacts}; }
-    // A start from problem k's row of `previous`; the combination where there are none.
-    Call call(std::ptrdiff_t k, int contacts) const {
-        Call call{.wrench = wrench(k)};
-        if (previous) {
-            const Record before(const_cast<double*>(previous) + record_size(contacts) * k, contacts);  // only read
-            call.start = From::tangent, call.force = before.force(), call.torsion = before.torsion();
-        }
-        return call;
-    }
 };
 
-// Newton on many wrenches of one grasp. begin(k, w): makes the start of problem k in one.x, for its wrench in the unit frame, or
-// returns false: it is refused; alone(k, record): solves it in the ordinary way.
-template <class V, int B, class Begin, class Alone>
-void newton_many(NewtonOn<V, B>& one, const Many& many, Begin&& begin, Alone&& alone) {
+// Newton on many wrenches of one grasp, from an internal force strictly inside the cones.
+template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const Many& many) {
     auto& cones = one.cones;
     const int count = cones.count;
+    const auto alone = [&](std::ptrdiff_t k, const Record& record) {
+        one.solve_from(rest, {.wrench = many.wrench(k)}, record);
+    };
     if (many.count < FEW) {
         for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
         return;
@@ -222,10 +212,11 @@ void newton_many(NewtonOn<V, B>& one, const Many& many, Begin&& begin, Alone&& a
     const auto enter = [&](int lane, std::ptrdiff_t k) {
         const Record record = many.record(k, count);
         const Vec6 w = cones.unit.of(many.wrench(k));
-        if (!sane_wrench(many.wrench(k)) || !begin(k, w)) {
+        if (!sane_wrench(many.wrench(k))) {
             record.summary().code = REFUSED;
             return false;
         }
+        begin(cones, rest, w, one.x);
         cones.store_force(one.x, record.initial_force()), cones.store(one.x, x.data());
         const double value = cones.phi(one.x);
         if (!(value < infinity)) {
@@ -245,20 +236,6 @@ void newton_many(NewtonOn<V, B>& one, const Many& many, Begin&& begin, Alone&& a
         if (!closed) alone(k, record);
     };
     run(lanes, many.count, enter, leave);
-}
-
-// The same from an internal force strictly inside the cones.
-template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const Many& many) {
-    const auto start = [&](std::ptrdiff_t, const Vec6& w) { return begin(one.cones, rest, w, one.x), true; };
-    newton_many(one, many, start,
-                [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); });
-}
-
-// The same from the combination, or from the previous solutions.
-template <class V, int B> void newton_many(NewtonOn<V, B>& one, const Many& many) {
-    const int count = one.cones.count;
-    const auto begin = [&](std::ptrdiff_t k, const Vec6& w) { return one.begin(many.call(k, count), w); };
-    newton_many(one, many, begin, [&](std::ptrdiff_t k, const Record& record) { one.solve(many.call(k, count), record); });
 }
 
 // The least sum of normal forces, for many wrenches of one grasp.

@@ -11,17 +11,10 @@ public:
 
     LimitedOn(int count, const Stop& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
 
-    // From the 12-basis of the contacts without limits, a previous optimum, or any balanced force inside the cones.
+    // From a previous optimum, or any balanced force inside the cones.
     // REFUSED: numbers that are not finite, no start, or a problem for the general program, nearly infeasible or out of digits.
     // INFEASIBLE: no force; the multipliers are a twist v, -nu of the proof (`LimitTerms::farkas`): v . w > max -v . G f within
     // the limits. LIMITS_EXCEEDED: objective and bound are those of the excess.
-    Code solve(const Call& call, const Record& record) {
-        return solve(call, record, [&](const Vec6& w, bool previous) {
-            Call own = call;
-            if (!previous && call.start != From::given) own.start = From::combination;
-            return newton.begin(own, w);
-        });
-    }
     // begin(w, previous): makes the start in newton.x, that of the call or, `previous`, the optimum of another wrench balanced; whether
     // there is one.
     template <class F> Code solve(const Call& call, const Record& record, F&& begin) {

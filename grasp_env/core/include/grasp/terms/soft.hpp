@@ -166,7 +166,7 @@ private:
     }
 };
 
-// From the 12-basis of the same contacts without torsion, from a previous optimum, or from any balanced force inside the cones.
+// From a previous optimum, or from any balanced force inside the cones.
 template <class V, int B> class SoftOn {
 public:
     NewtonOn<V, B, SoftTerms<V, B>> newton;
@@ -179,13 +179,6 @@ public:
     }
 
     // REFUSED: numbers that are not finite, no start, or a problem for the general program, out of digits.
-    Code solve(const Call& call, const Record& record) {
-        return solve(call, record, [&](const Vec6& w) {
-            Call own = call;
-            if (call.start != From::given) own.start = From::combination;
-            return newton.begin(own, w);
-        });
-    }
     // begin(w): makes the start in newton.x, with the torsion in newton.rows; whether there is one.
     template <class F> Code solve(const Call& call, const Record& record, F&& begin) {
         Summary& s = record.summary();

@@ -7,16 +7,9 @@ import pytest
 from problems import closure_grasps, pyramid_margin, random_grasp
 
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError
-from grasp_env.force import (
-    ForceLimits,
-    Objective,
-    OfflineBasis,
-    Status,
-    cone_margin,
-    optimize_force,
-    phase_one,
-)
+from grasp_env.force import ForceLimits, Objective, OfflineBasis, Status, optimize_force
 from grasp_env.grasp import Grasp, presets
+from grasp_env.quality import feasibility
 
 PRESETS = [presets.tripod(), presets.paper_cuboid(), presets.five_finger_cuboid()]
 
@@ -43,7 +36,7 @@ def test_verdicts_against_linear_programs() -> None:
     for grasp in [*mixed_grasps(60), *closure_grasps()[:6], *PRESETS]:
         for size in (0.0, 1.0, 50.0):
             wrench = size * rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
-            answer = phase_one(grasp, wrench)
+            answer = feasibility(grasp, wrench)
             inner, outer = (pyramid_margin(grasp, wrench, inner=inside)[0] for inside in (True, False))
             # the linear solver's feasibility tolerance is 1e-7
             if inner > 1e-6:
@@ -55,7 +48,7 @@ def test_verdicts_against_linear_programs() -> None:
             verdicts[answer.feasible] += 1
             assert (answer.force is None) == (answer.certificate is not None)
             if answer.force is not None:
-                assert cone_margin(answer.force, grasp.friction) > 0.0
+                assert grasp.cone_margin(answer.force) > 0.0
                 scale = np.abs(answer.force).max() + np.abs(wrench).max() / grasp.length
                 assert grasp.residual(answer.force, wrench) <= 1e-9 * scale
             else:
@@ -67,16 +60,16 @@ def test_verdicts_against_linear_programs() -> None:
 def test_force_closure_is_feasibility_of_every_wrench() -> None:
     rng = np.random.default_rng(42)
     for grasp in [*PRESETS, *closure_grasps()]:
-        assert phase_one(grasp, np.zeros(6)).feasible
+        assert feasibility(grasp, np.zeros(6)).feasible
         for size in (1e-9, 1e-3, 1.0, 1e4):
-            assert phase_one(grasp, size * rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]).feasible
+            assert feasibility(grasp, size * rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]).feasible
 
 
 def test_verdict_does_not_depend_on_the_size_of_the_wrench() -> None:
     rng = np.random.default_rng(43)
     for grasp in mixed_grasps(24):
         wrench = rng.standard_normal(6) * [1, 1, 1, 0.03, 0.03, 0.03]
-        verdicts = {phase_one(grasp, size * wrench).feasible for size in (1e-6, 1.0, 1e6)}
+        verdicts = {feasibility(grasp, size * wrench).feasible for size in (1e-6, 1.0, 1e6)}
         assert len(verdicts) == 1  # the cones are cones
 
 
@@ -118,7 +111,7 @@ def test_no_closure_but_a_possible_wrench() -> None:
 def test_certificate_on_the_boundary() -> None:
     # at w = 0 fingers that only push up have the zero force and no other: v . w = 0, every contact on its boundary
     grasp, _ = without_closure()
-    answer = phase_one(grasp, np.zeros(6))
+    answer = feasibility(grasp, np.zeros(6))
     assert answer.certificate is not None
     assert_certificate(grasp, np.zeros(6), answer.certificate)
 
@@ -139,7 +132,7 @@ def test_combination_is_linear_on_an_orthant_and_balanced(grasp: Grasp) -> None:
         assert grasp.residual(both, a * one + b * two) <= 1e-10 * np.abs(both).max()  # that of the offline optima
         force = basis.combine(one)
         assert grasp.residual(force, one) <= 1e-10 * np.abs(force).max()
-        assert cone_margin(force, grasp.friction) > 0.0
+        assert grasp.cone_margin(force) > 0.0
         share = max(0.0, 1.0 - np.abs(one).sum())
         np.testing.assert_allclose(
             force, basis.combine(one, printed=True) + share * basis.rest, atol=1e-13 * rest_scale * 100
@@ -189,7 +182,7 @@ def test_the_basis_is_remembered_per_grasp_and_objective() -> None:
 @pytest.mark.parametrize("most", [1e-12, 1e-8, 1e-3, 1.0])
 def test_a_rest_within_limits_knows_no_size(most: float) -> None:
     """How deep a force without wrench lies is a part of the tightest limit."""
-    found = phase_one(presets.paper_cuboid(), np.zeros(6), ForceLimits(max_normal=most))
-    unit = phase_one(presets.paper_cuboid(), np.zeros(6), ForceLimits(max_normal=1.0))
+    found = feasibility(presets.paper_cuboid(), np.zeros(6), ForceLimits(max_normal=most))
+    unit = feasibility(presets.paper_cuboid(), np.zeros(6), ForceLimits(max_normal=1.0))
     assert found.feasible
     assert found.margin == pytest.approx(unit.margin, rel=1e-6)

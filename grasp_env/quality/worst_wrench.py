@@ -22,12 +22,12 @@ from scipy.spatial import ConvexHull, QhullError
 from grasp_env import ranges
 from grasp_env._check import Array, Wrench, as_array, checked_size, choice, generator, is_a, positive, together, whole
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, NotConvergedError
-from grasp_env.force.closure import force_closure
 from grasp_env.force.limits import ForceLimits
 from grasp_env.force.optimizer import ForceOptimizer
 from grasp_env.force.options import CRITERIA
 from grasp_env.force.solution import ForceSolution
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.quality.closure import force_closure
 
 SHAPES = ("ellipsoid", "product")
 ENCLOSING = 42

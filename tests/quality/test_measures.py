@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from grasp_env.errors import InvalidInputError, UnknownNameError
 from grasp_env.force import ForceLimits, ForceOptimizer
-from grasp_env.force.closure import force_closure
-from grasp_env.force.grasp_quality import WrenchBall, epsilon, quality, singular_values, worst_case
 from grasp_env.grasp import Grasp, presets, wrench
+from grasp_env.quality import force_closure
+from grasp_env.quality.measures import WrenchBall, epsilon, quality, singular_values, worst_case
 
 UNEVEN = closure_grasps()[1]
 

@@ -3,9 +3,9 @@ import pytest
 from problems import GRASPS, closure_grasps, pyramid_margin, random_grasp
 
 from grasp_env.errors import NotConvergedError
-from grasp_env.force.closure import ForceClosure, force_closure
 from grasp_env.force.limits import ForceLimits
 from grasp_env.grasp import Grasp, presets
+from grasp_env.quality import ForceClosure, force_closure
 
 
 def random_grasps(number: int) -> list[Grasp]:

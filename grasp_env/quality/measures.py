@@ -9,10 +9,10 @@ import numpy as np
 
 from grasp_env import ranges
 from grasp_env._check import Array, Wrench, positive
-from grasp_env.force.closure import force_closure
 from grasp_env.force.options import CRITERIA
-from grasp_env.force.worst_wrench import WrenchBall, worst_case
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.quality.closure import force_closure
+from grasp_env.quality.worst_wrench import WrenchBall, worst_case
 
 
 class Epsilon(NamedTuple):

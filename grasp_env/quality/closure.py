@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env._check import Array, ContactForces
+from grasp_env.core import CLEAR
 from grasp_env.errors import NotConvergedError
 from grasp_env.force.limits import ForceLimits, as_limits
-from grasp_env.force.program import CLEAR, ForceProgram
-from grasp_env.force.record import INFEASIBLE
+from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.grasp import Grasp, as_grasp
+from grasp_env.quality.feasibility import deepest
 
 PROVEN = 1e-6
 """A twist proves that there is no closure when it leaves the dual cones by at most this part of its largest image."""
@@ -89,32 +90,31 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
     limits = as_limits(limits)
     if limits is not None and not (cones := force_closure(grasp)):
         return cones
-    program = ForceProgram(grasp, limits)
-    deepest = program.deepest(np.zeros(6))
-    margin, twist = deepest.margin, deepest.twist
-    if margin > CLEAR:
+    found = deepest(grasp, np.zeros(6), limits)
+    margin, twist = found.margin, found.twist
+    if found.code == CONVERGED:
         # without limits of their own size the forces are of any size: make them sum to one
-        z = deepest.z if program.bound.any() else deepest.z / deepest.z[:, 0].sum()
-        if program.slack(z) > 0.0:
-            force, torsion = program.force(z), program.torsion(z)
-            error = grasp.residual(force, np.zeros(6), torsion) / float(np.abs(force).sum())
-            said = (
-                f"force closure: the {grasp.n_contacts} contacts can squeeze with every force strictly inside its limits "
-                f"(margin {margin:.3g}, at most {1.0 / (1 + grasp.n_contacts):.3g})"
-            )
-            return ForceClosure(True, margin, force, torsion, None, error, said)
-    elif twist is not None:
+        sized = limits is not None and bool(limits.rows(grasp).bound.any())
+        size = 1.0 if sized else float((grasp.models.cone_scale[:, 0] * found.force[:, 0]).sum())
+        force, torsion = found.force / size, found.torsion / size
+        error = grasp.residual(force, np.zeros(6), torsion) / float(np.abs(force).sum())
+        said = (
+            f"force closure: the {grasp.n_contacts} contacts can squeeze with every force strictly inside its limits "
+            f"(margin {margin:.3g}, at most {1.0 / (1 + grasp.n_contacts):.3g})"
+        )
+        return ForceClosure(True, margin, force, torsion, None, error, said)
+    if margin <= CLEAR:
         error = _outside(grasp, twist)
         if limits is None and error <= PROVEN:
             return ForceClosure(False, 0.0, None, None, twist, error, _no(grasp, twist))
-        if limits is not None and deepest.code == INFEASIBLE and margin < -CLEAR:
+        if limits is not None and found.code == INFEASIBLE and margin < -CLEAR:
             said = (
                 "no internal force within the further limits, although the contacts alone have force closure: widen the "
                 "limits (least normal forces against largest torques, or a torque bias)"
             )
             return ForceClosure(False, margin, None, None, twist, float("nan"), said)
     raise NotConvergedError(
-        f"force closure is undecided: margin {margin:.3g} after {deepest.iterations} iterations; this close to losing it a "
+        f"force closure is undecided: margin {margin:.3g} after {found.iterations} iterations; this close to losing it a "
         "grasp should not be relied on: move a contact or raise the friction"
     )
 
