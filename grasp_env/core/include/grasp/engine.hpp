@@ -621,12 +621,13 @@ private:
         return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(newton_.cones.unit.of(ask.wrench)));
     }
 
-    // What is in newton_.x is balanced by the least change and taken towards the method's own start, in spare_, until it has no more Phi.
+    // What is in newton_.x is balanced by the least change, and where it has more Phi than the method's own start, in spare_, the least on
+    // the way to that is taken; of a guess in any case.
     void bring_inside(const Vec6& w, Start start) {
         const auto& cones = newton_.cones;
         cones.balance(newton_.x, w);
-        const bool better = cones.phi(newton_.x) <= cones.phi(spare_);
-        const double share = better ? 1.0 : newton_.starter.segment(cones, spare_, newton_.x);
+        const bool good = start == Start::learned && cones.phi(newton_.x) <= cones.phi(spare_);  // a few comparisons less
+        const double share = good ? 1.0 : newton_.starter.segment(cones, spare_, newton_.x);
         replaced_ = !(share > 0.0) && dot(w, w) > 0.0;
         if (!replaced_) used_ = start;
     }
