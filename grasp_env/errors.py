@@ -7,7 +7,7 @@ says what was given, what is allowed and how to mend it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from reprlib import Repr
 from typing import Any
 
@@ -130,20 +130,17 @@ class InfeasibleWrenchError(GraspError):
         solution: the `ForceSolution` with status `INFEASIBLE` and, in `certificate`, the separating twist (6,).
     """
 
-    def __init__(self, message: str, solution: Any = None) -> None:
-        """`message`: "" for one that tells what the solution proves."""
+    def __init__(self, message: str, solution: Any = None, tell: Callable[[], str] | None = None) -> None:
+        """`message`: "" for what `tell` says when it is asked: a control loop that goes on without it does not pay for it."""
         super().__init__(message)
-        self.solution = solution
+        self.solution, self._tell = solution, tell
 
-    def __str__(self) -> str:  # made where it is read: a control loop that goes on without it does not pay for it
-        solution, message = self.solution, str(self.args[0])
-        if message or solution is None or solution.certificate is None:
-            return message
-        return (
-            f"no force strictly inside the friction cones, and limits where there are any, balances wrench {solution.wrench.tolist()}; the "
-            f"twist {[round(v, 6) for v in solution.certificate.tolist()]} separates it (error.solution.certificate): add contacts, raise "
-            "the friction, widen limits (elastic=True answers with the least excess of them), or change the wrench"
-        )
+    def __str__(self) -> str:
+        message = str(self.args[0])
+        return self._tell() if not message and self._tell is not None else message
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.solution)
 
 
 class UnsupportedProblemError(GraspError):

@@ -47,6 +47,7 @@ from grasp_env.force.limits import ForceLimits, LimitNumbers, as_limits, checked
 from grasp_env.force.many import ForceSolutions, checked_batch, solve_many
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.options import MAX_ITERATIONS, Options, checked_options
+from grasp_env.force.proof import tell
 from grasp_env.force.record import CODE, FORCE, INFEASIBLE, LIMIT, REFUSED, REPLACED, START, UNDECIDED
 from grasp_env.force.solution import COMBINATION, GIVEN, LEARNED, PREVIOUS, STARTS, ForceSolution, start_name
 from grasp_env.force.step_size import StepRule
@@ -266,7 +267,7 @@ class ForceOptimizer:
                 return solution
             row = self.core.ended
             if row is not None and row[CODE] == INFEASIBLE:
-                raise self._infeasible(row)
+                raise self._infeasible(row, (positions, normals, friction, jacobian, torque_bias, contacts))
         now = (positions, normals, friction, jacobian, torque_bias, contacts)
         return self._solve_checked(wrench, now, initial, optimum, trace)
 
@@ -474,14 +475,29 @@ class ForceOptimizer:
             )
         return previous
 
-    def _infeasible(self, row: Array, start: str | None = None) -> InfeasibleWrenchError:
-        return InfeasibleWrenchError("", ForceSolution(row, self.method, start or STARTS[int(row[START])]))
+    def _infeasible(self, row: Array, now: tuple[Any, ...], start: str | None = None) -> InfeasibleWrenchError:
+        solution = ForceSolution(row, self.method, start or STARTS[int(row[START])])
+        return InfeasibleWrenchError("", solution, lambda: self._proof(solution, now))
+
+    def _proof(self, solution: ForceSolution, given: tuple[Any, ...]) -> str:
+        """Why there is no force, in words."""
+        limits, moved = self.limits, self.grasp
+        if any(each is not None for each in given):
+            now = self._now(*given)
+            if now[5] is not None and not now[5].all():
+                return tell(solution, None, limits)
+            moved = self._moved(now)
+            changed = {
+                name: value for name, value in (("jacobian", now[3]), ("torque_bias", now[4])) if value is not None
+            }
+            limits = replace(limits, **changed) if limits is not None and changed else limits
+        return tell(solution, moved, limits)
 
     def _error(self, row: Array, wrench: Wrench, now: tuple[Any, ...], start: StartFrom) -> GraspError:
         """What a row without a force means, in words."""
         code = row[CODE]
         if code == INFEASIBLE:
-            return self._infeasible(row, start.name)
+            return self._infeasible(row, now, start.name)
         if code == UNDECIDED:
             return NotConvergedError(
                 f"neither a force nor a proof that there is none was found for wrench {wrench.tolist()}: forces, limits and weights are too "

@@ -102,7 +102,8 @@ class ForceSolution(Solution):
         torsion: (N,) N m: torsion of each finger on the object about its normal; zero unless the contact is soft.
         wrench: (6,) the external wrench that `force` balances [N, N m].
         multipliers: (6,) nu of balance: grad objective = G^T nu (+ multipliers of the limits), d objective / d wrench = -nu.
-        limit_multipliers: (M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; else empty.
+        limit_multipliers: (M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; those of the proof where
+            INFEASIBLE, see `certificate`; else empty.
         method: the method's name.
         initial: the name of the start; "internal_force (NAME was replaced)" where nothing is left of the one that was asked for.
         start_replaced: whether that is so.
@@ -125,7 +126,7 @@ class ForceSolution(Solution):
         """(6,) the proof of INFEASIBLE, else None.
 
         A twist v with G_i^T v in the dual cone of every contact and v . w > 0 (= 0: only forces on the boundary of the cones balance
-        it); see `Feasibility`.
+        it). With limits A f <= b, whose prices y are `limit_multipliers`: G^T v + A^T y is in the dual cones, and v . w > y . b.
         """
         return self.multipliers if self.code == INFEASIBLE else None
 

@@ -24,7 +24,8 @@ int descend(const Contacts& contacts, const char* name, nb::handle rule, double 
     const Form form = form_of(name, contacts);
     const StepRule steps = rule_of(rule);
     const int count = contacts.count;
-    const Numbers load = in(wrench, 6), start = in(force, count, 3), values = out(trace, -1), row = out(record, record_size(count));
+    const Numbers load = in(wrench, 6), start = in(force, count, 3), values = out(trace, -1),
+                  row = out(record, record_size(count));
     const Call call{.wrench = load.data(), .optimum = optimum, .trace = values.data(), .traced = int(values.length(0))};
     Code code = REFUSED;
     dispatch(count, [&]<class V, int B>() {
@@ -58,8 +59,8 @@ double repeat(const Contacts& contacts, const char* name, nb::handle x, int time
 
 void bind_flow(nb::module_& m) {
     m.attr("FULL_CONTACTS") = FULL_CONTACTS;
-    m.def("descend_flow", &descend, "contacts"_a, "form"_a, "rule"_a, "tolerance"_a, "limit"_a, "wrench"_a, "force"_a, "optimum"_a,
-          "trace"_a, "record"_a,
+    m.def("descend_flow", &descend, "contacts"_a, "form"_a, "rule"_a, "tolerance"_a, "limit"_a, "wrench"_a, "force"_a,
+          "optimum"_a, "trace"_a, "record"_a,
           "A flow from a balanced force (N, 3) inside the cones, into a record; returns the code. rule: (5,) kind, first, grow,\n"
           "shrink, decrease, see `step_size.py`; optimum: a known min Phi or nan; trace: (T,) receives Phi of iterates 0..T-1.");
     m.def("repeat_step", &repeat, "contacts"_a, "form"_a, "x"_a, "times"_a,

@@ -48,9 +48,10 @@ template <Solve solve, Start start> void solve_contacts(nb::list contacts, nb::h
 }  // namespace
 
 void bind_grasps(nb::module_& m) {
-    const char* arguments = "U contacts in their place, whose own weights are not read but `weights` (N, 2); wrenches first[u] to\n"
-                            "first[u + 1] - 1 are those of contacts u. Into whole rows of solutions; releases the GIL.\n"
-                            "REFUSED: they are soft, or without force closure.";
+    const char* arguments =
+        "U contacts in their place, whose own weights are not read but `weights` (N, 2); wrenches first[u] to\n"
+        "first[u + 1] - 1 are those of contacts u. Into whole rows of solutions; releases the GIL.\n"
+        "REFUSED: they are soft, or without force closure.";
     const auto bind = [&](const char* name, auto solve) {
         m.def(name, solve, "contacts"_a, "weights"_a, "first"_a, "tolerance"_a, "limit"_a, "wrenches"_a, "records"_a, arguments);
     };

@@ -243,7 +243,8 @@ void times(Solver& solver, nb::handle wrenches, int passes, nb::handle rows, nb:
 
 nb::typed<nb::tuple, int, int, double> deepest(Solver& solver, nb::handle wrench, nb::handle force, nb::handle torsion,
                                                nb::handle twist) {
-    const Numbers load = in(wrench, 6), to = out(force, solver.count, 3), turn = out(torsion, solver.count), proof = out(twist, 6);
+    const Numbers load = in(wrench, 6), to = out(force, solver.count, 3), turn = out(torsion, solver.count),
+                  proof = out(twist, 6);
     const std::size_t count = solver.count;
     const Deepest found = solver.on.deepest(Wrench(load.data(), 6), {to.data(), 3 * count}, {turn.data(), count});
     std::copy(found.twist.begin(), found.twist.end(), proof.data());
@@ -302,7 +303,8 @@ void bind_optimizer(nb::module_& m) {
             [](Solver& s, nb::handle basis) { s.on.set_basis({in(basis, 13, 3 * s.count).data(), std::size_t(39 * s.count)}); },
             "basis"_a, "Takes the 12-basis with the rest, (13, 3N) cone coordinates.")
         .def("make_basis", &fill_basis, "basis"_a, "warm"_a,
-             "Fills that, and takes it; returns the worst relative gap, inf: it did not converge, nan: no force closure. warm: it holds that of nearby contacts.")
+             "Fills that, and takes it; returns the worst relative gap, inf: it did not converge, nan: no force closure. warm: "
+             "it holds that of nearby contacts.")
         .def("deepest", &deepest, "wrench"_a, "force"_a, "torsion"_a, "twist"_a,
              "The force (N, 3) and torsion (N,) deepest inside cones and limits, or the twist (6,) that proves that none is;\n"
              "returns (code, iterations, margin).")

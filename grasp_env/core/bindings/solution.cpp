@@ -118,7 +118,7 @@ PyObject* torques(PyObject* self, void*) {
 }
 PyObject* prices(PyObject* self, void*) {
     const grasp::Summary& s = record(self).summary();
-    const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED || int(s.code) == grasp::INFEASIBLE ? 0 : npy_intp(s.limits);
+    const npy_intp many = int(s.code) == grasp::LIMITS_EXCEEDED ? 0 : npy_intp(s.limits);
     return view(self, SUMMARY + 16 * count(self) + npy_intp(s.joints), 1, &many);
 }
 PyObject* object_force(PyObject* self, void*) {
@@ -168,7 +168,9 @@ PyGetSetDef read[] = {
     {"torques", torques, nullptr,
      "(J,) N m: of the joints of the torque limits, those besides the grasp's included; empty where there are none.", nullptr},
     {"limit_multipliers", prices, nullptr,
-     "(M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; empty where there are none.", nullptr},
+     "(M,) >= 0 prices of the limits, in the order of `ForceOptimizer.limit_labels`; of INFEASIBLE those of the proof; else "
+     "empty.",
+     nullptr},
     {"n_contacts", n_contacts, nullptr, "N.", nullptr},
     {"code", code, nullptr, "How the solve ended, see `codes`.", nullptr},
     {"force", force, nullptr, "(N, 3) N: normal, o, t of each finger's force on the object, in that contact's frame.", nullptr},

@@ -48,8 +48,7 @@ struct Trial {
         const Contacts contacts = Contacts::checked(4, places, inwards, scale, weights);
         std::vector<double> basis(13 * 12), reference(12 * 6);
         ForceOptimizer({contacts}).make_basis(basis);
-        pipeline = Pipeline::make(contacts, {1e-6, 100}, basis.data(), contacts.frames.data(), false, reference.data(),
-                                           nullptr);
+        pipeline = Pipeline::make(contacts, {1e-6, 100}, basis.data(), contacts.frames.data(), false, reference.data(), nullptr);
         ControlSettings settings;
         settings.body.mass = 0.2, settings.body.position_gain = 100.0, settings.body.position_damping = 8.0;
         settings.body.rotation_gain = 400.0, settings.body.rotation_damping = 40.0, settings.friction = 0.6;

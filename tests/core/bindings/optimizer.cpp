@@ -56,8 +56,7 @@ public:
                         .elastic = elastic};
         if (const Doubles r = all(rule); !r.empty()) options.step_rule = {int(r[0]), r[1], r[2], r[3], r[4]};
         if (predicts) options.model = predicts->model;
-        const Problem problem{p.contacts,
-                              {all(min_normal), all(max_normal), all(jacobian), all(torque_limit), all(torque_bias)}};
+        const Problem problem{p.contacts, {all(min_normal), all(max_normal), all(jacobian), all(torque_limit), all(torque_bias)}};
         return std::make_unique<AnyOptimizer>(instance_of<detail::EngineOn, detail::Engine>(lanes, blocks, problem, options));
     }
     std::unique_ptr<AnyOptimizer> clone() const { return std::make_unique<AnyOptimizer>(on_->clone()); }
@@ -126,8 +125,8 @@ void bind_optimizer(nb::module_& m) {
     const auto none = nb::none();
     m.def("network", &network);
     m.def("network_numbers", [](const std::vector<int>& sizes) { return Network::numbers(sizes); });
-    nb::class_<Predicts>(m, "Model").def_static(
-        "make", [](const std::vector<int>& sizes, const In& weights, const In& null_space) {
+    nb::class_<Predicts>(m, "Model")
+        .def_static("make", [](const std::vector<int>& sizes, const In& weights, const In& null_space) {
             return Predicts{model(sizes, weights, null_space)};
         });
     nb::class_<A>(m, "AnyOptimizer")

@@ -181,7 +181,7 @@ nb::object program_allocations(const In& frame, const In& balance, const In& row
             const Record record(row.data(), count);
             ++ended[program.least(w, k % 2 ? Criterion::largest : Criterion::sum, {1e-6, 100}, record, prices.data())];
             ++ended[program.least(w, Criterion::excess, {EXCESS_WITHIN, 100}, record, prices.data())];
-            if (program.deepest(w, 1e-7, z.data()).code == CONVERGED)
+            if (program.deepest(w, 1e-7, z.data(), prices.data()).code == CONVERGED)
                 program.least_phi({.wrench = w}, weights.data(), each.data(), z.data(), {1e-4, 100}, record, prices.data());
         }
     });

@@ -1,5 +1,6 @@
 // What is behind `ForceOptimizer`: which algorithm serves which problem, what goes on where it gives up, and where each begins.
 #pragma once
+#include <grasp/current.hpp>
 #include <grasp/phi/basis.hpp>
 #include <grasp/general/general.hpp>
 #include <grasp/terms/limited.hpp>
@@ -56,71 +57,36 @@ public:
     virtual int size() const = 0;  // numbers of a row
 };
 
-// Limits with numbers of their own.
-class OwnLimits {
-public:
-    std::vector<double> min_normal, max_normal, jacobian, torque_limit, torque_bias;
-    int rows = 0;  // how many are finite
-
-    OwnLimits() = default;
-    // Throws std::invalid_argument.
-    OwnLimits(const ForceLimits& from, int count)
-        : min_normal(from.min_normal.begin(), from.min_normal.end()), max_normal(from.max_normal.begin(), from.max_normal.end()),
-          jacobian(from.jacobian.begin(), from.jacobian.end()), torque_limit(from.torque_limit.begin(), from.torque_limit.end()),
-          torque_bias(from.torque_bias.begin(), from.torque_bias.end()) {
-        const std::size_t size = std::size_t(count);
-        for (const auto* each : {&min_normal, &max_normal})
-            if (!each->empty() && each->size() != size)
-                throw std::invalid_argument("limits of normal forces must be one of each contact, or none");
-        if (jacobian.size() != 3 * size * joints() && jacobian.size() != 6 * size * joints())
-            throw std::invalid_argument("the jacobian must be (N, 3, J) or (N, 6, J), and torque_limit (J,)");
-        if (torque_bias.empty()) torque_bias.resize(joints());
-        if (torque_bias.size() != joints()) throw std::invalid_argument("torque_bias must be (J,), or none");
-        for (const auto* each : {&min_normal, &max_normal, &torque_limit})
-            for (double value : *each)
-                if (!(value >= 0.0)) throw std::invalid_argument("limits must be numbers >= 0");
-        for (const auto* each : {&jacobian, &torque_bias})
-            for (double value : *each)
-                if (!(std::abs(value) <= LARGEST))
-                    throw std::invalid_argument("the jacobian and torque_bias must be finite, up to 1e12");
-        rows = view().many();
-    }
-    std::size_t joints() const { return torque_limit.size(); }
-    ForceLimits view() const { return {min_normal, max_normal, jacobian, torque_limit, torque_bias}; }
-};
-
 template <class V, int B> class EngineOn final : public Engine {
 public:
     using Field = typename Cones<V, B>::Field;
 
     EngineOn(const Problem& problem, const Options& options)
-        : options_(options), home_(problem.contacts), now_(home_), limits_(problem.limits, home_.count),
-          joints_(int(limits_.joints())), newton_(home_.count, {options.gap(), options.limit}),
-          conic_(home_.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}), home_tangents_(newton_.cones),
-          rest_(newton_.cones.field()), origin_(newton_.cones.field()), spare_(newton_.cones.field()),
-          guess_(newton_.cones.field()), general_(home_.count, limits_.rows, home_.soft()), inner_(record_size(home_.count)),
-          turned_(4 * home_.count * joints_), force_(3 * home_.count), gathered_(6 * home_.count),
-          divisor_(home_.count, infinity), turn_(home_.count), least_(home_.count), most_(home_.count), chosen_(home_.count) {
-        if (home_.placing == Placing::refused || home_.placing == Placing::rank_lost)
+        : options_(options), at_(problem), newton_(at_.home.count, {options.gap(), options.limit}),
+          conic_(at_.home.count, {options.gap(), std::min(options.limit, General::CONIC_ITERATIONS)}),
+          home_tangents_(newton_.cones), rest_(newton_.cones.field()), origin_(rest_), spare_(rest_), guess_(rest_),
+          general_(at_.home.count, at_.limits.rows, at_.home.soft()), inner_(record_size(at_.home.count)),
+          force_(3 * at_.home.count), turn_(at_.home.count), proof_(at_.limits.rows) {
+        if (at_.home.placing == Placing::refused || at_.home.placing == Placing::rank_lost)
             throw std::invalid_argument("the contacts must be placed: Contacts::from");
-        if (limits_.rows) limited_.emplace(home_.count, newton_.options), limited_->elastic = options.elastic;
-        if (home_.soft()) soft_.emplace(home_, newton_.options, divisor_.data());
+        if (at_.limits.rows) limited_.emplace(at_.home.count, newton_.options), limited_->elastic = options.elastic;
+        if (at_.home.soft()) soft_.emplace(at_.home, newton_.options, at_.divisor.data());
         const bool flows = options.method == Method::reduced_flow || options.method == Method::full_flow;
         if (flows) {
-            if (limits_.rows || home_.soft())
+            if (at_.limits.rows || at_.home.soft())
                 throw std::invalid_argument("the flows know hard contacts without limits: take newton or conic");
-            if (options.method == Method::full_flow && home_.count > FULL_CONTACTS)
+            if (options.method == Method::full_flow && at_.home.count > FULL_CONTACTS)
                 throw std::invalid_argument("the full flow is dense: at most 8 contacts");
         }
         if (!(options.tolerance <= 1.0)) throw std::invalid_argument("the tolerance is a part of the objective: at most 1");
-        if (options.elastic && !limits_.rows) throw std::invalid_argument("elastic belongs to limits: give some");
+        if (options.elastic && !at_.limits.rows) throw std::invalid_argument("elastic belongs to limits: give some");
         if (options.criterion == Criterion::excess || (options.criterion != Criterion::sum && options.method != Method::conic))
             throw std::invalid_argument("the criterion belongs to conic: sum or largest");
         settle();
         if (flows)
             flow_.emplace(newton_.cones, options.step_rule, options.method == Method::full_flow ? Form::full : Form::reduced);
         if (options.model) {
-            if (!options.model->fits(home_.count)) throw std::invalid_argument("the model is for another number of contacts");
+            if (!options.model->fits(at_.home.count)) throw std::invalid_argument("the model is for another number of contacts");
             predicted_.emplace(newton_.cones, *options.model);
         }
         if (needs_basis()) fill_basis();
@@ -130,19 +96,19 @@ public:
         made->settle();  // with room for all contacts, whichever touched last, and nothing of the numbers of this one or its call
         return made;
     }
-    const Contacts& home() const override { return home_; }
-    int size() const override { return record_size(home_.count, joints_, limits_.rows); }
+    const Contacts& home() const override { return at_.home; }
+    int size() const override { return record_size(at_.home.count, at_.joints, at_.limits.rows); }
 
     void set_basis(const double* basis) override {
         place({});  // the last call may have had fewer contacts
-        newton_.starter.set_basis(newton_.cones, basis, home_.frames.data());
+        newton_.starter.set_basis(newton_.cones, basis, at_.home.frames.data());
     }
     double make_basis(double* basis, bool warm) override {
         place({});
         if (warm) newton_.starter.set_basis(newton_.cones, basis);
         const double gap = fill_basis(warm);
         if (gap < infinity)
-            for (int k = 0; k < 13; ++k) newton_.cones.store(newton_.starter.basis[k], basis + 3 * home_.count * k);
+            for (int k = 0; k < 13; ++k) newton_.cones.store(newton_.starter.basis[k], basis + 3 * at_.home.count * k);
         return gap;
     }
 
@@ -175,7 +141,7 @@ public:
             for (std::ptrdiff_t k = 0; k < count; ++k) alone(k);
             return;
         }
-        std::vector<double> made(record_size(home_.count) * count);
+        std::vector<double> made(record_size(at_.home.count) * count);
         const Many many{count, wrenches, made.data()};
         if (algorithm == Algorithm::conic) {
             ready_conic();
@@ -184,14 +150,14 @@ public:
             newton_many(newton_, rest_, many);
         }
         for (std::ptrdiff_t k = 0; k < count; ++k) {
-            const Record record = many.record(k, home_.count);
+            const Record record = many.record(k, at_.home.count);
             if (record.code() != CONVERGED) {
                 alone(k);
                 continue;
             }
             used_ = algorithm == Algorithm::conic ? Start::central : Start::internal_force, replaced_ = outside_ = false;
             const Record out = opened({.wrench = many.wrench(k)}, rows + size() * k);
-            std::copy_n(&record.summary().code, record_size(home_.count), inner_.data());
+            std::copy_n(&record.summary().code, record_size(at_.home.count), inner_.data());
             deliver(CONVERGED, out);
         }
     }
@@ -202,9 +168,9 @@ public:
             settle();
             return false;
         }
-        home_ = now_;
-        if (!now.jacobian.empty()) limits_.jacobian.assign(now.jacobian.begin(), now.jacobian.end());
-        if (!now.torque_bias.empty()) limits_.torque_bias.assign(now.torque_bias.begin(), now.torque_bias.end());
+        at_.home = at_.now;
+        if (!now.jacobian.empty()) at_.limits.jacobian.assign(now.jacobian.begin(), now.jacobian.end());
+        if (!now.torque_bias.empty()) at_.limits.torque_bias.assign(now.torque_bias.begin(), now.torque_bias.end());
         settle();
         newton_.starter.has_basis = false;
         if (needs_basis()) fill_basis();
@@ -212,11 +178,10 @@ public:
     }
 
 private:
+    static constexpr double WELL_INSIDE = 1e-3;  // of the mean normal force: the least slack of a start within limits
     static constexpr double CLOSE = 2.0;  // times the Phi of a previous solution: above, another start is compared with it
     Options options_;
-    Contacts home_, now_;  // those of the problem; those of this call that touch
-    OwnLimits limits_;
-    int joints_;
+    Current at_;
     NewtonOn<V, B> newton_;
     std::optional<LimitedOn<V, B>> limited_;
     std::optional<SoftOn<V, B>> soft_;
@@ -226,30 +191,28 @@ private:
     Tangents<V, B> home_tangents_;
     Field rest_, origin_, spare_, guess_;  // an internal force; where a descent begins; to work with; what a model predicts
     General general_;
-    LimitTable table_;
-    std::vector<double> inner_, turned_, force_, gathered_, divisor_;
-    std::vector<double> turn_, least_, most_;  // torsion of a start; limits of normal forces of the contacts that touch
-    std::vector<int> chosen_;  // their numbers
+    std::vector<double> inner_;  // the record of the contacts in place
+    std::vector<double> force_, turn_;  // a force and torsion to begin with
+    std::vector<double> proof_;  // (M,) prices of the limits in the proof that no force keeps them
 
     // Of the contacts in place.
     Kind kind_ = Kind::hard;
     Code placed_ = REFUSED;
     bool home_now_ = false;  // whether they are those of the problem
     bool conic_ready_ = false, general_ready_ = false, flow_ready_ = false, rest_sought_ = false, has_rest_ = false;
-    Doubles jacobian_{}, bias_{};
     // Of the start of this call.
     Start used_ = Start::standard;
     bool replaced_ = false, outside_ = false;
     bool by_general_ = false;  // whether the general program made the answer
     Vec6 twist_{};
 
-    Record inner() { return Record(inner_.data(), now_.count); }
-    bool torsional() const { return kind_ == Kind::soft || (kind_ == Kind::other && now_.soft()); }
+    Record inner() { return Record(inner_.data(), at_.now.count); }
+    bool torsional() const { return kind_ == Kind::soft || (kind_ == Kind::other && at_.now.soft()); }
 
     Record opened(const Ask& ask, double* row) const {
         Summary& s = *reinterpret_cast<Summary*>(row);
         s = Summary{};
-        s.contacts = home_.count, s.joints = joints_, s.limits = limits_.rows;
+        s.contacts = at_.home.count, s.joints = at_.joints, s.limits = at_.limits.rows;
         if (sane_wrench(ask.wrench)) std::copy_n(ask.wrench, 6, s.wrench.begin());
         return Record(row);
     }
@@ -282,65 +245,41 @@ private:
     // The problem's own contacts and limits.
     void settle() {
         home_now_ = false;
-        if (limited_) limited_->newton.rows.reserve(newton_.cones, std::min(limits_.rows, LimitTable::MOST_ROWS));
+        if (limited_) limited_->newton.rows.reserve(newton_.cones, std::min(at_.limits.rows, LimitTable::MOST_ROWS));
         place({});
-        home_tangents_.load(home_.frames.data(), home_.count);
+        home_tangents_.load(at_.home.frames.data(), at_.home.count);
     }
 
     // CONVERGED: all of it is in its place.
     Code place(const Now& now) {
         Now given = now;
-        if (touching(now.contacts) == touching(~std::uint64_t(0))) given.contacts = ~std::uint64_t(0);
+        if (at_.touching(now.contacts) == at_.touching(~std::uint64_t(0))) given.contacts = ~std::uint64_t(0);
         const bool plain = given.empty();
         if (plain && home_now_) return placed_;
         home_now_ = plain;
-        return placed_ = take(now);
-    }
-    std::uint64_t touching(std::uint64_t mask) const {
-        return home_.count < 64 ? mask & ((std::uint64_t(1) << home_.count) - 1) : mask;
+        return placed_ = take(given);
     }
     Code take(const Now& now) {
         conic_ready_ = general_ready_ = flow_ready_ = rest_sought_ = has_rest_ = false;
-        const int all = home_.count;
-        const std::size_t triples = std::size_t(3 * all);
-        if ((!now.positions.empty() && now.positions.size() != triples) ||
-            (!now.normals.empty() && now.normals.size() != triples) ||
-            (!now.jacobian.empty() && now.jacobian.size() != limits_.jacobian.size()) ||
-            (!now.torque_bias.empty() && now.torque_bias.size() != std::size_t(joints_)))
-            return REFUSED;
-        const double* positions = now.positions.empty() ? home_.positions.data() : now.positions.data();
-        const double* normals = now.normals.empty() ? home_.normals.data() : now.normals.data();
-        const std::uint64_t mask = touching(now.contacts);
-        if (mask == touching(~std::uint64_t(0))) {
-            for (int i = 0; i < all; ++i) chosen_[i] = i;
-            now_.select(home_, {chosen_.data(), std::size_t(all)});
-        } else {
-            if (all > 64) return REFUSED;
-            int count = 0;
-            for (int i = 0; i < all; ++i) {
-                if (!(mask >> i & 1)) continue;
-                std::copy_n(positions + 3 * i, 3, &gathered_[3 * count]),
-                    std::copy_n(normals + 3 * i, 3, &gathered_[3 * (all + count)]);
-                chosen_[count++] = i;
-            }
-            if (count == 0) return RANK_LOST;
-            now_.select(home_, {chosen_.data(), std::size_t(count)});
-            positions = gathered_.data(), normals = gathered_.data() + 3 * all;
-        }
-        if (const std::size_t given = now.friction.size(); given > 0) {
-            if (given != 1 && given != std::size_t(all) && given != 2 * std::size_t(all)) return REFUSED;
-            for (double mu : now.friction)
-                if (!(mu >= 0.0 && mu <= LARGEST)) return REFUSED;
-            now_.rub(now.friction, {chosen_.data(), std::size_t(now_.count)}, all);
-        }
-        const Placing placed = now_.place(positions, normals);
-        if (placed == Placing::refused) return REFUSED;
-        if (placed == Placing::rank_lost) return RANK_LOST;
-        set_count(now_.count);
-        newton_.cones.pack(now_);
-        newton_.starter.tangents.load(now_.frames.data(), now_.count);
+        const Code code = at_.take(now);
+        if (code != CONVERGED) return code;
+        set_count(at_.now.count);
+        newton_.cones.pack(at_.now);
+        newton_.starter.tangents.load(at_.now.frames.data(), at_.now.count);
         newton_.starter.moved = !home_now_;
-        return limit(now) ? CONVERGED : REFUSED;
+        const bool soft = at_.now.soft(), closes = at_.now.placing != Placing::needs_torsion;
+        kind_ = !at_.separate || (soft && (at_.limits.rows || !closes)) ? Kind::other
+                : soft                                                  ? Kind::soft
+                : at_.limits.rows                                       ? Kind::limited
+                                                                        : Kind::hard;
+        if (kind_ == Kind::soft) {
+            soft_->newton.cones = newton_.cones;
+            soft_->newton.rows.pack(newton_.cones, at_.now, at_.divisor.data());
+        } else if (kind_ == Kind::limited) {
+            limited_->newton.cones = newton_.cones;
+            limited_->newton.rows.pack(newton_.cones, at_.table.rows());
+        }
+        return CONVERGED;
     }
     // So many contacts; lanes that are not used hold a contact without effect.
     void set_count(int count) {
@@ -353,64 +292,15 @@ private:
         if (limited_) clear(limited_->newton.x);
         if (soft_) clear(soft_->newton.x);
     }
-    // Limits of the contacts in place, and what kind of problem they make; false: numbers that are none.
-    bool limit(const Now& now) {
-        jacobian_ = now.jacobian.empty() ? Doubles(limits_.jacobian) : now.jacobian;
-        bias_ = now.torque_bias.empty() ? Doubles(limits_.torque_bias) : now.torque_bias;
-        for (int i = 0; i < now_.count; ++i) divisor_[i] = now_.torsion[i] > 0.0 ? now_.scale[3 * i] / now_.torsion[i] : infinity;
-        const bool soft = now_.soft();
-        if (joints_) turn_jacobian();
-        kind_ = soft ? (limits_.rows || now_.placing == Placing::needs_torsion ? Kind::other : Kind::soft) : Kind::hard;
-        if (soft && kind_ == Kind::soft) {
-            soft_->newton.cones = newton_.cones;
-            soft_->newton.rows.pack(newton_.cones, now_, divisor_.data());
-        }
-        if (!limits_.rows) return true;
-        for (double value : jacobian_)
-            if (!(std::abs(value) <= LARGEST)) return false;
-        for (double value : bias_)
-            if (!(std::abs(value) <= LARGEST)) return false;
-        const bool own = table_.fill(now_, limits_in_place(), 4);
-        if (soft) return true;
-        kind_ = own ? Kind::limited : Kind::other;
-        if (!own) return true;
-        limited_->newton.cones = newton_.cones;
-        limited_->newton.rows.pack(newton_.cones, table_.rows());
-        return true;
-    }
-    // (n, 4, J) along (normal, o, t), and about the normal.
-    void turn_jacobian() {
-        const int rows = int(jacobian_.size()) / (home_.count * joints_);
-        for (int i = 0; i < now_.count; ++i) {
-            const double *from = jacobian_.data() + std::size_t(rows) * joints_ * chosen_[i], *f = &now_.frames[9 * i];
-            double* to = &turned_[4 * joints_ * i];
-            for (int a = 0; a < 3; ++a)
-                for (int j = 0; j < joints_; ++j)
-                    to[joints_ * a + j] = f[a] * from[j] + f[3 + a] * from[joints_ + j] + f[6 + a] * from[2 * joints_ + j];
-            for (int j = 0; j < joints_; ++j)
-                to[3 * joints_ + j] =
-                    rows < 6 ? 0.0 : f[0] * from[3 * joints_ + j] + f[3] * from[4 * joints_ + j] + f[6] * from[5 * joints_ + j];
-        }
-    }
-    // The limits of the contacts in place, with the Jacobian (n, 4, J) in contact frames.
-    ForceLimits limits_in_place() {
-        const auto chosen = [&](const std::vector<double>& from, std::vector<double>& to) {
-            if (from.empty()) return Doubles{};
-            to.resize(now_.count);
-            for (int i = 0; i < now_.count; ++i) to[i] = from[chosen_[i]];
-            return Doubles(to);
-        };
-        return {chosen(limits_.min_normal, least_), chosen(limits_.max_normal, most_),
-                Doubles(turned_).first(std::size_t(4) * now_.count * joints_), limits_.torque_limit, bias_};
-    }
     void ready_conic() {
         if (conic_ready_) return;
         conic_.cones = newton_.cones, conic_.rest = rest_, conic_ready_ = true;
     }
     bool ready_general() {
         if (!general_ready_ || !general_.placed())  // a copy of it holds nothing
-            general_ready_ = general_.place(now_, torsional() ? divisor_.data() : nullptr,
-                                            limits_.rows ? limits_in_place() : ForceLimits{}, 4, internal()) == Placing::good;
+            general_ready_ =
+                general_.place(at_.now, torsional() ? at_.divisor.data() : nullptr,
+                               at_.limits.rows ? at_.limits_in_place() : ForceLimits{}, 4, internal()) == Placing::good;
         return general_ready_;
     }
     // An internal force as the general program takes one, whatever was sought before; null: none.
@@ -446,14 +336,13 @@ private:
         replaced_ = outside_ = false;
         const Start start = used_ = asked(ask);
         switch (start) {
-            case Start::given:
-                return load_force(ask.force) && newton_.is_start(w) ? CONVERGED : REFUSED;
+            case Start::given: return load_force(ask.force) && newton_.is_start(w) ? CONVERGED : REFUSED;
             case Start::previous:
                 if (!ask.previous && ask.force.empty()) return standard(ask, w);
                 if (carry(ask, w)) return CONVERGED;
                 break;
             case Start::guess:
-                if (ask.force.size() != std::size_t(3 * home_.count)) return REFUSED;
+                if (ask.force.size() != std::size_t(3 * at_.home.count)) return REFUSED;
                 return standard(ask, w) == CONVERGED && guess(ask, w) ? CONVERGED : UNDECIDED;
             case Start::learned:
                 if (predicted_ && predict(ask, w)) return CONVERGED;
@@ -509,7 +398,7 @@ private:
     // A start of the paper and its relatives, from the offline optima.
     bool combine(const double* wrench, const Vec6& w, Start start) {
         auto& starter = newton_.starter;
-        if (!starter.has_basis || now_.count != home_.count) return false;
+        if (!starter.has_basis || at_.now.count != at_.home.count) return false;
         Field& x = newton_.x;
         if (start == Start::linear_combination) return starter.combination(newton_.cones, newton_.system, wrench, w, x);
         if (!home_now_) return false;
@@ -529,11 +418,11 @@ private:
     // inside, at least the mean normal force at rest, and no further than the middle of what is inside.
     bool lagrange(const Vec6& w) {
         constexpr double WEIGHT[3] = {1.0, 10.0, 10.0};
-        const int size = 3 * now_.count;
+        const int size = 3 * at_.now.count;
         Packed6 s{};
         Vec6 squeezed{};
         for (int j = 0; j < size; ++j) {
-            const Vec6 made = column(now_.force_rows.data(), size, j);
+            const Vec6 made = column(at_.now.force_rows.data(), size, j);
             for (int r = 0; r < 6; ++r) {
                 for (int q = 0; q <= r; ++q) s[packed(r, q)] += made[r] * made[q] / WEIGHT[j % 3];
                 if (j % 3 == 0) squeezed[r] += made[r];
@@ -544,7 +433,7 @@ private:
         const Vec6 of_wrench = factor.solve(w), of_squeeze = factor.solve(squeezed);
         const auto field = [&](const Vec6& by, double normal, Field& x) {
             for (int j = 0; j < size; ++j)
-                force_[j] = (j % 3 == 0 ? normal : 0.0) - dot(column(now_.force_rows.data(), size, j), by) / WEIGHT[j % 3];
+                force_[j] = (j % 3 == 0 ? normal : 0.0) - dot(column(at_.now.force_rows.data(), size, j), by) / WEIGHT[j % 3];
             newton_.cones.load_force(force_.data(), x);
         };
         field(of_wrench, 0.0, newton_.x), field(of_squeeze, 1.0, spare_);
@@ -552,7 +441,7 @@ private:
         if (!(low < high)) return false;
         newton_.cones.store_force(newton_.starter.basis[12], force_.data());
         double floor = 0.0;
-        for (int i = 0; i < now_.count; ++i) floor += force_[3 * i] / now_.count;
+        for (int i = 0; i < at_.now.count; ++i) floor += force_[3 * i] / at_.now.count;
         const double k = std::min(std::max(1.1 * low, floor), 0.5 * (low + high));
         for (int b = 0; b < int(spare_.size()); ++b) newton_.x[b] += all<V>(k) * spare_[b];
         return true;
@@ -574,8 +463,8 @@ private:
     }
     // A force (N, 3) of the caller into newton_.x and force_, of the contacts that touch now.
     bool load_force(Doubles force) {
-        if (force.size() != std::size_t(3 * home_.count)) return false;
-        for (int i = 0; i < now_.count; ++i) std::copy_n(&force[3 * chosen_[i]], 3, &force_[3 * i]), turn_[i] = 0.0;
+        if (force.size() != std::size_t(3 * at_.home.count)) return false;
+        for (int i = 0; i < at_.now.count; ++i) std::copy_n(&force[3 * at_.chosen[i]], 3, &force_[3 * i]), turn_[i] = 0.0;
         newton_.cones.load_force(force_.data(), newton_.x);
         return true;
     }
@@ -583,12 +472,12 @@ private:
     bool load_previous(const Ask& ask) {
         if (!ask.previous) return load_force(ask.force);
         const Record before(const_cast<double*>(ask.previous));  // only read
-        if (before.contacts() != home_.count || !before.has_force()) return false;
-        for (int i = 0; i < now_.count; ++i) {
-            const double *f = before.force() + 3 * chosen_[i], *from = before.frames() + 9 * chosen_[i],
-                         *to = &now_.frames[9 * i];
+        if (before.contacts() != at_.home.count || !before.has_force()) return false;
+        for (int i = 0; i < at_.now.count; ++i) {
+            const double *f = before.force() + 3 * at_.chosen[i], *from = before.frames() + 9 * at_.chosen[i],
+                         *to = &at_.now.frames[9 * i];
             double* out = &force_[3 * i];
-            turn_[i] = before.torsion()[chosen_[i]];
+            turn_[i] = before.torsion()[at_.chosen[i]];
             if (std::equal(from, from + 9, to)) {
                 std::copy_n(f, 3, out);
                 continue;
@@ -605,14 +494,14 @@ private:
 
     // What is given, into force_ and turn_; whether it is balanced and strictly inside the cones.
     bool load_given(const Ask& ask) {
-        const std::size_t all = home_.count;
+        const std::size_t all = at_.home.count;
         if (ask.force.size() != 3 * all || (!ask.torsion.empty() && ask.torsion.size() != all)) return false;
         double most = 0.0;
-        for (int i = 0; i < now_.count; ++i) {
-            const double* f = &ask.force[3 * chosen_[i]];
+        for (int i = 0; i < at_.now.count; ++i) {
+            const double* f = &ask.force[3 * at_.chosen[i]];
             std::copy_n(f, 3, &force_[3 * i]);
-            turn_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[chosen_[i]];
-            if (turn_[i] != 0.0 && !(divisor_[i] * std::abs(turn_[i]) < now_.scale[3 * i] * f[0])) return false;
+            turn_[i] = ask.torsion.empty() ? 0.0 : ask.torsion[at_.chosen[i]];
+            if (turn_[i] != 0.0 && !(at_.divisor[i] * std::abs(turn_[i]) < at_.now.scale[3 * i] * f[0])) return false;
             for (int a = 0; a < 3; ++a) most = std::max(most, std::abs(f[a]));
         }
         newton_.cones.load_force(force_.data(), newton_.x);
@@ -641,7 +530,7 @@ private:
 
     // What the model predicts, and no more Phi than the method's own start has; better than a previous solution where one is given.
     bool predict(const Ask& ask, const Vec6& w) {
-        if (now_.count != home_.count) return false;
+        if (at_.now.count != at_.home.count) return false;
         const auto& cones = newton_.cones;
         auto& starter = newton_.starter;
         outside_ = !predicted_->covers(ask.wrench);
@@ -671,6 +560,7 @@ private:
     Code write_start(const Ask& ask, const Record& record) {
         record.clear();
         const Vec6 w = newton_.cones.unit.of(ask.wrench);
+        by_general_ = false;
         const bool general_serves =
             planned(options_, kind_) == Algorithm::general || (kind_ == Kind::soft && asked(ask) == Start::given);
         const Code code = general_serves ? UNDECIDED : begin(ask, w);
@@ -714,7 +604,9 @@ private:
                 .trace = ask.trace.data(),
                 .traced = int(ask.trace.size())};
     }
-    Code refuted(const Vec6& w, const Record& record) const {
+    // By the cones alone.
+    Code refuted(const Vec6& w, const Record& record) {
+        std::fill(proof_.begin(), proof_.end(), 0.0);
         return record.refute((1.0 / grasp::size(twist_)) * twist_, grasp::size(w));
     }
 
@@ -758,6 +650,8 @@ private:
             return begun == CONVERGED;
         };
         Code code = limited_->solve(call, record, make);
+        if (code == INFEASIBLE)
+            limited_->newton.rows.prices([&](int m, double price) { proof_[m] = limited_->per * price / at_.table.sizes[m]; });
         if (code != REFUSED) return code;
         if (begun == INFEASIBLE) return refuted(w, record);
         if (begun == REFUSED && used_ == Start::given) return REFUSED;
@@ -814,14 +708,50 @@ private:
             } else if (start == Start::previous && load_previous(ask)) {
                 used_ = start, call.start = From::tangent, call.force = force_.data(), call.torsion = turn_.data();
             }
-            const bool own =
-                start == Start::internal_force || start == Start::phase_one || (start == Start::previous && !ask.previous && ask.force.empty());
+            const bool own = start == Start::internal_force || start == Start::phase_one ||
+                             (start == Start::previous && !ask.previous && ask.force.empty());
             replaced_ = !own && (used_ == Start::phase_one || !general_.starts_from(call));
             if (replaced_) used_ = Start::phase_one, call.start = From::combination;
-            general_.phi(call, stop, record);
+            Stop left = stop;
+            int spent = 0;
+            if (used_ == Start::phase_one && start != Start::phase_one && free_optimum(ask, options_.limit, spent)) {
+                used_ = Start::internal_force, left.limit = std::max(0, left.limit - spent);
+                call.start = From::given, call.force = force_.data(), call.torsion = turn_.data();
+            }
+            general_.phi(call, left, record);
+            record.summary().iterations += spent, record.summary().trials += spent;
         }
         if (options_.elastic && record.code() == INFEASIBLE) return general_.excess(stop, record);
         return record.code();
+    }
+
+    // The optimum without limits into force_ and turn_, where it keeps them well: a start that costs a tenth of the deepest force.
+    // spent: its steps.
+    bool free_optimum(const Ask& ask, int limit, int& spent) {
+        if (kind_ != Kind::other || at_.now.placing != Placing::good || !rest()) return false;
+        const Record record(newton_.row.data(), at_.now.count);
+        const Vec6 w = newton_.cones.unit.of(ask.wrench);
+        grasp::begin(newton_.cones, rest_, w, newton_.x);
+        const Call call{.wrench = ask.wrench};
+        Code code = REFUSED;
+        if (at_.now.soft()) {
+            auto& on = soft_->newton;
+            on.cones = newton_.cones, on.rows.pack(on.cones, at_.now, at_.divisor.data());
+            on.options.limit = limit;
+            code = soft_->solve(call, record, [&](const Vec6&) { return on.x = newton_.x, true; });
+        } else {
+            newton_.options.limit = limit;
+            origin_ = newton_.x;
+            code = newton_.descend_from(origin_, call, w, record);
+        }
+        if (soft_) soft_->newton.options.limit = options_.limit;
+        newton_.options.limit = options_.limit;
+        spent = int(record.summary().iterations);
+        if (code != CONVERGED) return false;
+        std::copy_n(record.force(), 3 * at_.now.count, force_.data()), std::copy_n(record.torsion(), at_.now.count, turn_.data());
+        double normals = 0.0;
+        for (int i = 0; i < at_.now.count; ++i) normals += force_[3 * i] / at_.now.count;
+        return general_.slack(force_.data(), turn_.data()) > WELL_INSIDE * normals;
     }
 
     // --- the answer
@@ -829,7 +759,7 @@ private:
     // What `inner` holds, as a row of all contacts. optimum: whether limits have prices there.
     Code deliver(Code code, const Record& out, bool optimum = true) {
         Summary& s = out.summary();
-        const int all = home_.count;
+        const int all = at_.home.count;
         // where rounding left the cones there is no force to speak of
         if ((code == STALLED || code == LIMIT) && !(inner().summary().objective < infinity)) code = UNDECIDED;
         s.code = code;
@@ -840,6 +770,7 @@ private:
                 s.iterations = from.iterations, s.trials = from.trials, s.residual = from.residual,
                 s.multipliers = from.multipliers;
                 s.objective = s.lower_bound = infinity, s.start = double(used_), s.replaced = replaced_;
+                at_.fill_prices(out.prices(), [&](int row) { return by_general_ ? general_.prices()[row] : proof_[row]; });
             }
             return code;
         }
@@ -849,68 +780,35 @@ private:
         s = from.summary();
         s.code = code, s.wrench = wrench, s.contacts = contacts, s.joints = joints, s.limits = rows;
         s.start = double(used_), s.replaced = replaced_, s.outside = outside_;
-        if (now_.count == all) {
+        if (at_.now.count == all) {
             std::copy_n(from.force(), 7 * all, out.force());
-            std::copy_n(now_.frames.data(), 9 * all, out.frames());
+            std::copy_n(at_.now.frames.data(), 9 * all, out.frames());
         } else {
             std::fill(out.force(), out.frames() + 9 * all, 0.0);
-            for (int i = 0; i < now_.count; ++i) {
-                const int to = chosen_[i];
+            for (int i = 0; i < at_.now.count; ++i) {
+                const int to = at_.chosen[i];
                 std::copy_n(from.force() + 3 * i, 3, out.force() + 3 * to);
                 std::copy_n(from.initial_force() + 3 * i, 3, out.initial_force() + 3 * to);
                 out.torsion()[to] = from.torsion()[i];
-                std::copy_n(&now_.frames[9 * i], 9, out.frames() + 9 * to);
+                std::copy_n(&at_.now.frames[9 * i], 9, out.frames() + 9 * to);
             }
         }
-        if (joints_) torques(from, out.torques());
-        if (limits_.rows) price(optimum && code != LIMITS_EXCEEDED, from, out);
+        if (at_.joints) at_.torques(from, out.torques());
+        if (at_.limits.rows) {
+            s.limit_excess = at_.excess(out);
+            const bool priced = optimum && code != LIMITS_EXCEEDED;
+            at_.fill_prices(out.prices(), [&](int row) { return priced ? row_price(row, from) : 0.0; });
+        }
         if (code == LIMITS_EXCEEDED) s.objective = s.limit_excess;
         return code;
-    }
-    void torques(const Record& from, double* to) const {
-        for (int j = 0; j < joints_; ++j) to[j] = bias_[j];
-        for (int i = 0; i < now_.count; ++i)
-            for (int a = 0; a < 4; ++a) {
-                const double force = a < 3 ? from.force()[3 * i + a] : from.torsion()[i];
-                for (int j = 0; j < joints_; ++j) to[j] += turned_[joints_ * (4 * i + a) + j] * force;
-            }
-    }
-    // The largest excess of a limit by the force that is returned, and the price of each.
-    void price(bool priced, const Record& from, const Record& out) const {
-        double excess = 0.0, *to = out.prices();
-        std::fill_n(to, limits_.rows, 0.0);
-        int row = 0;
-        const auto normals = [&](const std::vector<double>& limits, double sign) {
-            for (int i = 0, k = 0; i < int(limits.size()); ++i) {
-                const bool touches = k < now_.count && chosen_[k] == i;
-                if (touches) ++k;
-                if (!(limits[i] > 0.0 && limits[i] < infinity)) continue;
-                if (touches) {
-                    excess = std::max(excess, sign * (out.force()[3 * i] - limits[i]) / limits[i]);
-                    if (priced) *to = row_price(row, from);
-                    ++row;
-                }
-                ++to;
-            }
-        };
-        normals(limits_.min_normal, -1.0), normals(limits_.max_normal, 1.0);
-        for (int j = 0; j < joints_; ++j) {
-            const double limit = limits_.torque_limit[j];
-            if (!(limit < infinity)) continue;
-            const double over = std::abs(out.torques()[j]) - limit;
-            if (over > 0.0) excess = std::max(excess, over / limit);  // a limit of zero is exceeded by all of it
-            for (int side = 0; side < 2; ++side, ++row, ++to)
-                if (priced) *to = row_price(row, from);
-        }
-        out.summary().limit_excess = excess;
     }
     // The price of the k-th row of the contacts in place, at an optimum.
     double row_price(int k, const Record& from) const {
         if (by_general_) return general_.prices()[k];
-        const int i = table_.owners[k];
-        double slack = table_.bounds[k];
-        for (int a = 0; a < 3; ++a) slack -= table_.normals[3 * k + a] * from.force()[3 * i + a] * now_.scale[3 * i + a];
-        return slack > 0.0 ? table_.weights[k] / (slack * slack * table_.sizes[k]) : 0.0;
+        const int i = at_.table.owners[k];
+        double slack = at_.table.bounds[k];
+        for (int a = 0; a < 3; ++a) slack -= at_.table.normals[3 * k + a] * from.force()[3 * i + a] * at_.now.scale[3 * i + a];
+        return slack > 0.0 ? at_.table.weights[k] / (slack * slack * at_.table.sizes[k]) : 0.0;
     }
 };
 

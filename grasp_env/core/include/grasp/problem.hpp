@@ -58,10 +58,10 @@ struct Ask {
     const double* wrench;
     Now now{};
     Start start = Start::standard;
-    Doubles force{}, torsion{};         // of Start::given, guess and previous: (N, 3) [N] and (N,) [N m], current contact frames
-    const double* previous = nullptr;   // of Start::previous, before `force`: the row of another solution of as many contacts
+    Doubles force{}, torsion{};  // of Start::given, guess and previous: (N, 3) [N] and (N,) [N m], current contact frames
+    const double* previous = nullptr;  // of Start::previous, before `force`: the row of another solution of as many contacts
     double optimum = std::numeric_limits<double>::quiet_NaN();  // a known min Phi to take the gap to, instead of the bound
-    std::span<double> trace{};          // receives Phi of the first iterates
+    std::span<double> trace{};  // receives Phi of the first iterates
 };
 
 }  // namespace grasp

@@ -74,7 +74,9 @@ public:
     double* torsion() const { return force() + 6 * count_; }  // (N,) [N m]
     double* frames() const { return force() + 7 * count_; }  // (N, 3, 3) columns (n, o, t), the frame of the positions
     double* torques() const { return force() + 16 * count_; }  // (J,) [N m], those besides the grasp's included
-    double* prices() const { return torques() + int(summary().joints); }  // (M,) >= 0, of the limits
+    // (M,) >= 0, of the limits A f <= b. INFEASIBLE: with the twist v they are the proof, G^T v + A^T prices in every dual cone and
+    // v . w > prices . b.
+    double* prices() const { return torques() + int(summary().joints); }
     void clear() const { std::fill(row_, row_ + record_size(count_), 0.0); }
     // INFEASIBLE: no force, and the twist that proves it in place of the multipliers. missed: the wrench, unit frame [N]
     Code refute(const Vec6& twist, double missed) const {

@@ -28,6 +28,9 @@ public:
         const Deepest found = find<double>(wrench, tolerance, z);
         return found.code == CONVERGED || found.code == INFEASIBLE ? found : find<Twice>(wrench, tolerance, z);
     }
+    // Of the limits, where no force is inside: with the twist v they prove it, G^T v + sum price row in every dual cone, v . w > sum price
+    // bound.
+    const Kept<double>& prices() const { return prices_; }
 
 private:
     static constexpr double ROUNDING = 1e-14;  // of the numbers that make a proof, per term: far above what rounding may cost
@@ -67,12 +70,15 @@ private:
         for (int r = 0; r < 6; ++r) y[r] = double(at.joint[r]);
         y = in_->solve_upper(y);
         const Vec6 twist = in_->out_of_frame(y);
-        found.twist = (1.0 / std::max(grasp::size(twist), 1e-300)) * twist;
+        const double per = 1.0 / std::max(grasp::size(twist), 1e-300);
+        found.twist = per * twist;
+        price(engine, size);
         in_->rooms(z, many_, room_, [&](int k) { return in_->bound[k]; });
         if (found.margin > CLEAR && least_of(room_) > 0.0) found.code = CONVERGED;
         else if (found.margin <= CLEAR && found.code == CONVERGED) found.code = INFEASIBLE;
-        else if (separates(engine, y, unit, size)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
+        else if (separates(y, unit, size)) found.code = INFEASIBLE, found.margin = std::min(found.margin, 0.0);
         else if (found.code == CONVERGED) found.code = STALLED;  // slow is not infeasible
+        for (double& price : prices_) price *= per;
         return found;
     }
     // What a row is multiplied by there: a bound far above the wrench makes a row of its size, not a huge one.
@@ -83,15 +89,18 @@ private:
         for (int i = 0; i < in_->count; ++i) total += in_->inward(i, in_->limit[k][i]);
         return total;
     }
-    // Whether y, a twist in the unit frame, proves with the limits' multipliers that no force is within the limits, wherever they
-    // come from: G^T y + sum price row is in every dual cone and y . w > sum price bound, both by more than rounding can have made.
-    template <class R> bool separates(const InteriorPoint<R, D, 2>& engine, const Vec6& y, const Vec6& unit, double size) {
+    // The limits' multipliers.
+    template <class R> void price(const InteriorPoint<R, D, 2>& engine, double size) {
         const auto& rows = engine.rows;
         for (const auto& row : rows.own)
             if (row.label >= 0)
                 prices_[row.label] = evened(row.label, size) * std::max(double(engine.at.own[&row - rows.own.data()]), 0.0);
         for (int r = rows.equal; r < rows.joint; ++r)
             prices_[rows.label[r]] = evened(rows.label[r], size) * std::max(double(engine.at.joint[r]), 0.0);
+    }
+    // Whether y, a twist in the unit frame, proves with the limits' multipliers that no force is within the limits, wherever they
+    // come from: G^T y + sum price row is in every dual cone and y . w > sum price bound, both by more than rounding can have made.
+    bool separates(const Vec6& y, const Vec6& unit, double size) {
         const double rounding = ROUNDING * (8 + many_);
         for (int i = 0; i < in_->count; ++i) {
             Tuple<double, D> dual{};

@@ -140,7 +140,7 @@ public:
     // The force (N, 3) [N] and torsion (N,) [N m] deepest inside everything; see `Program`.
     Deepest deepest(const double* wrench, double tolerance, double* force, double* torsion) {
         const Arena::Use use(arena_);
-        const Deepest found = program_->deepest(wrench, tolerance, now_->z.data());
+        const Deepest found = deepest(wrench, tolerance);
         now_->store(now_->z.data(), force, torsion);
         return found;
     }
@@ -154,7 +154,7 @@ public:
         return program_->slack(now_->z.data());
     }
 
-    // Prices of the last `phi`, `phi_from` or `conic` where they found a force: of the given limits as they are given, and before them, in
+    // Prices of the last `phi`, `phi_from` or `conic`, those of the proof where there is no force: of the given limits as they are given, and before them, in
     // `all_prices`, of the limit torsion >= -friction * normal of each soft contact.
     std::span<const double> all_prices() const { return placed() ? now_->prices : std::span<const double>(); }
     std::span<const double> prices() const { return all_prices().subspan(placed() ? now_->torsions : 0); }
@@ -280,7 +280,11 @@ private:
         for (int k = 0; k < now_->limits; ++k) now_->prices[k] /= now_->sizes[k];
         return code;
     }
-    Deepest deepest(const double* wrench) { return program_->deepest(wrench, 1e-7, now_->z.data()); }
+    Deepest deepest(const double* wrench, double tolerance = 1e-7) {
+        const Deepest found = program_->deepest(wrench, tolerance, now_->z.data(), now_->prices.data());
+        priced(found.code);
+        return found;
+    }
     // The deepest force, in z; of a wrench next to nothing, whose own are far from what Phi asks, that of none, balanced.
     Deepest begin(const double* wrench) {
         const double nothing[6] = {};
@@ -310,7 +314,7 @@ private:
     }
     // No force: the proof that there is none, or none of that.
     Code refute(const Deepest& found, const double* wrench, const Record& record) {
-        std::fill(now_->prices.begin(), now_->prices.end(), 0.0);
+        if (found.code != INFEASIBLE) std::fill(now_->prices.begin(), now_->prices.end(), 0.0);
         record.clear();
         std::copy(wrench, wrench + 6, record.summary().wrench.begin());
         if (found.code == INFEASIBLE) return record.refute(found.twist, program_->unit_size(wrench));

@@ -1,6 +1,7 @@
 // Damped Newton on Phi with soft contacts and further rows: each adds lambda / slack, the order of tr P^-1. Balance and rows as in
 // `rows.hpp`, a contact's block in the axes of its inverse Hessian, H^-1 = F F^T (`Axes`).
 #pragma once
+#include <climits>
 #include <grasp/phi/newton.hpp>
 #include <grasp/general/rows.hpp>
 #include <grasp/math/twice.hpp>
@@ -38,17 +39,20 @@ public:
         const auto certified = [&] {
             return bound > 0.0 && value - bound <= tolerance * bound && (known || value - bound >= BELOW * bound);
         };
-        for (;; ++iterations) {
-            if (iterations < call.traced) call.trace[iterations] = double(value);
-            const auto [decrement, reach] = find_step();
-            if (!(decrement < infinity)) return certified() ? CONVERGED : STALLED;
+        Direction step{};
+        const auto find = [&](Code& code) {
+            step = find_step();
+            if (!(step.decrement < infinity)) return code = certified() ? CONVERGED : STALLED, Next::ended;
             if (const R found = known ? bound : lower_bound(); known || !(found <= bound) || !(bound > -infinity))
                 bound = found, proof = y;
-            if (certified()) return CONVERGED;
-            if (iterations >= limit) return LIMIT;
-            if (!search(decrement, reach > 0.0 ? min(R(1.0), fraction / reach) : R(1.0)))
-                return certified() ? CONVERGED : STALLED;
-        }
+            return Next::go;
+        };
+        const auto advance = [&](Code& code) {
+            if (search(step.decrement, step.reach > 0.0 ? min(R(1.0), fraction / step.reach) : R(1.0))) return true;
+            code = certified() ? CONVERGED : STALLED;
+            return false;
+        };
+        return drive(*this, call, limit, INT_MAX, find, certified, advance);
     }
 
     // Phi at z; infinite unless strictly inside.
@@ -58,6 +62,7 @@ public:
     }
 
 private:
+    struct Direction { R decrement, reach; };  // squared Newton decrement (nan: no step), 1 / (largest step inside)
     static constexpr int REFINEMENTS = 3, HALVINGS = 60;
     static constexpr double BALANCED = 1e-13;  // a step that misses balance by less than this part of Phi needs no refinement
     static constexpr double SHORTEST = 1e-10;  // a step moves z by at least this part of its length
@@ -90,8 +95,6 @@ private:
         for (int r = rows.equal; r < rows.joint; ++r) barrier(row_weights[rows.label[r]], joint[r]);
         return total < infinity ? total : R(infinity);
     }
-
-    struct Direction { R decrement, reach; };  // squared Newton decrement (nan: no step), 1 / (largest step inside)
 
     Direction find_step() {
         for (int i = 0; i < rows.count; ++i) {

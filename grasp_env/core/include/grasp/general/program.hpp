@@ -58,17 +58,23 @@ public:
         std::fill(best_prices_.begin(), best_prices_.end(), 0.0);
         has_inside_ = false;
         const Code code = criterion == Criterion::sum ? solve<0>(wrench, options, out) : solve<1>(wrench, options, out);
-        if (code == INFEASIBLE) return record.refute(out.multipliers, size(load));
+        if (code == INFEASIBLE) {
+            std::copy(prices_.begin(), prices_.end(), prices);
+            return record.refute(out.multipliers, size(load));
+        }
         if (code == REFUSED) return code;
         write(code, record, prices);
         return Code(int(out.code));
     }
 
-    Deepest deepest(const double* wrench, double tolerance, double* z) {
+    Deepest deepest(const double* wrench, double tolerance, double* z, double* prices) {
         const Arena::Scope scope;
+        std::fill(prices, prices + limits, 0.0);
         Deepest found;
         if (!sane_wrench(wrench)) return found;
-        found = Depth(in_, limits).find(wrench, tolerance, inside_);
+        Depth depth(in_, limits);
+        found = depth.find(wrench, tolerance, inside_);
+        if (found.code == INFEASIBLE) std::copy(depth.prices().begin(), depth.prices().end(), prices);
         store_z(inside_, z);
         return found;
     }
@@ -195,8 +201,10 @@ private:
         Code code = attempt(quick, false);
         if (code != CONVERGED && !has_inside_) {
             const Arena::Scope scope;
-            const Deepest found = Depth(in_, elastic() ? in_.torsions : limits).find(wrench, 1e-7, z_);
+            Depth depth(in_, kept());
+            const Deepest found = depth.find(wrench, 1e-7, z_);
             if (found.code != CONVERGED) {
+                prices_ = depth.prices();
                 out.multipliers = found.twist, out.iterations = spent;
                 return found.code == INFEASIBLE ? INFEASIBLE : REFUSED;
             }
@@ -516,8 +524,9 @@ public:
         return std::visit([&](auto& on) { return on.least(wrench, criterion, options, record, prices, budget); }, on_);
     }
     // z (N, 4) [N]: the force of largest m with depth m in all cones and rows, where forces and the wrench's share r sum to one, m <= r.
-    Deepest deepest(const double* wrench, double tolerance, double* z) {
-        return std::visit([&](auto& on) { return on.deepest(wrench, tolerance, z); }, on_);
+    // INFEASIBLE: the prices (M,) of the limits in the proof.
+    Deepest deepest(const double* wrench, double tolerance, double* z, double* prices) {
+        return std::visit([&](auto& on) { return on.deepest(wrench, tolerance, z, prices); }, on_);
     }
     // The least Phi from z (N, 4), balanced and strictly inside, into a record; weights (N, 2) omega and lambda, row_weights (M,). Of the
     // call wrench, optimum and trace are read. REFUSED: no such start.

@@ -70,8 +70,7 @@ public:
     bool shares = false;     // a joint moves several of the fingers: `solve` keeps the limits of the others only
 
     // pipeline: on the nominal contacts of the fingers; tolerance and limit as of `Stop`
-    TorqueLimits(std::shared_ptr<const Tree> tree, const std::vector<int>& fingers, Pipeline& pipeline,
-                 const Stop& options)
+    TorqueLimits(std::shared_ptr<const Tree> tree, const std::vector<int>& fingers, Pipeline& pipeline, const Stop& options)
         : tree_(std::move(tree)), fingers_(fingers),
           newton_(LimitedNewton::make(pipeline.contacts(), options, pipeline.held().basis.data())),
           row_(record_size(int(fingers.size()))), last_(3 * fingers.size()), own_(tree_->joints(), -1) {

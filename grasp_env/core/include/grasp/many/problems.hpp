@@ -200,9 +200,7 @@ struct Many {
 template <class V, int B> void newton_many(NewtonOn<V, B>& one, const typename Cones<V, B>::Field& rest, const Many& many) {
     auto& cones = one.cones;
     const int count = cones.count;
-    const auto alone = [&](std::ptrdiff_t k, const Record& record) {
-        one.solve_from(rest, {.wrench = many.wrench(k)}, record);
-    };
+    const auto alone = [&](std::ptrdiff_t k, const Record& record) { one.solve_from(rest, {.wrench = many.wrench(k)}, record); };
     if (many.count < FEW) {
         for (std::ptrdiff_t k = 0; k < many.count; ++k) alone(k, many.record(k, count));
         return;

@@ -65,6 +65,25 @@ struct Progress {
     Vec6 nu{};
 };
 
+// The loop of every descent on one problem, whatever makes its steps. find(code): the next step and what it proves; closed(): whether the
+// tolerance is reached; advance(code): goes the step, false where it cannot. Problems side by side turn in one of their own
+// (many/problems.hpp): there a problem that ends makes room for the next.
+enum class Next { go, again, ended };
+template <class At, class Find, class Closed, class Advance>
+[[gnu::always_inline]] inline Code drive(At& at, const Call& call, int limit, int patience, Find&& find, Closed&& closed,
+                                         Advance&& advance) {
+    for (Code code = STALLED;; ++at.iterations) {
+        if (at.iterations < call.traced) call.trace[at.iterations] = double(at.value);
+        const Next next = find(code);
+        if (next == Next::again) continue;
+        if (next == Next::ended) return code;
+        if (closed()) return CONVERGED;
+        if (at.iterations >= limit) return LIMIT;
+        if (at.iterations >= patience) return STALLED;
+        if (!advance(code)) return code;
+    }
+}
+
 inline bool sane_wrench(const double* wrench) {
     for (int r = 0; r < 6; ++r)
         if (!(std::abs(wrench[r]) <= LARGEST)) return false;
@@ -252,48 +271,50 @@ private:
     // Damped Newton from x, its system factored as it is: where forces exceed their distance to the cones by 1e4 digits are lost.
     [[gnu::noinline]] Code descend(const Call& call, const Vec6& w, Progress& at, double fraction, bool leaping) {
         const double tolerance = options.tolerance, tight = By::tight(tolerance);
-        for (;; ++at.iterations) {
-            if (at.iterations < call.traced) call.trace[at.iterations] = at.value;
-            if (!assemble()) return STALLED;
+        typename System<V, B>::Step step{};
+        const auto closed = [&] { return certified(at.value, at); };
+        const auto find = [&](Code& code) {
+            if (!assemble()) return Next::ended;
             const Vec6 left = system.made + w;
             at.nu = system.multipliers(left);
-            const auto [decrement, reach] = find_step(at.nu, left, at.value);
+            step = find_step(at.nu, left, at.value);
             if (leaping) {
                 leaping = false, ++at.trials;
-                at.value = reach < 0.99 ? cones.phi_along(x, step_, 1.0, rows) : infinity;
-                if (!(at.value < infinity)) return REFUSED;
+                at.value = step.reach < 0.99 ? cones.phi_along(x, step_, 1.0, rows) : infinity;
+                if (!(at.value < infinity)) return code = REFUSED, Next::ended;
                 move(1.0);
                 at.bound = cones.lower_bound(at.nu, w, x, tight, rows);
-                if (!certified(at.value, at)) continue;
-                ++at.iterations;
-                return CONVERGED;
+                if (!closed()) return Next::again;
+                return ++at.iterations, code = CONVERGED, Next::ended;
             }
             if constexpr (Rows::any) {
-                const Verdict now = rows.judge(cones, at.nu, w, decrement / at.value, at.iterations);
+                const Verdict now = rows.judge(cones, at.nu, w, step.decrement / at.value, at.iterations);
                 if (now == Verdict::harder) at.value = cones.phi(x, rows), at.bound = -infinity;
-                if (now == Verdict::harder && at.iterations < options.limit) continue;
-                if (now == Verdict::hopeless) return INFEASIBLE;
-                if (now != Verdict::on) return STALLED;
+                if (now == Verdict::harder && at.iterations < options.limit) return Next::again;
+                if (now == Verdict::hopeless) return code = INFEASIBLE, Next::ended;
+                if (now != Verdict::on) return Next::ended;
             }
-            if (!at.known && (By::close(at.value, decrement, tolerance) || at.iterations >= options.limit))
+            if (!at.known && (By::close(at.value, step.decrement, tolerance) || at.iterations >= options.limit))
                 at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
-            if (certified(at.value, at)) return CONVERGED;
-            if (at.iterations >= options.limit) return LIMIT;
-            if (at.iterations >= PATIENCE) return STALLED;
-            double alpha = By::longest(reach, fraction);
-            if (!search(at.value, decrement, alpha, at.trials, [&] { return cones.phi_along(x, step_, alpha, rows); })) {
+            return Next::go;
+        };
+        const auto advance = [&](Code& code) {
+            double alpha = By::longest(step.reach, fraction);
+            const auto along = [&] { return cones.phi_along(x, step_, alpha, rows); };
+            if (!search(at.value, step.decrement, alpha, at.trials, along)) {
                 if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, rows));
-                return certified(at.value, at) ? CONVERGED : STALLED;
+                code = closed() ? CONVERGED : STALLED;
+                return false;
             }
             move(alpha);
-            if (alpha == 1.0 && By::small(at.value, decrement, tolerance)) {
-                if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, x, tight, rows));
-                if (certified(at.value, at)) {
-                    if (++at.iterations < call.traced) call.trace[at.iterations] = at.value;
-                    return CONVERGED;
-                }
-            }
-        }
+            if (!(alpha == 1.0 && By::small(at.value, step.decrement, tolerance))) return true;
+            if (!at.known) at.bound = std::max(at.bound, cones.lower_bound(at.nu, w, x, tight, rows));
+            if (!closed()) return true;
+            if (++at.iterations < call.traced) call.trace[at.iterations] = at.value;
+            code = CONVERGED;
+            return false;
+        };
+        return drive(at, call, options.limit, PATIENCE, find, closed, advance);
     }
 
     // Newton along the central path from x: every step goes to the optimum of the barrier and the largest part of the price of
@@ -301,28 +322,31 @@ private:
     // curved surface are short, and the system keeps its digits.
     [[gnu::cold, gnu::noinline]] Code follow(const Call& call, const Vec6& w, Progress& at) {
         double part = 0.0;
-        for (at.value = cones.phi(x), at.iterations = 0;; ++at.iterations) {
-            if (at.iterations < call.traced) call.trace[at.iterations] = at.value;
-            const Vec6 left = cones.wrench(x) + w;
-            if (!steep.assemble(cones, x, left, step_, centring_)) return STALLED;
+        Vec6 left;
+        const auto find = [&](Code&) {
+            left = cones.wrench(x) + w;
+            if (!steep.assemble(cones, x, left, step_, centring_)) return Next::ended;
             part = reachable(part);
             Vec6 nu = steep.multipliers(part);
             cones.scale_inside(nu);
             if (const double bound = at.known ? at.bound : cones.lower_bound(nu, w); bound >= at.bound)
                 at.bound = bound, at.nu = nu;
-            if (certified(at.value, at)) return CONVERGED;
-            if (at.iterations >= options.limit) return LIMIT;
-            if (at.iterations >= LONGEST) return STALLED;
+            return Next::go;
+        };
+        const auto advance = [&](Code&) {
             for (int b = 0; b < int(x.size()); ++b) step_[b] = all<V>(part) * step_[b] + centring_[b];
             for (int round = 0; round < REFINEMENTS; ++round) steep.restore(left + cones.wrench(step_), step_);
             cones.subtract(step_, left + cones.wrench(step_));
             const double reach = cones.reach(x, step_);
             double alpha = reach > 0.0 ? std::min(1.0, LONG / reach) : 1.0, merit = cones.phi_along(x, step_, 0.0, part);
             const auto along = [&] { return cones.phi_along(x, step_, alpha, part); };
-            if (!search(merit, steep.decrement(part), alpha, at.trials, along)) return STALLED;
+            if (!search(merit, steep.decrement(part), alpha, at.trials, along)) return false;
             for (int b = 0; b < int(x.size()); ++b) x[b] += all<V>(alpha) * step_[b];
             at.value = cones.phi(x);
-        }
+            return true;
+        };
+        at.value = cones.phi(x), at.iterations = 0;
+        return drive(at, call, options.limit, LONGEST, find, [&] { return certified(at.value, at); }, advance);
     }
 
     // The largest part of the price that a whole step of `follow` may go to: no less than that to which x is nearest, nor far

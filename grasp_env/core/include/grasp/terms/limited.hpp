@@ -8,6 +8,7 @@ template <class V, int B> class LimitedOn {
 public:
     NewtonOn<V, B, LimitTerms<V, B>> newton;
     bool elastic = false;  // where no force keeps the limits: the one that exceeds them least
+    double per = 0.0;  // of a proof: what its prices, those of `newton.rows`, are multiplied by to go with the twist
 
     LimitedOn(int count, const Stop& options) : newton(count, options), begun_(newton.cones.field()), least_(newton.cones) {}
 
@@ -25,8 +26,10 @@ public:
         if (elastic && call.exceeding && begin(w, true) && again(call, w, record)) return LIMITS_EXCEEDED;
         Code code = call.start == From::tangent ? follow(call, w, record) : REFUSED;
         if (unusable(code)) code = begin(w, false) ? descend(call, w, record) : REFUSED;
-        if (code == INFEASIBLE)
-            code = elastic ? exceed(w, record) : record.refute((-1.0 / size(s.multipliers)) * s.multipliers, size(w));
+        if (code == INFEASIBLE) {
+            per = 1.0 / size(s.multipliers);
+            code = elastic ? exceed(w, record) : record.refute(-per * s.multipliers, size(w));
+        }
         if (unusable(code)) code = REFUSED;
         s.code = code;
         return code;

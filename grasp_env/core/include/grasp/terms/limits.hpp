@@ -64,7 +64,7 @@ public:
         const int blocks = int(cones.blocks.size());
         of_.resize(W * blocks);
         for (auto& mine : of_) mine.reserve(rows);
-        pairs_.reserve(size_t(rows) * blocks);
+        pairs_.reserve(size_t(rows) * blocks), extra_.reserve(W * blocks * size_t(rows));
         make_room(blocks);
     }
     // Allocates nothing where the contacts had as many rows before.
@@ -82,6 +82,7 @@ public:
             each_ = std::max(each_, int(mine.size()));
         }
         pairs_.assign(size_t(each_) * blocks, none());
+        extra_.assign(rows.count, 0.0);
         make_room(blocks);
         for (int b = 0; b < blocks; ++b) {
             const auto& w = cones.blocks[b].weights;
@@ -99,6 +100,7 @@ public:
                 }
                 const Room room(rows, mine);
                 set(room_[b], n, room.most), set(more_[b], n, room.more);
+                bounding_[W * b + n] = room.by;
             }
         }
         lean(cones);
@@ -227,11 +229,31 @@ public:
         for (int r = 0; r < 6; ++r) value += nu[r] * w[r], of += std::abs(nu[r] * w[r]);
         return {value, sum(share), of, nu};
     }
-    bool hopeless(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) const {
+    bool hopeless(const Cones<V, B>& cones, Vec6& nu, const Vec6& w) {
         const Farkas found = farkas(cones, nu, w);
         if (!(found.value < -SURE * found.size)) return false;
         nu = found.nu;
+        std::fill(extra_.begin(), extra_.end(), 0.0);
+        for (int i = 0; i < cones.count; ++i) {
+            Vec3<V> q = -cones.blocks[i / W].transposed(nu);
+            for_each(i / W, [&](const Pair<V>& p) { q += p.price() * p.a; });
+            const double lacking = -get(slack(q), i % W);
+            for (int k = 0; k < 3 && lacking > 0.0; ++k)
+                if (const int m = bounding_[i].row[k]; m >= 0) extra_[m] += lacking * bounding_[i].part[k];
+        }
         return true;
+    }
+
+    // f(row, price) for all rows of the last proof: G^T v + sum price a, v = -nu, is in every dual cone; what the multipliers lack of that the
+    // rows that bound u make up for.
+    template <class F> void prices(F&& f) const {
+        for (int i = 0; i < int(of_.size()); ++i)
+            for (int k = 0; k < int(of_[i].size()); ++k) {
+                const auto& pair = pairs_[each_ * (i / W) + k];
+                const int high = of_[i][k].high, low = of_[i][k].low;
+                f(high, get(pair.high.price, i % W) + extra_[high]);
+                if (low >= 0) f(low, get(pair.low.price, i % W) + extra_[low]);
+            }
     }
 
     template <class F> void for_each(int b, F&& f) {
@@ -252,10 +274,16 @@ private:
     static constexpr double INSIDE = 0.1;  // of e_u: how deep in the dual cones its answer must be
     static constexpr double PARALLEL = 1e-12;  // by which opposite rows may differ
     struct Both { int high, low; };  // the rows of a pair; -1: none
+    struct Bounding {
+        int row[3] = {-1, -1, -1};
+        double part[3] = {};
+    };  // u <= sum part * row's bound, for forces in the cone
     double edge_ = SOFTEST;
     int each_ = 1;
-    std::vector<std::vector<Both>> of_;  // those of each contact, while they are packed
+    std::vector<std::vector<Both>> of_;  // those of each contact
     std::vector<Pair<V>> pairs_;  // (blocks, each)
+    std::vector<Bounding> bounding_;  // of each contact
+    std::vector<double> extra_;  // (M,) of a proof: prices besides those of the pairs
     Blocks<V, B> scale_, room_, more_;  // u is at most room + t more within limits raised by t
     Blocks<V, B> leans_;  // 1 of a contact that no row bounds, whose u is at most room + t more - lean . w
     Vec6 lean_{};
@@ -315,7 +343,10 @@ private:
         return nu - (1.0 + SURE) * largest(lacking) * lean_;
     }
 
-    void make_room(int blocks) { resize(scale_, blocks), resize(room_, blocks), resize(more_, blocks), resize(leans_, blocks); }
+    void make_room(int blocks) {
+        resize(scale_, blocks), resize(room_, blocks), resize(more_, blocks), resize(leans_, blocks);
+        bounding_.resize(W * blocks);
+    }
     static Pair<V> none() {
         Pair<V> out{};
         out.high.bound = out.low.bound = all<V>(UNBOUNDED);
@@ -345,6 +376,7 @@ private:
     class Room {
     public:
         double most = UNBOUNDED, more = 0.0;
+        Bounding by;
 
         Room(const LimitRows& rows, const std::vector<Both>& pairs) : rows_(rows) {
             const int count = std::min(int(pairs.size()), TRIED);
@@ -370,13 +402,18 @@ private:
         void take(std::initializer_list<Both> pairs, std::initializer_list<double> z) {
             double bound = 0.0, share = 0.0;
             auto part = z.begin();
+            Bounding made;
+            int used = 0;
             for (const Both& p : pairs) {
                 const int m = *part > 0.0 ? p.high : p.low;
                 if (m < 0 && *part != 0.0) return;
-                if (m >= 0) bound += std::abs(*part) * std::max(rows_.bound[m], 0.0), share += std::abs(*part) * rows_.share[m];
+                if (m >= 0) {
+                    bound += std::abs(*part) * std::max(rows_.bound[m], 0.0), share += std::abs(*part) * rows_.share[m];
+                    made.row[used] = m, made.part[used++] = std::abs(*part);
+                }
                 ++part;
             }
-            if (bound < most) most = bound, more = share;
+            if (bound < most) most = bound, more = share, by = made;
         }
         void one(const Both& p) {
             const Vec3<double> a = normal(p);
