@@ -64,7 +64,8 @@ try:
     )
 except ImportError as error:
     raise ImportError(
-        f"grasp_env.core._core is not built for this Python ({error}): run `make install` or `pip install .`"
+        f"grasp_env.core._core is not built in {__path__[0]} for this Python ({error}): run `make install` there, or leave the "
+        "folder if the package is installed elsewhere"
     ) from error
 
 __all__ = [

@@ -33,7 +33,7 @@ from grasp_env.grasp import (
     wrench,
     wrench_about,
 )
-from grasp_env.grasp.advice import advise, has_force_closure
+from grasp_env.grasp.advice import advise
 from grasp_env.grasp.transforms import checked_rotation
 from grasp_env.sim import BulletEngine, FingerDescription, HandDescription, MujocoEngine
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
@@ -386,7 +386,6 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "null_space_basis": Call(null_space_basis, {"grasp": CUBOID, "reference": reference_basis(CUBOID)}),
         "reference_basis": Call(reference_basis, {"grasp": CUBOID}),
-        "has_force_closure": Call(has_force_closure, {"grasp": CUBOID}, 0.3),
         "a grasp's file": Call(
             _load(folder),
             {**contacts, "schema": "grasp-force/grasp/1", "units": {"positions": "m"}}, 4.0,

@@ -132,7 +132,10 @@ public:
         if (record.code() != INFEASIBLE || left <= 0 || now_->limits == now_->torsions) return record.code();
         const Record made(now_->record.data(), now_->count);
         const Stop elastic{EXCESS_WITHIN, CONIC_ITERATIONS};
-        if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) return record.code();
+        if (least(before.wrench.data(), Criterion::excess, elastic, left, made) != LIMITS_EXCEEDED) {
+            deepest(before.wrench.data());  // the prices of the proof again
+            return record.code();
+        }
         std::copy(made.force(), made.force() + 3 * now_->count, record.initial_force());
         return take(made, record);
     }

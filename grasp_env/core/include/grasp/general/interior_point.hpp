@@ -5,6 +5,8 @@
 //
 // A start may miss its equations; one that keeps them stays a valid grasp throughout. Slacks are variables of their own, so that none
 // is a difference that cancels, and each direction is corrected by what it misses of the equations themselves.
+//
+// Apart from `conic.hpp`, whose steps serve one problem and a register of them: four hard contacts take 1.5 us there and 5.5 here.
 #pragma once
 #include <grasp/conic/conic.hpp>
 #include <grasp/general/rows.hpp>

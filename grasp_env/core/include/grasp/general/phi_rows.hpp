@@ -1,5 +1,7 @@
 // Damped Newton on Phi with soft contacts and further rows: each adds lambda / slack, the order of tr P^-1. Balance and rows as in
 // `rows.hpp`, a contact's block in the axes of its inverse Hessian, H^-1 = F F^T (`Axes`).
+// The loop is that of every descent (`drive`); the steps are apart from `NewtonOn`'s, which stay in registers: four hard contacts take
+// 1.1 us there and 7 here.
 #pragma once
 #include <climits>
 #include <grasp/phi/newton.hpp>

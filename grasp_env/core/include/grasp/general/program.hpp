@@ -151,6 +151,7 @@ public:
 
 private:
     static constexpr double BALANCED = 1e-9;  // of the wrench: what an optimal force may miss
+    static constexpr double DEEP = 1e-6;  // margin of an internal force: those of less are of no use but in millions of newtons
     static constexpr double BELOW = -1e-9;  // rounding by which an objective may fall short of its bound
     static constexpr double MOST =
         1e4;  // of the largest normal force of a start: normal forces among which an excess is the least
@@ -262,7 +263,8 @@ private:
         if (!has_rest_) {
             const Arena::Scope scope;
             const double nothing[6] = {};
-            has_rest_ = Depth(in_, in_.torsions).find(nothing, 1e-2, rest_).code == CONVERGED;
+            const Deepest found = Depth(in_, in_.torsions).find(nothing, 1e-2, rest_);
+            has_rest_ = found.code == CONVERGED && found.margin > DEEP;
         }
         if (*has_rest_) {
             for (auto& each : z_) each = {};

@@ -1,4 +1,5 @@
-// Where no force keeps the limits: the balanced force in the cones that exceeds them least.
+// Where no force keeps the limits: the balanced force in the cones that exceeds them least. For limits on one contact each; others are the
+// general program's, which takes 80 us where this takes 9.
 //
 //     min t  s.t.  G x = -w,  x_i in the cone,  a . x <= b + t share      max -sum y b - nu . w  s.t.  sum y share = 1,
 //                                                                              s_i = sum y a - G_i^T nu in the cone,  y >= 0
