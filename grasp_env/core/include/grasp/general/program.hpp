@@ -97,7 +97,9 @@ public:
         load_z(z, rest_);
         in_.rebalance(rest_, Vec6{});
         in_.rooms(rest_, in_.torsions, room_, [](int) { return 0.0; });
-        if (least_of(room_) > 0.0) has_rest_ = true;
+        double most = 0.0;
+        for (const auto& each : rest_) most = std::max(most, each[0]);
+        if (least_of(room_) > DEEP * most) has_rest_ = true;
         return has_rest_.has_value();
     }
     double unit_size(const double* wrench) const { return grasp::size(in_.in_frame(wrench)); }

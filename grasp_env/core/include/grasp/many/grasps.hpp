@@ -238,18 +238,11 @@ private:
     ConicLanes<W> lanes_;
 };
 
-// All problems: those of a grasp that has many, and those that a group leaves, by one(contacts, problems), which is false where there is
-// no force closure: their records say REFUSED.
+// All problems: those of a grasp that has many by one(contacts, problems), which is false where no internal force is quickly found. What is
+// left says REFUSED, for `ForceOptimizer` to solve.
 template <class Group, class F> void solve_grasps(const Grasps& grasps, const Many& many, Group& group, F&& one) {
     constexpr int W = REGISTER;
-    const auto alone = [&](std::ptrdiff_t u, std::ptrdiff_t from, std::ptrdiff_t count) {
-        const Many part{count, many.wrench(from), many.rows + record_size(grasps.contacts) * from};
-        if (grasps.sound(u)) {
-            const Contacts made = grasps.weighed(u);
-            if (made.placing == Placing::good && one(made, part)) return;
-        }
-        for (std::ptrdiff_t k = 0; k < count; ++k) part.record(k, grasps.contacts).summary().code = REFUSED;
-    };
+    const auto refuse = [&](std::ptrdiff_t k) { many.record(k, grasps.contacts).summary().code = REFUSED; };
     Case problems[W];
     int waiting = 0;
     const auto solve = [&] {
@@ -260,13 +253,15 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
         }
         const auto good = group.solve(problems, wanted);
         for (int lane = 0; lane < waiting; ++lane)
-            if (!good[lane]) alone(problems[lane].grasp, problems[lane].number, 1);
+            if (!good[lane]) refuse(problems[lane].number);
         waiting = 0;
     };
     for (std::ptrdiff_t u = 0; u < grasps.count; ++u) {
         const auto from = std::ptrdiff_t(grasps.first[u]), until = std::ptrdiff_t(grasps.first[u + 1]);
         if (until - from >= W || !grasps.sound(u)) {
-            alone(u, from, until - from);
+            const Many part{until - from, many.wrench(from), many.rows + record_size(grasps.contacts) * from};
+            if (!grasps.sound(u) || !one(grasps.weighed(u), part))
+                for (std::ptrdiff_t k = from; k < until; ++k) refuse(k);
             continue;
         }
         for (std::ptrdiff_t k = from; k < until; ++k) {
@@ -285,7 +280,7 @@ inline void newton_grasps(const Grasps& grasps, const Stop& options, const Many&
         auto rest = one.cones.field();
         solve_grasps(grasps, many, group, [&](const Contacts& contacts, const Many& part) {
             one.cones.pack(contacts);
-            const bool found = one.find_rest(rest);
+            const bool found = one.find_rest(rest, true);
             if (found) newton_many(one, rest, part);
             return found;
         });
@@ -300,8 +295,7 @@ inline void conic_grasps(const Grasps& grasps, const Stop& options, const Many& 
         ConicOn<V, B> one(grasps.contacts, options);
         solve_grasps(grasps, many, group, [&](const Contacts& contacts, const Many& part) {
             newton.cones.pack(contacts), one.cones.pack(contacts);
-            if (!newton.internal_force()) return false;
-            one.rest = newton.x;
+            if (!newton.find_rest(one.rest, true)) return false;
             conic_many(one, part);
             return true;
         });
