@@ -28,7 +28,6 @@ from grasp_env.force import (
     OfflineBasis,
     Status,
     optimize_force,
-    optimize_forces,
 )
 from grasp_env.grasp import Grasp
 
@@ -111,59 +110,12 @@ def test_methods_take_the_steps_of_the_plain_flow(name: str, method: str) -> Non
     np.testing.assert_allclose(last, iterates[-1], rtol=0, atol=1e-10 * np.abs(iterates[-1]).max())
 
 
-@pytest.mark.parametrize("method", FLOWS)
-def test_they_stay_balanced_and_certify_the_same_optimum(method: str) -> None:
-    for name, grasp in ALL.items():
-        start = grasp.to_force(_start(grasp))
-        solution = optimize_force(
-            grasp, LIGHT, initial=start, method=method, barrier_weight=0.1, tolerance=1e-9, trace=True
-        )
-        assert solution.status is Status.OPTIMAL, name
-        assert (np.diff(solution.objective_trace) < 0.0).all()
-        value, bound = solution.objective, solution.lower_bound
-        assert bound <= value <= bound * (1.0 + 1e-9)
-        x = grasp.to_cone(solution.force).reshape(-1)
-        assert value == pytest.approx(OBJECTIVE.value(x), rel=1e-12)
-        assert grasp.residual(solution.force, LIGHT) < 1e-12 * np.abs(start).max()
-        newton = optimize_force(grasp, LIGHT, method="newton", barrier_weight=0.1, tolerance=1e-9)
-        assert newton.lower_bound <= value * (1.0 + 1e-12)
-        assert value == pytest.approx(newton.objective, rel=1e-9)
-
-
 def test_coordinates_without_friction_stay_zero() -> None:
     for method in FLOWS:
         force = optimize_force(
             MIXED, LIGHT, method=method, initial=MIXED.to_force(_start(MIXED)), barrier_weight=0.1
         ).force
         np.testing.assert_array_equal(force[4, 1:], 0.0)
-
-
-def test_the_bound_is_certified_wherever_the_flow_stops() -> None:
-    grasp = GRASPS["cuboid, 4"]
-    best = optimize_force(grasp, LIGHT, method="newton", barrier_weight=0.1, tolerance=1e-12).objective
-    start = grasp.to_force(_start(grasp))
-    for limit in (0, 1, 5, 17, 60):
-        solution = optimize_force(grasp, LIGHT, initial=start, barrier_weight=0.1, max_iterations=limit)
-        assert solution.lower_bound <= best * (1.0 + 1e-12) <= solution.objective * (1.0 + 2e-12)
-        if limit >= 17:
-            assert solution.lower_bound > 0.5 * best
-
-
-def test_every_named_start_previous_and_batches() -> None:
-    grasp = GRASPS["cuboid, 5"]
-    loads = np.array([LIGHT, 1.02 * LIGHT, PAPER_WRENCH])
-    for method in FLOWS:
-        for name in ("linear_combination", "linear_combination_printed", "single_value", "phase_one"):
-            solution = optimize_force(grasp, LIGHT, method=method, initial=name)
-            assert (solution.status, solution.initial) == (Status.OPTIMAL, name)
-        optimizer = ForceOptimizer(grasp, method=method, initial="previous")
-        counts = [optimizer.solve(load).iterations for load in (LIGHT, LIGHT, 1.02 * LIGHT)]
-        assert counts[0] > 0
-        assert counts[1:] == [0, 0]
-        batch = optimize_forces(grasp, loads, method=method, workers=2)
-        single = ForceOptimizer(grasp, method=method)
-        for load, row in zip(loads, batch, strict=True):
-            np.testing.assert_array_equal(row.force, single.solve(load).force)
 
 
 def test_what_the_flows_do_not_know() -> None:

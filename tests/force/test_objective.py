@@ -1,10 +1,9 @@
-"""Phi and its derivatives: the numpy twin against the definition, the core's step against a dense one, bounds against scipy."""
+"""The description matrix, Phi and its derivatives against their definitions, bounds against scipy."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from oracles.newton import newton_step
 from problems import (
     GRASPS,
     OUTSIDE,
@@ -14,14 +13,33 @@ from problems import (
     closure_grasps,
     inside_cones,
     pyramid_margin,
-    weights,
 )
 from scipy.optimize import minimize
 
-from grasp_env import core
 from grasp_env.force import Objective, description_matrix
-from grasp_env.force.basis import core_contacts
 from grasp_env.grasp import wrench as wrenches
+
+
+def test_eigenvalues_are_u_and_u_plus_minus_s() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        force, friction = rng.standard_normal((4, 3)), rng.uniform(0.1, 1.5, 4)
+        u, s = friction * force[:, 0], np.hypot(force[:, 1], force[:, 2])
+        expected = np.sort(np.concatenate([u, u - s, u + s]))
+        # rounding of a 12 x 12 eigenvalue problem of order one
+        np.testing.assert_allclose(np.linalg.eigvalsh(description_matrix(force, friction)), expected, atol=1e-13)
+    for normal, inside in ((2.0 + 1e-9, True), (2.0 - 1e-9, False), (-3.0, False)):  # positive definite inside
+        force = np.array([[normal, 0.6, 0.8]])
+        assert (np.linalg.eigvalsh(description_matrix(force, np.array([0.5])))[0] > 0.0) == inside
+
+
+def test_cone_coordinates_there_and_back() -> None:
+    rng = np.random.default_rng(1)
+    force, grasp = rng.standard_normal((5, 3)), GRASPS["cuboid, 5, uneven"]
+    x = grasp.to_cone(force)
+    np.testing.assert_array_equal(x.reshape(5, 3)[:, 0], grasp.friction * force[:, 0])
+    np.testing.assert_array_equal(x.reshape(5, 3)[:, 1:], force[:, 1:])
+    np.testing.assert_allclose(grasp.to_force(x), force, rtol=3e-16)
 
 
 @pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
@@ -64,30 +82,6 @@ def test_derivatives_by_finite_differences(omega: float, lam: float) -> None:
             own = column.reshape(3, 3)[j // 3]
             np.testing.assert_allclose(own, block[:, j % 3], rtol=0, atol=1e-6 * np.abs(block).max())
             np.testing.assert_array_equal(np.delete(column.reshape(3, 3), j // 3, axis=0), 0.0)
-
-
-@pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
-def test_newton_step_is_the_dense_kkt_step(omega: float, lam: float) -> None:
-    rng = np.random.default_rng(4)
-    objective = Objective(omega, lam)
-    for grasp in (*GRASPS.values(), *closure_grasps()):
-        u = rng.uniform(0.5, 2.0, grasp.n_contacts)  # depths of one order: the dense system stays well conditioned
-        x = np.stack([u, *(rng.uniform(-0.5, 0.5, (2, grasp.n_contacts)) * u)], axis=1).reshape(-1)
-        wrench = wrenches.sample_ball(rng, 1)[0]
-        step, multipliers = np.empty_like(x), np.empty(6)
-        solver = core.Newton.make(core_contacts(grasp, objective), 1.0, 0)
-        decrement = solver.newton_step(wrench, x, step, multipliers)
-        dense_step, dense_multipliers, dense_decrement = newton_step(
-            x, grasp.cone_matrix, wrench, weights(x, omega, lam)
-        )
-        # the dense matrix mixes lambda and lengths: condition numbers up to about 1e7
-        np.testing.assert_allclose(step, dense_step, rtol=0, atol=1e-8 * np.abs(dense_step).max())
-        np.testing.assert_allclose(multipliers, dense_multipliers, rtol=0, atol=1e-8 * np.abs(dense_multipliers).max())
-        scale = abs(dense_decrement) + np.abs(objective.gradient(x)).max() * np.abs(dense_step).max()
-        assert abs(decrement - dense_decrement) < 1e-8 * scale
-        # the step restores balance whatever x was
-        left = grasp.cone_matrix @ (x + step) + wrench
-        assert np.abs(left).max() < 1e-10 * (np.abs(x + step).max() + 1.0)
 
 
 def _least_by_scipy(y: np.ndarray, omega: float, lam: float) -> float:

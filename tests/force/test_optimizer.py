@@ -91,22 +91,6 @@ def test_moving_the_grasp_keeps_basis_and_solution_useful() -> None:
         assert moved.cone_margin(start) > 0.0
 
 
-def test_start_is_what_solve_starts_from() -> None:
-    optimizer = ForceOptimizer(presets.tripod())
-    for initial in (None, "single_value", "lagrange", "phase_one"):
-        start = optimizer.start(LIGHT, initial=initial)
-        solution = optimizer.solve(LIGHT, initial=initial)
-        np.testing.assert_allclose(solution.initial_force, start, rtol=3e-16)
-
-
-def test_trace_is_kept_only_when_asked_for() -> None:
-    grasp = presets.paper_cuboid()
-    for method in DESCENTS:
-        assert optimize_force(grasp, PAPER_WRENCH, method=method).objective_trace.size == 0
-        traced = optimize_force(grasp, PAPER_WRENCH, method=method, trace=True)
-        assert len(traced.objective_trace) == traced.iterations + 1
-
-
 def test_a_solution_certifies_itself() -> None:
     solution = optimize_force(presets.paper_cuboid(), PAPER_WRENCH)
     assert solution.raise_for_status() is solution
