@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 from problems import closure_grasps
 
-from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, UnknownNameError
+from grasp_env.errors import InfeasibleWrenchError, InvalidInputError
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
 from grasp_env.force.many import CHUNK
 from grasp_env.grasp import Grasp, presets
@@ -165,38 +163,6 @@ def test_a_grasp_without_closure_among_many() -> None:
     assert batch[2].certificate @ -load > 0.0
 
 
-def test_infeasible_within_limits_keep_their_proof() -> None:
-    loads = np.vstack([wide_loads(30), [[0.0, 0.0, 50.0, 0.0, 0.0, 0.0]]])
-    options = {"method": "newton", "limits": ForceLimits(max_normal=8.0)}
-    batch = optimize_forces(GRASP, loads, **options)
-    assert batch[30].status is Status.INFEASIBLE
-    with pytest.raises(InfeasibleWrenchError) as raised:
-        ForceOptimizer(GRASP, **options).solve(loads[30])
-    np.testing.assert_allclose(batch[30].certificate, raised.value.solution.certificate, rtol=1e-9)
-    again = pickle.loads(pickle.dumps(batch))
-    np.testing.assert_array_equal(again[3].limit_multipliers, batch[3].limit_multipliers)
-    assert again[30].status is Status.INFEASIBLE
-
-
-@pytest.mark.parametrize("method", ["newton", "conic"])
-def test_infeasible_wrenches_get_a_status_and_keep_their_proof(method: str) -> None:
-    floor = Grasp.from_contacts([[0.03, 0, 0], [-0.03, 0.02, 0], [-0.02, -0.03, 0]], [[0.0, 0.0, 1.0]] * 3, 0.4)
-    loads = np.array([[0, 0, -2.0, 0, 0, 0], [0, 0, 2.0, 0, 0, 0]])
-    options = {"initial": "phase_one"} if method == "newton" else {}
-    batch = optimize_forces(floor, loads, method=method, **options)
-    assert [solution.status for solution in batch] == [Status.OPTIMAL, Status.INFEASIBLE]
-    assert batch[1].certificate @ loads[1] > 0.0
-    assert np.isinf(batch.objective[1])
-
-
-def test_limits_and_their_multipliers_come_through() -> None:
-    loads = sample_ball(np.random.default_rng(2), 5)
-    limits = ForceLimits(max_normal=50.0)
-    batch = optimize_forces(GRASP, loads, method="conic", limits=limits)
-    assert batch.optimal.all()
-    assert all(solution.limit_multipliers.shape == (4,) for solution in batch)
-
-
 @pytest.mark.parametrize(
     ("grasps", "loads", "options", "message"),
     [
@@ -215,30 +181,6 @@ def test_wrong_input(grasps: object, loads: np.ndarray, options: dict, message: 
         optimize_forces(grasps, loads, **options)
 
 
-def test_errors_travel_between_processes() -> None:
-    error = pickle.loads(pickle.dumps(UnknownNameError("method", "newest", ("conic",), "; look again")))
-    assert str(error) == "unknown method 'newest': choose one of 'conic'; look again"
-
-
-def test_solutions_travel_between_processes() -> None:
-    solution = optimize_force(GRASP, sample_ball(np.random.default_rng(3), 1)[0], method="conic")
-    again = pickle.loads(pickle.dumps(solution))
-    np.testing.assert_array_equal(again.force, solution.force)
-    assert again.status is Status.OPTIMAL
-    with pytest.raises(ValueError, match="read-only"):
-        solution.force[0, 0] = 0.0
-
-
-def test_conic_ends_whatever_the_tolerance() -> None:
-    """Rounding makes the gap negative once in ten thousand wrenches; the loop must not wait for it to shrink."""
-    rng = np.random.default_rng(4)
-    loads = rng.standard_normal((20_000, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
-    for tolerance in (1e-12, 1e-15):
-        batch = optimize_forces(GRASP, loads, method="conic", tolerance=tolerance)
-        assert set(np.unique(batch.codes)) <= {0, 1, 2}
-        assert (batch.cone_margin >= 0.0).all()
-
-
 def test_the_control_loops_path_is_the_careful_one() -> None:
     """An array of floats takes the compiled call, a list every check: the same solution, bit for bit but for rounding."""
     rng = np.random.default_rng(5)
@@ -250,13 +192,3 @@ def test_the_control_loops_path_is_the_careful_one() -> None:
         assert (one.status, one.initial) == (other.status, other.initial)
         assert one.objective == pytest.approx(other.objective, rel=2e-8)
         assert one.equilibrium_residual <= 1e-13 * np.abs(one.force).max()
-
-
-def test_a_refused_move_changes_nothing() -> None:
-    optimizer = ForceOptimizer(GRASP, method="newton", force_weight=[1.0] * 4)
-    load = sample_ball(np.random.default_rng(6), 1)[0]
-    before = optimizer.solve(load)
-    with pytest.raises(InvalidInputError, match=r"positions must have shape \(4, 3\), got \(5, 3\)"):
-        optimizer.update(positions=presets.five_finger_cuboid().positions)
-    assert optimizer.grasp is GRASP
-    np.testing.assert_array_equal(optimizer.solve(load).force, before.force)

@@ -40,6 +40,8 @@ def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
     residual = reference.residual(found.force, found.torsion, p.wrench)
     assert residual <= 1e-9 * size + rounding, door
     assert found.equilibrium_residual == pytest.approx(residual, abs=10.0 * rounding), door
+    np.testing.assert_array_equal(found.force[reference.transmits[:, 1] == 0.0, 1:], 0.0)
+    np.testing.assert_array_equal(found.torsion[reference.gamma == 0.0], 0.0)
     held = Reference.of(p.grasp) if exceeded else reference
     assert held.violation(found.force, found.torsion) <= 1e-14 * max(size, most), door
     margin = reference.cone_margin(found.force)

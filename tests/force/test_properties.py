@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from force.clarabel_reference import random_grasp, random_wrench
+from force.generators import random_grasp, random_wrench
 from scipy.spatial.transform import Rotation
 
 from grasp_env.errors import GraspError, InfeasibleWrenchError
