@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import pytest
-from force.clarabel_reference import Reference, contact_frames
+from force.clarabel_reference import Reference
 
 from grasp_env.errors import (
     GraspError,
@@ -18,7 +17,7 @@ from grasp_env.errors import (
     NotConvergedError,
     RankDeficientGraspError,
 )
-from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, joint_torques, optimize_force
+from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, optimize_force
 from grasp_env.grasp import Grasp, presets
 
 FIVE = presets.five_finger_cuboid()
@@ -105,24 +104,6 @@ def test_the_order_of_calls_does_not_matter(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_other_places_are_another_grasp(kind: str) -> None:
-    grasp, options = KINDS[kind]
-    optimizer = ForceOptimizer(grasp, **options)
-    close = 0.02 if options.get("elastic") else 3e-6 if "conic" in kind else 3e-4
-    for k in range(4):
-        now = moved(k)
-        friction = 0.35 + 0.1 * k
-        models = {"contact_model": grasp.models.names[0], "torsional_friction": 0.005 if grasp is SOFT else None}
-        there = Grasp.from_contacts(now["positions"], now["normals"], friction, **models)
-        found, want = optimizer.solve(LOAD, **now, friction=friction), optimize_force(there, LOAD, **options)
-        assert found.status is want.status
-        assert found.objective == pytest.approx(want.objective, rel=close)
-        np.testing.assert_allclose(found.frames, there.frames, atol=1e-14)
-        assert there.residual(found.force, LOAD, found.torsion) < 1e-9 * np.abs(found.force).max()
-        assert there.cone_margin(found.force) >= 0.0
-
-
-@pytest.mark.parametrize("kind", KINDS)
 def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
     """The same verdict and optimum as a grasp of that subset, and no force elsewhere: all 31 subsets of five."""
     grasp, options = KINDS[kind]
@@ -176,27 +157,6 @@ def test_starts_from_the_basis_after_a_call_with_fewer_contacts(name: str) -> No
     assert found.initial.startswith(name)
 
 
-def test_torques_of_a_call() -> None:
-    """J^T f + bias of the Jacobian and bias of the call, soft contacts' moments included."""
-    for grasp, rows in ((FIVE, 3), (SOFT, 6)):
-        limits = ForceLimits(jacobian=own_joints(5, rows=rows), torque_limit=0.5)
-        optimizer = ForceOptimizer(grasp, limits=limits)
-        for k in range(5):
-            jacobian = own_joints(5, rows=rows) + 0.01 * np.random.default_rng(k).standard_normal((5, rows, 15))
-            bias = 0.05 * np.random.default_rng(k).standard_normal(15)
-            now = moved(k)
-            found = optimizer.solve(LOAD, **now, jacobian=jacobian, torque_bias=bias)
-            moment = found.torsion[:, None] * now["normals"] if rows == 6 else None
-            want = joint_torques(jacobian, found.object_force, bias, moment=moment)
-            np.testing.assert_allclose(found.torques, want, atol=1e-13)
-            assert (np.abs(found.torques) <= 0.5).all()
-            # the limits hold by themselves too
-            plain = np.einsum("nrj,nr->j", jacobian[:, :3], found.object_force) + bias
-            if moment is not None:
-                plain += np.einsum("nrj,nr->j", jacobian[:, 3:], moment)
-            np.testing.assert_allclose(found.torques, plain, atol=1e-13)
-
-
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if "elliptic" not in kind])
 def test_one_frame(kind: str) -> None:
     """Everything turned and shifted together: the force turns along, its parts in the contact frames may not."""
@@ -224,44 +184,6 @@ def test_one_frame(kind: str) -> None:
         size = np.abs(here.force).max()
         np.testing.assert_allclose(found.object_force, here.object_force @ turn.T, atol=1e-4 * size)
         np.testing.assert_allclose(found.torques, here.torques, atol=1e-5 * size)
-
-
-def test_frames_and_object_force_are_what_they_say() -> None:
-    optimizer = ForceOptimizer(FIVE)
-    for k in range(10):
-        now = moved(k)
-        found = optimizer.solve(LOAD, **now)
-        frames = contact_frames(now["normals"])
-        np.testing.assert_allclose(found.frames, frames, atol=1e-14)
-        np.testing.assert_allclose(found.object_force, np.einsum("nij,nj->ni", frames, found.force), atol=1e-14)
-        total = np.concatenate(
-            [found.object_force.sum(axis=0), np.cross(now["positions"], found.object_force).sum(axis=0)]
-        )
-        np.testing.assert_allclose(total, -LOAD, atol=1e-12)
-    again = pickle.loads(pickle.dumps(found))
-    np.testing.assert_array_equal(again.frames, found.frames)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_an_update_is_a_new_optimizer(kind: str) -> None:
-    grasp, options = KINDS[kind]
-    optimizer = ForceOptimizer(grasp, **options)
-    now = moved(2)
-    limits = options.get("limits")
-    more: dict[str, Any] = {}
-    if limits is not None and limits.jacobian is not None:
-        more = {"jacobian": 1.1 * np.asarray(limits.jacobian), "torque_bias": np.full(limits.joints, 0.02)}
-        options = {**options, "limits": ForceLimits(**more, torque_limit=limits.torque_limit)}
-    optimizer.update(**now, friction=0.45, **more)
-    models = {"contact_model": grasp.models.names[0], "torsional_friction": 0.005 if grasp is SOFT else None}
-    anew = ForceOptimizer(Grasp.from_contacts(now["positions"], now["normals"], 0.45, **models), **options)
-    one, other = optimizer.solve(LOAD), anew.solve(LOAD)
-    assert one.status is other.status
-    np.testing.assert_allclose(one.force, other.force, rtol=0, atol=1e-9 * np.abs(other.force).max())
-    np.testing.assert_array_equal(optimizer.grasp.positions, now["positions"])
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(optimizer)).solve(LOAD).force, one.force)
-    # what a call has is still that call's alone
-    np.testing.assert_array_equal(rows_of(optimizer.solve(LOAD)), rows_of(one))
 
 
 WRONG: list[tuple[dict[str, Any], str]] = [
