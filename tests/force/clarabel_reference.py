@@ -159,12 +159,14 @@ class Reference:
         spins = self.rows[:, :, 3] * spin
         scaled = np.concatenate([self.rows[:, :, :3] * sizes, -spins[:, :, None]], axis=2)
         scaled[:, :, 0] += spins
-        return np.sqrt((scaled**2).sum(axis=(1, 2)))
+        length = np.sqrt((scaled**2).sum(axis=(1, 2)))
+        return np.where(length > 0.0, length, 1.0)
 
     def _weights(self, omega: Weight, lam: Weight) -> tuple[Array, Array, Array]:
         """omega and lambda of each contact (N,), and lambda of each limit (M,): the mean of the contacts whose forces it counts."""
         both, lambdas = np.broadcast_to(omega, self.count), np.broadcast_to(lam, self.count)
         touched = (self.rows != 0.0).any(axis=2)
+        touched[~touched.any(axis=1)] = True  # a torque that no force changes counts all
         return both, lambdas, (touched @ lambdas) / touched.sum(axis=1)
 
     def phi(self, force: Array, torsion: Array, omega: Weight = 1.0, lam: Weight = 0.01) -> float:

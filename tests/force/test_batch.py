@@ -113,23 +113,6 @@ def test_hard_problems_are_not_lost(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["newton", "conic"])
-def test_many_grasps(method: str) -> None:
-    grasps = [grasp for grasp in closure_grasps() if grasp.n_contacts == 5]
-    rng = np.random.default_rng(1)
-    grasps = [grasps[k] for k in rng.integers(len(grasps), size=40)]  # some several times, mixed
-    loads = sample_ball(rng, len(grasps))
-    batch = optimize_forces(grasps, loads, method=method)
-    np.testing.assert_array_equal(optimize_forces(grasps, loads, method=method, workers=1).records, batch.records)
-    assert batch.optimal.all()
-    same = optimize_forces(grasps, loads, method=method, tolerance=1e-9)
-    for k, (grasp, load) in enumerate(zip(grasps, loads, strict=True)):
-        one = optimize_force(grasp, load, method=method, tolerance=1e-9)
-        assert batch[k].status is one.status
-        assert batch[k].objective == pytest.approx(one.objective, rel=1e-4)
-        np.testing.assert_allclose(same.force[k], one.force, rtol=0, atol=1e-4 * np.abs(one.force).max())
-
-
-@pytest.mark.parametrize("method", ["newton", "conic"])
 def test_grasps_of_every_kind_side_by_side(method: str) -> None:
     """Nearly coplanar, without force closure, soft, elliptic and frictionless among ordinary ones: the statuses of single calls."""
     base = ring(8)

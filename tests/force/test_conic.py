@@ -143,23 +143,6 @@ def test_extreme_friction_right_or_honest(friction: float) -> None:
         certified(grasp, PAPER_WRENCH, found)
 
 
-@pytest.mark.parametrize("count", [3, 4, 5, 8, 17, 50, 100])
-def test_any_number_of_contacts(count: int) -> None:
-    rng = np.random.default_rng(count)
-    positions = rng.standard_normal((count, 3))
-    positions /= np.linalg.norm(positions, axis=1)[:, None]
-    grasp = Grasp.from_contacts(0.05 * positions, -positions, rng.uniform(0.1, 1.2, count))
-    load = random_wrench(rng, grasp, 0.1, 10.0)
-    try:
-        found = conic(grasp, load)
-    except InfeasibleWrenchError:
-        pytest.importorskip("clarabel")
-        assert Reference(grasp).margin(load) < 1e-7
-        return
-    assert found.status is Status.OPTIMAL
-    certified(grasp, load, found)
-
-
 @pytest.mark.parametrize("seed", [9, 11, 12])
 def test_the_least_maximum_is_found_where_many_normals_are_equal(seed: int) -> None:
     """Cases that once stalled."""

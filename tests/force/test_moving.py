@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from force.clarabel_reference import Reference
 
 from grasp_env.errors import (
     GraspError,
     InfeasibleWrenchError,
     InvalidInputError,
-    NotConvergedError,
     RankDeficientGraspError,
 )
 from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, optimize_force
@@ -237,52 +235,6 @@ def test_contacts_on_a_line_lose_their_rank() -> None:
     with pytest.raises(RankDeficientGraspError):
         optimizer.update(**line)
     assert optimizer.solve(0.1 * LOAD).status is Status.OPTIMAL
-
-
-LIMITS = {
-    "free": None,
-    "normal forces": ForceLimits(max_normal=6.0),
-    "torques": ForceLimits(jacobian=own_joints(4), torque_limit=0.35),
-    "shared": ForceLimits(jacobian=0.03 * np.random.default_rng(9).standard_normal((4, 3, 4)), torque_limit=0.5),
-}
-
-
-@pytest.mark.parametrize("method", ["newton", "conic"])
-@pytest.mark.parametrize("name", LIMITS)
-def test_a_normal_that_turns_away_against_clarabel(name: str, method: str) -> None:
-    """0 to 60 degrees in steps of 1: feasible and infeasible where Clarabel says so, and conic as much as it says."""
-    pytest.importorskip("clarabel")
-    grasp, limits = presets.paper_cuboid(), LIMITS[name]
-    optimizer = ForceOptimizer(grasp, method=method, limits=limits)
-    load, verdicts = np.array([0.5, 0.2, -0.6, -0.01, 0.02, 0.0]), set()
-    for degrees in range(61):
-        angle = np.radians(degrees)
-        normals = grasp.normals.copy()
-        normals[0] = [np.sin(angle), 0.0, np.cos(angle)]
-        reference = Reference(Grasp.from_contacts(grasp.positions, normals, 0.4), limits)
-        margin = reference.margin(load)
-        try:
-            found = optimizer.solve(load, normals=normals)
-        except InfeasibleWrenchError as error:
-            found = error.solution
-        except NotConvergedError:
-            assert abs(margin) < 1e-6
-            continue
-        assert found is not None
-        if found.status is Status.INFEASIBLE:
-            assert margin < 1e-6
-            assert margin > -1e-6 or reference.separates(found.certificate, load) > 0.0
-            verdicts.add(False)
-            continue
-        verdicts.add(True)
-        assert margin > -1e-6
-        assert reference.residual(found.force, found.torsion, load) < 1e-9
-        assert reference.violation(found.force, found.torsion) <= 1e-9
-        if margin > 1e-4:
-            assert found.status is Status.OPTIMAL, (degrees, margin)
-        if method == "conic" and margin > 1e-4:
-            assert found.objective == pytest.approx(reference.solve(load).objective, rel=2e-6)
-    assert verdicts == {True, False}
 
 
 @pytest.mark.parametrize("method", ["newton", "reduced_flow"])

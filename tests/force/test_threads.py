@@ -73,17 +73,6 @@ def test_one_optimizer_that_remembers() -> None:
             assert solution.optimality_gap <= 1e-4
 
 
-@pytest.mark.parametrize("method", ["newton", "conic", "reduced_flow"])
-def test_batches_from_several_threads(method: str) -> None:
-    loads = sample_ball(np.random.default_rng(1), 400)
-    alone = optimize_forces(GRASP, loads, method=method, workers=1)
-    with ThreadPoolExecutor(4) as pool:
-        for batch in pool.map(
-            lambda workers: optimize_forces(GRASP, loads, method=method, workers=workers), (1, 2, 3, 8)
-        ):
-            np.testing.assert_array_equal(batch.records, alone.records)
-
-
 def in_a_child(optimizer: ForceOptimizer, load: np.ndarray, answers: multiprocessing.SimpleQueue) -> None:
     """With what came from the parent, and with its own."""
     batch = optimize_forces(optimizer.grasp, LOADS, method="newton", workers=2)
