@@ -33,6 +33,10 @@ def test_previous_starts_with_the_methods_own_and_then_remembers(method: str, ow
     # a function call with the solution is the same carry-over
     other = optimize_force(grasp, 1.03 * PAPER_WRENCH, method=method, initial=again)
     np.testing.assert_array_equal(other.force, optimizer.solve(1.03 * PAPER_WRENCH).force)
+    # a solution that a call is given comes before the last one
+    far = optimize_force(grasp, -2.0 * PAPER_WRENCH, method=method)
+    other = ForceOptimizer(grasp, method=method).solve(PAPER_WRENCH, initial=far)
+    np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH, initial=far).force, other.force)
     optimizer.forget()
     assert optimizer.previous is None
     np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH).force, first.force)

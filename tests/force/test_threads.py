@@ -25,7 +25,7 @@ LOADS = sample_ball(np.random.default_rng(0), 200)
 OPTIMIZERS = {
     "newton": {"method": "newton"},
     "previous": {"method": "newton", "initial": "previous"},
-    "reduced_flow": {},
+    "reduced_flow": {"method": "reduced_flow"},
     "conic": {"method": "conic"},
     "limits": {"method": "newton", "limits": ForceLimits(max_normal=20.0)},
     "general": {"method": "conic", "limits": ForceLimits(max_normal=50.0)},
