@@ -9,10 +9,10 @@ import numpy as np
 from force.clarabel_reference import Reference
 from problems import random_grasp as on_ellipsoid
 
-from grasp_env.errors import GraspError, InvalidInputError, RankDeficientGraspError
+from grasp_env.errors import InvalidInputError, RankDeficientGraspError
 from grasp_env.force import ForceLimits
 from grasp_env.grasp import Grasp
-from grasp_env.quality import feasibility, force_closure
+from grasp_env.quality import feasibility
 
 Array = np.ndarray
 KINDS = ("hard", "elliptic", "soft", "frictionless", "mixed")
@@ -126,46 +126,24 @@ def finger_limits(rng: np.random.Generator, count: int, tight: float = 1.0) -> F
     return ForceLimits(jacobian=own_joints(rng, count, each), torque_limit=torque, torque_bias=bias, **given)
 
 
-def near_closure(rng: np.random.Generator) -> Grasp:
-    """Friction above what force closure needs by 1e-5 to 0.1 of it."""
-    base = random_grasp(rng, "hard", most=6)
-    low, high = 1e-3, 3.0
-    for _ in range(25):
-        middle = float(np.sqrt(low * high))
-        try:
-            closed = bool(force_closure(base.with_friction(middle)))
-        except GraspError:
-            closed = False
-        low, high = (low, middle) if closed else (middle, high)
-    return base.with_friction(high * (1.0 + 10.0 ** rng.uniform(-5.0, -1.0)))
-
-
-def clustered(rng: np.random.Generator) -> Grasp:
-    """Contacts within 1e-6 to 1e-3 m of one to three places on a ball of 0.05 m."""
-    count = int(rng.integers(4, 8))
-    centres = rng.standard_normal((int(rng.integers(1, 4)), 3))
-    centres *= 0.05 / np.linalg.norm(centres, axis=1)[:, None]
-    which = rng.integers(0, len(centres), count)
-    positions = centres[which] + 10.0 ** rng.uniform(-6.0, -3.0) * rng.standard_normal((count, 3))
-    normals = -centres[which] / 0.05 + 0.4 * rng.standard_normal((count, 3))
-    return Grasp.from_contacts(
-        positions, normals / np.linalg.norm(normals, axis=1)[:, None], rng.uniform(0.2, 1.2, count)
-    )
-
-
 def hard_problem(rng: np.random.Generator) -> Drawn:
     """One of every kind of trouble."""
+    trouble, model, grasp = troubled(rng)
+    size = 10.0 ** rng.uniform(-6.0, 5.0)
+    force = rng.standard_normal(3) * (rng.random() < 0.9)
+    moment = grasp.length * rng.choice([0.0, 1e-3, 1.0], p=(0.3, 0.2, 0.5)) * rng.standard_normal(3)
+    middle = grasp.positions.mean(axis=0)
+    wrench = size * np.concatenate([force, moment + np.cross(middle, force)])
+    weights = (1.0, 0.01) if rng.random() < 0.5 else (10.0 ** rng.uniform(-4, 4), 10.0 ** rng.uniform(-8, 4))
+    return Drawn(f"{trouble}, {model}", grasp, wrench, None, weights)
+
+
+def troubled(rng: np.random.Generator, troubles: tuple[str, ...] = TROUBLES) -> tuple[str, str, Grasp]:
+    """A trouble, a contact model, and such a grasp."""
     while True:
-        trouble, model = str(rng.choice(TROUBLES)), str(rng.choice(MODELS, p=(0.4, 0.2, 0.05, 0.25, 0.1)))
+        trouble, model = str(rng.choice(troubles)), str(rng.choice(MODELS, p=(0.4, 0.2, 0.05, 0.25, 0.1)))
         with suppress(RankDeficientGraspError, InvalidInputError):  # contacts on one line, or out of range: another
-            grasp = hard_grasp(rng, trouble, model)
-            size = 10.0 ** rng.uniform(-6.0, 5.0)
-            force = rng.standard_normal(3) * (rng.random() < 0.9)
-            moment = grasp.length * rng.choice([0.0, 1e-3, 1.0], p=(0.3, 0.2, 0.5)) * rng.standard_normal(3)
-            middle = grasp.positions.mean(axis=0)
-            wrench = size * np.concatenate([force, moment + np.cross(middle, force)])
-            weights = (1.0, 0.01) if rng.random() < 0.5 else (10.0 ** rng.uniform(-4, 4), 10.0 ** rng.uniform(-8, 4))
-            return Drawn(f"{trouble}, {model}", grasp, wrench, None, weights)
+            return trouble, model, hard_grasp(rng, trouble, model)
 
 
 def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
@@ -226,8 +204,7 @@ def limited(rng: np.random.Generator) -> Drawn:
 
 def tight(rng: np.random.Generator) -> Drawn:
     """Limits that most wrenches exceed, also on contacts close to each other or to losing force closure."""
-    kind = str(rng.choice([*KINDS, "near closure", "clustered", "flat"]))
-    grasp = _some_trouble(rng, kind)
+    _, kind, grasp = troubled(rng, ("plain", "plain", "clustered", "flat", "edge"))
     wrench = random_wrench(rng, grasp, 1e-3, 1e3)
     limits = random_limits(rng, grasp, _size(grasp, wrench) * 10.0 ** rng.uniform(-1.5, 0.3))
     return Drawn(f"tight limits, {kind}", grasp, wrench, limits)
@@ -250,24 +227,12 @@ def closed(rng: np.random.Generator, count: int) -> Grasp:
 
 def nearly_lost(rng: np.random.Generator) -> Drawn:
     """The general program where it is hard; limits that no force reaches send hard contacts there too."""
-    kind = str(rng.choice(["near closure", "clustered", "flat"]))
-    grasp = _some_trouble(rng, kind)
-    return Drawn(kind, grasp, random_wrench(rng, grasp, 0.1, 10.0), ForceLimits(max_normal=1e11))
+    trouble, _, grasp = troubled(rng, ("clustered", "flat", "edge"))
+    return Drawn(trouble, grasp, random_wrench(rng, grasp, 0.1, 10.0), ForceLimits(max_normal=1e11))
 
 
 def _size(grasp: Grasp, wrench: Array) -> float:
     return float(np.abs(Reference(grasp).load(wrench)).max())
-
-
-def _some_trouble(rng: np.random.Generator, kind: str) -> Grasp:
-    while True:
-        with suppress(GraspError):
-            if kind in ("near closure", "clustered"):
-                return (near_closure if kind == "near closure" else clustered)(rng)
-            if kind == "flat":
-                model = str(rng.choice(["hard", "elliptic", "soft", "mixed"]))
-                return random_grasp(rng, model, flat=10.0 ** rng.uniform(-6.0, -2.0), most=8)
-            return random_grasp(rng, kind, most=8)
 
 
 FAMILIES = {
