@@ -67,6 +67,17 @@ def test_forces_along_the_papers_path_are_continuous_and_valid() -> None:
     assert moves.max() < 10.0 * np.abs(np.diff(path[:, :3], axis=0)).max()
 
 
+@pytest.mark.parametrize("method", ["newton", "conic"])
+def test_the_answer_does_not_follow_the_wrench_that_the_caller_changes(method: str) -> None:
+    optimizer, load = ForceOptimizer(presets.paper_cuboid(), method=method), PAPER_WRENCH.copy()
+    first = optimizer.solve(load)
+    force = first.force.copy()
+    load[:] = 7.0
+    optimizer.solve(load)
+    np.testing.assert_array_equal(first.force, force)
+    np.testing.assert_array_equal(first.wrench, PAPER_WRENCH)
+
+
 def test_a_solution_certifies_itself() -> None:
     solution = optimize_force(presets.paper_cuboid(), PAPER_WRENCH)
     assert solution.raise_for_status() is solution
@@ -74,6 +85,8 @@ def test_a_solution_certifies_itself() -> None:
     assert 0.0 < solution.optimality_gap <= 1e-4
     assert solution.total_normal_force == solution.force[:, 0].sum()
     assert solution.certificate is None
+    with pytest.raises(ValueError, match="read-only"):
+        solution.force[0, 0] = 0.0
     for status in Status:
         assert status.help.endswith((".", "it."))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NoReturn
@@ -341,6 +342,11 @@ def test_extreme_wrenches_end_soon_with_numbers(magnitude: float, method: str, i
     assert not np.isnan([solution.lower_bound, solution.optimality_gap, solution.equilibrium_residual]).any()
     assert solution.cone_margin > 0.0
     assert solution.trials < 500 * 100
+
+
+def test_errors_travel_between_processes() -> None:
+    error = pickle.loads(pickle.dumps(UnknownNameError("method", "newest", ("conic",), "; look again")))
+    assert str(error) == "unknown method 'newest': choose one of 'conic'; look again"
 
 
 def test_every_project_error_is_a_grasp_error() -> None:
