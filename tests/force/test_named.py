@@ -208,7 +208,7 @@ def test_without_a_wrench(name: str, method: str) -> None:
 
 
 @EACH
-@pytest.mark.parametrize("most", [0, 2])
+@pytest.mark.parametrize("most", [0, 1, 2, 4])
 def test_stopped_early_it_is_still_what_it_says(name: str, method: str, most: int) -> None:
     """Balanced, inside and with a bound that is below the least: or no force at all."""
     p, known = NAMED[name], NAMED[name].known[method]
@@ -222,6 +222,14 @@ def test_stopped_early_it_is_still_what_it_says(name: str, method: str, most: in
     assert reference.violation(found.force, found.torsion) <= 1e-13 * max(size, largest)
     away = 1.0 + float(np.abs(p.grasp.positions).max()) / reference.length
     assert reference.residual(found.force, found.torsion, p.wrench) <= 1e-8 * size + 1e-13 * away * largest
-    if known["status"] == "optimal":
-        assert found.lower_bound <= known["objective"] * (1.0 + known["digits"] + 1e-10)
-        assert found.objective >= known["objective"] * (1.0 - known["digits"] - 1e-10)
+    if known["status"] == "infeasible":
+        return
+    near = known["digits"] + 1e-10 if known["status"] == "optimal" else 1e-6
+    assert found.lower_bound <= known["objective"] * (1.0 + near)
+    assert found.objective >= known["objective"] * (1.0 - near)
+    prices = found.limit_multipliers
+    if method != "newton" and known["status"] == "optimal" and len(prices) == len(p.reference().bound):
+        # far from the optimum too, the bound is what its multipliers prove
+        bound, _ = p.reference().dual_bound(found.multipliers, prices, p.wrench, method)
+        rounding = 1e-8 * abs(bound) + 1e-12 * float(np.abs(found.multipliers * p.wrench).sum())
+        assert found.lower_bound <= max(bound, 0.0) + rounding
