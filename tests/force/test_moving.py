@@ -225,8 +225,11 @@ def test_torques_need_limits(given: dict[str, Any]) -> None:
         ForceOptimizer(FIVE).solve(LOAD, **given)
 
 
-def test_contacts_on_a_line_lose_their_rank() -> None:
-    optimizer = ForceOptimizer(presets.tripod())
+@pytest.mark.parametrize("method", ["newton", "conic"])
+@pytest.mark.parametrize("limits", [None, ForceLimits(jacobian=np.full((3, 3, 1), 0.01), torque_limit=5.0)])
+def test_contacts_on_a_line_lose_their_rank(method: str, limits: ForceLimits | None) -> None:
+    """Also where joints that fingers share send them to the general program."""
+    optimizer = ForceOptimizer(presets.tripod(), method=method, limits=limits)
     line = {"positions": [[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]], "normals": [[1.0, 0, 0]] * 3}
     with pytest.raises(RankDeficientGraspError):
         optimizer.solve(LOAD, **line)
