@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import null_space
@@ -21,7 +24,7 @@ class Problem:
     """A grasp, a wrench, the weights of Phi, and what is known about the optimum.
 
     Attributes:
-        optimum: min Phi, found once by `solve_by_scipy`.
+        optimum: min Phi, see `force/named.py`.
         total_normal: sum of the normal forces at the optimum [N], from the project's notes; None where unknown.
     """
 
@@ -54,20 +57,28 @@ GRASPS = {
 """Grasps with force closure for every number of fingers that the paper allows."""
 
 LIGHT = np.array([0.3, -0.2, 0.5, 0.01, -0.005, 0.008])
-PROBLEMS = (
-    Problem("paper, lambda 0.01", GRASPS["cuboid, 4"], PAPER_WRENCH, 1.0, 0.01, 12.253093871456, 9.36),
-    Problem("paper, lambda 0.1", GRASPS["cuboid, 4"], PAPER_WRENCH, 1.0, 0.1, 16.888750549924, 11.14),
-    Problem("paper, lambda 1", GRASPS["cuboid, 4"], PAPER_WRENCH, 1.0, 1.0, 32.939795925213, 17.32),
-    Problem("paper, heavy", GRASPS["cuboid, 4"], 20.0 * PAPER_WRENCH, 1.0, 0.01, 207.892749127),
-    Problem("paper, no wrench", GRASPS["cuboid, 4"], np.zeros(6), 1.0, 0.01, 2.688205134854),
-    Problem("paper, omega 2", GRASPS["cuboid, 4"], PAPER_WRENCH, 2.0, 0.1, 29.708887511358),
-    Problem("tripod, light", GRASPS["tripod"], LIGHT, 1.0, 0.01, 3.594370132241),
-    Problem("tripod, no wrench", GRASPS["tripod"], np.zeros(6), 1.0, 0.01, 1.8),
-    Problem("tripod, uneven", GRASPS["tripod, uneven"], LIGHT, 1.0, 0.01, 3.550711735837),
-    Problem("five fingers, paper", GRASPS["cuboid, 5"], PAPER_WRENCH, 1.0, 0.01, 12.599085309391),
-    Problem("five fingers, light", GRASPS["cuboid, 5"], LIGHT, 1.0, 0.1, 10.838980458048),
-    Problem("five fingers, uneven", GRASPS["cuboid, 5, uneven"], PAPER_WRENCH, 1.0, 0.01, 12.448223260946),
-)
+PAPER_FAMILIES = ("paper", "tripod", "five fingers")
+"""How the names of the paper's problems begin, in the table of named problems."""
+
+
+def _of_the_paper() -> Iterator[Problem]:
+    """Hard contacts with one weight for all: what every method solves."""
+    for entry in json.loads((Path(__file__).parent / "force/problems.json").read_text(encoding="utf-8")):
+        if entry["name"].startswith(PAPER_FAMILIES):
+            grasp = Grasp.from_contacts(entry["positions"], entry["normals"], entry["friction"])
+            phi = {"force_weight": 1.0, "barrier_weight": 0.01} | entry.get("weights", {})
+            best = entry["known"]["newton"]["objective"]
+            yield Problem(
+                entry["name"],
+                grasp,
+                np.array(entry["wrench"]),
+                **phi,
+                optimum=best,
+                total_normal=entry.get("total_normal"),
+            )
+
+
+PROBLEMS = tuple(_of_the_paper())
 CONIC_LEAST = 8.58473
 """Least total normal force of the reference grasp under the paper's wrench, exact cones, no barrier [N]."""
 

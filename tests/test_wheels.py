@@ -98,7 +98,7 @@ def test_needs_nothing_of_this_machine_but_its_glibc(wheel: Path, unpacked: Path
         assert not needed or max(needed) <= (major, minor), file
 
 
-def test_golden_outcomes_hold_at_every_level(wheel: Path, unpacked: Path) -> None:
+def test_named_problems_have_their_outcomes_at_every_level(wheel: Path, unpacked: Path) -> None:
     if _python_of(wheel) != sys.executable:
         pytest.skip("of another Python than this one")
     for level in _levels(unpacked):
@@ -107,6 +107,7 @@ def test_golden_outcomes_hold_at_every_level(wheel: Path, unpacked: Path) -> Non
             "-m",
             "pytest",
             "-q",
+            "tests/force/test_named.py",
             "tests/golden",
             "-k",
             "not environment",

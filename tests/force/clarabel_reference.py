@@ -7,7 +7,6 @@ Nothing here reads the package's matrices: frames follow the paper's rule, momen
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -15,13 +14,12 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from grasp_env.errors import RankDeficientGraspError
 from grasp_env.force import ForceLimits
 from grasp_env.grasp import Grasp
 
 Array = np.ndarray
+Weight = float | Array
 SOLVED = ("Solved", "AlmostSolved")
-KINDS = ("hard", "elliptic", "soft", "frictionless", "mixed")
 
 
 @dataclass(frozen=True)
@@ -81,12 +79,18 @@ class Reference:
         transmits[:, 3] = self.gamma > 0.0
         self.transmits = transmits
         self.matrix = matrix * transmits
-        self.rows, self.bound = self._limits(limits)
+        self.rows, self.bound, self.limited = self._limits(limits)
 
-    def _limits(self, limits: ForceLimits | None) -> tuple[Array, Array]:
-        """A (M, N, 4), b (M,) in the documented order: least normals, largest normals, each joint's two torques."""
+    @classmethod
+    def of(cls, grasp: Grasp, limits: ForceLimits | None = None) -> Reference:
+        """With the frames of the grasp, whatever its tangents."""
+        return cls(grasp, limits, grasp.frames[:, :, 1])
+
+    def _limits(self, limits: ForceLimits | None) -> tuple[Array, Array, Array]:
+        """A (M, N, 4), b (M,) in the documented order (least normals, largest normals, each joint's two torques), and each limit (M,)."""
         rows: list[Array] = []
         bound: list[float] = []
+        limited: list[float] = []
         if limits is not None:
             least = np.broadcast_to(np.asarray(limits.min_normal), (self.count,))
             most = np.broadcast_to(np.asarray(limits.max_normal), (self.count,))
@@ -97,6 +101,7 @@ class Reference:
                         row[k, 0] = sign
                         rows.append(row)
                         bound.append(sign * value)
+                        limited.append(value)
             if limits.jacobian is not None:
                 given = np.asarray(limits.jacobian)
                 given = given.reshape(self.count, -1, given.shape[-1])
@@ -109,7 +114,8 @@ class Reference:
                         if np.isfinite(most_torque):
                             rows.append(sign * jac[:, :, j] * self.transmits)
                             bound.append(most_torque - sign * np.asarray(limits.torque_bias)[j])
-        return np.array(rows).reshape(-1, self.count, 4), np.array(bound)
+                            limited.append(most_torque)
+        return np.array(rows).reshape(-1, self.count, 4), np.array(bound), np.array(limited)
 
     def load(self, wrench: Array) -> Array:
         """The wrench about the centre, moments divided by the length [N]."""
@@ -135,6 +141,52 @@ class Reference:
         size = np.sqrt((self.rows**2).sum(axis=(1, 2)))
         excess = (np.einsum("kna,na->k", self.rows, f) - self.bound) / np.where(size > 0.0, size, 1.0)
         return float(max(-inside.min(), -spin.min(), excess.max(initial=-np.inf)))
+
+    def excess(self, force: Array, torsion: Array) -> float:
+        """Largest excess of a limit as a part of it; 0 within all."""
+        made = np.einsum("kna,na->k", self.rows, np.column_stack([force, torsion])) - self.bound
+        return float((made / self.limited).max(initial=0.0))
+
+    def _scaled(self) -> tuple[Array, Array, Array]:
+        """mu of cone coordinates u = mu n (N,), the size of a unit of (u, o, t) as (n, o, t) (N, 3), that of v as torsion (N,)."""
+        mu_o, mu_t = self.mu.T
+        mu = np.where(mu_o > 0.0, np.sqrt(mu_o * mu_t), 1.0)
+        return mu, np.array([1.0 / mu, mu_o / mu, mu_t / mu]).T, self.gamma / mu
+
+    def _row_sizes(self) -> Array:
+        """(M,) length of each limit's row in cone coordinates (u, o, t, u - v), in which Phi measures the distance to it."""
+        _, sizes, spin = self._scaled()
+        spins = self.rows[:, :, 3] * spin
+        scaled = np.concatenate([self.rows[:, :, :3] * sizes, -spins[:, :, None]], axis=2)
+        scaled[:, :, 0] += spins
+        length = np.sqrt((scaled**2).sum(axis=(1, 2)))
+        return np.where(length > 0.0, length, 1.0)
+
+    def _weights(self, omega: Weight, lam: Weight) -> tuple[Array, Array, Array]:
+        """omega and lambda of each contact (N,), and lambda of each limit (M,): the mean of the contacts whose forces it counts."""
+        both, lambdas = np.broadcast_to(omega, self.count), np.broadcast_to(lam, self.count)
+        touched = (self.rows != 0.0).any(axis=2)
+        touched[~touched.any(axis=1)] = True  # a torque that no force changes counts all
+        return both, lambdas, (touched @ lambdas) / touched.sum(axis=1)
+
+    def phi(self, force: Array, torsion: Array, omega: Weight = 1.0, lam: Weight = 0.01) -> float:
+        """Phi by the eigenvalues of P and the distances to soft contacts' torsion and to limits; +inf outside."""
+        (mu, sizes, spin), n = self._scaled(), force[:, 0]
+        prices, lambdas, of_rows = self._weights(omega, lam)
+        u, s = mu * n, np.zeros(self.count)
+        rough, soft = self.mu[:, 0] > 0.0, self.gamma > 0.0
+        s[rough] = np.hypot(*(force[rough, 1:] / sizes[rough, 1:]).T)
+        v = torsion[soft] / spin[soft]
+        room = self.bound - np.einsum("kna,na->k", self.rows, np.column_stack([force, torsion]))
+        distances = np.concatenate([u, u - s, u + s, u[soft] - v, u[soft] + v, room / self._row_sizes()])
+        each = np.concatenate([*[lambdas] * 3, *[lambdas[soft]] * 2, of_rows])
+        return float(3.0 * (prices @ u) + (each / distances).sum()) if (distances > 0.0).all() else np.inf
+
+    def cone_margin(self, force: Array) -> float:
+        """Least distance to a cone's surface in cone coordinates [N]."""
+        mu, sizes, _ = self._scaled()
+        tangential = force[:, 1:] / np.where(self.mu > 0.0, sizes[:, 1:], 1.0)
+        return float((mu * force[:, 0] - np.hypot(*tangential.T)).min())
 
     def dual_bound(self, nu: Array, prices: Array, wrench: Array, criterion: str = "sum") -> tuple[float, float]:
         """(certified lower bound, theta): multipliers nu (6,) about the origin and prices (M,) of the limits, scaled by theta <= 1.
@@ -253,6 +305,82 @@ class Reference:
             "PrimalInfeasible" in str(found.status),
         )
 
+    def least_excess(self, wrench: Array) -> float:
+        """The least possible excess of a limit: one more variable t, every limit raised by t of itself; nan: unsolved."""
+        clarabel = import_module("clarabel")
+        load = self.load(np.asarray(wrench, dtype=float))
+        size = float(np.abs(load).max()) or 1.0
+        width = 4 * self.count + 1
+        blocks, right, cones = self._cones(width, size)
+        lengths = np.sqrt((self.rows**2).sum(axis=(1, 2)))
+        linear = next(k for k, cone in enumerate(cones) if "Nonnegative" in type(cone).__name__)
+        blocks[linear][-len(lengths) :, -1] = -self.limited / size / lengths
+        balance = np.zeros((6, width))
+        balance[:, :-1] = self.matrix.reshape(6, -1)
+        rows, sides = np.vstack([balance, *blocks]), np.concatenate([-load / size, *right])
+        found = _run(np.eye(width)[-1], rows, sides, [clarabel.ZeroConeT(6), *cones], 1e-9)
+        return found.obj_val if str(found.status) in SOLVED else float("nan")
+
+    def least_phi(self, wrench: Array, omega: Weight = 1.0, lam: Weight = 0.01) -> tuple[float, float]:
+        """(min Phi, Clarabel's own relative error; inf: unsolved), every term as second-order cones.
+
+        2u/(u^2 - s^2) <= y where u (u - z) >= s^2 and y z >= 2; 2u/(u^2 - v^2) the same; 1/room <= y where room y >= 1.
+        """
+        clarabel = import_module("clarabel")
+        count, load = self.count, self.load(np.asarray(wrench, dtype=float))
+        prices, lambdas, of_rows = self._weights(omega, lam)
+        price = float(prices.mean())
+        # forces are about that, and Phi its price
+        unit = max(float(np.abs(load).max()), np.sqrt(float(lambdas.max()) / price))
+        roots, row_roots = np.sqrt(lambdas / price) / unit, np.sqrt(of_rows / price) / unit
+        (mu, sizes, spin), soft = self._scaled(), np.flatnonzero(self.gamma > 0.0)
+        # variables: (n, o, t, tau) of each contact, then (r, y, z) of each, (y, z) of soft ones, y of each limit
+        begins = np.cumsum([4 * count, 3 * count, 2 * len(soft), len(self.bound)])
+        width = int(begins[-1])
+        each, cost = np.eye(width), np.zeros(width)
+        cost[: 4 * count : 4] = 3.0 * mu * prices / price
+        fixed = np.flatnonzero(self.transmits.reshape(-1) == 0.0)
+        zero = np.concatenate([np.zeros((6, width)), each[fixed]])
+        zero[:6, : 4 * count] = self.matrix.reshape(6, -1)
+        blocks, right = [zero], [np.concatenate([-load / unit, np.zeros(len(fixed))])]
+        cones = [clarabel.ZeroConeT(len(zero))]
+
+        def rotated(a: Array, b: Array, others: list[Array], constant: float = 0.0, shift: float = 0.0) -> None:
+            """(a + shift) b >= |others|^2 + constant^2."""
+            rows = [-(a + b), -(a - b), *(-2.0 * c for c in others), np.zeros(width)]
+            offset = np.zeros(len(rows))
+            offset[:2], offset[-1] = shift, 2.0 * constant
+            blocks.append(np.array(rows))
+            right.append(offset)
+            cones.append(clarabel.SecondOrderConeT(len(rows)))
+
+        def barrier(u: Array, root: float, at: int, others: list[Array]) -> None:
+            """Two variables y, z at `at`, y the term."""
+            cost[at] = root
+            rotated(u, u - each[at + 1], others)
+            rotated(each[at], each[at + 1], [], np.sqrt(2.0 * root))
+
+        for k in range(count):
+            u, at = mu[k] * each[4 * k], begins[0] + 3 * k
+            cost[at] = roots[k]
+            rotated(u, each[at], [], np.sqrt(roots[k]))
+            barrier(u, roots[k], at + 1, [each[4 * k + a] / sizes[k, a] for a in (1, 2)] if self.mu[k, 0] else [])
+        for j, k in enumerate(soft):
+            barrier(mu[k] * each[4 * k], roots[k], begins[1] + 2 * j, [each[4 * k + 3] / spin[k]])
+        for m, length in enumerate(self._row_sizes()):
+            row = np.zeros(width)
+            row[: 4 * count] = -self.rows[m].reshape(-1) / length
+            at = begins[2] + m
+            cost[at] = row_roots[m]
+            rotated(row, each[at], [], np.sqrt(row_roots[m]), self.bound[m] / unit / length)
+        matrix, sides = np.vstack(blocks), np.concatenate(right)
+        # almost solved, it may miss balance by 1e-6 of the wrench, which between contacts 1e-6 apart is worth a hundredth of Phi
+        for tolerance in (1e-10, 1e-8):
+            found = _run(cost, matrix, sides, cones, tolerance)
+            if str(found.status) == "Solved":
+                return price * unit * found.obj_val, own_error(found, cost, matrix, sides)
+        return float("nan"), np.inf
+
     def margin(self, wrench: Array) -> float:
         """How deep a force of total one (with the wrench's share) lies inside everything; < 0: infeasible; nan: unsolved.
 
@@ -318,72 +446,3 @@ def _run(cost: Array, matrix: Array, right: Array, cones: list, tolerance: float
         sparse.csc_matrix((width, width)), cost, sparse.csc_matrix(matrix), right, cones, settings
     )
     return solver.solve()
-
-
-def random_grasp(rng: np.random.Generator, kind: str, flat: float = 1.0, most: int = 20) -> Grasp:
-    """Contacts on an ellipsoid or a box of 1 mm to 10 m away from the origin; normals off by some degrees; friction 0.1 to 1.2.
-
-    Args:
-        rng: the generator.
-        kind: of `KINDS`; frictionless grasps have nine contacts or more.
-        flat: the third axis relative to the others; small: nearly coplanar.
-        most: contacts, but for three grasps in a hundred of 50 or 100 (where `most` is 20 or more).
-    """
-    count = int(rng.integers(2 if kind == "soft" else 3, most + 1))
-    if most >= 20 and rng.random() < 0.03:
-        count = int(rng.choice([50, 100]))
-    if kind == "frictionless":
-        count = max(count, 9)
-    size = 10.0 ** rng.uniform(-3.0, 1.0)
-    axes = size * rng.uniform(0.4, 1.0, 3) * (1.0, 1.0, flat)
-    if rng.random() < 0.5:
-        directions = rng.standard_normal((count, 3))
-        positions = directions / np.linalg.norm(directions, axis=1)[:, None] * axes
-        normals = -positions / axes**2
-    else:
-        face, side = rng.integers(0, 3, count), rng.choice([-1.0, 1.0], count)
-        positions, normals = rng.uniform(-1.0, 1.0, (count, 3)), np.zeros((count, 3))
-        positions[np.arange(count), face], normals[np.arange(count), face] = side, -side
-        positions = positions * axes
-    normals = normals / np.linalg.norm(normals, axis=1)[:, None] + 0.1 * rng.standard_normal((count, 3))
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    shape = (count, 2) if kind in ("elliptic", "mixed") else count
-    names = {"mixed": list(rng.choice(["hard", "soft", "frictionless"], count)), "elliptic": "hard"}
-    return Grasp.from_contacts(
-        positions + size * rng.uniform(-2.0, 2.0, 3),
-        normals,
-        rng.uniform(0.1, 1.2, shape),
-        contact_model=names.get(kind, kind),
-        torsional_friction=size * 10.0 ** rng.uniform(-3.0, 0.0, count),
-    )
-
-
-def some_grasp(rng: np.random.Generator, kind: str, most: int = 20) -> Grasp:
-    """`random_grasp`, drawn again where its G has not rank 6 (frictionless contacts among few)."""
-    while True:
-        with suppress(RankDeficientGraspError):
-            return random_grasp(rng, kind, most=most)
-
-
-def random_wrench(rng: np.random.Generator, grasp: Grasp, least: float = 1e-6, most: float = 1e4) -> Array:
-    """A wrench of `least` to `most` newtons at the centre of the contacts, with or without a moment about it."""
-    size = 10.0 ** rng.uniform(np.log10(least), np.log10(most))
-    force = size * rng.standard_normal(3)
-    moment = size * grasp.length * rng.choice([0.0, 0.1, 1.0]) * rng.standard_normal(3)
-    return np.concatenate([force, moment + np.cross(grasp.positions.mean(axis=0), force)])
-
-
-def random_limits(rng: np.random.Generator, grasp: Grasp, size: float) -> ForceLimits:
-    """Normal forces and torques of joints that couple all contacts, tight to loose for wrenches of `size` newtons."""
-    count, given = grasp.n_contacts, {}
-    if rng.random() < 0.6:
-        given["max_normal"] = size * 10.0 ** rng.uniform(-0.7, 1.0, count if rng.random() < 0.5 else None)
-    if rng.random() < 0.5:
-        given["min_normal"] = 0.3 * np.min(given.get("max_normal", size)) * rng.uniform()
-    if rng.random() < 0.6:
-        joints = int(rng.integers(1, 7))
-        given["jacobian"] = grasp.length * rng.standard_normal((count, int(rng.choice([3, 6])), joints))
-        given["torque_limit"] = size * grasp.length * 10.0 ** rng.uniform(-0.3, 1.5, joints)
-        if rng.random() < 0.5:
-            given["torque_bias"] = 0.1 * given["torque_limit"] * rng.uniform(-1.0, 1.0, joints)
-    return ForceLimits(**given)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
+from force.named import attempt
 from problems import closure_grasps
 
-from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, UnknownNameError
+from grasp_env.errors import InvalidInputError
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force, optimize_forces
 from grasp_env.force.many import CHUNK
 from grasp_env.grasp import Grasp, presets
@@ -115,23 +114,6 @@ def test_hard_problems_are_not_lost(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", ["newton", "conic"])
-def test_many_grasps(method: str) -> None:
-    grasps = [grasp for grasp in closure_grasps() if grasp.n_contacts == 5]
-    rng = np.random.default_rng(1)
-    grasps = [grasps[k] for k in rng.integers(len(grasps), size=40)]  # some several times, mixed
-    loads = sample_ball(rng, len(grasps))
-    batch = optimize_forces(grasps, loads, method=method)
-    np.testing.assert_array_equal(optimize_forces(grasps, loads, method=method, workers=1).records, batch.records)
-    assert batch.optimal.all()
-    same = optimize_forces(grasps, loads, method=method, tolerance=1e-9)
-    for k, (grasp, load) in enumerate(zip(grasps, loads, strict=True)):
-        one = optimize_force(grasp, load, method=method, tolerance=1e-9)
-        assert batch[k].status is one.status
-        assert batch[k].objective == pytest.approx(one.objective, rel=1e-4)
-        np.testing.assert_allclose(same.force[k], one.force, rtol=0, atol=1e-4 * np.abs(one.force).max())
-
-
-@pytest.mark.parametrize("method", ["newton", "conic"])
 def test_grasps_of_every_kind_side_by_side(method: str) -> None:
     """Nearly coplanar, without force closure, soft, elliptic and frictionless among ordinary ones: the statuses of single calls."""
     base = ring(8)
@@ -145,10 +127,7 @@ def test_grasps_of_every_kind_side_by_side(method: str) -> None:
     loads = sample_ball(np.random.default_rng(4), len(grasps))
     batch = optimize_forces(grasps, loads, method=method)
     for k, grasp in enumerate(grasps):
-        try:
-            one = optimize_force(grasp, loads[k], method=method)
-        except InfeasibleWrenchError as error:
-            one = error.solution
+        one = attempt(lambda g=grasp, w=loads[k]: optimize_force(g, w, method=method))
         assert batch[k].status is one.status
         assert batch[k].objective == pytest.approx(one.objective, rel=1e-4)
     ordinary = [k for k in range(len(grasps)) if k not in (3, 7, 11, 12, 13)]
@@ -156,45 +135,15 @@ def test_grasps_of_every_kind_side_by_side(method: str) -> None:
     np.testing.assert_array_equal(without.records, batch.records[ordinary])
 
 
-def test_a_grasp_without_closure_among_many() -> None:
-    floor = Grasp.from_contacts([[0.03, 0, 0], [-0.03, 0.02, 0], [-0.02, -0.03, 0]], [[0.0, 0.0, 1.0]] * 3, 0.4)
-    load = np.array([0, 0, -2.0, 0, 0, 0])
-    batch = optimize_forces([presets.tripod(), floor, floor], [load, load, -load], method="newton")
-    assert [solution.status for solution in batch] == [Status.OPTIMAL, Status.OPTIMAL, Status.INFEASIBLE]
-    np.testing.assert_allclose(batch.force[1], optimize_force(floor, load, method="newton").force, rtol=1e-9)
-    assert batch[2].certificate @ -load > 0.0
-
-
-def test_infeasible_within_limits_keep_their_proof() -> None:
-    loads = np.vstack([wide_loads(30), [[0.0, 0.0, 50.0, 0.0, 0.0, 0.0]]])
-    options = {"method": "newton", "limits": ForceLimits(max_normal=8.0)}
-    batch = optimize_forces(GRASP, loads, **options)
-    assert batch[30].status is Status.INFEASIBLE
-    with pytest.raises(InfeasibleWrenchError) as raised:
-        ForceOptimizer(GRASP, **options).solve(loads[30])
-    np.testing.assert_allclose(batch[30].certificate, raised.value.solution.certificate, rtol=1e-9)
-    again = pickle.loads(pickle.dumps(batch))
-    np.testing.assert_array_equal(again[3].limit_multipliers, batch[3].limit_multipliers)
-    assert again[30].status is Status.INFEASIBLE
-
-
-@pytest.mark.parametrize("method", ["newton", "conic"])
-def test_infeasible_wrenches_get_a_status_and_keep_their_proof(method: str) -> None:
-    floor = Grasp.from_contacts([[0.03, 0, 0], [-0.03, 0.02, 0], [-0.02, -0.03, 0]], [[0.0, 0.0, 1.0]] * 3, 0.4)
-    loads = np.array([[0, 0, -2.0, 0, 0, 0], [0, 0, 2.0, 0, 0, 0]])
-    options = {"initial": "phase_one"} if method == "newton" else {}
-    batch = optimize_forces(floor, loads, method=method, **options)
-    assert [solution.status for solution in batch] == [Status.OPTIMAL, Status.INFEASIBLE]
-    assert batch[1].certificate @ loads[1] > 0.0
-    assert np.isinf(batch.objective[1])
-
-
-def test_limits_and_their_multipliers_come_through() -> None:
-    loads = sample_ball(np.random.default_rng(2), 5)
-    limits = ForceLimits(max_normal=50.0)
-    batch = optimize_forces(GRASP, loads, method="conic", limits=limits)
-    assert batch.optimal.all()
-    assert all(solution.limit_multipliers.shape == (4,) for solution in batch)
+@pytest.mark.parametrize("thin", [1e-3, 1e-4, 1e-5, 1e-6])
+def test_grasps_near_rank_loss_are_solved_alone(thin: float) -> None:
+    """Contacts nearly on a line, where sums of another order are worth more than rounding: the bits of single calls."""
+    base = ring(8)
+    points = [base.positions * [1.0, thin, thin] * (1.0 + 0.03 * k) for k in range(9)]
+    grasps = [Grasp.from_contacts(each, base.normals, 0.5) for each in points]
+    loads = np.random.default_rng(4).standard_normal((9, 6)) * np.repeat([1.0, 0.01], 3)
+    for found, grasp, load in zip(optimize_forces(grasps, loads), grasps, loads, strict=True):
+        np.testing.assert_array_equal(found.force, attempt(lambda g=grasp, w=load: optimize_force(g, w)).force)
 
 
 @pytest.mark.parametrize(
@@ -215,30 +164,6 @@ def test_wrong_input(grasps: object, loads: np.ndarray, options: dict, message: 
         optimize_forces(grasps, loads, **options)
 
 
-def test_errors_travel_between_processes() -> None:
-    error = pickle.loads(pickle.dumps(UnknownNameError("method", "newest", ("conic",), "; look again")))
-    assert str(error) == "unknown method 'newest': choose one of 'conic'; look again"
-
-
-def test_solutions_travel_between_processes() -> None:
-    solution = optimize_force(GRASP, sample_ball(np.random.default_rng(3), 1)[0], method="conic")
-    again = pickle.loads(pickle.dumps(solution))
-    np.testing.assert_array_equal(again.force, solution.force)
-    assert again.status is Status.OPTIMAL
-    with pytest.raises(ValueError, match="read-only"):
-        solution.force[0, 0] = 0.0
-
-
-def test_conic_ends_whatever_the_tolerance() -> None:
-    """Rounding makes the gap negative once in ten thousand wrenches; the loop must not wait for it to shrink."""
-    rng = np.random.default_rng(4)
-    loads = rng.standard_normal((20_000, 6)) * [1, 1, 1, 0.1, 0.1, 0.1]
-    for tolerance in (1e-12, 1e-15):
-        batch = optimize_forces(GRASP, loads, method="conic", tolerance=tolerance)
-        assert set(np.unique(batch.codes)) <= {0, 1, 2}
-        assert (batch.cone_margin >= 0.0).all()
-
-
 def test_the_control_loops_path_is_the_careful_one() -> None:
     """An array of floats takes the compiled call, a list every check: the same solution, bit for bit but for rounding."""
     rng = np.random.default_rng(5)
@@ -250,13 +175,3 @@ def test_the_control_loops_path_is_the_careful_one() -> None:
         assert (one.status, one.initial) == (other.status, other.initial)
         assert one.objective == pytest.approx(other.objective, rel=2e-8)
         assert one.equilibrium_residual <= 1e-13 * np.abs(one.force).max()
-
-
-def test_a_refused_move_changes_nothing() -> None:
-    optimizer = ForceOptimizer(GRASP, method="newton", force_weight=[1.0] * 4)
-    load = sample_ball(np.random.default_rng(6), 1)[0]
-    before = optimizer.solve(load)
-    with pytest.raises(InvalidInputError, match=r"positions must have shape \(4, 3\), got \(5, 3\)"):
-        optimizer.update(positions=presets.five_finger_cuboid().positions)
-    assert optimizer.grasp is GRASP
-    np.testing.assert_array_equal(optimizer.solve(load).force, before.force)

@@ -1,8 +1,10 @@
-"""The paper's reduction: full flow and reduced flow are one flow (Eqs. 9-26), and both are methods."""
+"""The paper's flows: full and reduced are one (Eqs. 9-26), both are methods, and every step rule takes the steps that it says."""
 
 from __future__ import annotations
 
+import time
 from math import floor
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +18,16 @@ from oracles.reduced_flow import (
     picked_rows,
     reduced_projector,
 )
-from problems import GRASPS, LIGHT, PAPER_WRENCH, closure_grasps
+from problems import GRASPS, LIGHT, PAPER_WRENCH, STEP_RULES, closure_grasps
+from scipy.optimize import minimize_scalar
 
-from grasp_env.errors import UnsupportedProblemError
+from grasp_env.errors import InvalidInputError, UnknownNameError, UnsupportedProblemError
 from grasp_env.force import (
     AdaptiveStep,
+    ArmijoStep,
+    BarzilaiBorweinStep,
+    ExactStep,
+    FixedStep,
     ForceLimits,
     ForceOptimizer,
     LinearCombination,
@@ -28,13 +35,13 @@ from grasp_env.force import (
     OfflineBasis,
     Status,
     optimize_force,
-    optimize_forces,
 )
+from grasp_env.force.step_size import StepRule, checked_rule
 from grasp_env.grasp import Grasp
+from grasp_env.grasp import wrench as wrenches
 
 OBJECTIVE = Objective(1.0, 0.1)
-SQUEEZE = 5.0
-"""Added internal force, in units of the rest force: a start far from the optimum, for many steps."""
+CUBOID = GRASPS["cuboid, 4"]
 FLOWS = ("reduced_flow", "full_flow")
 
 
@@ -42,8 +49,9 @@ def _weights(grasp: Grasp) -> np.ndarray:
     return OBJECTIVE.weights(grasp.n_contacts)
 
 
-def _start(grasp: Grasp) -> np.ndarray:
-    force = LinearCombination(OBJECTIVE)(grasp, LIGHT) + SQUEEZE * OfflineBasis.of(grasp, OBJECTIVE).rest
+def _start(grasp: Grasp, squeeze: float = 5.0) -> np.ndarray:
+    """A start far from the optimum, for many steps: with an internal force added, in units of the rest force."""
+    force = LinearCombination(OBJECTIVE)(grasp, LIGHT) + squeeze * OfflineBasis.of(grasp, OBJECTIVE).rest
     return grasp.to_cone(force)
 
 
@@ -109,61 +117,7 @@ def test_methods_take_the_steps_of_the_plain_flow(name: str, method: str) -> Non
     np.testing.assert_allclose(solution.objective_trace, descent.values, rtol=1e-10)
     last = grasp.to_cone(solution.force).reshape(-1)
     np.testing.assert_allclose(last, iterates[-1], rtol=0, atol=1e-10 * np.abs(iterates[-1]).max())
-
-
-@pytest.mark.parametrize("method", FLOWS)
-def test_they_stay_balanced_and_certify_the_same_optimum(method: str) -> None:
-    for name, grasp in ALL.items():
-        start = grasp.to_force(_start(grasp))
-        solution = optimize_force(
-            grasp, LIGHT, initial=start, method=method, barrier_weight=0.1, tolerance=1e-9, trace=True
-        )
-        assert solution.status is Status.OPTIMAL, name
-        assert (np.diff(solution.objective_trace) < 0.0).all()
-        value, bound = solution.objective, solution.lower_bound
-        assert bound <= value <= bound * (1.0 + 1e-9)
-        x = grasp.to_cone(solution.force).reshape(-1)
-        assert value == pytest.approx(OBJECTIVE.value(x), rel=1e-12)
-        assert grasp.residual(solution.force, LIGHT) < 1e-12 * np.abs(start).max()
-        newton = optimize_force(grasp, LIGHT, method="newton", barrier_weight=0.1, tolerance=1e-9)
-        assert newton.lower_bound <= value * (1.0 + 1e-12)
-        assert value == pytest.approx(newton.objective, rel=1e-9)
-
-
-def test_coordinates_without_friction_stay_zero() -> None:
-    for method in FLOWS:
-        force = optimize_force(
-            MIXED, LIGHT, method=method, initial=MIXED.to_force(_start(MIXED)), barrier_weight=0.1
-        ).force
-        np.testing.assert_array_equal(force[4, 1:], 0.0)
-
-
-def test_the_bound_is_certified_wherever_the_flow_stops() -> None:
-    grasp = GRASPS["cuboid, 4"]
-    best = optimize_force(grasp, LIGHT, method="newton", barrier_weight=0.1, tolerance=1e-12).objective
-    start = grasp.to_force(_start(grasp))
-    for limit in (0, 1, 5, 17, 60):
-        solution = optimize_force(grasp, LIGHT, initial=start, barrier_weight=0.1, max_iterations=limit)
-        assert solution.lower_bound <= best * (1.0 + 1e-12) <= solution.objective * (1.0 + 2e-12)
-        if limit >= 17:
-            assert solution.lower_bound > 0.5 * best
-
-
-def test_every_named_start_previous_and_batches() -> None:
-    grasp = GRASPS["cuboid, 5"]
-    loads = np.array([LIGHT, 1.02 * LIGHT, PAPER_WRENCH])
-    for method in FLOWS:
-        for name in ("linear_combination", "linear_combination_printed", "single_value", "phase_one"):
-            solution = optimize_force(grasp, LIGHT, method=method, initial=name)
-            assert (solution.status, solution.initial) == (Status.OPTIMAL, name)
-        optimizer = ForceOptimizer(grasp, method=method, initial="previous")
-        counts = [optimizer.solve(load).iterations for load in (LIGHT, LIGHT, 1.02 * LIGHT)]
-        assert counts[0] > 0
-        assert counts[1:] == [0, 0]
-        batch = optimize_forces(grasp, loads, method=method, workers=2)
-        single = ForceOptimizer(grasp, method=method)
-        for load, row in zip(loads, batch, strict=True):
-            np.testing.assert_array_equal(row.force, single.solve(load).force)
+    np.testing.assert_array_equal(solution.force[grasp.friction == 0.0, 1:], 0.0)
 
 
 def test_what_the_flows_do_not_know() -> None:
@@ -226,27 +180,6 @@ def test_dense_projector_projects_on_the_constraints(name: str) -> None:
     np.testing.assert_allclose(wrench, np.append(np.zeros(6 * count), grasp.wrench(force)), atol=1e-13)
 
 
-def test_drive_and_value_of_the_full_flow() -> None:
-    grasp = GRASPS["cuboid, 4"]
-    x = _start(grasp)
-    state = full_flow.start(x)
-    np.testing.assert_allclose(full_flow.cone_coordinates(state), x, rtol=1e-15)
-    assert full_flow.value(state, _weights(grasp)) == pytest.approx(OBJECTIVE.value(x), rel=1e-13)
-    drive = full_flow.drive(state, _weights(grasp))
-    np.testing.assert_allclose(drive[picked_columns(4)], flow_vector(x, _weights(grasp)), atol=1e-13)
-    move = np.random.default_rng(1).standard_normal(12) * 1e-4
-    ahead, behind = full_flow.start(x + move), full_flow.start(x - move)
-    second = (
-        full_flow.value(ahead, _weights(grasp))
-        + full_flow.value(behind, _weights(grasp))
-        - 2.0 * full_flow.value(state, _weights(grasp))
-    )
-    assert full_flow.curvature(state, full_flow.start(move), _weights(grasp)) == pytest.approx(second, rel=1e-3)
-    assert landscape(grasp.cone_matrix, _weights(grasp)).curvature(x, move) == pytest.approx(second, rel=1e-3)
-    outside = full_flow.start(x * np.tile([-1.0, 1.0, 1.0], 4))
-    assert full_flow.value(outside, _weights(grasp)) == np.inf
-
-
 def test_flow_is_the_negative_gradient_in_the_metric_of_p() -> None:
     """Q_bar VWP = -(projected gradient): the directional derivative of Phi along it is minus its squared length."""
     for grasp in closure_grasps(10):
@@ -274,3 +207,142 @@ def test_paper_wrench_first_step_by_hand() -> None:
     np.testing.assert_allclose(mine[0::3], np.diag(after)[0::3], rtol=1e-12)
     np.testing.assert_allclose(mine[1::3], after[np.arange(2, 12, 3), np.arange(0, 12, 3)], atol=1e-12)
     np.testing.assert_allclose(mine[2::3], after[np.arange(2, 12, 3), np.arange(1, 12, 3)], atol=1e-12)
+
+
+# step rules
+
+
+WILD: dict[str, StepRule] = {
+    "fixed, huge": FixedStep(1e9),
+    "fixed, tiny": FixedStep(1e-15),
+    "armijo, huge": ArmijoStep(1e12, shrink=0.9, slope=0.9),
+    "armijo, strict": ArmijoStep(1.0, slope=0.999),
+    "adaptive, wild": AdaptiveStep(1e6, grow=1e5, shrink=0.99),
+    "short, huge": BarzilaiBorweinStep(1e12),
+    "long, tiny": BarzilaiBorweinStep(1e-12, shrink=0.01, variant="long"),
+    "exact, fine": ExactStep(1e-14),
+    "exact, coarse": ExactStep(0.999),
+}
+
+
+@pytest.mark.parametrize("rule", [*STEP_RULES.values(), *WILD.values()], ids=[*STEP_RULES, *WILD])
+def test_every_iterate_is_inside_balanced_and_better(rule: StepRule) -> None:
+    rng = np.random.default_rng(3)
+    for grasp in closure_grasps(10):
+        optimizer = ForceOptimizer(
+            grasp, method="reduced_flow", step_rule=rule, barrier_weight=0.1, tolerance=1e-12, max_iterations=80
+        )
+        for wrench in (*wrenches.sample_ball(rng, 2), *wrenches.sample_magnitudes(rng, 2, 1e-3, 1e3)):
+            solution = optimizer.solve(wrench, trace=True)
+            assert solution.status in (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED)
+            assert np.isfinite(solution.force).all()
+            assert np.isfinite(solution.objective_trace).all()
+            assert len(solution.objective_trace) == solution.iterations + 1
+            assert (np.diff(solution.objective_trace) < 0.0).all()
+            assert solution.objective_trace[-1] == solution.objective
+            x = grasp.to_cone(solution.force).reshape(-1)
+            assert OBJECTIVE.value(x) == pytest.approx(solution.objective, rel=1e-9)
+            assert solution.trials >= solution.iterations
+            assert solution.lower_bound <= solution.objective * (1.0 + 1e-10)
+            assert grasp.cone_margin(solution.force) > 0.0
+            size = np.abs(solution.initial_force).max() + np.abs(grasp.unit_frame @ wrench).max()
+            assert grasp.residual(solution.force, wrench) <= 1e-12 * size
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        AdaptiveStep(first=1e-15, grow=1.0),
+        AdaptiveStep(first=1e12, grow=999_999.0, shrink=0.999),
+        AdaptiveStep(grow=float(np.nextafter(1.0, 2.0))),
+        ArmijoStep(first=1e12, shrink=0.999, slope=1.0 - 1e-16),
+        BarzilaiBorweinStep(first=1e12, shrink=0.999, variant="long"),
+        ExactStep(1e-15),
+        FixedStep(1e12),
+    ],
+    ids=str,
+)
+def test_the_ends_of_the_ranges_end(rule: StepRule) -> None:
+    begin = time.perf_counter()
+    options = {"method": "reduced_flow", "step_rule": rule, "max_iterations": 200}
+    solution = optimize_force(CUBOID, PAPER_WRENCH, **options)
+    assert solution.status in (Status.OPTIMAL, Status.ITERATION_LIMIT, Status.STALLED)
+    assert solution.trials <= 201 * 2500
+    assert time.perf_counter() - begin < 5.0  # milliseconds in truth
+
+
+def _first_steps(rule: StepRule, count: int) -> tuple[list[np.ndarray], list[float]]:
+    result, iterates = followed(_start(CUBOID, 2.0), landscape(CUBOID.cone_matrix, _weights(CUBOID)), rule, count)
+    return iterates, result.steps
+
+
+def test_exact_step_is_the_minimum_along_the_ray() -> None:
+    land = landscape(CUBOID.cone_matrix, _weights(CUBOID))
+    iterates, steps = _first_steps(ExactStep(1e-9), 6)
+    for x, alpha in zip(iterates, steps, strict=False):
+        move = land.direction(x)
+        best = minimize_scalar(
+            lambda a, x=x, move=move: min(land.value(x + a * move), 1e6), bounds=(0.0, 10.0 * alpha), method="bounded",
+            options={"xatol": 1e-12},
+        )  # fmt: skip
+        assert land.value(x + alpha * move) <= best.fun * (1.0 + 1e-12)
+
+
+def test_armijo_steps_decrease_sufficiently_and_are_the_first_to() -> None:
+    land = landscape(CUBOID.cone_matrix, _weights(CUBOID))
+    rule = ArmijoStep(first=0.5, shrink=0.5, slope=0.3)
+    iterates, steps = _first_steps(rule, 10)
+    for x, alpha in zip(iterates, steps, strict=False):
+        move = land.direction(x)
+        squared = float(land.metric @ move**2)
+        enough = lambda a, x=x, move=move, q=squared: land.value(x + a * move) <= land.value(x) - 0.3 * a * q  # noqa: E731
+        assert enough(alpha)
+        assert alpha == 0.5 or not enough(2.0 * alpha)
+
+
+def test_barzilai_borwein_steps_are_inverse_curvatures() -> None:
+    land = landscape(CUBOID.cone_matrix, _weights(CUBOID))
+    for variant in ("long", "short", "alternate"):
+        iterates, steps = _first_steps(BarzilaiBorweinStep(1e-3, variant=variant), 10)
+        for k in range(1, 9):
+            s = iterates[k] - iterates[k - 1]
+            y = land.direction(iterates[k - 1]) - land.direction(iterates[k])
+            long, short = land.metric @ s**2 / (land.metric @ (s * y)), land.metric @ (s * y) / (land.metric @ y**2)
+            expected = {"long": long, "short": short, "alternate": short if k % 2 else long}[variant]
+            assert short <= long
+            # halved until Phi decreases
+            halvings = float(np.log2(expected / steps[k]))
+            assert halvings == pytest.approx(round(halvings), abs=1e-6)
+            assert halvings > -1e-6
+
+
+@pytest.mark.parametrize(
+    ("rule", "given", "message"),
+    [
+        (FixedStep, {"size": 0.0}, "size must be finite and > 0, got 0.0"),
+        (FixedStep, {"size": "big"}, "size must be a number > 0, got 'big'"),
+        (ArmijoStep, {"first": float("nan")}, "first must be finite and > 0, got nan"),
+        (ArmijoStep, {"shrink": 1.0}, r"shrink must lie in \(0, 1\), got 1.0"),
+        (ArmijoStep, {"shrink": 1.0 - 1e-12}, "shrink must lie within 0.001 to 0.999, got 0.999999999999"),
+        (AdaptiveStep, {"shrink": 1e-9}, "shrink must lie within 0.001 to 0.999, got 1e-09"),
+        (AdaptiveStep, {"grow": float("nan")}, "grow must be a finite factor >= 1, got nan"),
+        (ArmijoStep, {"slope": 0.0}, r"slope must lie in \(0, 1\), got 0.0"),
+        (AdaptiveStep, {"grow": 0.5}, "grow must be a finite factor >= 1, got 0.5"),
+        (AdaptiveStep, {"shrink": "half"}, r"shrink must lie in \(0, 1\), got 'half'"),
+        (BarzilaiBorweinStep, {"first": -1.0}, "first must be finite and > 0, got -1.0"),
+        (BarzilaiBorweinStep, {"shrink": 2.0}, r"shrink must lie in \(0, 1\), got 2.0"),
+        (ExactStep, {"precision": 1.0}, r"precision must lie in \(0, 1\), got 1.0"),
+    ],
+)
+def test_wrong_arguments_say_what_is_allowed(rule: Any, given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        rule(**given)
+
+
+def test_wrong_variant_and_wrong_rule() -> None:
+    with pytest.raises(UnknownNameError, match="'medium': choose one of 'alternate', 'long', 'short'"):
+        BarzilaiBorweinStep(variant="medium")
+    with pytest.raises(InvalidInputError, match=r"a FixedStep, ArmijoStep, .* or ExactStep, got 'exact'"):
+        checked_rule("exact")
+    assert checked_rule(None) == AdaptiveStep()
+    assert checked_rule(ExactStep()) == ExactStep()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NoReturn
@@ -16,12 +17,13 @@ from grasp_env.errors import (
     InfeasibleWrenchError,
     InvalidInputError,
     UnknownNameError,
+    UnsupportedProblemError,
 )
 from grasp_env.force import (
     DESCENTS,
     METHODS,
     RULES,
-    AdaptiveStep,
+    ForceLimits,
     ForceOptimizer,
     LinearCombination,
     Objective,
@@ -35,6 +37,7 @@ from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import Grasp, presets
 
 GRASP = presets.paper_cuboid()
+SOFT = Grasp.from_contacts(GRASP.positions, GRASP.normals, 0.4, contact_model="soft", torsional_friction=0.005)
 
 
 @pytest.mark.parametrize(
@@ -49,15 +52,30 @@ GRASP = presets.paper_cuboid()
         ([0.0, 0.0, np.nan, 0.0, 0.0, 0.0], r"wrench must be finite, got \[0\.0, 0\.0, nan"),
         ([0.0, 0.0, 0.0, np.inf, 0.0, 0.0], r"wrench must be finite, got .*inf"),
         ([-np.inf, 0.0, 0.0, 0.0, 0.0, 0.0], r"wrench must be finite, got \[-inf"),
+        (np.full(6, np.nan), "wrench must be finite"),
+        ([1e13] * 6, "1e\\+12"),
+        (np.full(6, 1e300), "1e\\+12"),
+        ({"force": 1.0}, "wrench must"),
+        (np.ones(6) * 1j, "wrench must"),
+        (np.array([object()] * 6), "wrench must"),
     ],
 )
-@pytest.mark.parametrize("initial", ["linear_combination", "phase_one", "previous"])
-def test_wrench(wrench: object, message: str, initial: str) -> None:
+@pytest.mark.parametrize(
+    "options",
+    [{"initial": "phase_one"}, {"initial": "previous"}, {"method": "conic"}, {"limits": ForceLimits(max_normal=50.0)}],
+    ids=str,
+)
+def test_wrench(wrench: object, message: str, options: dict[str, Any]) -> None:
+    optimizer = ForceOptimizer(GRASP, **options)
+    want = optimizer.solve(PAPER_WRENCH).force
     with pytest.raises(InvalidInputError, match=message) as caught:
-        optimize_force(GRASP, wrench, initial=initial)
+        optimizer.solve(wrench)
     assert isinstance(caught.value, ValueError)
-    with pytest.raises(InvalidInputError, match=message):
-        ForceOptimizer(GRASP, initial=initial).start(wrench)
+    if "initial" in options:
+        with pytest.raises(InvalidInputError, match=message):
+            optimizer.start(wrench)
+        optimizer.forget()
+    np.testing.assert_array_equal(optimizer.solve(PAPER_WRENCH).force, want)  # it works as before
 
 
 @pytest.mark.parametrize("option", ["tolerance", "force_weight", "barrier_weight"])
@@ -111,24 +129,40 @@ def test_names(kind: str, call: Callable[[str], object], allowed: tuple[str, ...
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("error", "options"),
     [
-        ({"first": 0.0}, "first must be finite and > 0, got 0.0"),
-        ({"first": -1.0}, "first must be finite and > 0, got -1.0"),
-        ({"first": np.nan}, "first must be finite"),
-        ({"first": np.inf}, "first must be finite"),
-        ({"first": "a"}, "first must be a number > 0, got 'a'"),
-        ({"grow": 0.99}, "grow must be a finite factor >= 1, got 0.99"),
-        ({"grow": np.nan}, "grow must be"),
-        ({"grow": np.inf}, "grow must be"),
-        ({"shrink": 0.0}, r"shrink must lie in \(0, 1\), got 0.0"),
-        ({"shrink": 1.0}, r"shrink must lie in \(0, 1\), got 1.0"),
-        ({"shrink": np.nan}, "shrink must lie"),
+        (UnknownNameError, {"criterion": "mean"}),
+        (UnknownNameError, {"criterion": None}),
+        (UnknownNameError, {"criterion": ["sum"]}),
+        (UnknownNameError, {"method": None}),
+        (UnknownNameError, {"initial": "learned"}),
+        (UnsupportedProblemError, {"method": "newton", "criterion": "max"}),
+        (UnsupportedProblemError, {"method": "reduced_flow", "limits": ForceLimits(max_normal=9.0)}),
+        (UnsupportedProblemError, {"method": "full_flow", "limits": ForceLimits(min_normal=0.1)}),
+        (UnsupportedProblemError, {"method": "reduced_flow", "grasp": SOFT}),
+        (UnsupportedProblemError, {"method": "full_flow", "grasp": SOFT}),
+        (InvalidInputError, {"grasp": "grasp"}),
+        (InvalidInputError, {"limits": {"max_normal": 3.0}}),
+        (InvalidInputError, {"limits": ForceLimits(max_normal=[3.0, 3.0])}),
+        (InvalidInputError, {"limits": ForceLimits(jacobian=np.zeros((3, 3, 2)), torque_limit=1.0)}),
+        (InvalidInputError, {"initial": np.ones((4, 3))}),
+        (InvalidInputError, {"initial": "previous"}),
+        (InvalidInputError, {"method": "newton", "initial": 3}),
+        (InvalidInputError, {"method": "newton", "initial": {}}),
+        (InvalidInputError, {"method": "newton", "barrier_weight": (0.1, np.nan, 0.1, 0.1)}),
+        (InvalidInputError, {"method": "newton", "optimum": 0.0}),
+        (InvalidInputError, {"optimum": 3.0}),
+        (InvalidInputError, {"trace": True}),
+        (InvalidInputError, {"step_rule": 0.1}),
+        (InvalidInputError, {"max_iterations": True}),
     ],
+    ids=str,
 )
-def test_step_rule(given: dict, message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        AdaptiveStep(**given)
+def test_wrong_options_are_named(error: type[Exception], options: dict[str, Any]) -> None:
+    with pytest.raises(error) as caught:
+        optimize_force(wrench=PAPER_WRENCH, **{"grasp": GRASP, "method": "conic", **options})
+    assert type(caught.value) is error
+    assert len(str(caught.value)) > 20
 
 
 class _Named:
@@ -308,6 +342,11 @@ def test_extreme_wrenches_end_soon_with_numbers(magnitude: float, method: str, i
     assert not np.isnan([solution.lower_bound, solution.optimality_gap, solution.equilibrium_residual]).any()
     assert solution.cone_margin > 0.0
     assert solution.trials < 500 * 100
+
+
+def test_errors_travel_between_processes() -> None:
+    error = pickle.loads(pickle.dumps(UnknownNameError("method", "newest", ("conic",), "; look again")))
+    assert str(error) == "unknown method 'newest': choose one of 'conic'; look again"
 
 
 def test_every_project_error_is_a_grasp_error() -> None:

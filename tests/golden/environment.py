@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from golden.case import Case, named
-from golden.record import Outcome
+from golden.record import Case, Outcome, named
 
 from policies import LearnedInitialForce
 

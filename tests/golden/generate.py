@@ -8,7 +8,7 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]  # pytest's `pythonpath`, in its order
 
-from golden.groups import GROUPS  # noqa: E402
+from golden.judge import GROUPS  # noqa: E402
 from golden.record import FOLDER, save  # noqa: E402
 
 

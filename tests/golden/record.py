@@ -1,8 +1,7 @@
-"""What the golden files hold: outcomes of public calls as rows of numbers, and how they are written and read."""
+"""What the golden files hold: outcomes as rows of numbers, the cases that make them, and how they are written and read."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,34 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env.errors import GraspError
-from grasp_env.force import ForceLimits, ForceSolution, Objective
+from grasp_env.force import ForceSolution, Objective
 from grasp_env.grasp import Grasp
 
 FOLDER = Path(__file__).parent
 NUMBERS = ("iterations", "trials", "objective", "lower_bound", "residual", "margin")
-LONGEST = 120
-"""Characters of a message that is kept: the longer ones advise, and may advise better."""
 _NONE = np.empty(0)
 _SIX = np.full(6, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a solution is a solution of; never stored, the cases make it anew.
-
-    Attributes:
-        limits: None where there are none.
-        tolerance: relative gap; the method's own default where None was given.
-    """
+    """What a solution is a solution of; never stored, the cases make it anew. Hard contacts, no limits."""
 
     grasp: Grasp
     wrench: np.ndarray
-    method: str = "newton"
-    criterion: str = "sum"
-    tolerance: float = 1e-4
-    objective: Objective = field(default_factory=Objective)
-    limits: ForceLimits | None = None
+    method: str
+    tolerance: float
+    objective: Objective
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +34,12 @@ class Outcome:
     """One row.
 
     Attributes:
-        end: a status, the class of an exception, or what kind of numbers these are.
-        text: the start's name, or a refusal's message where a case keeps it.
+        end: a status, or what kind of numbers these are.
+        text: the start's name, or that of the numbers.
         numbers: (6,) `NUMBERS` [1, 1, objective, objective, N, N], nan where there are none.
         force: (N, 4) normal, o, t [N], torsion [N m]. start: (N, 3) [N].
         wrench, multipliers: (6,).
-        extra: (K,) what else the case looks at: a trace, a certificate, frames.
+        extra: (K,) what else the case looks at: frames, torques, an observation.
         problem: see the class; None where nothing was solved.
     """
 
@@ -70,9 +59,8 @@ class Outcome:
         raise AttributeError(name)
 
 
-def of_solution(solution: ForceSolution, problem: Problem | None, extra: Any = None) -> Outcome:
-    """The row of a solution; `extra` (K,) replaces the trace, or the certificate, as what else there is."""
-    rest = solution.objective_trace if solution.certificate is None else solution.certificate
+def of_solution(solution: ForceSolution, problem: Problem) -> Outcome:
+    """The row of a solution."""
     return Outcome(
         solution.status.value,
         solution.initial,
@@ -84,29 +72,33 @@ def of_solution(solution: ForceSolution, problem: Problem | None, extra: Any = N
         np.array(solution.initial_force),
         np.array(solution.wrench),
         np.array(solution.multipliers),
-        np.array(rest if extra is None else extra, dtype=np.float64).reshape(-1),
-        problem,
+        problem=problem,
     )  # fmt: skip
 
 
-def attempt(call: Callable[[], Outcome], problem: Problem | None = None, message: bool = False) -> Outcome:
-    """`call()`, or the row of what it raises: with the proof where there is one, with the text where `message`."""
-    try:
-        return call()
-    except GraspError as error:
-        proof = getattr(getattr(error, "solution", None), "certificate", None)
-        return Outcome(
-            type(error).__name__,
-            _words(error) if message else "",
-            extra=_NONE if proof is None else np.array(proof),
-            problem=problem,
-        )
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A named call, or several in a row.
+
+    Attributes:
+        run: () -> the outcomes.
+        tight: whether objective and forces are compared, besides what every solution has to prove.
+        start: part of the largest component to which starts are compared; inf: not at all.
+        close: the same for arrays that no solver made.
+    """
+
+    name: str
+    run: Callable[[], list[Outcome]]
+    tight: bool = False
+    start: float = np.inf
+    close: float = 1e-12
 
 
-def _words(error: GraspError) -> str:
-    """The project's own words; what numpy adds behind "numbers of shape ...:" is numpy's."""
-    text = re.sub(r"(be numbers of shape \S+):.*", r"\1", str(error), flags=re.DOTALL)
-    return text if len(text) <= LONGEST and "\n" not in text else ""
+def named(cases: list[Case]) -> dict[str, Case]:
+    """Cases by name, each name once."""
+    found = {case.name: case for case in cases}
+    assert len(found) == len(cases), sorted(case.name for case in cases)
+    return found
 
 
 def save(path: Path, cases: Iterable[tuple[str, list[Outcome]]]) -> None:

@@ -1,4 +1,4 @@
-"""The oracles themselves: derivatives by differences, optima that scipy found once, a null space made another way."""
+"""The oracles themselves: derivatives by differences, optima of the named problems, a null space made another way."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_derivatives_by_differences() -> None:
 
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=str)
-def test_optima_are_those_of_scipy(problem: Problem) -> None:
+def test_optima_are_those_of_the_named_problems(problem: Problem) -> None:
     grasp = problem.grasp
     weights = np.tile([problem.force_weight, problem.barrier_weight], (grasp.n_contacts, 1))
     frames = np.array([geometry.frame(n) for n in grasp.normals])
@@ -40,7 +40,7 @@ def test_optima_are_those_of_scipy(problem: Problem) -> None:
     rows = unit @ geometry.grasp_matrix(grasp.positions, frames) / scale
     rest = newton.internal_force(rows, weights)
     x, multipliers = newton.minimum(rest, rows, unit @ problem.wrench, weights)
-    # scipy ends a few 1e-11 above it
+    # certified to 1e-11 there
     assert phi.phi(x, weights) == pytest.approx(problem.optimum, rel=5e-11)
     assert phi.lower_bound(multipliers, rows, unit @ problem.wrench, weights) == pytest.approx(
         problem.optimum, rel=5e-11

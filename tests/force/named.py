@@ -1,0 +1,165 @@
+"""The named problems of `problems.json`, and how their objectives were found: python tests/force/named.py
+
+Every objective is a solve at the tightest tolerance that the method keeps, and Clarabel's to `digits`: that command computes all of them
+anew, refuses those on which the two do not agree, and writes the file. Where Clarabel itself has fewer digits than that, `digits` is
+how far the certificate, computed from the geometry alone, leaves the objective open.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+if __name__ == "__main__":
+    sys.path[:0] = [str(Path(__file__).parents[2]), str(Path(__file__).parents[1])]
+
+from force.clarabel_reference import Reference
+
+from grasp_env.errors import InfeasibleWrenchError
+from grasp_env.force import ForceLimits, ForceSolution, optimize_force
+from grasp_env.grasp import Grasp
+
+FILE = Path(__file__).with_name("problems.json")
+METHODS: dict[str, dict[str, Any]] = {
+    "newton": {"method": "newton", "tolerance": 1e-9},
+    "sum": {"method": "conic", "tolerance": 1e-7},
+    "max": {"method": "conic", "criterion": "max", "tolerance": 1e-7},
+}
+"""What each name in the file asks; the tolerances are those at which every door is compared."""
+JUDGED = 1e-6
+"""Clarabel's own error from which on a certificate is asked instead."""
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """A problem and what is known of it.
+
+    Attributes:
+        weights: omega and lambda of Phi.
+        elastic: whether limits may be exceeded where none keeps them.
+        known: by method: status, objective (None: infeasible) and its relative digits.
+    """
+
+    name: str
+    about: str
+    grasp: Grasp
+    wrench: np.ndarray
+    limits: ForceLimits | None
+    weights: dict[str, Any]
+    elastic: bool
+    known: dict[str, dict[str, Any]]
+
+    def options(self, method: str) -> dict[str, Any]:
+        """Keywords of an optimizer."""
+        given = {**METHODS[method], "limits": self.limits, "elastic": self.elastic}
+        return {**given, **self.weights} if method == "newton" else given
+
+    def reference(self) -> Reference:
+        """The independent constraints."""
+        return Reference.of(self.grasp, self.limits)
+
+    def phi_weights(self) -> tuple[Any, Any]:
+        """omega and lambda, one or one each."""
+        return self.weights.get("force_weight", 1.0), self.weights.get("barrier_weight", 0.01)
+
+
+def read(entry: dict[str, Any]) -> Named:
+    """A problem of the file."""
+    models = {"contact_model": entry.get("models", "hard"), "torsional_friction": entry.get("torsional_friction")}
+    grasp = Grasp.from_contacts(
+        entry["positions"], entry["normals"], entry["friction"], tangents=entry.get("tangents"), **models
+    )
+    limits = entry.get("limits")
+    if limits is not None:
+        for name in ("max_normal", "torque_limit"):  # null: no limit
+            if isinstance(limits.get(name), list):
+                limits[name] = [np.inf if each is None else each for each in limits[name]]
+    return Named(
+        entry["name"], entry["about"], grasp, np.array(entry["wrench"]),
+        None if limits is None else ForceLimits(**limits), entry.get("weights", {}), entry.get("elastic", False),
+        entry.get("known", {}),
+    )  # fmt: skip
+
+
+ENTRIES: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else []
+NAMED = {entry["name"]: read(entry) for entry in ENTRIES}
+CASES = [(name, method) for name, problem in NAMED.items() for method in problem.known]
+
+
+def attempt(call: Callable[[], ForceSolution]) -> ForceSolution:
+    """The solution, or that of the proof."""
+    try:
+        return call()
+    except InfeasibleWrenchError as error:
+        found = error.solution
+    assert found is not None
+    return found
+
+
+def value(p: Named, method: str, found: ForceSolution, reference: Reference) -> float:
+    """The objective of a force, from the geometry alone."""
+    if found.limit_excess > 0.0:
+        return reference.excess(found.force, found.torsion)
+    if method != "newton":
+        return float(found.force[:, 0].sum() if method == "sum" else found.force[:, 0].max())
+    return reference.phi(found.force, found.torsion, *p.phi_weights())
+
+
+def judged(p: Named, method: str) -> dict[str, Any]:
+    """Status, objective and digits, as solved here and by Clarabel.
+
+    Raises:
+        AssertionError: they do not agree.
+    """
+    reference, tight = p.reference(), {"tolerance": 1e-12 if method == "newton" else 1e-9}
+    found = attempt(lambda: optimize_force(p.grasp, p.wrench, **(p.options(method) | tight)))
+    name = f"{p.name}, {method}"
+    if found.certificate is not None:
+        # where contacts can just not hold it, no proof has digits
+        assert reference.separates(found.certificate, p.wrench) > 0.0 or reference.margin(p.wrench) < 1e-9, name
+        return {"status": "infeasible"}
+    if found.limit_excess > 0.0:
+        want = reference.least_excess(p.wrench)
+        assert want * (1.0 - 1e-6) <= found.limit_excess <= max(1.01 * want, want + 1e-6), (name, found, want)
+        return {"status": "limits_exceeded", "objective": want, "digits": 0.011}
+    mine, digits, by = found.objective, found.optimality_gap, "certificate"
+    if method != "newton":
+        prices = found.limit_multipliers[len(found.limit_multipliers) - len(reference.bound) :]
+        bound, _ = reference.dual_bound(found.multipliers, prices, p.wrench, method)
+        digits = (mine - bound) / mine if mine > 0.0 else 0.0
+        best = reference.solve(p.wrench, method)
+        want, error = best.objective, best.error if best.solved else np.inf
+    else:
+        want, error = reference.least_phi(p.wrench, *p.phi_weights())
+    if error < JUDGED:
+        by = "Clarabel"
+        assert abs(mine - want) <= (digits + 10.0 * error + 1e-12) * abs(want), (name, mine, want, error)
+    assert digits < 1e-5, (name, digits)
+    digits = float(f"{max(digits, 1e-11):.1e}")
+    return {"status": "optimal", "objective": float(f"{mine:.13g}"), "digits": digits, "by": by}
+
+
+def line(value: Any) -> str:
+    """JSON of a problem: a line for each entry."""
+    rows = [f"  {json.dumps(key)}: {json.dumps(each)}" for key, each in value.items()]
+    return "{\n" + ",\n".join(rows) + "\n}"
+
+
+def write(entries: list[dict[str, Any]]) -> None:
+    """Computes what is known of every problem anew, and writes the file."""
+    for entry in entries:
+        asked = list(entry.get("known", METHODS))
+        p = read(json.loads(json.dumps(entry)))
+        entry["known"] = {method: judged(p, method) for method in asked}
+        print(p.name, entry["known"])
+    FILE.write_text("[\n" + ",\n".join(map(line, entries)) + "\n]\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write(json.loads(FILE.read_text(encoding="utf-8")))

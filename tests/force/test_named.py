@@ -1,0 +1,235 @@
+"""Every named problem through every door: one status, one objective, and a summary that says what is true of its force."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from force.clarabel_reference import Reference
+from force.named import CASES, METHODS, NAMED, Named, attempt, judged, value
+
+from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, Status, optimize_force, optimize_forces
+from grasp_env.grasp import Grasp
+
+EACH = pytest.mark.parametrize(("name", "method"), CASES)
+SMOOTH = (
+    "pinch", "soft", "mixed", "hard, largest normal", "hard, normals", "soft, normals", "hard, torques", "hard, torques, bias",
+    "soft, torsion in the torques", "all", "own joints", "paper, lambda 0.01",
+)  # fmt: skip
+"""Problems of about one newton, whose least objective has derivatives."""
+
+
+def check(p: Named, method: str, found: ForceSolution, door: str) -> None:
+    """Everything that a solution says, computed anew from the geometry."""
+    known, reference = p.known[method], p.reference()
+    assert found.status.value == known["status"], (door, found)
+    np.testing.assert_array_equal(found.wrench, p.wrench)
+    if found.status is Status.INFEASIBLE:
+        assert not found.force.any(), door
+        assert (found.objective, found.lower_bound) == (np.inf, np.inf), door
+        assert reference.separates(found.certificate, p.wrench) > 0.0 or reference.margin(p.wrench) < 1e-9, door
+        return
+    size, most = float(np.abs(reference.load(p.wrench)).max()), float(np.abs(found.force).max())
+    exceeded = found.status is Status.LIMITS_EXCEEDED
+    # balance is known to rounding of the largest force, at an arm that is itself known to rounding of where the origin is
+    away = 1.0 + float(np.abs(p.grasp.positions).max()) / reference.length
+    rounding = 1e-14 * away * max(size, most)
+    residual = reference.residual(found.force, found.torsion, p.wrench)
+    assert residual <= 1e-9 * size + rounding, door
+    assert found.equilibrium_residual == pytest.approx(residual, abs=10.0 * rounding), door
+    np.testing.assert_array_equal(found.force[reference.transmits[:, 1] == 0.0, 1:], 0.0)
+    np.testing.assert_array_equal(found.torsion[reference.gamma == 0.0], 0.0)
+    held = Reference.of(p.grasp) if exceeded else reference
+    assert held.violation(found.force, found.torsion) <= 1e-14 * max(size, most), door
+    margin = reference.cone_margin(found.force)
+    scale = float((p.grasp.models.cone_scale * np.abs(found.force)).max())
+    assert found.cone_margin == pytest.approx(margin, abs=1e-14 * scale + rounding), door
+    assert found.cone_margin >= 0.0, door
+    assert found.limit_excess == pytest.approx(reference.excess(found.force, found.torsion), rel=1e-9), door
+    # the objective: of this force, no more than the tolerance and the digits written above the least
+    digits, tolerance = known["digits"], METHODS[method]["tolerance"]
+    assert found.objective == pytest.approx(value(p, method, found, reference), rel=1e-9, abs=1e-14), door
+    assert found.lower_bound <= known["objective"] * (1.0 + digits + 1e-9), door
+    # an excess is least to a hundredth, which `digits` says
+    least = known["objective"] * (1.0 - (1e-6 if exceeded else digits + 1e-11))
+    assert least <= found.objective <= known["objective"] * (1.0 + tolerance + digits + 1e-11) + 1e-11, door
+    assert exceeded or found.optimality_gap <= tolerance, door
+    prices = found.limit_multipliers
+    assert (prices >= 0.0).all(), door
+    if method != "newton" and not exceeded:
+        bound, theta = reference.dual_bound(found.multipliers, prices, p.wrench, method)
+        assert theta > 1.0 - 1e-8, door
+        assert found.lower_bound <= bound * (1.0 + 1e-8), door
+        room = reference.bound - np.einsum("kna,na->k", reference.rows, np.column_stack([found.force, found.torsion]))
+        assert float(room @ prices) <= 1e-6 * found.objective, door
+    # vectors along the axes of the positions
+    np.testing.assert_allclose(found.frames, reference.frames, atol=1e-13)
+    pushed = np.einsum("nij,nj->ni", reference.frames, found.force)
+    np.testing.assert_allclose(found.object_force, pushed, atol=1e-13 * most)
+    limits = p.limits
+    if limits is not None and limits.jacobian is not None:
+        jac = np.asarray(limits.jacobian)
+        torques = np.einsum("nrj,nr->j", jac[:, :3], pushed) + np.asarray(limits.torque_bias)
+        torques += np.einsum("nrj,nr->j", jac[:, 3:], (found.torsion[:, None] * p.grasp.normals)[:, : jac.shape[1] - 3])
+        np.testing.assert_allclose(found.torques, torques, atol=1e-13 * (1.0 + most))
+
+
+def elsewhere(p: Named) -> tuple[Grasp, ForceLimits | None, dict[str, Any]]:
+    """Other contacts, limits with another Jacobian, and what a call is given so that it is the problem all the same."""
+    rng, grasp, models = np.random.default_rng(1), p.grasp, p.grasp.models
+    normals = grasp.normals + 0.05 * rng.standard_normal(grasp.normals.shape)
+    friction = np.where(models.friction > 0.0, models.friction, 0.7)
+    there = Grasp.from_contacts(
+        grasp.positions - grasp.centre + 0.05 * grasp.length * rng.standard_normal(grasp.positions.shape),
+        normals / np.linalg.norm(normals, axis=1)[:, None],
+        np.minimum(1.3 * friction, 1e4),
+        contact_model=models.names,
+        torsional_friction=np.where(models.torsional_friction > 0.0, models.torsional_friction, 1.0),
+        tangents=grasp.contacts.tangents if len(grasp.contacts.tangents) else None,
+    )
+    now: dict[str, Any] = {"positions": grasp.positions, "normals": grasp.normals, "friction": friction}
+    limits = p.limits
+    if limits is not None and limits.jacobian is not None:
+        jac = np.asarray(limits.jacobian)
+        now |= {"jacobian": jac, "torque_bias": np.asarray(limits.torque_bias)}
+        limits = ForceLimits(
+            limits.min_normal, limits.max_normal, 0.7 * jac + 0.01 * rng.standard_normal(jac.shape), limits.torque_limit
+        )
+    return there, limits, now
+
+
+@EACH
+def test_every_door(name: str, method: str) -> None:
+    """They agree to their tolerance: what they solve is the same, the order of their sums and their starts are not."""
+    p = NAMED[name]
+    grasp, wrench, options = p.grasp, p.wrench, p.options(method)
+    there, limits, now = elsewhere(p)
+    other = {**options, "limits": limits}
+    three = np.array([0.7 * wrench, wrench, -wrench])
+    moved, updated = ForceOptimizer(there, **other), ForceOptimizer(there, **other)
+    attempt(lambda: moved.solve(0.1 * wrench))
+    updated.update(**now)
+    optimizer = ForceOptimizer(grasp, **options)
+    first = attempt(lambda: optimizer.solve(wrench))
+    found = {
+        "function": attempt(lambda: optimize_force(grasp, wrench, **options)),
+        "optimizer": first,
+        "again": attempt(lambda: pickle.loads(pickle.dumps(optimizer)).solve(wrench.tolist())),
+        "moved": attempt(lambda: moved.solve(wrench, **now)),
+        "updated": attempt(lambda: updated.solve(wrench)),
+        "many": optimizer.solve_many(three)[1],
+        "batch": optimize_forces(grasp, three, workers=2, **options)[1],
+        "grasps": optimize_forces([grasp] * 3, three, **options)[1],
+    }
+    if method == "newton":
+        remembers = ForceOptimizer(grasp, initial="previous", **options)
+        attempt(lambda: remembers.solve(0.95 * wrench))
+        found["previous"] = attempt(lambda: remembers.solve(wrench))
+    for door, solution in found.items():
+        check(p, method, solution, door)
+    for door in ("function", "again"):
+        np.testing.assert_array_equal(found[door]._record, first._record)
+    same = pickle.loads(pickle.dumps(first))
+    np.testing.assert_array_equal(same._record, first._record)
+    # only an optimum has prices
+    assert len(optimizer.limit_labels) == len(p.reference().bound)
+    assert len(first.limit_multipliers) == (len(p.reference().bound) if first.status is Status.OPTIMAL else 0)
+
+
+@EACH
+def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> None:
+    """What the file says, found anew; Clarabel agrees wherever it has the digits."""
+    pytest.importorskip("clarabel")
+    found, known = judged(NAMED[name], method), NAMED[name].known[method]
+    assert (found["status"], found.get("by")) == (known["status"], known.get("by"))
+    if "objective" in known:
+        near = 1e-6 if found["status"] == "limits_exceeded" else found["digits"] + known["digits"] + 1e-11
+        assert found["objective"] == pytest.approx(known["objective"], rel=near)
+    json.dumps(found)
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+@pytest.mark.parametrize("method", ["newton", "sum", "max"])
+def test_multipliers_and_prices_are_derivatives(name: str, method: str) -> None:
+    """Of the objective with respect to the wrench and to each limit."""
+    p = NAMED[name]
+    options = {**p.options(method), "tolerance": 1e-10 if method == "newton" else 1e-9}
+
+    def cost(wrench: np.ndarray, limits: ForceLimits | None) -> float:
+        return optimize_force(p.grasp, wrench, **{**options, "limits": limits}).objective
+
+    found = optimize_force(p.grasp, p.wrench, **options)
+    for axis in range(6):
+        unit = 1.0 if axis < 3 else p.grasp.length
+        step = np.zeros(6)
+        step[axis] = 1e-4 * unit
+        slope = (cost(p.wrench + step, p.limits) - cost(p.wrench - step, p.limits)) / 2e-4
+        # a kink of the conic value, or 1e-9 of it, over the step
+        assert slope == pytest.approx(-found.multipliers[axis] * unit, abs=2e-3 * found.objective), axis
+    if p.limits is None or not np.isfinite(p.limits.max_normal).any():
+        return
+    labels = ForceOptimizer(p.grasp, **options).limit_labels
+    most = np.broadcast_to(p.limits.max_normal, p.grasp.n_contacts)
+    given = {key: getattr(p.limits, key) for key in ("min_normal", "jacobian", "torque_limit", "torque_bias")}
+    if p.limits.jacobian is None:
+        given = {"min_normal": p.limits.min_normal}
+    for k in range(p.grasp.n_contacts):
+        step = 1e-4 * np.eye(p.grasp.n_contacts)[k]
+        up, down = (cost(p.wrench, ForceLimits(max_normal=most + s * step, **given)) for s in (1.0, -1.0))
+        price = found.limit_multipliers[[text.startswith(f"contact {k}: normal <=") for text in labels].index(True)]
+        assert (up - down) / 2e-4 == pytest.approx(-price, abs=1e-3 * found.objective)
+
+
+@pytest.mark.parametrize(("name", "method"), [(name, method) for name, method in CASES if NAMED[name].elastic])
+def test_multipliers_of_an_excess_bound_that_of_every_wrench(name: str, method: str) -> None:
+    pytest.importorskip("clarabel")
+    p, rng = NAMED[name], np.random.default_rng(2)
+    found = optimize_force(p.grasp, p.wrench, **p.options(method))
+    for part in (0.3, 0.6, 0.9, 1.0, 1.1, 2.0):
+        other = part * p.wrench + 0.1 * rng.standard_normal(6) * np.abs(p.wrench).max() * [1, 1, 1, 0.03, 0.03, 0.03]
+        bound = found.lower_bound - found.multipliers @ (other - p.wrench)
+        least = p.reference().least_excess(other)  # nan: no force in the cones balances that one
+        assert bound <= (np.inf if np.isnan(least) else least) + 1e-6 * found.limit_excess
+
+
+@pytest.mark.parametrize("method", ["newton", "sum"])
+@pytest.mark.parametrize("name", [name for name in SMOOTH if name != "own joints"])
+def test_without_a_wrench(name: str, method: str) -> None:
+    p = NAMED[name]
+    found, reference = optimize_force(p.grasp, np.zeros(6), **p.options(method)), p.reference()
+    assert found.status is Status.OPTIMAL
+    assert reference.residual(found.force, found.torsion, np.zeros(6)) <= 1e-14 * max(1.0, np.abs(found.force).max())
+    assert reference.violation(found.force, found.torsion) <= 1e-14
+    if p.limits is None and method == "sum":
+        assert np.abs(found.force).max() <= 1e-12
+
+
+@EACH
+@pytest.mark.parametrize("most", [0, 1, 2, 4])
+def test_stopped_early_it_is_still_what_it_says(name: str, method: str, most: int) -> None:
+    """Balanced, inside and with a bound that is below the least: or no force at all."""
+    p, known = NAMED[name], NAMED[name].known[method]
+    found = attempt(lambda: optimize_force(p.grasp, p.wrench, **p.options(method), max_iterations=most))
+    if found.status is Status.INFEASIBLE:
+        assert known["status"] in ("infeasible", "limits_exceeded")
+        assert p.reference().separates(found.certificate, p.wrench) > 0.0 or p.reference().margin(p.wrench) < 1e-9
+        return
+    reference = Reference.of(p.grasp, None if p.elastic else p.limits)
+    size, largest = float(np.abs(reference.load(p.wrench)).max()), float(np.abs(found.force).max())
+    assert reference.violation(found.force, found.torsion) <= 1e-13 * max(size, largest)
+    away = 1.0 + float(np.abs(p.grasp.positions).max()) / reference.length
+    assert reference.residual(found.force, found.torsion, p.wrench) <= 1e-8 * size + 1e-13 * away * largest
+    if known["status"] == "infeasible":
+        return
+    near = known["digits"] + 1e-10 if known["status"] == "optimal" else 1e-6
+    assert found.lower_bound <= known["objective"] * (1.0 + near)
+    assert found.objective >= known["objective"] * (1.0 - near)
+    prices = found.limit_multipliers
+    if method != "newton" and known["status"] == "optimal" and len(prices) == len(p.reference().bound):
+        # far from the optimum too, the bound is what its multipliers prove
+        bound, _ = p.reference().dual_bound(found.multipliers, prices, p.wrench, method)
+        rounding = 1e-8 * abs(bound) + 1e-12 * float(np.abs(found.multipliers * p.wrench).sum())
+        assert found.lower_bound <= max(bound, 0.0) + rounding
