@@ -28,6 +28,8 @@ from calls import (
     refused,
     spoil,
 )  # fmt: skip
+from cases import START
+from samples import wrenches
 
 from grasp_env.core import _core
 from grasp_env.force.record import FORCE
@@ -225,14 +227,16 @@ def test_any_settings_end(method: str, tolerance: float, limit: int) -> None:
         assert valid(rows[0, :SIZE], load)
 
 
-@pytest.mark.parametrize("factor", [np.nan, np.inf, -1.0, 0.0])
-def test_a_basis_of_garbage_is_never_a_start(factor: float) -> None:
-    """Its starts are replaced or refused."""
-    made = optimizer(start=2)
-    made.set_basis(SAMPLE.basis * factor)
-    rows = np.zeros((1, made.size))
-    made.solve_many(LOADS[:1], rows)
-    assert rows[0, 0] == REFUSED or valid(rows[0, :SIZE], LOADS[0])
+@pytest.mark.parametrize("factor", [np.nan, np.inf, -1.0, 0.0, "unbalanced"])
+def test_a_basis_of_garbage_is_never_a_start_of_something_certified(factor: float | str) -> None:
+    made, rng = optimizer(start=START["linear_combination"]), np.random.default_rng(0)
+    loads = wrenches(rng, 100, 3.0)
+    made.set_basis(SAMPLE.basis * (1.0 + rng.standard_normal((13, 1)) if factor == "unbalanced" else factor))
+    rows = np.zeros((len(loads), made.size))
+    made.solve_many(loads, rows)
+    for row, load in zip(rows, loads, strict=True):
+        assert row[0] != 0.0 or valid(row[:SIZE], load)
+        assert row[0] != 0.0 or row[3] >= row[4] * (1.0 - 1e-9)
 
 
 @pytest.mark.parametrize("what", ["points", "wrench"])

@@ -109,6 +109,8 @@ def test_the_start_is_the_least_force_and_as_much_of_the_internal_as_it_needs(
     s, rng = sample(count, kind), np.random.default_rng(count)
     made = EACH[lanes](s.placement)
     rest = made.rest()
+    push = Sample(s.positions, np.tile([0.0, 0.6, 0.8], (count, 1)), s.scale * 0.0 + [0.3, 1.0, 1.0], s.weights)
+    assert EACH[lanes](push.placement).rest() is None  # fingers that all push the same way have none
     assert np.abs(s.rows @ rest).max() <= 1e-12 * np.abs(rest).max()
     assert made.squeezed(rest) == pytest.approx(1.0, rel=1e-12)
     for size in (0.0, 1e-6, 1.0, 1e3):

@@ -56,23 +56,23 @@ public:
                         .elastic = elastic};
         if (const Doubles r = all(rule); !r.empty()) options.step_rule = {int(r[0]), r[1], r[2], r[3], r[4]};
         if (predicts) options.model = predicts->model;
-        const Problem problem{p.contacts,
-                              {all(min_normal), all(max_normal), all(jacobian), all(torque_limit), all(torque_bias)}};
+        const Problem problem{p.contacts, {all(min_normal), all(max_normal), all(jacobian), all(torque_limit), all(torque_bias)}};
         return std::make_unique<AnyOptimizer>(instance_of<detail::EngineOn, detail::Engine>(lanes, blocks, problem, options));
     }
     std::unique_ptr<AnyOptimizer> clone() const { return std::make_unique<AnyOptimizer>(on_->clone()); }
 
     // The row, and Phi of the first `traced` iterates.
     nb::tuple solve(const In& wrench, int start, const Some& force, const Some& torsion, const Some& previous, double optimum,
-                    int traced, const Some& positions, const Some& normals, const Some& jacobian) {
+                    int traced, const Some& positions, const Some& normals, const Some& jacobian, const Some& friction) {
         std::vector<double> row(on_->size()), trace(traced, -1.0);
-        Ask ask{.wrench = numbers(wrench, 6),
-                .now = {.positions = all(positions), .normals = all(normals), .jacobian = all(jacobian)},
-                .start = Start(start),
-                .force = all(force),
-                .torsion = all(torsion),
-                .optimum = optimum,
-                .trace = trace};
+        Ask ask{
+            .wrench = numbers(wrench, 6),
+            .now = {.positions = all(positions), .normals = all(normals), .friction = all(friction), .jacobian = all(jacobian)},
+            .start = Start(start),
+            .force = all(force),
+            .torsion = all(torsion),
+            .optimum = optimum,
+            .trace = trace};
         if (previous) ask.previous = numbers(*previous, row.size());
         on_->solve(ask, row.data());
         return nb::make_tuple(array(row), array(trace));
@@ -126,8 +126,8 @@ void bind_optimizer(nb::module_& m) {
     const auto none = nb::none();
     m.def("network", &network);
     m.def("network_numbers", [](const std::vector<int>& sizes) { return Network::numbers(sizes); });
-    nb::class_<Predicts>(m, "Model").def_static(
-        "make", [](const std::vector<int>& sizes, const In& weights, const In& null_space) {
+    nb::class_<Predicts>(m, "Model")
+        .def_static("make", [](const std::vector<int>& sizes, const In& weights, const In& null_space) {
             return Predicts{model(sizes, weights, null_space)};
         });
     nb::class_<A>(m, "AnyOptimizer")
@@ -138,7 +138,7 @@ void bind_optimizer(nb::module_& m) {
         .def("clone", &A::clone)
         .def("solve", &A::solve, "wrench"_a, "start"_a = 0, "force"_a = none, "torsion"_a = none, "previous"_a = none,
              "optimum"_a = std::numeric_limits<double>::quiet_NaN(), "traced"_a = 0, "positions"_a = none, "normals"_a = none,
-             "jacobian"_a = none)
+             "jacobian"_a = none, "friction"_a = none)
         .def("start", &A::start, "wrench"_a, "start"_a = 0, "force"_a = none, "previous"_a = none)
         .def("solve_many", &A::solve_many, "wrenches"_a)
         .def("make_basis", &A::make_basis)
