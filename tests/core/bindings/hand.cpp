@@ -34,9 +34,7 @@ struct Trial {
     std::unique_ptr<Pipeline> pipeline;
     std::unique_ptr<Controller> controller;
     std::vector<double> reading, noise, record;
-    int ticks = 0, saturated = 0;  // ticks without a force in which motors were asked for more than they have
-    bool placing = false, optimised = false;
-    double change = 0.0, shallow = 1.0;  // of optimised forces from tick to tick [N], and how near to their cones, as a part
+    int ticks = 0;
     double sum = 0.0;  // of all torques, so that nothing is left out
 
     Trial(int more, bool late) : tree(tree_of(more)) {
@@ -103,16 +101,7 @@ struct Trial {
     void tick() {
         see();
         if (ticks % 5 == 0 || controller->changed) give();
-        std::array<double, 12> before;
-        std::copy_n(controller->force.begin(), 12, before.begin());
-        const bool follows = controller->mask == 15 && std::ranges::any_of(before, [](double f) { return f != 0.0; });
-        controller->begin_step(), controller->command();
-        saturated += placing && controller->effort.saturated;
-        for (int i = 0; i < 4 && optimised && follows; ++i) {
-            const double* f = &controller->force[3 * i];
-            for (int a = 0; a < 3; ++a) change = std::max(change, std::abs(f[a] - before[3 * i + a]));
-            shallow = std::min(shallow, 1.0 - std::hypot(f[1], f[2]) / (0.6 * f[0]));
-        }
+        controller->command();
         for (double torque : controller->torques) sum += torque;
         std::vector<double>& measured = record;
         Target target{};
@@ -122,8 +111,7 @@ struct Trial {
 
     void give() {
         const double forces[12] = {2.0, 0.1, 0.0, 2.0, 0.0, 0.1, 2.0, 0.0, 0.0, 2.0, 0.1, 0.0};
-        placing = false, optimised = controller->mask == 15;
-        if (optimised) {
+        if (controller->mask == 15) {
             const Snapshot& s = controller->seen();
             pipeline->solve({&s.points[0].u, &s.normals[0].u, controller->wrench.data()}, record.data());
             controller->give(Hold::optimised, 15, nullptr);
@@ -131,7 +119,6 @@ struct Trial {
             const Hold kinds[] = {Hold::lost, Hold::squeeze, Hold::direct, Hold::place};
             const std::uint64_t known = controller->has_set(controller->mask) ? controller->mask : 0;
             controller->give(kinds[ticks / 50 % 4], known, forces);
-            placing = kinds[ticks / 50 % 4] == Hold::place;
         }
     }
 };
@@ -142,8 +129,7 @@ nb::tuple ticks(int count, int more, bool late) {
     const long made = counted([&] {
         for (int k = 0; k < count; ++k) trial.tick();
     });
-    return nb::make_tuple(made, trial.sum, trial.controller->repaired, trial.controller->changes, trial.controller->peak,
-                          trial.saturated, trial.change, trial.shallow);
+    return nb::make_tuple(made, trial.sum, trial.controller->repaired, trial.controller->changes, trial.controller->peak);
 }
 
 // Forces of 2 N and `shear` N along the surface, outside their cones where that is much, and then optimised ones: those of the first
@@ -196,9 +182,7 @@ double reached(int count, int more, unsigned seed) {
 void bind_hand(nb::module_& m) {
     m.def("ticks", &ticks, "count"_a, "more"_a, "late"_a,
           "Control ticks of a hand with 3 + `more` joints a finger: allocations, the sum of all torques, repaired ticks, changes "
-          "of the\n"
-          "contacts, the largest torque; ticks without forces that asked motors for more than they have; the largest change of\n"
-          "an optimised force, and how near one came to its cone.");
+          "of the contacts, the largest torque.");
     m.def("landed", &landed, "shear"_a);
     m.def("reached", &reached, "count"_a, "more"_a, "seed"_a, "The worst miss of inverse kinematics [m].");
 }
