@@ -78,6 +78,10 @@ def _checked(
     )
     if made.criterion != "sum" and made.method != "conic":
         raise UnsupportedProblemError(f"criterion {criterion!r} belongs to method 'conic', got method {made.method!r}")
+    if step_rule is not None and not made.flows:
+        raise UnsupportedProblemError(
+            f"step_rule belongs to the flows, got method {made.method!r}: take method='reduced_flow' or 'full_flow', or leave it out"
+        )
     return made
 
 

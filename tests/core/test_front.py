@@ -187,6 +187,7 @@ def test_what_has_no_force_says_why_and_holds_zeros(said: dict[str, str]) -> Non
     assert set(said["infeasible"].split()) == {infeasible}
     assert said["many"].split() == ["0", refused, "0"]
     assert said["kept"] == "1"
+    assert said["own previous"] == "0"
     assert said["updated"] == "1"
     assert said["no update"] == "0 0 0"
 

@@ -87,8 +87,8 @@ def test_fast_math_is_refused(flag: str) -> None:
 
 def installed(folder: Path) -> Iterator[str]:
     """With cmake --install; configured without Python."""
-    for source, given in ((CORE, []), (ROOT, ["-DGRASP_PYTHON=OFF"])):
-        build, prefix = folder / f"{source.name}-build", folder / f"{source.name}-prefix"
+    for part, source, given in (("core", CORE, []), ("whole", ROOT, ["-DGRASP_PYTHON=OFF"])):
+        build, prefix = folder / f"{part}-build", folder / f"{part}-prefix"
         hidden = [f"-D{name}_EXECUTABLE=/nowhere" for name in ("Python", "Python3")]
         succeed(tool("cmake"), "-S", source, "-B", build, f"-DCMAKE_INSTALL_PREFIX={prefix}", *given, *hidden)
         succeed(tool("cmake"), "--install", build)

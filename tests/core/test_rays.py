@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import boundary as oracle
+from oracles.interior_point import per_boundary, scaling
 
 LANES = (1, 2, 4, 8)
 EPS = 2.0**-52
@@ -125,3 +126,42 @@ def test_numbers_that_are_none_are_nowhere_inside(where: str) -> None:
         asked[where][k] = np.nan
         low, high = insides.inside(**asked)
         assert not low < high
+
+
+def inside(rng: np.random.Generator, number: int) -> np.ndarray:
+    """(n, 3) over decades, down to 1e-4 from the surface."""
+    x = rng.standard_normal((number, 3))
+    x[:, 0] = np.hypot(x[:, 1], x[:, 2]) + 10.0 ** rng.uniform(-4.0, 0.0, number)
+    return x * 10.0 ** rng.uniform(-3.0, 3.0, (number, 1))
+
+
+@pytest.mark.parametrize("lanes", LANES)
+def test_the_scaling_is_nesterov_and_todds(lanes: int) -> None:
+    rng, j = np.random.default_rng(lanes), np.array([1.0, -1.0, -1.0])
+    x, s, d = inside(rng, 203), inside(rng, 203), rng.standard_normal((203, 3))
+    for p, q, e, row in zip(x, s, d, insides.scaling(lanes, x, s, d), strict=True):
+        v, eta, shrink, root, scaled, twice = row[:3], *row[3:6], row[6:9], row[9:]
+        w = scaling(p, q)
+        # x . J x and s . J s keep 1 - EPS / depth of their digits, W^2 the square of what is lost
+        lost = 1e-15 * max(p[0] ** 2 / (p @ (j * p)), q[0] ** 2 / (q @ (j * q)))
+        assert eta == pytest.approx(np.sqrt((p @ (j * p)) / (q @ (j * q))), rel=lost)
+        assert v @ (j * v) == pytest.approx(1.0, rel=10.0 * lost * v[0] ** 2)
+        assert shrink == pytest.approx(1.0 / (1.0 + v[0]), rel=1e-14)
+        assert root == pytest.approx((q @ (j * q)) ** -0.5, rel=lost)
+        size = np.abs(w).max() * np.abs(e).max()
+        np.testing.assert_allclose(np.sqrt(eta) * scaled, w @ e, rtol=0, atol=100.0 * lost * size)
+        np.testing.assert_allclose(twice, w @ w @ e, rtol=0, atol=100.0 * lost * size * np.abs(w).max())
+        # what it is for: it takes s to x
+        both = insides.scaling(lanes, p[None], q[None], q[None])[0]
+        np.testing.assert_allclose(both[9:], p, rtol=0, atol=100.0 * lost * np.abs(w).max() ** 2 * q[0])
+
+
+def test_the_oracles_boundary_is_where_steps_end() -> None:
+    rng, bounded = np.random.default_rng(0), 0
+    for x, d in zip(inside(rng, 60), rng.standard_normal((60, 3)), strict=True):
+        inverse = per_boundary(x, d)
+        assert inverse == pytest.approx(max(0.0, insides.boundary(1, x[None], d[None])[0, 2]), rel=1e-6, abs=1e-9)
+        end = x + d / inverse if inverse > 0.0 else x
+        bounded += inverse > 0.0
+        assert end[0] - np.hypot(end[1], end[2]) >= -1e-6 * np.abs(end).max()
+    assert 20 < bounded < 60

@@ -1,6 +1,11 @@
-"""Newton on Phi within limits A x <= b, by the dense KKT system: Phi gains weight / (b - A x) for each row."""
+"""Newton on Phi within limits A z <= b, by the dense KKT system: Phi gains weight / (b - A z) for each row.
+
+z holds the cone coordinates (3N,), and then variables that only the rows and the balance know, such as torsions of soft contacts.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from oracles.boundary import longest_step
@@ -8,59 +13,89 @@ from oracles.newton import solve
 from oracles.phi import gradient, hessian, phi
 
 
-def limited_phi(x: np.ndarray, weights: np.ndarray, rows: np.ndarray, bound: np.ndarray, row_weights: np.ndarray):
-    """Phi and the rows' terms; +inf outside.
+class Terms(NamedTuple):
+    """Phi of contacts with limits.
+
+    Attributes:
+        weights: (N, 2) omega and lambda.
+        rows: (M, n) A; bound: (M,) b; row_weights: (M,).
+    """
+
+    weights: np.ndarray
+    rows: np.ndarray
+    bound: np.ndarray
+    row_weights: np.ndarray
+
+    def raised(self, by: float) -> Terms:
+        """With limits wider by this."""
+        return self._replace(bound=self.bound + by)
+
+
+def value(z: np.ndarray, terms: Terms) -> np.floating:
+    """+inf unless strictly inside.
 
     Example:
-        >>> x, weights = np.array([0.5, 0.0, 0.0]), np.array([[1.0, 0.01]])
-        >>> float(limited_phi(x, weights, np.array([[1.0, 0.0, 0.0]]), np.array([1.0]), np.array([0.02])))
+        >>> terms = Terms(np.array([[1.0, 0.01]]), np.array([[1.0, 0.0, 0.0]]), np.array([1.0]), np.array([0.02]))
+        >>> float(value(np.array([0.5, 0.0, 0.0]), terms))
         1.6
     """
-    slack = bound - rows @ x
-    return phi(x, weights) + (row_weights / slack).sum() if (slack > 0.0).all() else np.inf
+    slack = terms.bound - terms.rows @ z
+    inside = (slack > 0.0).all()
+    return phi(z[: 3 * len(terms.weights)], terms.weights) + (terms.row_weights / slack).sum() if inside else np.inf
 
 
-def minimum(
-    x: np.ndarray,
-    matrix: np.ndarray,
-    weights: np.ndarray,
-    rows: np.ndarray,
-    bound: np.ndarray,
-    row_weights: np.ndarray,
-) -> np.ndarray | None:
-    """argmin from a balanced x strictly inside the cones, anywhere to the limits: those are raised as far as x asks, and lowered as far as
-    each optimum allows. None: they cannot be lowered all the way.
+def derivatives(z: np.ndarray, terms: Terms) -> tuple[np.ndarray, np.ndarray]:
+    """(gradient (n,), Hessian (n, n))."""
+    weights, rows, bound, row_weights = terms
+    own, slack = 3 * len(weights), bound - rows @ z
+    slope, full = rows.T @ (row_weights / slack**2), rows.T @ ((2.0 * row_weights / slack**3)[:, None] * rows)
+    slope[:own] += gradient(z[:own], weights)
+    full[:own, :own] += hessian(z[:own], weights)
+    return slope, full
+
+
+def newton_step(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> tuple[np.ndarray, float]:
+    """(step, squared decrement) with matrix (6, n) of z: the step ends in balance."""
+    size = len(z)
+    slope, full = derivatives(z, terms)
+    kkt = np.block([[full, -matrix.T], [matrix, np.zeros((6, 6))]])
+    scale = np.sqrt(np.concatenate([1.0 / np.diag(kkt)[:size], np.ones(6)]))
+    scale[size:] = 1.0 / np.sqrt(((matrix * scale[:size]) ** 2).sum(axis=1))
+    right = -scale * np.concatenate([slope, matrix @ z + wrench])
+    step = (scale * solve(scale[:, None] * kkt * scale, right))[:size]
+    return step, float(-slope @ step)
+
+
+def minimum(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> np.ndarray | None:
+    """argmin from a balanced z strictly inside the cones, anywhere to the limits; long double.
+
+    Limits are raised as far as z asks, and lowered as far as each optimum allows. None: they cannot be lowered all the way.
     """
-    x, matrix, rows = x.astype(np.longdouble), matrix.astype(np.longdouble), rows.astype(np.longdouble)
+    z, matrix, wrench = z.astype(np.longdouble), matrix.astype(np.longdouble), wrench.astype(np.longdouble)
+    terms = terms._replace(rows=terms.rows.astype(np.longdouble))
     for _ in range(60):
-        excess = max(0.0, float((rows @ x - bound).max(initial=0.0)))
+        excess = max(0.0, float((terms.rows @ z - terms.bound).max(initial=-1.0)))
         raised = 0.0 if excess == 0.0 else 1.2 * excess + 1e-3
-        x = _descent(x, matrix, weights, rows, bound + raised, row_weights)
+        z = _descent(z, matrix, wrench, terms.raised(raised))
         if raised == 0.0:
-            return x.astype(float)
+            return z.astype(float)
     return None
 
 
-def _descent(x, matrix, weights, rows, bound, row_weights) -> np.ndarray:
-    """Damped Newton that keeps G x, until Phi falls no more."""
-    size, value = len(x), limited_phi(x, weights, rows, bound, row_weights)
+def _descent(z: np.ndarray, matrix: np.ndarray, wrench: np.ndarray, terms: Terms) -> np.ndarray:
+    """Damped Newton until Phi falls no more."""
+    own, here = 3 * len(terms.weights), value(z, terms)
     for _ in range(300):
-        slack = bound - rows @ x
-        slope = gradient(x, weights) + rows.T @ (row_weights / slack**2)
-        full = hessian(x, weights) + rows.T @ ((2.0 * row_weights / slack**3)[:, None] * rows)
-        kkt = np.block([[full, -matrix.T], [matrix, np.zeros((6, 6))]])
-        scale = np.sqrt(np.concatenate([1.0 / np.diag(kkt)[:size], np.ones(6)]))
-        scale[size:] = 1.0 / np.sqrt(((matrix * scale[:size]) ** 2).sum(axis=1))
-        step = (scale * solve(scale[:, None] * kkt * scale, -scale * np.concatenate([slope, np.zeros(6)])))[:size]
-        decrement = float(-slope @ step)
-        ahead = rows @ step
-        alpha = min(1.0, 0.9 * longest_step(x, step), *(0.9 * slack[ahead > 0.0] / ahead[ahead > 0.0]))
-        if decrement < 1e-18 * value:
-            return x
-        while alpha > 1e-9 and not limited_phi(x + alpha * step, weights, rows, bound, row_weights) < value:
+        step, decrement = newton_step(z, matrix, wrench, terms)
+        slack, ahead = terms.bound - terms.rows @ z, terms.rows @ step
+        far = (0.9 * slack[ahead > 0.0] / ahead[ahead > 0.0]).min(initial=np.inf)
+        alpha = min(1.0, 0.9 * longest_step(z[:own], step[:own]), far)
+        if decrement < 1e-18 * here:
+            return z
+        while alpha > 1e-9 and not value(z + alpha * step, terms) < here:
             alpha *= 0.5
         if alpha <= 1e-9:
-            return x
-        x = x + alpha * step
-        value = limited_phi(x, weights, rows, bound, row_weights)
+            return z
+        z = z + alpha * step
+        here = value(z, terms)
     raise ArithmeticError("Newton does not end")

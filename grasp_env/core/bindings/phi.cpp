@@ -25,7 +25,7 @@ double value(nb::handle x, nb::handle weights) {
 }
 
 void gradients(nb::handle x, nb::handle weights, nb::handle to) {
-    double* out_ = out(to, -1, 3).data();
+    double* out_ = out(to, in(x, -1, 3).length(0), 3).data();
     each(x, weights, [&](Py_ssize_t i, const Point& at, const Weights<double>& w) {
         const Point made = gradient(at, w);
         for (int a = 0; a < 3; ++a) out_[3 * i + a] = made[a];
@@ -34,7 +34,7 @@ void gradients(nb::handle x, nb::handle weights, nb::handle to) {
 
 // Entry (a, b) from the second derivatives along both axes and along their sum.
 void hessians(nb::handle x, nb::handle weights, nb::handle to) {
-    double* out_ = out(to, -1, 3, 3).data();
+    double* out_ = out(to, in(x, -1, 3).length(0), 3, 3).data();
     each(x, weights, [&](Py_ssize_t i, const Point& at, const Weights<double>& w) {
         const auto along = [&](int a, int b) {
             Point move{0.0, 0.0, 0.0};

@@ -6,6 +6,8 @@
 #include <grasp/optimizer.hpp>
 
 #include "allocations.hpp"
+#include <nanobind/stl/vector.h>
+
 #include "module.hpp"
 
 using namespace grasp;
@@ -87,7 +89,7 @@ struct Trial {
         scene->read(reading.data(), reading.size());
     }
 
-    void tick() {
+    void see() {
         read();
         Target target{};
         target.quaternion[3] = 1.0;
@@ -95,10 +97,15 @@ struct Trial {
         ++ticks;
         for (std::size_t j = 0; j < noise.size(); ++j) noise[j] = std::sin(1.7 * ticks + double(j));
         controller->see(wrench, noise.data(), {{0.0, -9.81, 0.0}, target});
+    }
+    void tick() {
+        see();
         if (ticks % 5 == 0 || controller->changed) give();
         controller->command();
         for (double torque : controller->torques) sum += torque;
         std::vector<double>& measured = record;
+        Target target{};
+        target.quaternion[3] = 1.0;
         sum += controller->outcome(target, measured.data()).drift;
     }
 
@@ -123,6 +130,30 @@ nb::tuple ticks(int count, int more, bool late) {
         for (int k = 0; k < count; ++k) trial.tick();
     });
     return nb::make_tuple(made, trial.sum, trial.controller->repaired, trial.controller->changes, trial.controller->peak);
+}
+
+// Forces of 2 N and `shear` N along the surface, outside their cones where that is much, and then optimised ones: those of the first
+// tick, and the given ones taken into their cones and carried to that tick, (4, 3) each.
+nb::tuple landed(double shear) {
+    Trial trial(0, false);
+    auto& controller = *trial.controller;
+    do trial.tick();
+    while (trial.ticks < 200 || controller.mask != 15 || trial.ticks % 50 > 10);
+    double given[12];
+    for (int i = 0; i < 4; ++i) given[3 * i] = 2.0, given[3 * i + 1 + i % 2] = shear, given[3 * i + 2 - i % 2] = 0.1;
+    trial.see(), controller.give(Hold::direct, 15, given), controller.command();
+    std::vector<double> carried = controller.force;
+    const std::vector<double> frames = controller.frames;
+    for (int i = 0; i < 4; ++i) {
+        double* f = &carried[3 * i];
+        f[0] = std::max(f[0], 1.05 * std::hypot(f[1], f[2]) / controller.settings.friction);
+    }
+    trial.see(), trial.give();
+    const Snapshot& s = controller.seen();
+    const Load load{&s.points[0].u, &s.normals[0].u, controller.wrench.data()};
+    controller.command();
+    trial.pipeline->carry_from(load, carried.data(), frames.data(), carried.data());
+    return nb::make_tuple(controller.force, carried);
 }
 
 // The worst miss of tips that were somewhere within the limits [m].
@@ -151,7 +182,7 @@ double reached(int count, int more, unsigned seed) {
 void bind_hand(nb::module_& m) {
     m.def("ticks", &ticks, "count"_a, "more"_a, "late"_a,
           "Control ticks of a hand with 3 + `more` joints a finger: allocations, the sum of all torques, repaired ticks, changes "
-          "of the\n"
-          "contacts, the largest torque.");
+          "of the contacts, the largest torque.");
+    m.def("landed", &landed, "shear"_a);
     m.def("reached", &reached, "count"_a, "more"_a, "seed"_a, "The worst miss of inverse kinematics [m].");
 }

@@ -1,4 +1,8 @@
 // Cones, the linear system and the starts, on registers of so many lanes: x in and out as (3N,) cone coordinates.
+#include <nanobind/stl/vector.h>
+
+#include <grasp/terms/limits.hpp>
+
 #include "arrays.hpp"
 
 using namespace grasp;
@@ -90,6 +94,28 @@ public:
         return array(row);
     }
 
+    // Rows (M, 3) on contacts with bounds, shares and weights (3, M): what prices of the rows at x prove with nu, and the prices' sums
+    // over each pair (N, 3); see `LimitTerms::farkas`.
+    nb::tuple farkas(const In& rows, const std::vector<int>& owners, const In& table, const In& x, const In& nu,
+                     const In& w) const {
+        const int many = int(owners.size());
+        const double* t = numbers(table, 3 * many);
+        LimitTerms<V, 0> terms;
+        terms.reserve(cones(), many);
+        terms.pack(cones(), {many, numbers(rows, 3 * many), t, t + many, t + 2 * many, owners.data()});
+        const Field at = field(x);
+        Field slope = cones().field();
+        for (auto& each : slope) each = {V{}, V{}, V{}};
+        for (int b = 0; b < int(at.size()); ++b) {
+            Sym3<V> unused{};
+            terms.bend(b, at[b], slope[b], unused);
+        }
+        const auto found = terms.farkas(cones(), six(nu), six(w));
+        Vec6 proof = six(nu);
+        const bool hopeless = terms.hopeless(cones(), proof, six(w));
+        return nb::make_tuple(hopeless, found.value, found.share, found.size, array(found.nu), out(slope));
+    }
+
     // basis (13, 3N) in cone coordinates; frames (N, 3, 3) it is written in
     void set_basis(const In& basis, const In& frames) {
         starter().set_basis(cones(), numbers(basis, 13 * size()), numbers(frames, 3 * size()));
@@ -175,6 +201,7 @@ template <class V> void bind(nb::module_& m, const char* name) {
         .def("rest", &I::rest)
         .def("begun", &I::begun)
         .def("solved", &I::solved)
+        .def("farkas", &I::farkas)
         .def("set_basis", &I::set_basis)
         .def("combine", &I::combine)
         .def("combination", &I::combination)

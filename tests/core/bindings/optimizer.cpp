@@ -63,15 +63,16 @@ public:
 
     // The row, and Phi of the first `traced` iterates.
     nb::tuple solve(const In& wrench, int start, const Some& force, const Some& torsion, const Some& previous, double optimum,
-                    int traced, const Some& positions, const Some& normals, const Some& jacobian) {
+                    int traced, const Some& positions, const Some& normals, const Some& jacobian, const Some& friction) {
         std::vector<double> row(on_->size()), trace(traced, -1.0);
-        Ask ask{.wrench = numbers(wrench, 6),
-                .now = {.positions = all(positions), .normals = all(normals), .jacobian = all(jacobian)},
-                .start = Start(start),
-                .force = all(force),
-                .torsion = all(torsion),
-                .optimum = optimum,
-                .trace = trace};
+        Ask ask{
+            .wrench = numbers(wrench, 6),
+            .now = {.positions = all(positions), .normals = all(normals), .friction = all(friction), .jacobian = all(jacobian)},
+            .start = Start(start),
+            .force = all(force),
+            .torsion = all(torsion),
+            .optimum = optimum,
+            .trace = trace};
         if (previous) ask.previous = numbers(*previous, row.size());
         on_->solve(ask, row.data());
         return nb::make_tuple(array(row), array(trace));
@@ -137,7 +138,7 @@ void bind_optimizer(nb::module_& m) {
         .def("clone", &A::clone)
         .def("solve", &A::solve, "wrench"_a, "start"_a = 0, "force"_a = none, "torsion"_a = none, "previous"_a = none,
              "optimum"_a = std::numeric_limits<double>::quiet_NaN(), "traced"_a = 0, "positions"_a = none, "normals"_a = none,
-             "jacobian"_a = none)
+             "jacobian"_a = none, "friction"_a = none)
         .def("start", &A::start, "wrench"_a, "start"_a = 0, "force"_a = none, "previous"_a = none)
         .def("solve_many", &A::solve_many, "wrenches"_a)
         .def("make_basis", &A::make_basis)

@@ -3,7 +3,6 @@
 
 #include <grasp/general/program.hpp>
 
-#include "allocations.hpp"
 #include "arrays.hpp"
 
 using namespace grasp;
@@ -165,29 +164,6 @@ nb::object twice(const In& a, const In& b, const std::string& what) {
     return nb::make_tuple(made.high, made.low);
 }
 
-// Calls of `Program`: how often they allocate.
-nb::object program_allocations(const In& frame, const In& balance, const In& rows, const In& bound, const In& divisor,
-                               const In& shares, const In& wrenches, int calls) {
-    const int count = int(divisor.shape(0)), limits = int(bound.size()), many = int(wrenches.shape(0));
-    Arena arena(Program::room(count, limits, limits, true));
-    const Arena::Use use(arena);
-    Program program(
-        {count, limits, frame.data(), balance.data(), rows.data(), bound.data(), divisor.data(), shares.data(), true});
-    std::vector<double> row(record_size(count)), prices(limits), z(4 * count), weights(2 * count, 0.01), each(limits, 0.01);
-    int ended[8] = {};
-    const long made = counted([&] {
-        for (int k = 0; k < calls; ++k) {
-            const double* w = wrenches.data() + 6 * (k % many);
-            const Record record(row.data(), count);
-            ++ended[program.least(w, k % 2 ? Criterion::largest : Criterion::sum, {1e-6, 100}, record, prices.data())];
-            ++ended[program.least(w, Criterion::excess, {EXCESS_WITHIN, 100}, record, prices.data())];
-            if (program.deepest(w, 1e-7, z.data(), prices.data()).code == CONVERGED)
-                program.least_phi({.wrench = w}, weights.data(), each.data(), z.data(), {1e-4, 100}, record, prices.data());
-        }
-    });
-    return nb::make_tuple(made, ended[CONVERGED], ended[INFEASIBLE], ended[LIMITS_EXCEEDED]);
-}
-
 }  // namespace
 
 void bind_program(nb::module_& m) {
@@ -198,6 +174,4 @@ void bind_program(nb::module_& m) {
     m.def("phi_rows", &phi_rows, "rows"_a, "right"_a, "equal"_a, "weights"_a, "row_weights"_a, "soft"_a, "z"_a, "tolerance"_a,
           "limit"_a, "twice"_a = false);
     m.def("twice", &twice, "a"_a, "b"_a, "what"_a);
-    m.def("program_allocations", &program_allocations, "frame"_a, "balance"_a, "rows"_a, "bound"_a, "divisor"_a, "shares"_a,
-          "wrenches"_a, "calls"_a);
 }

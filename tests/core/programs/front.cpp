@@ -150,6 +150,13 @@ int main(int given, char** arguments) {
     print("again", solver.solve({.wrench = wrench, .start = Start::previous}));
     solver.forget();
     print("forgotten", solver.solve({.wrench = wrench, .start = Start::previous}));
+    {  // a row of the caller's own comes before the last solution
+        ForceOptimizer other({contacts}, newton);
+        std::vector<double> row(other.size());
+        other.solve({.wrench = wrench}, row.data()), other.solve(std::span(press).first<6>());
+        const Record& record = other.solve(Ask{.wrench = wrench, .start = Start::previous, .previous = row.data()});
+        std::printf("own previous: %g\n", record.summary().iterations);
+    }
     const Options single{.start = Start::single_value, .tolerance = exact};
     print("all named", ForceOptimizer({contacts}, single).solve(wrench, {.contacts = 0b1111}));
     print("three named", ForceOptimizer({contacts}, single).solve(wrench, {.contacts = 0b0111}));

@@ -503,7 +503,7 @@ void run(Bytes& from) {
         Ask ask{.wrench = load.w, .now = moved.now};
         if (from.one_in(2)) ask.start = Start(from.whole(0, int(Start::learned)));
         std::vector<double> force;
-        if (ask.start == Start::given) {
+        if (ask.start == Start::given || ask.start == Start::guess) {
             force = numbers(from, 3 * home.count, 5.0);
             if (on->previous() && from.one_in(2)) std::copy_n(on->previous()->force(), 3 * home.count, force.begin());
             ask.force = force;

@@ -470,7 +470,7 @@ private:
     }
     // Into newton_.x, force_ and turn_: of the contacts that touch now, in their frames.
     bool load_previous(const Ask& ask) {
-        if (!ask.previous) return load_force(ask.force);
+        if (!ask.previous) return load_force(ask.force) && newton_.cones.sane(newton_.x);
         const Record before(const_cast<double*>(ask.previous));  // only read
         if (before.contacts() != at_.home.count || !before.has_force()) return false;
         for (int i = 0; i < at_.now.count; ++i) {
@@ -489,7 +489,7 @@ private:
             }
         }
         newton_.cones.load_force(force_.data(), newton_.x);
-        return true;
+        return newton_.cones.sane(newton_.x) && std::all_of(turn_.begin(), turn_.end(), [](double v) { return std::abs(v) < infinity; });
     }
 
     // What is given, into force_ and turn_; whether it is balanced and strictly inside the cones.
@@ -639,7 +639,7 @@ private:
         used_ = asked(ask), replaced_ = outside_ = false;
         if (used_ == Start::previous && load_previous(ask)) {
             call.start = From::tangent, call.force = force_.data();
-            call.exceeding = Record(const_cast<double*>(ask.previous)).code() == LIMITS_EXCEEDED;
+            call.exceeding = ask.previous && Record(const_cast<double*>(ask.previous)).code() == LIMITS_EXCEEDED;
         }
         const bool follows = call.start == From::tangent;
         const auto make = [&](const Vec6&, bool previous) {
