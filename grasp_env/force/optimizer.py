@@ -592,8 +592,8 @@ def optimize_force(
             `AdaptiveStep()`.
 
             elastic: where no force keeps the limits, return the balanced one inside the cones whose largest excess, as a part of
-            the limit, is least (within 1 % of the least possible, or 1e-6), with status LIMITS_EXCEEDED, instead of an error. Its
-            `limit_excess` is the objective, `lower_bound` what no force stays below.
+            the limit, is least (within 1 % of the least possible, or 1e-6), with status LIMITS_EXCEEDED, instead of an error, if `max_iterations`
+            allow. Its `limit_excess` is the objective, `lower_bound` what no force stays below.
 
     Raises:
         InvalidInputError: input of another type or shape, not finite, or out of range (`grasp_env/ranges.py`).

@@ -41,7 +41,8 @@ class FixedStep:
     Example:
         >>> from grasp_env.force import optimize_force
         >>> from grasp_env.grasp import presets
-        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], step_rule=FixedStep(0.05)).status.name
+        >>> flow = {"method": "reduced_flow", "step_rule": FixedStep(0.05)}
+        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], **flow).status.name
         'OPTIMAL'
         >>> FixedStep(0.0)
         Traceback (most recent call last):
@@ -70,7 +71,8 @@ class ArmijoStep:
     Example:
         >>> from grasp_env.force import optimize_force
         >>> from grasp_env.grasp import presets
-        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], step_rule=ArmijoStep(first=1.0)).status.name
+        >>> flow = {"method": "reduced_flow", "step_rule": ArmijoStep(first=1.0)}
+        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], **flow).status.name
         'OPTIMAL'
     """
 
@@ -100,7 +102,7 @@ class AdaptiveStep:
         >>> from grasp_env.force import optimize_force
         >>> from grasp_env.grasp import presets
         >>> grasp, wrench = presets.tripod(), [1, 0, 0, 0, 0, 0]
-        >>> plain, named = optimize_force(grasp, wrench), optimize_force(grasp, wrench, step_rule=AdaptiveStep())
+        >>> plain, named = (optimize_force(grasp, wrench, method="reduced_flow", step_rule=rule) for rule in (None, AdaptiveStep()))
         >>> plain.iterations == named.iterations            # the default
         True
     """
@@ -167,7 +169,8 @@ class ExactStep:
     Example:
         >>> from grasp_env.force import optimize_force
         >>> from grasp_env.grasp import presets
-        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], step_rule=ExactStep(precision=0.1)).status.name
+        >>> flow = {"method": "reduced_flow", "step_rule": ExactStep(precision=0.1)}
+        >>> optimize_force(presets.tripod(), [1, 0, 0, 0, 0, 0], **flow).status.name
         'OPTIMAL'
     """
 

@@ -164,6 +164,8 @@ def calls() -> dict[str, Call]:
         "Pipeline.carry": Call(begun().carry, moved, {"force": (COUNT, 3)}),
         "Pipeline.carry_from": Call(begun().carry_from, moved | {"then": force, "frames": s.frames}, {"force": (COUNT, 3)}),
         "phi": Call(_core.phi, phi, {}),
+        "phi_gradient": Call(_core.phi_gradient, phi, {"out": (COUNT, 3)}),
+        "phi_hessian": Call(_core.phi_hessian, phi, {"out": (COUNT, 3, 3)}),
     }  # fmt: skip
 
 

@@ -318,11 +318,11 @@ def calls(folder: Path) -> dict[str, Call]:
         "BarzilaiBorweinStep": Call(f.BarzilaiBorweinStep, {"first": 0.3, "shrink": 0.5, "variant": "short"}),
         "ExactStep": Call(f.ExactStep, {"precision": 1e-3}),
         "a flow with a step": Call(
-            lambda **k: f.optimize_force(CUBOID, PAPER, step_rule=f.AdaptiveStep(**k), max_iterations=100),
+            lambda **k: f.optimize_force(CUBOID, PAPER, method="reduced_flow", step_rule=f.AdaptiveStep(**k), max_iterations=100),
             {"first": 0.3, "grow": 1.5, "shrink": 0.5},
         ),
         "a flow with Armijo": Call(
-            lambda **k: f.optimize_force(CUBOID, PAPER, step_rule=f.ArmijoStep(**k), max_iterations=100),
+            lambda **k: f.optimize_force(CUBOID, PAPER, method="reduced_flow", step_rule=f.ArmijoStep(**k), max_iterations=100),
             {"first": 0.3, "shrink": 0.5, "slope": 1e-4},
         ),
         "description_matrix": Call(f.description_matrix, {"force": FORCE, "friction": CUBOID.friction}),

@@ -489,7 +489,8 @@ private:
             }
         }
         newton_.cones.load_force(force_.data(), newton_.x);
-        return newton_.cones.sane(newton_.x) && std::all_of(turn_.begin(), turn_.end(), [](double v) { return std::abs(v) < infinity; });
+        return newton_.cones.sane(newton_.x) &&
+               std::all_of(turn_.begin(), turn_.end(), [](double v) { return std::abs(v) < infinity; });
     }
 
     // What is given, into force_ and turn_; whether it is balanced and strictly inside the cones.

@@ -13,7 +13,7 @@
 namespace grasp {
 
 inline constexpr double EXCESS_WITHIN = 1e-2;  // part of the least excess by which the found one may be above it
-inline constexpr double EXCESS_FLOOR = 1e-6;   // and by how much anyway: part of a limit
+inline constexpr double EXCESS_FLOOR = 1e-6;  // and by how much anyway: part of a limit
 
 template <class V, int B> class LeastExcess {
 public:
@@ -71,19 +71,19 @@ public:
 
 private:
     static constexpr int MOST = 50;
-    static constexpr double BEGIN = 1.5;   // of the excess at the start: how much limits are raised there
+    static constexpr double BEGIN = 1.5;  // of the excess at the start: how much limits are raised there
     static constexpr double REACH = 0.95;  // part of the way to the boundary
     static constexpr double CENTRE = 0.1;  // least part of the gap that a step aims at: iterates far off the centre jam
     static constexpr double ENOUGH = 0.5;  // of the gap that may be left: no step aims below it
-    static constexpr double AIM = 0.9;     // what the last digits of balance may take from the certificate is not spent
+    static constexpr double AIM = 0.9;  // what the last digits of balance may take from the certificate is not spent
 
     static double allowed(double bound) { return std::max(EXCESS_WITHIN * bound, EXCESS_FLOOR); }
 
     struct At {
         Vec3<V> s, l, mixed;  // dual slack; the scaled point; sum bend share a
         Scaling<V> m;
-        Sym3<V> inverse;      // (M^-1 + sum bend a a^T)^-1
-        Vec3<V> dx, ds, d;    // steps; the scaled right side
+        Sym3<V> inverse;  // (M^-1 + sum bend a a^T)^-1
+        Vec3<V> dx, ds, d;  // steps; the scaled right side
     };
     Blocks<At, B> at_;
 
