@@ -716,7 +716,7 @@ private:
             Stop left = stop;
             int spent = 0;
             if (used_ == Start::phase_one && start != Start::phase_one && free_optimum(ask, options_.limit, spent)) {
-                used_ = Start::internal_force, left.limit = std::max(0, left.limit - spent);
+                left.limit = std::max(0, left.limit - spent);
                 call.start = From::given, call.force = force_.data(), call.torsion = turn_.data();
             }
             general_.phi(call, left, record);
