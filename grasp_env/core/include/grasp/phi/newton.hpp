@@ -279,7 +279,6 @@ private:
             at.nu = system.multipliers(left);
             step = find_step(at.nu, left, at.value);
             if (leaping) {
-                if (options.limit <= 0) return code = REFUSED, Next::ended;
                 leaping = false, ++at.trials;
                 at.value = step.reach < 0.99 ? cones.phi_along(x, step_, 1.0, rows) : infinity;
                 if (!(at.value < infinity)) return code = REFUSED, Next::ended;
