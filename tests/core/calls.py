@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 from cases import START
-from samples import sample, wrenches
-from test_pipeline import reference_of
+from samples import reference_of, sample, wrenches
 
 from grasp_env.core import _core
 from grasp_env.force import ForceSolution

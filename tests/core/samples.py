@@ -147,6 +147,12 @@ def sample(count: int, kind: str = "hard") -> Sample:
             return found
 
 
+def reference_of(s: Sample) -> np.ndarray:
+    """(3N, 3N - 6) object-frame directions of internal forces."""
+    internal = np.linalg.svd(s.unit @ geometry.grasp_matrix(s.positions, s.frames))[2][6:].T
+    return np.einsum("nab,nbk->nak", s.frames, internal.reshape(s.count, 3, -1)).reshape(internal.shape)
+
+
 def wrenches(rng: np.random.Generator, number: int, size: float = 1.0) -> np.ndarray:
     """(number, 6) forces of about `size` [N], moments of 0.05 m times as much."""
     return size * rng.standard_normal((number, 6)) * [1.0, 1.0, 1.0, 0.05, 0.05, 0.05]

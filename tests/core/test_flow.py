@@ -127,7 +127,7 @@ def test_a_known_optimum_ends_it(form: str) -> None:
     s = sample(5)
     wrench, force, _ = starts(s)
     least = phi(s.minimum(wrench)[0], s.weights)
-    row, trace = flow(s, (8, 1), None, form, 1e-3)(wrench, force, least, 20_000)
+    row, trace = flow(s, (8, 0), None, form, 1e-3)(wrench, force, least, 20_000)
     assert (at(row, "code"), at(row, "lower_bound")) == (CONVERGED, least)
     last = int(at(row, "iterations"))
     # at the first iterate that is near enough
@@ -194,7 +194,7 @@ def test_it_stalls_where_floating_point_ends_and_gets_away_from_the_apex(rule: S
 def test_what_is_refused(form: str) -> None:
     s = sample(5)
     wrench, force, _ = starts(s)
-    solve = flow(s, (8, 1), BarzilaiBorweinStep(), form, 1e-2)
+    solve = flow(s, (8, 0), BarzilaiBorweinStep(), form, 1e-2)
     outside = np.where(np.arange(15) % 3 == 0, -force, force)
     for wrong in (outside, 1.01 * force, np.full(15, np.nan)):
         assert at(solve(wrench, wrong)[0], "code") == REFUSED

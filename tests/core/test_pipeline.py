@@ -7,20 +7,13 @@ import numpy as np
 import pytest
 from oracles import geometry, newton, starts
 from oracles.phi import phi
-from samples import LAYOUTS, Sample, layouts, sample, wrenches
+from samples import LAYOUTS, Sample, layouts, reference_of, sample, wrenches
 
 from grasp_env.force.record import FORCE
 
 CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED = range(5)
 CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN = range(7)
 CARRIED, REPAIRED, CLIPPED = range(3)
-
-
-def reference_of(s: Sample) -> np.ndarray:
-    """(3N, 3N - 6) object-frame directions of internal forces."""
-    internal = np.linalg.svd(s.unit @ geometry.grasp_matrix(s.positions, s.frames))[2][6:].T
-    blocks = internal.reshape(s.count, 3, -1)
-    return np.einsum("nab,nbk->nak", s.frames, blocks).reshape(internal.shape)
 
 
 def pipeline(
