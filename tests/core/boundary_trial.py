@@ -37,23 +37,8 @@ FRESH = 200
 """Calls after which all objects are made anew."""
 RAISED = (TypeError, ValueError, OverflowError)
 ODD = (
-    0.0,
-    -0.0,
-    1.0,
-    -1.0,
-    np.inf,
-    -np.inf,
-    np.nan,
-    1e308,
-    -1e308,
-    5e-324,
-    -1e-310,
-    1e12,
-    1.1e12,
-    1e-200,
-    1e20,
-    2.0**53,
-)
+    0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 1e308, -1e308, 5e-324, -1e-310, 1e12, 1.1e12, 1e-200, 1e20, 2.0**53,
+)  # fmt: skip
 HUGE = (3, 1000, 2**31 - 1, -(2**31), 2**31, 2**63, 10**40, 1j)
 SCALARS = (*ODD, True, False, None, "newton", b"", (), [], {}, 0, 1, -1, object(), *HUGE)
 """Integers that are right and huge would be waited for: 2**31 - 1 goes where it means a size, not a number of steps."""

@@ -189,49 +189,23 @@ def others() -> dict[str, Call]:
 CALLS = calls()
 
 
-class Wrapped:
-    """Numbers that are no buffer."""
-
-    def __init__(self, a: np.ndarray) -> None:
-        self.a = a
-
-    def __array__(self, *_: object, **__: object) -> np.ndarray:
-        return self.a
-
-    def __len__(self) -> int:
-        return len(self.a)
-
-
 SPOILED: dict[str, Callable[[np.ndarray], object]] = {
     **{kind: lambda a, kind=kind: a.astype(kind) for kind in ("f4", "f2", "g", "i8", "?", "c16", "O", "U8", ">f8")},
     "record": lambda a: np.ascontiguousarray(a).view(np.dtype([("value", np.float64)])),
-    "Fortran order": np.asfortranarray,
-    "transposed": lambda a: a.T,
-    "strided": lambda a: np.repeat(a, 2, axis=-1)[..., ::2],
-    "reversed": lambda a: a[..., ::-1],
-    "broadcast": lambda a: np.broadcast_to(np.float64(1.0), a.shape),
+    "Fortran order": np.asfortranarray, "transposed": lambda a: a.T, "strided": lambda a: np.repeat(a, 2, axis=-1)[..., ::2],
+    "reversed": lambda a: a[..., ::-1], "broadcast": lambda a: np.broadcast_to(np.float64(1.0), a.shape),
     "off by a byte": lambda a: np.frombuffer(b"\0" + a.tobytes(), np.uint8)[1:].view(np.float32),
-    "0-d": lambda a: np.array(1.0),
-    "empty": lambda a: np.zeros((0,) * a.ndim) if a.size else np.zeros(7),
-    "flat": lambda a: a.reshape(-1) if a.ndim > 1 else a[:, None],
-    "one axis more": lambda a: a[None],
-    "one more": lambda a: np.concatenate([a, a[..., :1]], axis=-1),
-    "one less": lambda a: np.ascontiguousarray(a[..., :-1]),
-    "a row more": lambda a: np.concatenate([a, a[:1]]),
-    "a row less": lambda a: np.ascontiguousarray(a[:-1]),
+    "0-d": lambda a: np.array(1.0), "empty": lambda a: np.zeros((0,) * a.ndim) if a.size else np.zeros(7),
+    "flat": lambda a: a.reshape(-1) if a.ndim > 1 else a[:, None], "one axis more": lambda a: a[None],
+    "one more": lambda a: np.concatenate([a, a[..., :1]], axis=-1), "one less": lambda a: np.ascontiguousarray(a[..., :-1]),
+    "a row more": lambda a: np.concatenate([a, a[:1]]), "a row less": lambda a: np.ascontiguousarray(a[:-1]),
     "huge": lambda a: np.broadcast_to(np.float64(0.0), (2**40,) * a.ndim if a.ndim == 1 else (2**31, *a.shape[1:])),
-    "list": lambda a: a.tolist(),
-    "none": lambda a: None,
-    "number": lambda a: 1.0,
-    "word": lambda a: "wrench",
-    "bytes": lambda a: a.tobytes(),
-    "memoryview of bytes": lambda a: memoryview(a).cast("B"),
-    "memoryview of int": lambda a: memoryview(array.array("q", [1] * a.size)),
+    "list": lambda a: a.tolist(), "none": lambda a: None, "number": lambda a: 1.0, "word": lambda a: "wrench",
+    "bytes": lambda a: a.tobytes(), "memoryview of bytes": lambda a: memoryview(a).cast("B"), "dict": lambda a: {},
+    "memoryview of int": lambda a: memoryview(array.array("q", [1] * a.size)), "type": lambda a: np.float64,
     "ctypes": lambda a: (ctypes.c_float * a.size)(*a.reshape(-1)),
-    "wrapped": Wrapped,
-    "dict": lambda a: {},
-    "type": lambda a: np.float64,
-}
+    "wrapped": lambda a: type("Wrapped", (), {"__array__": lambda self, *_, **__: a, "__len__": lambda self: len(a)})(),
+}  # fmt: skip
 """Ways to spoil an array."""
 ROWS_OF_ANY = {"a row more", "a row less", "one more", "one less", "empty"}
 

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from itertools import product
 
-import _core_test as insides
 import numpy as np
 import pytest
 from oracles import boundary, newton
 from oracles import phi as oracle
 from problems import OUTSIDE
-from samples import Sample, depths, sample, wrenches
+from samples import EACH, Sample, depths, sample, wrenches
 
 from grasp_env.force.record import FORCE
 
 KINDS = ("hard", "frictionless")
 EPS = 2.0**-52
-EACH = {1: insides.Insides1, 4: insides.Insides4, 8: insides.Insides8}
 SOME = (3, 4, 5, 8, 9, 16)
 each = pytest.mark.parametrize(("lanes", "count"), [*product(EACH, SOME)])
 each_kind = pytest.mark.parametrize("kind", KINDS)

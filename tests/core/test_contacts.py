@@ -6,7 +6,7 @@ import _core_test as insides
 import numpy as np
 import pytest
 from oracles import geometry as oracle
-from samples import Sample, random_contacts, reference_of, sample, thinned, with_frictionless
+from samples import Sample, moved, random_contacts, reference_of, sample, thinned, with_frictionless
 
 EPS = 2.0**-52
 GOOD, REFUSED, RANK_LOST, NEEDS_TORSION = range(4)
@@ -43,22 +43,6 @@ def test_frames_along_a_tangent(close: float) -> None:
         np.testing.assert_allclose(found, oracle.frame(n, along), atol=4e-15 / close)
         # made again from its own tangent it keeps its bits
         np.testing.assert_array_equal(insides.frame(n, found[:, 1]), found)
-
-
-def test_unit_frame() -> None:
-    rng = np.random.default_rng(2)
-    for count in (1, 2, 3, 8, 50):
-        positions = rng.uniform(0.2, 0.3, (count, 3))
-        centre, length, unit = insides.unit_frame(positions)
-        wanted = oracle.unit_frame(positions)
-        np.testing.assert_allclose(centre, wanted[0], rtol=4 * EPS)
-        assert length == pytest.approx(wanted[1], rel=1e-13, abs=1e-16)
-        if count > 1:
-            np.testing.assert_allclose(unit, wanted[2], rtol=1e-12, atol=1e-12)
-        for w, n in rng.standard_normal((10, 2, 6)):
-            np.testing.assert_allclose(insides.to_unit(positions, w), unit @ w, rtol=0, atol=1e-14 * np.abs(unit).max())
-            pulled = insides.pull_back(positions, n)
-            np.testing.assert_allclose(pulled, unit.T @ n, rtol=0, atol=1e-14 * np.abs(unit).max())
 
 
 def check(s: Sample, tolerance: float) -> None:
@@ -286,15 +270,11 @@ def test_contacts_from_friction_and_torsion() -> None:
 @pytest.mark.parametrize("away", [0.0, 0.05, 0.3])
 def test_null_space_is_the_polar_factor(count: int, away: float) -> None:
     s = sample(count)
-    rng = np.random.default_rng(count)
-    positions = s.positions + away * 0.05 * rng.standard_normal(s.positions.shape)
-    normals = s.normals + away * rng.standard_normal(s.normals.shape)
-    moved = Sample(positions, normals / np.linalg.norm(normals, axis=1)[:, None], s.scale, s.weights)
-    reference = reference_of(s)
-    here = np.einsum("nba,nbk->nak", moved.frames, reference.reshape(count, 3, -1)).reshape(reference.shape)
-    matrix = moved.unit @ oracle.grasp_matrix(moved.positions, moved.frames)
+    there, reference = moved(s, away), reference_of(s)
+    here = np.einsum("nba,nbk->nak", there.frames, reference.reshape(count, 3, -1)).reshape(reference.shape)
+    matrix = there.unit @ oracle.grasp_matrix(there.positions, there.frames)
     wanted = oracle.polar_basis(here, matrix)
-    found = insides.null_space(moved.placement, reference)
+    found = insides.null_space(there.placement, reference)
     np.testing.assert_allclose(found.T @ found, np.eye(3 * count - 6), atol=1e-13)
     np.testing.assert_allclose(matrix @ found, 0.0, atol=1e-12)
     # a projection that hardly keeps its rank: the polar factor moves by rounding over its least singular value

@@ -7,12 +7,11 @@ from functools import cache
 import _core_test as insides
 import numpy as np
 import pytest
-from samples import Sample, random_contacts, sample, thinned, with_frictionless, wrenches
+from samples import EACH, Sample, random_contacts, sample, thinned, with_frictionless, wrenches
 
 from grasp_env.core import _core
 from grasp_env.force.record import BOUND, CODE, FORCE, ITERATIONS, MARGIN, MULTIPLIERS, OBJECTIVE, RESIDUAL, WRENCH
 
-EACH = {1: insides.Insides1, 4: insides.Insides4, 8: insides.Insides8}
 COUNTS = tuple(range(3, 13))
 KINDS = ("hard", "frictionless", "thin")
 CALLS = {"newton": _core.newton_grasps, "conic": _core.conic_grasps}

@@ -13,7 +13,6 @@ from dense import limit_rows
 from oracles import limits as oracle
 from oracles.phi import gradient, hessian, phi
 from samples import Sample
-from scipy.linalg import null_space
 from scipy.optimize import minimize
 
 LOAD = np.array([0.7, -0.4, 0.9, 0.011, -0.007, 0.013])
@@ -141,23 +140,6 @@ def test_newton_takes_the_dense_step(name: str) -> None:
     assert taken >= 3
     for twice in (False, True):
         assert problem.core(-problem.start, 0, twice=twice)[2] == REFUSED  # outside
-
-
-@pytest.mark.parametrize("twice", [False, True])
-@pytest.mark.parametrize("name", GENERAL)
-def test_the_bound_is_below_scipys_minimum_and_touches_it(name: str, twice: bool) -> None:
-    problem = dense(name)
-    basis, v = null_space(problem.balance), problem.start
-    answer = minimize(
-        lambda c: problem.phi(v + basis @ c), np.zeros(basis.shape[1]), method="trust-exact", options={"gtol": 1e-9},
-        jac=lambda c: basis.T @ problem.derivatives(v + basis @ c)[0],
-        hess=lambda c: basis.T @ problem.derivatives(v + basis @ c)[1] @ basis,
-    )  # fmt: skip
-    least = float(answer.fun)
-    z, _, _, _, _, value, bound = problem.core(v, 100, 1e-10, twice)
-    assert value == pytest.approx(least, rel=1e-9)
-    assert least * (1.0 - 1e-8) < bound <= least * (1.0 + 1e-12)
-    np.testing.assert_allclose(z[problem.live], v + basis @ answer.x, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["soft", "mixed, limits"])

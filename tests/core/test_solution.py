@@ -113,25 +113,15 @@ def test_nothing_leaks() -> None:
 @pytest.mark.parametrize(
     "record",
     [
-        None,
-        list(row()),
-        np.zeros(FORCE - 1),
-        np.zeros(0),
-        row()[:-1],
-        np.append(row(), 0.0),
-        row()[None],
-        row().astype(np.float32),
-        np.repeat(row(), 2)[::2],
-        row().astype(">f8"),
+        None, list(row()), np.zeros(FORCE - 1), np.zeros(0), row()[:-1], np.append(row(), 0.0), row()[None],
+        row().astype(np.float32), np.repeat(row(), 2)[::2], row().astype(">f8"),
         *(row(code=CODES[name]) for name in ("refused", "rank_lost")),  # a call that has no answer is no solution
         *(row(code=code) for code in (0.5, -1.0, np.nan, 1e300, 99.0)),
-        *(row(iterations=number) for number in (np.nan, -1.0)),
-        *(row(start=start) for start in (0.5, 99.0)),
-        np.where(np.arange(len(row())) == PLACES["contacts"], 5.0, row()),
-        np.where(np.arange(len(row())) == PLACES["joints"], 1e300, row()),
-        np.where(np.arange(len(row())) == PLACES["limits"], -1.0, row()),
+        *(row(iterations=number) for number in (np.nan, -1.0)), *(row(start=start) for start in (0.5, 99.0)),
+        *(np.where(np.arange(len(row())) == PLACES[name], number, row())
+          for name, number in (("contacts", 5.0), ("joints", 1e300), ("limits", -1.0))),
     ],
-)
+)  # fmt: skip
 def test_only_records_are_taken(record: object) -> None:
     with pytest.raises(InvalidInputError, match="a record must be a C-contiguous float64 array whose numbers say"):
         Solution(record, "newton", "given")  # pyright: ignore[reportArgumentType]

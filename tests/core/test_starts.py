@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import _core_test as insides
 import numpy as np
 import pytest
 from oracles import newton, starts
 from oracles import phi as oracle
-from samples import Sample, sample, wrenches
+from samples import EACH, Sample, moved, sample, wrenches
 
 from grasp_env.core import _core
 
-EACH = {1: insides.Insides1, 4: insides.Insides4, 8: insides.Insides8}
 SOME = (3, 4, 5, 8, 9)
 KINDS = ("hard", "frictionless")
 each_lane = pytest.mark.parametrize("lanes", EACH)
@@ -23,13 +21,6 @@ def starter(lanes: int, s: Sample, moved: Sample | None = None):
     made = EACH[lanes]((moved or s).placement)
     made.set_basis(s.basis, s.frames)
     return made
-
-
-def moved(s: Sample, size: float, seed: int = 0) -> Sample:
-    rng = np.random.default_rng([s.count, seed])
-    positions = s.positions + size * 0.05 * rng.standard_normal(s.positions.shape)
-    normals = s.normals + size * rng.standard_normal(s.normals.shape)
-    return Sample(positions, normals / np.linalg.norm(normals, axis=1)[:, None], s.scale, s.weights)
 
 
 @each_lane
@@ -66,25 +57,6 @@ def test_turned_forces_are_the_same_vectors(lanes: int, count: int) -> None:
 
 
 @each_lane
-@pytest.mark.parametrize("kind", KINDS)
-@each_count
-def test_the_tangent_correction_is_the_dense_one(lanes: int, kind: str, count: int) -> None:
-    s, rng = sample(count, kind), np.random.default_rng(count)
-    made = starter(lanes, s)
-    for w in wrenches(rng, 6):
-        x, _ = s.minimum(w)
-        target = s.unit @ (w + 0.05 * wrenches(rng, 1)[0])
-        found, corrected = made.tangent(x, target)
-        wanted = newton.tangent_correction(x, s.rows, target, s.weights)
-        assert found
-        np.testing.assert_allclose(corrected, wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
-        np.testing.assert_allclose(s.rows @ corrected, -target, rtol=0, atol=1e-13 * count * np.abs(corrected).max())
-    for k in range(3):
-        bad = np.where(np.arange(3 * count) == k, np.nan, x)
-        assert not made.tangent(bad, target)[0]
-
-
-@each_lane
 @each_count
 def test_the_segment_ends_at_the_least_of_a_fine_search(lanes: int, count: int) -> None:
     s, rng = sample(count), np.random.default_rng(count)
@@ -111,32 +83,6 @@ def test_the_segment_ends_at_the_least_of_a_fine_search(lanes: int, count: int) 
         theta, end = made.segment(safe, np.where(np.arange(3 * count) == k, bad, safe))
         assert theta == 0.0 or np.isfinite(bad)
         np.testing.assert_array_equal(end, safe)
-
-
-@each_lane
-@pytest.mark.parametrize("tangent", [True, False])
-@each_count
-def test_carried_forces_are_never_worse_than_the_combination(lanes: int, tangent: bool, count: int) -> None:
-    s, rng = sample(count), np.random.default_rng(count)
-    made, kept = starter(lanes, s), 0
-    for jump in (0.0, 1e-3, 0.1, 3.0, 100.0):
-        for before in wrenches(rng, 4):
-            now = before + jump * wrenches(rng, 1)[0]
-            w, x = s.unit @ now, s.minimum(before)[0]
-            safe = newton.combine(s.basis, now)
-            carried = made.carry(safe, w, tangent, x)
-            assert oracle.phi(carried, s.weights) <= oracle.phi(safe, s.weights)
-            left = np.abs(s.rows @ carried + w).max()
-            assert left <= 1e-9 * (np.abs(carried).max() + np.abs(w).max())
-            if tangent:
-                corrected = newton.tangent_correction(x, s.rows, w, s.weights)
-                if oracle.phi(corrected, s.weights) < oracle.phi(safe, s.weights):
-                    kept += 1
-                    np.testing.assert_allclose(carried, corrected, rtol=0, atol=1e-8 * np.abs(corrected).max())
-    for bad in (np.full(3 * count, np.nan), -x, np.zeros(3 * count), 1e14 * x):
-        carried = made.carry(safe, w, tangent, bad)
-        assert oracle.phi(carried, s.weights) <= oracle.phi(safe, s.weights)
-    assert kept > 4 or not tangent
 
 
 @each_lane
