@@ -5,14 +5,13 @@ from __future__ import annotations
 import _core_test as insides
 import numpy as np
 import pytest
+from cases import CONVERGED, REFUSED
 from oracles import geometry, newton, starts
 from oracles.phi import phi
 from samples import LAYOUTS, Sample, layouts, reference_of, sample, wrenches
 
-from grasp_env.force.record import FORCE
+from grasp_env.force.record import BOUND, CODE, FORCE, ITERATIONS, MARGIN, OBJECTIVE
 
-CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED = range(5)
-CODE, ITERATIONS, TRIALS, OBJECTIVE, BOUND, RESIDUAL, MARGIN = range(7)
 CARRIED, REPAIRED, CLIPPED = range(3)
 
 
@@ -36,14 +35,9 @@ def path(s: Sample, steps: int, size: float, seed: int = 0) -> list[tuple[Sample
     return out
 
 
-def force_of(s: Sample, row: np.ndarray) -> np.ndarray:
-    """Cone coordinates of a record."""
-    return (row[FORCE : FORCE + 3 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
-
-
-def initial_of(s: Sample, row: np.ndarray) -> np.ndarray:
-    """Cone coordinates of the start of a record."""
-    return (row[FORCE + 3 * s.count : FORCE + 6 * s.count].reshape(-1, 3) * s.scale).reshape(-1)
+def force_of(s: Sample, row: np.ndarray, initial: bool = False) -> np.ndarray:
+    """Cone coordinates of a record, or of its start."""
+    return row[FORCE + 3 * s.count * initial :][: 3 * s.count] * s.scale.reshape(-1)
 
 
 @pytest.mark.parametrize(("count", "flows"), [*((n, k) for n in (3, 4, 5, 9) for k in (False, True)), (8, False)])
@@ -59,8 +53,8 @@ def test_every_layout_finds_the_optimum_along_a_path(count: int, remembers: bool
         for made, cold in every:
             row, plain = (each.solve(there.positions, there.normals, w) for each in (made, cold))
             # where it begins: never worse than the combination, but for the rounding of forces
-            safe = phi(initial_of(there, plain), s.weights)
-            assert phi(initial_of(there, row), s.weights) <= safe * (1.0 + 1e-12) < np.inf
+            safe = phi(force_of(there, plain, True), s.weights)
+            assert phi(force_of(there, row, True), s.weights) <= safe * (1.0 + 1e-12) < np.inf
             x = force_of(there, row)
             assert row[CODE] == CONVERGED
             assert row[MARGIN] > 0.0
@@ -157,7 +151,7 @@ def test_adjusted_starts_are_the_internal_force_repaired(count: int) -> None:
             made, a = pipeline(s, layout, remembers=False), size * rng.standard_normal(3 * count - 6)
             plain = made.solve(there.positions, there.normals, w)
             row = made.solve(there.positions, there.normals, w, a)
-            safe, start = initial_of(s, plain), initial_of(s, row)
+            safe, start = force_of(s, plain, True), force_of(s, row, True)
             x = safe + (internal @ a) * s.scale.reshape(-1)
             best, least = starts.least_on_segment(safe, x, s.weights)
             value, before = phi(start, s.weights), phi(safe, s.weights)
