@@ -12,6 +12,9 @@ from oracles import geometry, newton
 COUNTS = (*range(3, 18), 50)
 """Numbers of contacts: every filling of registers of 2, 4 and 8, and many."""
 
+EACH = {1: insides.Insides1, 4: insides.Insides4, 8: insides.Insides8}
+"""Cones, the linear system and the starts, by the lanes of their registers."""
+
 LAYOUTS = tuple(insides.LAYOUTS)
 """(lanes, registers; 0: as many as needed) of a solver."""
 
@@ -145,6 +148,20 @@ def sample(count: int, kind: str = "hard") -> Sample:
             found = thinned(found, 1e-3)
         if geometry.rank_ratio(found.rows) > 1e-6 and has_closure(found):
             return found
+
+
+def reference_of(s: Sample) -> np.ndarray:
+    """(3N, 3N - 6) object-frame directions of internal forces."""
+    internal = np.linalg.svd(s.unit @ geometry.grasp_matrix(s.positions, s.frames))[2][6:].T
+    return np.einsum("nab,nbk->nak", s.frames, internal.reshape(s.count, 3, -1)).reshape(internal.shape)
+
+
+def moved(s: Sample, size: float, *seed: int) -> Sample:
+    """Contacts that have wandered."""
+    rng = np.random.default_rng([s.count, *(seed or (0,))])
+    positions = s.positions + size * 0.05 * rng.standard_normal(s.positions.shape)
+    normals = s.normals + size * rng.standard_normal(s.normals.shape)
+    return Sample(positions, normals / np.linalg.norm(normals, axis=1)[:, None], s.scale, s.weights)
 
 
 def wrenches(rng: np.random.Generator, number: int, size: float = 1.0) -> np.ndarray:

@@ -9,50 +9,26 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import calls
 import numpy as np
 import pytest
-from calls import (
-    CALLS,
-    COUNT,
-    INTERNAL,
-    LIMITS,
-    LOADS,
-    REFUSED,
-    SAMPLE,
-    SIZE,
-    SPOILED,
-    begun,
-    fits,
-    model,
-    optimizer,
-    refused,
-    spoil,
-)  # fmt: skip
+from calls import CALLS, COUNT, INTERNAL, LIMITS, LOADS, REFUSED, SAMPLE, SIZE, SPOILED, model, optimizer, pipeline
 from cases import START
 from samples import wrenches
 
 from grasp_env.core import _core
 from grasp_env.force.record import FORCE
 
-ROOT = Path(__file__).parents[2]
 BAD = (np.nan, np.inf, -np.inf, 1e300, -1e300)
 each_call = pytest.mark.parametrize("name", CALLS)
-
-
-def run(name: str, arguments: dict[str, object]) -> object:
-    """What a call returns; an error of argument types or values counts as REFUSED."""
-    try:
-        return CALLS[name].run(**arguments)
-    except (TypeError, ValueError):
-        return REFUSED
 
 
 @each_call
 def test_good_arguments_are_taken_and_left_as_they_are(name: str) -> None:
     call, arguments = CALLS[name], CALLS[name].arguments()
-    assert not refused(call.run(**arguments))
-    for argument in call.given:
-        np.testing.assert_array_equal(arguments[argument], call.given[argument])
+    assert not calls.refused(call.run(**arguments))
+    for argument, right in call.read.items():
+        np.testing.assert_array_equal(arguments[argument], right)
     for argument in call.written:
         assert name == "Pipeline.carry" or not (arguments[argument] == -7.0).all()
 
@@ -60,25 +36,26 @@ def test_good_arguments_are_taken_and_left_as_they_are(name: str) -> None:
 @each_call
 def test_every_way_to_spoil_an_argument_is_refused(name: str) -> None:
     call, tried = CALLS[name], 0
-    for argument in (*call.given, *call.written):
-        for way in (*SPOILED, "read-only"):
-            arguments: dict[str, object] = dict(call.arguments())
+    for argument in (*call.read, *call.written):
+        for way in (*SPOILED, *(["read-only"] if argument in call.written else [])):
+            arguments = call.arguments()
             right = arguments[argument]
-            assert isinstance(right, np.ndarray)
             if way == "read-only":
                 right.setflags(write=False)
-                if argument in call.given:
-                    continue
             else:
-                arguments[argument] = spoil(way, right)
-                if fits(name, argument, arguments[argument], right, way):
+                arguments[argument] = calls.spoil(way, right)
+                if calls.fits(name, argument, arguments[argument], right, way):
                     continue
-            assert refused(run(name, arguments)), (argument, way)
-            for other, written in arguments.items():  # and nothing was written
-                if other in call.written and (other != argument or way == "read-only"):
-                    assert (written == -7.0).all(), (argument, way, other)
+            try:
+                outcome = call.run(**arguments)
+            except (TypeError, ValueError):
+                outcome = REFUSED
+            assert calls.refused(outcome), (argument, way)
+            for other in call.written:  # and nothing was written
+                if other != argument or way == "read-only":
+                    assert (arguments[other] == -7.0).all(), (argument, way, other)
             tried += 1
-    assert tried > 20 * (len(call.given) + len(call.written))
+    assert tried > 20 * (len(call.read) + len(call.written))
 
 
 def read_only(a: np.ndarray) -> np.ndarray:
@@ -90,9 +67,7 @@ SAME = {
     "read-only": read_only,
     "memoryview": memoryview,
     "a part of more": lambda a: np.concatenate([a, a])[: len(a)],
-    "not aligned to a register": lambda a: np.frombuffer(b"\0" * 8 + a.tobytes(), np.float64, offset=8).reshape(
-        a.shape
-    ),
+    "not aligned to a register": lambda a: np.frombuffer(bytes(8) + a.tobytes(), np.float64, offset=8).reshape(a.shape),
     "array.array": lambda a: memoryview(array.array("d", a.reshape(-1))).cast("B").cast("d", a.shape),
 }
 
@@ -102,13 +77,11 @@ SAME = {
     "name", ["ForceOptimizer.solve_many", "ForceOptimizer.deepest", "descend_flow", "newton_grasps", "Pipeline.solve"]
 )
 def test_the_same_numbers_elsewhere_give_the_same_bits(name: str, way: str) -> None:
-    call = CALLS[name]
+    call, ends = CALLS[name], []
     plain, other = call.arguments(), call.arguments()
-    solve = begun().solve if name == "Pipeline.solve" else call.run
-    first = solve(**plain)
-    if name == "Pipeline.solve":
-        solve = begun().solve
-    assert solve(**{argument: SAME[way](a) if argument in call.given else a for argument, a in other.items()}) == first
+    for given in (plain, other | {argument: SAME[way](other[argument]) for argument in call.read}):
+        ends.append((pipeline(solved=True).solve if name == "Pipeline.solve" else call.run)(**given))
+    assert ends[0] == ends[1]
     for argument in call.written:
         np.testing.assert_array_equal(other[argument], plain[argument])
 
@@ -127,22 +100,18 @@ def valid(row: np.ndarray, wrench: np.ndarray) -> bool:
 
 def solver_of(name: str) -> Callable[..., np.ndarray]:
     """(wrench, positions, normals) -> row."""
-    if name == "pipeline":
-        held = begun()
-
-        def carried(wrench: np.ndarray, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
-            row = np.zeros(SIZE)
-            held.solve(positions, normals, wrench, None, row)
-            if row[0] == REFUSED:
-                held.reset()  # a basis renewed for contacts far away may not reach back
-            return row
-
-        return carried
-    made = optimizer(**LIMITS) if name == "limited" else optimizer(method=name)
+    held = pipeline(solved=True) if name == "pipeline" else None
+    made = optimizer(**LIMITS) if name == "limited" else optimizer(method=name) if held is None else None
 
     def solve(wrench: np.ndarray, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        found = made.solve(wrench, positions, normals, None, None, None, None)
-        return made.ended if found is None else found._record
+        if made is not None:
+            found = made.solve(wrench, positions, normals, None, None, None, None)
+            return made.ended if found is None else found._record
+        row = np.zeros(SIZE)
+        held.solve(positions, normals, wrench, None, row)
+        if row[0] == REFUSED:
+            held.reset()  # a basis renewed for contacts far away may not reach back
+        return row
 
     return solve
 
@@ -164,8 +133,7 @@ def test_numbers_that_are_none_are_refused_or_harmless(name: str) -> None:
         assert row[0] != 0.0 or not there or valid(row[:SIZE], arguments["wrench"]), arguments
         assert row[0] == 0.0 or np.isfinite(row[FORCE:]).all()
     assert {0, REFUSED} <= outcomes
-    # and nothing of it stays
-    assert valid(solve(**good)[:SIZE], LOADS[0])
+    assert valid(solve(**good)[:SIZE], LOADS[0])  # and nothing of it stays
 
 
 @pytest.mark.parametrize("name", ["ForceOptimizer.solve_many", "ForceOptimizer.times", "newton_grasps", "conic_grasps"])
@@ -181,37 +149,29 @@ def test_one_row_that_is_none_leaves_the_others(name: str) -> None:
         assert arguments[key][1, 0] == REFUSED
 
 
-@pytest.mark.parametrize("argument", ["positions", "normals"])
-def test_contacts_of_numbers_that_are_none(argument: str) -> None:
-    given = CALLS["Contacts.make"].given
-    for bad in (*BAD, 1e160, 1e-160):
-        for every in (True, False):
-            a = given[argument].copy()
-            a.reshape(-1)[slice(None) if every else 4] = bad
-            if argument == "positions" and not every and bad == 1e-160:
-                continue  # is a contact next to an axis
-            with pytest.raises(ValueError, match=r"finite|rank"):
-                _core.Contacts.make(**(given | {argument: a}))
+def one(bad: float, at: int = 4) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda a: np.where(np.arange(a.size).reshape(a.shape) == at, bad, a)
 
 
-GARBAGE = {
-    "scale of nan": lambda a: {"scale": np.where(np.arange(3) == 1, np.nan, a["scale"])},
-    "scale of inf": lambda a: {"scale": np.where(np.arange(3) == 1, np.inf, a["scale"])},
-    "no normal force": lambda a: {"scale": np.where(np.arange(3) == 0, 0.0, a["scale"])},
-    "weights of nan": lambda a: {"weights": a["weights"] * [1.0, np.nan]},
-    "weights below zero": lambda a: {"weights": -a["weights"]},
-    "tangents of nan": lambda a: {"tangents": a["tangents"] * np.nan},
-    "tangents along the normals": lambda a: {"tangents": a["normals"]},
-    "all in one place": lambda a: {"positions": np.full((COUNT, 3), 0.1)},
-    "none at all": lambda a: {name: each[:0] for name, each in a.items()},
-}
+GARBAGE: list[tuple[str, Callable[[np.ndarray], np.ndarray]]] = [
+    *((name, lambda a, bad=bad: a * 0.0 + bad) for name in ("positions", "normals") for bad in (*BAD, 1e160, 1e-160)),
+    *((name, one(bad)) for name in ("positions", "normals") for bad in (*BAD, 1e160)),
+    ("normals", one(1e-160)),
+    *(("scale", lambda a, bad=bad, k=k: np.where(np.arange(3) == k, bad, a)) for k, bad in ((1, np.nan), (1, np.inf), (0, 0.0))),
+    ("weights", lambda a: a * [1.0, np.nan]),
+    ("weights", np.negative),
+    ("tangents", lambda a: a * np.nan),
+    ("tangents", lambda a: SAMPLE.normals),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("what", GARBAGE)
-def test_contacts_of_garbage_are_refused(what: str) -> None:
-    arguments = CALLS["Contacts.make"].arguments()
-    with pytest.raises(ValueError, match=r"."):
-        _core.Contacts.make(**(arguments | GARBAGE[what](arguments)))
+@pytest.mark.parametrize(("argument", "wrong"), GARBAGE)
+def test_contacts_of_garbage_are_refused(argument: str, wrong: Callable[[np.ndarray], np.ndarray]) -> None:
+    given = CALLS["Contacts.make"].arguments()
+    with pytest.raises(ValueError, match=r"finite|rank" if argument in ("positions", "normals") else r"."):
+        _core.Contacts.make(**(given | {argument: wrong(given[argument])}))
+    with pytest.raises(ValueError, match=r"."):  # none at all
+        _core.Contacts.make(**{name: each[:0] for name, each in given.items()})
 
 
 @pytest.mark.parametrize("limit", [0, -1, -(2**31), 2**31 - 1])
@@ -220,11 +180,11 @@ def test_contacts_of_garbage_are_refused(what: str) -> None:
 def test_any_settings_end(method: str, tolerance: float, limit: int) -> None:
     """Whatever is asked, a solve ends with a valid force: 2^31 steps are never taken."""
     made = optimizer(method=method, tolerance=tolerance, limit=limit)
-    for load in LOADS:
-        rows = np.zeros((1, made.size))
-        made.solve_many(load[None], rows)
-        assert rows[0, 0] != REFUSED
-        assert valid(rows[0, :SIZE], load)
+    rows = np.zeros((len(LOADS), made.size))
+    made.solve_many(LOADS, rows)
+    for row, load in zip(rows, LOADS, strict=True):
+        assert row[0] != REFUSED
+        assert valid(row[:SIZE], load)
 
 
 @pytest.mark.parametrize("factor", [np.nan, np.inf, -1.0, 0.0, "unbalanced"])
@@ -235,34 +195,29 @@ def test_a_basis_of_garbage_is_never_a_start_of_something_certified(factor: floa
     rows = np.zeros((len(loads), made.size))
     made.solve_many(loads, rows)
     for row, load in zip(rows, loads, strict=True):
-        assert row[0] != 0.0 or valid(row[:SIZE], load)
-        assert row[0] != 0.0 or row[3] >= row[4] * (1.0 - 1e-9)
-
-
-@pytest.mark.parametrize("what", ["points", "wrench"])
-def test_carry_says_where_it_cannot(what: str) -> None:
-    given = {"points": SAMPLE.positions, "normals": SAMPLE.normals, "wrench": LOADS[0]}
-    given[what] = np.outer(np.arange(4.0), [0.01, 0.02, 0.03]) if what == "points" else LOADS[0] * np.nan
-    force = np.full((COUNT, 3), -7.0)
-    assert begun().carry(**given, force=force) not in (0, 1)
-    assert np.isfinite(force).all()
+        assert row[0] != 0.0 or (valid(row[:SIZE], load) and row[3] >= row[4] * (1.0 - 1e-9))
 
 
 def test_models_of_other_contacts_and_wrong_numbers_are_refused() -> None:
     short = model()
     short.place(np.ascontiguousarray(INTERNAL[:, :5]), 0.5, 1.0, 20.0)
-    for fails in (
-        lambda: optimizer(model=model(placed=False)),
-        lambda: optimizer(model=short),
-        lambda: _core.Network.make([8, 10**6], np.zeros(1)),
-        lambda: _core.Network.make([], np.zeros(1)),
-        lambda: _core.Network.make([8, 6], np.full(54, 1e39)),
-        lambda: _core.Network.make([8, 6], np.full(54, np.nan)),
-        lambda: model().normalise(0.0, 0.2, 0.5, 1.3, 0.4, 0.12),
-        lambda: model().normalise(0.05, 0.2, 0.5, np.nan, 0.4, 0.12),
+    for wrong in (model(placed=False), short):
+        with pytest.raises(ValueError, match="another number"):
+            optimizer(model=wrong)
+    for sizes, weights in (
+        ([8, 10**6], np.zeros(1)),
+        ([], np.zeros(1)),
+        ([8, 6], np.full(54, 1e39)),
+        ([8, 6], np.full(54, np.nan)),
     ):
-        with pytest.raises(ValueError, match=r"another number|stages|finite"):
-            fails()
+        with pytest.raises(ValueError, match=r"stages|finite"):
+            _core.Network.make(sizes, weights)
+    for number in ({"length": 0.0}, {"log_scale": np.nan}):
+        with pytest.raises(ValueError, match="finite"):
+            model(**number)
+    for huge in (2**31 - 1, 2**40):
+        with pytest.raises((ValueError, TypeError)):
+            _core.record_size(huge)
 
 
 def test_what_training_covered() -> None:
@@ -276,31 +231,6 @@ def test_what_training_covered() -> None:
     assert not made.covers(0.01 * LOADS[0])
 
 
-# --- in a process of its own, which a crash ends
-
-
-def test_nothing_crashes_where_objects_end() -> None:
-    script = (
-        f"import sys; sys.path[:0] = [{str(ROOT)!r}]; import conftest; sys.path[:0] = {sys.path!r}\n"
-        + """
-from calls import *
-from grasp_env.core import _core
-for make in (optimizer, pipeline, model, lambda: optimizer(model=model(), start=START["learned"])):
-    made = make(); del made
-for huge in (2**31 - 1, 2**40):
-    try:
-        _core.record_size(huge)
-    except (ValueError, TypeError):
-        continue
-    sys.exit(1)
-"""
-    )
-    command, environment = [sys.executable, "-c", script], os.environ | {"ASAN_OPTIONS": "detect_leaks=0"}
-    done = subprocess.run(command, cwd=ROOT, env=environment, timeout=120, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-
-
-TRIAL = Path(__file__).with_name("boundary_trial.py")
 SEED = int(os.environ.get("GRASP_TRIAL_SEED", "0"))
 
 
@@ -309,6 +239,7 @@ SEED = int(os.environ.get("GRASP_TRIAL_SEED", "0"))
 )
 def test_a_hundred_thousand_random_calls(part: int, count: int) -> None:
     """A crash or a hang is a fault of the last call. `GRASP_TRIAL_SEED=S make slow GRASP_SANITIZE=ON ARGS="tests/core -k hundred_thousand"`."""
-    command = [sys.executable, str(TRIAL), "--seed", str(SEED + part), "--count", str(count)]
+    trial = Path(__file__).with_name("boundary_trial.py")
+    command = [sys.executable, str(trial), "--seed", str(SEED + part), "--count", str(count)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout + (done.stderr[-3000:] if done.returncode else "") == ""

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import _core_test as insides
+from itertools import product
+
 import numpy as np
 import pytest
 from oracles import boundary, newton
 from oracles import phi as oracle
-from samples import COUNTS, Sample, depths, sample, wrenches
+from problems import OUTSIDE
+from samples import EACH, Sample, depths, sample, wrenches
 
 from grasp_env.force.record import FORCE
 
 KINDS = ("hard", "frictionless")
 EPS = 2.0**-52
-EACH = {1: insides.Insides1, 4: insides.Insides4, 8: insides.Insides8}
 SOME = (3, 4, 5, 8, 9, 16)
+each = pytest.mark.parametrize(("lanes", "count"), [*product(EACH, SOME)])
+each_kind = pytest.mark.parametrize("kind", KINDS)
 
 
 def inside(s: Sample, seed: int, shallow: float = 0.3) -> np.ndarray:
@@ -22,22 +25,8 @@ def inside(s: Sample, seed: int, shallow: float = 0.3) -> np.ndarray:
     return depths(np.random.default_rng([s.count, seed]), s.count, shallow) * (s.scale > 0.0).reshape(-1)
 
 
-@pytest.mark.parametrize("lanes", EACH)
-@pytest.mark.parametrize("count", COUNTS)
-def test_numbers_come_back_from_their_lanes(lanes: int, count: int) -> None:
-    s = sample(count, "frictionless")
-    cones = EACH[lanes](s.placement)
-    x = np.arange(1.0, 3 * count + 1)
-    np.testing.assert_array_equal(cones.stored(x), x)
-    loaded, back = cones.loaded_force(x)
-    np.testing.assert_array_equal(loaded, x * s.scale.reshape(-1))
-    # a force comes back to rounding, and nothing where nothing is transmitted
-    np.testing.assert_allclose(back, x * (s.scale > 0.0).reshape(-1), rtol=EPS)
-
-
-@pytest.mark.parametrize("lanes", EACH)
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("count", SOME)
+@each_kind
+@each
 def test_sums_over_contacts(lanes: int, kind: str, count: int) -> None:
     s = sample(count, kind)
     cones = EACH[lanes](s.placement)
@@ -51,7 +40,6 @@ def test_sums_over_contacts(lanes: int, kind: str, count: int) -> None:
         np.testing.assert_allclose(cones.wrench(x), s.rows @ x, rtol=0, atol=1e-14 * size)
         slack = x[0::3] - np.hypot(x[1::3], x[2::3])
         assert cones.margin(x) == pytest.approx(slack.min(), abs=4 * EPS * x.max())
-        assert cones.largest_normal(-x) == x[0::3].max()
         longest = boundary.longest_step(x, step)
         assert cones.reach(x, step) == pytest.approx(1.0 / longest, rel=1e-10, abs=1e-12)
         assert cones.reach(x, x) <= 1e-12
@@ -60,9 +48,8 @@ def test_sums_over_contacts(lanes: int, kind: str, count: int) -> None:
         end = x + alpha * step
         assert value == pytest.approx(oracle.phi(end, s.weights), rel=1e-12)
         gradient = oracle.gradient(end, s.weights)
-        assert slope == pytest.approx(
-            gradient @ step, rel=1e-9, abs=1e-11 * np.abs(gradient).max() * np.abs(step).max()
-        )
+        near = 1e-11 * np.abs(gradient).max() * np.abs(step).max()
+        assert slope == pytest.approx(gradient @ step, rel=1e-9, abs=near)
         assert cones.along(x, step, 1.001 * longest)[0] == np.inf
         balanced = cones.balance(x, w)
         np.testing.assert_allclose(balanced, x - s.inverse @ (s.rows @ x + w), rtol=0, atol=1e-12 * size)
@@ -72,31 +59,19 @@ def test_sums_over_contacts(lanes: int, kind: str, count: int) -> None:
         np.testing.assert_allclose(row[FORCE : FORCE + 3 * count], x / s.divisor.reshape(-1), rtol=2 * EPS)
 
 
-@pytest.mark.parametrize("lanes", EACH)
-@pytest.mark.parametrize("count", SOME)
+@each
 def test_phi_is_infinite_where_any_contact_is_not_inside(lanes: int, count: int) -> None:
     s = sample(count)
     cones, x = EACH[lanes](s.placement), inside(s, 0)
     for k in range(count):
-        for outside in (
-            [1.0, 1.0, 0.0],
-            [1.0, 0.8, 0.7],
-            [-1.0, 0.0, 0.0],
-            [0.0, 0.0, 0.0],
-            *(np.eye(3) * np.nan + 1.0),
-        ):
+        for outside in (*OUTSIDE, [1.0, np.nan, 0.0], [1.0, 0.0, np.nan]):
             wrong = x.copy()
             wrong[3 * k : 3 * k + 3] = outside
             assert cones.phi(wrong) == np.inf
-            assert cones.sane(wrong) == np.isfinite(wrong).all()
-    for large in (1e12, np.inf, -np.inf, -1e13):
-        assert not cones.sane(np.where(np.arange(3 * count) == 3 * count - 1, large, x))
-    assert cones.sane(x)
     assert cones.phi(1e-170 * x) == np.inf  # squares vanish: refused, not divided by
 
 
-@pytest.mark.parametrize("lanes", EACH)
-@pytest.mark.parametrize("count", SOME)
+@each
 def test_no_multipliers_beat_the_optimum(lanes: int, count: int) -> None:
     s = sample(count)
     cones, rng = EACH[lanes](s.placement), np.random.default_rng(count)
@@ -125,17 +100,12 @@ def test_no_multipliers_beat_the_optimum(lanes: int, count: int) -> None:
     assert finite > 5
     for k in range(6):
         bad = np.where(np.arange(6) == k, np.nan, nu)
-        for found in (
-            cones.lower_bound(bad, w),
-            cones.lower_bound(nu, bad),
-            cones.lower_bound_near(bad, w, best, 1e-2),
-        ):
-            assert found == -np.inf
+        assert cones.lower_bound(bad, w) == cones.lower_bound(nu, bad) == -np.inf
+        assert cones.lower_bound_near(bad, w, best, 1e-2) == -np.inf
 
 
-@pytest.mark.parametrize("lanes", EACH)
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("count", SOME)
+@each_kind
+@each
 def test_the_system_is_the_dense_one(lanes: int, kind: str, count: int) -> None:
     s = sample(count, kind)
     cones, rng = EACH[lanes](s.placement), np.random.default_rng(count)
@@ -157,15 +127,14 @@ def test_the_system_is_the_dense_one(lanes: int, kind: str, count: int) -> None:
         lost = np.abs(np.linalg.inv(schur)) @ (part * (terms + np.abs(schur) @ np.abs(wanted)))
         assert (np.abs(nu - wanted) <= lost).all()
         slack = np.abs(inverse) @ (np.abs(s.rows.T) @ lost + part * (np.abs(s.rows.T) @ np.abs(nu) + np.abs(gradient)))
-        slack += (
-            EPS * np.abs(wanted).max()
-        )  # entries of G that are rounding themselves, where frames lie along the axes
+        slack += EPS * np.abs(wanted).max()  # entries of G that are rounding themselves, along the axes
         assert (np.abs(step - inverse @ (s.rows.T @ wanted - gradient)) <= slack).all()
         np.testing.assert_allclose(moved, s.rows @ step, rtol=0, atol=1e-13 * count * np.abs(step).max())
         if shallow == 0.5:  # where the dense KKT system has digits left
             dense, multipliers, _ = newton.newton_step(x, s.rows, w, s.weights)
             np.testing.assert_allclose(nu, multipliers, rtol=0, atol=1e-8 * np.abs(multipliers).max())
             np.testing.assert_allclose(step, dense, rtol=0, atol=1e-8 * np.abs(dense).max())
+        assert not cones.system(np.where(np.arange(3 * count) == count, np.nan, x), w)[0]
         corrected, after = cones.restore(x, missed, x)
         change = spread @ np.linalg.solve(schur, missed)
         near = 100.0 * EPS * np.linalg.cond(schur) * np.abs(change).max()
@@ -173,40 +142,20 @@ def test_the_system_is_the_dense_one(lanes: int, kind: str, count: int) -> None:
         np.testing.assert_allclose(after, s.rows @ corrected, rtol=0, atol=1e-13 * count * np.abs(corrected).max())
 
 
-@pytest.mark.parametrize("lanes", EACH)
-def test_a_system_of_numbers_that_are_none_is_not_definite(lanes: int) -> None:
-    s = sample(5)
-    cones = EACH[lanes](s.placement)
-    for k in range(15):
-        x = inside(s, 0)
-        x[k] = np.nan
-        assert not cones.system(x, np.zeros(6))[0]
-
-
-@pytest.mark.parametrize("lanes", EACH)
-@pytest.mark.parametrize("count", SOME)
+@each
 def test_squeeze_is_the_best_multiple(lanes: int, count: int) -> None:
     s = sample(count)
     cones = EACH[lanes](s.placement)
-    for seed, size in enumerate((1e-3, 1.0, 1e3)):
+    for seed, size in enumerate((1e-3, 1.0, 1e3, 1e9)):
         x = size * inside(s, seed)
         best = cones.squeezed(x)
         values = [oracle.phi(k * best * x, s.weights) for k in (0.999, 1.0, 1.001)]
         assert min(values) == values[1]
         # the barrier is the small difference of Phi and the force where that is large
-        assert cones.squeezed(best * x) == pytest.approx(1.0, rel=1e-13 * max(1.0, size) ** 2)
+        assert cones.squeezed(best * x) == pytest.approx(1.0, rel=min(1e-6, 1e-13 * max(1.0, size) ** 2))
 
 
-def test_squeeze_of_a_large_force() -> None:
-    s = sample(5)
-    x = inside(s, 1)
-    assert insides.Insides1(s.placement).squeezed(1e9 * x) * 1e9 == pytest.approx(
-        insides.Insides1(s.placement).squeezed(x)
-    )
-
-
-@pytest.mark.parametrize("lanes", EACH)
-@pytest.mark.parametrize("count", SOME)
+@each
 def test_the_interval_of_all_contacts(lanes: int, count: int) -> None:
     s = sample(count)
     cones, rng = EACH[lanes](s.placement), np.random.default_rng(count)
@@ -218,7 +167,6 @@ def test_the_interval_of_all_contacts(lanes: int, count: int) -> None:
             point = 4.0 * inside(s, seed + 100)
         low, high = cones.inside(point, ray)
         wanted = boundary.ray_interval(point, ray)
-        if wanted[0] < wanted[1]:
+        assert (low < high) == (wanted[0] < wanted[1])
+        if low < high:
             assert (low, high) == (pytest.approx(wanted[0], rel=1e-6, abs=1e-9), pytest.approx(wanted[1], rel=1e-6))
-        else:
-            assert not low < high

@@ -17,17 +17,10 @@ PLACES = {
     "on a page": [CORE / "README.md", ROOT / "grasp_env/force/solution.py", ROOT / "docs/choosing.md"],
 }  # fmt: skip
 IN_PYTHON = {
-    "Options.limit": "max_iterations",
-    "Options.step_rule": "rule",
-    "Problem.limits": "min_normal",
-    "Ask.previous": "before",
-    "ForceOptimizer.forget": "previous",
-    "Code.LIMIT": "iteration_limit",
-    "Summary.residual": "equilibrium_residual",
-    "Summary.margin": "cone_margin",
-    "Summary.replaced": "start_replaced",
-    "Record.prices": "limit_multipliers",
-}
+    "Options.limit": "max_iterations", "Options.step_rule": "rule", "Problem.limits": "min_normal", "Ask.previous": "before",
+    "ForceOptimizer.forget": "previous", "Code.LIMIT": "iteration_limit", "Summary.residual": "equilibrium_residual",
+    "Summary.margin": "cone_margin", "Summary.replaced": "start_replaced", "Record.prices": "limit_multipliers",
+}  # fmt: skip
 """What is called otherwise there."""
 CPP_ALONE = {
     "Options.gap": "the tolerance that holds, from the options",

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import _core_test as insides
 import numpy as np
 import pytest
-from samples import Sample, sample
+from samples import EACH, Sample, sample
 from scipy.optimize import linprog
 
-EACH = {1: insides.Insides1, 4: insides.Insides4, 8: insides.Insides8}
 SURE = 1e-9
 
 

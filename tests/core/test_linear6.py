@@ -36,45 +36,29 @@ def test_factor_and_solve_are_numpys(condition: float, scale: float) -> None:
         np.testing.assert_allclose(y, wanted, rtol=0, atol=1e-14 * condition * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("k", range(6))
-def test_a_matrix_that_is_not_positive(k: int) -> None:
-    basis = np.linalg.qr(np.random.default_rng(k).standard_normal((6, 6)))[0]
-    values = np.ones(6)
-    values[k] = -0.1
-    assert not insides.factor((basis * values) @ basis.T)[0] > 0.0
-    assert insides.factor(np.diag(np.where(np.arange(6) == k, -1.0, 1.0)))[0] == -1.0
-    assert not insides.factor(np.diag(np.where(np.arange(6) == k, 0.0, 1.0)))[0] > 0.0
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_numbers_that_are_none_have_no_positive_pivot(bad: float) -> None:
-    for r, s in zip(*LOWER, strict=True):
-        matrix = np.eye(6) + 0.1
-        matrix[r, s] = bad
-        if not (bad == np.inf and r == s):  # a diagonal of inf has a factor: nothing moves along it
-            assert not insides.factor(matrix)[0] > 0.0, (r, s)
-
-
-def test_only_the_lower_triangle_is_read() -> None:
-    matrix = definite(np.random.default_rng(1), 10.0)
+def test_what_has_no_positive_pivot() -> None:
+    """Values below zero or zero, numbers that are none; only the lower triangle is read."""
+    rng, eye = np.random.default_rng(1), np.eye(6)
+    for k in range(6):
+        basis = np.linalg.qr(rng.standard_normal((6, 6)))[0]
+        assert not insides.factor((basis * np.where(np.arange(6) == k, -0.1, 1.0)) @ basis.T)[0] > 0.0
+        assert insides.factor(eye - 2.0 * np.diag(eye[k]))[0] == -1.0
+        assert not insides.factor(eye - np.diag(eye[k]))[0] > 0.0
+    for bad in (np.nan, np.inf, -np.inf):
+        for r, s in zip(*LOWER, strict=True):
+            matrix = eye + 0.1
+            matrix[r, s] = bad
+            if not (bad == np.inf and r == s):  # a diagonal of inf has a factor: nothing moves along it
+                assert not insides.factor(matrix)[0] > 0.0, (r, s)
+        matrix = np.random.default_rng(0).standard_normal((9, 6))
+        matrix[:, 3] = bad
+        assert not insides.qr(matrix, np.ones(9), np.ones(6))[0]
+    matrix = definite(rng, 10.0)
     half = np.where(np.tri(6) > 0.0, matrix, np.nan)
     np.testing.assert_array_equal(insides.solve(half, np.ones(6)), insides.solve(matrix, np.ones(6)))
-
-
-def test_gram() -> None:
-    rows = np.random.default_rng(2).standard_normal((6, 21))
-    np.testing.assert_allclose(insides.gram(rows), (rows @ rows.T)[LOWER], rtol=0, atol=1e-13)
-
-
-def test_size_is_the_largest_magnitude() -> None:
-    a = np.array([0.0, 1.0, -7.0, 3.0, 0.0, 2.0])
-    assert insides.size(a) == 7.0
-    assert insides.size(np.zeros(6)) == 0.0
-    assert insides.size(np.where(a == 1.0, np.inf, a)) == np.inf
-
-
-def test_size_of_numbers_that_are_none() -> None:
-    assert np.isnan(insides.size(np.full(6, np.nan)))
+    found = [insides.size(a) for a in (np.array([0.0, 1.0, -7.0, 3.0, 0.0, 2.0]), np.zeros(6), np.full(6, np.nan))]
+    np.testing.assert_array_equal(found, [7.0, 0.0, np.nan])
+    assert insides.size(np.array([0.0, np.inf, -7.0, 3.0, 0.0, 2.0])) == np.inf
 
 
 def test_the_bound_of_the_rank_is_one() -> None:
@@ -130,10 +114,3 @@ def test_rows_of_any_size(count: int, decades: int) -> None:
         np.testing.assert_allclose(reached, wanted, rtol=0, atol=error * np.abs(wanted).max())
         wanted = np.array([float(Fraction(v) - a) for v, a in zip(g, reach, strict=True)])
         np.testing.assert_allclose(rest, wanted, rtol=0, atol=error * np.abs(g).max())
-
-
-@pytest.mark.parametrize("bad", [0.0, np.nan, np.inf])
-def test_rows_without_rank_six(bad: float) -> None:
-    matrix = np.random.default_rng(0).standard_normal((9, 6))
-    matrix[:, 3] = bad
-    assert not insides.qr(matrix, np.ones(9), np.ones(6))[0]

@@ -23,9 +23,7 @@ HEADERS = sorted(
 FLAGS = ["-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Wno-psabi", "-Werror"]
 SHADOW = {"g++": "-Wshadow=local", "clang++": "-Wshadow"}
 """GCC takes a constructor's parameters for shadows of what they fill."""
-EXPECTED = optimize_force(
-    presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0], method="newton", tolerance=1e-9
-).objective
+EXPECTED = optimize_force(presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0], tolerance=1e-9).objective
 
 
 def tool(name: str) -> str:
@@ -49,18 +47,8 @@ def succeed(*command: str | Path) -> str:
 
 def check(compiler: str, headers: list[str], *flags: str) -> subprocess.CompletedProcess[str]:
     """Whether a file that includes these compiles without a warning."""
-    command = [
-        tool(compiler),
-        *FLAGS,
-        SHADOW[compiler],
-        *flags,
-        "-fsyntax-only",
-        f"-I{CORE / 'include'}",
-        "-x",
-        "c++",
-        "-",
-    ]
-    return run(*command, input="".join(f"#include <grasp/{name}>\n" for name in headers))
+    options = [*FLAGS, SHADOW[compiler], *flags, "-fsyntax-only", f"-I{CORE / 'include'}", "-x", "c++", "-"]
+    return run(tool(compiler), *options, input="".join(f"#include <grasp/{name}>\n" for name in headers))
 
 
 @pytest.mark.parametrize("compiler", SHADOW)
@@ -121,16 +109,8 @@ def test_a_program_builds_and_solves(way, compiler: str, tmp_path: Path) -> None
     tool("cmake")
     (option,) = way(tmp_path)
     build = tmp_path / "build"
-    configure = [
-        "-S",
-        CONSUMER,
-        "-B",
-        build,
-        option,
-        f"-DCMAKE_CXX_COMPILER={tool(compiler)}",
-        "-DCMAKE_BUILD_TYPE=Debug",
-    ]
-    succeed("cmake", *configure)
+    configure = ["-S", CONSUMER, "-B", build, option, f"-DCMAKE_CXX_COMPILER={tool(compiler)}"]
+    succeed("cmake", *configure, "-DCMAKE_BUILD_TYPE=Debug")
     succeed("cmake", "--build", build)
     code, objective = succeed(build / "consumer").split()
     assert code == "0"
@@ -161,14 +141,7 @@ def test_another_version_is_not_found(tmp_path: Path) -> None:
     (tmp_path / "CMakeLists.txt").write_text(
         "cmake_minimum_required(VERSION 3.21)\nproject(asks LANGUAGES NONE)\nfind_package(grasp ${WANTED} REQUIRED CONFIG)\n"
     )
-    for wanted, found in (
-        ("0.1", True),
-        ("0.1.0;EXACT", True),
-        ("0", False),
-        ("0.2", False),
-        ("0.1.9", False),
-        ("1", False),
-    ):
+    for wanted, found in (("0.1", 1), ("0.1.0;EXACT", 1), ("0", 0), ("0.2", 0), ("0.1.9", 0), ("1", 0)):
         build = tmp_path / wanted.replace(";", "-")
         done = run(tool("cmake"), "-S", tmp_path, "-B", build, f"-Dgrasp_DIR={CORE / 'cmake'}", f"-DWANTED={wanted}")
         assert (done.returncode == 0) == found, (wanted, done.stderr)

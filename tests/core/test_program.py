@@ -114,49 +114,6 @@ def test_interior_point_takes_the_twins_steps(name: str, kind: str) -> None:
                 assert objective == pytest.approx(program.cost @ at.x + program.shared_cost @ at.t, rel=1e-8, abs=1e-8)
 
 
-def test_cases_hold_what_they_promise() -> None:
-    asked = {name: asked_of(each, LOAD, "sum") for name, each in CASES.items()}
-    touched = {
-        name: {int((row != 0.0).any(axis=1).sum()) for row in each.rows[each.equal :]} for name, each in asked.items()
-    }
-    assert not asked["hard, 4"].soft.any()
-    assert 0 < asked["mixed"].soft.sum() < 5
-    assert touched["hard, 4"] == set()
-    assert touched["hard, own limits"] == {1}
-    assert touched["hard, own joints"] == {0, 1}
-    assert touched["hard, coupled"] == {1, 4}
-    assert touched["mixed, all limits"] == {1, 5}
-
-
-@pytest.mark.parametrize("name", ["hard, 4", "hard, own joints", "mixed, all limits"])
-def test_the_twin_ends_where_the_core_does(name: str) -> None:
-    asked = asked_of(CASES[name], LOAD, "sum")
-    program, at = twin(asked), flat(asked, cold(asked))
-    for _ in range(15):
-        at = nt_step(program, at) if at.x @ at.s > 1e-7 * abs(program.cost @ at.x) else at
-    assert at.x @ at.s < 1e-6 * abs(program.cost @ at.x)
-    state, _, _, objective = run(asked, cold(asked), 60)
-    assert program.cost @ at.x == pytest.approx(objective, rel=1e-6)
-    assert -program.right @ at.y == pytest.approx(objective, rel=1e-6)
-    assert state.z[:, 0].min() > 0.0
-
-
-def test_a_wrong_rule_is_seen() -> None:
-    """What the comparisons above would let through if they were too coarse."""
-    asked = asked_of(CASES["soft, own limits"], LOAD, "largest")
-    program, start = twin(asked), cold(asked)
-    for wrong in (
-        program._replace(reach=(0.9, 0.09)),
-        program._replace(counted=program.counted - 1),
-        program._replace(reach=(0.9001, 0.095)),
-    ):
-        at = flat(asked, start)
-        for _ in range(4):
-            at = nt_step(wrong, at)
-        state, *_ = run(asked, start, 4)
-        assert np.abs(flat(asked, state).x - at.x).max() > 1e-6
-
-
 @pytest.mark.parametrize("what", ["+", "-", "*", "/", "sqrt"])
 def test_twice_has_thirty_digits(what: str) -> None:
     """Against fractions, over 1e-20 to 1e20 and where two nearly cancel."""

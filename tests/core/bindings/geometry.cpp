@@ -18,19 +18,6 @@ nb::object frame(In normal, std::optional<In> along) {
     return array(out, {3, 3});
 }
 
-UnitFrame unit_of(const In& positions) {
-    const int count = int(positions.size() / 3);
-    return {numbers(positions, 3 * count), count};
-}
-nb::tuple unit_frame(In positions) {
-    const UnitFrame unit = unit_of(positions);
-    std::vector<double> map(36);
-    unit.write(map.data());
-    return nb::make_tuple(array(std::array{unit.centre.u, unit.centre.o, unit.centre.t}), unit.length, array(map, {6, 6}));
-}
-nb::object to_unit(In positions, In wrench) { return array(unit_of(positions).of(numbers(wrench, 6))); }
-nb::object pull_back(In positions, In n) { return array(unit_of(positions).pull_back(six(n))); }
-
 Placement place(In positions, In normals, In scale, In weights, std::optional<In> tangents, std::optional<In> torsion) {
     const int count = int(positions.size() / 3);
     const size_t size = 3 * count;
@@ -113,8 +100,6 @@ nb::object null_space(const Placement& p, In reference) {
 
 void bind_geometry(nb::module_& m) {
     m.def("frame", &frame, "normal"_a, "along"_a = nb::none(), "(3, 3) columns (n, o, t).");
-    m.def("unit_frame", &unit_frame, "positions"_a, "Centre, length and the map (6, 6).");
-    m.def("to_unit", &to_unit, "positions"_a, "wrench"_a), m.def("pull_back", &pull_back, "positions"_a, "n"_a);
     m.def("inside", &interval, "point"_a, "ray"_a, "(low, high) of one cone.");
     m.def("null_space", &null_space, "placement"_a, "reference"_a, "(3N, 3N - 6); None: not spanned.");
     nb::class_<Placement>(m, "Placement")
@@ -126,10 +111,7 @@ void bind_geometry(nb::module_& m) {
         .def(
             "rub", [](Placement& p, In friction) { p.contacts.rub({friction.data(), friction.size()}); }, "friction"_a)
         .def("select", &choose, "all"_a, "chosen"_a)
-        .def("allocations", &allocations_of, "parts"_a, "calls"_a)
-        .def(
-            "rescale", [](Placement& p, In scale) { return p.contacts.rescale(numbers(scale, 3 * p.contacts.count)); }, "scale"_a,
-            "False where rank is lost.");
+        .def("allocations", &allocations_of, "parts"_a, "calls"_a);
     m.def("contacts_from", &from, "positions"_a, "normals"_a, "friction"_a, "torsion"_a,
           "ValueError unless solvers can be made.");
     m.def("place", &place, "positions"_a, "normals"_a, "scale"_a, "weights"_a, "tangents"_a = nb::none(),

@@ -18,15 +18,6 @@ public:
         starter().tangents.load(contacts_.frames.data(), contacts_.count);
     }
 
-    nb::object stored(const In& x) const { return out(field(x)); }
-    // forces into cone coordinates, and back
-    nb::tuple loaded_force(const In& force) const {
-        Field x = cones().field();
-        cones().load_force(numbers(force, size()), x);
-        std::vector<double> back(size());
-        cones().store_force(x, back.data());
-        return nb::make_tuple(out(x), array(back));
-    }
     double phi(const In& x) const { return cones().phi(field(x)); }
     nb::tuple along(const In& x, const In& step, double alpha) const {
         const Field a = field(x), b = field(step, 0.0);
@@ -40,8 +31,6 @@ public:
     }
     double reach(const In& x, const In& step) const { return cones().reach(field(x), field(step, 0.0)); }
     double margin(const In& x) const { return cones().margin(field(x)); }
-    bool sane(const In& x) const { return cones().sane(field(x)); }
-    double largest_normal(const In& x) const { return cones().largest_normal(field(x)); }
     double lower_bound(const In& nu, const In& w) const { return cones().lower_bound(six(nu), six(w)); }
     double lower_bound_near(const In& nu, const In& w, const In& x, double tight) const {
         return cones().lower_bound(six(nu), six(w), field(x), tight);
@@ -140,22 +129,11 @@ public:
         starter().turn(cones(), field(x), from, turned);
         return out(turned);
     }
-    nb::tuple tangent(const In& x, const In& w) {
-        Field at = field(x);
-        const bool found = starter().tangent(cones(), newton_.system, six(w), at);
-        return nb::make_tuple(found, out(at));
-    }
     nb::tuple segment(const In& safe, const In& x) {
         Field end = field(x);
         const double theta = starter().segment(cones(), field(safe), end);
         return nb::make_tuple(theta, out(end));
     }
-    nb::object carry(const In& safe, const In& w, bool tangent, const In& x) {
-        Field at = field(x);
-        starter().carry(cones(), newton_.system, field(safe), six(w), tangent ? From::tangent : From::pseudoinverse, at);
-        return out(at);
-    }
-
 private:
     Contacts contacts_;
     NewtonOn<V, 0> newton_;
@@ -181,16 +159,12 @@ template <class V> void bind(nb::module_& m, const char* name) {
     using I = Insides<V>;
     nb::class_<I>(m, name)
         .def(nb::init<const Placement&>())
-        .def("stored", &I::stored)
-        .def("loaded_force", &I::loaded_force)
         .def("phi", &I::phi)
         .def("along", &I::along)
         .def("wrench", &I::wrench)
         .def("balance", &I::balance)
         .def("reach", &I::reach)
         .def("margin", &I::margin)
-        .def("sane", &I::sane)
-        .def("largest_normal", &I::largest_normal)
         .def("lower_bound", &I::lower_bound)
         .def("lower_bound_near", &I::lower_bound_near)
         .def("certified", &I::certified)
@@ -206,9 +180,7 @@ template <class V> void bind(nb::module_& m, const char* name) {
         .def("combine", &I::combine)
         .def("combination", &I::combination)
         .def("turned", &I::turned)
-        .def("tangent", &I::tangent)
-        .def("segment", &I::segment)
-        .def("carry", &I::carry);
+        .def("segment", &I::segment);
 }
 
 }  // namespace

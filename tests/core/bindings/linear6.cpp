@@ -25,7 +25,6 @@ nb::object solve(In matrix, In right) {
     return array(f.solve(six(right)));
 }
 
-nb::object gram_of(In rows) { return array(gram(numbers(rows, rows.size()), int(rows.size() / 6))); }
 double bound_of_rank(In rows) {
     const Packed6 s = gram(numbers(rows, rows.size()), int(rows.size() / 6));
     Ldl6 f;
@@ -51,7 +50,6 @@ nb::tuple rows_by_size(In matrix, In g, In b) {
 void bind_linear6(nb::module_& m) {
     m.def("factor", &factor, "matrix"_a, "Least pivot, and (21,) the packed L with 1 / D on the diagonal.");
     m.def("solve", &solve, "matrix"_a, "right"_a);
-    m.def("gram", &gram_of, "rows"_a, "(21,) packed.");
     m.attr("CLEAR_RANK") = CLEAR_RANK;
     m.def("rank_bound", &bound_of_rank, "rows"_a);
     m.def("size", &size_of, "a"_a);

@@ -95,7 +95,6 @@ public:
         const double gap = on_->make_basis(basis.data(), false);
         return nb::make_tuple(gap, array(basis, {13, size_t(3 * on_->home().count)}));
     }
-    void set_basis(const In& basis) { on_->set_basis(numbers(basis, 39 * on_->home().count)); }
     // of solves, each with and without the row of the one before, on contacts (M, N, 3) of its own where they are given
     long allocations_in(const In& wrenches, const Some& positions, const Some& normals, int calls) {
         const int many = int(wrenches.shape(0)), size = on_->size();
@@ -142,6 +141,5 @@ void bind_optimizer(nb::module_& m) {
         .def("start", &A::start, "wrench"_a, "start"_a = 0, "force"_a = none, "previous"_a = none)
         .def("solve_many", &A::solve_many, "wrenches"_a)
         .def("make_basis", &A::make_basis)
-        .def("set_basis", &A::set_basis, "basis"_a)
         .def("allocations", &A::allocations_in, "wrenches"_a, "positions"_a = none, "normals"_a = none, "calls"_a);
 }
