@@ -173,20 +173,6 @@ public:
         if (!orthonormalise(gram(out.data(), 3 * count), out, lower)) { Rotations(out, 3 * count).normalise(); }
     }
 
-    // The same contacts with another (N, 3) scale of cone coordinates; false where rank is lost.
-    bool rescale(const double* scales) {
-        const int size = 3 * count;
-        std::copy(scales, scales + size, scale.begin());
-        transmit();
-        for (int j = 0; j < size; ++j) {
-            const Vec6 made = column(matrix.data(), size, j), row = unit.of(made.data());
-            set_column(cone_matrix.data(), size, j, per_[j] * made);
-            set_column(force_rows.data(), size, j, used_[j] * row), set_column(rows.data(), size, j, per_[j] * row);
-        }
-        placing = spanned(gram(force_rows.data(), size));
-        return placing == Placing::good;
-    }
-
     // Whether torsion is transmitted anywhere.
     bool soft() const {
         return std::ranges::any_of(torsion, [](double gamma) { return gamma > 0.0; });
