@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from problems import random_grasp
@@ -98,7 +100,8 @@ def test_limits_are_immutable_copies() -> None:
     np.testing.assert_array_equal(limits.checked(3).max_normal, [1.0, 2.0, 3.0])
 
 
-JAC = np.ones((3, 3, 2))
+JAC, SPUN = np.ones((3, 3, 2)), np.zeros((4, 3, 2))
+ONES = np.ones((4, 3))
 
 
 @pytest.mark.parametrize(
@@ -107,25 +110,19 @@ JAC = np.ones((3, 3, 2))
         ({"min_normal": -1}, "min_normal must be >= 0 and finite, one for all or one per contact, got -1"),
         ({"min_normal": np.inf}, "min_normal must be >= 0 and finite"),
         ({"min_normal": [0, np.nan]}, r"min_normal must be .* got \[0\.0, nan\]"),
-        ({"min_normal": "a"}, "min_normal must be a number or one per contact"),
-        ({"min_normal": [[1.0]]}, "min_normal must be"),
-        ({"min_normal": []}, "min_normal must be"),
-        ({"max_normal": 0}, "max_normal must be > 0, inf for no limit, one for all"),
-        ({"max_normal": None}, "max_normal must be"),
-        ({"min_normal": 2, "max_normal": [3, 2, 4]}, "at contact 1 they are 2 and 2"),
+        ({"min_normal": "a"}, "min_normal must be a number or one per contact"), ({"min_normal": [[1.0]]}, "min_normal must be"),
+        ({"min_normal": []}, "min_normal must be"), ({"max_normal": 0}, "max_normal must be > 0, inf for no limit, one for all"),
+        ({"max_normal": None}, "max_normal must be"), ({"min_normal": 2, "max_normal": [3, 2, 4]}, "at contact 1 they are 2 and 2"),
         ({"min_normal": [0, 0], "max_normal": [1, 1, 1]}, "min_normal has 2 entries and max_normal 3"),
         ({"jacobian": JAC}, "need jacobian and torque_limit together, got only jacobian"),
         ({"torque_limit": 1}, "need jacobian and torque_limit together, got only torque_limit"),
         ({"torque_bias": [1.0]}, "torque_bias without torque limits has no effect"),
-        (
-            {"jacobian": JAC, "torque_limit": 0},
-            "torque_limit must be > 0, inf for no limit, one for all or one per joint",
-        ),
+        ({"jacobian": JAC, "torque_limit": 0}, "torque_limit must be > 0, inf for no limit, one for all or one per joint"),
         ({"jacobian": JAC, "torque_limit": [1, 1, 1]}, "torque_limit has 3 entries, the jacobian 2 joints"),
         ({"jacobian": JAC, "torque_limit": 1, "torque_bias": [1]}, r"torque_bias must have shape \(2,\)"),
         ({"jacobian": np.ones((3, 5, 2)), "torque_limit": 1}, r"jacobian must have shape \(N, 3, J\)"),
     ],
-)
+)  # fmt: skip
 def test_wrong_limits(given: dict, message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         ForceLimits(**given)
@@ -140,22 +137,35 @@ def test_wrong_limits(given: dict, message: str) -> None:
     ],
 )
 def test_limits_of_another_number_of_contacts(limits: ForceLimits, message: str) -> None:
-    for call in (
-        lambda: limits.checked(4),
-        lambda: limits.rows(presets.paper_cuboid()),
-        lambda: limits.slack(presets.paper_cuboid(), np.ones((4, 3))),
-    ):
+    cuboid = presets.paper_cuboid()
+    for call in (lambda: limits.checked(4), lambda: limits.rows(cuboid), lambda: limits.slack(cuboid, ONES)):
         with pytest.raises(InvalidInputError, match=message):
             call()
 
 
-def test_wrong_forces() -> None:
-    with pytest.raises(InvalidInputError, match=r"force must have shape \(3, 3\)"):
-        ForceLimits().slack(presets.tripod(), np.ones(3))
-    with pytest.raises(InvalidInputError, match=r"force must have shape \(3, 3\)"):
-        ForceLimits().violations(presets.tripod(), np.ones((4, 3)))
-    with pytest.raises(InvalidInputError, match=r"torsion must have shape \(3,\)"):
-        ForceLimits().slack(presets.tripod(), np.ones((3, 3)), np.ones(2))
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ForceLimits().slack(presets.tripod(), np.ones(3)), r"force must have shape \(3, 3\)"),
+        (lambda: ForceLimits().violations(presets.tripod(), ONES), r"force must have shape \(3, 3\)"),
+        (lambda: ForceLimits().slack(presets.tripod(), ONES[:3], np.ones(2)), r"torsion must have shape \(3,\)"),
+        (lambda: joint_torques(SPUN, np.zeros(12)), r"force must have shape \(N, 3\)"),
+        (lambda: joint_torques(SPUN, ONES, np.zeros(3)), r"bias must have shape \(2,\), got \(3,\)"),
+        (lambda: joint_torques(SPUN, ONES, moment=ONES), r"moment needs a jacobian of shape \(N, 6, J\)"),
+        (lambda: joint_torques(np.zeros((4, 6, 2)), ONES, moment=np.zeros(4)), r"moment must have shape \(4, 3\)"),
+        (lambda: joint_torques(np.zeros((3, 3, 2)), ONES),
+         r"jacobian must have shape \(4, 3, J\), \(12, J\) or \(4, 6, J\) .*got \(3, 3, 2\)"),
+        (lambda: joint_torques(np.zeros((4, 4, 2)), ONES), r"got \(4, 4, 2\)"),
+        (lambda: joint_torques(np.zeros((4, 3, 0)), ONES), r"got \(4, 3, 0\)"),
+        (lambda: joint_torques(np.zeros((11, 2)), ONES), r"got \(11, 2\)"),
+        (lambda: joint_torques(np.zeros(12), ONES), r"got \(12,\)"),
+        (lambda: joint_torques(np.full((4, 3, 2), np.inf), ONES), "jacobian must be finite"),
+        (lambda: joint_torques([[1.0], [1.0, 2.0]], ONES), "jacobian must be numbers"),
+    ],
+)  # fmt: skip
+def test_wrong_forces_and_jacobians(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        call()
 
 
 # torques
@@ -195,32 +205,3 @@ def test_shapes_and_bias() -> None:
     np.testing.assert_array_equal(joint_torques(jac, force, bias), plain + bias)
     six = np.concatenate([jac, rng.standard_normal((4, 3, 2))], axis=1)
     np.testing.assert_array_equal(joint_torques(six, force), plain)  # no moment, no torque of it
-
-
-@pytest.mark.parametrize(
-    ("jacobian", "message"),
-    [
-        (np.zeros((3, 3, 2)), r"jacobian must have shape \(4, 3, J\), \(12, J\) or \(4, 6, J\) .*got \(3, 3, 2\)"),
-        (np.zeros((4, 4, 2)), r"got \(4, 4, 2\)"),
-        (np.zeros((4, 3, 0)), r"got \(4, 3, 0\)"),
-        (np.zeros((11, 2)), r"got \(11, 2\)"),
-        (np.zeros(12), r"got \(12,\)"),
-        (np.full((4, 3, 2), np.inf), "jacobian must be finite"),
-        ([[1.0], [1.0, 2.0]], "jacobian must be numbers"),
-    ],
-)
-def test_wrong_jacobians(jacobian: object, message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        joint_torques(jacobian, np.zeros((4, 3)))  # type: ignore[arg-type]
-
-
-def test_wrong_vectors() -> None:
-    jac = np.zeros((4, 3, 2))
-    with pytest.raises(InvalidInputError, match=r"force must have shape \(N, 3\)"):
-        joint_torques(jac, np.zeros(12))
-    with pytest.raises(InvalidInputError, match=r"bias must have shape \(2,\), got \(3,\)"):
-        joint_torques(jac, np.zeros((4, 3)), np.zeros(3))
-    with pytest.raises(InvalidInputError, match=r"moment needs a jacobian of shape \(N, 6, J\)"):
-        joint_torques(jac, np.zeros((4, 3)), moment=np.zeros((4, 3)))
-    with pytest.raises(InvalidInputError, match=r"moment must have shape \(4, 3\)"):
-        joint_torques(np.zeros((4, 6, 2)), np.zeros((4, 3)), moment=np.zeros(4))

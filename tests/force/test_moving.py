@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 from force.generators import own_joints
 
-from grasp_env.errors import (
-    GraspError,
-    InfeasibleWrenchError,
-    InvalidInputError,
-    RankDeficientGraspError,
-)
+from grasp_env.errors import GraspError, InfeasibleWrenchError, InvalidInputError, RankDeficientGraspError
 from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force
 from grasp_env.grasp import Grasp, presets
 
@@ -161,10 +156,7 @@ def test_one_frame(kind: str) -> None:
     turn *= np.sign(np.linalg.det(turn))
     shift = np.array([0.3, -0.2, 0.5])
     pull, moment = turn @ LOAD[:3], turn @ LOAD[3:]
-    there = {
-        "positions": grasp.positions @ turn.T + shift,
-        "normals": grasp.normals @ turn.T,
-    }
+    there = {"positions": grasp.positions @ turn.T + shift, "normals": grasp.normals @ turn.T}
     limits = options.get("limits")
     if limits is not None and limits.jacobian is not None:
         given = np.asarray(limits.jacobian)
