@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 from force.generators import closed, finger_limits, own_joints, random_limits, random_wrench, some_grasp
@@ -69,19 +67,6 @@ def test_iteration_limits_never_leave_the_limits() -> None:
         ends.add(found.status)
         assert limits.violations(CUBOID, found.force, tolerance=0.0) == []
     assert ends == {Status.OPTIMAL, Status.ITERATION_LIMIT}
-
-
-def test_the_proof_tells_itself() -> None:
-    p = NAMED["own joints, too weak"]
-    told = "no force strictly inside the friction cones, and limits where there are any, balances wrench"
-    with pytest.raises(InfeasibleWrenchError, match=told) as caught:
-        optimize_force(p.grasp, p.wrench, limits=p.limits)
-    again = pickle.loads(pickle.dumps(caught.value))
-    assert "separates it" in str(again) == str(again)
-    assert caught.value.solution is not None
-    exceeded = optimize_force(p.grasp, p.wrench, limits=p.limits, elastic=True)
-    with pytest.raises(InfeasibleWrenchError, match="exceeds"):
-        exceeded.raise_for_status()
 
 
 @pytest.mark.parametrize("method", ["newton", "conic"])
