@@ -114,16 +114,6 @@ def test_printed_indices_for_four_fingers() -> None:
     np.testing.assert_array_equal(printed, picked_projector(GRASPS["cuboid, 4"].cone_matrix))
 
 
-@pytest.mark.parametrize("count", [3, 4, 5, 6])
-def test_indices_name_the_entries_they_mean(count: int) -> None:
-    """Rows: entries (1, 1), (3, 1), (3, 2) of each block of vec(P); columns: all nine, column by column."""
-    size = 3 * count
-    labels = np.arange(size * size).reshape(size, size, order="F")
-    blocks = [labels[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(count)]
-    assert picked_rows(count).tolist() == [int(b[i, j]) for b in blocks for i, j in ((0, 0), (2, 0), (2, 1))]
-    assert picked_columns(count).tolist() == [int(v) for b in blocks for v in b.reshape(-1, order="F")]
-
-
 @pytest.mark.parametrize("name", GRASPS)
 def test_dense_projector_projects_on_the_constraints(name: str) -> None:
     grasp = GRASPS[name]
