@@ -7,7 +7,7 @@ import pytest
 from oracles import phi as oracle
 from problems import GRASPS, OUTSIDE, WEIGHTS, closure_grasps, inside_cones
 
-from grasp_env.force import Objective, description_matrix
+from grasp_env.force import Objective, description_matrix, optimize_force
 from grasp_env.grasp import wrench as wrenches
 
 
@@ -64,7 +64,7 @@ def test_phi_is_infinite_outside_and_on_the_cones() -> None:
 
 @pytest.mark.parametrize(("omega", "lam"), WEIGHTS)
 def test_bounds_are_the_oracles(omega: float, lam: float) -> None:
-    """Which are Phi at its least: no multipliers give more."""
+    """No multipliers give more than Phi."""
     rng, objective, bounded = np.random.default_rng(7), Objective(omega, lam), 0
     for grasp in (*GRASPS.values(), *closure_grasps()):
         of_each = np.tile([omega, lam], (grasp.n_contacts, 1))
@@ -74,5 +74,8 @@ def test_bounds_are_the_oracles(omega: float, lam: float) -> None:
             bound = objective.lower_bound(multipliers, grasp.cone_matrix, wrench)
             want = float(oracle.lower_bound(multipliers, grasp.cone_matrix, wrench, of_each))
             assert bound == pytest.approx(want, rel=1e-11, abs=1e-13)
+            assert bound <= optimize_force(grasp, wrench, force_weight=omega, barrier_weight=lam).objective * (
+                1.0 + 1e-12
+            )
             bounded += np.isfinite(bound)
     assert bounded > 50
