@@ -58,17 +58,6 @@ def test_a_path_follows_the_previous_optimum() -> None:
     assert np.median(steps[1:]) <= 2
 
 
-def test_iteration_limits_never_leave_the_limits() -> None:
-    limits = ForceLimits(jacobian=CUBOID.frames @ own_joints(np.random.default_rng(7), 4), torque_limit=0.25)
-    ends = set()
-    for most in range(12):
-        optimizer = ForceOptimizer(CUBOID, limits=limits, max_iterations=most)
-        found = attempt(lambda optimizer=optimizer: optimizer.solve(LOAD))
-        ends.add(found.status)
-        assert limits.violations(CUBOID, found.force, tolerance=0.0) == []
-    assert ends == {Status.OPTIMAL, Status.ITERATION_LIMIT}
-
-
 @pytest.mark.parametrize("method", ["newton", "conic"])
 def test_batches_hold_optima_proofs_and_excesses(method: str) -> None:
     rng = np.random.default_rng(10)
