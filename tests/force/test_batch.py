@@ -134,16 +134,12 @@ def test_grasps_near_rank_loss_are_solved_alone(thin: float) -> None:
 @pytest.mark.parametrize(
     ("grasps", "loads", "options", "message"),
     [
-        (GRASP, np.zeros(6), {}, "wrenches must have shape"),
-        (GRASP, np.full((2, 6), np.nan), {}, "wrenches must be finite"),
-        (GRASP, np.full((2, 6), 1e13), {}, "components up to"),
-        (GRASP, np.zeros((2, 6)), {"workers": 0}, "workers must be an integer >= 1"),
-        (GRASP, np.zeros((2, 6)), {"initial": "previous"}, "no previous solution"),
-        ([GRASP], np.zeros((2, 6)), {}, "as many grasps as wrenches"),
-        ([GRASP, presets.tripod()], np.zeros((2, 6)), {}, "one number of contacts"),
-        ([GRASP, 3], np.zeros((2, 6)), {}, "entry 1 is int"),
+        (GRASP, np.zeros(6), {}, "wrenches must have shape"), (GRASP, np.full((2, 6), np.nan), {}, "wrenches must be finite"),
+        (GRASP, np.full((2, 6), 1e13), {}, "components up to"), (GRASP, np.zeros((2, 6)), {"workers": 0}, "workers must be an integer >= 1"),
+        (GRASP, np.zeros((2, 6)), {"initial": "previous"}, "no previous solution"), ([GRASP], np.zeros((2, 6)), {}, "as many grasps as wrenches"),
+        ([GRASP, presets.tripod()], np.zeros((2, 6)), {}, "one number of contacts"), ([GRASP, 3], np.zeros((2, 6)), {}, "entry 1 is int"),
     ],
-)
+)  # fmt: skip
 def test_wrong_input(grasps: object, loads: np.ndarray, options: dict, message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         optimize_forces(grasps, loads, **options)
