@@ -58,6 +58,27 @@ def _start(grasp: Grasp, squeeze: float = 5.0) -> np.ndarray:
 ALL = {**GRASPS, **{name: NAMED[name].grasp for name in ("elliptic", "rough and frictionless")}}
 
 
+@pytest.mark.parametrize("name", GRASPS)
+def test_full_and_reduced_iterates_are_equal(name: str) -> None:
+    """By the dense projector, by the entries picked from it, and by the closed form; balance and the structure of P stay."""
+    grasp = GRASPS[name]
+    # moments in units of the grasp: the projector does not depend on them, its rounding does
+    land, start = landscape(grasp.unit_frame @ grasp.cone_matrix, _weights(grasp)), _start(grasp)
+    descent, iterates = followed(start, land, AdaptiveStep(0.004, grow=1.01), 240)  # small: not at the optimum before
+    assert descent.iterations == 240
+    assert descent.values[-1] < 0.9 * descent.values[0]
+    q, q_bar = full_flow.projector(grasp.cone_matrix), picked_projector(grasp.cone_matrix)
+    whole, reduced = full_flow.start(start), start.reshape(-1)
+    for alpha, expected in zip(descent.steps, iterates[1:], strict=True):
+        whole = whole + alpha * q @ full_flow.drive(whole, _weights(grasp))
+        reduced = reduced + alpha * q_bar @ flow_vector(reduced, _weights(grasp))
+        # the picked and the closed-form Q_bar: rounding of Q, contracted by the flow
+        for other in (full_flow.cone_coordinates(whole), expected):
+            assert np.abs(other - reduced).max() < 1e-10 * np.abs(reduced).max()
+    kept = full_flow.constraints(grasp.cone_matrix) @ whole
+    assert np.abs(kept - np.append(np.zeros(6 * grasp.n_contacts), -LIGHT)).max() < 1e-11
+
+
 @pytest.mark.parametrize("method", FLOWS)
 @pytest.mark.parametrize("name", ALL)
 def test_methods_take_the_steps_of_the_plain_flow(name: str, method: str) -> None:
