@@ -1,4 +1,4 @@
-"""Named problems with known optima, random grasps, and solvers that share no code with the package."""
+"""Named problems with known optima, random grasps, and linear programs that share no code with the package."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from scipy.linalg import null_space
-from scipy.optimize import linprog, minimize
+from scipy.optimize import linprog
 
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep, StepRule
 from grasp_env.grasp import Grasp, presets, wrench
@@ -68,14 +67,8 @@ def _of_the_paper() -> Iterator[Problem]:
             grasp = Grasp.from_contacts(entry["positions"], entry["normals"], entry["friction"])
             phi = {"force_weight": 1.0, "barrier_weight": 0.01} | entry.get("weights", {})
             best = entry["known"]["newton"]["objective"]
-            yield Problem(
-                entry["name"],
-                grasp,
-                np.array(entry["wrench"]),
-                **phi,
-                optimum=best,
-                total_normal=entry.get("total_normal"),
-            )
+            known = {"optimum": best, "total_normal": entry.get("total_normal")}
+            yield Problem(entry["name"], grasp, np.array(entry["wrench"]), **phi, **known)
 
 
 PROBLEMS = tuple(_of_the_paper())
@@ -162,68 +155,7 @@ def pyramid_margin(
     rows[:, -1] = 1.0
     scale = np.array([1.0, 1.0, 1.0] + [0.03] * 3)  # moments by a length, for the solver's absolute tolerance
     mean = np.append((np.array([1.0, 0.0, 0.0]) * grasp.friction[:, None]).reshape(-1) / count, 0.0)
-    answer = linprog(
-        -np.eye(3 * count + 1)[-1],
-        A_ub=rows,
-        b_ub=np.zeros(len(rows)),
-        A_eq=np.vstack([np.column_stack([grasp.matrix, np.zeros(6)]) / scale[:, None], *[mean] * limited]),
-        b_eq=np.append(-load / scale, [1.0] * limited),
-        bounds=[(None, None)] * (3 * count) + [(0.0, 1.0)],
-        method="highs",
-    )
+    balance = np.vstack([np.column_stack([grasp.matrix, np.zeros(6)]) / scale[:, None], *[mean] * limited])
+    equal, bounds = np.append(-load / scale, [1.0] * limited), [(None, None)] * (3 * count) + [(0.0, 1.0)]
+    answer = linprog(-np.eye(3 * count + 1)[-1], rows, np.zeros(len(rows)), balance, equal, bounds, method="highs")
     return (float(answer.x[-1]), answer.x[:-1].reshape(-1, 3)) if answer.status == 0 else (-np.inf, None)
-
-
-def solve_by_scipy(problem: Problem) -> tuple[float, np.ndarray]:
-    """(min Phi, force (N, 3)) by scipy's trust region on f = f0 + N z; Phi and derivatives as traces of 3 x 3 matrices."""
-    grasp = problem.grasp
-    _, first = pyramid_margin(grasp, problem.wrench, inner=True)
-    assert first is not None
-    unit = np.zeros((3, 3, 3))  # P = u E_0 + o E_1 + t E_2
-    unit[0] = np.eye(3)
-    unit[1, 0, 2] = unit[1, 2, 0] = unit[2, 1, 2] = unit[2, 2, 1] = 1.0
-    basis = null_space(grasp.matrix)
-    offset = first.reshape(-1)
-    # the solver's exact balance: what linprog leaves of G f + w is taken out once
-    offset = offset - np.linalg.lstsq(grasp.matrix, grasp.matrix @ offset + problem.wrench)[0]
-    scale = np.ones(3 * grasp.n_contacts)
-    scale[0::3] = grasp.friction
-
-    def matrices(z: np.ndarray) -> np.ndarray:
-        x = (scale * (offset + basis @ z)).reshape(-1, 3)
-        return np.einsum("nj,jab->nab", x, unit)
-
-    def value(z: np.ndarray) -> float:
-        p = matrices(z)
-        if np.linalg.eigvalsh(p).min() <= 0.0:
-            return np.inf
-        inverse = np.linalg.inv(p)
-        return float(np.einsum("naa->", problem.force_weight * p + problem.barrier_weight * inverse))
-
-    def pull_back(in_cone: np.ndarray) -> np.ndarray:
-        return basis.T @ (scale * in_cone.reshape(-1))
-
-    def gradient(z: np.ndarray) -> np.ndarray:
-        inverse = np.linalg.inv(matrices(z))
-        per_unit = np.einsum("jaa->j", unit) * problem.force_weight
-        return pull_back(per_unit - problem.barrier_weight * np.einsum("nab,nbc,jca->nj", inverse, inverse, unit))
-
-    def hessian(z: np.ndarray) -> np.ndarray:
-        inverse = np.linalg.inv(matrices(z))
-        product = np.einsum("nab,jbc->njac", inverse, unit)
-        blocks = 2.0 * problem.barrier_weight * np.einsum("njab,nkbc,nca->njk", product, product, inverse)
-        full = np.zeros((len(scale), len(scale)))
-        for k, block in enumerate(blocks):
-            full[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = 0.5 * (block + block.T)
-        scaled = scale[:, None] * basis
-        return scaled.T @ full @ scaled
-
-    answer = minimize(
-        value,
-        np.zeros(basis.shape[1]),
-        jac=gradient,
-        hess=hessian,
-        method="trust-exact",
-        options={"gtol": 1e-9, "maxiter": 2000},
-    )
-    return float(answer.fun), (offset + basis @ answer.x).reshape(-1, 3)

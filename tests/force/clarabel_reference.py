@@ -7,9 +7,8 @@ Nothing here reads the package's matrices: frames follow the paper's rule, momen
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -22,26 +21,18 @@ Weight = float | Array
 SOLVED = ("Solved", "AlmostSolved")
 
 
-@dataclass(frozen=True)
-class Optimum:
+class Optimum(NamedTuple):
     """Clarabel's answer.
 
     Attributes:
-        objective, lower: primal and dual objective [N].
+        objective: [N].
         error: how far Clarabel itself may be off: relative gap, and residuals times their prices.
-        force: (N, 4) normal, o, t, torsion.
-        multipliers: (6,) nu of balance about the object origin: d objective / dw = -nu.
         solved: whether Clarabel reports success.
-        infeasible: whether it reports a proof of infeasibility.
     """
 
     objective: float
-    lower: float
     error: float
-    force: Array
-    multipliers: Array
     solved: bool
-    infeasible: bool
 
 
 def contact_frames(normals: Array, tangents: Array | None = None) -> Array:
@@ -95,13 +86,10 @@ class Reference:
             least = np.broadcast_to(np.asarray(limits.min_normal), (self.count,))
             most = np.broadcast_to(np.asarray(limits.max_normal), (self.count,))
             for sign, values in ((-1.0, least), (1.0, most)):
-                for k, value in enumerate(values):
-                    if 0.0 < value < np.inf:
-                        row = np.zeros((self.count, 4))
-                        row[k, 0] = sign
-                        rows.append(row)
-                        bound.append(sign * value)
-                        limited.append(value)
+                for k in np.flatnonzero((values > 0.0) & (values < np.inf)):
+                    rows.append(sign * np.eye(4 * self.count)[4 * k].reshape(-1, 4))
+                    bound.append(sign * values[k])
+                    limited.append(values[k])
             if limits.jacobian is not None:
                 given = np.asarray(limits.jacobian)
                 given = given.reshape(self.count, -1, given.shape[-1])
@@ -129,23 +117,20 @@ class Reference:
 
     def violation(self, force: Array, torsion: Array) -> float:
         """Largest violation of cones, torsion bounds and limits [N]; limits divided by their row's length."""
-        n, o, t = force.T
-        mu_o, mu_t = self.mu.T
-        rough = mu_o > 0.0
-        inside = np.where(
-            rough, n - np.hypot(o / np.where(rough, mu_o, 1.0), t / np.where(rough, mu_t, 1.0)), n - np.hypot(o, t)
-        )
-        soft = self.gamma > 0.0
-        spin = np.where(soft, n - np.abs(torsion) / np.where(soft, self.gamma, 1.0), n - np.abs(torsion))
-        f = np.column_stack([force, torsion])
+        n = force[:, 0]
+        inside = n - np.hypot(*(force[:, 1:] / np.where(self.mu > 0.0, self.mu, 1.0)).T)
+        spin = n - np.abs(torsion) / np.where(self.gamma > 0.0, self.gamma, 1.0)
         size = np.sqrt((self.rows**2).sum(axis=(1, 2)))
-        excess = (np.einsum("kna,na->k", self.rows, f) - self.bound) / np.where(size > 0.0, size, 1.0)
+        excess = -self.room(force, torsion) / np.where(size > 0.0, size, 1.0)
         return float(max(-inside.min(), -spin.min(), excess.max(initial=-np.inf)))
+
+    def room(self, force: Array, torsion: Array) -> Array:
+        """(M,) what is left of each limit."""
+        return self.bound - np.einsum("kna,na->k", self.rows, np.column_stack([force, torsion]))
 
     def excess(self, force: Array, torsion: Array) -> float:
         """Largest excess of a limit as a part of it; 0 within all."""
-        made = np.einsum("kna,na->k", self.rows, np.column_stack([force, torsion])) - self.bound
-        return float((made / self.limited).max(initial=0.0))
+        return float((-self.room(force, torsion) / self.limited).max(initial=0.0))
 
     def _scaled(self) -> tuple[Array, Array, Array]:
         """mu of cone coordinates u = mu n (N,), the size of a unit of (u, o, t) as (n, o, t) (N, 3), that of v as torsion (N,)."""
@@ -177,8 +162,8 @@ class Reference:
         rough, soft = self.mu[:, 0] > 0.0, self.gamma > 0.0
         s[rough] = np.hypot(*(force[rough, 1:] / sizes[rough, 1:]).T)
         v = torsion[soft] / spin[soft]
-        room = self.bound - np.einsum("kna,na->k", self.rows, np.column_stack([force, torsion]))
-        distances = np.concatenate([u, u - s, u + s, u[soft] - v, u[soft] + v, room / self._row_sizes()])
+        room = self.room(force, torsion) / self._row_sizes()
+        distances = np.concatenate([u, u - s, u + s, u[soft] - v, u[soft] + v, room])
         each = np.concatenate([*[lambdas] * 3, *[lambdas[soft]] * 2, of_rows])
         return float(3.0 * (prices @ u) + (each / distances).sum()) if (distances > 0.0).all() else np.inf
 
@@ -230,87 +215,54 @@ class Reference:
     def _cones(self, width: int, size: float) -> tuple[list[Array], list[Array], list]:
         """Rows A x + s = b of everything but balance, for x = (n, o, t, tau) of each contact and `width - 4N` others."""
         clarabel = import_module("clarabel")
-        blocks: list[Array] = []
-        right: list[Array] = []
-        cones: list = []
-        fixed = np.flatnonzero(self.transmits.reshape(-1) == 0.0)
-        if len(fixed):
-            rows = np.zeros((len(fixed), width))
-            rows[np.arange(len(fixed)), fixed] = 1.0
-            blocks.append(rows)
-            right.append(np.zeros(len(fixed)))
-            cones.append(clarabel.ZeroConeT(len(fixed)))
-        linear: list[Array] = []
-        for k in range(self.count):
-            if self.gamma[k] > 0.0:
-                for sign in (1.0, -1.0):
-                    row = np.zeros(width)
-                    row[4 * k], row[4 * k + 3] = -1.0, sign / self.gamma[k]
-                    linear.append(row)
-            if self.mu[k, 0] == 0.0:
-                row = np.zeros(width)
-                row[4 * k] = -1.0
-                linear.append(row)
-        bound = [0.0] * len(linear)
-        for row, value in zip(self.rows, self.bound, strict=True):
-            length = np.sqrt((row**2).sum()) or 1.0
-            linear.append(np.concatenate([row.reshape(-1) / length, np.zeros(width - 4 * self.count)]))
-            bound.append(value / size / length)
-        if linear:
-            blocks.append(np.array(linear))
-            right.append(np.array(bound))
-            cones.append(clarabel.NonnegativeConeT(len(linear)))
+        each, soft, slick = np.eye(width), np.flatnonzero(self.gamma > 0.0), np.flatnonzero(self.mu[:, 0] == 0.0)
+        fixed = each[np.flatnonzero(self.transmits.reshape(-1) == 0.0)]
+        linear = [sign * each[4 * k + 3] / self.gamma[k] - each[4 * k] for k in soft for sign in (1.0, -1.0)]
+        linear += [-each[4 * k] for k in slick]
+        lengths = np.sqrt((self.rows**2).sum(axis=(1, 2)))
+        lengths[lengths == 0.0] = 1.0
+        rest = np.zeros(width - 4 * self.count)
+        rows = [
+            np.concatenate([row.reshape(-1) / length, rest]) for row, length in zip(self.rows, lengths, strict=True)
+        ]
+        bound = np.concatenate([np.zeros(len(linear)), self.bound / size / lengths])
+        blocks: list[Array] = [fixed, np.array([*linear, *rows]).reshape(-1, width)]
+        right: list[Array] = [np.zeros(len(fixed)), bound]
+        cones: list = [clarabel.ZeroConeT(len(fixed)), clarabel.NonnegativeConeT(len(bound))]
         for k in np.flatnonzero(self.mu[:, 0] > 0.0):
-            rows = np.zeros((3, width))
-            rows[0, 4 * k], rows[1, 4 * k + 1], rows[2, 4 * k + 2] = -1.0, -1.0 / self.mu[k, 0], -1.0 / self.mu[k, 1]
-            blocks.append(rows)
+            o, t = (each[4 * k + 1 + a] / self.mu[k, a] for a in (0, 1))
+            blocks.append(-np.array([each[4 * k], o, t]))
             right.append(np.zeros(3))
             cones.append(clarabel.SecondOrderConeT(3))
-        return blocks, right, cones
+        kept = [k for k in range(len(blocks)) if len(blocks[k])]
+        return [blocks[k] for k in kept], [right[k] for k in kept], [cones[k] for k in kept]
 
     def solve(self, wrench: Array, criterion: str = "sum", tolerance: float = 1e-11) -> Optimum:
         """The least sum, or largest, of the normal forces."""
         clarabel = import_module("clarabel")
-        wrench = np.asarray(wrench, dtype=float)
-        load = self.load(wrench)
-        size = float(np.abs(load).max()) or 1.0
-        width = 4 * self.count + (criterion == "max")
+        load = self.load(np.asarray(wrench, dtype=float))
+        size, width = float(np.abs(load).max()) or 1.0, 4 * self.count + (criterion == "max")
         cost = np.zeros(width)
         blocks, right, cones = self._cones(width, size)
         balance = np.zeros((6, width))
         balance[:, : 4 * self.count] = self.matrix.reshape(6, -1)
-        blocks, right = [balance, *blocks], [-load / size, *right]
-        cones = [clarabel.ZeroConeT(6), *cones]
+        blocks, right, cones = [balance, *blocks], [-load / size, *right], [clarabel.ZeroConeT(6), *cones]
         if criterion == "max":
             cost[-1] = 1.0
-            rows = np.zeros((self.count, width))
-            rows[np.arange(self.count), 4 * np.arange(self.count)] = 1.0
-            rows[:, -1] = -1.0
-            blocks.append(rows)
+            blocks.append(np.eye(width)[: 4 * self.count : 4] - cost)
             right.append(np.zeros(self.count))
             cones.append(clarabel.NonnegativeConeT(self.count))
         else:
             cost[: 4 * self.count : 4] = 1.0
-        matrix, load = np.vstack(blocks), np.concatenate(right)
-        found = _run(cost, matrix, load, cones, tolerance)
-        x, nu = np.array(found.x), -np.array(found.z)[:6]
-        nu = np.concatenate([nu[:3] - np.cross(nu[3:] / self.length, self.centre), nu[3:] / self.length])
-        return Optimum(
-            size * found.obj_val,
-            size * found.obj_val_dual,
-            own_error(found, cost, matrix, load),
-            size * x[: 4 * self.count].reshape(-1, 4),
-            nu,
-            str(found.status) in SOLVED,
-            "PrimalInfeasible" in str(found.status),
-        )
+        matrix, sides = np.vstack(blocks), np.concatenate(right)
+        found = _run(cost, matrix, sides, cones, tolerance)
+        return Optimum(size * found.obj_val, own_error(found, cost, matrix, sides), str(found.status) in SOLVED)
 
     def least_excess(self, wrench: Array) -> float:
         """The least possible excess of a limit: one more variable t, every limit raised by t of itself; nan: unsolved."""
         clarabel = import_module("clarabel")
         load = self.load(np.asarray(wrench, dtype=float))
-        size = float(np.abs(load).max()) or 1.0
-        width = 4 * self.count + 1
+        size, width = float(np.abs(load).max()) or 1.0, 4 * self.count + 1
         blocks, right, cones = self._cones(width, size)
         lengths = np.sqrt((self.rows**2).sum(axis=(1, 2)))
         linear = next(k for k, cone in enumerate(cones) if "Nonnegative" in type(cone).__name__)
@@ -388,36 +340,21 @@ class Reference:
         """
         clarabel = import_module("clarabel")
         load = self.load(np.asarray(wrench, dtype=float))
-        size = float(np.abs(load).max()) or 1.0
-        width = 4 * self.count + 2
+        size, width = float(np.abs(load).max()) or 1.0, 4 * self.count + 2
         blocks, right, cones = self._cones(width, size)
         # every inequality is b - A x >= 0: b moves to r's column and m shrinks the first row of every cone
         for k, cone in enumerate(cones):
-            rows = blocks[k]
-            if "Zero" in type(cone).__name__:
-                continue
             if "Second" in type(cone).__name__:
-                rows[0, -2] = 1.0
-            else:
-                rows[:, -2] = 1.0
-                rows[:, -1] = -right[k]
-                right[k] = np.zeros(len(rows))
-        balance = np.zeros((7, width))
-        balance[:6, : 4 * self.count] = self.matrix.reshape(6, -1)
-        balance[:6, -1] = load / size
-        balance[6, : 4 * self.count : 4] = 1.0
-        balance[6, -1] = 1.0
-        last = np.zeros((1, width))
-        last[0, -2], last[0, -1] = 1.0, -1.0
-        cost = np.zeros(width)
-        cost[-2] = -1.0
-        found = _run(
-            cost,
-            np.vstack([balance, *blocks, last]),
-            np.concatenate([np.eye(7)[6], *right, [0.0]]),
-            [clarabel.ZeroConeT(7), *cones, clarabel.NonnegativeConeT(1)],
-            1e-10,
-        )
+                blocks[k][0, -2] = 1.0
+            elif "Nonnegative" in type(cone).__name__:
+                blocks[k][:, -2:] = np.column_stack([np.ones(len(right[k])), -right[k]])
+                right[k] = np.zeros(len(right[k]))
+        balance, each = np.zeros((7, width)), np.eye(width)
+        balance[:6, : 4 * self.count], balance[:6, -1] = self.matrix.reshape(6, -1), load / size
+        balance[6, : 4 * self.count : 4] = balance[6, -1] = 1.0
+        rows = np.vstack([balance, *blocks, each[-2] - each[-1]])
+        kinds = [clarabel.ZeroConeT(7), *cones, clarabel.NonnegativeConeT(1)]
+        found = _run(-each[-2], rows, np.concatenate([np.eye(7)[6], *right, [0.0]]), kinds, 1e-10)
         return -found.obj_val if str(found.status) in SOLVED else float("nan")
 
 
@@ -441,8 +378,5 @@ def _run(cost: Array, matrix: Array, right: Array, cones: list, tolerance: float
     settings.tol_gap_abs, settings.tol_gap_rel, settings.tol_feas = 1e-14, tolerance, tolerance
     settings.reduced_tol_gap_abs, settings.reduced_tol_gap_rel, settings.reduced_tol_feas = 1e-9, 1e-8, 1e-8
     settings.tol_ktratio, settings.reduced_tol_ktratio = 1e-8, 1e-6
-    width = len(cost)
-    solver = clarabel.DefaultSolver(
-        sparse.csc_matrix((width, width)), cost, sparse.csc_matrix(matrix), right, cones, settings
-    )
-    return solver.solve()
+    nothing = sparse.csc_matrix((len(cost), len(cost)))
+    return clarabel.DefaultSolver(nothing, cost, sparse.csc_matrix(matrix), right, cones, settings).solve()

@@ -22,11 +22,7 @@ TROUBLES = ("plain", "clustered", "flat", "parallel", "edge", "friction")
 
 @dataclass(frozen=True)
 class Drawn:
-    """A problem, and what it is.
-
-    Attributes:
-        weights: omega and lambda of Phi.
-    """
+    """A problem, and what it is; weights: omega and lambda of Phi."""
 
     kind: str
     grasp: Grasp
@@ -35,14 +31,10 @@ class Drawn:
     weights: tuple[float, float] = (1.0, 0.01)
 
 
-def random_grasp(rng: np.random.Generator, kind: str, flat: float = 1.0, most: int = 20) -> Grasp:
+def random_grasp(rng: np.random.Generator, kind: str, most: int = 20) -> Grasp:
     """Contacts on an ellipsoid or a box of 1 mm to 10 m away from the origin; normals off by some degrees; friction 0.1 to 1.2.
 
-    Args:
-        rng: the generator.
-        kind: of `KINDS`; frictionless grasps have nine contacts or more.
-        flat: the third axis relative to the others; small: nearly coplanar.
-        most: contacts, but for three grasps in a hundred of 50 or 100 (where `most` is 20 or more).
+    Frictionless grasps have nine contacts or more; of the largest three in a hundred have 50 or 100.
     """
     count = int(rng.integers(2 if kind == "soft" else 3, most + 1))
     if most >= 20 and rng.random() < 0.03:
@@ -50,7 +42,7 @@ def random_grasp(rng: np.random.Generator, kind: str, flat: float = 1.0, most: i
     if kind == "frictionless":
         count = max(count, 9)
     size = 10.0 ** rng.uniform(-3.0, 1.0)
-    axes = size * rng.uniform(0.4, 1.0, 3) * (1.0, 1.0, flat)
+    axes = size * rng.uniform(0.4, 1.0, 3)
     if rng.random() < 0.5:
         directions = rng.standard_normal((count, 3))
         positions = directions / np.linalg.norm(directions, axis=1)[:, None] * axes
@@ -64,13 +56,12 @@ def random_grasp(rng: np.random.Generator, kind: str, flat: float = 1.0, most: i
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     shape = (count, 2) if kind in ("elliptic", "mixed") else count
     names = {"mixed": list(rng.choice(["hard", "soft", "frictionless"], count)), "elliptic": "hard"}
-    return Grasp.from_contacts(
-        positions + size * rng.uniform(-2.0, 2.0, 3),
-        normals,
-        rng.uniform(0.1, 1.2, shape),
-        contact_model=names.get(kind, kind),
-        torsional_friction=size * 10.0 ** rng.uniform(-3.0, 0.0, count),
-    )
+    positions, friction = positions + size * rng.uniform(-2.0, 2.0, 3), rng.uniform(0.1, 1.2, shape)
+    options = {
+        "contact_model": names.get(kind, kind),
+        "torsional_friction": size * 10.0 ** rng.uniform(-3.0, 0.0, count),
+    }
+    return Grasp.from_contacts(positions, normals, friction, **options)
 
 
 def some_grasp(rng: np.random.Generator, kind: str, most: int = 20) -> Grasp:
@@ -171,12 +162,13 @@ def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
     friction = 10.0 ** rng.uniform(-3.0, 1.0, shape) if trouble == "friction" else rng.uniform(0.2, 1.2, shape)
     names = {"mixed": list(rng.choice(["hard", "soft", "frictionless"], count)), "elliptic": "hard"}
     points = size * (points + rng.choice([0.0, 1.0, 10.0]) * rng.standard_normal(3))
-    torsional = size * 10.0 ** rng.uniform(-4.0, 0.0, count)
+    options = {
+        "contact_model": names.get(model, model),
+        "torsional_friction": size * 10.0 ** rng.uniform(-4.0, 0.0, count),
+    }
 
     def made(part: float) -> Grasp:
-        return Grasp.from_contacts(
-            points, normals, part * friction, contact_model=names.get(model, model), torsional_friction=torsional
-        )
+        return Grasp.from_contacts(points, normals, part * friction, **options)
 
     if trouble != "edge" or model == "frictionless":
         return made(1.0)
@@ -189,15 +181,13 @@ def hard_grasp(rng: np.random.Generator, trouble: str, model: str) -> Grasp:
 
 def plain(rng: np.random.Generator) -> Drawn:
     """Any contacts, wrenches over ten decades."""
-    kind = str(rng.choice(KINDS))
-    grasp = some_grasp(rng, kind)
+    grasp = some_grasp(rng, kind := str(rng.choice(KINDS)))
     return Drawn(kind, grasp, random_wrench(rng, grasp), None, (1.0, 10.0 ** rng.uniform(-4.0, 0.0)))
 
 
 def limited(rng: np.random.Generator) -> Drawn:
     """Any contacts within limits of the wrench's size."""
-    kind = str(rng.choice(KINDS))
-    grasp = some_grasp(rng, kind, most=12)
+    grasp = some_grasp(rng, kind := str(rng.choice(KINDS)), most=12)
     wrench = random_wrench(rng, grasp)
     return Drawn(f"limits, {kind}", grasp, wrench, random_limits(rng, grasp, _size(grasp, wrench)))
 
@@ -235,14 +225,7 @@ def _size(grasp: Grasp, wrench: Array) -> float:
     return float(np.abs(Reference(grasp).load(wrench)).max())
 
 
-FAMILIES = {
-    "plain": plain,
-    "limited": limited,
-    "tight": tight,
-    "fingers": fingers,
-    "nearly lost": nearly_lost,
-    "hard": hard_problem,
-}
+FAMILIES = {"plain": plain, "limited": limited, "tight": tight, "fingers": fingers, "nearly lost": nearly_lost, "hard": hard_problem}  # fmt: skip
 
 
 def problem(family: str, seed: int, index: int) -> Drawn:

@@ -47,7 +47,6 @@ class Named:
     """
 
     name: str
-    about: str
     grasp: Grasp
     wrench: np.ndarray
     limits: ForceLimits | None
@@ -72,19 +71,19 @@ class Named:
 def read(entry: dict[str, Any]) -> Named:
     """A problem of the file."""
     models = {"contact_model": entry.get("models", "hard"), "torsional_friction": entry.get("torsional_friction")}
-    grasp = Grasp.from_contacts(
-        entry["positions"], entry["normals"], entry["friction"], tangents=entry.get("tangents"), **models
-    )
-    limits = entry.get("limits")
+    contacts = [entry[name] for name in ("positions", "normals", "friction")]
+    grasp, limits = Grasp.from_contacts(*contacts, tangents=entry.get("tangents"), **models), entry.get("limits")
     if limits is not None:
         for name in ("max_normal", "torque_limit"):  # null: no limit
             if isinstance(limits.get(name), list):
                 limits[name] = [np.inf if each is None else each for each in limits[name]]
-    return Named(
-        entry["name"], entry["about"], grasp, np.array(entry["wrench"]),
-        None if limits is None else ForceLimits(**limits), entry.get("weights", {}), entry.get("elastic", False),
-        entry.get("known", {}),
-    )  # fmt: skip
+        limits = ForceLimits(**limits)
+    given = {
+        "weights": entry.get("weights", {}),
+        "elastic": entry.get("elastic", False),
+        "known": entry.get("known", {}),
+    }
+    return Named(entry["name"], grasp, np.array(entry["wrench"]), limits, **given)
 
 
 ENTRIES: list[dict[str, Any]] = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else []
@@ -97,9 +96,7 @@ def attempt(call: Callable[[], ForceSolution]) -> ForceSolution:
     try:
         return call()
     except InfeasibleWrenchError as error:
-        found = error.solution
-    assert found is not None
-    return found
+        return error.solution  # type: ignore[return-value]
 
 
 def value(p: Named, method: str, found: ForceSolution, reference: Reference) -> float:

@@ -1,24 +1,15 @@
-"""One optimum, whatever the start and the method; and every iterate is a valid grasp: balanced, strictly inside, never worse than the one before (Theorem 1)."""
+"""One optimum, whatever the start and the method; every iterate is balanced, strictly inside and never worse than before (Theorem 1)."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from force.clarabel_reference import Reference
-from problems import GRASPS, PAPER_WRENCH, PROBLEMS, Problem, closure_grasps, solve_by_scipy
+from problems import GRASPS, PAPER_WRENCH, PROBLEMS, Problem, closure_grasps
 
 from benchmarks.problem import closed_grasps
 from grasp_env.errors import NotConvergedError
-from grasp_env.force import (
-    DESCENTS,
-    RULES,
-    AdaptiveStep,
-    ForceOptimizer,
-    ForceSolution,
-    Objective,
-    Status,
-    optimize_force,
-)
+from grasp_env.force import DESCENTS, RULES, ForceOptimizer, ForceSolution, Objective, Status, optimize_force
 from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
 
@@ -32,6 +23,7 @@ def weights_of(problem: Problem) -> dict[str, float]:
 
 
 def assert_valid(solution: ForceSolution, grasp: Grasp) -> None:
+    """With a trace: Newton accepts a step of equal Phi at the rounding level; the flows only strict decreases."""
     reference = Reference.of(grasp)
     load = np.abs(reference.load(solution.wrench)).max()
     for force in (solution.force, solution.initial_force):
@@ -41,30 +33,27 @@ def assert_valid(solution: ForceSolution, grasp: Grasp) -> None:
         assert reference.cone_margin(force) > 0.0
     # the solver sums in another order and in cone coordinates: rounding of twelve products
     rounding = 1e-14 * (np.abs(solution.force).max() + load) / min(grasp.length, 1.0)
+    residual = reference.residual(solution.force, solution.torsion, solution.wrench)
     assert abs(solution.cone_margin - reference.cone_margin(solution.force)) <= rounding
-    assert abs(solution.equilibrium_residual - reference.residual(solution.force, solution.torsion, solution.wrench)) <= rounding  # fmt: skip
-
-
-def assert_monotone(solution: ForceSolution) -> None:
-    """Newton accepts a step of equal Phi at the rounding level; the flows only strict decreases."""
+    assert abs(solution.equilibrium_residual - residual) <= rounding
     trace, slack = solution.objective_trace, 1e-15 if solution.method == "newton" else -1e-300
-    assert len(trace) == solution.iterations + 1
-    assert np.isfinite(trace).all()
-    assert (np.diff(trace) <= slack * trace[:-1]).all()
-    assert trace[-1] == solution.objective
+    if trace.size:
+        assert np.isfinite(trace).all()
+        assert (np.diff(trace) <= slack * trace[:-1]).all()
+        assert (len(trace), trace[-1]) == (solution.iterations + 1, solution.objective)
 
 
 @pytest.mark.parametrize("method", DESCENTS)
 @pytest.mark.parametrize("problem", PROBLEMS, ids=str)
 def test_stopping_anywhere_leaves_a_valid_grasp(problem: Problem, method: str) -> None:
+    options = {"initial": "single_value", "tolerance": 1e-6, "method": method, "trace": True, **weights_of(problem)}
+
     def stop(limit: int) -> ForceSolution:
-        options = {"initial": "single_value", "tolerance": 1e-6, "max_iterations": limit, "trace": True}
-        return optimize_force(problem.grasp, problem.wrench, method=method, **options, **weights_of(problem))
+        return optimize_force(problem.grasp, problem.wrench, max_iterations=limit, **options)
 
     end = stop(20_000)
     assert end.status is Status.OPTIMAL
     assert_valid(end, problem.grasp)
-    assert_monotone(end)
     every = 3 if method != "full_flow" else 20  # the dense flow costs a thousand times more per step
     for limit in (0, 1, 2, *range(3, min(end.iterations, 60), every)):
         if limit < end.iterations:
@@ -93,35 +82,17 @@ def test_balance_does_not_drift_over_many_thousand_steps(name: str) -> None:
     solution = optimize_force(GRASPS[name], 3.0 * PAPER_WRENCH, method="reduced_flow", **options)
     assert solution.iterations > 1000
     assert_valid(solution, GRASPS[name])
-    assert_monotone(solution)
 
 
-@pytest.mark.parametrize("method", ["reduced_flow", "newton"])
-def test_random_grasps_and_wrenches(method: str) -> None:
+def test_random_grasps_and_wrenches() -> None:
+    """Newton; the flows with every rule are tried in `test_flows`."""
     rng = np.random.default_rng(0)
     for grasp in closure_grasps():
-        optimizer = ForceOptimizer(grasp, method=method, max_iterations=300)
+        optimizer = ForceOptimizer(grasp, max_iterations=300)
         for wrench in (*wrenches.sample_ball(rng, 4), *wrenches.sample_magnitudes(rng, 4, 1e-3, 1e3)):
             solution = optimizer.solve(wrench, trace=True)
             assert_valid(solution, grasp)
-            assert_monotone(solution)
             assert solution.lower_bound <= solution.objective * (1.0 + 1e-10)
-
-
-@pytest.mark.parametrize("method", ["reduced_flow", "full_flow"])
-@pytest.mark.parametrize(
-    "rule",
-    [AdaptiveStep(1e-3, grow=1.0), AdaptiveStep(1e6), AdaptiveStep(0.3, grow=10.0, shrink=0.9), AdaptiveStep(1e-12)],
-    ids=["constant", "huge", "wild", "tiny"],
-)
-def test_any_step_rule_keeps_the_grasp_valid(method: str, rule: AdaptiveStep) -> None:
-    options = {"step_rule": rule, "max_iterations": 100, "trace": True, "tolerance": 1e-12}
-    solution = optimize_force(CUBOID, PAPER_WRENCH, method=method, **options)
-    assert_valid(solution, CUBOID)
-    assert_monotone(solution)
-    assert solution.iterations > 0
-    if rule.grow == 1.0:  # every trial is admissible
-        assert solution.iterations == solution.trials == 100
 
 
 @pytest.mark.parametrize("method", DESCENTS)
@@ -140,27 +111,14 @@ def test_impossible_tolerance_stalls_or_converges_but_stays_valid(method: str) -
 # one optimum
 
 
-@pytest.mark.parametrize("problem", PROBLEMS, ids=str)
-def test_written_optima_are_scipys(problem: Problem) -> None:
-    value, force = solve_by_scipy(problem)
-    # numbers are written to 12 digits; scipy stops at a gradient of 1e-9
-    assert value == pytest.approx(problem.optimum, rel=1e-10)
-    found = optimize_force(problem.grasp, problem.wrench, tolerance=1e-10, **weights_of(problem)).raise_for_status()
-    assert found.objective == pytest.approx(value, rel=2e-10)
-    # Phi is flat to second order: a gap of 1e-10 leaves about its square root in the force
-    np.testing.assert_allclose(found.force, force, atol=3e-5 * np.abs(force).max())
-    if problem.total_normal:
-        assert found.total_normal_force == pytest.approx(problem.total_normal, abs=0.01)
-
-
 @pytest.mark.parametrize("method", DESCENTS)
 @pytest.mark.parametrize("start", RULES)
 @pytest.mark.parametrize("problem", PROBLEMS[::2], ids=str)
 def test_start_and_method_do_not_matter(problem: Problem, start: str, method: str) -> None:
     # the dense flow pays a millisecond a step; the others show the tighter agreement
     tolerance = 1e-6 if method == "full_flow" else 1e-8
-    options = {"initial": start, "method": method, "tolerance": tolerance, **weights_of(problem)}
-    solution = optimize_force(problem.grasp, problem.wrench, **options)
+    options = {"initial": start, "method": method, "tolerance": tolerance}
+    solution = optimize_force(problem.grasp, problem.wrench, **options, **weights_of(problem))
     assert (solution.status, solution.method) == (Status.OPTIMAL, method)
     # the printed start has no force at w = 0 and at no other wrench; the Lagrange start need not have one
     none = start == "lagrange" or (start == "linear_combination_printed" and not problem.wrench.any())
@@ -171,20 +129,15 @@ def test_start_and_method_do_not_matter(problem: Problem, start: str, method: st
     assert problem.optimum * (1.0 - tolerance) - 1e-9 <= solution.lower_bound <= problem.optimum * (1.0 + 1e-9)
 
 
-def test_random_grasps_agree_over_methods_starts_and_scipy() -> None:
-    rng = np.random.default_rng(0)
-    for k, grasp in enumerate(closure_grasps(15)):
-        wrench = wrenches.sample_ball(rng, 1)[0]
-        oracle = optimize_force(grasp, wrench, tolerance=1e-10).raise_for_status()
-        if k < 10:
-            value, _ = solve_by_scipy(Problem("random", grasp, wrench, 1.0, 0.01, 0.0))
-            assert oracle.objective == pytest.approx(value, rel=1e-8)
+def test_random_grasps_agree_over_methods_and_starts() -> None:
+    for grasp, wrench in zip(closure_grasps(15), wrenches.sample_ball(np.random.default_rng(0), 15), strict=True):
+        least = optimize_force(grasp, wrench, tolerance=1e-10).raise_for_status().objective
         for method in ("reduced_flow", "newton"):
             optimizer = ForceOptimizer(grasp, method=method, tolerance=1e-6, max_iterations=200_000)
             for start in RULES:
                 solution = optimizer.solve(wrench, initial=start).raise_for_status()
                 assert not solution.start_replaced or start == "lagrange"
-                assert -1e-9 <= solution.objective / oracle.objective - 1.0 <= 1e-6 + 1e-9
+                assert -1e-9 <= solution.objective / least - 1.0 <= 1e-6 + 1e-9
 
 
 @pytest.mark.parametrize("problem", PROBLEMS[::3], ids=str)
@@ -219,22 +172,3 @@ def test_large_forces_take_few_steps(size: float, tolerance: float) -> None:
                 assert value - bound <= 2.0 * tolerance * value + 1e-11 * value
                 assert grasp.cone_margin(found.force) > 0.0
                 assert grasp.residual(found.force, wrench) <= 1e-13 * np.abs(found.force).max()
-
-
-def test_shallow_grasps_and_heavy_wrenches_stay_balanced() -> None:
-    """Contacts at very different depths in their cones: the Schur complement alone lost 1e-6 of balance."""
-    rng = np.random.default_rng(2)
-    for grasp in closed_grasps(rng, 4, 12):
-        optimizer = ForceOptimizer(grasp, initial="phase_one", tolerance=1e-8)
-        for wrench in wrenches.sample_magnitudes(rng, 4, 1.0, 1e3):
-            solution = optimizer.solve(wrench)
-            assert solution.equilibrium_residual <= 1e-10 * (np.abs(solution.force).max() + wrenches.magnitude(wrench))
-            assert solution.cone_margin > 0.0
-            assert solution.lower_bound <= solution.objective * (1.0 + 1e-10)
-
-
-@pytest.mark.parametrize("method", ["reduced_flow", "full_flow"])
-def test_the_printed_start_of_a_tiny_wrench_converges(method: str) -> None:
-    """It starts at Phi = 6e8 next to the apex, jumps far, and once kept the tiny step it had there."""
-    options = {"initial": "linear_combination_printed", "method": method}
-    assert optimize_force(CUBOID, [1e-9, 0, 0, 0, 0, 0], **options).status is Status.OPTIMAL

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from force.generators import own_joints
 
-from grasp_env.errors import (
-    GraspError,
-    InfeasibleWrenchError,
-    InvalidInputError,
-    RankDeficientGraspError,
-)
-from grasp_env.force import ForceLimits, ForceOptimizer, Status, optimize_force
+from grasp_env.errors import GraspError, InfeasibleWrenchError, InvalidInputError, RankDeficientGraspError
+from grasp_env.force import RULES, ForceLimits, ForceOptimizer, Status, optimize_force
 from grasp_env.grasp import Grasp, presets
 
 FIVE = presets.five_finger_cuboid()
@@ -25,37 +20,28 @@ LOAD = np.array([0.4, -0.3, 0.7, 0.01, -0.008, 0.005])
 
 SOFT = Grasp.from_contacts(FIVE.positions, FIVE.normals, 0.4, contact_model="soft", torsional_friction=0.005)
 ELLIPTIC = Grasp.from_contacts(FIVE.positions, FIVE.normals, np.tile([0.4, 0.6], (5, 1)))
-OWN = ForceLimits(
-    jacobian=own_joints(np.random.default_rng(7), 5), torque_limit=0.5, torque_bias=np.linspace(-0.05, 0.05, 15)
-)
+JOINTS = own_joints(np.random.default_rng(7), 5)
+OWN = ForceLimits(jacobian=JOINTS, torque_limit=0.5, torque_bias=np.linspace(-0.05, 0.05, 15))
+SPUN = ForceLimits(jacobian=own_joints(np.random.default_rng(7), 5, rows=6), torque_limit=0.5)
 SHARED = ForceLimits(jacobian=0.03 * np.random.default_rng(8).standard_normal((5, 3, 4)), torque_limit=0.9)
 KINDS: dict[str, tuple[Grasp, dict[str, Any]]] = {
-    "newton": (FIVE, {}),
-    "newton, elliptic": (ELLIPTIC, {}),
-    "newton, soft": (SOFT, {}),
+    "newton": (FIVE, {}), "newton, elliptic": (ELLIPTIC, {}), "newton, soft": (SOFT, {}),
     "newton, normal limits": (FIVE, {"limits": ForceLimits(min_normal=0.05, max_normal=8.0)}),
-    "newton, own joints": (FIVE, {"limits": OWN}),
-    "newton, shared joints": (FIVE, {"limits": SHARED}),
-    "newton, soft, own joints": (
-        SOFT,
-        {"limits": ForceLimits(jacobian=own_joints(np.random.default_rng(7), 5, rows=6), torque_limit=0.5)},
-    ),
+    "newton, own joints": (FIVE, {"limits": OWN}), "newton, shared joints": (FIVE, {"limits": SHARED}),
+    "newton, soft, own joints": (SOFT, {"limits": SPUN}),
     "newton, elastic": (FIVE, {"limits": ForceLimits(max_normal=0.4), "elastic": True}),
-    "reduced_flow": (FIVE, {"method": "reduced_flow"}),
-    "full_flow": (FIVE, {"method": "full_flow"}),
-    "conic": (FIVE, {"method": "conic"}),
-    "conic, largest": (FIVE, {"method": "conic", "criterion": "max"}),
-    "conic, own joints": (FIVE, {"method": "conic", "limits": OWN}),
-    "conic, soft": (SOFT, {"method": "conic"}),
-}
+    "reduced_flow": (FIVE, {"method": "reduced_flow"}), "full_flow": (FIVE, {"method": "full_flow"}),
+    "conic": (FIVE, {"method": "conic"}), "conic, largest": (FIVE, {"method": "conic", "criterion": "max"}),
+    "conic, own joints": (FIVE, {"method": "conic", "limits": OWN}), "conic, soft": (SOFT, {"method": "conic"}),
+}  # fmt: skip
 
 
-def moved(k: int, grasp: Grasp = FIVE, size: float = 2e-3) -> dict[str, np.ndarray]:
+def moved(k: int) -> dict[str, np.ndarray]:
     """Places and normals a little off."""
     rng = np.random.default_rng([11, k])
-    normals = grasp.normals + 0.03 * rng.standard_normal(grasp.normals.shape)
+    normals = FIVE.normals + 0.03 * rng.standard_normal((5, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    return {"positions": grasp.positions + size * rng.standard_normal(grasp.positions.shape), "normals": normals}
+    return {"positions": FIVE.positions + 2e-3 * rng.standard_normal((5, 3)), "normals": normals}
 
 
 def part_of(limits: ForceLimits | None, chosen: np.ndarray) -> ForceLimits | None:
@@ -73,14 +59,13 @@ def test_the_order_of_calls_does_not_matter(kind: str) -> None:
     """To the bit, whatever the calls between had."""
     grasp, options = KINDS[kind]
     optimizer = ForceOptimizer(grasp, **options)
-    calls: list[dict[str, Any]] = [
-        {},
-        moved(0),
-        {"friction": 0.5 if grasp is not ELLIPTIC else np.tile([0.5, 0.5], (5, 1))},
-        {"contacts": [True, True, True, True, False]},
-        {**moved(1), "contacts": [True, False, True, True, True]},
-        {},
-    ]
+    rough = 0.5 if grasp is not ELLIPTIC else np.tile([0.5, 0.5], (5, 1))
+    some, others = [True, True, True, True, False], [True, False, True, True, True]
+    changes = {"friction": rough}, {"contacts": some}, {**moved(1), "contacts": others}
+    calls: list[dict[str, Any]] = [{}, moved(0), *changes, {}]
+    if kind in ("newton", "reduced_flow"):
+        calls += [{"initial": name} for name in RULES]
+        calls.append(calls[0])
     limits = options.get("limits")
     if limits is not None and limits.jacobian is not None:
         calls.insert(2, {"jacobian": 0.9 * np.asarray(limits.jacobian)})
@@ -103,20 +88,13 @@ def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
     grasp, options = KINDS[kind]
     optimizer = ForceOptimizer(grasp, **options)
     close = 0.02 if options.get("elastic") else 3e-6 if "conic" in kind else 3e-4
-    solved = 0
+    solved, twist = 0, 0.005 if grasp is SOFT else None
     for bits in range(1, 32):
         touching = np.array([bool(bits >> k & 1) for k in range(5)])
-        try:
-            part = Grasp.from_contacts(
-                grasp.positions[touching], grasp.normals[touching], grasp.models.friction[touching],
-                contact_model=grasp.models.names[0], torsional_friction=0.005 if grasp is SOFT else None,
-            )  # fmt: skip
-        except RankDeficientGraspError:
-            with pytest.raises(RankDeficientGraspError):
-                optimizer.solve(LOAD, contacts=touching)
-            continue
+        places = grasp.positions[touching], grasp.normals[touching], grasp.models.friction[touching]
         chosen = {**options, "limits": part_of(options.get("limits"), touching)}
         try:
+            part = Grasp.from_contacts(*places, contact_model=grasp.models.names[0], torsional_friction=twist)
             want = optimize_force(part, LOAD, **chosen)
         except GraspError as error:
             with pytest.raises(type(error)):
@@ -126,9 +104,8 @@ def test_any_contacts_that_touch_are_a_grasp_of_those(kind: str) -> None:
         solved += 1
         assert found.status is want.status, (bits, found, want)
         assert found.objective == pytest.approx(want.objective, rel=close), (bits, found, want)
-        assert (found.force[~touching] == 0.0).all()
-        assert (found.torsion[~touching] == 0.0).all()
-        assert (found.object_force[~touching] == 0.0).all()
+        for nothing in (found.force, found.torsion, found.object_force):
+            assert (nothing[~touching] == 0.0).all()
         assert part.residual(found.force[touching], LOAD, found.torsion[touching]) < 1e-9
     assert solved > 3
 
@@ -137,92 +114,35 @@ def test_no_contact_and_lists_of_bits() -> None:
     optimizer = ForceOptimizer(FIVE)
     with pytest.raises(RankDeficientGraspError):
         optimizer.solve(LOAD, contacts=[False] * 5)
-    whole = optimizer.solve(LOAD)
-    np.testing.assert_array_equal(optimizer.solve(LOAD, contacts=(True,) * 5).force, whole.force)
-    np.testing.assert_array_equal(optimizer.solve(LOAD, contacts=np.ones(5, dtype=bool)).force, whole.force)
-
-
-@pytest.mark.parametrize("name", ["linear_combination", "linear_combination_printed", "single_value", "lagrange"])
-def test_starts_from_the_basis_after_a_call_with_fewer_contacts(name: str) -> None:
-    optimizer = ForceOptimizer(FIVE)
-    optimizer.solve(LOAD, contacts=[True, True, True, True, False])
-    found = optimizer.solve(LOAD, initial=name)
-    np.testing.assert_array_equal(found.initial_force, ForceOptimizer(FIVE).solve(LOAD, initial=name).initial_force)
-    assert found.initial.startswith(name)
-
-
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if "elliptic" not in kind])
-def test_one_frame(kind: str) -> None:
-    """Everything turned and shifted together: the force turns along, its parts in the contact frames may not."""
-    grasp, options = KINDS[kind]
-    tolerance = 1e-6 if "conic" in kind else 1e-10
-    optimizer = ForceOptimizer(grasp, **options, tolerance=tolerance)
-    turn = np.linalg.qr(np.random.default_rng(5).standard_normal((3, 3)))[0]
-    turn *= np.sign(np.linalg.det(turn))
-    shift = np.array([0.3, -0.2, 0.5])
-    pull, moment = turn @ LOAD[:3], turn @ LOAD[3:]
-    there = {
-        "positions": grasp.positions @ turn.T + shift,
-        "normals": grasp.normals @ turn.T,
-    }
-    limits = options.get("limits")
-    if limits is not None and limits.jacobian is not None:
-        given = np.asarray(limits.jacobian)
-        there["jacobian"] = np.concatenate([turn @ given[:, k : k + 3] for k in range(0, given.shape[1], 3)], axis=1)
-    here = optimizer.solve(LOAD)
-    found = optimizer.solve(np.concatenate([pull, moment + np.cross(shift, pull)]), **there)
-    assert found.status is here.status
-    assert found.objective == pytest.approx(here.objective, rel=0.02 if options.get("elastic") else 2.0 * tolerance)
-    if not options.get("elastic") and "conic" not in kind:  # whose optima need not be single points
-        # Phi is flat at its least: the root of the gap is what forces are known to
-        size = np.abs(here.force).max()
-        np.testing.assert_allclose(found.object_force, here.object_force @ turn.T, atol=1e-4 * size)
-        np.testing.assert_allclose(found.torques, here.torques, atol=1e-5 * size)
-
-
-WRONG: list[tuple[dict[str, Any], str]] = [
-    ({"positions": np.zeros((4, 3))}, r"positions must have shape \(5, 3\), got \(4, 3\)"),
-    ({"positions": "here"}, "positions must be numbers"),
-    ({"positions": np.full((5, 3), np.nan)}, "positions must be finite"),
-    ({"normals": np.ones(3)}, r"normals must have shape \(5, 3\)"),
-    ({"normals": 2.0 * FIVE.normals}, "normal"),
-    ({"normals": np.zeros((5, 3))}, "normal"),
-    ({"friction": -0.1}, "friction"),
-    ({"friction": [0.4, 0.4]}, "friction"),
-    ({"friction": np.nan}, "friction"),
-    ({"friction": "rough"}, "friction"),
-    ({"jacobian": np.zeros((5, 3, 4))}, "jacobian must be that of 15 joints"),
-    ({"jacobian": np.zeros((4, 3, 15))}, "jacobian"),
-    ({"jacobian": np.full((5, 3, 15), np.inf)}, "jacobian"),
-    ({"torque_bias": np.zeros(4)}, "torque_bias"),
-    ({"torque_bias": np.full(15, np.nan)}, "torque_bias"),
-    ({"torque_bias": "none"}, "torque_bias"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("given", "told"), WRONG)
-@pytest.mark.parametrize("call", ["solve", "update"])
-def test_wrong_arguments_are_named(given: dict[str, Any], told: str, call: str) -> None:
-    optimizer = ForceOptimizer(FIVE, limits=OWN)
-    before = optimizer.solve(LOAD)
-    ask: Callable[..., Any] = optimizer.update if call == "update" else lambda **k: optimizer.solve(LOAD, **k)
-    with pytest.raises(InvalidInputError, match=told):
-        ask(**given)
-    np.testing.assert_array_equal(optimizer.solve(LOAD).force, before.force)
-
-
-@pytest.mark.parametrize("contacts", [[True] * 4, 3, "11111", [1, 1, 1, 1, 1], np.ones(5), [[True] * 5]])
-def test_wrong_contacts_are_named(contacts: Any) -> None:
-    with pytest.raises(InvalidInputError, match=r"contacts must be \(5,\) of true and false"):
-        ForceOptimizer(FIVE).solve(LOAD, contacts=contacts)
+    whole = optimizer.solve(LOAD).force
+    for every in ((True,) * 5, np.ones(5, dtype=bool)):
+        np.testing.assert_array_equal(optimizer.solve(LOAD, contacts=every).force, whole)
 
 
 @pytest.mark.parametrize(
-    "given", [{"jacobian": own_joints(np.random.default_rng(7), 5)}, {"torque_bias": np.zeros(15)}]
-)
-def test_torques_need_limits(given: dict[str, Any]) -> None:
-    with pytest.raises(InvalidInputError):
-        ForceOptimizer(FIVE).solve(LOAD, **given)
+    ("given", "told"),
+    [
+        ({"positions": np.zeros((4, 3))}, r"positions must have shape \(5, 3\), got \(4, 3\)"), ({"positions": "here"}, "positions must be numbers"),
+        ({"positions": np.full((5, 3), np.nan)}, "positions must be finite"), ({"normals": np.ones(3)}, r"normals must have shape \(5, 3\)"),
+        ({"normals": 2.0 * FIVE.normals}, "normal"), ({"normals": np.zeros((5, 3))}, "normal"),
+        *(({"friction": odd}, "friction") for odd in (-0.1, [0.4, 0.4], np.nan, "rough")),
+        ({"jacobian": np.zeros((5, 3, 4))}, "jacobian must be that of 15 joints"), ({"jacobian": np.zeros((4, 3, 15))}, "jacobian"),
+        ({"jacobian": np.full((5, 3, 15), np.inf)}, "jacobian"),
+        *(({"torque_bias": odd}, "torque_bias") for odd in (np.zeros(4), np.full(15, np.nan), "none")),
+        *(({"contacts": odd}, r"contacts must be \(5,\) of true and false")
+          for odd in ([True] * 4, 3, "11111", [1, 1, 1, 1, 1], np.ones(5), [[True] * 5])),
+        ({"jacobian": JOINTS, "without": 1}, "torque|jacobian"), ({"torque_bias": np.zeros(15), "without": 1}, "torque"),
+    ],
+)  # fmt: skip
+def test_wrong_arguments_are_named(given: dict[str, Any], told: str) -> None:
+    """Torques need limits: "without" them is wrong, too."""
+    given = dict(given)
+    optimizer = ForceOptimizer(FIVE, limits=None if given.pop("without", None) else OWN)
+    before = optimizer.solve(LOAD)
+    for call in (partial(optimizer.solve, LOAD), optimizer.update)[: 1 if "contacts" in given else 2]:
+        with pytest.raises(InvalidInputError, match=told):
+            call(**given)
+    np.testing.assert_array_equal(optimizer.solve(LOAD).force, before.force)
 
 
 @pytest.mark.parametrize("method", ["newton", "conic"])
@@ -238,16 +158,13 @@ def test_contacts_on_a_line_lose_their_rank(method: str, limits: ForceLimits | N
     assert optimizer.solve(0.1 * LOAD).status is Status.OPTIMAL
 
 
-@pytest.mark.parametrize("method", ["newton", "reduced_flow"])
-@pytest.mark.parametrize("limits", [None, ForceLimits(max_normal=8.0)], ids=["free", "limits"])
-def test_previous_never_fails_where_no_start_is_named(method: str, limits: ForceLimits | None) -> None:
+@pytest.mark.parametrize("options", [{}, {"method": "reduced_flow"}, {"limits": ForceLimits(max_normal=8.0)}], ids=str)
+def test_previous_never_fails_where_no_start_is_named(options: dict[str, Any]) -> None:
     """An object that lies on three tips: there is no force closure, and what was before fits or is replaced."""
-    if limits is not None and method != "newton":
-        pytest.skip("flows know no limits")
     rng = np.random.default_rng(17)
     tips = np.array([[0.03, 0.0, 0.0], [-0.02, 0.03, 0.0], [-0.02, -0.03, 0.0]])
     floor = Grasp.from_contacts(tips, [[0.0, 0.0, 1.0]] * 3, 0.5)
-    cold, warm = (ForceOptimizer(floor, method=method, limits=limits, initial=start) for start in (None, "previous"))
+    cold, warm = (ForceOptimizer(floor, **options, initial=start) for start in (None, "previous"))
     solved = replaced = 0
     for k in range(200):
         load = np.array([0.0, 0.0, -3.0, 0.0, 0.0, 0.0]) + rng.standard_normal(6) * [0.6, 0.6, 1.5, 0.02, 0.02, 0.002]

@@ -75,23 +75,20 @@ def test_words_name_what_the_proof_needs() -> None:
     with pytest.raises(InfeasibleWrenchError, match=r"inside the friction cones balances") as caught:
         ForceOptimizer(PALM).solve([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     assert "limits" not in str(caught.value)
-    with pytest.raises(InfeasibleWrenchError, match=r"cones of contacts 0, 1, 2, 3 can make"):  # it slides
+    with pytest.raises(InfeasibleWrenchError) as caught:  # it slides
         ForceOptimizer(PALM).solve([2.0, 0.0, -1.0, 0.0, 0.0, 0.0])
-    many = ForceLimits(max_normal=0.1)
-    with pytest.raises(InfeasibleWrenchError) as caught:
-        ForceOptimizer(Grasp.from_contacts(*ring(12), 0.5), limits=many).solve([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
-    assert "and 6 more" in str(caught.value)
-
-
-def ring(count: int) -> tuple[np.ndarray, np.ndarray]:
-    angle = 2.0 * np.pi * np.arange(count) / count
-    inward = -np.column_stack([np.cos(angle), np.sin(angle), np.zeros(count)])
-    return -0.05 * inward, inward
-
-
-def test_errors_keep_their_words_when_they_are_pickled() -> None:
-    with pytest.raises(InfeasibleWrenchError) as caught:
-        ForceOptimizer(PALM).solve([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    q = (caught.value.solution.certificate @ PALM.matrix).reshape(-1, 3)
+    lost = 0.4 * np.hypot(*q[:, 1:].T)
+    slipping = [str(k) for k in range(4) if q[k, 0] - lost[k] <= 1e-3 * (q[k, 0] + lost[k])]
+    assert len(slipping) > 1
+    assert f"what the cones of contacts {', '.join(slipping)} can make" in str(caught.value)
+    angle = 2.0 * np.pi * np.arange(12) / 12
+    inward = -np.column_stack([np.cos(angle), np.sin(angle), np.zeros(12)])
+    ring, many = Grasp.from_contacts(-0.05 * inward, inward, 0.5), ForceLimits(max_normal=0.1)
+    with pytest.raises(InfeasibleWrenchError, match="and 6 more") as caught:
+        ForceOptimizer(ring, limits=many).solve([0.0, 0.0, 5.0, 0.0, 0.0, 0.0])
+    with pytest.raises(InfeasibleWrenchError, match="exceeds"):
+        ForceOptimizer(ring, limits=many, elastic=True).solve([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]).raise_for_status()
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value)
     np.testing.assert_array_equal(again.solution.certificate, caught.value.solution.certificate)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from force.test_starts import ALL, CUBOID, OBJECTIVE, assert_start, moved
@@ -28,8 +30,7 @@ def wild(rng: np.random.Generator, safe: np.ndarray) -> np.ndarray:
 
 def test_repair_is_never_worse_than_the_combination_or_a_good_candidate() -> None:
     rng, repair, better, kept = np.random.default_rng(31), Repair(OBJECTIVE), 0, 0
-    loads = wrenches.sample_magnitudes(rng, 4000, 1e-3, 100.0)
-    for k, load in enumerate(loads):
+    for k, load in enumerate(wrenches.sample_magnitudes(rng, 4000, 1e-3, 100.0)):
         grasp = ALL[k % 9]
         safe = OfflineBasis.of(grasp).combine(load)
         candidate = wild(rng, safe)
@@ -44,8 +45,7 @@ def test_repair_is_never_worse_than_the_combination_or_a_good_candidate() -> Non
             reached = OBJECTIVE.value(grasp.to_cone(flat.reshape(-1, 3)))
             assert value <= reached * (1.0 + 1e-9)
             kept += reached < np.inf
-    assert better > 300
-    assert kept > 300
+    assert min(better, kept) > 300
     # what is good already is kept: the optimum stays where it is, and what is no candidate is the combination
     best = optimize_force(CUBOID, PAPER_WRENCH, tolerance=1e-10).force
     np.testing.assert_allclose(repair(CUBOID, PAPER_WRENCH, best), best, rtol=1e-12, atol=1e-12)
@@ -84,13 +84,9 @@ def test_carry_over_to_another_grasp_and_wrench(grasp: Grasp) -> None:
 def test_tangent_beats_the_pseudoinverse_on_small_steps(grasp: Grasp) -> None:
     path = wrenches.sample_path(np.random.default_rng(34), 60, step=0.03)
     optima = [optimize_force(grasp, load, tolerance=1e-10) for load in path]
-    tangent, other = (
-        [
-            OBJECTIVE.value(grasp.to_cone(carry_over(grasp, path[k], optima[k - 1].force, OBJECTIVE, name)))
-            / optima[k].objective
-            for k in range(1, len(path))
-        ]
-        for name in CORRECTIONS
-    )
+    made = {name: [] for name in CORRECTIONS}
+    for k, name in product(range(1, len(path)), CORRECTIONS):
+        force = carry_over(grasp, path[k], optima[k - 1].force, OBJECTIVE, name)
+        made[name].append(OBJECTIVE.value(grasp.to_cone(force)) / optima[k].objective)
     # first order against zeroth order: an order of magnitude at 3 % steps, whatever the grasp
-    assert np.median(tangent) - 1.0 < 0.1 * (np.median(other) - 1.0)
+    assert np.median(made["tangent"]) - 1.0 < 0.1 * (np.median(made["pseudoinverse"]) - 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,8 @@ from oracles.newton import combine
 from problems import GRASPS, LIGHT, PAPER_WRENCH, closure_grasps
 from scipy.optimize import minimize_scalar
 
-from grasp_env.errors import GraspError, InfeasibleStartError, InvalidInputError
+from grasp_env.errors import InfeasibleStartError
 from grasp_env.force import (
-    RULES,
     ForceLimits,
     ForceOptimizer,
     LinearCombination,
@@ -29,12 +29,12 @@ from grasp_env.force import (
     start_replaced,
 )
 from grasp_env.force.rules import CoreStart
-from grasp_env.grasp import Grasp, presets
+from grasp_env.grasp import Grasp
 from grasp_env.grasp import wrench as wrenches
 from grasp_env.quality import feasibility
 
 OBJECTIVE = Objective()
-CUBOID, SOFT, MIXED = GRASPS["cuboid, 4"], NAMED["soft"].grasp, NAMED["mixed"].grasp
+CUBOID = GRASPS["cuboid, 4"]
 ALL = [*GRASPS.values(), *closure_grasps(15)]
 FLOOR = NAMED["pushed"].grasp
 """Three contacts that only push up: no force closure."""
@@ -56,22 +56,20 @@ def assert_start(grasp: Grasp, wrench: np.ndarray, force: np.ndarray, part: floa
     assert grasp.residual(force, wrench) <= part * size
 
 
-@pytest.mark.parametrize("name", ["linear_combination", "single_value", "phase_one"])
+@pytest.mark.parametrize("barrier", [0.01, 1e-3, 1.0])
+@pytest.mark.parametrize("name", ["linear_combination", "single_value", "linear_combination_printed", "phase_one"])
 @pytest.mark.parametrize("k", range(len(ALL)))
-def test_rules_that_always_have_a_start(k: int, name: str) -> None:
-    grasp, rule = ALL[k], initial_rule(name)
+def test_rules_that_always_have_a_start(k: int, name: str, barrier: float) -> None:
+    """On symmetric grasps the rest force has no tangential part: loads along a normal meet cones at their apex."""
+    if k >= len(GRASPS) and (barrier != 0.01 or name.endswith("printed")):
+        return  # the printed one has a start for every wrench but none, where fingers are placed well
+    grasp, rule = ALL[k], initial_rule(name, None if barrier == 0.01 else Objective(barrier_weight=barrier))
     for wrench in some_wrenches()[:: 3 if name == "phase_one" else 1]:
-        assert_start(grasp, wrench, rule(grasp, wrench))
-
-
-@pytest.mark.parametrize("name", GRASPS)
-def test_printed_combination_has_a_start_for_every_wrench_but_none(name: str) -> None:
-    rule = initial_rule("linear_combination_printed")
-    for wrench in some_wrenches():
-        if wrench.any():
-            assert_start(GRASPS[name], wrench, rule(GRASPS[name], wrench))
-    with pytest.raises(InfeasibleStartError, match="zero at w = 0"):
-        rule(GRASPS[name], np.zeros(6))
+        if wrench.any() or not name.endswith("printed"):
+            assert_start(grasp, wrench, rule(grasp, wrench))
+    if name.endswith("printed"):
+        with pytest.raises(InfeasibleStartError, match="zero at w = 0"):
+            rule(grasp, np.zeros(6))
 
 
 def best_lagrange_margin(grasp: Grasp, wrench: np.ndarray) -> float:
@@ -112,10 +110,9 @@ def test_lagrange_has_a_start_or_none_exists() -> None:
 
 def test_lagrange_minimises_what_it_says() -> None:
     """Some k makes the start the KKT point of that k: stationarity is linear, so k is found by least squares."""
-    force = CoreStart("lagrange")(CUBOID, PAPER_WRENCH).reshape(-1)
-    weights, normals = np.tile([1.0, 10.0, 10.0], 4), np.tile([1.0, 0.0, 0.0], 4)
+    force, weights = CoreStart("lagrange")(CUBOID, PAPER_WRENCH).reshape(-1), np.tile([1.0, 10.0, 10.0], 4)
     # W (f - k n) = G^T nu for some (k, nu)
-    system = np.column_stack([weights * normals, CUBOID.matrix.T])
+    system = np.column_stack([weights * np.tile([1.0, 0.0, 0.0], 4), CUBOID.matrix.T])
     solution = np.linalg.lstsq(system, weights * force)[0]
     np.testing.assert_allclose(system @ solution, weights * force, atol=1e-11)
     assert solution[0] > 0.0
@@ -178,32 +175,19 @@ def test_a_moved_basis_is_that_of_the_new_grasp_and_remembered(grasp: Grasp) -> 
             assert np.abs(one - other).max() <= 1e-4 * np.abs(other).max()
 
 
-@pytest.mark.parametrize("barrier", [1e-3, 1.0])
-@pytest.mark.parametrize("name", GRASPS)
-def test_starts_on_the_axes(name: str, barrier: float) -> None:
-    """On symmetric grasps the rest force has no tangential part: loads along a normal meet cones at their apex."""
-    for wrench in (size * np.eye(6)[k] for k in range(3) for size in (-100.0, -0.01, 1.0)):
-        for initial in ("single_value", "linear_combination"):
-            options = {"initial": initial, "barrier_weight": barrier, "max_iterations": 0}
-            assert_start(GRASPS[name], wrench, optimize_force(GRASPS[name], wrench, **options).force)
-
-
 def test_rules_take_the_objective_they_are_given() -> None:
-    for name in RULES:
-        if name != "phase_one":
-            cheap, dear = (
-                initial_rule(name, Objective(1.0, barrier))(CUBOID, PAPER_WRENCH) for barrier in (1e-4, 10.0)
-            )
-            assert cheap[:, 0].sum() < dear[:, 0].sum()
+    for name in ("linear_combination", "linear_combination_printed", "single_value", "lagrange"):
+        rules = [initial_rule(name, Objective(1.0, barrier)) for barrier in (1e-4, 10.0)]
+        cheap, dear = (rule(CUBOID, PAPER_WRENCH)[:, 0].sum() for rule in rules)
+        assert cheap < dear
 
 
 def test_without_closure_there_is_no_basis_but_phase_one() -> None:
     down = np.array([0.0, 0.0, -2.0, 0.0, 0.0, 0.0])
     for name in ("linear_combination", "single_value", "lagrange"):
-        with pytest.raises(InfeasibleStartError, match=r"no force closure.*initial='phase_one'"):
-            initial_rule(name)(FLOOR, down)
-        with pytest.raises(InfeasibleStartError, match="no force closure"):
-            optimize_force(FLOOR, down, initial=name)
+        for call in (initial_rule(name), partial(optimize_force, initial=name)):
+            with pytest.raises(InfeasibleStartError, match=r"no force closure.*initial='phase_one'"):
+                call(FLOOR, down)
     for initial in (None, "previous"):  # no start was named, or there is none yet
         for method in ("newton", "reduced_flow"):
             solution = optimize_force(FLOOR, down, method=method, initial=initial)
@@ -228,54 +212,39 @@ def squeezing(newtons: float) -> Callable[[Grasp, np.ndarray], np.ndarray]:
 
 
 @pytest.mark.parametrize("method", ["reduced_flow", "newton"])
-@pytest.mark.parametrize("newtons", [1.0, 10.0, np.nan])
+@pytest.mark.parametrize("newtons", [1.0, 3.0, 10.0, np.nan])
 @pytest.mark.parametrize("weight", [0.01, 0.02])
 def test_a_guess_of_which_nothing_is_left_is_told(method: str, newtons: float, weight: float) -> None:
     """Also by a rule that repairs in another Phi than the one that is solved; without a wrench there is nothing to replace."""
-    rule, told = squeezing(newtons), newtons != 1.0
-    optimizer = ForceOptimizer(CUBOID, method=method, initial=rule, barrier_weight=weight)
-    loads = wrenches.sample_ball(np.random.default_rng(0), 10)
-    for wrench in loads:
-        solution = optimizer.solve(wrench)
-        assert solution.start_replaced is told
-        assert solution.initial == ("linear_combination (squeeze was replaced)" if told else "squeeze")
-        assert pickle.loads(pickle.dumps(solution)).start_replaced is told
+    rule, replaced = squeezing(newtons), 0
+    options = {"method": method, "initial": rule, "barrier_weight": weight}
+    optimizer = ForceOptimizer(CUBOID, **options)
+    loads = wrenches.sample_ball(np.random.default_rng(0), 10 if newtons != 3.0 else 60)
+    for wrench, many in zip(loads, optimize_forces(CUBOID, loads, **options), strict=True):
+        found = optimizer.solve(wrench)
+        told = found.start_replaced
+        assert found.initial == many.initial == ("linear_combination (squeeze was replaced)" if told else "squeeze")
+        assert many.start_replaced is pickle.loads(pickle.dumps(found)).start_replaced is told
         paper = LinearCombination()(CUBOID, wrench)
-        assert told == (np.abs(solution.initial_force - paper).max() < 1e-9)
-        assert start_replaced(CUBOID, wrench, solution.initial_force) is told
-    batch = optimize_forces(CUBOID, loads, method=method, initial=rule, barrier_weight=weight)
-    assert batch.initial == batch[0].initial
-    assert all(each.start_replaced is told for each in batch)
+        assert told == (np.abs(found.initial_force - paper).max() < 1e-9)
+        assert start_replaced(CUBOID, wrench, found.initial_force) is told
+        replaced += told
+    least, most = {1.0: (0, 0), 3.0: (6, 54)}.get(newtons, (10, 10))  # of 3 N something is left now and then
+    assert least <= replaced <= most
     assert optimizer.solve(np.zeros(6)).start_replaced is False
 
 
-def test_each_wrench_of_a_batch_says_whether_its_start_was_replaced() -> None:
-    rule, loads = squeezing(3.0), wrenches.sample_ball(np.random.default_rng(0), 60)
-    batch = optimize_forces(CUBOID, loads, initial=rule)
-    single = ForceOptimizer(CUBOID, initial=rule)
-    assert [each.initial for each in batch] == [single.solve(load).initial for load in loads]
-    assert 5 < sum(each.start_replaced for each in batch) < 55
-
-
-@pytest.mark.parametrize(
-    "rule",
-    [None, "linear_combination", LinearCombination(), "single_value", CoreStart("lagrange"), CoreStart("phase_one")],
-)
-def test_starts_that_were_asked_for_are_not_called_replaced(rule: Any) -> None:
-    for wrench in (PAPER_WRENCH, np.zeros(6)):
-        solution = optimize_force(CUBOID, wrench, initial=rule)
+@pytest.mark.parametrize("rule", [None, LinearCombination(), "linear_combination", "single_value", "lagrange", "phase_one"])  # fmt: skip
+def test_starts_that_were_asked_for_are_those_of_solve_and_not_called_replaced(rule: Any) -> None:
+    optimizer = ForceOptimizer(CUBOID)
+    for wrench in (PAPER_WRENCH, LIGHT, np.zeros(6)):
+        solution = optimizer.solve(wrench, initial=rule)
         assert not solution.start_replaced
         assert "replaced" not in solution.initial
+        np.testing.assert_allclose(solution.initial_force, optimizer.start(wrench, initial=rule), rtol=3e-16)
 
 
 # whatever the start
-
-
-def test_start_is_what_solve_starts_from() -> None:
-    optimizer = ForceOptimizer(presets.tripod())
-    for initial in (None, "single_value", "lagrange", "phase_one"):
-        solution = optimizer.solve(LIGHT, initial=initial)
-        np.testing.assert_allclose(solution.initial_force, optimizer.start(LIGHT, initial=initial), rtol=3e-16)
 
 
 @pytest.mark.parametrize("name", ["pinch", "soft", "mixed", "hard, normals", "hard, torques", "own joints", "all"])
@@ -285,7 +254,7 @@ def test_any_start_ends_at_the_same_optimum(name: str) -> None:
     want, deep = optimizer.solve(p.wrench), feasibility(p.grasp, p.wrench, p.limits)
     near = optimize_force(p.grasp, 1.05 * p.wrench, limits=p.limits)
     starts: list[Any] = [want, near, "previous", "phase_one"]
-    if want.initial == "internal_force":  # without torsion, as arrays are
+    if p.grasp.residual(want.initial_force, p.wrench) < 1e-9:  # arrays have no torsion
         starts.append(want.initial_force)
     if not p.grasp.models.torsional_friction.any():
         starts += [deep.force, deep.force.tolist(), lambda g, w: feasibility(g, w, p.limits).force]
@@ -310,7 +279,10 @@ def test_a_given_force_has_to_be_balanced_and_inside(name: str) -> None:
         found = optimizer.solve(p.wrench, initial=start)
         assert found.initial in ("given", "phase_one (given was replaced)")
         assert found.objective == pytest.approx(p.known["newton"]["objective"], rel=2e-8)
-    for bad, why in ((1.1 * good, "misses balance"), (-good, "misses balance|leaves the friction cones")):
+    for bad, why in (
+        (1.1 * good, "misses balance"), (-good, "misses balance|leaves the friction cones"), (0.0 * good, "misses balance"),
+        (good[:3], "must have shape"), (np.nan * good, "must be finite"), (lambda grasp, wrench: None, "returned None"),
+    ):  # fmt: skip
         with pytest.raises(InfeasibleStartError, match=why):
             optimizer.solve(p.wrench, initial=bad)
 
@@ -323,32 +295,3 @@ def test_starts_that_break_a_limit_are_starts() -> None:
         found = optimize_force(CUBOID, LIGHT, limits=tight, tolerance=1e-8, initial=start)
         assert found.objective == pytest.approx(want.objective, rel=1e-7)
         assert (found.force[:, 0] < tight.max_normal).all()
-
-
-@pytest.mark.parametrize(
-    "start",
-    [
-        np.ones((3, 3)), np.full((4, 3), np.nan), np.ones((4, 3)), -np.ones((4, 3)), np.zeros((4, 3)), "nonsense", 3.0,
-        lambda grasp, wrench: None, lambda grasp, wrench: np.ones((2, 2)), optimize_force(CUBOID, LIGHT),
-    ],
-    ids=lambda start: getattr(start, "method", None) or str(start)[:20],
-)  # fmt: skip
-def test_impossible_starts_are_explained(start: Any) -> None:
-    """On a grasp of five: starts of other numbers of contacts, outside, or unbalanced."""
-    with pytest.raises(GraspError) as caught:
-        optimize_force(MIXED, LIGHT, initial=start)
-    assert len(str(caught.value)) > 20
-
-
-def test_weights_of_one_contact() -> None:
-    for grasp, limits in ((CUBOID, None), (SOFT, None), (CUBOID, ForceLimits(max_normal=9.0))):
-        options: dict[str, Any] = {"limits": limits, "tolerance": 1e-8}
-        plain = optimize_force(grasp, LIGHT, **options)
-        same = optimize_force(grasp, LIGHT, force_weight=[1.0] * 4, barrier_weight=[0.01] * 4, **options)
-        assert same.objective == pytest.approx(plain.objective, rel=1e-12)
-        assert optimize_force(grasp, LIGHT, force_weight=[1, 1, 30, 1], **options).force[2, 0] < plain.force[2, 0]
-        wary = optimize_force(grasp, LIGHT, barrier_weight=[0.01, 1.0, 0.01, 0.01], **options)
-        reach = [s.force[1, 0] * grasp.friction[1] - np.hypot(*s.force[1, 1:]) for s in (plain, wary)]
-        assert reach[1] > reach[0]
-        with pytest.raises(InvalidInputError):
-            optimize_force(grasp, LIGHT, force_weight=[1.0] * 3, **options)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from grasp_env.force import ForceLimits, ForceOptimizer, ForceSolution, optimize_forces
+from grasp_env.force import ForceLimits, ForceOptimizer, optimize_forces
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import sample_ball
 
@@ -39,35 +39,26 @@ def forces(name: str, loads: np.ndarray = LOADS) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
-def test_eight_threads_with_an_optimizer_each(name: str) -> None:
+def test_eight_threads_with_an_optimizer_each_or_with_one(name: str) -> None:
+    """One belongs to one thread. Where it is shared all the same, and starts from no previous solution, answers are right."""
     loads = LOADS[: 30 if name == "general" else 200]
-    alone = forces(name, loads)
+    alone, shared = forces(name, loads), ForceOptimizer(GRASP, **OPTIMIZERS[name])
+    orders = [np.random.default_rng(k).permutation(len(loads)) for k in range(8)]
     with ThreadPoolExecutor(8) as pool:
         for found in pool.map(lambda _: forces(name, loads), range(8)):
             np.testing.assert_array_equal(found, alone)
-
-
-@pytest.mark.parametrize("name", ["newton", "reduced_flow", "conic", "limits"])
-def test_eight_threads_with_one_optimizer(name: str) -> None:
-    """An optimizer belongs to one thread. Where it is shared all the same, and starts from no previous solution, answers are right."""
-    alone, shared = forces(name), ForceOptimizer(GRASP, **OPTIMIZERS[name])
-    orders = [np.random.default_rng(k).permutation(len(LOADS)) for k in range(8)]
-    with ThreadPoolExecutor(8) as pool:
-        for order, found in zip(
-            orders, pool.map(lambda o: [shared.solve(LOADS[k]).force for k in o], orders), strict=True
-        ):
+        if name == "previous":
+            return
+        answers = pool.map(lambda order: [shared.solve(loads[k]).force for k in order], orders)
+        for order, found in zip(orders, answers, strict=True):
             np.testing.assert_array_equal(found, alone[order])
 
 
 def test_one_optimizer_that_remembers() -> None:
     """Shared, its solutions are still those of their own wrenches: from whatever start."""
     shared = ForceOptimizer(GRASP, **OPTIMIZERS["previous"])
-
-    def solve(k: int) -> ForceSolution:
-        return shared.solve(LOADS[k])
-
     with ThreadPoolExecutor(8) as pool:
-        for k, solution in enumerate(pool.map(solve, range(len(LOADS)))):
+        for k, solution in enumerate(pool.map(shared.solve, LOADS)):
             np.testing.assert_array_equal(solution.wrench, LOADS[k])
             assert solution.equilibrium_residual < 1e-9
             assert solution.optimality_gap <= 1e-4
@@ -107,12 +98,7 @@ def test_processes_after_use(way: str) -> None:
             np.testing.assert_array_equal(one, other)
 
 
-LONG = [
-    ("reduced_flow", "wrenches", 400_000),
-    ("newton", "wrenches", 1_500_000),
-    ("conic", "wrenches", 1_000_000),
-    ("newton", "grasps", 300_000),
-]
+LONG = [("reduced_flow", "wrenches", 400_000), ("newton", "wrenches", 1_500_000), ("conic", "wrenches", 1_000_000), ("newton", "grasps", 300_000)]  # fmt: skip
 """Batches of seconds, within 0.6 GiB."""
 CASES = [(*batch, workers) for batch in LONG for workers in (1, 2, None)]
 INTERRUPTED = """
@@ -153,9 +139,8 @@ print(took, threading.active_count())
 def test_an_interrupt_ends_a_batch(method: str, kind: str, count: int, workers: int | None) -> None:
     """Within about a second, at any length; what comes after it has the same bits."""
     command = [sys.executable, "-c", INTERRUPTED, method, str(workers), kind, str(count)]
-    done = subprocess.run(
-        command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=120, capture_output=True, text=True
-    )
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=ROOT, env=environment, timeout=120, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     took, threads = done.stdout.split()
     assert float(took) < 1.0

@@ -7,12 +7,12 @@ import os
 import numpy as np
 import pytest
 from force.generators import FAMILIES, TROUBLES, problem
-from force.trial import METHODS, outcome, trial
+from force.trial import METHODS, WANTED, trial
 
 pytest.importorskip("clarabel")
 
 SEED = int(os.environ.get("GRASP_TRIAL_SEED", "20261122"))
-GOOD = ("optimal", "infeasible", "exceeded", "undecided at the edge")
+GOOD = (*WANTED, "undecided at the edge")
 CASES = [
     (family, method, elastic)
     for family in FAMILIES
@@ -27,23 +27,13 @@ def test_sample(family: str, method: str, elastic: bool) -> None:
     """Optimal, least or proven infeasible, whatever the trouble; where Clarabel has the digits, with its objective."""
     counts, notes = trial(family, 3, SAMPLE.get(family, 60), method, elastic)
     assert not [note for note in notes if ": wrong" in note], notes
+    if family == "hard" and method != "max":  # what the core solves itself has no exception at all
+        assert not [note for note in notes if (", hard, " in note or ", elliptic, " in note) and ": edge" not in note]
     good = sum(counts[came] for came in GOOD)
     # the general program may stall at the edge of force closure: few, and near the least
     assert counts.total() - good <= 0.05 * counts.total() * (family in ("hard", "nearly lost")), counts
     assert counts["optimal"] + counts["exceeded"] > counts.total() // 5
     assert family != "tight" or counts["exceeded" if elastic else "infeasible"] > 10
-
-
-@pytest.mark.parametrize("method", ["newton", "sum"])
-def test_contacts_that_the_core_solves_itself(method: str) -> None:
-    """Hard and elliptic ones, every kind of trouble but the edge of closure: no exception at all."""
-    came = {}
-    for index in range(120):
-        p = problem("hard", 3, index)
-        if p.kind.endswith((", hard", ", elliptic")) and not p.kind.startswith("edge"):
-            came[index] = outcome(p, method)
-    assert len(came) > 50
-    assert {index: c for index, c in came.items() if c not in ("optimal", "infeasible")} == {}
 
 
 def test_problems_are_those_of_their_seed() -> None:

@@ -29,6 +29,7 @@ SURE = 1e-4
 """Clarabel's own relative error (`own_error`) up to which it is believed, tenfold."""
 BALANCE = 1e-8
 """What an optimal force may miss of balance, relative to wrench and forces up to 1 N."""
+WANTED = ("optimal", "infeasible", "exceeded")
 ELASTIC = 0.01, 1e-6
 """How far the least excess may be from the least possible: a part, or so much."""
 
@@ -119,14 +120,13 @@ def _compared(p: Drawn, reference: Reference, found: ForceSolution, method: str)
 def trial(
     family: str, seed: int, problems: int, method: str, elastic: bool = False, first: int = 0
 ) -> tuple[Counter[str], list[str]]:
-    """How often each outcome came, and which problems went wrong."""
-    counts: Counter[str] = Counter()
-    notes: list[str] = []
+    """How often each outcome came, and which problems had none that is wanted."""
+    counts, notes = Counter(), []
     for index in range(first, first + problems):
         p = problem(family, seed, index)
         came = outcome(p, method, elastic)
         counts[came] += 1
-        if came.startswith(("wrong", "far", "no answer")):
+        if came not in WANTED:
             notes.append(f"{family}, seed {seed}, problem {index}, {method}: {p.kind}, {p.grasp.n_contacts}: {came}")
     return counts, notes
 
