@@ -8,7 +8,7 @@ from functools import cache, cached_property
 import _core_test as insides
 import numpy as np
 from oracles import limits as oracle
-from samples import Sample, sample
+from samples import LAYOUTS, Sample, sample
 
 from grasp_env.core import _core
 from grasp_env.force.solution import STARTS
@@ -179,7 +179,8 @@ class Case:
         return np.vstack([cones, self.terms.rows]), np.append(np.zeros(len(cones)), self.terms.bound)
 
     def solver(self, layout: tuple[int, int], method: str = "newton", **options: object) -> insides.AnyOptimizer:
-        """In a layout; options of `AnyOptimizer.make`."""
+        """In a layout, or the last of those that this build has; options of `AnyOptimizer.make`."""
+        layout = layout if layout in LAYOUTS else LAYOUTS[-1]
         options = {"tolerance": 1e-9, "method": METHODS[method], "criterion": int(method == "largest")} | options
         return insides.AnyOptimizer.make(*layout, self.placement, **options, **self.limits)
 

@@ -195,7 +195,7 @@ def test_the_gap_of_a_basis_is_its_worst() -> None:
     base, worst = sample(4), []
     for lam in (1e-5, 1e-9, 1e-11, 1e-13):
         s = Sample(base.positions, base.normals, base.scale, np.column_stack([base.weights[:, 0], np.full(4, lam)]))
-        made = insides.AnyOptimizer.make(1, 0, s.placement, tolerance=1e-4)
+        made = insides.AnyOptimizer.make(8, 0, s.placement, tolerance=1e-4)
         gap, basis = made.make_basis()
         loads = [*np.eye(6), *-np.eye(6), np.zeros(6)]
         bounds = [at(made.solve(load)[0], "lower_bound") for load in loads]

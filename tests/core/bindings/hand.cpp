@@ -3,7 +3,7 @@
 
 #include <grasp/hand/controller.hpp>
 #include <grasp/hand/reach.hpp>
-#include <grasp/optimizer.hpp>
+#include <grasp/phi/basis.hpp>
 
 #include "allocations.hpp"
 #include <nanobind/stl/vector.h>
@@ -49,7 +49,10 @@ struct Trial {
         }
         const Contacts contacts = Contacts::checked(4, places, inwards, scale, weights);
         std::vector<double> basis(13 * 12), reference(12 * 6);
-        ForceOptimizer({contacts}).make_basis(basis);
+        NewtonOn<Lanes<1>, 0> newton(4, {1e-6, 100});
+        newton.cones.pack(contacts);
+        newton.internal_force(), make_basis(newton, false);
+        for (int k = 0; k < 13; ++k) newton.cones.store(newton.starter.basis[k], &basis[12 * k]);
         pipeline = Pipeline::make(contacts, {1e-6, 100}, basis.data(), contacts.frames.data(), false, reference.data(), nullptr);
         ControlSettings settings;
         settings.body.mass = 0.2, settings.body.position_gain = 100.0, settings.body.position_damping = 8.0;
