@@ -216,7 +216,7 @@ def test_what_is_none_is_refused_and_leaves_nothing_behind(layout: tuple[int, in
 @pytest.mark.parametrize("which", ["wrench", "normals", "a line"])
 def test_carry_of_what_is_none_is_no_force_of_nan(which: str) -> None:
     s = sample(4)
-    made = pipeline(s, (1, 0))
+    made = pipeline(s, LAYOUTS[0])
     made.solve(s.positions, s.normals, np.ones(6))
     normals = s.normals * (np.nan if which == "normals" else 1.0)
     positions = np.outer(np.arange(4.0), [0.01, 0.02, 0.03]) if which == "a line" else s.positions
