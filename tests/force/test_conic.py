@@ -13,7 +13,7 @@ from problems import GRASPS, PAPER_WRENCH, closure_grasps
 
 from grasp_env.errors import InfeasibleWrenchError, NotConvergedError
 from grasp_env.force import ForceSolution, Status, optimize_force, optimize_forces
-from grasp_env.grasp import Grasp
+from grasp_env.grasp import Grasp, presets
 
 CUBOID = GRASPS["cuboid, 4"]
 CRADLE = NAMED["cradle"].grasp
@@ -101,3 +101,10 @@ def test_the_least_maximum_is_found_where_many_normals_are_equal(seed: int) -> N
         # each dominates the other: sum / N <= max <= sum
         least = conic(grasp, load).objective
         assert least / grasp.n_contacts * (1.0 - 2e-6) <= found.objective <= least * (1.0 + 2e-6)
+
+
+def test_twelve_digits_need_no_more_than_a_doubles() -> None:
+    """A pivot that is rounding is lifted; with it as it is the problem is solved once more in twice the digits: 16 iterations."""
+    solution = optimize_force(presets.paper_cuboid(), PAPER_WRENCH, method="conic", criterion="max", tolerance=1e-12)
+    assert solution.status is Status.OPTIMAL
+    assert solution.iterations <= 12
