@@ -272,3 +272,9 @@ def test_wrong_arguments_say_what_is_allowed(rule: Any, given: dict[str, Any], m
 def test_no_rule_is_the_adaptive_one() -> None:
     assert checked_rule(None) == AdaptiveStep()
     assert checked_rule(ExactStep()) == ExactStep()
+
+
+@pytest.mark.parametrize("method", ["newton", "conic"])
+def test_a_step_rule_belongs_to_a_flow(method: str) -> None:
+    with pytest.raises(UnsupportedProblemError, match=f"step_rule belongs to the flows, got method '{method}'"):
+        ForceOptimizer(GRASPS["cuboid, 4"], method=method, step_rule=FixedStep(0.1))
