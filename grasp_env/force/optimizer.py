@@ -483,10 +483,13 @@ class ForceOptimizer:
         """Why there is no force, in words."""
         limits, moved = self.limits, self.grasp
         if any(each is not None for each in given):
-            now = self._now(*given)
-            if now[5] is not None and not now[5].all():
+            try:
+                now = self._now(*given)
+                if now[5] is not None and not now[5].all():
+                    return tell(solution, None, limits)
+                moved = self._moved(now)
+            except GraspError:  # the caller's arrays hold other numbers by now
                 return tell(solution, None, limits)
-            moved = self._moved(now)
             changed = {
                 name: value for name, value in (("jacobian", now[3]), ("torque_bias", now[4])) if value is not None
             }

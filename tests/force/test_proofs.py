@@ -92,3 +92,11 @@ def test_words_name_what_the_proof_needs() -> None:
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value)
     np.testing.assert_array_equal(again.solution.certificate, caught.value.solution.certificate)
+
+
+def test_words_survive_overwritten_arrays():
+    positions = CUBOID.positions.copy()
+    with pytest.raises(InfeasibleWrenchError) as caught:
+        ForceOptimizer(CUBOID, limits=ForceLimits(max_normal=0.01)).solve(WRENCH, positions=positions)
+    positions[:] = np.nan
+    assert "normal <= 0.01 N" in str(caught.value)
