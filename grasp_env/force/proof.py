@@ -19,6 +19,18 @@ MOST = 6
 """Limits that are named."""
 
 
+def moved(grasp: Grasp, twist: Array) -> Array:
+    """Motion q = G^T v of a twist, (n, 4): per contact along its normal and both tangents, and the turning about the normal."""
+    return np.concatenate([(twist @ grasp.matrix).reshape(-1, 3), (twist @ grasp.torsion_matrix)[:, None]], axis=1)
+
+
+def friction_part(grasp: Grasp, q: Array) -> Array:
+    """(n,) the least normal part q may have: q_i lies in the dual of friction cone i where q_i0 is at least this."""
+    models = grasp.models
+    tangential: Array = np.hypot(models.friction[:, 0] * q[:, 1], models.friction[:, 1] * q[:, 2])
+    return tangential + models.torsional_friction * np.abs(q[:, 3])
+
+
 def tell(solution: ForceSolution, grasp: Grasp | None, limits: ForceLimits | None) -> str:
     """Why no force balances the wrench of an infeasible solution.
 
@@ -59,17 +71,17 @@ def _needed(solution: ForceSolution, limits: ForceLimits | None) -> list[str]:
 
 def _slipping(solution: ForceSolution, grasp: Grasp, limits: ForceLimits | None) -> list[int]:
     """The contacts at the edge of their friction cones in the proof; none where it is not one for these contacts."""
-    twist, models = solution.certificate, grasp.models
+    twist = solution.certificate
     if twist is None or grasp.n_contacts != solution.n_contacts:
         return []
-    q = np.concatenate([(twist @ grasp.matrix).reshape(-1, 3), (twist @ grasp.torsion_matrix)[:, None]], axis=1)
+    q = moved(grasp, twist)
     size, right = np.abs(q).max(), 0.0
     if limits is not None:
         rows, prices = limits.rows(grasp), solution.limit_multipliers
         q += (prices @ rows.matrix).reshape(-1, 4)
         right = float(prices @ rows.bound)
         size = max(size, float((prices[:, None] * np.abs(rows.matrix)).max(initial=0.0)))
-    lost: Array = np.hypot(*(models.friction * q[:, 1:3]).T) + models.torsional_friction * np.abs(q[:, 3])
+    lost = friction_part(grasp, q)
     scale = abs(right) + float(np.abs(twist * solution.wrench).sum())
     if not ((q[:, 0] - lost >= -ROUNDING * size).all() and twist @ solution.wrench - right >= -ROUNDING * scale):
         return []

@@ -14,6 +14,7 @@ from grasp_env._check import Array, ContactForces
 from grasp_env.core import CLEAR
 from grasp_env.errors import NotConvergedError
 from grasp_env.force.limits import ForceLimits, as_limits
+from grasp_env.force.proof import friction_part, moved
 from grasp_env.force.record import CONVERGED, INFEASIBLE
 from grasp_env.grasp.advice import advise
 from grasp_env.grasp.grasp import Grasp, as_grasp
@@ -121,10 +122,8 @@ def force_closure(grasp: Grasp, limits: ForceLimits | None = None) -> ForceClosu
 
 def _outside(grasp: Grasp, twist: Array) -> float:
     """How far G_i^T v leaves the dual cones, relative to the largest; >= 0, inf where v moves no contact at all."""
-    models = grasp.models
-    normal, o, t = (twist @ grasp.matrix).reshape(-1, 3).T
-    torsional = models.torsional_friction * np.abs(twist @ grasp.torsion_matrix)
-    lost = np.hypot(models.friction[:, 0] * o, models.friction[:, 1] * t) + torsional
+    q = moved(grasp, twist)
+    normal, lost = q[:, 0], friction_part(grasp, q)
     largest = float((np.abs(normal) + lost).max())
     return max(0.0, float((lost - normal).max())) / largest if largest > 0.0 else float("inf")
 
