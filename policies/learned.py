@@ -127,7 +127,7 @@ class LearnedInitialForce:
         """
         file = as_path(path, ModelFileError, "a model's file")
         try:
-            replace(file, self._model(as_grasp(grasp)).save())
+            replace(file, self._model(as_grasp(grasp))[0].save())
         except OSError as error:
             raise ModelFileError(f"model file {file}: {error.strerror or error}") from None
         return file
@@ -168,7 +168,7 @@ class LearnedInitialForce:
             InfeasibleStartError: contacts that this model does not know.
         """
         rule = self if objective == self.objective else self.with_objective(objective)
-        return rule._model(as_grasp(grasp))
+        return rule._model(as_grasp(grasp))[0]
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
         """Whether grasp and wrench lie in the training range; elsewhere the start is still safe, and solutions say so."""
@@ -191,13 +191,12 @@ class LearnedInitialForce:
         """The model on a grasp, kept for the last one."""
         prepared = self._prepared  # read once: threads may share a rule
         if prepared is None or prepared.grasp is not grasp:
-            model = self._model(as_grasp(grasp))
-            internal = null_space_basis(grasp, self._reference)
+            model, internal = self._model(as_grasp(grasp))
             prepared = self._prepared = _Prepared(grasp, model, starter(grasp, self.objective, model), internal)
         return prepared
 
-    def _model(self, grasp: Grasp) -> core.Model:
-        """What the core's start reads besides the contacts."""
+    def _model(self, grasp: Grasp) -> tuple[core.Model, Array]:
+        """The model that the core's start reads, and the basis of internal forces it predicts in, (3n, 3n - 6)."""
         if set(grasp.models.names) != {"hard"}:
             raise InfeasibleStartError(
                 f"this model knows hard contacts, the grasp has {grasp.models.names}: use initial='linear_combination'"
@@ -215,7 +214,7 @@ class LearnedInitialForce:
         model.normalise(**asdict(self.features))
         internal = np.ascontiguousarray(null_space_basis(grasp, self._reference))
         model.place(internal, nearest, scale, most * scale if known else -1.0)
-        return model
+        return model, internal
 
     def _scale(self, count: int) -> float:
         """sqrt(lambda / omega), mean over the contacts, over that of training."""
