@@ -59,7 +59,7 @@ def warn_of(grasp: Grasp) -> None:
 
 
 def _squeezes(grasp: Grasp) -> bool:
-    """Whether the contacts have force closure: the answer of `quality.force_closure` in a few microseconds, without its words."""
+    """True if the contacts have force closure, as `quality.force_closure` finds it, in a few microseconds."""
     count = grasp.n_contacts
     solver = ForceOptimizer.make(grasp.contacts)
     code, _, _ = solver.deepest(np.zeros(6), np.empty((count, 3)), np.empty(count), np.empty(6))

@@ -216,7 +216,7 @@ def spoil(way: str, a: np.ndarray) -> object:
 
 
 def fits(name: str, argument: str, spoiled: object, right: np.ndarray, way: str) -> bool:
-    """Whether an argument is right after all, as a vector in Fortran order is."""
+    """True where the changed argument is still valid: a vector in Fortran order is contiguous."""
     call = CALLS[name]
     if (argument in call.any_length and way in ROWS_OF_ANY) or (argument in call.optional and spoiled is None):
         return True

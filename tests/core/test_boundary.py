@@ -90,7 +90,7 @@ def test_the_same_numbers_elsewhere_give_the_same_bits(name: str, way: str) -> N
 
 
 def valid(row: np.ndarray, wrench: np.ndarray) -> bool:
-    """Whether a record's force is what it says: finite, in the cones, balanced."""
+    """True if the force of a record is finite, lies in the cones and balances the wrench."""
     x = (row[FORCE : FORCE + 3 * COUNT].reshape(-1, 3) * SAMPLE.scale).reshape(-1)
     if not np.isfinite(np.delete(row, 4)).all() or not row[6] >= 0.0:
         return False

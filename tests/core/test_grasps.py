@@ -65,7 +65,7 @@ def solved(
 
 
 def placed(s: Sample) -> _core.Contacts:
-    """Whether they can be placed or not."""
+    """The contacts of a sample as the core stores them; bad geometry is kept for the core to judge."""
     return _core.Contacts.put(s.positions, s.normals, s.scale, np.zeros(s.count), np.zeros((0, 3)))
 
 

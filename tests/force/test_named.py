@@ -136,7 +136,7 @@ def test_every_door(name: str, method: str) -> None:
 
 @EACH
 def test_objectives_are_those_of_an_outside_judge(name: str, method: str) -> None:
-    """What the file says, found anew; Clarabel agrees wherever it has the digits."""
+    """Solve each named problem again and compare with its file, and with Clarabel where that is accurate enough."""
     pytest.importorskip("clarabel")
     found, known = judged(NAMED[name], method), NAMED[name].known[method]
     assert (found["status"], found.get("by")) == (known["status"], known.get("by"))

@@ -42,7 +42,7 @@ GRASPS = {
 
 
 def problem_of(grasp: Grasp, load: np.ndarray, options: dict[str, Any]) -> Problem:
-    """What these options ask."""
+    """The problem that these options describe."""
     phi = Objective(options.get("force_weight", 1.0), options.get("barrier_weight", 0.01))
     return Problem(grasp, load, options.get("method", "reduced_flow"), options.get("tolerance", 1e-4), phi)
 

@@ -1,4 +1,4 @@
-"""What the golden files hold: outcomes as rows of numbers, the cases that make them, and how they are written and read."""
+"""The golden files: outcomes as rows of numbers, the cases that make them, reading and writing."""
 
 from __future__ import annotations
 

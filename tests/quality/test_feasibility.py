@@ -61,7 +61,7 @@ def test_certificate_on_the_boundary() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_tight_limits_are_decided(seed: int) -> None:
-    """Where it once gave up: any contacts and limits, feasible exactly where Clarabel says so."""
+    """Random contacts and limits: feasible exactly where Clarabel finds them feasible."""
     pytest.importorskip("clarabel")
     for index in range(60):
         p = problem("limited", 1000 + seed, index)
