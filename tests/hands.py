@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import tempfile
+from typing import Any
 
 import numpy as np
 
 from grasp_env import core
+from grasp_env.force import ForceOptimizer
+from grasp_env.grasp import Grasp
 from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, ObjectDescription, Scene, Snapshot
 from grasp_env.sim.bullet import HAND_FLAGS
 from grasp_env.sim.client import bullet
@@ -42,6 +45,24 @@ def scene_alone(item: ObjectDescription | None = None, fingers: int = 4) -> tupl
     views = Snapshot(**made.arrays())
     views.rotation[:] = np.eye(3)
     return made, views
+
+
+def controller_alone(
+    scene: core.Scene,
+    fingers: int = 4,
+    settings: core.ControlSettings | None = None,
+    sensors: core.SensorSettings | None = None,
+    **options: Any,
+) -> core.Controller:
+    """A control loop of such a scene, with Newton on soft contacts around its object unless options say otherwise."""
+    angles = np.arange(fingers) * 2.0 * np.pi / fingers
+    outwards = np.column_stack([np.cos(angles), 0.0 * angles, np.sin(angles)])
+    grasp = Grasp.from_contacts(0.05 * outwards, -outwards, 0.4, contact_model="soft", torsional_friction=0.01)
+    optimizer = ForceOptimizer(options.pop("grasp", grasp), **options)
+    made = settings or core.ControlSettings()
+    made.reach = made.reach or [core.Spring(0.0, 0.0, 0.0)] * fingers
+    made.posture = made.posture or [core.Spring(0.0, 0.0, 0.0)] * 3 * fingers
+    return core.Controller.make(scene, optimizer.core, made, sensors or core.SensorSettings())
 
 
 def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:

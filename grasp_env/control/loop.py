@@ -1,9 +1,8 @@
-"""The force loop: contacts and wrench in, joint torques out, at the control rate; optimised once per agent step."""
+"""The force loop: contacts and wrench in, joint torques out, at the control rate; optimized once per agent step."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,19 +10,23 @@ from grasp_env import core
 from grasp_env._check import Array, Indices
 from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, late_ticks, sensor_settings
-from grasp_env.control.solver import ContactSolver, make_solver
 from grasp_env.core import Hold
 from grasp_env.errors import InfeasibleStartError, InfeasibleWrenchError, RankDeficientGraspError
-from grasp_env.force import ForceLimits, ForceSolution, InitialForceRule, Objective, OfflineBasis, optimize_force
-from grasp_env.force.initial import rule_name
+from grasp_env.force import RULES, ForceOptimizer, ForceSolution, InitialForceRule, initial_rule
+from grasp_env.force.initial import StartFrom, rule_name, rule_start
+from grasp_env.force.objective import Objective
+from grasp_env.force.optimizer import refused_start
+from grasp_env.force.record import CODE, ITERATIONS, OUTSIDE, REFUSED, REPLACED, RESULTS, START, TRIALS
+from grasp_env.force.solution import start_name
 from grasp_env.grasp.grasp import Grasp
+from grasp_env.grasp.null_space import reference_basis
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.scene import Scene
 from grasp_env.sim.snapshot import Snapshot
 
-LIMITED_ITERATIONS = 200
-"""Most steps of Newton within the torque limits in one tick; it takes 5 to 15."""
+FOLLOW_ITERATIONS = 200
+"""Most steps of Newton within the torque limits in one tick; it takes 2 to 15."""
 RELEASE = 2
 """Control ticks without force after which a finger no longer counts as in contact."""
 REACH_STIFFNESS, REACH_FORCE, REACH_LIMIT = 60.0, 0.3, 1.0
@@ -38,39 +41,22 @@ STABLE = 0.3
 """Most bandwidth times delay: critically damped feedback oscillates from 0.65 on."""
 
 
-@dataclass(frozen=True, eq=False)
-class ContactSet:
-    """What the fingers of one set need, made for the nominal contacts.
-
-    Attributes:
-        fingers: (n,) int64.
-        solver: None where these contacts cannot balance every wrench, or by torsion only.
-        soft: whether torsion helps: solved by the general program within all limits at every control tick.
-        squeeze: (3n,) an internal force with a total normal force of 1 N, contact frames.
-    """
-
-    fingers: Indices
-    solver: ContactSolver | None
-    squeeze: Array
-    soft: bool = False
-
-
 class ForceLoop:
-    """Optimises the contact forces once per agent step and holds the object in between.
+    """Optimizes the contact forces at every agent step and holds the object in between.
 
-    Between two optimisations the optimal force follows the wrench and the contacts by the tangent correction
-    (one 6 x 6 system), so that pose feedback acts at the control rate. Fingers without contact reach for their places; when
-    one slips off or lands the forces are optimised over the contacts that exist.
+    One compiled call is one control tick, from what is seen to joint torques. At an agent's step the configured method solves from
+    its start; at the other ticks Newton within the motors' limits goes on from the last command. Both know the current contacts of
+    the fingers that touch; the others reach for their places. Contacts that cannot balance the wrench get the force inside the
+    cones that misses balance least.
 
     Attributes:
-        iterations, trials: of all optimisations since `begin_step`.
-        solution: the last optimisation; None before the first, after one that failed, and for controllers without any.
-        closure: whether the current contacts can balance the wrench.
+        optimizer: the method, made for the planned contacts of all fingers.
+        iterations, trials: of the method since `begin_step`.
         seen: what the controller sees of the scene.
         wrench: (6,) that the forces balance [N, N m], object frame.
         torques: (M,) of the joints, commanded [N m].
         force: (N, 3) commanded contact forces [N], contact frames; frames: (N, 3, 3) columns (n, o, t), object frame.
-        friction, torsional_friction: that the solver believes in; the latter in metres, above 0 contacts are soft.
+        friction, torsional_friction: those that the solver believes in; the latter in metres, above 0 contacts are soft.
     """
 
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
@@ -87,28 +73,34 @@ class ForceLoop:
         return f"ForceLoop({self.config.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
-        """A new object or a new grasp: everything that depends on it."""
-        item, hand = scene.config.object, scene.config.hand
+        """Makes everything that depends on the object and the grasp.
+
+        Raises:
+            RankDeficientGraspError, InfeasibleStartError: the planned contacts cannot hold an object.
+        """
+        item, hand, config = scene.config.object, scene.config.hand, self.config
         self.count = hand.finger_count
         self.scene = scene
-        believed = hand.tip_friction * (1.0 + self.config.friction_error) * self.config.friction_margin
+        believed = hand.tip_friction * (1.0 + config.friction_error) * config.friction_margin
         self.friction, self.torsional_friction = item.friction * believed, item.torsional_friction * believed
-        self._core = core.Controller.make(
-            scene.core,
-            control_settings(self.config, item, self.friction, scene.kinematics),
-            sensor_settings(self.config),
-        )
+        points, normals = np.array(scene.config.contact_points), scene.config.contact_normals
+        soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
+        grasp = Grasp.from_contacts(points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {})
+        self.optimizer = make_optimizer(grasp, config, self.initial_force)
+        settings = control_settings(config, item, scene.kinematics)
+        settings.remembers = self.optimizer.remembers
+        settings.directions = reference_basis(grasp).reshape(-1).tolist()
+        self._core = core.Controller.make(scene.core, self.optimizer.core, settings, sensor_settings(config))
         self.settling = True  # until the hand holds the object
         arrays = self._core.arrays()
-        self.wrench, self.force, self.frames, self.torques = (
-            arrays[name] for name in ("wrench", "force", "frames", "torques")
+        self.wrench, self.force, self.frames, self.torques, self._row = (
+            arrays[name] for name in ("wrench", "force", "frames", "torques", "solution")
         )
         # joints that the tips leave free stay as the grasp was planned: from far away they would be drawn to their limits
         arrays["home"][:] = scene.config.start_angles or hand.home
-        arrays["goals"][:] = scene.config.contact_points
-        arrays["inwards"][:] = scene.config.contact_normals
-        arrays["depths"][:] = self.config.squeeze / self.count / self.config.pd_stiffness
-        self._sets: dict[int, ContactSet] = {}
+        arrays["goals"][:] = points
+        arrays["inwards"][:] = normals
+        arrays["depths"][:] = config.squeeze / self.count / config.pd_stiffness
         self._noise = None
         self.reset()
 
@@ -124,47 +116,59 @@ class ForceLoop:
         if rng is not None:
             noise = np.random.default_rng(int(rng.integers(2**63)))
             self._noise = None if self._core.exact else NoiseRows(noise, 3 + 3 * self.count)
-        self.solution: ForceSolution | None = None
-        self.closure, self._general = True, False
-        self._adjustment: Array | None = None
+        self._start: StartFrom | None = None  # of a Python rule
         self.begin_step()
-        for made in self._sets.values():
-            if made.solver is not None:
-                made.solver.reset()
 
     @property
     def settling(self) -> bool:
-        """Whether the hand is still taking over the object, which every controller leaves to the optimised one and exact sensors."""
+        """Whether the hand is still taking over the object, which every controller leaves to the optimized one and exact sensors."""
         return self._settling
 
     @settling.setter
     def settling(self, value: bool) -> None:
         self._settling = self._core.perfect = value
+        self._hold(Hold.optimized if value else HOLDS[self.config.controller])
+
+    def _hold(self, hold: Hold) -> None:
+        self._holds = self._core.hold = hold
+        self._asks_rule = hold == Hold.optimized and not self.optimizer.compiled
+
+    @property
+    def solution(self) -> ForceSolution | None:
+        """The method's last solution; None before the first, after a solve without a force, and for controllers without any."""
+        if self._core.code not in RESULTS:
+            return None
+        row, rule = self._row.copy(), self._start
+        names, asked = self.optimizer.names
+        replaced = row[REPLACED] != 0.0 or (rule is not None and rule.replaced)
+        initial = start_name(names[int(row[START])], asked, replaced, row[OUTSIDE] != 0.0)
+        return ForceSolution(row, self.optimizer.method, initial)
+
+    @property
+    def closure(self) -> bool:
+        """Whether the contacts could balance the wrench at the last tick."""
+        return self._core.closure
 
     @property
     def fingers(self) -> Indices:
         """(n,) in contact, as far as the controller knows."""
-        return self._set(self._core.mask).fingers
+        mask = self._core.mask
+        return np.array([finger for finger in range(self.count) if mask >> finger & 1], dtype=np.int64)
+
+    @property
+    def contacts(self) -> int:
+        """How many fingers are in contact."""
+        return self._core.mask.bit_count()
 
     @property
     def contact_changes(self) -> int:
         """How often the set of fingers in contact changed."""
         return self._core.changes
 
-    @property
-    def repaired(self) -> int:
-        """Control ticks in which the tangent correction left the solver's cones and was repaired."""
-        return self._core.repaired
-
     def begin_step(self) -> None:
-        """An agent's step begins: iterations, trials and `effort` are counted anew."""
-        self.iterations = self.trials = self._shared = 0
+        """Begins an agent's step: iterations, trials and `effort` are counted anew."""
+        self.iterations = self.trials = 0
         self._core.begin_step()
-
-    @property
-    def limited(self) -> int:
-        """Iterations of Newton within the torque limits since `begin_step`, where the method's force exceeded them."""
-        return self._core.effort.limited + self._shared
 
     @property
     def effort(self) -> core.Effort:
@@ -189,193 +193,105 @@ class ForceLoop:
         adjustment: Array | None = None,
         given: Array | None = None,
     ) -> list[float]:
-        """One control tick: observes the scene, optimises where that is due or the contacts have changed, and commands.
+        """One control tick: reads the scene, finds forces, and returns the torques that make them.
 
         Args:
             external: (6,) external wrench [N, N m], object frame, as a perfect sensor would tell it.
             gravity: (3,) [m/s^2], world frame, as known.
             target: (19,) the wanted motion, see `env.plan.Plan`.
             due: whether the agent's step begins.
-            adjustment: of `optimise`.
-            given: (N, 3) forces to command instead of optimised ones [N], contact frames.
+            adjustment: (3N - 6,) [N] along internal forces of the planned contacts, added to the start, which is then repaired.
+            given: (N, 3) forces to command instead of optimized ones [N], contact frames.
 
         Returns:
             Joint torques (M,) [N m].
-        """
-        core, noise = self._core, self._noise
-        self.scene.look()
-        core.see(external, gravity, target, None if noise is None else noise())
-        if due:
-            self._adjustment = adjustment
-        if due or core.changed:
-            # all controllers start from the same grasp: the optimised one closes the hand
-            controller = "optimised" if self._settling else self.config.controller
-            if given is None and controller == "optimised":
-                self.optimise(self._adjustment)
-            else:
-                self._hold(controller, given)
-        elif self._general:  # what the core does not carry along
-            self.optimise()
-        torques = core.command()
-        if core.unkept:  # a joint that fingers share
-            within = self._solve_generally(self._set(core.mask))
-            if within is not None:
-                self._shared += within.iterations
-                torques = core.command()
-        return torques
-
-    def _see(self, external: Array, gravity: Array, target: Array) -> None:
-        noise = self._noise
-        self._core.see(external, gravity, target, None if noise is None else noise())
-
-    def optimise(self, adjustment: Array | None = None) -> ForceSolution | None:
-        """The paper's pipeline on the contacts as they are now.
-
-        Args:
-            adjustment: (3N - 6,) null-space coordinates [N] added to the initial force, then repaired; None: none.
-
-        Returns:
-            None where the contacts cannot balance the wrench: `closure` is then False and the last forces are kept, inside the cones.
 
         Raises:
             GraspError: a start rule of the user's that does not fit.
         """
-        self.solution, self._adjustment = None, adjustment  # nothing stale is left when this raises
-        made = self._set(self._core.mask)
-        self._general = made.soft
-        if made.soft:
-            return self._took(self._solve_generally(made), made)
-        if made.solver is None:
-            return self._took(None, made)
-        points, normals = self.seen.points, self.seen.normals
-        if len(made.fingers) < self.count:
-            points, normals = points[made.fingers], normals[made.fingers]
-            if adjustment is not None:
-                adjustment = self._projected(adjustment, made)
+        core, noise, reading = self._core, self._noise, self.scene.unread()
+        if given is not None and self._holds != Hold.direct:
+            self._hold(Hold.direct)
+        row = None if noise is None else noise()
+        if due and self._asks_rule:
+            self._row[CODE] = REFUSED  # nothing stale is left where the rule fails
+            seen = core.see(reading, external, gravity, target, row)
+            torques = self._from_rule(adjustment) if seen else None
+        else:
+            torques = core.tick(reading, external, gravity, target, row, due, adjustment, given)
+        if torques is None:
+            assert reading is not None  # what was read before is finite
+            raise self.scene.diverged(reading)
+        if due and core.code in RESULTS:
+            self.iterations += int(self._row[ITERATIONS])
+            self.trials += int(self._row[TRIALS])
+        return torques
+
+    def _from_rule(self, adjustment: Array | None) -> list[float]:
+        """The tick of a method whose start is a Python rule's, on the contacts as they are seen."""
+        touching = self.fingers
         try:
-            self.solution = made.solver.solve(points, normals, self.wrench, adjustment)
-        except self._lost_closure:
-            return self._took(None, made)
-        self._core.give(Hold.optimised, self._core.mask, None)
-        return self._took(self.solution, made)
-
-    def _took(self, solution: ForceSolution | None, made: ContactSet) -> ForceSolution | None:
-        """What an optimisation ended with, counted; None: the contacts cannot balance the wrench."""
-        self.solution = solution
-        if solution is None:
-            self._lose(made)
-            return None
-        self.closure = True
-        self.iterations += solution.iterations
-        self.trials += solution.trials
-        return solution
-
-    def _solve_generally(self, made: ContactSet) -> ForceSolution | None:
-        """Gives the forces of Newton within all limits, on soft contacts too and for joints that fingers share; None: there are none."""
-        config, fingers = self.config, made.fingers
-        soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction} if made.soft else {}
-        try:
-            grasp = Grasp.from_contacts(self.seen.points[fingers], self.seen.normals[fingers], self.friction, **soft)
-            solution = optimize_force(
-                grasp, self.wrench, method="newton", limits=self.limits(fingers), elastic=True, tolerance=config.tolerance,
-                force_weight=config.force_weight, barrier_weight=config.barrier_weight, max_iterations=config.max_iterations,
-            )  # fmt: skip
-        except (InfeasibleWrenchError, RankDeficientGraspError, InfeasibleStartError):
-            return None
-        force, torsion = (np.ascontiguousarray(part, dtype=float) for part in (solution.force, solution.torsion))
-        self._core.give(Hold.direct, self._core.mask, force.reshape(-1), torsion)
-        return solution
-
-    def limits(self, fingers: Indices) -> ForceLimits:
-        """The motors' limits on the forces of some fingers (n,) at the current contacts: what their links' weight leaves."""
-        seen, kinematics = self.seen, self.scene.kinematics
-        jacobian = np.empty((len(fingers), 6, len(seen.angles)))
-        _, y, z = seen.rotation.T
-        for row, finger in zip(jacobian, fingers, strict=True):
-            link, touch = int(kinematics.tip_links[finger]), seen.touch[finger]
-            at, at_y, at_z = (
-                seen.rotation.T @ kinematics.link_jacobian(seen.angles, link, point)
-                for point in (touch, touch + y, touch + z)
-            )
-            row[:3] = at
-            # omega x y = (-omega_z, 0, omega_x), omega x z = (omega_y, -omega_x, 0)
-            row[3:] = (at_y - at)[2], (at_z - at)[0], (at - at_y)[0]
-        return ForceLimits(
-            jacobian=jacobian[:, :, kinematics.motors], torque_limit=kinematics.torque_limits[kinematics.motors],
-            torque_bias=seen.gravity_torques[kinematics.motors],
-        )  # fmt: skip
+            grasp = Grasp.from_contacts(self.seen.points[touching], self.seen.normals[touching], self.friction)
+            start = rule_start(self.optimizer.initial, grasp, self.wrench, self.objective)
+        except self._lost_closure:  # the method says so by its own start
+            self._start = None
+            return self._core.act(True, adjustment, None, None)
+        force = np.zeros((self.count, 3))
+        force[touching] = start.force
+        self._start = start
+        torques = self._core.act(True, adjustment, force, None)
+        if self._core.code == REFUSED and not isinstance(self.initial_force, str):
+            raise refused_start(grasp, self.wrench, start, None)
+        return torques
 
     def rest(self, external: Array, gravity: Array, target: Array) -> None:
         """What the hand does at rest, before the first tick: contacts, frames, measured forces as the commanded ones."""
-        self._see(external, gravity, target)
+        self._core.see(None, external, gravity, target, None if self._noise is None else self._noise())
         self._core.rest()
         self._core.rewind()
 
     def reach(self, gravity: Array, target: Array) -> list[float]:
         """Joint torques (M,) [N m] of the next control tick with which all fingers reach for their places."""
-        self.scene.look()
-        self._see(np.zeros(6), gravity, target)
-        self._set(0)
-        self._core.give(Hold.optimised, 0, None)
-        return self._core.command()
-
-    def _hold(self, controller: str, given: Array | None) -> None:
-        """What a controller that does not optimise has the fingers in contact do."""
-        mask = self._core.mask
-        made = self._set(mask)
-        if given is not None:
-            self._core.give(Hold.direct, mask, np.ascontiguousarray(given[made.fingers].reshape(-1)))
-        elif controller == "pd":
-            self._core.give(Hold.place, mask, None)
-        else:
-            self._core.give(Hold.squeeze, mask, self.config.squeeze * made.squeeze)
-
-    def _projected(self, adjustment: Array, made: ContactSet) -> Array | None:
-        """The adjustment of all fingers in the internal forces of those that are left."""
-        everything = self._set((1 << self.count) - 1).solver
-        if everything is None or made.solver is None:
-            return None
-        forces = (everything.reference @ adjustment).reshape(-1, 3)[made.fingers]
-        return made.solver.reference.T @ forces.reshape(-1)
-
-    def _lose(self, made: ContactSet) -> None:
-        """No force closure: the last forces of the fingers in contact, balanced as far as their cones let them."""
-        self.closure = False
-        self._core.give(Hold.lost, self._core.mask, self.force[made.fingers].reshape(-1))
-
-    def _set(self, mask: int) -> ContactSet:
-        made = self._sets.get(mask)
-        if made is None:
-            made = self._sets[mask] = self._make_set([finger for finger in range(self.count) if mask >> finger & 1])
-            self._core.add_set(mask, None if made.solver is None else made.solver.core)
-        return made
-
-    def _make_set(self, fingers: list[int]) -> ContactSet:
-        index, scene = np.array(fingers, dtype=np.int64), self.scene.config
-        alone = np.tile([1.0 / max(len(fingers), 1), 0.0, 0.0], len(fingers))
-        if self.torsional_friction > 0.0 and len(fingers) > 1:
-            return ContactSet(index, None, alone, soft=True)
-        try:
-            if len(fingers) < 3:
-                raise RankDeficientGraspError(f"{len(fingers)} contacts")
-            points, normals = np.array(scene.contact_points)[index], scene.contact_normals[index]
-            nominal = Grasp.from_contacts(points, normals, self.friction)
-            rest = nominal.to_force(OfflineBasis.of(nominal, self.objective).cone_forces[12])
-        except (RankDeficientGraspError, InfeasibleStartError):
-            return ContactSet(index, None, alone)
-        solver = make_solver(nominal, self.config, self.initial_force)
-        return ContactSet(index, solver, rest.reshape(-1) / float(rest[:, 0].sum()))
+        self._hold(Hold.reach)
+        return self.tick(np.zeros(6), gravity, target, False)
 
 
-def control_settings(
-    config: EnvConfig, item: ObjectDescription, friction: float, kinematics: HandKinematics
-) -> core.ControlSettings:
+FLOWS = ("reduced_flow", "full_flow")
+HOLDS = {"optimised": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Hold.place}
+"""What the fingers in contact do under each `controller`."""
+
+
+def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule) -> ForceOptimizer:
+    """The method of the settings for contacts near those of `grasp`; on soft contacts, which the flows do not know, Newton.
+
+    Raises:
+        RankDeficientGraspError, InfeasibleStartError: these contacts cannot hold an object.
+    """
+    soft, method, initial = grasp.contacts.soft, config.method, initial_force
+    if soft and method in FLOWS:
+        method = "newton"
+    if method == "conic" or (soft and initial != "previous"):
+        initial = None
+    elif isinstance(initial, str) and initial in RULES and initial != "linear_combination":
+        # made for the contacts of each call, not for the planned ones
+        initial = initial_rule(initial, Objective(config.force_weight, config.barrier_weight))
+    return ForceOptimizer(
+        grasp, method=method, initial=initial, force_weight=config.force_weight, barrier_weight=config.barrier_weight,
+        tolerance=config.tolerance, max_iterations=budget_of(config),
+    )  # fmt: skip
+
+
+def budget_of(config: EnvConfig) -> int:
+    """Most iterations of an optimization."""
+    return config.max_iterations if config.iteration_budget is None else config.iteration_budget
+
+
+def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: HandKinematics) -> core.ControlSettings:
     """The controller's belief, the object without its payload, and all gains."""
     tips, joints = kinematics.mobility(kinematics.home)
     dt = 1.0 / config.control_rate
     made = core.ControlSettings()
     made.body = believed_body(config, item)
-    made.friction = friction
     made.reach = [
         stable_spring(
             REACH_STIFFNESS, 2.0 * math.sqrt(REACH_STIFFNESS * max(REACH_MASS, 1.0 / each)), REACH_LIMIT, each, dt
@@ -390,7 +306,8 @@ def control_settings(
         )
         for each in joints
     ]
-    made.set_limited(config.tolerance, LIMITED_ITERATIONS)
+    made.set_follow(config.tolerance, min(budget_of(config), FOLLOW_ITERATIONS), config.method == "conic")
+    made.squeeze = config.squeeze
     made.most_change = config.force_rate / config.control_rate
     made.release = RELEASE
     return made

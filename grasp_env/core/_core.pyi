@@ -352,42 +352,6 @@ class Model:
         The internal force that the network predicts, in coordinates (3N - 6,) [N] of the null space.
         """
 
-class Pipeline:
-    """
-    Contacts in, certified force out, for contacts that move from call to call.
-    """
-
-    @staticmethod
-    def make(nominal: Contacts, tolerance: float, limit: int, basis: object, frames: object, remembers: bool, reference: object, flows: object | None = None) -> Pipeline:
-        """flows: the step rule (5,) of the reduced flow; None: Newton."""
-
-    def reset(self) -> None:
-        """Forgets all calls."""
-
-    def forget(self) -> None:
-        """Forgets the last optimum."""
-
-    def set_basis(self, basis: object, frames: object) -> None:
-        """
-        Takes another 12-basis (13, 3N) with the frames (N, 3, 3) it is written in.
-        """
-
-    def solve(self, points: object | None, normals: object | None, wrench: object | None, adjust: object | None, record: object) -> int:
-        """
-        Current contacts (N, 3), wrench (6,), adjust (3N - 6,) or None into a record; returns the code.
-        """
-
-    def carry(self, points: object, normals: object, wrench: object, force: object) -> int:
-        """
-        The last optimum carried to the current contacts and wrench, (N, 3); 0: carried, 1: repaired, 2: clipped.
-        """
-
-    def carry_from(self, points: object, normals: object, wrench: object, then: object, frames: object, force: object) -> int:
-        """The same of forces (N, 3) [N] in frames (N, 3, 3) of contacts nearby."""
-
-    def arrays(self) -> dict[str, NDArray]:
-        """Views of what is held, by name: overwritten in place."""
-
 def phi(x: object, weights: object) -> float:
     """
     Phi of forces (N, 3) in cone coordinates with weights (N, 2) omega, lambda; inf unless strictly inside every cone.
@@ -695,8 +659,8 @@ class WrenchSource(enum.Enum):
 class Hold(enum.Enum):
     """What the fingers in contact do."""
 
-    optimised = 0
-    """carry the last optimum along"""
+    optimized = 0
+    """the force that the method finds, and Newton after it"""
 
     squeeze = 1
     """a constant internal force, and what balances"""
@@ -707,8 +671,8 @@ class Hold(enum.Enum):
     direct = 3
     """given forces"""
 
-    lost = 4
-    """no force closure: given forces, balanced as far as the cones let them"""
+    reach = 4
+    """no force: every finger is drawn to its contact"""
 
 class ControlSettings:
     """Belief and gains of a control loop."""
@@ -722,13 +686,6 @@ class ControlSettings:
     def body(self, arg: Body, /) -> None: ...
 
     @property
-    def friction(self) -> float:
-        """that the solver believes in"""
-
-    @friction.setter
-    def friction(self, arg: float, /) -> None: ...
-
-    @property
     def reach(self) -> list[Spring]:
         """(N,) of each finger without contact on its way"""
 
@@ -737,7 +694,7 @@ class ControlSettings:
 
     @property
     def spring(self) -> Spring:
-        """of all fingers where nothing is optimised"""
+        """of all fingers where nothing is optimized"""
 
     @spring.setter
     def spring(self, arg: Spring, /) -> None: ...
@@ -756,8 +713,31 @@ class ControlSettings:
     @posture.setter
     def posture(self, arg: Sequence[Spring], /) -> None: ...
 
-    def set_limited(self, tolerance: float, limit: int) -> None:
-        """Of Newton within the torque limits."""
+    def set_follow(self, tolerance: float, limit: int, conic: bool = False) -> None:
+        """
+        What solves between two ticks of the method, Newton or conic: relative certified gap, most steps.
+        """
+
+    @property
+    def remembers(self) -> bool:
+        """whether the method is told the last command"""
+
+    @remembers.setter
+    def remembers(self, arg: bool, /) -> None: ...
+
+    @property
+    def directions(self) -> list[float]:
+        """(N, 3, K) internal forces of an adjustment, object frame"""
+
+    @directions.setter
+    def directions(self, arg: Sequence[float], /) -> None: ...
+
+    @property
+    def squeeze(self) -> float:
+        """[N] total normal force of `Hold.squeeze`"""
+
+    @squeeze.setter
+    def squeeze(self, arg: float, /) -> None: ...
 
     @property
     def most_change(self) -> float:
@@ -830,8 +810,14 @@ class Effort:
     """What the motors were asked since `begin_step`."""
 
     @property
+    def followed(self) -> int:
+        """iterations at control ticks between two of the method's"""
+
+    @property
     def limited(self) -> int:
-        """iterations of Newton within the torque limits"""
+        """
+        iterations of Newton within the torque limits, where a force exceeded them
+        """
 
     @property
     def saturated(self) -> bool:
@@ -872,7 +858,10 @@ class Controller:
     """The control loop of a hand: what it sees, and the torques that hold."""
 
     @staticmethod
-    def make(scene: Scene, settings: ControlSettings, sensors: SensorSettings) -> Controller: ...
+    def make(scene: Scene, optimizer: object, settings: ControlSettings, sensors: SensorSettings) -> Controller:
+        """
+        optimizer: a `ForceOptimizer` for the contacts of all fingers, which is copied.
+        """
 
     def reset(self) -> None:
         """Forgets the episode; before it the scene stood still."""
@@ -880,22 +869,28 @@ class Controller:
     def rewind(self) -> None:
         """As before the first tick: what was seen was not yet."""
 
-    def see(self, external: object, gravity: object, target: object, noise: object | None) -> None:
+    def tick(self, reading: object | None, external: object, gravity: object, target: object, noise: object | None, due: bool, adjustment: object | None, given: object | None) -> list[float] | None:
         """
-        What is known at this tick: the external wrench (6,) as a perfect sensor would tell it, gravity (3,), the target (19,),
-        standard normal numbers (3 + 3N,) where anything is noisy.
-        """
-
-    def add_set(self, which: int, pipeline: Pipeline | None) -> None:
-        """
-        Fingers (bits) that may be in contact together, and the pipeline that holds their last optimum.
+        Joint torques (M,) [N m] of a control tick; None: the reading is not finite or the object is lost. reading: as of
+        `Scene.read`, None: the scene has it already; external: the wrench (6,) as a perfect sensor would tell it; gravity
+        (3,); target (19,); noise: standard normal numbers (3 + 3N,) where anything is noisy. due: whether an agent's step
+        begins, with adjustment (K,) [N] of the start and given forces (N, 3) [N], contact frames, for `Hold.direct`.
         """
 
-    def give(self, hold: Hold, which: int, given: object | None, torsion: object | None = None) -> None:
+    def see(self, reading: object | None, external: object, gravity: object, target: object, noise: object | None) -> bool:
+        """The first half of a tick: what is known, and the wrench to balance."""
+
+    def act(self, due: bool, adjustment: object | None, start: object | None, given: object | None) -> list[float]:
         """
-        What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them, and torsions
-        (n,) [N m] besides.
+        The second half. start: (N, 3) [N], contact frames, from where the method begins.
         """
+
+    @property
+    def hold(self) -> Hold:
+        """What the fingers in contact do."""
+
+    @hold.setter
+    def hold(self, arg: Hold, /) -> None: ...
 
     def begin_step(self) -> None:
         """An agent's step begins."""
@@ -904,16 +899,15 @@ class Controller:
     def effort(self) -> Effort: ...
 
     @property
-    def unkept(self) -> bool:
-        """
-        Whether the last forces exceed the limit of a joint that fingers share.
-        """
+    def code(self) -> int:
+        """How the method's last solve ended."""
+
+    @property
+    def closure(self) -> bool:
+        """Whether a force was found at the last tick that optimized."""
 
     def rest(self) -> None:
         """Measured forces as the commanded ones: what the hand does at rest."""
-
-    def command(self) -> list:
-        """Joint torques (M,) [N m] of this tick."""
 
     def outcome(self, target: object, error: object, measured: object) -> Outcome:
         """
@@ -943,16 +937,8 @@ class Controller:
         """The fingers that count as in contact: 2^i for finger i."""
 
     @property
-    def changed(self) -> bool:
-        """Whether they changed since forces were last given."""
-
-    @property
     def changes(self) -> int:
         """How often they changed since `reset`."""
-
-    @property
-    def repaired(self) -> int:
-        """Ticks in which forces had to be brought back into the cones."""
 
     @property
     def peak(self) -> float:

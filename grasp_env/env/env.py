@@ -103,9 +103,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     The same keys at every reset and step: `iterations`, `trials`, `status` (a `Status`; "none" at reset and where nothing was optimised; "failed"), `objective`, `optimality_gap`,
     `cone_margin` of the optimisation; `force_closure`, `contacts` (fingers), `contact_changes`; `wrench` (6,), `commanded_force` (N, 3),
     `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of links on the object) [N], `slip` [m/s],
-    `slip_distance` [m], `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `limited` (iterations of
-    Newton within the torque limits, where the method's force exceeds them), `torque_margin` (least of limit - |torque| in the step;
-    [N m]), `saturated` (torques were cut: no force within the limits balances the wrench), `repaired_controls`,
+    `slip_distance` [m], `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `followed` (iterations at
+    the control ticks after the step's first), `limited` (iterations of Newton within the torque limits, where a force exceeds them), `torque_margin` (least of limit - |torque| in the step;
+    [N m]), `saturated` (torques were cut: no force within the limits balances the wrench),
     `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
     the hand could not hold), `failure`, `is_success`, and the reward terms.
 
@@ -389,6 +389,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
         loop, solution, outcome = self._loop, self._loop.solution, self._outcome
+        effort = loop.effort
         force_error, slip, stray = outcome.force_error, outcome.slip, outcome.stray
         if self._failure == "simulation_diverged":  # what was read last, but no forces
             self._observer.measured[:], touching = 0.0, np.zeros(len(loop.force), dtype=bool)
@@ -404,7 +405,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             "optimality_gap": min(solution.optimality_gap, 1e9) if solution else 0.0,
             "cone_margin": solution.cone_margin if solution else 0.0,
             "force_closure": loop.closure,
-            "contacts": len(loop.fingers),
+            "contacts": loop.contacts,
             "contact_changes": loop.contact_changes,
             "wrench": loop.wrench.copy(),
             "commanded_force": loop.force.copy(),
@@ -417,10 +418,10 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             "drift": outcome.drift,
             "tilt": outcome.tilt,
             "peak_torque": loop.peak_torque,
-            "limited": loop.limited,
-            "torque_margin": loop.effort.margin,
-            "saturated": loop.effort.saturated,
-            "repaired_controls": loop.repaired,
+            "followed": effort.followed,
+            "limited": effort.limited,
+            "torque_margin": effort.margin,
+            "saturated": effort.saturated,
             "time": self._tick * loop.dt,
             "object_mass": scene.config.object.mass,
             **self._object_info,

@@ -147,7 +147,7 @@ class ForceOptimizer:
                 if error.__cause__ is not None:  # a fault of the rule's
                     raise
                 # else contacts that it does not know: without a model the core replaces the start, and `initial` names both
-        self.compiled = initial is None or start > 0
+        self.compiled, self.remembers = initial is None or start > 0, remembers
         weights: Any = options.objective
         plain = type(weights.force_weight) is float and type(weights.barrier_weight) is float
         limits: LimitNumbers = (

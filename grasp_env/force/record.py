@@ -5,9 +5,6 @@ The layout is the core's `Record` (`core/include/grasp/record.hpp`); its places 
 
 from __future__ import annotations
 
-import numpy as np
-
-from grasp_env._check import Array
 from grasp_env.core import codes, record_fields, record_size
 
 _PLACES, _CODES = record_fields(), codes()
@@ -33,13 +30,8 @@ CONVERGED, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, RANK_LOST, UNDE
     )
 )  # fmt: skip
 """How a solve ends."""
-
-
-def whole(record: Array, frames: Array) -> Array:
-    """A row of the core's low-level classes as `ForceSolution` reads it: with N, and the frames (N, 3, 3) of its forces."""
-    row = np.concatenate([record, frames.reshape(-1)])
-    row[CONTACTS] = len(frames)
-    return row
+RESULTS = (CONVERGED, LIMIT, STALLED, LIMITS_EXCEEDED)
+"""The codes of rows that hold a force."""
 
 
 __all__ = [
@@ -61,11 +53,11 @@ __all__ = [
     "REFUSED",
     "REPLACED",
     "RESIDUAL",
+    "RESULTS",
     "STALLED",
     "START",
     "TRIALS",
     "UNDECIDED",
     "WRENCH",
     "record_size",
-    "whole",
 ]

@@ -158,12 +158,18 @@ class Scene:
         Raises:
             SimulationError: The simulation diverged, or the scene is closed.
         """
-        if not self._read:
-            reading = self.simulator.read()
-            if not self.core.read(reading):
-                raise SimulationError(self._diverged(reading))
-            self._read = True
+        reading = self.unread()
+        if reading is not None and not self.core.read(reading):
+            raise self.diverged(reading)
         return self._snapshot
+
+    def unread(self) -> Array | None:
+        """The simulator's reading for a caller that hands it to the core; None: the core has it already."""
+        if self._read:
+            return None
+        reading = self.simulator.read()
+        self._read = True
+        return reading
 
     def close(self) -> None:
         """Frees the simulator; calling it again does nothing, any other call afterwards raises."""
@@ -182,9 +188,11 @@ class Scene:
         self._snapshot = Snapshot(**self.core.arrays())
         self._read = False
 
-    def _diverged(self, reading: Array) -> str:
+    def diverged(self, reading: Array) -> SimulationError:
+        """The error for a reading that the core refuses."""
+        self._read = False
         body = reading[2 * len(self._snapshot.angles) :]
-        return (
+        return SimulationError(
             f"the simulation diverged: the object is at {body[:3].tolist()} m with velocity {body[7:10].tolist()} m/s; reset the "
             "scene, and use smaller torques or wrenches or a higher physics_rate"
         )

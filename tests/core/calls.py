@@ -38,12 +38,6 @@ def contacts() -> _core.Contacts:
     return _core.Contacts.make(**PLACE, scale=SAMPLE.scale, weights=SAMPLE.weights, tangents=np.zeros((0, 3)))
 
 
-def pipeline(solved: bool = False) -> _core.Pipeline:
-    made = _core.Pipeline.make(contacts(), *STOP.values(), SAMPLE.basis, SAMPLE.frames, True, INTERNAL)
-    assert not solved or made.solve(SAMPLE.positions, SAMPLE.normals, LOADS[0], None, np.zeros(SIZE)) == 0
-    return made
-
-
 def optimizer(**given: Any) -> _core.ForceOptimizer:
     """Of hard contacts, on which no limits are."""
     options: dict[str, Any] = {"weights": SAMPLE.weights, "kind": ForceSolution, "name": "newton", "starts": STARTS}
@@ -98,7 +92,6 @@ def calls() -> dict[str, Call]:
     s, x = SAMPLE, SAMPLE.basis[0]
     force = (x / s.divisor.reshape(-1)).reshape(COUNT, 3)
     tangents = {"tangents": s.frames[:, :, 1].copy()}
-    moved = {"points": s.positions, "normals": s.normals, "wrench": LOADS[0]}
     one, free, trained = optimizer(**LIMITS), optimizer(), model()
     now = PLACE | {
         "friction": s.scale[:, :1] / s.scale[:, 1:],
@@ -149,17 +142,6 @@ def calls() -> dict[str, Call]:
         "Network.make": Call(_core.Network.make, {"sizes": [8, 6], "weights": np.full(54, 0.1)}, {}),
         "Model.covers": Call(trained.covers, {"wrench": LOADS[0]}, {}),
         "Model.predict": Call(trained.predict, {"wrench": LOADS[0]}, {"coordinates": (6,)}),
-        "Pipeline.make": Call(
-            _core.Pipeline.make,
-            {"nominal": contacts(), "remembers": True, "basis": s.basis, "frames": s.frames, "reference": INTERNAL, "flows": RULE} | STOP,
-            {}, frozenset({"flows"}),
-        ),
-        "Pipeline.set_basis": Call(pipeline().set_basis, {"basis": s.basis, "frames": s.frames}, {}),
-        "Pipeline.solve": Call(pipeline().solve, moved | {"adjust": np.full(6, 0.1)}, {"record": (SIZE,)}, frozenset({"adjust"})),
-        "Pipeline.carry": Call(pipeline(solved=True).carry, moved, {"force": (COUNT, 3)}),
-        "Pipeline.carry_from": Call(
-            pipeline(solved=True).carry_from, moved | {"then": force, "frames": s.frames}, {"force": (COUNT, 3)}
-        ),
         "phi": Call(_core.phi, phi, {}),
         "phi_gradient": Call(_core.phi_gradient, phi, {"out": (COUNT, 3)}),
         "phi_hessian": Call(_core.phi_hessian, phi, {"out": (COUNT, 3, 3)}),

@@ -12,7 +12,7 @@ from pathlib import Path
 import calls
 import numpy as np
 import pytest
-from calls import CALLS, COUNT, INTERNAL, LIMITS, LOADS, REFUSED, SAMPLE, SIZE, SPOILED, model, optimizer, pipeline
+from calls import CALLS, COUNT, INTERNAL, LIMITS, LOADS, REFUSED, SAMPLE, SIZE, SPOILED, model, optimizer
 from cases import START
 from samples import wrenches
 
@@ -74,13 +74,13 @@ SAME = {
 
 @pytest.mark.parametrize("way", SAME)
 @pytest.mark.parametrize(
-    "name", ["ForceOptimizer.solve_many", "ForceOptimizer.deepest", "descend_flow", "newton_grasps", "Pipeline.solve"]
+    "name", ["ForceOptimizer.solve_many", "ForceOptimizer.deepest", "descend_flow", "newton_grasps"]
 )
 def test_the_same_numbers_elsewhere_give_the_same_bits(name: str, way: str) -> None:
     call, ends = CALLS[name], []
     plain, other = call.arguments(), call.arguments()
     for given in (plain, other | {argument: SAME[way](other[argument]) for argument in call.read}):
-        ends.append((pipeline(solved=True).solve if name == "Pipeline.solve" else call.run)(**given))
+        ends.append(call.run(**given))
     assert ends[0] == ends[1]
     for argument in call.written:
         np.testing.assert_array_equal(other[argument], plain[argument])
@@ -100,23 +100,16 @@ def valid(row: np.ndarray, wrench: np.ndarray) -> bool:
 
 def solver_of(name: str) -> Callable[..., np.ndarray]:
     """(wrench, positions, normals) -> row."""
-    held = pipeline(solved=True) if name == "pipeline" else None
-    made = optimizer(**LIMITS) if name == "limited" else optimizer(method=name) if held is None else None
+    made = optimizer(**LIMITS) if name == "limited" else optimizer(method=name)
 
     def solve(wrench: np.ndarray, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        if made is not None:
-            found = made.solve(wrench, positions, normals, None, None, None, None)
-            return made.ended if found is None else found._record
-        row = np.zeros(SIZE)
-        held.solve(positions, normals, wrench, None, row)
-        if row[0] == REFUSED:
-            held.reset()  # a basis renewed for contacts far away may not reach back
-        return row
+        found = made.solve(wrench, positions, normals, None, None, None, None)
+        return made.ended if found is None else found._record
 
     return solve
 
 
-@pytest.mark.parametrize("name", ["newton", "reduced_flow", "conic", "limited", "pipeline"])
+@pytest.mark.parametrize("name", ["newton", "reduced_flow", "conic", "limited"])
 def test_numbers_that_are_none_are_refused_or_harmless(name: str) -> None:
     """A thousand calls with one to six numbers that are not finite, too large, or tiny."""
     rng, solve, outcomes = np.random.default_rng(len(name)), solver_of(name), set()

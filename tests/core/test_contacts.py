@@ -6,7 +6,7 @@ import _core_test as insides
 import numpy as np
 import pytest
 from oracles import geometry as oracle
-from samples import Sample, moved, random_contacts, reference_of, sample, thinned, with_frictionless
+from samples import Sample, random_contacts, sample, thinned, with_frictionless
 
 EPS = 2.0**-52
 GOOD, REFUSED, RANK_LOST, NEEDS_TORSION = range(4)
@@ -261,30 +261,3 @@ def test_contacts_from_friction_and_torsion() -> None:
     for gamma, said in (([0.0, 0.0], "rank"), ([0.1], "torsion"), ([0.1, np.nan], "torsion"), ([0.1, -0.1], "torsion")):
         with pytest.raises(ValueError, match=said):
             insides.contacts_from(*pinch, np.array(gamma))
-
-
-# internal forces
-
-
-@pytest.mark.parametrize("count", [3, 4, 5, 8, 12])
-@pytest.mark.parametrize("away", [0.0, 0.05, 0.3])
-def test_null_space_is_the_polar_factor(count: int, away: float) -> None:
-    s = sample(count)
-    there, reference = moved(s, away), reference_of(s)
-    here = np.einsum("nba,nbk->nak", there.frames, reference.reshape(count, 3, -1)).reshape(reference.shape)
-    matrix = there.unit @ oracle.grasp_matrix(there.positions, there.frames)
-    wanted = oracle.polar_basis(here, matrix)
-    found = insides.null_space(there.placement, reference)
-    np.testing.assert_allclose(found.T @ found, np.eye(3 * count - 6), atol=1e-13)
-    np.testing.assert_allclose(matrix @ found, 0.0, atol=1e-12)
-    # a projection that hardly keeps its rank: the polar factor moves by rounding over its least singular value
-    least = np.linalg.svd(wanted.T @ here, compute_uv=False)[-1]
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 / least)
-
-
-def test_a_reference_that_does_not_span_has_no_basis() -> None:
-    s = sample(5)
-    reference = reference_of(s)
-    last = np.where(np.arange(9) < 8, reference, reference[:, :1])
-    for lost in (np.zeros_like(reference), last, np.full((15, 9), np.nan)):
-        assert insides.null_space(s.placement, lost) is None

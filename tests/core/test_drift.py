@@ -31,6 +31,7 @@ CPP_ALONE = {
     "Record.summary": "Python's solutions have its fields as attributes",
     "Summary.joints": "Python's arrays know their lengths",
     "Summary.limits": "Python's arrays know their lengths",
+    "Ask.adjustment": "an action of the environment",
     "Ask.now": "Python's keywords are its fields",
     "Start.central": "names where conic begins; nobody asks for it",
     "Start.standard": "initial=None",

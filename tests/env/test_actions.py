@@ -41,6 +41,6 @@ def test_one_missed_tick_does_not_let_a_finger_go() -> None:
         (14, 14),
     ):
         touching[:] = [mask >> finger & 1 for finger in range(4)]
-        core.see(*still)
+        core.see(None, *still)
         assert core.mask == held
     env.close()

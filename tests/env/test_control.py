@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hands import scene_alone
+from hands import controller_alone, scene_alone
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
@@ -37,7 +37,7 @@ def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0
 def controller(scene: core.Scene, **settings: Any) -> core.Controller:
     """A control loop with the default gains."""
     config = EnvConfig(**settings)
-    return core.Controller.make(scene, control_settings(config, ITEM, 0.5, KINEMATICS), sensor_settings(config))
+    return controller_alone(scene, 4, control_settings(config, ITEM, KINEMATICS), sensor_settings(config))
 
 
 def pose_error(scene: core.Scene, target: np.ndarray) -> np.ndarray:
@@ -50,7 +50,9 @@ def pose_error(scene: core.Scene, target: np.ndarray) -> np.ndarray:
 def balanced(scene: core.Scene, target: np.ndarray | None = None, told: np.ndarray | None = None) -> np.ndarray:
     """The wrench to balance with the default gains, (6,)."""
     made = controller(scene)
-    made.see(np.zeros(6) if told is None else told, GRAVITY, resting_target(1)[0] if target is None else target, None)
+    made.see(
+        None, np.zeros(6) if told is None else told, GRAVITY, resting_target(1)[0] if target is None else target, None
+    )
     wrench = made.arrays()["wrench"]
     body = believed_body(EnvConfig(), ITEM)
     own = np.array(body.wrench(scene, resting_target(1)[0] if target is None else target, GRAVITY))
@@ -128,34 +130,6 @@ def test_inertial_wrench_of_a_moving_target():
         np.testing.assert_allclose(balanced(s, target), [*force, *moment], rtol=1e-4, atol=1e-6)
 
 
-def test_a_squeeze_restores_balance_by_the_least_change():
-    rng = np.random.default_rng(0)
-    for fingers in (4, 3):
-        for _ in range(20):
-            scene, s = scene_alone(ITEM)
-            s.points[:] = rng.normal(size=(4, 3))
-            normals = rng.normal(size=(4, 3))
-            s.normals[:] = normals / np.linalg.norm(normals, axis=1)[:, None]
-            made, told, given = controller(scene), rng.normal(size=6), rng.normal(size=3 * fingers)
-            which = (1 << fingers) - 1
-            made.add_set(which, None)
-            made.see(told, GRAVITY, resting_target(1)[0], None)
-            made.give(core.Hold.squeeze, which, given)
-            made.command()
-            arrays = made.arrays()
-            matrix = np.concatenate(
-                [
-                    np.vstack([f, np.cross(p, f, axisb=0, axisc=0)])
-                    for p, f in zip(s.points, arrays["frames"], strict=True)
-                ],
-                axis=1,
-            )[:, : 3 * fingers]
-            expected = given - np.linalg.pinv(matrix) @ (matrix @ given + arrays["wrench"])
-            # 1e-9 of the largest entry stands on the diagonal
-            np.testing.assert_allclose(arrays["force"].reshape(-1)[: 3 * fingers], expected, atol=1e-6)
-            assert not arrays["force"].reshape(-1)[3 * fingers :].any()
-
-
 def torques_of(s: Snapshot, scene: Scene, frames: np.ndarray, forces: np.ndarray) -> np.ndarray:
     """Gravity compensation + J^T f, in plain numpy; forces (N, 3) in contact frames."""
     torques = s.gravity_torques.copy()
@@ -176,7 +150,6 @@ class Tick:
     wrench: np.ndarray
     residual: np.ndarray
     closure: bool
-    repaired: int
     matrix: np.ndarray
 
 
@@ -215,7 +188,7 @@ class Trial:
             self.ticks.append(
                 Tick(
                     tuple(loop.fingers.tolist()), s.touching > 0, loop.force.copy(), loop.wrench.copy(), residual,
-                    loop.closure, loop.repaired, matrix,
+                    loop.closure, matrix,
                 )
             )  # fmt: skip
             if len(self.ticks) <= 5 and loop.fingers.size == 4:

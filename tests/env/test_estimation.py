@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hands import scene_alone
+from hands import controller_alone, scene_alone
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
@@ -80,13 +80,13 @@ class Estimator:
         control.body = self.body
         sensors.wrench, sensors.tick, sensors.tactile_noise = core.WrenchSource.estimated, TICK, noise
         sensors.keep = keep_factor(time, TICK) if keep is None else keep
-        self.core = core.Controller.make(self.scene, control, sensors)
+        self.core = controller_alone(self.scene, fingers, control, sensors)
         self.noise = NoiseRows(np.random.default_rng(0), 3 + 3 * fingers)
 
     def __call__(self, rotation, linear, angular, points, forces, gravity=GRAVITY) -> np.ndarray:
         s = self.views
         s.rotation[:], s.linear[:], s.angular[:], s.points[:], s.forces[:] = rotation, linear, angular, points, forces
-        self.core.see(np.full(6, 9.0), gravity, self.target, self.noise())  # it does not look at the true wrench
+        self.core.see(None, np.full(6, 9.0), gravity, self.target, self.noise())  # it does not look at the true wrench
         return self.core.arrays()["wrench"] - self.body.wrench(self.scene, self.target, gravity)
 
 
@@ -164,7 +164,7 @@ def test_noise_against_lag(random_trial):
 
 def look(seen: core.Controller, wrench: np.ndarray, noise: np.ndarray) -> Snapshot:
     """What the controller sees at the next tick."""
-    seen.see(wrench, GRAVITY, resting_target(1)[0], noise)
+    seen.see(None, wrench, GRAVITY, resting_target(1)[0], noise)
     return Snapshot(**seen.seen())
 
 
@@ -173,7 +173,7 @@ def test_force_noise_statistics():
     truth.forces[:] = forces = np.array([[3.0, 0.0, 4.0], [0.0, 0.0, 0.0]])
     sensors = core.SensorSettings()
     sensors.tactile_noise, sensors.pose_noise = 0.1, 1e-3
-    made, noise = core.Controller.make(scene, core.ControlSettings(), sensors), NoiseRows(np.random.default_rng(0), 9)
+    made, noise = controller_alone(scene, 2, sensors=sensors), NoiseRows(np.random.default_rng(0), 9)
     samples, places = np.empty((4000, 2, 3)), np.empty((4000, 3))
     for k in range(4000):
         seen = look(made, np.zeros(6), noise())
@@ -200,7 +200,7 @@ def test_delays(late, later):
     scene, truth = scene_alone()
     sensors = core.SensorSettings()
     sensors.delay, sensors.wrench_delay = late, later
-    made = core.Controller.make(scene, core.ControlSettings(), sensors)
+    made = controller_alone(scene, sensors=sensors)
     for _ in range(2):  # a reset forgets
         truth.forces[:] = -1.0
         made.reset()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from hands import controller_alone
 
 from grasp_env import core
 from grasp_env.sim import Scene, SceneConfig, Snapshot
@@ -16,17 +17,17 @@ def test_carried_forward_is_what_comes() -> None:
     hand = scene.config.hand
     sensors = core.SensorSettings()
     sensors.tick, sensors.delay = scene.timestep, late
-    controller = core.Controller.make(scene.core, core.ControlSettings(), sensors)
+    controller = controller_alone(scene.core, sensors=sensors)
     controller.reset()
     torques, still = np.zeros(hand.joint_count), (np.zeros(6), np.zeros(3), resting_target(1)[0], np.zeros(15))
     torques[2] = 1e-4  # [N m]
     scene.step(torques, [0.5, -0.2, 0.3, 0.01, 0.02, -0.03])
     before = scene.look().points.copy()
     for _ in range(late):
-        controller.see(*still)
+        controller.see(None, *still)
         scene.step(np.zeros(hand.joint_count))
         scene.look()
-    controller.see(*still)
+    controller.see(None, *still)
     seen, now = Snapshot(**controller.seen()), scene.look()
     # the cube's three moments of inertia are equal: it turns at constant velocity; Bullet's quaternion steps are exact to 1e-6
     np.testing.assert_allclose(seen.rotation, now.rotation, atol=1e-6)

@@ -12,7 +12,8 @@ from scipy.linalg import null_space
 
 from grasp_env.control.loop import ForceLoop
 from grasp_env.env import FourFingerGrasp
-from grasp_env.errors import SimulationError
+from grasp_env.errors import RankDeficientGraspError, SimulationError
+from grasp_env.force import ForceLimits
 from grasp_env.grasp import Grasp
 from grasp_env.sim import HandDescription
 from grasp_env.sim.engine import BulletEngine
@@ -34,6 +35,19 @@ def weak(limit: float) -> HandDescription:
     return replace(hand, links=tuple(replace(link, torque_limit=limit) for link in hand.links))
 
 
+def limits_of(loop: ForceLoop) -> ForceLimits:
+    """The motors' limits at the current contacts, object frame: what the links' weight leaves."""
+    seen, kinematics = loop.seen, loop.scene.kinematics
+    motors = kinematics.motors
+    jacobian = np.array([
+        seen.rotation.T @ kinematics.link_jacobian(seen.angles, int(link), touch)[:, motors]
+        for link, touch in zip(kinematics.tip_links, seen.touch, strict=True)
+    ])  # fmt: skip
+    return ForceLimits(
+        jacobian=jacobian, torque_limit=kinematics.torque_limits[motors], torque_bias=seen.gravity_torques[motors]
+    )
+
+
 @pytest.mark.parametrize("limit", [0.62, 0.6])
 def test_torques_are_cut_only_where_clarabel_finds_no_force_within_the_limits(limit):
     """Every tick of six pushes; four fingers must hold, fewer are another grasp."""
@@ -46,7 +60,7 @@ def test_torques_are_cut_only_where_clarabel_finds_no_force_within_the_limits(li
         torques = ask(*args)
         seen.update(
             wrench=loop.wrench.copy(), points=loop.seen.points.copy(), normals=loop.seen.normals.copy(), torques=torques,
-            limits=loop.limits(ALL), effort=(loop.effort.limited, loop.effort.saturated), whole=len(loop.fingers) == len(ALL),
+            limits=limits_of(loop), effort=(loop.effort.limited, loop.effort.saturated), whole=len(loop.fingers) == len(ALL),
         )  # fmt: skip
         return torques
 
@@ -115,7 +129,7 @@ def planar(coupled: bool) -> HandDescription:
 def left_open(loop: ForceLoop) -> np.ndarray:
     """Forces (3N, K) that take no torque and move nothing: what balance and motors do not determine."""
     grasp = Grasp.from_contacts(loop.seen.points, loop.seen.normals, 1.0)
-    jacobian = np.asarray(loop.limits(np.arange(loop.count)).jacobian)[:, :3]
+    jacobian = np.asarray(limits_of(loop).jacobian)
     torques = np.einsum("nik,nij->jnk", grasp.frames, jacobian).reshape(-1, 3 * loop.count)
     return null_space(np.vstack([grasp.matrix, torques]), rcond=1e-6)
 
@@ -163,7 +177,7 @@ def test_two_fingers_hold_by_torsion(engine):
     assert last["contacts"] == 2
     assert last["status"] == "optimal"
     assert max(info["tilt"] for info in infos) < 0.01
-    with pytest.raises(SimulationError, match="did not settle"):
+    with pytest.raises(RankDeficientGraspError, match="two soft ones"):
         FourFingerGrasp(torsional_friction=0.0, **given)
 
 
@@ -193,7 +207,7 @@ def test_a_joint_that_two_fingers_share_keeps_its_limit():
         limited += info["limited"] > 0
         assert not info["saturated"]
     env.close()
-    assert limited > 100
+    assert limited > 20  # a push that stays takes no more iterations
     assert info["is_success"]
     assert 0.019 < max(torques) <= 0.02
 

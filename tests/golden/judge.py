@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from golden import environment, pipeline
+from golden import environment
 from golden.record import Case, Outcome, Problem
 
-GROUPS: dict[str, Callable[[], dict[str, Case]]] = {"pipeline": pipeline.cases, "environment": environment.cases}
+GROUPS: dict[str, Callable[[], dict[str, Case]]] = {"environment": environment.cases}
 """What a file of that name holds."""
 OPTIMAL = "optimal"
 SOLVED = (OPTIMAL, "iteration_limit", "stalled")

@@ -23,7 +23,7 @@ from grasp_env.force import (
     optimize_forces,
 )
 from grasp_env.force.initial import LearnedRule, call_rule, is_rule
-from grasp_env.force.record import FORCE, record_size, whole
+from grasp_env.force.record import CONTACTS, FORCE, record_size
 from grasp_env.force.repair import Correction, carry_over
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
@@ -246,9 +246,9 @@ def row_of(key: str) -> Row:
 
 def as_solution(grasp: Grasp, force: ContactForces) -> ForceSolution:
     """A force (N, 3) as a previous solution, of which starts read no more than that and the frames."""
-    record = np.zeros(record_size(len(force)))
-    record[FORCE : FORCE + force.size] = force.reshape(-1)
-    return ForceSolution(whole(record, grasp.frames), "carried", "previous")
+    record = np.concatenate([np.zeros(record_size(len(force))), grasp.frames.reshape(-1)])
+    record[CONTACTS], record[FORCE : FORCE + force.size] = len(force), force.reshape(-1)
+    return ForceSolution(record, "carried", "previous")
 
 
 class NetworkAlone:

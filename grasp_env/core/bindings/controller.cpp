@@ -1,11 +1,13 @@
 // The control loop of a hand.
 #include <nanobind/stl/array.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/unique_ptr.h>
 #include <nanobind/stl/vector.h>
 
 #include <grasp/hand/controller.hpp>
 
+#include "optimizer.hpp"
 #include "scene.hpp"
 #include "views.hpp"
 
@@ -21,27 +23,77 @@ std::array<double, 6> wrench(const Body& body, const Scene& scene, nb::handle ta
     return body.wrench(scene.now, target_of(target), point(in(gravity, 3).data()));
 }
 
-void see(Controller& controller, nb::handle external, nb::handle gravity, nb::handle target, nb::handle noise) {
-    const Numbers told = in(external, 6), pull = in(gravity, 3);
-    const Buffer normal(noise);
-    if (!controller.sensors.exact() && !normal.has(3 + 3 * controller.tree->fingers())) throw nb::type_error("noise: (3 + 3N,)");
-    controller.see(told.data(), normal.data(), {point(pull.data()), target_of(target)});
+// What is known at a tick, read from arrays that live as long as the call.
+class Known {
+public:
+    Known(const Controller& controller, nb::handle reading, nb::handle external, nb::handle gravity, nb::handle target,
+          nb::handle noise)
+        : reading_(reading), external_(in(external, 6)), noise_(noise) {
+        if (!reading.is_none() && !(reading_.has(-1) && reading_.length(0) >= Reading::size(controller.tree->joints(), 0)))
+            throw nb::type_error("reading: (2M + 13 + 7 contacts,)");
+        if (!controller.sensors.exact() && !noise_.has(3 + 3 * controller.tree->fingers()))
+            throw nb::type_error("noise: (3 + 3N,)");
+        known = {reading.is_none() ? Doubles{} : Doubles(reading_.data(), std::size_t(reading_.length(0))), external_.data(),
+                 noise.is_none() ? nullptr : noise_.data(), point(in(gravity, 3).data()), target_of(target)};
+    }
+    Controller::Known known;
+
+private:
+    Buffer reading_;
+    Numbers external_;
+    Buffer noise_;
+};
+
+// What an agent does, the same.
+class Step {
+public:
+    Step(const Controller& controller, nb::handle adjustment, nb::handle start, nb::handle given)
+        : adjustment_(adjustment), start_(start), given_(given) {
+        const auto forces = [&](const Buffer& from, nb::handle object) {
+            if (object.is_none()) return Doubles{};
+            if (!from.has(controller.tree->fingers(), 3)) throw nb::type_error("forces: (N, 3)");
+            return Doubles(from.data(), controller.force.size());
+        };
+        const std::size_t columns = controller.settings.directions.size() / controller.force.size();
+        if (!adjustment.is_none()) {
+            if (!adjustment_.has(columns)) throw nb::type_error("adjustment: (K,)");
+            step.adjustment = Doubles(adjustment_.data(), columns);
+        }
+        step.force = forces(given_, given);
+        if (!start.is_none()) step.start = Start::given, step.force = forces(start_, start);
+    }
+    Controller::Step step;
+
+private:
+    Buffer adjustment_, start_, given_;
+};
+
+nb::typed<nb::list, double> list_of(const std::vector<double>& numbers) {
+    nb::list out;
+    for (double number : numbers) out.append(number);
+    return out;
 }
 
-void give(Controller& controller, Hold hold, std::uint64_t which, nb::handle given, nb::handle torsion) {
-    if (!controller.has_set(which)) throw nb::value_error("no such set of fingers");
-    const Buffer forces(given);
-    if (!given.is_none() && !forces.has(3 * controller.set_size(which))) throw nb::type_error("given: (3n,)");
-    const Buffer turns(torsion);
-    if (!torsion.is_none() && !turns.has(controller.set_size(which))) throw nb::type_error("torsion: (n,)");
-    controller.give(hold, which, given.is_none() ? nullptr : forces.data(), torsion.is_none() ? nullptr : turns.data());
+nb::typed<nb::list, double> act(Controller& controller, bool due, nb::handle adjustment, nb::handle start, nb::handle given) {
+    if (due) {
+        const Step step(controller, adjustment, start, given);
+        controller.act(&step.step);
+    } else {
+        controller.act();
+    }
+    return list_of(controller.torques);
 }
 
-nb::list command(Controller& controller) {
-    controller.command();
-    nb::list torques;
-    for (double torque : controller.torques) torques.append(torque);
-    return torques;
+bool see(Controller& controller, nb::handle reading, nb::handle external, nb::handle gravity, nb::handle target,
+         nb::handle noise) {
+    return controller.see(Known(controller, reading, external, gravity, target, noise).known);
+}
+
+std::optional<nb::typed<nb::list, double>> tick(Controller& controller, nb::handle reading, nb::handle external,
+                                                nb::handle gravity, nb::handle target, nb::handle noise, bool due,
+                                                nb::handle adjustment, nb::handle given) {
+    if (!see(controller, reading, external, gravity, target, noise)) return {};
+    return act(controller, due, adjustment, nb::none(), given);
 }
 
 Controller::Outcome outcome(const Controller& controller, nb::handle target, nb::handle error, nb::handle measured) {
@@ -64,6 +116,7 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
     named["home"] = view(self, c.home, {joints});
     named["goals"] = View(&c.goals.data()->u, {fingers, 3}, self);
     named["inwards"] = View(&c.inwards.data()->u, {fingers, 3}, self);
+    named["solution"] = view(self, c.solution, {c.solution.size()});
     return named;
 }
 
@@ -98,22 +151,28 @@ void bind_controller(nb::module_& m) {
         .value("estimated", WrenchSource::estimated)
         .value("none", WrenchSource::none);
     nb::enum_<Hold>(m, "Hold", "What the fingers in contact do.")
-        .value("optimised", Hold::optimised, "carry the last optimum along")
+        .value("optimized", Hold::optimized, "the force that the method finds, and Newton after it")
         .value("squeeze", Hold::squeeze, "a constant internal force, and what balances")
         .value("place", Hold::place, "no force: every finger holds its place")
         .value("direct", Hold::direct, "given forces")
-        .value("lost", Hold::lost, "no force closure: given forces, balanced as far as the cones let them");
+        .value("reach", Hold::reach, "no force: every finger is drawn to its contact");
     nb::class_<ControlSettings>(m, "ControlSettings", "Belief and gains of a control loop.")
         .def(nb::init<>())
         .def_rw("body", &ControlSettings::body)
-        .def_rw("friction", &ControlSettings::friction, "that the solver believes in")
         .def_rw("reach", &ControlSettings::reach, "(N,) of each finger without contact on its way")
-        .def_rw("spring", &ControlSettings::spring, "of all fingers where nothing is optimised")
+        .def_rw("spring", &ControlSettings::spring, "of all fingers where nothing is optimized")
         .def_rw("reach_depth", &ControlSettings::reach_depth, "[m] inside the surface to which a finger reaches")
         .def_rw("posture", &ControlSettings::posture, "(M,) of joints that the tips leave free [N m/rad], [N m s/rad]")
         .def(
-            "set_limited", [](ControlSettings& c, double tolerance, int limit) { c.limited = {tolerance, limit}; }, "tolerance"_a,
-            "limit"_a, "Of Newton within the torque limits.")
+            "set_follow",
+            [](ControlSettings& c, double tolerance, int limit, bool conic) {
+                c.follow = {.method = conic ? Method::conic : Method::newton, .tolerance = tolerance, .limit = limit};
+            },
+            "tolerance"_a, "limit"_a, "conic"_a = false,
+            "What solves between two ticks of the method, Newton or conic: relative certified gap, most steps.")
+        .def_rw("remembers", &ControlSettings::remembers, "whether the method is told the last command")
+        .def_rw("directions", &ControlSettings::directions, "(N, 3, K) internal forces of an adjustment, object frame")
+        .def_rw("squeeze", &ControlSettings::squeeze, "[N] total normal force of `Hold.squeeze`")
         .def_rw("most_change", &ControlSettings::most_change, "[N] by which a force may change in a tick beyond balance")
         .def_rw("release", &ControlSettings::release, "ticks without force after which a finger is no longer in contact");
     nb::class_<SensorSettings>(m, "SensorSettings", "What the controller sees: how late, how noisy.")
@@ -126,7 +185,8 @@ void bind_controller(nb::module_& m) {
         .def_rw("pose_noise", &SensorSettings::pose_noise, "standard deviation per axis [m]")
         .def_rw("tactile_noise", &SensorSettings::tactile_noise, "standard deviation per axis, part of the force");
     nb::class_<Effort>(m, "Effort", "What the motors were asked since `begin_step`.")
-        .def_ro("limited", &Effort::limited, "iterations of Newton within the torque limits")
+        .def_ro("followed", &Effort::followed, "iterations at control ticks between two of the method's")
+        .def_ro("limited", &Effort::limited, "iterations of Newton within the torque limits, where a force exceeded them")
         .def_ro("saturated", &Effort::saturated, "whether torques had to be cut")
         .def_ro("margin", &Effort::margin, "least distance of a torque from its limit [N m]");
     using Outcome = Controller::Outcome;
@@ -140,28 +200,33 @@ void bind_controller(nb::module_& m) {
     nb::class_<Controller>(m, "Controller", "The control loop of a hand: what it sees, and the torques that hold.")
         .def_static(
             "make",
-            [](const std::shared_ptr<Scene>& scene, const ControlSettings& settings, const SensorSettings& sensors) {
-                return std::make_unique<Controller>(scene, settings, sensors);
+            [](const std::shared_ptr<Scene>& scene, nb::handle optimizer, const ControlSettings& settings,
+               const SensorSettings& sensors) {
+                return std::make_unique<Controller>(scene, optimizer_of(optimizer), settings, sensors);
             },
-            "scene"_a, "settings"_a, "sensors"_a)
+            "scene"_a, "optimizer"_a, "settings"_a, "sensors"_a,
+            "optimizer: a `ForceOptimizer` for the contacts of all fingers, which is copied.")
         .def("reset", &Controller::reset, "Forgets the episode; before it the scene stood still.")
         .def(
             "rewind", [](Controller& c) { c.sensors.reset(); }, "As before the first tick: what was seen was not yet.")
-        .def("see", &see, "external"_a, "gravity"_a, "target"_a, "noise"_a.none(),
-             "What is known at this tick: the external wrench (6,) as a perfect sensor would tell it, gravity (3,), the target "
-             "(19,),\n"
-             "standard normal numbers (3 + 3N,) where anything is noisy.")
-        .def("add_set", &Controller::add_set, "which"_a, "pipeline"_a.none(), nb::keep_alive<1, 3>(),
-             "Fingers (bits) that may be in contact together, and the pipeline that holds their last optimum.")
-        .def("give", &give, "hold"_a, "which"_a, "given"_a.none(), "torsion"_a.none() = nb::none(),
-             "What the fingers of a set do from now on, with forces (3n,) [N], contact frames, where that needs them, and "
-             "torsions\n"
-             "(n,) [N m] besides.")
+        .def(
+            "tick", &tick, "reading"_a.none(), "external"_a, "gravity"_a, "target"_a, "noise"_a.none(), "due"_a,
+            "adjustment"_a.none(), "given"_a.none(),
+            "Joint torques (M,) [N m] of a control tick; None: the reading is not finite or the object is lost. reading: as of\n"
+            "`Scene.read`, None: the scene has it already; external: the wrench (6,) as a perfect sensor would tell it; gravity\n"
+            "(3,); target (19,); noise: standard normal numbers (3 + 3N,) where anything is noisy. due: whether an agent's step\n"
+            "begins, with adjustment (K,) [N] of the start and given forces (N, 3) [N], contact frames, for `Hold.direct`.")
+        .def("see", &see, "reading"_a.none(), "external"_a, "gravity"_a, "target"_a, "noise"_a.none(),
+             "The first half of a tick: what is known, and the wrench to balance.")
+        .def("act", &act, "due"_a, "adjustment"_a.none(), "start"_a.none(), "given"_a.none(),
+             "The second half. start: (N, 3) [N], contact frames, from where the method begins.")
+        .def_rw("hold", &Controller::hold, "What the fingers in contact do.")
         .def("begin_step", &Controller::begin_step, "An agent's step begins.")
         .def_ro("effort", &Controller::effort)
-        .def_ro("unkept", &Controller::unkept, "Whether the last forces exceed the limit of a joint that fingers share.")
+        .def_prop_ro(
+            "code", [](const Controller& c) { return int(c.code()); }, "How the method's last solve ended.")
+        .def_ro("closure", &Controller::closure, "Whether a force was found at the last tick that optimized.")
         .def("rest", &Controller::rest, "Measured forces as the commanded ones: what the hand does at rest.")
-        .def("command", &command, "Joint torques (M,) [N m] of this tick.")
         .def("outcome", &outcome, "target"_a, "error"_a, "measured"_a,
              "How the object is held, by the truth: fills the pose error (12,) against a target (19,), and the measured forces\n"
              "(N, 3) in the commanded contact frames [N].")
@@ -174,8 +239,6 @@ void bind_controller(nb::module_& m) {
         .def_prop_ro(
             "exact", [](const Controller& c) { return c.sensors.exact(); }, "Whether the scene is seen as it is.")
         .def_ro("mask", &Controller::mask, "The fingers that count as in contact: 2^i for finger i.")
-        .def_ro("changed", &Controller::changed, "Whether they changed since forces were last given.")
         .def_ro("changes", &Controller::changes, "How often they changed since `reset`.")
-        .def_ro("repaired", &Controller::repaired, "Ticks in which forces had to be brought back into the cones.")
         .def_ro("peak", &Controller::peak, "Largest torque since `reset` [N m].");
 }

@@ -13,7 +13,6 @@ NB_MODULE(_core, m) {
     bind_flow(m);
     bind_limits(m);
     bind_learned(m);
-    bind_pipeline(m);
     bind_phi(m);
     bind_surface(m);
     bind_tree(m);

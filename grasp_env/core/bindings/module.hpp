@@ -14,7 +14,6 @@ void bind_grasps(nb::module_& m);
 void bind_flow(nb::module_& m);
 void bind_limits(nb::module_& m);
 void bind_learned(nb::module_& m);
-void bind_pipeline(nb::module_& m);
 void bind_solution(nb::module_& m);
 void bind_phi(nb::module_& m);
 void bind_surface(nb::module_& m);

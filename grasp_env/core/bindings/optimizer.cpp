@@ -1,6 +1,6 @@
 // `grasp::ForceOptimizer`. `solve` is what control loops call: it reads arrays where they lie and makes its solution without a line of
 // Python; whatever it cannot read, and every outcome that takes words, it leaves to Python by returning None.
-#include <grasp/optimizer.hpp>
+#include "optimizer.hpp"
 
 #include "buffers.hpp"
 #include "rule.hpp"
@@ -268,6 +268,8 @@ void combine(nb::handle basis, nb::handle wrench, bool printed, nb::handle to) {
 }
 
 }  // namespace
+
+const ForceOptimizer& optimizer_of(nb::handle solver) { return nb::cast<const Solver&>(solver).on; }
 
 void bind_optimizer(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();

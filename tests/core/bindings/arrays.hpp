@@ -6,7 +6,6 @@
 #include <memory>
 
 #include <grasp/conic/conic.hpp>
-#include <grasp/contacts/adjust.hpp>
 
 #include "module.hpp"
 

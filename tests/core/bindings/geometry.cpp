@@ -83,25 +83,11 @@ nb::tuple interval(In point, In ray) {
     return nb::make_tuple(found.low, found.high);
 }
 
-nb::object null_space(const Placement& p, In reference) {
-    const int size = 3 * p.contacts.count;
-    NullSpace space(p.contacts.count, numbers(reference, size * (size - 6)));
-    if (!space.place(p.contacts)) return nb::none();
-    std::vector<double> out(size * (size - 6)), unit(size - 6);
-    for (int k = 0; k < size - 6; ++k) {
-        unit[k] = 1.0;
-        for (int j = 0; j < size; ++j) out[(size - 6) * j + k] = space.force(j, unit.data());
-        unit[k] = 0.0;
-    }
-    return array(out, {size_t(size), size_t(size - 6)});
-}
-
 }  // namespace
 
 void bind_geometry(nb::module_& m) {
     m.def("frame", &frame, "normal"_a, "along"_a = nb::none(), "(3, 3) columns (n, o, t).");
     m.def("inside", &interval, "point"_a, "ray"_a, "(low, high) of one cone.");
-    m.def("null_space", &null_space, "placement"_a, "reference"_a, "(3N, 3N - 6); None: not spanned.");
     nb::class_<Placement>(m, "Placement")
         .def_prop_ro(
             "verdict", [](const Placement& p) { return int(p.placed); }, "0: good, 1: refused, 2: rank lost, 3: needs torsion.")

@@ -20,7 +20,6 @@ NB_MODULE(_core_test, m) {
     bind_optimizer(m);
     bind_program(m);
     bind_general(m);
-    bind_pipeline(m);
     bind_grasping(m);
     bind_allocations(m);
     bind_hand(m);

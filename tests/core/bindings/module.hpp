@@ -13,7 +13,6 @@ void bind_insides(nb::module_& m);
 void bind_optimizer(nb::module_& m);
 void bind_program(nb::module_& m);
 void bind_general(nb::module_& m);
-void bind_pipeline(nb::module_& m);
 void bind_grasping(nb::module_& m);
 void bind_allocations(nb::module_& m);
 void bind_hand(nb::module_& m);

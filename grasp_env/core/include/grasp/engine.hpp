@@ -329,8 +329,22 @@ private:
     // The start of a call in newton_.x, balanced and strictly inside the cones; else why there is none.
     Code begin(const Ask& ask, const Vec6& w) {
         const Code code = find_start(ask, w);
-        if (code == CONVERGED) newton_.cones.settle(newton_.x);
-        return code;
+        if (code != CONVERGED) return code;
+        newton_.cones.settle(newton_.x);
+        return ask.adjustment.empty() || adjust(ask.adjustment, w) ? CONVERGED : REFUSED;
+    }
+    // Adds a force (N, 3) along the axes of the positions to the start; what is least in Phi between the two is taken.
+    bool adjust(Doubles by, const Vec6& w) {
+        if (by.size() != std::size_t(3 * at_.home.count)) return false;
+        newton_.cones.store_force(spare_ = newton_.x, force_.data());
+        for (int i = 0; i < at_.now.count; ++i)
+            for (int a = 0; a < 3; ++a)
+                for (int r = 0; r < 3; ++r) force_[3 * i + a] += at_.now.frames[9 * i + 3 * r + a] * by[3 * at_.chosen[i] + r];
+        newton_.cones.load_force(force_.data(), newton_.x);
+        if (!newton_.cones.sane(newton_.x)) return false;
+        newton_.cones.balance(newton_.x, w);
+        newton_.starter.segment(newton_.cones, spare_, newton_.x);
+        return true;
     }
     Code find_start(const Ask& ask, const Vec6& w) {
         replaced_ = outside_ = false;

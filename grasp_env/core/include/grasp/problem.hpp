@@ -62,6 +62,7 @@ struct Ask {
     const double* previous = nullptr;  // of Start::previous, before `force`: the row of another solution of as many contacts
     double optimum = std::numeric_limits<double>::quiet_NaN();  // a known min Phi to take the gap to, instead of the bound
     std::span<double> trace{};  // receives Phi of the first iterates
+    Doubles adjustment{};  // (N, 3) [N], the frame of the positions: added to the start, which is then brought inside the cones
 };
 
 }  // namespace grasp

@@ -93,7 +93,7 @@ public:
         const Arena::Use use(arena_);
         return starts(call);
     }
-    // The least Phi. From::given: from the call's force and torsion where they are balanced and strictly inside; From::tangent, pseudoinverse:
+    // The least Phi. From::given: from the call's force and torsion where they are balanced and strictly inside; From::tangent:
     // from what is nearest to them, balanced, where that is strictly inside; else from the deepest force. INFEASIBLE, UNDECIDED: as `conic`.
     Code phi(const Call& call, const Stop& options, const Record& record) {
         const Arena::Use use(arena_);

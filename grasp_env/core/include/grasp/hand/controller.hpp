@@ -1,118 +1,153 @@
-// The control loop of a hand: what it sees, the wrench to balance, forces that follow contacts and wrench between two optimisations,
-// and the joint torques that make them.
+// The control loop of a hand: from what is seen to joint torques in one call. It allocates when it is made, and never in a tick.
 #pragma once
-#include <map>
-#include <grasp/math/cholesky.hpp>
 #include <grasp/hand/sensing.hpp>
-#include <grasp/hand/torque_limits.hpp>
+#include <grasp/math/cholesky.hpp>
+#include <grasp/optimizer.hpp>
+#include <grasp/phi/elastic.hpp>
 
 namespace grasp {
 
-// Of a tip that is drawn to its place.
+// A spring and damper that draws a tip to its place.
 struct Spring { double gain = 0.0, damping = 0.0, limit = infinity; };  // [N/m], [N s/m], the most force [N]
 
 struct ControlSettings {
     Body body;
-    double friction = 0.5;  // that the solver believes in
     std::vector<Spring> reach;  // (N,) of each finger without contact, on its way
-    Spring spring;  // of all fingers where nothing is optimised
+    Spring spring;  // of all fingers where nothing is optimized
     double reach_depth = 0.0;  // [m] inside the surface to which a finger reaches
     std::vector<Spring> posture;  // (M,) [N m/rad], [N m s/rad]: joints that the tips leave free
-    Stop limited{};  // of Newton within the torque limits
+    Options follow{.tolerance = 1e-4,
+                   .limit = 200};  // what solves after the method, from the last command, and within the torque limits
+    bool remembers = true;  // whether the method is told the last command, for starts that take it
+    std::vector<double> directions;  // (N, 3, K) [1], object frame: the internal forces of an adjustment
+    double squeeze = 0.0;  // [N] total normal force of `Hold::squeeze`
     double most_change = infinity;  // [N] by which a force may change in one tick beyond what balance asks
     int release = 2;  // ticks without force after which a finger no longer counts as in contact
 };
 
 // What the motors were asked since `begin_step`.
 struct Effort {
-    int limited = 0;  // iterations of Newton within the torque limits
+    int followed = 0;  // iterations at control ticks between two of the method's
+    int limited = 0;   // iterations of Newton within the torque limits, where a force exceeded them
     bool saturated = false;  // torques had to be cut: no force within the limits balances the wrench, or none was found
     double margin = infinity;  // least distance of a torque from its limit [N m]
 };
 
 // What the fingers in contact do.
 enum class Hold {
-    optimised,  // carry the last optimum along
+    optimized,  // the force that the method finds, and Newton after it
     squeeze,  // a constant internal force, and what balances
     place,  // no force: every finger holds its place
     direct,  // given forces
-    lost,  // no force closure: given forces, balanced as far as the cones let them
+    reach,  // no force: every finger is drawn to its contact
 };
 
 class Controller {
 public:
-    const std::shared_ptr<const Scene> scene;
+    const std::shared_ptr<Scene> scene;
     const std::shared_ptr<const Tree> tree;
     const ControlSettings settings;
     Sensors sensors;
+    Hold hold = Hold::optimized;
     Vec6 wrench{};  // that is balanced [N, N m], object frame
     std::vector<double> torques;  // (M,) [N m]
     std::vector<double> force;  // (N, 3) commanded [N], contact frames
     std::vector<double> frames;  // (N, 3, 3) these, columns (n, o, t), object frame
-    std::vector<double> depths;  // (N,) [m] inside the surface of the places that fingers hold where nothing is optimised
+    std::vector<double> depths;  // (N,) [m] inside the surface of the places that fingers hold where nothing is optimized
     std::vector<double> home;  // (M,) rest posture [rad]
     std::vector<Point> goals, inwards;  // (N,) the grasp's contact points [m] and inward normals, object frame
+    std::vector<double> solution;  // the row of the method's last solve
     double peak = 0.0;  // largest |torque| since `reset` [N m]
-    int repaired = 0;  // ticks in which forces had to be brought back into the cones
     std::uint64_t mask = 0;  // the fingers that count as in contact
     int changes = 0;  // how often they changed
-    bool changed = false;  // since forces were last given
-    bool unkept = false;  // the last forces exceed the limit of a joint that fingers share, which is left to the caller
+    bool closure = true;  // whether a force was found at the last tick that optimized
     Effort effort;
 
-    Controller(std::shared_ptr<const Scene> given, const ControlSettings& settings, const SensorSettings& sensing)
+    // method: finds the forces at an agent's step, made for the contacts of all fingers. Throws std::invalid_argument.
+    Controller(std::shared_ptr<Scene> given, const ForceOptimizer& method, const ControlSettings& settings,
+               const SensorSettings& sensing)
         : scene(std::move(given)), tree(scene->tree), settings(settings), sensors(scene, sensing), torques(tree->joints()),
           force(3 * tree->fingers()), frames(9 * tree->fingers()), depths(tree->fingers()), home(torques), goals(tree->fingers()),
-          inwards(goals), apart_(tree->fingers()), before_(force), frames_before_(frames), points_(force), normals_(force),
-          given_(force), solved_(force), kept_(force), then_(frames), pull_(torques), extra_(torques), trial_(torques),
-          torsion_(tree->fingers()), push_(force), jacobian_(force.size() * torques.size()), normal_(int(force.size())),
-          columns_(force.size()), redundant_(is_redundant(*tree)) {}
+          inwards(goals), solution(method.size()), method_(method), motors_(*tree), follow_({method.contacts()}, settings.follow),
+          within_(within(method.contacts())), elastic_(tree->fingers()), followed_(follow_.size()), found_(within_.size()),
+          last_(found_), apart_(tree->fingers()), before_(force), given_(force), squeezed_(force), adjustment_(force),
+          frames_before_(frames), torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
+          posture_(force.size() * torques.size()), normal_(int(force.size())), redundant_(is_redundant(*tree)) {
+        if (method.contacts().count != tree->fingers())
+            throw std::invalid_argument("the method needs one contact of each finger");
+    }
+    Controller(const Controller&) = delete;
 
     // Forgets the episode; before it the scene stood still.
     void reset() {
         std::fill(torques.begin(), torques.end(), 0.0);
         std::fill(force.begin(), force.end(), 0.0);
         std::fill(frames.begin(), frames.end(), 0.0);
-        wrench = {}, peak = 0.0, repaired = 0, mask = 0, changes = 0;
-        begin_step();
-        changed = unkept = missing_ = false, fresh_ = true, hold_ = Hold::optimised, set_ = nullptr;
         std::fill(apart_.begin(), apart_.end(), 0);
+        forget_solution();
+        wrench = {}, peak = 0.0, mask = squeezing_ = 0, changes = 0, closure = true;
+        begin_step();
+        missing_ = known_ = limited_ = false, fresh_ = true;
         sensors.reset();
     }
 
+    // What is known at a control tick.
     struct Known {
-        Point gravity;  // [m/s^2], world
+        Doubles reading;         // of the simulator or the hand, see `Reading`; none: the scene stands as it was read
+        const double* external;  // (6,) wrench on the object as a perfect sensor would tell it [N, N m], object frame
+        const double* noise;     // (3 + 3N,) standard normal numbers where sensors are noisy
+        Point gravity;           // [m/s^2], world
         Target target;
     };
-    // What is known at this control tick, and the wrench to balance; call before `give` and `command`. See `Sensors::see`.
-    void see(const double* external, const double* noise, const Known& known) {
-        sensors.see(external, noise, settings.body, known.gravity);
+    // What an agent does in its step, which begins at this tick. All may be left out.
+    struct Step {
+        Doubles adjustment{};  // (K,) [N] along `settings.directions`: added to the start, which is then repaired
+        Start start = Start::standard;  // of the method: its own, or `given`
+        Doubles force{};       // (N, 3) [N], contact frames: that start, or with `Hold::direct` what is commanded
+    };
+    // One control tick, from a reading to `torques`, within the motors' limits. step: where an agent's step begins. False: the reading is not
+    // finite or the object is lost; nothing has changed.
+    bool tick(const Known& known, const Step* step = nullptr) {
+        const bool good = see(known);
+        if (good) act(step);
+        return good;
+    }
+    // The two halves of a tick, for starts that need to know what is seen.
+    bool see(const Known& known) {
+        if (!known.reading.empty() && !scene->read(known.reading.data(), known.reading.size())) return false;
+        sensors.see(known.external, known.noise, settings.body, known.gravity);
         target_ = known.target;
         wrench = sensors.external + settings.body.wrench(seen(), target_, known.gravity);
         count_contacts();
+        return true;
+    }
+    void act(const Step* step = nullptr) {
+        std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), torques.begin());
+        before_ = force, frames_before_ = frames;  // not swapped: Python looks at them
+        std::fill(force.begin(), force.end(), 0.0);
+        std::fill(torsion_.begin(), torsion_.end(), 0.0);
+        write_frames();
+        const bool pushes = hold != Hold::place && hold != Hold::reach && mask;
+        closure = mask || hold != Hold::optimized;
+        if (step) forget_solution();
+        if (pushes) find_forces(step), push(force.data(), torques);
+        remember(pushes);
+        for (int i = 0; i < tree->fingers(); ++i) {
+            if (pushes && mask >> i & 1) continue;
+            std::fill(extra_.begin(), extra_.end(), 0.0);
+            seen().posture.push(tree->tips[i].link, seen().tips[i], reach(i), extra_.data());
+            add_within();
+        }
+        if (redundant_) keep_posture();
+        cut();
+        fresh_ = false;
     }
     const Snapshot& seen() const { return sensors.seen(); }
 
-    // An agent's step begins.
+    // An agent's step begins: its effort is counted anew.
     void begin_step() { effort = {}; }
-
-    // What fingers in contact carry: those of a set, with the pipeline, on its nominal contacts, that has their last optimum, or none.
-    void add_set(std::uint64_t which, Pipeline* pipeline) {
-        Set made{fingers_of(which), pipeline, {}};
-        if (pipeline) made.limits.emplace(tree, made.fingers, *pipeline, settings.limited);
-        sets_.insert_or_assign(which, std::move(made));
-    }
-    bool has_set(std::uint64_t which) const { return sets_.contains(which); }
-    std::size_t set_size(std::uint64_t which) const { return sets_.at(which).fingers.size(); }
-    // What the fingers of a set do from now on. given: (3n,) forces [N], contact frames, of those that need them; torsion: (n,) moments
-    // about the normals with them [N m], or none.
-    void give(Hold hold, std::uint64_t which, const double* given, const double* torsion = nullptr) {
-        hold_ = hold, set_ = &sets_.at(which);
-        if (given) std::copy(given, given + 3 * set_->fingers.size(), given_.begin());
-        std::fill(torsion_.begin(), torsion_.end(), 0.0);
-        if (torsion) std::copy(torsion, torsion + set_->fingers.size(), torsion_.begin());
-        changed = unkept = false;
-    }
+    // How the method's last solve ended.
+    Code code() const { return Code(int(reinterpret_cast<const Summary*>(solution.data())->code)); }
 
     // Frames, and measured forces as the commanded ones: what the hand does at rest, before the first command.
     void rest() {
@@ -147,67 +182,48 @@ public:
         return out;
     }
 
-    // The torques of this tick, within the motors' limits: first what the forces need, of the rest what reaches and keeps posture.
-    void command() {
-        const Snapshot& s = seen();
-        std::copy(s.gravity_torques.begin(), s.gravity_torques.end(), torques.begin());
-        before_ = force, frames_before_ = frames;  // not swapped: Python looks at them
-        std::fill(force.begin(), force.end(), 0.0);
-        write_frames();
-        std::uint64_t acting = 0;
-        if (hold_ != Hold::place && set_ && !set_->fingers.empty()) {
-            write_forces();
-            push(solved_.data(), torques);
-            for (std::size_t a = 0; a < set_->fingers.size(); ++a) {
-                const int i = set_->fingers[a];
-                acting |= std::uint64_t(1) << i;
-                std::copy_n(&solved_[3 * a], 3, &force[3 * i]);
-            }
-        }
-        for (int i = 0; i < tree->fingers(); ++i) {
-            if (acting >> i & 1) continue;
-            std::fill(extra_.begin(), extra_.end(), 0.0);
-            s.posture.push(tree->tips[i].link, s.tips[i], reach(i), extra_.data());
-            add_within();
-        }
-        if (redundant_) keep_posture();
-        for (int j = 0; j < tree->joints(); ++j) {
-            const double limit = tree->links[j].torque_limit, asked = std::abs(torques[j]);
-            if (tree->links[j].coupled()) continue;
-            effort.saturated = effort.saturated || (asked > limit * (1.0 + ROUNDED) && !unkept);
-            torques[j] = std::min(std::max(torques[j], -limit), limit);
-            peak = std::max(peak, std::abs(torques[j])), effort.margin = std::min(effort.margin, limit - std::abs(torques[j]));
-        }
-        fresh_ = false;
-    }
-
 private:
-    static constexpr double LEAST_NORMAL = 0.1;  // [N] of a finger without force closure
+    static constexpr double LIGHT = 1e-2;  // [N] of a finger that lands, times the friction
     static constexpr double ROUNDED = 1e-9;  // of a torque limit: rounding by which it may be passed
 
-    struct Set {
-        std::vector<int> fingers;
-        Pipeline* pipeline = nullptr;
-        std::optional<TorqueLimits> limits;
-        bool limited = false;  // whether its forces of the last tick are those of `limits`
+    // The joints that have motors, and how the contact points move with them.
+    struct Motors {
+        std::vector<int> of;  // (M,) the motor of a joint; -1: it is coupled
+        std::vector<double> limit, bias;  // (J,) [N m]: of the motors; of them what the links' weight takes
+        explicit Motors(const Tree& tree) : of(tree.joints(), -1) {
+            for (int j = 0; j < tree.joints(); ++j)
+                if (!tree.links[j].coupled()) of[j] = int(limit.size()), limit.push_back(tree.links[j].torque_limit);
+            bias.resize(limit.size());
+        }
     };
-    std::map<std::uint64_t, Set> sets_;
-    Set* set_ = nullptr;
-    Hold hold_ = Hold::optimised;
+    ForceOptimizer method_;
+    Motors motors_;
+    std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; before what is made with it
+    ForceOptimizer follow_, within_;  // what goes on after the method, on the cones alone; Newton within the motors' limits
+    ElasticBalance elastic_;
+    std::vector<double> followed_, found_, last_;  // rows of the two, and of the last command
+    bool known_ = false;  // whether there is a last command
+    bool limited_ = false, exceeding_ = false;  // whether it was made within the limits; whether it exceeds them least
+    std::uint64_t squeezing_ = 0;  // the fingers that `squeezed_` is for
     bool missing_ = false, fresh_ = true;  // a finger that counts has no force; nothing was commanded before
     std::vector<int> apart_;  // (N,) ticks since a finger had force
     Target target_{};
-    std::vector<double> before_, frames_before_;  // commanded at the last tick
-    std::vector<double> points_, normals_;  // (n, 3) of the set's contacts
-    std::vector<double> given_, solved_, kept_;  // (3n,) forces [N], contact frames
-    std::vector<double> then_;  // (n, 3, 3) frames of the last tick
+    std::vector<double> before_, given_, squeezed_,
+        adjustment_;  // (N, 3): commanded at the last tick; of the agent; internal; object frame
+    std::vector<double> frames_before_;  // of the last tick
+    std::vector<double> torsion_;  // (N,) commanded [N m]
     std::vector<double> pull_, extra_, trial_;  // (M,) of `keep_posture`, `add_within`, `fits`
-    std::vector<double> torsion_;  // (n,) given [N m]
-    std::vector<double> push_, jacobian_;  // of `keep_posture`
+    std::vector<double> push_, posture_;  // of `keep_posture`
     Cholesky normal_;
-    std::vector<Vec6> columns_;  // of G
     bool redundant_;
 
+    ForceOptimizer within(const Contacts& contacts) {
+        jacobian_.resize((contacts.soft() ? 6 : 3) * contacts.count * motors_.limit.size());
+        const auto limited = [](double limit) { return limit < infinity; };
+        const bool elastic = std::any_of(motors_.limit.begin(), motors_.limit.end(), limited);
+        return ForceOptimizer({contacts, {.jacobian = jacobian_, .torque_limit = motors_.limit}},
+                              {.tolerance = settings.follow.tolerance, .limit = settings.follow.limit, .elastic = elastic});
+    }
     // Whether the tips leave joints free: more than three of a finger, or some that move none.
     static bool is_redundant(const Tree& tree) {
         const std::vector<int> users = tree.users(tree.all_fingers());
@@ -217,42 +233,14 @@ private:
         return free;
     }
 
-    // out (M,) += the torques with which the set's fingers push with forces (3n,) [N], contact frames.
-    void push(const double* forces, std::vector<double>& out) const {
-        const Snapshot& s = seen();
-        for (std::size_t a = 0; a < set_->fingers.size(); ++a) {
-            const int i = set_->fingers[a];
-            Point push{0.0, 0.0, 0.0};
-            for (int k = 0; k < 3; ++k) push += forces[3 * a + k] * axis(i, k);
-            s.posture.push(tree->tips[i].link, s.touch[i], s.rotation * push, out.data());
-            if (torsion_[a] != 0.0) s.posture.twist(tree->tips[i].link, torsion_[a] * (s.rotation * axis(i, 0)), out.data());
-        }
-    }
-    // Whether the motors can push with forces (3n,) besides carrying the hand.
-    bool fits(const double* forces) {
-        std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), trial_.begin());
-        push(forces, trial_);
-        return TorqueLimits::within(*tree, trial_);
-    }
-    // Adds as much of `extra_` to the torques as their limits leave room for.
-    void add_within() {
-        double share = 1.0;
-        for (int j = 0; j < tree->joints(); ++j) {
-            if (extra_[j] == 0.0) continue;
-            const double room = tree->links[j].torque_limit - std::copysign(torques[j], torques[j] * extra_[j]);
-            share = std::min(share, std::max(room, 0.0) / std::abs(extra_[j]));
-        }
-        for (int j = 0; j < tree->joints(); ++j) torques[j] += share * extra_[j];
-    }
+    // --- contacts
 
     Point axis(int i, int a) const { return {frames[9 * i + a], frames[9 * i + 3 + a], frames[9 * i + 6 + a]}; }
-    std::vector<int> fingers_of(std::uint64_t which) const {
-        std::vector<int> out;
+    // f(i) for the fingers in contact
+    template <class F> void touching(F&& f) const {
         for (int i = 0; i < tree->fingers(); ++i)
-            if (which >> i & 1) out.push_back(i);
-        return out;
+            if (mask >> i & 1) f(i);
     }
-
     // Which fingers count as in contact: those that touch, and those that did a moment ago.
     void count_contacts() {
         const std::uint64_t touch = seen().mask();
@@ -266,9 +254,8 @@ private:
         missing_ = held != touch;
         if (held == mask) return;
         changes += mask != 0;
-        mask = held, changed = true;
+        mask = held;
     }
-
     void write_frames() {
         for (int i = 0; i < tree->fingers(); ++i) {
             const Frame frame(seen().normals[i], nullptr);
@@ -276,72 +263,150 @@ private:
                 for (int k = 0; k < 3; ++k) frames[9 * i + 3 * k + a] = frame[a][k];
         }
     }
+    // The current contacts, as optimizers take them.
+    Now contacts() const {
+        const std::size_t size = 3 * seen().points.size();
+        return {.positions = {&seen().points[0].u, size}, .normals = {&seen().normals[0].u, size}, .contacts = mask};
+    }
+    // The same with the motors' Jacobian and what the links' weight takes of them.
+    Now limited_contacts() {
+        const Snapshot& s = seen();
+        const std::size_t joints = motors_.limit.size(), rows = joints ? jacobian_.size() / (joints * tree->fingers()) : 0;
+        std::fill(jacobian_.begin(), jacobian_.end(), 0.0);
+        touching([&](int i) {
+            const auto add = [&](std::size_t row, int j, const Point& moves) {
+                const Point there = s.rotation.transposed(moves);
+                for (int k = 0; k < 3; ++k) jacobian_[joints * (rows * i + row + k) + motors_.of[j]] += there[k];
+            };
+            s.posture.carriers(tree->tips[i].link, s.touch[i], [&](int j, const Point& moves) { add(0, j, moves); });
+            if (rows == 6) s.posture.turners(tree->tips[i].link, [&](int j, const Point& turns) { add(3, j, turns); });
+        });
+        for (int j = 0; j < tree->joints(); ++j)
+            if (motors_.of[j] >= 0) motors_.bias[motors_.of[j]] = s.gravity_torques[j];
+        Now now = contacts();
+        now.jacobian = jacobian_, now.torque_bias = motors_.bias;
+        return now;
+    }
 
-    // Forces (3n,) of the set's fingers into `solved_`.
-    void write_forces() {
-        if (hold_ != Hold::optimised) {
-            solved_ = given_;
-            if (hold_ != Hold::direct) restore_balance();
-            if (hold_ == Hold::lost) clip();
+    // --- forces
+
+    void forget_solution() { *reinterpret_cast<Summary*>(solution.data()) = {}; }
+    // Forces of the fingers in contact into `force` and `torsion_`.
+    void find_forces(const Step* step) {
+        if (hold == Hold::optimized) {
+            if (known_) land();
+            const Record row = step ? by_method(*step) : follow();
+            if (!row.has_force()) return balance_elastically();
+            take(row), keep_limits(row);
+            if (!fresh_ && known_) bound_change();
             return;
         }
-        const std::size_t count = set_->fingers.size();
-        for (std::size_t a = 0; a < count; ++a)
-            for (int k = 0; k < 3; ++k) {
-                points_[3 * a + k] = seen().points[set_->fingers[a]][k];
-                normals_[3 * a + k] = seen().normals[set_->fingers[a]][k];
-            }
-        const Load load{points_.data(), normals_.data(), wrench.data()};
-        repaired += set_->pipeline->carry(load, solved_.data()) != CARRIED;
-        const bool exceeds = !fits(solved_.data());
-        set_->limited = exceeds && keep_limits(load);
-        unkept = exceeds && set_->limits->shares && !fits(solved_.data());
-        if (!fresh_) bound_change(load);
+        if (hold == Hold::direct && step) std::copy(step->force.begin(), step->force.end(), given_.begin());
+        if (hold == Hold::squeeze && squeezing_ != mask) squeeze();
+        const std::vector<double>& from = hold == Hold::direct ? given_ : squeezed_;
+        touching([&](int i) { std::copy_n(&from[3 * i], 3, &force[3 * i]); });
+        if (hold == Hold::squeeze) restore_balance();
     }
-
-    // The forces within the torque limits that are left; false where none were found.
-    bool keep_limits(const Load& load) {
-        const Snapshot& s = seen();
-        TorqueLimits& limits = *set_->limits;
-        const int before = limits.iterations;
-        const bool found =
-            limits.solve(load, {s.posture, s.touch, s.rotation, frames, s.gravity_torques}, set_->limited, solved_.data());
-        effort.limited += limits.iterations - before;
-        return found;
+    void take(const Record& row) {
+        std::copy_n(row.force(), force.size(), force.data());
+        std::copy_n(row.torsion(), torsion_.size(), torsion_.data());
     }
-
+    // The method on the current contacts.
+    Record by_method(const Step& step) {
+        Ask ask{.wrench = wrench.data(), .now = contacts(), .start = step.start};
+        if (step.start == Start::given) ask.force = step.force;
+        if (settings.remembers && known_) ask.previous = last_.data();
+        if (!step.adjustment.empty()) adjust(step.adjustment), ask.adjustment = adjustment_;
+        method_.solve(ask, solution.data());
+        return Record(solution.data());
+    }
+    // From the last command.
+    Record follow() {
+        follow_.solve(from_last(), followed_.data());
+        const Record row(followed_.data());
+        effort.followed += int(row.summary().iterations);
+        return row;
+    }
+    Ask from_last() const {
+        return {
+            .wrench = wrench.data(), .now = contacts(), .start = Start::previous, .previous = known_ ? last_.data() : nullptr};
+    }
+    // Where the motors cannot make a solution's force: Newton within their limits, from the last command if that was made so.
+    void keep_limits(const Record& row) {
+        const bool again = limited_ && known_;
+        limited_ = !fits(force);
+        if (!limited_) return;
+        within_.solve({.wrench = wrench.data(),
+                       .now = limited_contacts(),
+                       .start = Start::previous,
+                       .previous = again ? last_.data() : reinterpret_cast<const double*>(&row.summary())},
+                      found_.data());
+        const Record within(found_.data());
+        effort.limited += int(within.summary().iterations);
+        exceeding_ = within.code() == LIMITS_EXCEEDED;
+        if (within.has_force()) take(within);
+    }
+    // No force closure: the last forces, towards what misses balance least.
+    void balance_elastically() {
+        closure = limited_ = false;
+        touching([&](int i) { std::copy_n(&before_[3 * i], 3, &force[3 * i]); });
+        elastic_.solve(method_.contacts(), mask, &seen().points[0].u, frames.data(), wrench, settings.follow.limit, force.data());
+        effort.followed += elastic_.iterations;
+    }
+    void adjust(Doubles coordinates) {
+        const std::size_t columns = coordinates.size();
+        for (std::size_t j = 0; j < adjustment_.size(); ++j) {
+            adjustment_[j] = 0.0;
+            for (std::size_t k = 0; k < columns; ++k) adjustment_[j] += settings.directions[columns * j + k] * coordinates[k];
+        }
+    }
+    // A finger that was commanded no force in its cone, as it has just landed, was barely inside it.
+    void land() {
+        const Record row(last_.data());
+        touching([&](int i) {
+            double* f = row.force() + 3 * i;
+            const double *scale = &method_.contacts().scale[3 * i], side = std::hypot(scale[1] * f[1], scale[2] * f[2]);
+            if (!(scale[0] * f[0] > side)) f[0] = std::max(1.05 * side, LIGHT) / scale[0];
+        });
+    }
+    // The command as the previous solution of the next tick.
+    void remember(bool pushes) {
+        known_ = pushes;
+        if (!pushes) return;
+        Summary& s = *reinterpret_cast<Summary*>(last_.data());
+        s.code = limited_ && exceeding_ ? LIMITS_EXCEEDED : CONVERGED, s.contacts = tree->fingers();
+        const Record row(last_.data());
+        std::copy(force.begin(), force.end(), row.force());
+        std::copy(torsion_.begin(), torsion_.end(), row.torsion());
+        std::copy(frames.begin(), frames.end(), row.frames());
+    }
     // Moves the forces towards what was commanded before, so that no component changes by more than `most_change` beyond balance.
-    void bound_change(const Load& load) {
-        const auto change = [&](const auto& then) {
+    void bound_change() {
+        const auto change = [&](const double* then) {
             double most = 0.0;
-            for (std::size_t a = 0; a < set_->fingers.size(); ++a)
-                for (int k = 0; k < 3; ++k) most = std::max(most, std::abs(solved_[3 * a + k] - then(a, k)));
+            touching([&](int i) {
+                for (int j = 3 * i; j < 3 * i + 3; ++j) most = std::max(most, std::abs(force[j] - then[j]));
+            });
             return most;
         };
-        if (change([&](std::size_t a, int k) { return before_[3 * set_->fingers[a] + k]; }) <= settings.most_change) return;
-        for (std::size_t a = 0; a < set_->fingers.size(); ++a) {
-            const int i = set_->fingers[a];
-            const double *f = &before_[3 * i], least = 1.05 * std::sqrt(f[1] * f[1] + f[2] * f[2]);
-            // a finger that has just landed carries nothing yet: barely inside its cone
-            kept_[3 * a] = std::max(settings.friction * f[0], std::max(least, 1e-2)) / settings.friction;
-            kept_[3 * a + 1] = f[1], kept_[3 * a + 2] = f[2];
-            std::copy(&frames_before_[9 * i], &frames_before_[9 * i] + 9, &then_[9 * a]);
-        }
-        set_->pipeline->carry_from(load, kept_.data(), then_.data(), kept_.data());
-        const double moved = change([&](std::size_t a, int k) { return kept_[3 * a + k]; });
+        if (change(before_.data()) <= settings.most_change) return;
+        follow_.start(from_last(), followed_.data());
+        const Record kept(followed_.data());
+        if (!kept.has_force()) return;
+        const double moved = change(kept.force());
         if (moved <= settings.most_change) return;
-        const double share = within_limits(settings.most_change / moved);
-        for (std::size_t j = 0; j < 3 * set_->fingers.size(); ++j) solved_[j] = kept_[j] + share * (solved_[j] - kept_[j]);
+        const double share = limited_ ? within_limits(kept, settings.most_change / moved) : settings.most_change / moved;
+        for (std::size_t j = 0; j < force.size(); ++j) force[j] = kept.force()[j] + share * (force[j] - kept.force()[j]);
+        for (std::size_t i = 0; i < torsion_.size(); ++i)
+            torsion_[i] = kept.torsion()[i] + share * (torsion_[i] - kept.torsion()[i]);
     }
-
-    // The least share, from one on, of the way from `kept_` to `solved_` that is within the torque limits if `solved_` is.
-    double within_limits(double share) {
-        if (!set_->limited) return share;
-        const auto torques_of = [&](const std::vector<double>& forces, std::vector<double>& out) {
+    // The least share, from one on, of the way from `kept` to the forces that is within the torque limits if the forces are.
+    double within_limits(const Record& kept, double share) {
+        const auto torques_of = [&](const double* forces, std::vector<double>& out) {
             std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), out.begin());
-            push(forces.data(), out);
+            push(forces, out);
         };
-        torques_of(kept_, trial_), torques_of(solved_, extra_);
+        torques_of(kept.force(), trial_), torques_of(force.data(), extra_);
         for (int j = 0; j < tree->joints(); ++j) {
             const double limit = tree->links[j].torque_limit, from = trial_[j], way = extra_[j] - from;
             if (std::abs(extra_[j]) <= limit && std::abs(from + share * way) > limit)
@@ -349,36 +414,77 @@ private:
         }
         return share;
     }
-
+    // An internal force of the contacts that the method was made for, of those fingers that touch, with the total normal force of the settings.
+    void squeeze() {
+        const double nothing[6] = {};
+        follow_.solve({.wrench = nothing, .now = {.contacts = mask}}, followed_.data());
+        const Record row(followed_.data());
+        double total = 0.0;
+        touching([&](int i) {
+            for (int a = 0; a < 3; ++a) squeezed_[3 * i + a] = row.has_force() ? row.force()[3 * i + a] : a == 0;
+            total += squeezed_[3 * i];
+        });
+        for (double& f : squeezed_) f *= settings.squeeze / total;
+        squeezing_ = mask;
+    }
     // The least change of the forces that restores balance, as far as these contacts can.
     void restore_balance() {
         constexpr double SHIFT = 1e-9;  // of the largest entry: two contacts cannot turn the object about the line between them
-        const std::size_t size = 3 * set_->fingers.size();
         Packed6 gram{};
         Vec6 missed = wrench;
-        for (std::size_t j = 0; j < size; ++j) {
-            const int i = set_->fingers[j / 3];
-            columns_[j] = unit_wrench(seen().points[i], axis(i, int(j % 3)));
-            missed = missed + solved_[j] * columns_[j];
-            for (int r = 0; r < 6; ++r)
-                for (int q = 0; q <= r; ++q) gram[packed(r, q)] += columns_[j][r] * columns_[j][q];
-        }
+        const auto column = [&](int i, int a) { return unit_wrench(seen().points[i], axis(i, a)); };
+        touching([&](int i) {
+            for (int a = 0; a < 3; ++a) missed = missed + force[3 * i + a] * column(i, a), add_gram(gram, column(i, a));
+        });
         double largest = 0.0;
         for (int r = 0; r < 6; ++r) largest = std::max(largest, gram[packed(r, r)]);
         for (int r = 0; r < 6; ++r) gram[packed(r, r)] += SHIFT * largest;
         Ldl6 factor;
         if (!(factor.factor(gram) > 0.0)) return;
         const Vec6 pull = factor.solve(missed);
-        for (std::size_t j = 0; j < size; ++j) solved_[j] -= dot(columns_[j], pull);
+        touching([&](int i) {
+            for (int a = 0; a < 3; ++a) force[3 * i + a] -= dot(column(i, a), pull);
+        });
     }
 
-    // Into the cones, with at least `LEAST_NORMAL`; tangential forces give way.
-    void clip() {
-        for (std::size_t a = 0; a < set_->fingers.size(); ++a) {
-            double* f = &solved_[3 * a];
-            f[0] = std::max(f[0], LEAST_NORMAL);
-            const double share = settings.friction * f[0] / std::max(std::sqrt(f[1] * f[1] + f[2] * f[2]), 1e-12);
-            if (share < 1.0) f[1] *= share, f[2] *= share;
+    // --- torques
+
+    // out (M,) += the torques with which the fingers in contact push with forces (N, 3) [N], contact frames, and their torsion.
+    void push(const double* forces, std::vector<double>& out) const {
+        const Snapshot& s = seen();
+        touching([&](int i) {
+            Point push{0.0, 0.0, 0.0};
+            for (int k = 0; k < 3; ++k) push += forces[3 * i + k] * axis(i, k);
+            s.posture.push(tree->tips[i].link, s.touch[i], s.rotation * push, out.data());
+            if (torsion_[i] != 0.0) s.posture.twist(tree->tips[i].link, torsion_[i] * (s.rotation * axis(i, 0)), out.data());
+        });
+    }
+    // Whether the motors can push with forces (N, 3) besides carrying the hand.
+    bool fits(const std::vector<double>& forces) {
+        std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), trial_.begin());
+        push(forces.data(), trial_);
+        for (int j = 0; j < tree->joints(); ++j)
+            if (!(std::abs(trial_[j]) <= tree->links[j].torque_limit)) return false;
+        return true;
+    }
+    // Adds as much of `extra_` to the torques as their limits leave room for.
+    void add_within() {
+        double share = 1.0;
+        for (int j = 0; j < tree->joints(); ++j) {
+            if (extra_[j] == 0.0) continue;
+            const double room = tree->links[j].torque_limit - std::copysign(torques[j], torques[j] * extra_[j]);
+            share = std::min(share, std::max(room, 0.0) / std::abs(extra_[j]));
+        }
+        for (int j = 0; j < tree->joints(); ++j) torques[j] += share * extra_[j];
+    }
+    // Torques within the motors' limits.
+    void cut() {
+        for (int j = 0; j < tree->joints(); ++j) {
+            if (tree->links[j].coupled()) continue;
+            const double limit = tree->links[j].torque_limit, asked = std::abs(torques[j]);
+            effort.saturated = effort.saturated || asked > limit * (1.0 + ROUNDED);
+            torques[j] = std::min(std::max(torques[j], -limit), limit);
+            peak = std::max(peak, std::abs(torques[j])), effort.margin = std::min(effort.margin, limit - std::abs(torques[j]));
         }
     }
 
@@ -386,7 +492,7 @@ private:
     // else carried by the object. World frame [N].
     Point reach(int i) const {
         const Snapshot& s = seen();
-        const bool anchored = hold_ == Hold::place;
+        const bool anchored = hold == Hold::place;
         const Rotation turned = anchored ? Rotation::of_quaternion(target_.quaternion) : s.rotation;
         const Spring& spring = anchored ? settings.spring : settings.reach[i];
         const double depth = anchored ? depths[i] : settings.reach_depth;
@@ -407,20 +513,20 @@ private:
             const Spring& spring = settings.posture[j];
             pull_[j] = tree->links[j].coupled() ? 0.0 : -spring.gain * (s.angles[j] - home[j]) - spring.damping * s.rates[j];
         }
-        for (int i = 0; i < tree->fingers(); ++i) s.posture.jacobian(tree->tips[i].link, s.tips[i], &jacobian_[3 * m * i]);
+        for (int i = 0; i < tree->fingers(); ++i) s.posture.jacobian(tree->tips[i].link, s.tips[i], &posture_[3 * m * i]);
         for (int a = 0; a < rows; ++a) {
             push_[a] = 0.0;
-            for (int j = 0; j < m; ++j) push_[a] += jacobian_[m * a + j] * pull_[j];
+            for (int j = 0; j < m; ++j) push_[a] += posture_[m * a + j] * pull_[j];
             for (int b = 0; b <= a; ++b) {
                 normal_(a, b) = a == b ? 1e-10 : 0.0;
-                for (int j = 0; j < m; ++j) normal_(a, b) += jacobian_[m * a + j] * jacobian_[m * b + j];
+                for (int j = 0; j < m; ++j) normal_(a, b) += posture_[m * a + j] * posture_[m * b + j];
             }
         }
         if (!normal_.factor()) return;
         normal_.solve(push_.data());
         for (int j = 0; j < m; ++j) {
             extra_[j] = pull_[j];
-            for (int a = 0; a < rows; ++a) extra_[j] -= jacobian_[m * a + j] * push_[a];
+            for (int a = 0; a < rows; ++a) extra_[j] -= posture_[m * a + j] * push_[a];
         }
         add_within();
     }

@@ -107,17 +107,8 @@ public:
         : options(options), cones(count), system(cones), steep(cones), starter(cones), x(cones.field()), row(record_size(count)),
           step_(cones.field()), begun_(cones.field()), best_(cones.field()), centring_(cones.field()) {}
 
-    // Start, descent, certificates. REFUSED: numbers that are not finite, or no start that is balanced and strictly inside.
-    Code solve(const Call& call, const Record& record) {
-        record.summary().code = REFUSED;
-        if (!sane_wrench(call.wrench)) return REFUSED;
-        const Vec6 w = cones.unit.of(call.wrench);
-        if (!begin(call, w)) return REFUSED;
-        begun_ = x;
-        return descend_from(begun_, call, w, record);
-    }
-
-    // The same from the start that an internal force gives.
+    // Start, descent, certificates, from the start that an internal force gives. REFUSED: numbers that are not finite, or no start that is
+    // balanced and strictly inside.
     Code solve_from(const Field& rest, const Call& call, const Record& record) {
         record.summary().code = REFUSED;
         if (!sane_wrench(call.wrench)) return REFUSED;
@@ -148,20 +139,6 @@ public:
             }
         }
         return finish(code, begun, call, w, at, record);
-    }
-
-    // The start of a call, in x.
-    bool begin(const Call& call, const Vec6& w) {
-        if (call.start == From::given) {
-            cones.load_force(call.force, x);
-            return is_start(w);
-        }
-        if (!starter.has_basis) return false;
-        if (call.start == From::combination) return starter.combination(cones, system, call.wrench, w, x);
-        if (!starter.combination(cones, system, call.wrench, w, starter.safe())) return false;
-        cones.load_force(call.force, x);
-        starter.carry(cones, system, starter.safe(), w, call.start, x);
-        return true;
     }
 
     // Whether x is balanced and strictly inside.

@@ -10,7 +10,6 @@ enum class From {
     combination,  // of the 12 offline optima (the paper, Sec. III)
     given,  // a force as it is
     tangent,  // a previous optimum: the change that is least in the Hessian of Phi, which follows it to first order
-    pseudoinverse,  // a previous optimum: the least change in force, G^+
 };
 
 // sum E_k f_k + max(0, 1 - sum E_k) f_rest, E_k = max(0, +-w_k) (Eqs. 33, 34): which of the 13 offline optima (+e_1..+e_6,
@@ -84,14 +83,6 @@ public:
         if (!tangent(cones, system, w, out)) return false;
         const double value = cones.phi(out);
         return value < infinity && value <= FAR * cones.phi(there_);
-    }
-
-    // An optimum of other contacts or another wrench, in x, carried to the current ones and strictly inside the cones: never worse
-    // than `safe`, the combination. The tangent correction is kept as it is where it is better than that.
-    void carry(const Cones<V, B>& cones, System<V, B>& system, const Field& safe, const Vec6& w, From how, Field& x) {
-        const bool follows = how == From::tangent && cones.phi(x) < infinity && tangent(cones, system, w, x);
-        if (!follows) cones.balance(x, w);
-        if (!(follows && cones.phi(x) < cones.phi(safe))) segment(cones, safe, x);
     }
 
     // x = the force of least Phi on the segment from `safe` (strictly inside) to x; returns how far along. Phi is convex there:
