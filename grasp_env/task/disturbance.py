@@ -1,6 +1,6 @@
 """What disturbs the object over an episode: external wrenches, tilting gravity, pushes; one row per control tick.
 
-A disturbance is one function, f(times, rng, settings), whether of `DISTURBANCES` or of a user.
+A disturbance is called as f(times, rng, settings), whether it is a record of `DISTURBANCES` or a user's function.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from grasp_env import ranges
 from grasp_env._check import Array, as_array
 from grasp_env.errors import GraspError, InvalidInputError, shown
 from grasp_env.grasp.wrench import paper_path
+from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, any_of, numbers, real, setting
 from grasp_env.task.motion import blend
 
 
@@ -50,13 +51,19 @@ disturbance in a longer episode, it draws from rng in an order that does not dep
 """
 
 
+def name_of(disturbance: Disturbance | None) -> str:
+    """The name of a built-in disturbance or of a function; "" where it has none."""
+    name = disturbance.name if isinstance(disturbance, DisturbanceSettings) else getattr(disturbance, "__name__", "")
+    return name if isinstance(name, str) else ""
+
+
 def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any) -> tuple[Array, Array]:
     """(T, 6) external wrench [N, N m], object frame, and (T, 3) gravity [m/s^2], world frame, of a disturbance.
 
     Raises:
         InvalidInputError: it failed, or returned something else, or what is not finite.
     """
-    called, rows = f"the disturbance {getattr(rule, '__name__', None) or shown(rule)}", len(times)
+    called, rows = f"the disturbance {name_of(rule) or shown(rule)}", len(times)
     try:
         made = rule(times.copy(), rng, settings)
     except GraspError:
@@ -81,60 +88,130 @@ def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings:
     return wrench, gravity
 
 
-def _none(times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
+@dataclass(frozen=True)
+class DisturbanceSettings(Settings):
+    """Base of the built-in disturbances: records of their numbers, called as any function that disturbs.
+
+    Example:
+        >>> from grasp_env.config import EnvConfig
+        >>> ConstantWrench(scale=0.5)(np.arange(2), np.random.default_rng(0), EnvConfig())[0, :3]
+        array([ 0.5 ,  0.25, -0.3 ])
+    """
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> ArrayLike | Disturbed:
+        """See `Disturbance`.
+
+        Args:
+            times: (T,) of the control ticks [s].
+            rng: generator of the episode.
+            settings: the environment's `EnvConfig`.
+        """
+        return Disturbed()
+
+
+@dataclass(frozen=True)
+class NoDisturbance(DisturbanceSettings):
     """Nothing besides gravity."""
-    return Disturbed()
+
+    name: ClassVar[str] = "none"
 
 
-def _constant(times: Array, rng: np.random.Generator, settings: Any) -> Array:
-    """`disturbance_value`, scaled."""
-    return np.tile(_scale(settings, 1.0) * np.array(settings.disturbance_value), (len(times), 1))
+@dataclass(frozen=True)
+class ConstantWrench(DisturbanceSettings):
+    """A constant wrench, by default the paper's."""
+
+    name: ClassVar[str] = "constant"
+
+    value: tuple[float, ...] = setting(
+        (1.0, 0.5, -0.6, -0.1, 0.2, 0.0), numbers(6), "Force and moment, object frame.", unit="N, N m"
+    )
+    scale: float = setting(1.0, real(), "Factor on the wrench.")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
+        """See `Disturbance`."""
+        return np.tile(self.scale * np.array(self.value), (len(times), 1))
 
 
-def _paper_path(times: Array, rng: np.random.Generator, settings: Any) -> Array:
-    """The paper's W_ext(t), scaled."""
-    return _scale(settings, 0.1) * paper_path(times)
+@dataclass(frozen=True)
+class PaperPath(DisturbanceSettings):
+    """The paper's W_ext(t).
+
+    It peaks at 1 N m about z, which takes 153 N of normal force and 9 N m at the joints. A tenth keeps the joints near 1 N m, what motors
+    of a hand this size give (the simulated joints allow 12 N m).
+    """
+
+    name: ClassVar[str] = "paper_path"
+
+    scale: float = setting(0.1, real(), "Factor on the wrench.")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
+        """See `Disturbance`."""
+        return self.scale * paper_path(times)
 
 
-def _random(times: Array, rng: np.random.Generator, settings: Any) -> Array:
+@dataclass(frozen=True)
+class RandomWrench(DisturbanceSettings):
     """An Ornstein-Uhlenbeck process per axis, from zero on."""
-    deviation = np.repeat([settings.random_force, settings.random_moment], 3)
-    return ornstein_uhlenbeck(rng, len(times), deviation, settings.random_time / (1.0 / settings.control_rate))
+
+    name: ClassVar[str] = "random"
+
+    force: float = setting(0.6, real(NOT_NEGATIVE), "Standard deviation of the force along each axis.", unit="N")
+    moment: float = setting(0.02, real(NOT_NEGATIVE), "Standard deviation of the moment about each axis.", unit="N m")
+    time: float = setting(0.3, real(POSITIVE), "Correlation time.", unit="s")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
+        """See `Disturbance`."""
+        deviation = np.repeat([self.force, self.moment], 3)
+        return ornstein_uhlenbeck(rng, len(times), deviation, self.time / (1.0 / settings.controller.rate))
 
 
-def _impulses(times: Array, rng: np.random.Generator, settings: Any) -> Array:
+@dataclass(frozen=True)
+class Impulses(DisturbanceSettings):
     """Half-sine pushes and twists in random directions, with exponential waits between them."""
-    return impulses(
-        rng, len(times), 1.0 / settings.control_rate, settings.impulse_force, settings.impulse_moment,
-        settings.impulse_time, settings.impulse_interval,
-    )  # fmt: skip
+
+    name: ClassVar[str] = "impulses"
+
+    force: float = setting(5.0, real(NOT_NEGATIVE), "Peak force.", unit="N")
+    moment: float = setting(0.1, real(NOT_NEGATIVE), "Peak moment.", unit="N m")
+    time: float = setting(0.05, real(POSITIVE), "Duration of an impulse.", unit="s")
+    interval: float = setting(0.5, real(POSITIVE), "Mean time between impulses.", unit="s")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
+        """See `Disturbance`."""
+        tick = 1.0 / settings.controller.rate
+        return impulses(rng, len(times), tick, self.force, self.moment, self.time, self.interval)
 
 
-def _tilting_gravity(times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
+@dataclass(frozen=True)
+class TiltingGravity(DisturbanceSettings):
     """Gravity swings about a random horizontal axis, as if the hand were tilted slowly."""
-    period = max(settings.tilt_period, 1.0 / settings.control_rate)
-    return Disturbed(gravity=tilting_gravity(rng, times, np.array(settings.gravity), settings.tilt_angle, period))
+
+    name: ClassVar[str] = "tilting_gravity"
+
+    angle: float = setting(0.7, real(NOT_NEGATIVE), "Largest tilt either way.", unit="rad")
+    period: float = setting(2.0, real(POSITIVE), "Period of the swing.", unit="s")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
+        """See `Disturbance`."""
+        period = max(self.period, 1.0 / settings.controller.rate)
+        return Disturbed(gravity=tilting_gravity(rng, times, np.array(settings.gravity), self.angle, period))
 
 
-DISTURBANCES: dict[str, Disturbance] = {
-    "none": _none,
-    "constant": _constant,
-    "paper_path": _paper_path,
-    "random": _random,
-    "impulses": _impulses,
-    "tilting_gravity": _tilting_gravity,
+DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
+    made.name: made for made in (NoDisturbance, ConstantWrench, PaperPath, RandomWrench, Impulses, TiltingGravity)
 }
-"""The built-in ones, by name: what each does is its docstring."""
+"""The built-in disturbances, by name."""
+DISTURBANCE = any_of(
+    DISTURBANCES, DisturbanceSettings, "disturbance",
+    ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]", calls=True,
+)  # fmt: skip
+"""What a setting may be that is a disturbance."""
 
 RAMP = 0.05
 """[s] in which a push of "six_directions" changes into the next, at most a quarter of `push_time`."""
 
 _BLOCK = 64
 """Impulses drawn at a time: fixed, so that a longer episode extends a shorter one."""
-
-
-def _scale(settings: Any, own: float) -> float:
-    return own if settings.disturbance_scale is None else settings.disturbance_scale
 
 
 def ornstein_uhlenbeck(rng: np.random.Generator, ticks: int, deviation: Array, time: float) -> Array:
