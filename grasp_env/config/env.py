@@ -1,321 +1,309 @@
-"""Every setting of the environment, as one frozen record of numbers and names."""
+"""`EnvConfig`: all settings of the environment, of keywords, dicts and JSON."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
-from grasp_env import ranges
-from grasp_env._check import as_array, as_list, as_text, choice, is_a, positive, together, whole
-from grasp_env._files import as_path
+from grasp_env._check import as_array, as_text, choice, is_a, together
+from grasp_env.config.randomize import RANDOMIZE, draw
+from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
-from grasp_env.force import METHODS, RULES
-from grasp_env.sim.engine import Engine, engine_of
+from grasp_env.settings import (
+    ANY,
+    Kind,
+    Settings,
+    described,
+    numbers,
+    record,
+    setting,
+    to_json,
+)
+from grasp_env.sim.engine import ENGINE, Engine, engine_of
 from grasp_env.sim.hand.description import HANDS, HandDescription
-from grasp_env.sim.objects.description import SHAPES
-from grasp_env.task.disturbance import DISTURBANCES, Disturbance
-from grasp_env.task.motion import MOTION_SIZES, MOTIONS
-from grasp_env.task.tasks import TASKS, Task
+from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.task.disturbance import DISTURBANCE, Disturbance, NoDisturbance
+from grasp_env.task.tasks import TASK, Hold, Task
 
-RANDOM = ("shape", "size", "mass", "friction")
-CONTROLLERS = ("optimised", "constant_squeeze", "pd")
-ACTION_MODES = ("initial_force", "contact_force", "none")
-WRENCHES = ("measured", "estimated", "none")
-_REAL = ranges.Range(-1e9, 1e9)
-"""Of any number here; in the units of the settings nothing is larger."""
-_REAL_POSITIVE = ranges.Range(1e-9, 1e9)
+SCHEMA = 1
+"""Version of the JSON of an `EnvConfig`."""
+KEYWORDS = {
+    "shape": "object.shape",
+    "size": "object.size",
+    "mass": "object.mass",
+    "friction": "object.friction",
+    "method": "solver.method",
+    "initial_force": "solver.initial_force",
+    "duration": "limits.duration",
+    "action_mode": "agent.action_mode",
+    "observation": "agent.observation",
+}
+"""The plain keywords of `gym.make`, besides the fields of `EnvConfig`, and the setting that each of them is."""
 _MOST_TICKS = 1_000_000
 """Of an episode, which is planned as a whole: 0.7 kB each."""
-_MOST_PIXELS = 8192
-_POSITIVE = {
-    "force_weight": ranges.FORCE_WEIGHT, "barrier_weight": ranges.BARRIER_WEIGHT, "tolerance": ranges.TOLERANCE,
-    **dict.fromkeys((
-        "object_mass", "friction", "friction_margin", "agent_rate", "random_time", "action_scale", "max_contact_gap", "impulse_time",
-        "impulse_interval", "tilt_period", "motion_period", "payload_factor", "push_time", "estimator_time", "position_bandwidth",
-        "rotation_bandwidth", "force_rate", "squeeze", "pd_stiffness", "duration", "motion_size", "max_drift", "max_tilt",
-        "render_force", "render_moment",
-    ), _REAL_POSITIVE),
-}  # fmt: skip
-_NAMES: dict[str, tuple[str, ...]] = {
-    "shape": SHAPES, "task": tuple(TASKS), "motion": tuple(MOTIONS), "wrench": WRENCHES, "controller": CONTROLLERS,
-    "initial_force": (*RULES, "previous"), "action_mode": ACTION_MODES, "method": METHODS, "disturbance": tuple(DISTURBANCES),
-}  # fmt: skip
-_HINTS = {
-    "hand": ", or give a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')",
-    "disturbance": ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]",
-    "initial_force": "; a rule(grasp, wrench) of your own is handed to the environment: gym.make(..., initial_force=rule)",
-}
-_LENGTHS = {"disturbance_value": 6, "gravity": 3}
-_SIGNED = ("friction_error", "disturbance_scale")
-_RANGES = ("size_range", "mass_range", "friction_range")
+_DRIFT, _TILT = 0.02, 0.35
+"""[m], [rad] at which an object counts as lost, where neither settings nor task say otherwise."""
+
+
+def _hand(value: Any, name: str) -> Any:
+    if is_a(value, HandDescription):
+        return value
+    return choice(value, name, HANDS, ", or give a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')")
+
+
+def _points(value: Any, name: str) -> tuple[tuple[float, ...], ...]:
+    points = as_array(value, None, name, ANY)
+    return tuple(map(tuple, as_array(points, (None, 3), name).tolist())) if points.size else ()
 
 
 @dataclass(frozen=True)
-class EnvConfig:
-    """Settings of `FourFingerGrasp-v0`; each is a keyword of `gym.make`.
-
-    Attributes:
-        hand: "four_finger", "three_finger", "five_finger", "four_finger_4dof", "allegro", "leap", or a `HandDescription`, such as
-            `HandDescription.from_urdf(path)`. Those that are not `placed` are put around the object by `place_hand`.
-        shape: "cuboid", "cylinder", "sphere", "capsule", or "mesh" (`mesh`).
-        size: [m] of the object: cuboid (x, y, z); cylinder, capsule (diameter, height), upright; sphere (diameter,). Empty:
-            0.1 m each way. Of a mesh: (scale,), 0.001 for a file in millimetres.
-        mesh: path of a closed convex mesh (.obj, .stl, .ply, .off) for shape "mesh".
-        object_mass: [kg]. friction: of the object; the contacts' is this times the hand's `tip_friction`, 1 in the built-in ones.
-        torsional_friction: [m] of the object, times the hand's `tip_friction`: above 0 contacts are soft, and two fingers can
-            hold. Forces on soft contacts are solved by Newton within all limits at every control tick, whatever the `method`.
-        contact_points: (N, 3) places of the tips on the object's surface [m], object frame, in the hand's order; empty: chosen.
-        randomise: what is drawn anew at each reset: any of "shape" (another shape has another size, too), "size", "mass",
-            "friction".
-        size_range, mass_range, friction_range: [m], [kg], [1] from which they are drawn, uniformly.
-        task: "hold", "move", "payload" or "six_directions"; see `grasp_env.task`.
-        duration: [s] until truncation; None: the task's own.
-        disturbance: the external wrench besides gravity: "none", "constant" (`disturbance_value`), "paper_path" (the paper's
-            W_ext(t)), "random" (Ornstein-Uhlenbeck), "impulses", "tilting_gravity", or any function f(times, rng, settings)
-            -> (T, 6), see `grasp_env.task.Disturbance`; None: the task's own.
-        disturbance_value: [N, N m] of "constant"; the paper's by default.
-        disturbance_scale: factor on "constant" and "paper_path"; None: 1 for "constant", 0.1 for "paper_path". W_ext peaks
-            at 1 N m about z, which takes 153 N of normal force and 9 N m at the joints; a tenth keeps them near 1 N m,
-            what motors of a hand this size give (the simulated joints allow 12 N m).
-        random_force, random_moment, random_time: [N], [N m] standard deviation per axis of "random", its correlation time [s].
-        impulse_force, impulse_moment: [N], [N m] peak of "impulses", half sines of `impulse_time` [s] in random directions, on
-            average every `impulse_interval` [s].
-        tilt_angle, tilt_period: [rad], [s] of "tilting_gravity".
-        motion: of task "move": "lift", "shake" or "rotate". motion_size: [m], for rotate [rad]; None: 0.015 m, 0.3 rad.
-        motion_period: [s] of one motion.
-        payload_factor: by which the mass grows in task "payload", at `payload_time` [s]; the controller is not told.
-        push_per_mass, push_time: [N/kg], [s] of task "six_directions".
-        wrench: what the controller knows of the external wrench: "measured", "estimated" (from the object's motion and the
-            mean contact forces of a tick), or "none" (pose feedback alone). The hand always knows gravity for its own weight.
-        wrench_delay: control ticks by which the measured wrench comes late.
-        estimator_time: [s] time constant of the estimate: against tactile noise; light objects drift by what it lags.
-        sensor_delay: [s] between measurement and torque, for everything; rounded up to control ticks.
-        tactile_noise: relative standard deviation of each measured contact force's components.
-        pose_noise: [m] standard deviation of the measured object position, per axis.
-        force_noise: relative standard deviation of the torques that the motors give.
-        friction_error: relative error of the friction that the controller believes in; 0.25 is a quarter too much.
-        friction_margin: the solver's friction is `friction_margin` times the believed one, so that force errors do not slip.
-        controller: "optimised" (the paper), "constant_squeeze" (a fixed internal force and the least-norm balance), "pd" (tips held
-            at their places by springs).
-        squeeze: [N] total normal force of the last two.
-        pd_stiffness, pd_damping: [N/m], [N s/m] of each tip under "pd".
-        initial_force: name of the start rule ("linear_combination", "single_value", "lagrange", "previous", ...).
-        method: of the force optimisation.
-        iteration_budget: most iterations per optimisation (what real time allows); None: `max_iterations`.
-        force_weight, barrier_weight, tolerance, max_iterations: see `grasp_env.force.optimize_force`.
-        force_rate: [N/s] by which the internal force may change; balance is restored at once.
-        action_mode: "initial_force", "contact_force" or "none"; see the environment.
-        action_scale: [N] at action 1.
-        gravity: (3,) [m/s^2] in the world frame; y points up.
-        engine: that simulates: "bullet", "mujoco" (the extra of that name; it draws no pictures), or its settings, `BulletEngine(...)`,
-            `MujocoEngine(...)` of `grasp_env.sim`.
-        agent_rate, control_rate, physics_rate: [Hz]; each must divide the next. None: the engine's own, 250 of Bullet, 1000 of MuJoCo.
-        position_bandwidth, rotation_bandwidth: [rad/s] of the object-pose feedback, critically damped; at most 0.3 / `sensor_delay`.
-        iteration_cost: reward per iteration. force_cost: reward per newton of total normal force. held_reward: per
-            step with the object held. failure_cost: once, when it is lost.
-        max_drift: [m]. max_tilt: [rad]. Beyond either, measured from where it should be, the object counts as lost; None: 0.02 m,
-            0.35 rad, or the task's own.
-        max_contact_gap: [s] without force closure before the grasp counts as lost.
-        render_size: (width, height) of pictures [pixels].
-        render_force, render_moment: [N], [N m] that pictures have room for: what fixes the scale of their arrows; None: the largest
-            that an episode's plan asks for, of all episodes so far.
+class EnvConfig(Settings):
+    """Settings of `FourFingerGrasp-v0`. Every field is a keyword of `gym.make`, as a record or as a dict of its settings.
 
     Raises:
         UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
-        InvalidInputError: values out of range; all faults are told at once.
+        InvalidInputError: values out of range; all faults are told at once, each with the setting's path, `sensors.delay`.
 
     Example:
-        >>> config = EnvConfig(task="move", motion="lift", friction=0.6)
-        >>> config.override(friction=0.8).friction
-        0.8
+        >>> config = EnvConfig(task={"name": "move", "motion": "lift"}, sensors=Sensors(delay=0.004))
+        >>> config.override(friction=0.8, sensors={"pose_noise": 1e-5}).sensors.delay
+        0.004
+        >>> EnvConfig.from_json(config.to_json()) == config
+        True
     """
 
-    hand: Any = "four_finger"
-    shape: str = "cuboid"
-    size: tuple[float, ...] = ()
-    mesh: str = ""
-    object_mass: float = 0.2
-    friction: float = 0.4
-    torsional_friction: float = 0.0
-    contact_points: tuple[tuple[float, float, float], ...] = ()
-    randomise: tuple[str, ...] = ()
-    size_range: tuple[float, float] = (0.07, 0.12)
-    mass_range: tuple[float, float] = (0.05, 0.5)
-    friction_range: tuple[float, float] = (0.3, 0.8)
-    task: str = "hold"
-    duration: float | None = None
-    disturbance: str | Disturbance | None = None
-    disturbance_value: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
-    disturbance_scale: float | None = None
-    random_force: float = 0.6
-    random_moment: float = 0.02
-    random_time: float = 0.3
-    impulse_force: float = 5.0
-    impulse_moment: float = 0.1
-    impulse_time: float = 0.05
-    impulse_interval: float = 0.5
-    tilt_angle: float = 0.7
-    tilt_period: float = 2.0
-    motion: str = "lift"
-    motion_size: float | None = None
-    motion_period: float = 1.0
-    payload_factor: float = 2.0
-    payload_time: float = 1.0
-    push_per_mass: float = 10.0
-    push_time: float = 2.0
-    wrench: str = "measured"
-    wrench_delay: int = 0
-    estimator_time: float = 0.005
-    sensor_delay: float = 0.0
-    tactile_noise: float = 0.0
-    pose_noise: float = 0.0
-    force_noise: float = 0.0
-    friction_error: float = 0.0
-    friction_margin: float = 0.85
-    controller: str = "optimised"
-    squeeze: float = 40.0
-    pd_stiffness: float = 800.0
-    pd_damping: float = 4.0
-    initial_force: str = "linear_combination"
-    method: str = "reduced_flow"
-    iteration_budget: int | None = None
-    force_weight: float = 1.0
-    barrier_weight: float = 0.01
-    tolerance: float = 1e-4
-    max_iterations: int = 5000
-    force_rate: float = 1000.0
-    action_mode: str = "initial_force"
-    action_scale: float = 5.0
-    gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
-    engine: Any = "bullet"
-    agent_rate: int = 50
-    control_rate: int = 250
-    physics_rate: int | None = None
-    position_bandwidth: float = 30.0
-    rotation_bandwidth: float = 60.0
-    iteration_cost: float = 0.01
-    force_cost: float = 0.01
-    held_reward: float = 1.0
-    failure_cost: float = 100.0
-    max_drift: float | None = None
-    max_tilt: float | None = None
-    max_contact_gap: float = 0.1
-    render_size: tuple[int, int] = (480, 480)
-    render_force: float | None = None
-    render_moment: float | None = None
+    hand: str | HandDescription = setting(
+        "four_finger", Kind(_hand, ", ".join(f"`{name}`" for name in HANDS) + ", or a HandDescription"),
+        "The hand; one that is not `placed` is put around the object by `place_hand`.",
+    )  # fmt: skip
+    object: ObjectDescription = setting(ObjectDescription(), record(ObjectDescription), "What it holds.")
+    contact_points: tuple[tuple[float, float, float], ...] = setting(
+        (), Kind(_points, "(N, 3)"),
+        "Places of the tips on the object's surface, object frame, in the hand's order; (): chosen.", unit="m",
+    )  # fmt: skip
+    randomize: tuple[tuple[str, Any], ...] = setting(
+        (), RANDOMIZE,
+        "What is drawn anew at each reset: names of the object's settings, or a dict from the path of a setting to its (low, high) or to a "
+        "function of the episode's generator.",
+    )  # fmt: skip
+    task: Task = setting(Hold(), TASK, "What is asked of the grasp.")
+    disturbance: Disturbance | None = setting(
+        None, DISTURBANCE,
+        "What acts on the object besides gravity: a record, its name, or any function f(times, rng, settings), see "
+        "`grasp_env.task.Disturbance`.", none="the task's own",
+    )  # fmt: skip
+    gravity: tuple[float, float, float] = setting(
+        (0.0, -9.81, 0.0), numbers(3), "World frame; y points up.", unit="m/s^2", random=True
+    )
+    engine: Engine | None = setting(
+        None, ENGINE, "Physics engine: its name, or its settings.", none="the default engine"
+    )
+    sensors: Sensors = setting(Sensors(), record(Sensors), "What the controller knows.")
+    solver: Solver = setting(Solver(), record(Solver), "The force optimization.")
+    controller: Controller = setting(Controller(), record(Controller), "From forces to torques.")
+    agent: Agent = setting(Agent(), record(Agent), "How an agent acts and what it observes.")
+    reward: Reward = setting(Reward(), record(Reward), "Prices of a step.")
+    limits: EpisodeLimits = setting(EpisodeLimits(), record(EpisodeLimits), "When an episode ends.")
+    pictures: Pictures = setting(Pictures(), record(Pictures), "What `render` draws.")
 
-    def __post_init__(self) -> None:
-        # tuples survive JSON and hashing; lists from a JSON file become tuples
-        checked = together(*(lambda item=item: self._checked(item.name, str(item.type)) for item in fields(self)))
-        for item, value in zip(fields(self), checked, strict=True):
-            object.__setattr__(self, item.name, value)
-        if not self.friction_error > -1.0:
-            raise InvalidInputError(f"friction_error must be above -1, got {self.friction_error}")
-        for slow, fast in (("agent_rate", "control_rate"), ("control_rate", "physics_rate")):
-            low, high = getattr(self, slow), getattr(self, fast) or engine_of(self.engine).rate
+    def agree(self) -> None:
+        """Rates divide each other, an episode has a plan that fits into memory, and what is drawn can be drawn."""
+        engine, drawn = engine_of(self.engine), dict(self.randomize)
+        rates = {"agent.rate": self.agent.rate, "controller.rate": self.controller.rate, "engine.rate": engine.rate}
+        for (slow, low), (fast, high) in zip(list(rates.items()), list(rates.items())[1:], strict=False):
             if high < low or high % low:
                 raise InvalidInputError(f"{fast} must be a multiple of {slow}, got {high} and {low}")
-        for seconds in ("duration", "sensor_delay"):
-            if (getattr(self, seconds) or 0.0) * self.control_rate > _MOST_TICKS:
+        for name, seconds in (("limits.duration", self.limits.duration or 0.0), ("sensors.delay", self.sensors.delay)):
+            if seconds * self.controller.rate > _MOST_TICKS:
                 raise InvalidInputError(
-                    f"{seconds} must be at most {_MOST_TICKS / self.control_rate:g} s, {_MOST_TICKS} control ticks, got "
-                    f"{getattr(self, seconds)} s: make episodes shorter, or lower control_rate"
+                    f"{name} must be at most {_MOST_TICKS / self.controller.rate:g} s, {_MOST_TICKS} control ticks, got "
+                    f"{seconds} s: make episodes shorter, or lower controller.rate"
                 )
-        if self.shape == "mesh" and not self.mesh:
-            raise InvalidInputError("shape 'mesh' needs mesh='path of an .obj, .stl, .ply or .off file'")
-        if self.shape == "mesh" and {"shape", "size"} & set(self.randomise):
+        resized = drawn.keys() & {"object.shape", "object.size"}
+        if resized and self.object.shape == "mesh":
             raise InvalidInputError(
-                "a mesh keeps its shape and size: randomise=('mass', 'friction'), or leave shape='mesh' out"
+                "a mesh keeps its shape and size: randomize=('mass', 'friction'), or take another object.shape"
             )
-        if self.contact_points and {"shape", "size"} & set(self.randomise):
+        if resized and self.contact_points:
             raise InvalidInputError(
-                "contact_points belong to one shape and size: leave them out where these are randomised"
+                "contact_points belong to one shape and size: leave them out where these are randomized"
             )
-        if self.task == "six_directions" and self.disturbance not in (None, "none"):
+        if self.task.pushes and not is_a(self.disturbance, NoDisturbance | None):
             raise InvalidInputError(
-                f"task 'six_directions' pushes by itself, got disturbance={shown(self.disturbance)}: leave it out, or use task 'hold'"
+                f"task {self.task.name!r} pushes by itself, got disturbance={shown(self.disturbance)}: leave it out, or use task 'hold'"
             )
-
-    def _checked(self, name: str, kind: str) -> Any:
-        """A setting as it is kept: what it must be follows from its name, or from its annotated type."""
-        value: Any = getattr(self, name)
-        if getattr(self, name) is None and "None" in kind:
-            return None
-        if name == "hand":
-            return value if is_a(value, HandDescription) else choice(value, name, HANDS, _HINTS[name])
-        if name == "engine":
-            return value if is_a(value, Engine) else engine_of(value).name
-        if name in _NAMES:
-            if name == "disturbance" and as_text(value) is None and callable(value):
-                return value
-            return choice(value, name, _NAMES[name], _HINTS.get(name, ""))
-        if name == "mesh":
-            return "" if as_text(value) == "" else str(as_path(value, InvalidInputError, name))
-        if name == "randomise":
-            named = [value] if is_a(value, str) else as_list(value)
-            if named is None:
-                raise InvalidInputError(
-                    f"randomise must be a list of some of {', '.join(RANDOM)}, () for nothing, got {shown(value)}"
-                )
-            return tuple(choice(each, name, RANDOM) for each in named)
-        if name in _RANGES:
-            low, high = as_array(value, (2,), name, _REAL).tolist()
-            if not 0.0 < low <= high:
-                raise InvalidInputError(f"{name} must be (low, high) with 0 < low <= high, got {(low, high)}")
-            return low, high
-        if name == "contact_points":
-            points = as_array(value, None, name, _REAL)
-            return tuple(map(tuple, as_array(points, (None, 3), name).tolist())) if points.size else ()
-        if name == "render_size":
-            width, height = as_array(value, (2,), name).tolist()
-            if not (min(width, height) >= 16 and max(width, height) <= _MOST_PIXELS):
-                raise InvalidInputError(
-                    f"render_size must be (width, height) of at least 16 pixels, at most {_MOST_PIXELS}, got {shown(value)}"
-                )
-            return int(width), int(height)
-        if kind.startswith("tuple"):
-            row = np.atleast_1d(as_array(value, None, name, _REAL))
-            return tuple(as_array(row, (_LENGTHS.get(name),), name).tolist())
-        kind = kind.removesuffix(" | None")
-        if kind == "int":
-            return whole(value, name, 1 if name in _POSITIVE else 0, ranges.ITERATIONS)
-        if name in _POSITIVE:
-            return positive(value, name, _POSITIVE[name])
-        least = -_REAL.high if name in _SIGNED else 0.0
-        found = as_array(value, (), name).item()
-        if not least <= found <= _REAL.high:
-            raise InvalidInputError(
-                f"{name} must be {'' if name in _SIGNED else '>= 0 and '}up to {_REAL.high:g}, got {shown(value)}"
-            )
-        return found
-
-    def resolved(self) -> EnvConfig:
-        """A copy in which what is None has its value: the task's own, or the default said above."""
-        task = TASKS[self.task]
-        return self.override(
-            physics_rate=self.physics_rate or engine_of(self.engine).rate,
-            duration=self._duration(task) if self.duration is None else self.duration,
-            disturbance=task.disturbance if self.disturbance is None else self.disturbance,
-            motion_size=MOTION_SIZES[self.motion] if self.motion_size is None else self.motion_size,
-            max_drift=(task.drift_limit if task.drift_limit < 1.0 else 0.02)
-            if self.max_drift is None
-            else self.max_drift,
-            max_tilt=(task.tilt_limit if task.tilt_limit < 4.0 else 0.35) if self.max_tilt is None else self.max_tilt,
-        )
-
-    def _duration(self, task: Task) -> float:
-        return 6.0 * self.push_time if self.task == "six_directions" else task.duration
 
     def override(self, **settings: Any) -> EnvConfig:
         """A copy with some settings replaced.
 
+        Args:
+            **settings: fields, keywords of `KEYWORDS`, or paths, `**{"sensors.delay": 0.01}`. A dict changes some settings of a record,
+                and makes a new one where it has a "name".
+
         Raises:
             UnknownSettingError: no setting of that name.
+            InvalidInputError: all that is wrong with the values.
         """
-        known = [item.name for item in fields(self) if item.init]
-        for name in settings:
-            if name not in known:
-                raise UnknownSettingError(name, known)
-        return replace(self, **settings)
+        whole: dict[str, Any] = {}
+        parts: dict[str, dict[str, Any]] = {}
+        for name, value in settings.items():
+            place, _, inner = KEYWORDS.get(name, name).partition(".")
+            if place not in self.__dataclass_fields__:
+                raise UnknownSettingError(name, (*self.__dataclass_fields__, *KEYWORDS), _likely(name))
+            if inner:
+                parts.setdefault(place, {})[inner] = value
+            elif is_a(value, dict) and "name" not in value and is_a(getattr(self, place), Settings):
+                parts.setdefault(place, {}).update(value)
+            else:
+                whole[place] = value
+        changed = {**dict.fromkeys(whole), **dict.fromkeys(parts)}
+        values = together(*(partial(self._changed, place, whole, parts.get(place)) for place in changed))
+        return replace(self, **dict(zip(changed, values, strict=True)))
+
+    def _changed(self, place: str, whole: dict[str, Any], parts: dict[str, Any] | None) -> Any:
+        """A field's value with settings of its record replaced."""
+        value = whole.get(place, getattr(self, place))
+        if parts is None:
+            return value
+        about = self.__dataclass_fields__[place].metadata["about"]
+        base = value if is_a(value, Settings) or value is None else about.kind.take(value, place)
+        if not is_a(base, Settings):
+            raise InvalidInputError(
+                f"{place} is {shown(value)}, which has no {', '.join(parts)}: give {place} a name, too, {{'name': ..., ...}}"
+            )
+        return base.replaced(parts, place)
+
+    def resolved(self) -> EnvConfig:
+        """A copy in which what is None has its value: the task's own, or the default said above."""
+        task, limits = self.task, self.limits
+        return replace(
+            self,
+            engine=engine_of(self.engine),
+            disturbance=task.disturbance if self.disturbance is None else self.disturbance,
+            limits=replace(
+                limits,
+                duration=task.duration if limits.duration is None else limits.duration,
+                max_drift=(task.drift_limit if task.drift_limit < 1.0 else _DRIFT)
+                if limits.max_drift is None
+                else limits.max_drift,
+                max_tilt=(task.tilt_limit if task.tilt_limit < 4.0 else _TILT)
+                if limits.max_tilt is None
+                else limits.max_tilt,
+            ),
+        )
+
+    def drawn(self, rng: np.random.Generator) -> EnvConfig:
+        """The settings of an episode: a copy in which what is randomized has its value.
+
+        Args:
+            rng: generator of the episode.
+
+        Raises:
+            InvalidInputError: a function that fails, or returns what the setting may not be.
+
+        Example:
+            >>> config = EnvConfig(randomize={"mass": (0.1, 0.2), "sensors.delay": lambda rng: rng.choice([0.0, 0.004])})
+            >>> made = config.drawn(np.random.default_rng(0))
+            >>> round(made.object.mass, 3), made.sensors.delay
+            (0.102, 0.004)
+        """
+        return self.override(**draw(dict(self.randomize), self.object, rng))
+
+    def to_dict(self) -> dict[str, Any]:
+        """All settings as JSON has them, with the version of their schema.
+
+        Raises:
+            InvalidInputError: a function, or a hand of your own, which have no JSON.
+        """
+        hand = self.hand
+        if is_a(hand, HandDescription):
+            hand = next((name for name, make in HANDS.items() if make() == hand), hand)
+        others = {
+            item.name: to_json(getattr(self, item.name), item.name)
+            for item in fields(self)[1:]
+            if item.name != "randomize"
+        }
+        drawn = {path: to_json(rule, f"randomize[{path!r}]") for path, rule in self.randomize}
+        return {"schema": SCHEMA, "hand": to_json(hand, "hand"), **others, "randomize": drawn}
+
+    @classmethod
+    def from_dict(cls, given: Mapping[str, Any]) -> EnvConfig:
+        """The settings of a dict as `to_dict` makes it; what it lacks has its default.
+
+        Args:
+            given: the dict.
+
+        Raises:
+            InvalidInputError: no schema, or another one than this version reads.
+        """
+        if not is_a(given, dict) or type(given.get("schema")) is not int:
+            raise InvalidInputError(f'settings must be a dict with "schema": {SCHEMA}, got {shown(given)}')
+        if given["schema"] != SCHEMA:
+            newer = "written by a newer version: install that one" if given["schema"] > SCHEMA else "too old"
+            raise InvalidInputError(
+                f"settings have schema {given['schema']}, this version reads {SCHEMA}: they are {newer}"
+            )
+        return cls().override(
+            **{
+                shown(name) if as_text(name) is None else name: value
+                for name, value in given.items()
+                if name != "schema"
+            }
+        )
+
+    def to_json(self) -> str:
+        """`to_dict` as text."""
+        return json.dumps(self.to_dict(), indent=2)
+
+    @classmethod
+    def from_json(cls, text: str) -> EnvConfig:
+        """The settings in a text; raises as `from_dict` does, and where it is no JSON.
+
+        Args:
+            text: as `to_json` makes it.
+        """
+        try:
+            given = json.loads(text)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise InvalidInputError(f"settings must be JSON: {error}, got {shown(text)}") from None
+        return cls.from_dict(given)
+
+
+def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
+    """The settings in any of their forms: a record, a dict or JSON of one; None: the defaults.
+
+    Args:
+        config: the settings.
+
+    Raises:
+        InvalidInputError: nothing of that kind.
+    """
+    if config is None or is_a(config, EnvConfig):
+        return EnvConfig() if config is None else config
+    if is_a(config, dict):
+        return EnvConfig.from_dict(config)
+    text = as_text(config)
+    if text is None:
+        raise InvalidInputError(
+            f"config must be an EnvConfig, its dict or its JSON, got {shown(config)}; single settings are keywords"
+        )
+    return EnvConfig.from_json(text)
+
+
+@cache
+def paths() -> tuple[str, ...]:
+    """The paths of all settings, in order: "hand", "object", "object.shape", ..."""
+    return tuple(dict.fromkeys(row.path for row in described(EnvConfig)))
+
+
+def _likely(name: str) -> list[str]:
+    """Settings that somebody may mean by a name that is none: found by their last words, or by their whole paths."""
+    words = {path.replace(".", "_"): path for path in (*paths(), *KEYWORDS)}
+    same = [path for path in paths() if path.rpartition(".")[2] == name]
+    return same or [words[found] for found in get_close_matches(name, words, 3, 0.6)]
