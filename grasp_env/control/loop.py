@@ -79,19 +79,21 @@ class ForceLoop:
         # a user's rule without a start says so; a named one has none where the grasp is being lost
         named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
         self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
-        self.objective = Objective(config.force_weight, config.barrier_weight)
-        self.dt = 1.0 / config.control_rate
+        self.objective = Objective(config.solver.force_weight, config.solver.barrier_weight)
+        self.dt = 1.0 / config.controller.rate
         self._noise: NoiseRows | None = None
 
     def __repr__(self) -> str:
-        return f"ForceLoop({self.config.method} from {rule_name(self.initial_force)})"
+        return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
         """A new object or a new grasp: everything that depends on it."""
         item, hand = scene.config.object, scene.config.hand
         self.count = hand.finger_count
         self.scene = scene
-        believed = hand.tip_friction * (1.0 + self.config.friction_error) * self.config.friction_margin
+        believed = (
+            hand.tip_friction * (1.0 + self.config.controller.friction_error) * self.config.controller.friction_margin
+        )
         self.friction, self.torsional_friction = item.friction * believed, item.torsional_friction * believed
         self._core = core.Controller.make(
             scene.core,
@@ -107,7 +109,7 @@ class ForceLoop:
         arrays["home"][:] = scene.config.start_angles or hand.home
         arrays["goals"][:] = scene.config.contact_points
         arrays["inwards"][:] = scene.config.contact_normals
-        arrays["depths"][:] = self.config.squeeze / self.count / self.config.pd_stiffness
+        arrays["depths"][:] = self.config.controller.squeeze / self.count / self.config.controller.pd_stiffness
         self._sets: dict[int, ContactSet] = {}
         self._noise = None
         self.reset()
@@ -209,8 +211,8 @@ class ForceLoop:
             self._adjustment = adjustment
         if due or core.changed:
             # all controllers start from the same grasp: the optimised one closes the hand
-            controller = "optimised" if self._settling else self.config.controller
-            if given is None and controller == "optimised":
+            controller = "optimized" if self._settling else self.config.controller.kind
+            if given is None and controller == "optimized":
                 self.optimise(self._adjustment)
             else:
                 self._hold(controller, given)
@@ -277,8 +279,8 @@ class ForceLoop:
         try:
             grasp = Grasp.from_contacts(self.seen.points[fingers], self.seen.normals[fingers], self.friction, **soft)
             solution = optimize_force(
-                grasp, self.wrench, method="newton", limits=self.limits(fingers), elastic=True, tolerance=config.tolerance,
-                force_weight=config.force_weight, barrier_weight=config.barrier_weight, max_iterations=config.max_iterations,
+                grasp, self.wrench, method="newton", limits=self.limits(fingers), elastic=True, tolerance=config.solver.tolerance,
+                force_weight=config.solver.force_weight, barrier_weight=config.solver.barrier_weight, max_iterations=config.solver.max_iterations,
             )  # fmt: skip
         except (InfeasibleWrenchError, RankDeficientGraspError, InfeasibleStartError):
             return None
@@ -328,7 +330,7 @@ class ForceLoop:
         elif controller == "pd":
             self._core.give(Hold.place, mask, None)
         else:
-            self._core.give(Hold.squeeze, mask, self.config.squeeze * made.squeeze)
+            self._core.give(Hold.squeeze, mask, self.config.controller.squeeze * made.squeeze)
 
     def _projected(self, adjustment: Array, made: ContactSet) -> Array | None:
         """The adjustment of all fingers in the internal forces of those that are left."""
@@ -372,7 +374,7 @@ def control_settings(
 ) -> core.ControlSettings:
     """The controller's belief, the object without its payload, and all gains."""
     tips, joints = kinematics.mobility(kinematics.home)
-    dt = 1.0 / config.control_rate
+    dt = 1.0 / config.controller.rate
     made = core.ControlSettings()
     made.body = believed_body(config, item)
     made.friction = friction
@@ -382,7 +384,7 @@ def control_settings(
         )
         for each in tips
     ]
-    made.spring = core.Spring(config.pd_stiffness, config.pd_damping, np.inf)
+    made.spring = core.Spring(config.controller.pd_stiffness, config.controller.pd_damping, np.inf)
     made.reach_depth = REACH_FORCE / REACH_STIFFNESS
     made.posture = [
         stable_spring(
@@ -390,8 +392,8 @@ def control_settings(
         )
         for each in joints
     ]
-    made.set_limited(config.tolerance, LIMITED_ITERATIONS)
-    made.most_change = config.force_rate / config.control_rate
+    made.set_limited(config.solver.tolerance, LIMITED_ITERATIONS)
+    made.most_change = config.controller.force_rate / config.controller.rate
     made.release = RELEASE
     return made
 
@@ -405,9 +407,11 @@ def stable_spring(stiffness: float, damping: float, limit: float, mobility: floa
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
     """The object and the pose feedback, critically damped and no faster than the delay of the sensors allows."""
-    late = late_ticks(config) / config.control_rate
+    late = late_ticks(config) / config.controller.rate
     most = STABLE / late if late > 0.0 else np.inf
-    return critically_damped(item, min(config.position_bandwidth, most), min(config.rotation_bandwidth, most))
+    return critically_damped(
+        item, min(config.controller.position_bandwidth, most), min(config.controller.rotation_bandwidth, most)
+    )
 
 
 def critically_damped(item: ObjectDescription, push: float, turn: float) -> core.Body:

@@ -129,12 +129,14 @@ class ContactSolver:
 def make_solver(grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule) -> ContactSolver:
     """The solver of the settings for contacts near those of `grasp`."""
     options: dict[str, Any] = {
-        "initial": None if config.method == "conic" else initial_force,
-        "method": config.method,
-        "force_weight": config.force_weight,
-        "barrier_weight": config.barrier_weight,
-        "tolerance": config.tolerance,
-        "max_iterations": config.max_iterations if config.iteration_budget is None else config.iteration_budget,
+        "initial": None if config.solver.method == "conic" else initial_force,
+        "method": config.solver.method,
+        "force_weight": config.solver.force_weight,
+        "barrier_weight": config.solver.barrier_weight,
+        "tolerance": config.solver.tolerance,
+        "max_iterations": config.solver.max_iterations
+        if config.solver.iteration_budget is None
+        else config.solver.iteration_budget,
     }
     return ContactSolver(grasp, options)
 
