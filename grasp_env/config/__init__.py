@@ -1,6 +1,6 @@
 """The settings of the environment: `EnvConfig` and the records that it is made of."""
 
-from grasp_env.config.env import KEYWORDS, EnvConfig, as_config
+from grasp_env.config.env import KEYWORDS, EnvConfig, all_settings, as_config
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 
 __all__ = [
@@ -13,5 +13,6 @@ __all__ = [
     "Reward",
     "Sensors",
     "Solver",
+    "all_settings",
     "as_config",
 ]

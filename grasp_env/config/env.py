@@ -18,6 +18,7 @@ from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.settings import (
     ANY,
     Kind,
+    Row,
     Settings,
     described,
     numbers,
@@ -297,13 +298,21 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
 
 
 @cache
-def paths() -> tuple[str, ...]:
-    """The paths of all settings, in order: "hand", "object", "object.shape", ..."""
-    return tuple(dict.fromkeys(row.path for row in described(EnvConfig)))
+def all_settings() -> dict[str, Row]:
+    """Every setting by its path, in order: "hand", "object", "object.shape", ...; of records that share a path the first.
+
+    Example:
+        >>> all_settings()["sensors.delay"].words
+        ('0', 's', '>= 0', 'Between measurement and torque, for everything; rounded up to control ticks.')
+    """
+    rows = dict[str, Row]()
+    for row in described(EnvConfig):
+        rows.setdefault(row.path, row)
+    return rows
 
 
 def _likely(name: str) -> list[str]:
     """Settings that somebody may mean by a name that is none: found by their last words, or by their whole paths."""
-    words = {path.replace(".", "_"): path for path in (*paths(), *KEYWORDS)}
-    same = [path for path in paths() if path.rpartition(".")[2] == name]
+    words = {path.replace(".", "_"): path for path in (*all_settings(), *KEYWORDS)}
+    same = [path for path in all_settings() if path.rpartition(".")[2] == name]
     return same or [words[found] for found in get_close_matches(name, words, 3, 0.6)]
