@@ -17,7 +17,7 @@ for engine in ("bullet", "mujoco"):
         env = gym.make(
             "grasp_env:FourFingerGrasp-v0",
             engine=engine,
-            wrench=wrench,
+            sensors={"wrench": wrench},
             disturbance="random",  # 0.6 N and 0.02 N m per axis
             duration=3.0,
             render_mode="rgb_array" if engine == "bullet" else None,  # MuJoCo draws no pictures here
