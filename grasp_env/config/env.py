@@ -151,12 +151,13 @@ class EnvConfig(Settings):
             UnknownSettingError: no setting of that name.
             InvalidInputError: all that is wrong with the values.
         """
+        known = [item.name for item in fields(self)]
         whole: dict[str, Any] = {}
         parts: dict[str, dict[str, Any]] = {}
         for name, value in settings.items():
             place, _, inner = KEYWORDS.get(name, name).partition(".")
-            if place not in self.__dataclass_fields__:
-                raise UnknownSettingError(name, (*self.__dataclass_fields__, *KEYWORDS), _likely(name))
+            if place not in known:
+                raise UnknownSettingError(name, (*known, *KEYWORDS), _likely(name))
             if inner:
                 parts.setdefault(place, {})[inner] = value
             elif is_a(value, dict) and "name" not in value and is_a(getattr(self, place), Settings):
@@ -172,7 +173,7 @@ class EnvConfig(Settings):
         value = whole.get(place, getattr(self, place))
         if parts is None:
             return value
-        about = self.__dataclass_fields__[place].metadata["about"]
+        about = all_settings()[place].about
         base = value if is_a(value, Settings) or value is None else about.kind.take(value, place)
         if not is_a(base, Settings):
             raise InvalidInputError(
@@ -284,6 +285,10 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
 
     Raises:
         InvalidInputError: nothing of that kind.
+
+    Example:
+        >>> as_config({"schema": 1, "sensors": {"delay": 0.004}}).sensors.delay
+        0.004
     """
     if config is None or is_a(config, EnvConfig):
         return EnvConfig() if config is None else config

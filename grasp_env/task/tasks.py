@@ -110,7 +110,7 @@ class Move(Task):
         return self.motion
 
     def target(self, times: Array, tick: float) -> Array:
-        """See `Task`."""
+        """See `Task`: times [s], tick [s]."""
         size = MOTION_SIZES[self.motion] if self.size is None else self.size
         return motion_target(self.motion, times, size, max(self.period, tick))
 
@@ -130,7 +130,7 @@ class Payload(Task):
         return f"{self.factor:g} times the mass at {self.time:g} s"
 
     def mass_factor(self, times: Array) -> Array:
-        """See `Task`."""
+        """See `Task`: times [s]."""
         return 1.0 + (self.factor - 1.0) * blend((times - self.time) / PAYLOAD_RAMP)[0]
 
 
@@ -160,7 +160,7 @@ class SixDirections(Task):
         return f"pushes of {self.push_per_mass:g} N/kg"
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
-        """See `Task`."""
+        """See `Task`: times [s], tick [s], mass [kg]."""
         return six_pushes(times, self.push_per_mass * mass, max(self.push_time, tick))
 
 

@@ -10,29 +10,15 @@ import numpy as np
 import pytest
 from stable_baselines3.common.env_checker import check_env
 
-from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import SimulationError, UnknownNameError, UnknownSettingError
+from grasp_env.errors import SimulationError
 
 ID = "grasp_env:FourFingerGrasp-v0"
 ZERO = np.zeros(6, dtype=np.float32)
 
 
-def test_a_keyword_that_is_no_setting_is_a_type_error() -> None:
-    message = r"got an unexpected keyword argument 'frameskip': settings are 'hand', 'shape', "
-    for call in (
-        lambda: FourFingerGrasp(frameskip=1),
-        lambda: EnvConfig().override(frameskip=1),
-        lambda: gym.make(ID, frameskip=1),
-    ):
-        with pytest.raises(TypeError, match=message) as caught:
-            call()
-        assert isinstance(caught.value, UnknownSettingError)
-        assert isinstance(caught.value, UnknownNameError)
-
-
 def test_sb3_check_with_rendering() -> None:
-    env = FourFingerGrasp(render_mode="rgb_array", render_size=(64, 48))
+    env = FourFingerGrasp(render_mode="rgb_array", pictures={"size": (64, 48)})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env, skip_render_check=False)  # closes it and goes on
@@ -40,7 +26,7 @@ def test_sb3_check_with_rendering() -> None:
 
 
 def test_a_closed_environment_opens_anew() -> None:
-    env = FourFingerGrasp(render_mode="rgb_array", render_size=(64, 48), disturbance="random")
+    env = FourFingerGrasp(render_mode="rgb_array", pictures={"size": (64, 48)}, disturbance="random")
     fresh = env.reset(seed=3)[0], env.step(ZERO)[0], env.render()
     env.close()
     with pytest.raises(SimulationError, match=r"closed: call reset\(\)"):
@@ -82,7 +68,7 @@ def test_made_again_from_its_spec() -> None:
 
 def test_videos(tmp_path: Path) -> None:
     pytest.importorskip("moviepy")
-    env = gym.make(ID, duration=0.1, render_mode="rgb_array", render_size=(64, 48))
+    env = gym.make(ID, duration=0.1, render_mode="rgb_array", pictures={"size": (64, 48)})
     env = gym.wrappers.RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
     env.reset(seed=0)
     for _ in range(5):

@@ -9,6 +9,8 @@ from scipy.signal import lfilter
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.sim import ObjectDescription
+from grasp_env.task import SixDirections
 from grasp_env.task.disturbance import (
     DISTURBANCES,
     RAMP,
@@ -120,13 +122,13 @@ G = np.array([0.0, -9.81, 0.0])
 def gust(times: np.ndarray, rng: np.random.Generator, settings: EnvConfig) -> np.ndarray:
     """A user's own: a push along x from 1 s on, as strong as drawn."""
     wrench = np.zeros((len(times), 6))
-    wrench[times >= 1.0, 0] = settings.object_mass * rng.uniform(4.0, 5.0)
+    wrench[times >= 1.0, 0] = settings.object.mass * rng.uniform(4.0, 5.0)
     return wrench
 
 
 def test_every_disturbance_but_none_acts_and_says_what_it_does() -> None:
     for name, rule in DISTURBANCES.items():
-        wrench, gravity = disturb(rule, TIMES, rng(), EnvConfig())
+        wrench, gravity = disturb(rule(), TIMES, rng(), EnvConfig())
         assert wrench.shape == (501, 6)
         assert gravity.shape == (501, 3)
         assert (wrench.any() or not (gravity == G).all()) == (name != "none")
@@ -134,7 +136,7 @@ def test_every_disturbance_but_none_acts_and_says_what_it_does() -> None:
 
 
 def test_any_function_is_a_disturbance() -> None:
-    wrench, gravity = disturb(gust, TIMES, rng(), EnvConfig(object_mass=0.5))
+    wrench, gravity = disturb(gust, TIMES, rng(), EnvConfig(object=ObjectDescription(mass=0.5)))
     assert not wrench[:250].any()
     assert (wrench[250:, 0] == 0.5 * rng().uniform(4.0, 5.0)).all()
     assert (gravity == G).all()
@@ -184,7 +186,7 @@ def test_what_is_no_disturbance() -> None:
         with pytest.raises(UnknownNameError, match=r"unknown disturbance.*'none'.*or give a function"):
             EnvConfig(disturbance=given)  # type: ignore[arg-type]
     with pytest.raises(InvalidInputError, match="pushes by itself, got disturbance=<function gust"):
-        EnvConfig(task="six_directions", disturbance=gust)
+        EnvConfig(task=SixDirections(), disturbance=gust)
 
 
 def test_a_function_in_the_environment() -> None:

@@ -132,7 +132,12 @@ class ObjectDescription(Settings):
             )
 
     def replaced(self, given: Mapping[str, Any], path: str = "") -> ObjectDescription:
-        """A copy with some settings replaced; another shape has its own default size and no mesh, unless they are given."""
+        """A copy with some settings replaced; another shape has its own default size and no mesh, unless they are given.
+
+        Args:
+            given: settings by name.
+            path: of the object, for messages.
+        """
         if as_text(given.get("shape")) not in (None, self.shape):
             given = {"size": (), "mesh": None, **given}
         return super().replaced(given, path)
