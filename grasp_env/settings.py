@@ -12,7 +12,7 @@ Example:
     5.0
     >>> Lamp.made({"power": -1.0}, "hall.lamp")
     Traceback (most recent call last):
-    grasp_env.errors.InvalidInputError: hall.lamp.power [W] must be a number within 0 to 100, got -1.0
+    grasp_env.errors.InvalidInputError: hall.lamp.power [W] must be a number >= 0, <= 100, got -1.0
 """
 
 from __future__ import annotations
@@ -277,18 +277,16 @@ def _taken(about: About, value: Any, name: str) -> Any:
 def _real(value: Any, name: str, within: Range) -> float:
     found = as_number(value)
     if found is None or not within.low <= found <= within.high:
-        words = _words(within)
-        most = f" and up to {within.high:g}" if words[0] == ">" else ""
-        raise InvalidInputError(f"{name} must be a number {words}{most}, got {shown(value)}")
+        far = f" and up to {within.high:g}" if within.high >= 1e9 and found is not None and found > within.high else ""
+        raise InvalidInputError(f"{name} must be a number {_words(within)}{far}, got {shown(value)}")
     return found
 
 
 def _words(within: Range) -> str:
-    if within.low == 0.0 and within.high >= 1e9:
-        return ">= 0"
-    if 0.0 < within.low <= 1e-9:
-        return "> 0"
-    return "of any size" if within == ANY else f"within {within.low:g} to {within.high:g}"
+    if within == ANY:
+        return "of any size"
+    least = "> 0" if 0.0 < within.low <= 1e-9 else f">= {within.low:g}"
+    return least if within.high >= 1e9 else f"{least}, <= {within.high:g}"
 
 
 def _own(cls: type) -> dict[str, tuple[Any, About]]:

@@ -29,8 +29,8 @@ def tables() -> Iterator[tuple[str, str]]:
         line = f"| {name} | {default} | {unit} | {allowed} | {sentence} |"
         groups.setdefault((group, row.record), []).append(line)
     for (group, record), lines in groups.items():
-        named = f" {{'name': '{record.name}'}}" if record.name else ""
-        title = f"{group}: {record.__name__}{named}" if group else "EnvConfig"
+        named = f", {record.name}" if record.name else ""
+        title = f"{group}{named}: {record.__name__}" if group else "EnvConfig"
         yield title, "\n".join([(record.__doc__ or "").partition("\n")[0], "", HEAD, *lines])
 
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, any_of, one_of, real, setting
-from grasp_env.task.disturbance import ConstantWrench, DisturbanceSettings, NoDisturbance, six_pushes
+from grasp_env.task.disturbance import ConstantWrench, DisturbanceSettings, NoDisturbance
 from grasp_env.task.motion import MOTION_SIZES, MOTIONS, blend, motion_target, resting_target
 
 PAYLOAD_RAMP = 0.1
 """[s] in which the mass of "payload" changes."""
+PUSH_RAMP = 0.05
+"""[s] in which a push of "six_directions" changes into the next, at most a quarter of `push_time`."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +41,8 @@ class Task(Settings):
     tilt_limit: ClassVar[float] = math.inf
     """[rad], the same."""
 
-    @property
-    def duration(self) -> float:
-        """[s] of an episode, unless given."""
-        return 4.0
+    duration: ClassVar[Any] = 4.0
+    """[s] of an episode, unless given."""
 
     @property
     def caption(self) -> str:
@@ -84,11 +84,7 @@ class Hold(Task):
 
     name: ClassVar[str] = "hold"
     disturbance: ClassVar[DisturbanceSettings] = ConstantWrench()
-
-    @property
-    def duration(self) -> float:
-        """See `Task`."""
-        return 2.0
+    duration: ClassVar[Any] = 2.0
 
 
 @dataclass(frozen=True)
@@ -150,7 +146,7 @@ class SixDirections(Task):
     push_time: float = setting(2.0, real(POSITIVE), "Duration of each push.", unit="s")
 
     @property
-    def duration(self) -> float:
+    def duration(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
         """See `Task`."""
         return 6.0 * self.push_time
 
@@ -160,8 +156,16 @@ class SixDirections(Task):
         return f"pushes of {self.push_per_mass:g} N/kg"
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
-        """See `Task`: times [s], tick [s], mass [kg]."""
-        return six_pushes(times, self.push_per_mass * mass, max(self.push_time, tick))
+        """See `Task`: times [s], tick [s], mass [kg].
+
+        Each push grows out of the one before by a minimum-jerk ramp: a step would ask for a jump of the contact forces.
+        """
+        length, pushes = max(self.push_time, tick), np.zeros((8, 3))  # nothing before the first and after the last
+        pushes[1:7:2] = self.push_per_mass * mass * np.eye(3)
+        pushes[2:7:2] = -pushes[1:7:2]
+        index = np.minimum(times / length, 6.0).astype(np.int64)
+        share = blend((times - index * length) / min(PUSH_RAMP, 0.25 * length))[0][:, None]
+        return (1.0 - share) * pushes[index] + share * pushes[index + 1]
 
 
 TASKS: dict[str, type[Task]] = {made.name: made for made in (Hold, Move, Payload, SixDirections)}

@@ -197,7 +197,7 @@ def test_absent_files(tmp_path: Path) -> None:
         ({"shape": "sphere", "size": (1e-4,)}, "0.001 to 1"),
         ({"shape": "capsule", "size": (0.1, 0.05)}, "at least its diameter"),
         ({"mass": 0.0}, "> 0"),
-        ({"mass": 1e6}, "up to 1000"),
+        ({"mass": 1e6}, "<= 1000"),
         ({"friction": -0.1}, "> 0"),
         ({"inertia": (1e-4, 1e-4, 3e-4)}, "sum of the other two"),
         ({"inertia": (1e-4, 1e-4)}, "3 numbers"),

@@ -82,7 +82,11 @@ def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp
 
 def test_a_film_says_how_it_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.png"
-    settings = {"task": {"name": "move", "motion": "rotate"}, "disturbance": {"name": "impulses", "force": 2.0}, "mass": 0.25}
+    settings = {
+        "task": {"name": "move", "motion": "rotate"},
+        "disturbance": {"name": "impulses", "force": 2.0},
+        "mass": 0.25,
+    }
     options = "--task move --motion rotate --disturbance impulses --setting disturbance.force=2 --setting mass=0.25"
     assert main(["demo", "--video", str(out), "--seconds", "0.2", "--size", "320", "240", *options.split()]) == 0
     assert re.fullmatch(r"held 0\.2 s, drift 0\.\d\d mm: .*out\.png", capsys.readouterr().out.replace("\n", ""))
