@@ -35,7 +35,13 @@ for name, policy in {"agent": agent, "the paper's start": ZeroPolicy()}.items():
     print(f"return of an episode, {name}: {mean:.1f} +- {deviation:.1f}")
 
 film = RecordVideo(
-    gym.make("grasp_env:FourFingerGrasp-v0", config=settings, render_mode="rgb_array", duration=0.6, pictures={"size": (320, 320)}),
+    gym.make(
+        "grasp_env:FourFingerGrasp-v0",
+        config=settings,
+        render_mode="rgb_array",
+        duration=0.6,
+        pictures={"size": (320, 320)},
+    ),
     "runs/example_rl/films",
     episode_trigger=lambda episode: True,
     disable_logger=True,

@@ -15,7 +15,8 @@ from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Kind, Settings, integer, 
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")
 ACTION_MODES = ("initial_force", "contact_force", "none")
 WRENCHES = ("measured", "estimated", "none")
-OBSERVATIONS = ("vector",)
+OBSERVATIONS = ("vector", "dict")
+INFOS = ("all", "numbers")
 STARTS = (*RULES, "previous")
 _MOST_PIXELS = 8192
 
@@ -147,7 +148,10 @@ class Agent(Settings):
         "initial_force", one_of(ACTION_MODES), "Adjusts the solver's start, gives the contact forces, or is ignored."
     )
     action_scale: float = setting(5.0, real(POSITIVE), "Force at action 1.", unit="N")
-    observation: str = setting("vector", one_of(OBSERVATIONS), "One vector.")
+    observation: str = setting("vector", one_of(OBSERVATIONS), "One vector, or a dict of named parts.")
+    info: str = setting(
+        "all", one_of(INFOS), "Everything, or numbers only, as arrays: for readers that make tensors of them."
+    )
 
 
 @dataclass(frozen=True)

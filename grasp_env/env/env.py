@@ -33,7 +33,7 @@ from grasp_env.sim.picture.overlay import room
 from grasp_env.task.disturbance import name_of
 
 
-class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickle):
+class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     """The fingers of a hand hold an object while wrenches act on it, or move it.
 
     ## Step
@@ -73,21 +73,23 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:
 
-    | index | name | unit | frame | bound |
-    |---|---|---|---|---|
-    | 0-2 | wrench to balance: force | N | object | 200 |
-    | 3-5 | wrench to balance: moment | N m | object | 20 |
-    | 6-8 | object position minus the wanted one | m | world | 1 |
-    | 9-11 | object orientation against the wanted one | rad | world | 3.2 |
-    | 12-14 | object linear velocity minus the wanted one | m/s | world | 10 |
-    | 15-17 | object angular velocity minus the wanted one | rad/s | world | 50 |
-    | 18-29 | contact point | m | object | 0.5 |
-    | 30-41 | inward normal | 1 | object | 1 |
-    | 42-53 | commanded force (normal, o, t) | N | contact | 500 |
-    | 54-65 | measured force (normal, o, t) | N | contact | 500 |
-    | 66-69 | touching | 1 | - | 1 |
-    | 70-81 | joint angle | rad | - | 7 |
-    | 82 | solver friction | 1 | - | 10 |
+    | index | key | name | unit | frame | bound |
+    |---|---|---|---|---|---|
+    | 0-2 | `force` | wrench to balance: force | N | object | 200 |
+    | 3-5 | `moment` | wrench to balance: moment | N m | object | 20 |
+    | 6-8 | `position` | object position minus the wanted one | m | world | 1 |
+    | 9-11 | `orientation` | object orientation against the wanted one | rad | world | 3.2 |
+    | 12-14 | `linear_velocity` | object linear velocity minus the wanted one | m/s | world | 10 |
+    | 15-17 | `angular_velocity` | object angular velocity minus the wanted one | rad/s | world | 50 |
+    | 18-29 | `contact_points` | contact point | m | object | 0.5 |
+    | 30-41 | `normals` | inward normal | 1 | object | 1 |
+    | 42-53 | `commanded_force` | commanded force (normal, o, t) | N | contact | 500 |
+    | 54-65 | `measured_force` | measured force (normal, o, t) | N | contact | 500 |
+    | 66-69 | `touching` | touching | 1 | - | 1 |
+    | 70-81 | `joint_angles` | joint angle | rad | - | 7 |
+    | 82 | `friction` | solver friction | 1 | - | 10 |
+
+    `observation="dict"` gives a `Dict` of the same numbers by their keys.
 
     ## Reward
     `reward.held` while the object is held (or `-failure_cost` once), `- iteration_cost * iterations`,
@@ -106,7 +108,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     Newton within the torque limits, where the method's force exceeds them), `torque_margin` (least of limit - |torque| in the step;
     [N m]), `saturated` (torques were cut: no force within the limits balances the wrench), `repaired_controls`,
     `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
-    the hand could not hold), `failure`, `is_success`, and the reward terms.
+    the hand could not hold), `failure`, `is_success`, and the reward terms. `agent={"info": "numbers"}` leaves the words out and makes
+    arrays of all numbers, which readers of tensors such as torchrl's take.
 
     Without optimisation (`controller.kind`, "contact_force") `force_closure` stays True; "pd" commands no forces: its `commanded_force` and the
     force terms are 0.
@@ -163,7 +166,12 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._torque_limits = hand.torque_limits
         self._annotator = Annotator(config, hand)
         self._observer = Observer(tips, joints)
-        self.observation_space = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
+        vector = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
+        self._named = config.agent.observation == "dict"
+        parts: dict[str, gym.Space[Any]] = {
+            block.key: gym.spaces.Box(-block.bound, block.bound, (block.size,)) for block in self._observer.fields
+        }
+        self.observation_space = gym.spaces.Dict(parts) if self._named else vector
         sizes = {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}
         self._action_shape = (sizes[config.agent.action_mode],)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
@@ -183,9 +191,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     def __repr__(self) -> str:
         return f"FourFingerGrasp({self.config.task.name}, {name_of(self.config.disturbance)}, {self._loop!r})"
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Back to the settled grasp, with a new disturbance, and a new object where asked for; see the class.
 
         A closed environment opens anew.
@@ -239,9 +245,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
         terms = reward_terms(self.config.reward, True, 0, 0.0)
         self._observed = self._observe(scene)
-        return self._observed, self._info(scene, terms)
+        return self._seen(), self._info(scene, terms)
 
-    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One agent step; see the class.
 
         Raises:
@@ -273,7 +279,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         info = self._info(scene, terms)
         if self.render_mode == "human":
             self.render()
-        return self._observed, float(sum(terms.values())), bool(self._failure), truncated, info
+        return self._seen(), float(sum(terms.values())), bool(self._failure), truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """An (H, W, 3) picture in "rgb_array" mode; the window of "human" mode draws itself."""
@@ -298,6 +304,22 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     def spec(self) -> EnvSpec | None:
         """What `gym.make` made it from, with the steps after which an episode is truncated: those of `limits.duration`."""
         return self._spec
+
+    def truncate_after(self, steps: int) -> None:
+        """Truncates episodes after so many agent steps from the next reset on, as `max_episode_steps` of `gym.make` asks.
+
+        Args:
+            steps: of an episode.
+
+        Raises:
+            InvalidInputError: more than can be planned.
+        """
+        self.config = self.config.override(duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate)
+        self._open_stage().config = self._open_stage().episode = self.config
+        self._step_limit = steps
+        if self._spec is not None:
+            kwargs = {**self._spec.kwargs, "duration": self.config.limits.duration}
+            self._spec = replace(self._spec, max_episode_steps=steps, kwargs=kwargs)
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -384,6 +406,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         observed, self._outcome = self._observer(self._targets[min(self._tick, self._last_row)])
         return observed
 
+    def _seen(self) -> Any:
+        return self._observer.named(self._observed) if self._named else self._observed
+
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
         loop, solution, outcome = self._loop, self._loop.solution, self._outcome
         force_error, slip, stray = outcome.force_error, outcome.slip, outcome.stray
@@ -393,7 +418,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         else:
             touching = scene.look().touching > 0.0
         self._slip_distance += slip / self.config.agent.rate
-        return {
+        info = {
             "iterations": loop.iterations,
             "trials": loop.trials,
             "status": solution.status.value if solution else ("failed" if self._failure else "none"),
@@ -425,6 +450,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             "is_success": self.config.task.succeeded(outcome.drift, outcome.tilt, bool(self._failure)),
             **terms,
         }
+        if self.config.agent.info == "all":
+            return info
+        return {name: np.asarray(value) for name, value in info.items() if not isinstance(value, str)}
 
     def _annotation(self, scene: Scene) -> Annotation | None:
         """What is drawn over a picture; nothing before the first reset, or where the simulation diverged."""
@@ -439,3 +467,17 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _new_stage(self) -> Stage:
         return Stage(self.config, self._loop, self.render_mode == "human", self.render_mode is not None)
+
+
+def honour_time_limit(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """The last thing that `gym.make` calls: an episode lasts as long as its `max_episode_steps` say, shorter or longer than the task's.
+
+    Args:
+        env: with Gymnasium's wrappers.
+    """
+    made, layer = env.unwrapped, env
+    while isinstance(layer, gym.Wrapper):
+        if isinstance(layer, gym.wrappers.TimeLimit) and isinstance(made, FourFingerGrasp):
+            made.truncate_after(layer._max_episode_steps)  # `layer.spec` says it, too, and would keep the old settings
+        layer = layer.env
+    return env

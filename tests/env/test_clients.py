@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from stable_baselines3.common.env_checker import check_env
 
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import SimulationError
+from grasp_env.errors import InvalidInputError, SimulationError
 
 ID = "grasp_env:FourFingerGrasp-v0"
 ZERO = np.zeros(6, dtype=np.float32)
@@ -37,13 +38,33 @@ def test_a_closed_environment_opens_anew() -> None:
     env.close()
 
 
-@pytest.mark.parametrize(("settings", "steps"), [({}, 100), ({"duration": 0.2}, 10), ({"task": "payload"}, 200)])
-def test_the_spec_says_how_long_an_episode_is(settings: dict[str, object], steps: int) -> None:
-    env = gym.make(ID, **settings)
-    assert env.spec is not None
-    assert env.spec.max_episode_steps == steps
-    assert not isinstance(env, gym.wrappers.TimeLimit)
-    env.close()
+@pytest.mark.parametrize(
+    ("settings", "steps"),
+    [
+        ({}, 100),
+        ({"duration": 0.2}, 10),
+        ({"task": "payload"}, 200),
+        ({"max_episode_steps": 4}, 4),
+        ({"max_episode_steps": 7, "duration": 0.1}, 7),  # longer than the settings say
+        ({"max_episode_steps": -1, "duration": 0.1}, 5),
+    ],
+)
+def test_an_episode_lasts_as_long_as_its_spec_says(settings: dict[str, Any], steps: int) -> None:
+    env = gym.make(ID, disturbance="random", **settings)
+    again = gym.make(env.spec)  # type: ignore[arg-type]
+    for made in (env, again):
+        assert made.spec is not None
+        assert made.spec.max_episode_steps == steps
+        assert isinstance(made, gym.wrappers.TimeLimit) == (
+            ("max_episode_steps" in settings and steps != 5) or made is again
+        )
+        if steps < 20:
+            for seed in (0, 1):
+                made.reset(seed=seed)
+                assert [made.step(ZERO)[3] for _ in range(steps)] == [False] * (steps - 1) + [True]
+        made.close()
+    with pytest.raises(InvalidInputError, match="1000000 control ticks"):
+        gym.make(ID, max_episode_steps=10**9)
 
 
 def test_what_remains_of_an_episode_can_be_observed() -> None:
@@ -53,16 +74,6 @@ def test_what_remains_of_an_episode_can_be_observed() -> None:
         observed, _, terminated, truncated, _ = env.step(ZERO)
         assert observed[-1] == pytest.approx((step + 1) / 10)
         assert (terminated, truncated) == (False, step == 9)
-    env.close()
-
-
-def test_made_again_from_its_spec() -> None:
-    made = gym.make(ID, duration=0.1)
-    assert made.spec is not None
-    made.close()
-    env = gym.make(made.spec)
-    env.reset(seed=0)
-    assert [env.step(ZERO)[3] for _ in range(5)] == [False] * 4 + [True]
     env.close()
 
 

@@ -27,12 +27,8 @@ ALL = ("shape", "size", "mass", "friction")
 
 def block(obs: np.ndarray, name: str, tips: int = 4, joints: int = 12) -> np.ndarray:
     """The named part of an observation."""
-    start = 0
-    for field in observation.fields(tips, joints):
-        if field.name == name:
-            return obs[start : start + field.size]
-        start += field.size
-    raise KeyError(name)
+    named = {field.name: field.key for field in observation.fields(tips, joints)}
+    return observation.Observer(tips, joints).named(obs)[named[name]].reshape(-1)
 
 
 def test_gymnasium_check_with_rendering():
@@ -48,7 +44,9 @@ def test_gymnasium_check_with_rendering():
     del gym.registry["Headless-v0"]
 
 
-@pytest.mark.parametrize("settings", [{"disturbance": "random"}, {"randomize": ALL}, {"action_mode": "contact_force"}])
+@pytest.mark.parametrize(
+    "settings", [{"disturbance": "random"}, {"randomize": ALL, "observation": "dict"}, {"action_mode": "contact_force"}]
+)
 def test_sb3_check(settings):
     env = FourFingerGrasp(**settings)
     with warnings.catch_warnings():
@@ -69,7 +67,7 @@ def test_observation_table_matches_docstring_and_space():
     assert f"({size},)" in DOC
     high = env.observation_space.high
     for line in table:  # the ranges of the table cover every index once, with the bound of the space
-        index, _, _, _, bound = (part.strip() for part in line.strip("|").split("|"))
+        index, _, _, _, _, bound = (part.strip() for part in line.strip("|").split("|"))
         first, last = (int(part) for part in (index.split("-") if "-" in index else (index, index)))
         np.testing.assert_array_equal(high[first : last + 1], np.float32(float(bound)))
     assert last == size - 1
@@ -100,6 +98,48 @@ def test_observation_holds_what_the_table_says():
     np.testing.assert_allclose(block(obs, "joint angle"), s.angles, rtol=1e-6)
     assert block(obs, "solver friction")[0] == pytest.approx(0.85 * 0.4)
     env.close()
+
+
+def test_a_dict_of_named_parts_has_the_same_numbers():
+    env, other = FourFingerGrasp(observation="dict", disturbance="random"), FourFingerGrasp(disturbance="random")
+    space, flat = (
+        env.observation_space,
+        gym.wrappers.FlattenObservation(FourFingerGrasp(observation="dict", disturbance="random")),
+    )
+    for seed in (3, 4):
+        parts, vector = env.reset(seed=seed)[0], other.reset(seed=seed)[0]
+        flattened = flat.reset(seed=seed)[0]
+        for _ in range(4):
+            assert space.contains(parts)
+            assert parts["commanded_force"].shape == (12,)
+            np.testing.assert_array_equal(
+                np.concatenate([parts[field.key].reshape(-1) for field in observation.fields()]), vector
+            )
+            np.testing.assert_array_equal(np.sort(flattened), np.sort(vector))
+            parts, vector, flattened = (each.step(ZERO)[0] for each in (env, other, flat))
+    for each in (env, other, flat):
+        each.close()
+    assert {field.key for field in observation.fields()} == set(space.keys())
+
+
+def test_infos_of_numbers_are_arrays_that_a_reader_of_tensors_takes():
+    """torchrl's reader asks each value for its dtype, reads keys that begin with no underscore, and knows no words."""
+    env = FourFingerGrasp(agent={"info": "numbers"})
+    _, first = env.reset(seed=0)
+    infos = [env.step(ZERO)[4] for _ in range(3)]
+    env.reset(seed=0, options={"wrench": [0, 0, 0, 0, 0, 4.0]})
+    terminated = False
+    while not terminated:
+        _, _, terminated, _, info = env.step(ZERO)
+        infos.append(info)
+    env.close()
+    for info in infos:
+        assert {key: (value.dtype, value.shape) for key, value in info.items()} == {
+            key: (value.dtype, value.shape) for key, value in first.items()
+        }
+    assert {value.dtype.kind for value in first.values()} <= set("fib")
+    assert not any(key.startswith("_") for key in first)
+    assert {"drift", "iterations", "force_closure", "is_success", "measured_force"} <= first.keys()
 
 
 def test_what_is_seen_at_reset_is_the_grasp_that_holds():
