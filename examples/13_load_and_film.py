@@ -34,14 +34,9 @@ for name, policy in {"agent": agent, "the paper's start": ZeroPolicy()}.items():
     mean, deviation = evaluate_policy(policy, env, n_eval_episodes=3)
     print(f"return of an episode, {name}: {mean:.1f} +- {deviation:.1f}")
 
+short = {"render_mode": "rgb_array", "duration": 0.6, "pictures": {"size": (320, 320)}}
 film = RecordVideo(
-    gym.make(
-        "grasp_env:FourFingerGrasp-v0",
-        config=settings,
-        render_mode="rgb_array",
-        duration=0.6,
-        pictures={"size": (320, 320)},
-    ),
+    gym.make("grasp_env:FourFingerGrasp-v0", config=settings, **short),
     "runs/example_rl/films",
     episode_trigger=lambda episode: True,
     disable_logger=True,
