@@ -152,14 +152,18 @@ class Settings:
         finally:
             _PATH.reset(before)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self, path: str = "") -> dict[str, Any]:
         """The settings as JSON has them, with the name of a record that is one of several.
+
+        Args:
+            path: of the record, for messages.
 
         Raises:
             InvalidInputError: a function, which has no JSON.
         """
         named = {"name": self.name} if self.name else {}
-        return named | {item.name: to_json(getattr(self, item.name), item.name) for item in fields(self)}
+        start = path and f"{path}."
+        return named | {item.name: to_json(getattr(self, item.name), start + item.name) for item in fields(self)}
 
 
 def described(record: type[Settings], path: str = "") -> Iterator[Row]:
@@ -258,7 +262,7 @@ def to_json(value: Any, path: str) -> Any:
         InvalidInputError: a function, which has no JSON.
     """
     if is_a(value, Settings):
-        return value.to_dict()
+        return value.to_dict(path)
     if is_a(value, tuple):
         return [to_json(each, path) for each in value]
     if value is None or is_a(value, str | int | float | bool):

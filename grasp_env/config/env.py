@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -48,8 +49,6 @@ KEYWORDS = {
 """The plain keywords of `gym.make`, besides the fields of `EnvConfig`, and the setting that each of them is."""
 _MOST_TICKS = 1_000_000
 """Of an episode, which is planned as a whole: 0.7 kB each."""
-_DRIFT, _TILT = 0.02, 0.35
-"""[m], [rad] at which an object counts as lost, where neither settings nor task say otherwise."""
 
 
 def _hand(value: Any, name: str) -> Any:
@@ -116,8 +115,8 @@ class EnvConfig(Settings):
     def agree(self) -> None:
         """Rates divide each other, an episode has a plan that fits into memory, and what is drawn can be drawn."""
         engine, drawn = engine_of(self.engine), dict(self.randomize)
-        rates = {"agent.rate": self.agent.rate, "controller.rate": self.controller.rate, "engine.rate": engine.rate}
-        for (slow, low), (fast, high) in zip(list(rates.items()), list(rates.items())[1:], strict=False):
+        rates = ("agent.rate", self.agent.rate), ("controller.rate", self.controller.rate), ("engine.rate", engine.rate)
+        for (slow, low), (fast, high) in pairwise(rates):
             if high < low or high % low:
                 raise InvalidInputError(f"{fast} must be a multiple of {slow}, got {high} and {low}")
         for name, seconds in (("limits.duration", self.limits.duration or 0.0), ("sensors.delay", self.sensors.delay)):
@@ -182,23 +181,13 @@ class EnvConfig(Settings):
         return base.replaced(parts, place)
 
     def resolved(self) -> EnvConfig:
-        """A copy in which what is None has its value: the task's own, or the default said above."""
+        """A copy in which what is None has its value: the task's own, and the default engine."""
         task, limits = self.task, self.limits
-        return replace(
-            self,
-            engine=engine_of(self.engine),
-            disturbance=task.disturbance if self.disturbance is None else self.disturbance,
-            limits=replace(
-                limits,
-                duration=task.duration if limits.duration is None else limits.duration,
-                max_drift=(task.drift_limit if task.drift_limit < 1.0 else _DRIFT)
-                if limits.max_drift is None
-                else limits.max_drift,
-                max_tilt=(task.tilt_limit if task.tilt_limit < 4.0 else _TILT)
-                if limits.max_tilt is None
-                else limits.max_tilt,
-            ),
-        )
+        own = {
+            name: getattr(task, name) for name in ("duration", "max_drift", "max_tilt") if getattr(limits, name) is None
+        }
+        disturbance = task.disturbance if self.disturbance is None else self.disturbance
+        return replace(self, engine=engine_of(self.engine), disturbance=disturbance, limits=replace(limits, **own))
 
     def drawn(self, rng: np.random.Generator) -> EnvConfig:
         """The settings of an episode: a copy in which what is randomized has its value.
@@ -217,8 +206,11 @@ class EnvConfig(Settings):
         """
         return self.override(**draw(dict(self.randomize), self.object, rng))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self, path: str = "") -> dict[str, Any]:
         """All settings as JSON has them, with the version of their schema.
+
+        Args:
+            path: of the settings, for messages.
 
         Raises:
             InvalidInputError: a function, or a hand of your own, which have no JSON.

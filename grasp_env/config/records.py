@@ -180,11 +180,11 @@ class EpisodeLimits(Settings):
 
     duration: float | None = setting(None, real(POSITIVE), "Time until truncation.", unit="s", none="the task's own")
     max_drift: float | None = setting(
-        None, real(POSITIVE), "Distance from where it should be at which the object counts as lost.", unit="m",
-        none="0.02 m, or the task's own",
+        None, real(POSITIVE), "Distance from where it should be at which the object counts as lost, usually 0.02 m.", unit="m",
+        none="the task's own",
     )  # fmt: skip
     max_tilt: float | None = setting(
-        None, real(POSITIVE), "Rotation at which the object counts as lost.", unit="rad", none="0.35 rad, or the task's own"
+        None, real(POSITIVE), "Rotation at which the object counts as lost, usually 0.35 rad.", unit="rad", none="the task's own"
     )  # fmt: skip
     max_contact_gap: float = setting(
         0.1, real(POSITIVE), "Time without force closure before the grasp counts as lost.", unit="s"

@@ -36,6 +36,10 @@ class Task(Settings):
     """What disturbs the object unless settings say otherwise."""
     pushes: ClassVar[bool] = False
     """Whether it pushes by itself, so that no disturbance may be given."""
+    max_drift: ClassVar[float] = 0.02
+    """[m] at which the object counts as lost unless settings say otherwise."""
+    max_tilt: ClassVar[float] = 0.35
+    """[rad], the same."""
     drift_limit: ClassVar[float] = math.inf
     """[m] below which the object must be from its place for success; infinite: only not lost."""
     tilt_limit: ClassVar[float] = math.inf
@@ -139,8 +143,8 @@ class SixDirections(Task):
 
     name: ClassVar[str] = "six_directions"
     pushes: ClassVar[bool] = True
-    drift_limit: ClassVar[float] = 0.05
-    tilt_limit: ClassVar[float] = math.radians(15.0)
+    max_drift = drift_limit = 0.05
+    max_tilt = tilt_limit = math.radians(15.0)
 
     push_per_mass: float = setting(10.0, real(NOT_NEGATIVE), "Force per mass of the object.", unit="N/kg")
     push_time: float = setting(2.0, real(POSITIVE), "Duration of each push.", unit="s")

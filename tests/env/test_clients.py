@@ -50,7 +50,13 @@ def test_a_closed_environment_opens_anew() -> None:
     ],
 )
 def test_an_episode_lasts_as_long_as_its_spec_says(settings: dict[str, Any], steps: int) -> None:
-    env = gym.make(ID, disturbance="random", **settings)
+    planned: list[float] = []
+
+    def still(times: np.ndarray, rng: np.random.Generator, settings: object) -> np.ndarray:
+        planned.append(times[-1])
+        return np.zeros((len(times), 6))
+
+    env = gym.make(ID, disturbance=still, **settings)
     again = gym.make(env.spec)  # type: ignore[arg-type]
     for made in (env, again):
         assert made.spec is not None
@@ -61,6 +67,7 @@ def test_an_episode_lasts_as_long_as_its_spec_says(settings: dict[str, Any], ste
         if steps < 20:
             for seed in (0, 1):
                 made.reset(seed=seed)
+                assert planned[-1] == pytest.approx(steps / 50)
                 assert [made.step(ZERO)[3] for _ in range(steps)] == [False] * (steps - 1) + [True]
         made.close()
     with pytest.raises(InvalidInputError, match="1000000 control ticks"):

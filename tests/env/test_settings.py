@@ -17,6 +17,7 @@ from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError, UnknownSettingError
 from grasp_env.settings import Settings, described
 from grasp_env.sim import HANDS, BulletEngine, HandDescription, MujocoEngine, ObjectDescription
+from grasp_env.sim.objects.description import random_object
 from grasp_env.task import DISTURBANCES, TASKS, Hold, Impulses, Move, RandomWrench
 
 ZERO = np.zeros(6, dtype=np.float32)
@@ -101,6 +102,7 @@ def test_wrong_settings_are_refused_with_their_path(settings: dict[str, Any], me
         ("disturbence", "did you mean 'disturbance'"),
         ("tolerance", "did you mean .*'solver.tolerance'"),
         ("motion", "did you mean 'task.motion'"),
+        ("kind", "did you mean 'controller.kind'"),
         ("sensor_delay", "did you mean 'sensors.delay'"),
         ("object_mass", "did you mean 'object.mass'"),
         ("sensors.dely", "did you mean 'sensors.delay'"),
@@ -187,7 +189,7 @@ def test_json_keeps_everything_and_refuses_what_it_cannot() -> None:
     assert EnvConfig.from_dict({"schema": 1, "sensors": {"delay": 0.01}}) == EnvConfig(sensors=Sensors(delay=0.01))
     for settings, message in (
         ({"disturbance": lambda times, rng, settings: None}, "disturbance is <function .*no JSON"),
-        ({"initial_force": lambda grasp, wrench: None}, "initial_force is <function"),
+        ({"initial_force": lambda grasp, wrench: None}, "solver.initial_force is <function"),
         ({"randomize": {"gravity": lambda rng: (0, 0, 0)}}, r"randomize\['gravity'\] is <function"),
         ({"hand": HandDescription.allegro().moved((0.0, 0.1, 0.0))}, "hand is HandDescription.* no JSON"),
     ):
@@ -233,11 +235,18 @@ def test_everything_that_may_be_drawn_is_drawn_of_the_seed_and_reaches_the_episo
         "controller.friction_error": (-0.1, 0.1),
         "controller.force_noise": (0.0, 0.01),
     }
-    env = FourFingerGrasp(randomize=ranges, disturbance="none")
+    told: list[EnvConfig] = []
+
+    def still(times: np.ndarray, rng: np.random.Generator, settings: EnvConfig) -> np.ndarray:
+        told.append(settings)
+        return np.zeros((len(times), 6))
+
+    env = FourFingerGrasp(randomize=ranges, disturbance=still)
     found = []
     for seed in (0, 1, 2, 1, 0):
         observation, info = env.reset(seed=seed)
         drawn, item = env.episode, env.scene.config.object
+        assert told[-1] is drawn
         assert (info["object_mass"], item.mass, item.friction) == (
             drawn.object.mass,
             drawn.object.mass,
@@ -263,6 +272,16 @@ def test_everything_that_may_be_drawn_is_drawn_of_the_seed_and_reaches_the_episo
     assert found[1] == found[3]
     assert all(len({row[k] for row in found}) == 3 for k in (0, 1, 2, 3, 5))
     assert env.config.sensors == Sensors()  # the settings stay
+    blind = FourFingerGrasp(
+        randomize={"size": True, "gravity": ranges["gravity"]}, sensors={"wrench": "none"}, disturbance="none"
+    )
+    for seed in (0, 1):
+        _, info = blind.reset(seed=seed)
+        np.testing.assert_array_equal(blind.scene.gravity, blind.episode.gravity)
+        np.testing.assert_allclose(info["wrench"][:3], 0.2 * np.array(blind.episode.gravity), atol=0.05)
+    blind.close()
+    usual = EnvConfig(randomize=("shape", "size", "mass", "friction")).drawn(np.random.default_rng(7)).object
+    assert usual == random_object(np.random.default_rng(7))
 
 
 def test_weak_motors_deliver_a_part_of_what_is_commanded() -> None:
