@@ -232,17 +232,6 @@ def test_long_small_and_heavy_objects_are_held(settings):
     assert max(info["drift"] for info in infos) < 1e-3
 
 
-def test_settings_of_the_object_reach_the_simulation():
-    env = FourFingerGrasp(size=(0.08, 0.09, 0.1), mass=0.15, friction=0.55)
-    info = env.reset(seed=0)[1]
-    assert (info["object_mass"], info["object_friction"], info["object_size"]) == (0.15, 0.55, 0.1)
-    assert env.scene.config.object.size == (0.08, 0.09, 0.1)
-    for _ in range(20):
-        info = env.step(ZERO)[4]
-    assert info["is_success"]
-    env.close()
-
-
 def test_rates_that_differ_hold():
     _, infos = episode(None, agent={"rate": 25}, engine={"name": "bullet", "rate": 1000})
     assert len(infos) == 50
