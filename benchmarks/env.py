@@ -28,16 +28,16 @@ EPISODES: dict[str, dict[str, Any]] = {
     "newton, previous": {"method": "newton", "initial_force": "previous"},
     "reduced_flow, learned": {"initial_force": "learned"},
     "random wrench": {"disturbance": "random"},
-    "estimated wrench": {"disturbance": "random", "wrench": "estimated"},
-    "constant squeeze": {"controller": "constant_squeeze"},
-    "PD only": {"controller": "pd"},
+    "estimated wrench": {"disturbance": "random", "sensors.wrench": "estimated"},
+    "constant squeeze": {"controller.kind": "constant_squeeze"},
+    "PD only": {"controller.kind": "pd"},
 }
 """Settings of the environments that are stepped."""
 NEW_OBJECT = ("shape", "size", "mass", "friction")
 RESETS: dict[str, dict[str, Any]] = {
     "same object": {},
-    "same shape, new mass and friction": {"randomise": ("mass", "friction")},
-    "new shape": {"randomise": NEW_OBJECT},
+    "same shape, new mass and friction": {"randomize": ("mass", "friction")},
+    "new shape": {"randomize": NEW_OBJECT},
 }
 """Settings of the environments that are reset."""
 STEPS = 100

@@ -26,6 +26,7 @@ extensions = [
     "mathml",
     "docstrings",
     "program",
+    "settings",
 ]
 exclude_patterns = ["results"]
 nitpicky = True

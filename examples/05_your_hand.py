@@ -43,7 +43,7 @@ with TemporaryDirectory() as folder:
 
 fig, axes = plt.subplots(1, 2, figsize=(8, 4.5), layout="constrained")
 for ax, hand in zip(axes, (mine, HandDescription.allegro()), strict=True):
-    ball = {"shape": "sphere", "size": (0.06,), "object_mass": 0.1, "friction": 0.8}
+    ball = {"shape": "sphere", "size": (0.06,), "mass": 0.1, "friction": 0.8}
     env = gym.make("grasp_env:FourFingerGrasp-v0", hand=hand, **ball, disturbance="random", render_mode="rgb_array")
     observation, info = env.reset(seed=0)
     for _ in range(50):  # a second

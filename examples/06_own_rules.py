@@ -25,7 +25,7 @@ def firm(grasp, wrench):
 def quake(times, rng, settings):
     """Wrenches (T, 6) [N, N m] on the object at times (T,) [s]: tones that swell and fade."""
     tones = np.sin(2 * np.pi * times[:, None] * [2, 3.3, 5] + rng.uniform(0, 2 * np.pi, 3))
-    swell = np.sin(np.pi * times / settings.duration)[:, None] ** 2
+    swell = np.sin(np.pi * times / settings.limits.duration)[:, None] ** 2
     return swell * np.column_stack([2 * tones, 0.02 * tones])
 
 

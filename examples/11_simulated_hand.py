@@ -10,6 +10,7 @@ millimetre, in either engine.
 import gymnasium as gym
 import matplotlib.pyplot as plt
 import numpy as np
+from gymnasium.wrappers import AddRenderObservation
 
 fig, (left, right) = plt.subplots(1, 2, figsize=(8, 4.5), width_ratios=(3, 2), layout="constrained")
 for engine in ("bullet", "mujoco"):
@@ -17,7 +18,7 @@ for engine in ("bullet", "mujoco"):
         env = gym.make(
             "grasp_env:FourFingerGrasp-v0",
             engine=engine,
-            wrench=wrench,
+            sensors={"wrench": wrench},
             disturbance="random",  # 0.6 N and 0.02 N m per axis
             duration=3.0,
             render_mode="rgb_array" if engine == "bullet" else None,  # MuJoCo draws no pictures here
@@ -36,6 +37,13 @@ for engine in ("bullet", "mujoco"):
         if engine == "bullet" and wrench == "estimated":
             right.imshow(env.render())
         env.close()
+
+# pictures as observations, beside the named parts of the observation
+env = gym.make("grasp_env:FourFingerGrasp-v0", observation="dict", render_mode="rgb_array", pictures={"size": (96, 96)})
+env = AddRenderObservation(env, render_only=False)
+observation, info = env.reset(seed=0)
+print("an agent that looks sees", {name: observation[name].shape for name in ("joint_angles", "touching", "pixels")})
+env.close()
 
 left.set(xlabel="time [s]", ylabel="drift of the cuboid [mm]", ylim=(1e-5, 2))
 left.legend()

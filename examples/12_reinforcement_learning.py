@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 STEPS = int(sys.argv[1]) if sys.argv[1:] else 4096
 FOLDER = Path("runs/example_ppo")  # `tensorboard --logdir runs/example_ppo` shows what is learned
-ENV, SETTINGS = "grasp_env:FourFingerGrasp-v0", {"disturbance": "random", "failure_cost": 10.0}
+ENV, SETTINGS = "grasp_env:FourFingerGrasp-v0", {"disturbance": "random", "reward": {"failure_cost": 10.0}}
 torch.set_num_threads(1)  # two threads train several times slower
 plain = make_vec_env(ENV, n_envs=8, seed=0, env_kwargs=SETTINGS)  # DummyVecEnv: a process each gains nothing
 envs = VecNormalize(plain, clip_obs=10.0, gamma=0.0)  # gamma: an action changes the iterations of its own step only

@@ -28,14 +28,15 @@ agent = TrainedAgent.load("runs/example_rl/seed-0")
 settings = agent.meta["env_settings"]  # trained with other prices than the environment's own
 print("trained:", {name: agent.meta[name] for name in ("algorithm", "action", "steps")})
 
-env = Monitor(gym.make("grasp_env:FourFingerGrasp-v0", **settings))
+env = Monitor(gym.make("grasp_env:FourFingerGrasp-v0", config=settings))
 for name, policy in {"agent": agent, "the paper's start": ZeroPolicy()}.items():
     env.reset(seed=1_000_000)  # the same episodes for both
     mean, deviation = evaluate_policy(policy, env, n_eval_episodes=3)
     print(f"return of an episode, {name}: {mean:.1f} +- {deviation:.1f}")
 
+short = {"render_mode": "rgb_array", "duration": 0.6, "pictures": {"size": (320, 320)}}
 film = RecordVideo(
-    gym.make("grasp_env:FourFingerGrasp-v0", render_mode="rgb_array", duration=0.6, render_size=(320, 320), **settings),
+    gym.make("grasp_env:FourFingerGrasp-v0", config=settings, **short),
     "runs/example_rl/films",
     episode_trigger=lambda episode: True,
     disable_logger=True,

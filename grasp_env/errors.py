@@ -100,10 +100,17 @@ class UnknownNameError(GraspError, KeyError):
 class UnknownSettingError(UnknownNameError, TypeError):
     """A keyword that is no setting; told as Python tells it of functions, which others' code looks for."""
 
-    def __init__(self, given: str, allowed: Iterable[str] = ()) -> None:
-        """`given`: the keyword; without `allowed` the message itself, as `gymnasium.make` raises a TypeError again."""
+    def __init__(self, given: str, allowed: Iterable[str] = (), likely: Iterable[str] = ()) -> None:
+        """`given`: the keyword; without `allowed` the message itself, as `gymnasium.make` raises a TypeError again.
+
+        `likely`: settings elsewhere that may be meant.
+        """
         self.given, self.allowed = given, tuple(allowed)
-        meant = alike(given, self.allowed)
+        meant = (
+            f" did you mean {' or '.join(map(repr, found))}?"
+            if (found := tuple(likely))
+            else alike(given, self.allowed)
+        )
         named = f"got an unexpected keyword argument {shown(given)}:{meant} settings are {', '.join(map(repr, self.allowed))}"
         GraspError.__init__(self, named if self.allowed else given)
 

@@ -27,7 +27,7 @@ class TrainedAgent:
     extra "sim", neither torch nor stable-baselines3, whose `evaluate_policy` takes it as a model.
 
     Attributes:
-        meta: of its checkpoint: algorithm, action mode, steps, seed, settings, versions.
+        meta: of its checkpoint: algorithm, action mode, steps, seed, versions, and `env_settings`, the `config` of its environment.
 
     Args:
         meta: what the checkpoint says of itself.
@@ -46,7 +46,7 @@ class TrainedAgent:
         ...     agent = TrainedAgent.load(f"{folder}/seed-0")
         >>> agent.meta["algorithm"], agent.meta["action"], agent.meta["steps"]
         ('ppo', 'initial_force', 64)
-        >>> env = gym.make("grasp_env:FourFingerGrasp-v0", **agent.meta["env_settings"])
+        >>> env = gym.make("grasp_env:FourFingerGrasp-v0", config=agent.meta["env_settings"])
         >>> observation, info = env.reset(seed=0)
         >>> action, _ = agent.predict(observation)
         >>> action.shape, bool(abs(action).max() <= 1.0)

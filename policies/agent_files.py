@@ -18,7 +18,7 @@ from grasp_env.env.observation import bounds
 from grasp_env.errors import ModelFileError
 from policies.checkpoint import signature
 
-SCHEMA = "grasp-force/rl-agent/1"
+SCHEMA = "grasp-force/rl-agent/2"
 ENV_ID = "FourFingerGrasp-v0"
 META = "agent.json"
 STEM = "step-"

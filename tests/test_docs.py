@@ -20,6 +20,8 @@ pytest.importorskip("sphinx", reason="the extra docs is not installed")
 
 from sphinx.util.inventory import InventoryFile
 
+from grasp_env.task import DISTURBANCES, TASKS
+
 ROOT = Path(__file__).parents[1]
 MODULES = (
     "grasp_env.grasp",
@@ -29,9 +31,10 @@ MODULES = (
     "policies",
     "grasp_env.env",
     "grasp_env.task",
+    "grasp_env.config",
 )
 PUBLIC = [f"{module}.{name}" for module in MODULES for name in import_module(module).__all__]
-WHOLE = ("grasp_env.config", "grasp_env.errors", "grasp_env.grasp.presets", "grasp_env.grasp.wrench")
+WHOLE = ("grasp_env.errors", "grasp_env.grasp.presets", "grasp_env.grasp.wrench")
 """Modules without __all__: every name of theirs that is a class or a function of their own."""
 INSIDE = {"grasp_env.errors.shown"}
 PAGES = ("index.html", "mathematics.html", "api/force.html", "gallery/index.html", "search.html")
@@ -44,8 +47,10 @@ SHOWN_BY = {
     "grasp_env.quality.GraspQuality": "grasp_env.quality.quality",
     "grasp_env.force.Status": "grasp_env.force.optimize_force",
     "grasp_env.quality.WorstCase": "grasp_env.quality.worst_case",
+    **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.Task" for kind in TASKS.values()},
+    **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.DisturbanceSettings" for kind in DISTURBANCES.values()},
 }
-"""Answers, by the call that gives them: its example shows them."""
+"""Answers, by the call that gives them, and records, by their base: its example shows them."""
 NO_EXAMPLE = {
     "grasp_env.force.InitialForceRule": "a protocol",
     "policies.Policy": "a protocol",

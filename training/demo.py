@@ -75,11 +75,11 @@ def record(
     Args:
         out: the file.
         seconds: simulated time; None: the task's own. The video is shorter where the object is lost.
-        initial_force: the start rule; None: the environment's default.
+        initial_force: the start rule; None: that of the settings.
         seed: of the episode.
         env_id: the environment.
         policy: the agent; None: no adjustment.
-        **settings: more keywords of the environment: task, shape, disturbance, render_size.
+        **settings: more keywords of the environment: config, task, shape, disturbance, pictures.
 
     Raises:
         InvalidInputError: another suffix, no time, or a folder that does not exist.
@@ -91,10 +91,12 @@ def record(
         need("video")
     if seconds is not None:
         settings["duration"] = positive(seconds, "seconds")
+    if initial_force is not None:
+        settings["initial_force"] = initial_force
     if not out.absolute().parent.is_dir():
         raise InvalidInputError(f"the folder {out.absolute().parent} does not exist: make it first")
     ending = Ending()
-    env = gym.make(env_id, render_mode="rgb_array", initial_force=initial_force, **settings)
+    env = gym.make(env_id, render_mode="rgb_array", **settings)
     frames = _frames(env, seed, policy, out.suffix == ".png", ending)
     with closing(env), closing(frames), replacing(out) as temporary:
         _write(temporary, frames)

@@ -60,8 +60,8 @@ def take_over(scene: Scene, loop: ForceLoop) -> None:
     """
     loop.reset()
     target, quiet = resting_target(1)[0], 0
-    every = round(loop.config.control_rate / loop.config.agent_rate)
-    weight = scene.config.weight
+    every = round(loop.config.controller.rate / loop.config.agent.rate)
+    weight = scene.config.object.mass * scene.gravity
     scale = float(np.linalg.norm(weight))
     error = np.inf
     ticks = round(SETTLING_TIME / loop.dt)

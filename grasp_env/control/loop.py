@@ -65,12 +65,12 @@ class ForceLoop:
         # a user's rule without a start says so; a named one has none where the grasp is being lost
         named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
         self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
-        self.objective = Objective(config.force_weight, config.barrier_weight)
-        self.dt = 1.0 / config.control_rate
+        self.objective = Objective(config.solver.force_weight, config.solver.barrier_weight)
+        self.dt = 1.0 / config.controller.rate
         self._noise: NoiseRows | None = None
 
     def __repr__(self) -> str:
-        return f"ForceLoop({self.config.method} from {rule_name(self.initial_force)})"
+        return f"ForceLoop({self.config.solver.method} from {rule_name(self.initial_force)})"
 
     def begin(self, scene: Scene) -> None:
         """Makes everything that depends on the object and the grasp.
@@ -81,7 +81,7 @@ class ForceLoop:
         item, hand, config = scene.config.object, scene.config.hand, self.config
         self.count = hand.finger_count
         self.scene = scene
-        believed = hand.tip_friction * (1.0 + config.friction_error) * config.friction_margin
+        believed = hand.tip_friction * (1.0 + config.controller.friction_error) * config.controller.friction_margin
         self.friction, self.torsional_friction = item.friction * believed, item.torsional_friction * believed
         points, normals = np.array(scene.config.contact_points), scene.config.contact_normals
         soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
@@ -100,7 +100,7 @@ class ForceLoop:
         arrays["home"][:] = scene.config.start_angles or hand.home
         arrays["goals"][:] = points
         arrays["inwards"][:] = normals
-        arrays["depths"][:] = config.squeeze / self.count / config.pd_stiffness
+        arrays["depths"][:] = config.controller.squeeze / self.count / config.controller.pd_stiffness
         self._noise = None
         self.reset()
 
@@ -127,7 +127,7 @@ class ForceLoop:
     @settling.setter
     def settling(self, value: bool) -> None:
         self._settling = self._core.perfect = value
-        self._hold(Hold.optimized if value else HOLDS[self.config.controller])
+        self._hold(Hold.optimized if value else HOLDS[self.config.controller.kind])
 
     def _hold(self, hold: Hold) -> None:
         self._holds = self._core.hold = hold
@@ -257,7 +257,7 @@ class ForceLoop:
 
 
 FLOWS = ("reduced_flow", "full_flow")
-HOLDS = {"optimised": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Hold.place}
+HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Hold.place}
 """What the fingers in contact do under each `controller`."""
 
 
@@ -267,29 +267,29 @@ def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | Initial
     Raises:
         RankDeficientGraspError, InfeasibleStartError: these contacts cannot hold an object.
     """
-    soft, method, initial = grasp.contacts.soft, config.method, initial_force
+    soft, method, initial = grasp.contacts.soft, config.solver.method, initial_force
     if soft and method in FLOWS:
         method = "newton"
     if method == "conic" or (soft and initial != "previous"):
         initial = None
     elif isinstance(initial, str) and initial in RULES and initial != "linear_combination":
         # made for the contacts of each call, not for the planned ones
-        initial = initial_rule(initial, Objective(config.force_weight, config.barrier_weight))
+        initial = initial_rule(initial, Objective(config.solver.force_weight, config.solver.barrier_weight))
     return ForceOptimizer(
-        grasp, method=method, initial=initial, force_weight=config.force_weight, barrier_weight=config.barrier_weight,
-        tolerance=config.tolerance, max_iterations=budget_of(config),
+        grasp, method=method, initial=initial, force_weight=config.solver.force_weight, barrier_weight=config.solver.barrier_weight,
+        tolerance=config.solver.tolerance, max_iterations=budget_of(config),
     )  # fmt: skip
 
 
 def budget_of(config: EnvConfig) -> int:
     """Most iterations of an optimization."""
-    return config.max_iterations if config.iteration_budget is None else config.iteration_budget
+    return config.solver.max_iterations if config.solver.iteration_budget is None else config.solver.iteration_budget
 
 
 def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: HandKinematics) -> core.ControlSettings:
     """The controller's belief, the object without its payload, and all gains."""
     tips, joints = kinematics.mobility(kinematics.home)
-    dt = 1.0 / config.control_rate
+    dt = 1.0 / config.controller.rate
     made = core.ControlSettings()
     made.body = believed_body(config, item)
     made.reach = [
@@ -298,7 +298,7 @@ def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: Han
         )
         for each in tips
     ]
-    made.spring = core.Spring(config.pd_stiffness, config.pd_damping, np.inf)
+    made.spring = core.Spring(config.controller.pd_stiffness, config.controller.pd_damping, np.inf)
     made.reach_depth = REACH_FORCE / REACH_STIFFNESS
     made.posture = [
         stable_spring(
@@ -306,9 +306,9 @@ def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: Han
         )
         for each in joints
     ]
-    made.set_follow(config.tolerance, min(budget_of(config), FOLLOW_ITERATIONS), config.method == "conic")
-    made.squeeze = config.squeeze
-    made.most_change = config.force_rate / config.control_rate
+    made.set_follow(config.solver.tolerance, min(budget_of(config), FOLLOW_ITERATIONS), config.solver.method == "conic")
+    made.squeeze = config.controller.squeeze
+    made.most_change = config.controller.force_rate / config.controller.rate
     made.release = RELEASE
     return made
 
@@ -322,9 +322,11 @@ def stable_spring(stiffness: float, damping: float, limit: float, mobility: floa
 
 def believed_body(config: EnvConfig, item: ObjectDescription) -> core.Body:
     """The object and the pose feedback, critically damped and no faster than the delay of the sensors allows."""
-    late = late_ticks(config) / config.control_rate
+    late = late_ticks(config) / config.controller.rate
     most = STABLE / late if late > 0.0 else np.inf
-    return critically_damped(item, min(config.position_bandwidth, most), min(config.rotation_bandwidth, most))
+    return critically_damped(
+        item, min(config.controller.position_bandwidth, most), min(config.controller.rotation_bandwidth, most)
+    )
 
 
 def critically_damped(item: ObjectDescription, push: float, turn: float) -> core.Body:

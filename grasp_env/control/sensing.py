@@ -12,20 +12,20 @@ from grasp_env.config import EnvConfig
 
 
 def sensor_settings(config: EnvConfig) -> core.SensorSettings:
-    """The settings of the core's sensors: `sensor_delay`, which the controller knows and makes good, and the noise."""
+    """The settings of the core's sensors: `sensors.delay`, which the controller knows and makes good, and the noise."""
     made = core.SensorSettings()
-    made.wrench = getattr(core.WrenchSource, config.wrench)
-    made.tick = 1.0 / config.control_rate
-    made.keep = keep_factor(config.estimator_time, made.tick)
+    made.wrench = getattr(core.WrenchSource, config.sensors.wrench)
+    made.tick = 1.0 / config.controller.rate
+    made.keep = keep_factor(config.sensors.estimator_time, made.tick)
     made.delay = late_ticks(config)
-    made.wrench_delay = config.wrench_delay
-    made.pose_noise, made.tactile_noise = config.pose_noise, config.tactile_noise
+    made.wrench_delay = config.sensors.wrench_delay
+    made.pose_noise, made.tactile_noise = config.sensors.pose_noise, config.sensors.tactile_noise
     return made
 
 
 def late_ticks(config: EnvConfig) -> int:
     """Whole control ticks by which everything is seen late."""
-    return math.ceil(config.sensor_delay * config.control_rate - 1e-9)
+    return math.ceil(config.sensors.delay * config.controller.rate - 1e-9)
 
 
 def keep_factor(time: float, tick: float) -> float:

@@ -17,6 +17,7 @@ from grasp_env.grasp.grasp import Grasp
 from grasp_env.sim import Scene
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN, WRENCH_STRETCH, Annotation
+from grasp_env.task.disturbance import name_of
 from grasp_env.task.motion import ANGULAR_ACCELERATION, LINEAR_ACCELERATION
 
 FAILURES = {
@@ -49,8 +50,8 @@ class Annotator:
     """Describes the pictures of one environment.
 
     Their scales are those of the largest force and moment that the plan of an episode asks for, known at reset. Within an
-    episode they stay. A later episode makes them smaller where it asks for more, never larger. `render_force` and
-    `render_moment` fix them.
+    episode they stay. A later episode makes them smaller where it asks for more, never larger. `pictures.force` and
+    `pictures.moment` fix them.
 
     Args:
         config: resolved.
@@ -75,9 +76,9 @@ class Annotator:
         """
         config, wrenches = self._config, _wrenches(plan, scene)
         pull, moment = (float(np.linalg.norm(part, axis=1).max()) for part in (wrenches[:, :3], wrenches[:, 3:]))
-        force = config.render_force or max(_largest(config, scene, wrenches, friction), WRENCH_STRETCH * pull)
+        force = config.pictures.force or max(_largest(config, scene, wrenches, friction), WRENCH_STRETCH * pull)
         self._scale = min(self._scale, LONGEST / max(force, LEAST_FORCE))
-        self._turn = min(self._turn, LONGEST_TURN / max(config.render_moment or moment, LEAST_MOMENT))
+        self._turn = min(self._turn, LONGEST_TURN / max(config.pictures.moment or moment, LEAST_MOMENT))
 
     def __call__(self, loop: ForceLoop, scene: Scene, time: float, outcome: Outcome, failure: str) -> Annotation:
         """The overlay of the current picture.
@@ -125,18 +126,13 @@ def title(config: EnvConfig) -> str:
     Example:
         >>> title(EnvConfig(disturbance="tilting_gravity").resolved())
         'hold: tilting gravity'
-        >>> title(EnvConfig(task="six_directions").resolved())
+        >>> title(EnvConfig(task={"name": "six_directions"}).resolved())
         'six directions: pushes of 10 N/kg'
     """
-    words = {
-        "move": config.motion,
-        "payload": f"{config.payload_factor:g} times the mass at {config.payload_time:g} s",
-        "six_directions": f"pushes of {config.push_per_mass:g} N/kg",
-    }
-    name = config.disturbance if isinstance(config.disturbance, str) else getattr(config.disturbance, "__name__", "")
-    disturbance = DISTURBANCES.get(name or "", name or "")
-    what = [each for each in (words.get(config.task, ""), disturbance.strip("_").replace("_", " ")) if each]
-    return f"{config.task.replace('_', ' ')}{': ' if what else ''}{', '.join(what)}"
+    name = name_of(config.disturbance)
+    disturbance = DISTURBANCES.get(name, name).strip("_").replace("_", " ")
+    what = [each for each in (config.task.caption, disturbance) if each]
+    return f"{config.task.name.replace('_', ' ')}{': ' if what else ''}{', '.join(what)}"
 
 
 def _wrenches(plan: Plan, scene: Scene) -> Array:
@@ -151,17 +147,17 @@ def _wrenches(plan: Plan, scene: Scene) -> Array:
 def _largest(config: EnvConfig, scene: Scene, wrenches: Array, friction: float) -> float:
     """The largest force of a finger [N] at the largest wrench of the episode."""
     points = np.array(scene.config.contact_points)
-    if config.action_mode == "contact_force":
-        return 2.0 * config.action_scale
-    if config.controller != "optimised":
-        return config.squeeze / len(points)
+    if config.agent.action_mode == "contact_force":
+        return 2.0 * config.agent.action_scale
+    if config.controller.kind != "optimized":
+        return config.controller.squeeze / len(points)
     arm = float(np.linalg.norm(points, axis=1).mean())
     asked = np.linalg.norm(wrenches[:, :3], axis=1) + np.linalg.norm(wrenches[:, 3:], axis=1) / arm
     worst = int(asked.argmax())
     try:
         grasp = Grasp.from_contacts(points, scene.config.contact_normals, friction)
         solution = optimize_force(
-            grasp, wrenches[worst], force_weight=config.force_weight, barrier_weight=config.barrier_weight
+            grasp, wrenches[worst], force_weight=config.solver.force_weight, barrier_weight=config.solver.barrier_weight
         )
         return float(np.linalg.norm(solution.force, axis=1).max())
     except GraspError:  # two fingers, torsion: half of the wrench by friction

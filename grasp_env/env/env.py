@@ -16,8 +16,8 @@ with need("sim"):
     from gymnasium.envs.registration import EnvSpec
     from gymnasium.utils import EzPickle
 
-from grasp_env._check import Array, as_array, as_wrench, choice, instance, is_a, whole
-from grasp_env.config import EnvConfig
+from grasp_env._check import Array, as_array, as_wrench, choice, instance, whole
+from grasp_env.config import EnvConfig, as_config
 from grasp_env.control.loop import ForceLoop
 from grasp_env.control.sensing import NoiseRows
 from grasp_env.env.annotate import Annotator
@@ -26,15 +26,14 @@ from grasp_env.env.plan import make_plan
 from grasp_env.env.reward import reward_terms
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
-from grasp_env.force.initial import InitialForceRule
 from grasp_env.sim import Camera, CameraConfig, Scene
 from grasp_env.sim.picture.annotation import LONGEST, Annotation
 from grasp_env.sim.picture.camera import draw_in_window
 from grasp_env.sim.picture.overlay import room
-from grasp_env.task.tasks import succeeded
+from grasp_env.task.disturbance import name_of
 
 
-class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickle):
+class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     """The fingers of a hand hold an object while wrenches act on it, or move it.
 
     ## Step
@@ -43,7 +42,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     linear combination of 12 offline optima) plus the action, the reduced gradient flow optimises it, and the forces become
     joint torques. The agent acts at 50 Hz; pose feedback, contact changes and torques run at 250 Hz, the physics at that rate or
     faster (see `EnvConfig`). A finger without contact reaches for its place; when one slips off or lands the forces are optimised
-    anew at once, and change by at most `force_rate` beyond what balance asks.
+    anew at once, and change by at most `controller.force_rate` beyond what balance asks.
 
     Torques keep the motors' limits. Where the method's force needs more than the links' weight leaves of them, Newton within the limits
     goes on from it in the same control tick (`info["limited"]`); where no force keeps them, the one that exceeds them least is
@@ -55,12 +54,12 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     forces sum to it within 1 %. A hand that nobody placed (`HandDescription.placed`) is put where it holds the object well.
 
     ## Tasks
-    `task="hold"` against `disturbance`, "move" along `motion`, "payload" (the mass grows), "six_directions" (pushes of 10 N/kg).
-    A disturbance is a name, or any function f(times, rng, settings) -> (T, 6) wrenches [N, N m], one for each control tick; see
-    `grasp_env.task.Disturbance`.
+    `Hold()` against `disturbance`, `Move(motion)`, `Payload()` (the mass grows), `SixDirections()` (pushes of 10 N/kg).
+    A disturbance is a record such as `RandomWrench()`, its name, or any function f(times, rng, settings) -> (T, 6) wrenches [N, N m], one
+    for each control tick; see `grasp_env.task.Disturbance`.
 
     ## Action space
-    By `action_mode`, `Box(-1, 1, float32)`, clipped:
+    By `agent.action_mode`, `Box(-1, 1, float32)`, clipped:
 
     - "initial_force" (3N - 6,): an adjustment of the initial force along internal forces (null-space coordinates, times
       `action_scale` newtons). The six directions of the four-finger hand are squeezes along the lines between two contacts
@@ -74,29 +73,31 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:
 
-    | index | name | unit | frame | bound |
-    |---|---|---|---|---|
-    | 0-2 | wrench to balance: force | N | object | 200 |
-    | 3-5 | wrench to balance: moment | N m | object | 20 |
-    | 6-8 | object position minus the wanted one | m | world | 1 |
-    | 9-11 | object orientation against the wanted one | rad | world | 3.2 |
-    | 12-14 | object linear velocity minus the wanted one | m/s | world | 10 |
-    | 15-17 | object angular velocity minus the wanted one | rad/s | world | 50 |
-    | 18-29 | contact point | m | object | 0.5 |
-    | 30-41 | inward normal | 1 | object | 1 |
-    | 42-53 | commanded force (normal, o, t) | N | contact | 500 |
-    | 54-65 | measured force (normal, o, t) | N | contact | 500 |
-    | 66-69 | touching | 1 | - | 1 |
-    | 70-81 | joint angle | rad | - | 7 |
-    | 82 | solver friction | 1 | - | 10 |
+    | index | key | name | unit | frame | bound |
+    |---|---|---|---|---|---|
+    | 0-2 | `force` | wrench to balance: force | N | object | 200 |
+    | 3-5 | `moment` | wrench to balance: moment | N m | object | 20 |
+    | 6-8 | `position` | object position minus the wanted one | m | world | 1 |
+    | 9-11 | `orientation` | object orientation against the wanted one | rad | world | 3.2 |
+    | 12-14 | `linear_velocity` | object linear velocity minus the wanted one | m/s | world | 10 |
+    | 15-17 | `angular_velocity` | object angular velocity minus the wanted one | rad/s | world | 50 |
+    | 18-29 | `contact_points` | contact point | m | object | 0.5 |
+    | 30-41 | `normals` | inward normal | 1 | object | 1 |
+    | 42-53 | `commanded_force` | commanded force (normal, o, t) | N | contact | 500 |
+    | 54-65 | `measured_force` | measured force (normal, o, t) | N | contact | 500 |
+    | 66-69 | `touching` | touching | 1 | - | 1 |
+    | 70-81 | `joint_angles` | joint angle | rad | - | 7 |
+    | 82 | `friction` | solver friction | 1 | - | 10 |
+
+    `observation="dict"` gives a `Dict` of the same numbers by their keys.
 
     ## Reward
-    `held_reward` while the object is held (or `-failure_cost` once), `- iteration_cost * iterations`,
+    `reward.held` while the object is held (or `-failure_cost` once), `- iteration_cost * iterations`,
     `- force_cost * total normal force`; a step that ends without force closure costs all iterations allowed. Each term stands in `info["reward/..."]`.
 
     ## Episode end
-    Terminated when the object is lost (`info["failure"]`: "dropped", "closure_lost" (no force closure for `max_contact_gap`),
-    "force_optimisation" (a start rule that does not fit) or "simulation_diverged"). Truncated after `duration`, by default the task's
+    Terminated when the object is lost (`info["failure"]`: "dropped", "closure_lost" (no force closure for `limits.max_contact_gap`),
+    "force_optimisation" (a start rule that does not fit) or "simulation_diverged"). Truncated after `limits.duration`, by default the task's
     own (hold 2 s, move and payload 4 s, six_directions 12 s).
 
     ## Info
@@ -107,9 +108,10 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     the control ticks after the step's first), `limited` (iterations of Newton within the torque limits, where a force exceeds them), `torque_margin` (least of limit - |torque| in the step;
     [N m]), `saturated` (torques were cut: no force within the limits balances the wrench),
     `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
-    the hand could not hold), `failure`, `is_success`, and the reward terms.
+    the hand could not hold), `failure`, `is_success`, and the reward terms. `agent={"info": "numbers"}` leaves the words out and makes
+    arrays of all numbers, which readers of tensors such as torchrl's take.
 
-    Without optimisation (`controller`, "contact_force") `force_closure` stays True; "pd" commands no forces: its `commanded_force` and the
+    Without optimisation (`controller.kind`, "contact_force") `force_closure` stays True; "pd" commands no forces: its `commanded_force` and the
     force terms are 0.
 
     ## Reset options
@@ -117,9 +119,13 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     Args:
         render_mode: None, "rgb_array" or "human" (needs a display).
-        initial_force: the name of a start rule or any rule(grasp, wrench) -> (N, 3); None: `config.initial_force`.
-        config: all settings; None: the defaults.
-        **settings: single settings of `EnvConfig` to replace.
+        config: all settings, an `EnvConfig` or its dict or JSON; None: the defaults.
+        **settings: what is different: fields of `EnvConfig`, each as a record or a dict of its settings, and the plain keywords `shape`,
+            `size`, `mass`, `friction`, `method`, `initial_force`, `duration`, `action_mode` and `observation`.
+
+    Attributes:
+        config: the settings, resolved.
+        episode: the same with what was drawn for the current episode.
 
     Raises:
         UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
@@ -142,58 +148,50 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
     def __init__(
         self,
         render_mode: str | None = None,
-        initial_force: str | InitialForceRule | None = None,
-        config: EnvConfig | None = None,
+        config: EnvConfig | dict[str, Any] | str | None = None,
         **settings: Any,
     ) -> None:
-        EzPickle.__init__(self, render_mode, initial_force, config, **settings)
+        EzPickle.__init__(self, render_mode, config, **settings)
         if render_mode is not None:
             choice(render_mode, "render_mode", self.metadata["render_modes"])
-        if not is_a(config, EnvConfig | None):
-            raise InvalidInputError(
-                f"config must be an EnvConfig or None, got {shown(config)}; single settings are keywords"
-            )
-        if not (initial_force is None or is_a(initial_force, str) or callable(initial_force)):
-            raise InvalidInputError(
-                f"initial_force must be a rule's name or a rule(grasp, wrench), got {shown(initial_force)}"
-            )
-        if is_a(initial_force, str):  # a name is a setting as any other: checked, and told in the config
-            settings, initial_force = {**settings, "initial_force": initial_force}, None
-        self.config = (config or EnvConfig()).override(**settings).resolved()
-        self.metadata = {**self.metadata, "render_fps": self.config.agent_rate}
+        self.config = config = as_config(config).override(**settings).resolved()
+        self.metadata = {**self.metadata, "render_fps": config.agent.rate}
         self.render_mode = render_mode
-        config = self.config
-        self._loop = ForceLoop(config, config.initial_force if initial_force is None else initial_force)
+        self._loop = ForceLoop(config, config.solver.initial_force)
         self._stage: Stage | None = self._new_stage()
         hand = self._stage.kinematics.hand
         tips, joints = hand.finger_count, hand.joint_count
-        self._budget = config.max_iterations if config.iteration_budget is None else config.iteration_budget
+        budget = config.solver.iteration_budget
+        self._budget = config.solver.max_iterations if budget is None else budget
         self._torque_limits = hand.torque_limits
         self._annotator = Annotator(config, hand)
         self._observer = Observer(tips, joints)
-        self.observation_space = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
+        vector = gym.spaces.Box(-self._observer.bound, self._observer.bound, dtype=np.float32)
+        self._named = config.agent.observation == "dict"
+        parts: dict[str, gym.Space[Any]] = {
+            block.key: gym.spaces.Box(-block.bound, block.bound, (block.size,)) for block in self._observer.fields
+        }
+        self.observation_space = gym.spaces.Dict(parts) if self._named else vector
         sizes = {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}
-        self._action_shape = (sizes[config.action_mode],)
+        self._action_shape = (sizes[config.agent.action_mode],)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
-        self._ticks_per_step = config.control_rate // config.agent_rate
-        assert config.duration is not None
-        assert config.max_drift is not None
-        assert config.max_tilt is not None
-        self._most_drift, self._most_tilt = config.max_drift, config.max_tilt
-        self._step_limit = max(1, round(config.duration * config.agent_rate))
+        self._ticks_per_step = config.controller.rate // config.agent.rate
+        limits = config.limits
+        assert limits.duration is not None
+        assert limits.max_drift is not None
+        assert limits.max_tilt is not None
+        self._most_drift, self._most_tilt, self._most_open = limits.max_drift, limits.max_tilt, limits.max_contact_gap
+        self._step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._lines: list[int] = []  # of the window
         self._started = self._ended = False
         self._spec: EnvSpec | None = None
         self._failure = ""
-        self._upright = np.array(config.gravity)
 
     def __repr__(self) -> str:
-        return f"FourFingerGrasp({self.config.task}, {self.config.disturbance}, {self._loop!r})"
+        return f"FourFingerGrasp({self.config.task.name}, {name_of(self.config.disturbance)}, {self._loop!r})"
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Back to the settled grasp, with a new disturbance, and a new object where asked for; see the class.
 
         A closed environment opens anew.
@@ -212,7 +210,11 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             constant = as_wrench(value, "options['wrench']")
         self._started = False
         stage.set(self.np_random)
-        plan = make_plan(self.config, self.np_random, scene.config.object.mass)
+        self.episode = episode = stage.episode
+        self._upright = np.array(episode.gravity)
+        self._measured_wrench = episode.sensors.wrench == "measured"
+        self._strength, self._noise = episode.controller.motor_strength, episode.controller.force_noise
+        plan = make_plan(episode, self.np_random, scene.config.object.mass)
         if constant is not None:
             plan = replace(plan, wrench=np.tile(constant, (len(plan), 1)))
         self._plan = plan
@@ -241,11 +243,11 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         external, _ = self._plan_tick(scene)
         self._observer.watch(scene.look(), self._loop)
         self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
-        terms = reward_terms(self.config, True, 0, 0.0)
+        terms = reward_terms(self.config.reward, True, 0, 0.0)
         self._observed = self._observe(scene)
-        return self._observed, self._info(scene, terms)
+        return self._seen(), self._info(scene, terms)
 
-    def step(self, action: NDArray[np.float32]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """One agent step; see the class.
 
         Raises:
@@ -267,7 +269,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         except GraspError:
             self._failure = "force_optimisation"
         terms = reward_terms(
-            self.config,
+            self.config.reward,
             not self._failure,
             self._loop.iterations if self._loop.closure else self._budget,
             self._outcome.total_normal,
@@ -277,7 +279,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         info = self._info(scene, terms)
         if self.render_mode == "human":
             self.render()
-        return self._observed, float(sum(terms.values())), bool(self._failure), truncated, info
+        return self._seen(), float(sum(terms.values())), bool(self._failure), truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """An (H, W, 3) picture in "rgb_array" mode; the window of "human" mode draws itself."""
@@ -288,7 +290,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         if self.render_mode != "rgb_array":
             return None
         if self._camera is None:
-            width, height = self.config.render_size
+            width, height = self.config.pictures.size
             margin, footer = room(width, height)
             self._camera = Camera(scene, CameraConfig(width, height, margin=margin, footer=footer, arrows=LONGEST))
         return self._camera.capture(annotation)
@@ -300,8 +302,24 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What `gym.make` made it from, with the steps after which an episode is truncated: those of `duration`."""
+        """What `gym.make` made it from, with the steps after which an episode is truncated: those of `limits.duration`."""
         return self._spec
+
+    def truncate_after(self, steps: int) -> None:
+        """Truncates episodes after so many agent steps from the next reset on, as `max_episode_steps` of `gym.make` asks.
+
+        Args:
+            steps: of an episode.
+
+        Raises:
+            InvalidInputError: more than can be planned.
+        """
+        self.config = self.config.override(duration=whole(steps, "max_episode_steps", 1) / self.config.agent.rate)
+        self._open_stage().config = self._open_stage().episode = self.config
+        self._step_limit = steps
+        if self._spec is not None:
+            kwargs = {**self._spec.kwargs, "duration": self.config.limits.duration}
+            self._spec = replace(self._spec, max_episode_steps=steps, kwargs=kwargs)
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -314,13 +332,13 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             self._stage = self._camera = None
 
     def _simulate(self, scene: Scene, numbers: list[float]) -> None:
-        config, loop = self.config, self._loop
+        agent, loop = self.config.agent, self._loop
         loop.begin_step()
         adjustment = given = None
-        if config.action_mode == "contact_force":
+        if agent.action_mode == "contact_force":
             given = self._forces(np.array(numbers))
-        elif config.action_mode == "initial_force" and any(numbers):
-            adjustment = config.action_scale * np.array(numbers)
+        elif agent.action_mode == "initial_force" and any(numbers):
+            adjustment = agent.action_scale * np.array(numbers)
         for k in range(self._ticks_per_step):
             external, push = self._plan_tick(scene)
             target = self._targets[min(self._tick, self._last_row)]
@@ -329,9 +347,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _advance(self, scene: Scene, torques: list[float], push: list[float] | None) -> None:
         """One control tick of physics."""
-        if self.config.force_noise:
-            noisy = np.array(torques) * (1.0 + self.config.force_noise * self._motor_noise())
-            torques = np.clip(noisy, -self._torque_limits, self._torque_limits).tolist()
+        if self._noise or self._strength != 1.0:
+            delivered = np.array(torques) * (self._strength * (1.0 + self._noise * self._motor_noise()))
+            torques = np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
         scene.advance(torques, push)
         self._tick += 1
         self._open = 0.0 if self._loop.closure else self._open + self._loop.dt
@@ -352,12 +370,12 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _believed_gravity(self, scene: Scene) -> Array:
         """(3,) [m/s^2] that the controller counts on: the current one only where wrenches are measured."""
-        return scene.gravity if self.config.wrench == "measured" else self._upright
+        return scene.gravity if self._measured_wrench else self._upright
 
     def _lost(self) -> str:
         if self._outcome.drift > self._most_drift or self._outcome.tilt > self._most_tilt:
             return "dropped"
-        return "closure_lost" if self._open > self.config.max_contact_gap else ""
+        return "closure_lost" if self._open > self._most_open else ""
 
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
         values, plain, fault = action, type(action) is np.ndarray and action.dtype.kind == "f", ""
@@ -378,14 +396,18 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _forces(self, numbers: Array) -> Array:
         """Forces (N, 3) of an action in mode "contact_force": normals in [0, 2 action_scale], tangentials in +-action_scale."""
-        forces = self.config.action_scale * numbers.reshape(-1, 3)
-        forces[:, 0] += self.config.action_scale
+        scale = self.config.agent.action_scale
+        forces = scale * numbers.reshape(-1, 3)
+        forces[:, 0] += scale
         return forces
 
     def _observe(self, scene: Scene) -> NDArray[np.float32]:
         scene.look()
         observed, self._outcome = self._observer(self._targets[min(self._tick, self._last_row)])
         return observed
+
+    def _seen(self) -> Any:
+        return self._observer.named(self._observed) if self._named else self._observed
 
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
         loop, solution, outcome = self._loop, self._loop.solution, self._outcome
@@ -396,8 +418,8 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             force_error = slip = stray = 0.0
         else:
             touching = scene.look().touching > 0.0
-        self._slip_distance += slip / self.config.agent_rate
-        return {
+        self._slip_distance += slip / self.config.agent.rate
+        info = {
             "iterations": loop.iterations,
             "trials": loop.trials,
             "status": solution.status.value if solution else ("failed" if self._failure else "none"),
@@ -426,9 +448,12 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
             "object_mass": scene.config.object.mass,
             **self._object_info,
             "failure": self._failure,
-            "is_success": succeeded(self.config.task, outcome.drift, outcome.tilt, bool(self._failure)),
+            "is_success": self.config.task.succeeded(outcome.drift, outcome.tilt, bool(self._failure)),
             **terms,
         }
+        if self.config.agent.info == "all":
+            return info
+        return {name: np.asarray(value) for name, value in info.items() if not isinstance(value, str)}
 
     def _annotation(self, scene: Scene) -> Annotation | None:
         """What is drawn over a picture; nothing before the first reset, or where the simulation diverged."""
@@ -443,3 +468,17 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
 
     def _new_stage(self) -> Stage:
         return Stage(self.config, self._loop, self.render_mode == "human", self.render_mode is not None)
+
+
+def honour_time_limit(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """The last thing that `gym.make` calls: an episode lasts as long as its `max_episode_steps` say, shorter or longer than the task's.
+
+    Args:
+        env: with Gymnasium's wrappers.
+    """
+    made, layer = env.unwrapped, env
+    while isinstance(layer, gym.Wrapper):
+        if isinstance(layer, gym.wrappers.TimeLimit) and isinstance(made, FourFingerGrasp):
+            made.truncate_after(layer._max_episode_steps)  # `layer.spec` says it, too, and would keep the old settings
+        layer = layer.env
+    return env

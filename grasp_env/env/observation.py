@@ -1,4 +1,4 @@
-"""The observation, as one table: name, size, unit, frame, bound. The class docstring of the env is tested against it."""
+"""The observation, as one table: key, name, size, unit, frame, bound. The class docstring of the env is tested against it."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Field:
-    """One block of the observation vector."""
+    """One block of the observation; `key` is its name in a dict."""
 
+    key: str
     name: str
     size: int
     unit: str
@@ -30,19 +31,19 @@ class Field:
 def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
     """The blocks for a hand of so many tips and joints."""
     return (
-        Field("wrench to balance: force", 3, "N", "object", 200.0),
-        Field("wrench to balance: moment", 3, "N m", "object", 20.0),
-        Field("object position minus the wanted one", 3, "m", "world", 1.0),
-        Field("object orientation against the wanted one", 3, "rad", "world", 3.2),
-        Field("object linear velocity minus the wanted one", 3, "m/s", "world", 10.0),
-        Field("object angular velocity minus the wanted one", 3, "rad/s", "world", 50.0),
-        Field("contact point", 3 * tips, "m", "object", 0.5),
-        Field("inward normal", 3 * tips, "1", "object", 1.0),
-        Field("commanded force (normal, o, t)", 3 * tips, "N", "contact", 500.0),
-        Field("measured force (normal, o, t)", 3 * tips, "N", "contact", 500.0),
-        Field("touching", tips, "1", "-", 1.0),
-        Field("joint angle", joints, "rad", "-", 7.0),
-        Field("solver friction", 1, "1", "-", 10.0),
+        Field("force", "wrench to balance: force", 3, "N", "object", 200.0),
+        Field("moment", "wrench to balance: moment", 3, "N m", "object", 20.0),
+        Field("position", "object position minus the wanted one", 3, "m", "world", 1.0),
+        Field("orientation", "object orientation against the wanted one", 3, "rad", "world", 3.2),
+        Field("linear_velocity", "object linear velocity minus the wanted one", 3, "m/s", "world", 10.0),
+        Field("angular_velocity", "object angular velocity minus the wanted one", 3, "rad/s", "world", 50.0),
+        Field("contact_points", "contact point", 3 * tips, "m", "object", 0.5),
+        Field("normals", "inward normal", 3 * tips, "1", "object", 1.0),
+        Field("commanded_force", "commanded force (normal, o, t)", 3 * tips, "N", "contact", 500.0),
+        Field("measured_force", "measured force (normal, o, t)", 3 * tips, "N", "contact", 500.0),
+        Field("touching", "touching", tips, "1", "-", 1.0),
+        Field("joint_angles", "joint angle", joints, "rad", "-", 7.0),
+        Field("friction", "solver friction", 1, "1", "-", 10.0),
     )
 
 
@@ -56,15 +57,20 @@ class Observer:
     """Fills observations for one hand.
 
     Attributes:
-        bound: (size,) float32 of each entry.
+        fields: the blocks. bound: (size,) float32 of each entry.
         error: (12,) position, orientation, velocities of the object against the wanted ones, world frame.
         measured: (N, 3) measured forces in the commanded contact frames [N].
     """
 
     def __init__(self, tips: int, joints: int) -> None:
-        self.bound = bounds(tips, joints)
+        self.fields, self.bound = fields(tips, joints), bounds(tips, joints)
+        self._ends = np.cumsum([block.size for block in self.fields])[:-1]
         self._least = -self.bound
         self.error, self.measured = np.zeros(12), np.zeros((tips, 3))
+
+    def named(self, vector: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+        """The parts of an observation (size,) by their keys."""
+        return {block.key: part for block, part in zip(self.fields, np.split(vector, self._ends), strict=True)}
 
     def watch(self, snapshot: Snapshot, loop: ForceLoop) -> None:
         """Whose numbers are observed, in the order of `fields`: views that a reading and a tick overwrite."""
@@ -85,11 +91,11 @@ class Observer:
 
 
 def table() -> list[str]:
-    """Lines "first-last | name | unit | frame | bound" of the four-finger hand, as printed in the environment's docstring."""
+    """Lines "first-last | key | name | unit | frame | bound" of the four-finger hand, as printed in the environment's docstring."""
     lines, start = [], 0
     for block in fields():
         last = start + block.size - 1
         index = f"{start}" if block.size == 1 else f"{start}-{last}"
-        lines.append(f"| {index} | {block.name} | {block.unit} | {block.frame} | {block.bound:g} |")
+        lines.append(f"| {index} | `{block.key}` | {block.name} | {block.unit} | {block.frame} | {block.bound:g} |")
         start = last + 1
     return lines

@@ -8,11 +8,7 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.config import EnvConfig
-from grasp_env.task.disturbance import DISTURBANCES, disturb, six_pushes
-from grasp_env.task.motion import blend, motion_target, resting_target
-
-PAYLOAD_RAMP = 0.1
-"""[s] in which the mass of "payload" changes."""
+from grasp_env.task.disturbance import disturb
 
 
 @dataclass(frozen=True)
@@ -38,7 +34,7 @@ class Plan:
 
 
 def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
-    """The plan of one episode, T = round(duration * control_rate) + 1 rows.
+    """The plan of one episode, T = round(limits.duration * controller.rate) + 1 rows.
 
     A seed gives the same disturbance whatever the duration: a longer episode extends a shorter one. (Only the desired
     motion of "move" knows its end, to be at rest there.)
@@ -48,21 +44,10 @@ def make_plan(config: EnvConfig, rng: np.random.Generator, mass: float) -> Plan:
         rng: drawn from once, whatever the settings.
         mass: [kg] of the object, for the pushes of "six_directions".
     """
-    own = np.random.default_rng(int(rng.integers(2**63)))
-    assert config.duration is not None
-    ticks = round(config.duration * config.control_rate) + 1
-    times = np.arange(ticks) / config.control_rate
-    tick = 1.0 / config.control_rate
-    push, factor, target = np.zeros((ticks, 3)), np.ones(ticks), resting_target(ticks)
-    if config.task == "six_directions":
-        push = six_pushes(times, config.push_per_mass * mass, max(config.push_time, tick))
-    disturbance = "none" if config.task == "six_directions" else config.disturbance
-    assert disturbance is not None
-    rule = DISTURBANCES[disturbance] if isinstance(disturbance, str) else disturbance
-    wrench, gravity = disturb(rule, times, own, config)
-    if config.task == "move":
-        assert config.motion_size is not None
-        target = motion_target(config.motion, times, config.motion_size, max(config.motion_period, tick))
-    elif config.task == "payload":
-        factor += (config.payload_factor - 1.0) * blend((times - config.payload_time) / PAYLOAD_RAMP)[0]
-    return Plan(wrench, push, gravity, target, factor)
+    own, limits, tick = np.random.default_rng(int(rng.integers(2**63))), config.limits, 1.0 / config.controller.rate
+    assert limits.duration is not None
+    assert config.disturbance is not None
+    times = np.arange(round(limits.duration * config.controller.rate) + 1) / config.controller.rate
+    wrench, gravity = disturb(config.disturbance, times, own, config)
+    task = config.task
+    return Plan(wrench, task.push(times, tick, mass), gravity, task.target(times, tick), task.mass_factor(times))

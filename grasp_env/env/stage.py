@@ -16,7 +16,6 @@ from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping import place_hand, plan_grasp
 from grasp_env.sim.hand.description import HANDS, HandDescription
-from grasp_env.sim.objects.description import random_object
 
 PLACINGS = 3
 """Places that a hand without its own is tried in, for each object."""
@@ -38,6 +37,7 @@ class Stage:
 
     Attributes:
         item: the object held.
+        episode: the settings of the episode, with what was drawn for it.
         redrawn: random objects of the last draw that the hand could not hold.
 
     Raises:
@@ -53,7 +53,7 @@ class Stage:
         self._nominal: HandKinematics | None = None
         self._scene: Scene | None = None
         self.redrawn = 0
-        self.item = self._described()
+        self.episode, self.item = config, config.object
         try:
             self._hold(self.item, keep=True)
         except GraspError:
@@ -69,22 +69,24 @@ class Stage:
         return self._scene
 
     def set(self, rng: np.random.Generator) -> None:
-        """The hand holds the object of the next episode at rest: the same, or one drawn from `rng`.
+        """The hand holds the object of the next episode at rest: as in the settings, or with what is drawn from `rng`.
 
         Raises:
             SimulationError: none of `REDRAWS` random objects could be held.
         """
         scene = self.scene
-        scene.set_gravity(np.array(self.config.gravity))
-        if not self.config.randomise:
+        if not self.config.randomize:
+            scene.set_gravity(np.array(self.config.gravity))
             if scene.config.object.mass != self.item.mass:  # a payload, which `Scene.reset` does not take off
                 scene.change_object(self.item.mass)
             scene.reset("settled")
             return
-        anew = "shape" in self.config.randomise or "size" in self.config.randomise
+        anew = dict(self.config.randomize).keys() & {"object.shape", "object.size"}
         failed: GraspError | None = None
         for self.redrawn in range(REDRAWS):
-            drawn = self._drawn(rng)
+            self.episode = self._loop.config = self.config.drawn(rng)
+            drawn = self.episode.object
+            scene.set_gravity(np.array(self.episode.gravity))
             try:
                 if anew:
                     self._hold(drawn)
@@ -96,38 +98,6 @@ class Stage:
             except GraspError as error:
                 failed = error
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
-
-    def _described(self) -> ObjectDescription:
-        config = self.config
-        return ObjectDescription(
-            shape=config.shape,
-            size=config.size,
-            mass=config.object_mass,
-            friction=config.friction,
-            torsional_friction=config.torsional_friction,
-            mesh=config.mesh or None,
-        )
-
-    def _drawn(self, rng: np.random.Generator) -> ObjectDescription:
-        config, base = self.config, self._described()
-        shapes = {"shapes": (base.shape,)} if "shape" not in config.randomise else {}
-        if base.shape == "mesh":
-            masses, frictions = rng.uniform(*config.mass_range), rng.uniform(*config.friction_range)
-            return replace(
-                base,
-                mass=masses if "mass" in config.randomise else base.mass,
-                friction=frictions if "friction" in config.randomise else base.friction,
-            )
-        drawn = random_object(
-            rng, size=config.size_range, mass=config.mass_range, friction=config.friction_range, **shapes
-        )
-        kept = {
-            "size": base.size if "size" not in config.randomise and drawn.shape == base.shape else drawn.size,
-            "mass": drawn.mass if "mass" in config.randomise else base.mass,
-            "friction": drawn.friction if "friction" in config.randomise else base.friction,
-            "torsional_friction": base.torsional_friction,
-        }
-        return replace(drawn, **kept)
 
     def _hold(self, item: ObjectDescription, keep: bool = False) -> None:
         """The hand holds an object: where it held the first, else, if nobody placed it, where it is placed for this one.
@@ -173,8 +143,7 @@ class Stage:
             yield lambda seed=seed: HandKinematics(place_hand(hand, item, seed=seed, least=least))
 
     def _grasp_of(self, item: ObjectDescription) -> SceneConfig:
-        config = self.config
-        assert config.physics_rate is not None  # it is resolved
+        config, engine = self.config, engine_of(self.config.engine)
         points, start = config.contact_points, ()
         if not points:
             plan = plan_grasp(item, self.kinematics)
@@ -184,10 +153,9 @@ class Stage:
             object=item,
             contact_points=points,
             start_angles=start,
-            gravity=config.gravity,
-            engine=engine_of(config.engine),
-            physics_rate=config.physics_rate,
-            substeps=config.physics_rate // config.control_rate,
+            gravity=self.episode.gravity,
+            engine=engine,
+            substeps=engine.rate // config.controller.rate,
             clearance=START_CLEARANCE,
         )
 

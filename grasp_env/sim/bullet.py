@@ -196,10 +196,11 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
         angles: Of the joints at the start [rad], (M,).
     """
     bullet.resetSimulation(physicsClientId=client)  # resets gravity and solver iterations too: all is set again here
+    engine = instance(config.engine, BulletEngine, "engine")
     bullet.setPhysicsEngineParameter(
-        fixedTimeStep=1.0 / config.physics_rate,
+        fixedTimeStep=1.0 / engine.rate,
         numSubSteps=0,  # with substeps the reported contact forces are a fraction of the true ones
-        numSolverIterations=instance(config.engine, BulletEngine, "engine").solver_iterations,
+        numSolverIterations=engine.solver_iterations,
         solverResidualThreshold=0.0,
         enableConeFriction=1,
         deterministicOverlappingPairs=1,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from grasp_env._check import as_array, instance, whole
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.engine import BulletEngine, Engine
+from grasp_env.sim.engine import Engine, engine_of
 from grasp_env.sim.hand.description import HandDescription, Vector3
 from grasp_env.sim.objects.description import ObjectDescription
 
@@ -31,7 +30,6 @@ class SceneConfig:
         contact_points: Nominal contacts [m], (N, 3), object frame, on the object's surface.
         gravity: Acceleration [m/s^2], world frame; y points up, away from the object to the palm.
         engine: The physics engine's settings, see `engine_of`.
-        physics_rate: The engine's steps per simulated second [Hz].
         substeps: Steps of the engine in one step of the scene, under the same torques; contact forces are their mean.
         clearance: Gap between tips and object at the start [m]; 0 lets them touch.
         start_angles: Of the joints at the start [rad], (M,); () are those that put the tips there.
@@ -45,15 +43,12 @@ class SceneConfig:
     object: ObjectDescription = field(default_factory=ObjectDescription)
     contact_points: tuple[Vector3, ...] = _CUBOID_POINTS
     gravity: Vector3 = (0.0, -9.81, 0.0)
-    engine: Engine = field(default_factory=BulletEngine)
-    physics_rate: float = 250.0
+    engine: Engine = field(default_factory=lambda: engine_of(None))
     substeps: int = 1
     clearance: float = 0.0
     start_angles: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.physics_rate) and self.physics_rate > 0):
-            raise InvalidInputError(f"physics_rate={self.physics_rate} must be finite and above 0")
         instance(self.engine, Engine, "engine")
         whole(self.substeps, "substeps", 1)
         object.__setattr__(self, "gravity", tuple(as_array(self.gravity, (3,), "gravity").tolist()))

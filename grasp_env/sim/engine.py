@@ -5,119 +5,99 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from grasp_env import ranges
-from grasp_env._check import as_array, choice, is_a, number, positive, together, whole
+from grasp_env._check import as_array
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.ranges import Range
+from grasp_env.settings import Kind, Settings, any_of, integer, one_of, real, setting
 
-_CONES = ("elliptic", "pyramidal")
-_INTEGRATORS = ("implicitfast", "implicit", "Euler")
-_POSITIVE = ranges.Range(1e-12, 1e9)
-_FACTORS = ("impratio", "damping_ratio", "tolerance")
-_SMALL = ranges.Range(0.0, 1.0)
+_POSITIVE = Range(1e-12, 1e9)
 _MOST_SWEEPS = 100_000
 
 
 @dataclass(frozen=True)
-class Engine:
-    """Settings of a physics engine; its simulator is one file behind `Simulator`.
+class Engine(Settings):
+    """Settings of a physics engine; its simulator is one file behind `Simulator`."""
 
-    Attributes:
-        name: In `ENGINES`. extra: of `pyproject.toml` that brings it. simulator: module and class that run it.
-        rate: [Hz] of its steps where nobody asks for another.
-        overlap: [m] by which tips start inside the object without clearance: at distance zero it falls and slips for a step.
-    """
-
-    name: ClassVar[str] = ""
     extra: ClassVar[str] = "sim"
+    """Extra of `pyproject.toml` that brings it."""
     simulator: ClassVar[tuple[str, str]] = ("", "")
-    rate: ClassVar[int] = 250
+    """Module and class that run it."""
     overlap: ClassVar[float] = 1e-5
+    """[m] by which tips start inside the object without clearance: at distance zero it falls and slips for a step."""
+
+    rate: int = setting(250, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz")
 
 
 @dataclass(frozen=True)
 class BulletEngine(Engine):
     """PyBullet.
 
-    Attributes:
-        solver_iterations: Sweeps of its contact solver in one step.
-
     Example:
         >>> BulletEngine(solver_iterations=50).rate
         250
     """
 
-    solver_iterations: int = 20
     name: ClassVar[str] = "bullet"
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.bullet", "Bullet")
 
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "solver_iterations", whole(self.solver_iterations, "solver_iterations", 1, _MOST_SWEEPS)
+    solver_iterations: int = setting(20, integer(1, _MOST_SWEEPS), "Sweeps of the contact solver in one step.")
+
+
+def _impedance(value: Any, name: str) -> tuple[float, ...]:
+    least, greatest, width, middle, power = as_array(value, (5,), name).tolist()
+    if not (0.0 < least <= greatest < 1.0 and width > 0.0 and 0.0 <= middle <= 1.0 and power >= 1.0):
+        raise InvalidInputError(
+            f"{name} must be (least, greatest, overlap [m], middle, power) with 0 < least <= greatest < 1, overlap above 0, middle "
+            f"in [0, 1] and power from 1 on, got {shown(value)}"
         )
+    return least, greatest, width, middle, power
 
 
 @dataclass(frozen=True)
 class MujocoEngine(Engine):
     """MuJoCo, as stiff as its steps allow: contacts are springs there, which `solref` and `solimp` of its manual describe.
 
-    Attributes:
-        cone: "elliptic", or "pyramidal": an inner approximation with four sides, which slips at less than the friction told.
-        impratio: Stiffness of friction over that of the normal force.
-        integrator: "implicitfast", "implicit" or "Euler".
-        time_constant: [s] in which overlaps go; 0: two steps, the least that is stable. damping_ratio: of that.
-        impedance: Of a contact: least, greatest, overlap [m] between the two, their middle and power.
-        noslip_iterations: Sweeps that take the creep of friction away, after the solver's.
-        solver_iterations, tolerance: Of its Newton method.
-
     Example:
         >>> MujocoEngine(cone="pyramidal").rate
         1000
     """
 
-    cone: str = "elliptic"
-    impratio: float = 10.0
-    integrator: str = "implicitfast"
-    time_constant: float = 0.0
-    damping_ratio: float = 1.0
-    impedance: tuple[float, ...] = (0.99, 0.999, 1e-4, 0.5, 2.0)
-    noslip_iterations: int = 0
-    solver_iterations: int = 200
-    tolerance: float = 1e-12
     name: ClassVar[str] = "mujoco"
     extra: ClassVar[str] = "mujoco"
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.mujoco", "Mujoco")
-    rate: ClassVar[int] = 1000
 
-    def __post_init__(self) -> None:
-        checked = together(
-            lambda: ("cone", choice(self.cone, "cone", _CONES)),
-            lambda: ("integrator", choice(self.integrator, "integrator", _INTEGRATORS)),
-            lambda: ("impedance", _impedance(self.impedance)),
-            *(lambda name=name: (name, positive(getattr(self, name), name, _POSITIVE)) for name in _FACTORS),
-            lambda: ("time_constant", number(self.time_constant, "time_constant", _SMALL)),
-            lambda: ("noslip_iterations", whole(self.noslip_iterations, "noslip_iterations", 0, _MOST_SWEEPS)),
-            lambda: ("solver_iterations", whole(self.solver_iterations, "solver_iterations", 1, _MOST_SWEEPS)),
-        )
-        for name, value in checked:
-            object.__setattr__(self, name, value)
-
-
-def _impedance(values: Any) -> tuple[float, ...]:
-    least, greatest, width, middle, power = as_array(values, (5,), "impedance").tolist()
-    if not (0.0 < least <= greatest < 1.0 and width > 0.0 and 0.0 <= middle <= 1.0 and power >= 1.0):
-        raise InvalidInputError(
-            "impedance must be (least, greatest, overlap [m], middle, power) with 0 < least <= greatest < 1, overlap above 0, middle "
-            f"in [0, 1] and power from 1 on, got {shown(values)}"
-        )
-    return least, greatest, width, middle, power
+    rate: int = setting(1000, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz")
+    cone: str = setting(
+        "elliptic", one_of(("elliptic", "pyramidal"), "cone"),
+        "Friction cones; a pyramidal one is an inner approximation with four sides, which slips below the friction that it is told.",
+    )  # fmt: skip
+    impratio: float = setting(10.0, real(_POSITIVE), "Stiffness of friction over that of the normal force.")
+    integrator: str = setting(
+        "implicitfast", one_of(("implicitfast", "implicit", "Euler"), "integrator"), "Integrator of MuJoCo."
+    )
+    time_constant: float = setting(
+        0.0, real(Range(0.0, 1.0)), "Time in which overlaps vanish; 0: two steps, the least that is stable.", unit="s"
+    )
+    damping_ratio: float = setting(1.0, real(_POSITIVE), "Damping ratio with which overlaps vanish.")
+    impedance: tuple[float, ...] = setting(
+        (0.99, 0.999, 1e-4, 0.5, 2.0), Kind(_impedance, "5 numbers"),
+        "Impedance of a contact: least, greatest, overlap [m] between the two, their middle and power.",
+    )  # fmt: skip
+    noslip_iterations: int = setting(
+        0, integer(0, _MOST_SWEEPS), "Sweeps after the solver's that remove the creep of friction."
+    )
+    solver_iterations: int = setting(200, integer(1, _MOST_SWEEPS), "Most iterations of its Newton method in one step.")
+    tolerance: float = setting(1e-12, real(_POSITIVE), "Tolerance of its Newton method.")
 
 
 ENGINES: dict[str, type[Engine]] = {made.name: made for made in (BulletEngine, MujocoEngine)}
 """All there are; another one is a class here and the file that it names."""
+ENGINE = any_of(ENGINES, Engine, "engine", ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
+"""What a setting may be that is an engine."""
 
 
 def engine_of(engine: Any) -> Engine:
-    """The settings that are given, or the engine's own where only its name is.
+    """The settings that are given, the engine's own where only its name is; None: the default engine's.
 
     Raises:
         UnknownNameError: no engine of that name.
@@ -126,8 +106,4 @@ def engine_of(engine: Any) -> Engine:
         >>> engine_of("bullet").solver_iterations
         20
     """
-    if is_a(engine, Engine):
-        return engine
-    return ENGINES[
-        choice(engine, "engine", ENGINES, ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
-    ]()
+    return BulletEngine() if engine is None else ENGINE.take(engine, "engine")

@@ -51,8 +51,8 @@ class Mujoco(Simulator):
 
     def load(self, config: SceneConfig, angles: Array) -> None:
         """See `Simulator`."""
-        engine, timestep = instance(config.engine, MujocoEngine, "engine"), 1.0 / config.physics_rate
-        text = scene_mjcf(self._hand, config.object, config.gravity, timestep, engine)
+        engine = instance(config.engine, MujocoEngine, "engine")
+        text = scene_mjcf(self._hand, config.object, config.gravity, 1.0 / engine.rate, engine)
         try:
             self.model = model = mujoco.MjModel.from_xml_string(text)
         except ValueError as error:

@@ -64,7 +64,7 @@ class Scene:
     @property
     def timestep(self) -> float:
         """Simulated time of one step [s]."""
-        return self.config.substeps / self.config.physics_rate
+        return self.config.substeps / self.config.engine.rate
 
     @property
     def client(self) -> Client:
@@ -194,7 +194,7 @@ class Scene:
         body = reading[2 * len(self._snapshot.angles) :]
         return SimulationError(
             f"the simulation diverged: the object is at {body[:3].tolist()} m with velocity {body[7:10].tolist()} m/s; reset the "
-            "scene, and use smaller torques or wrenches or a higher physics_rate"
+            "scene, and use smaller torques or wrenches or a higher rate of the engine"
         )
 
     def _set_object(self, changed: ObjectDescription) -> None:

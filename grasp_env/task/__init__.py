@@ -1,7 +1,36 @@
 """What is asked of the grasp in an episode: tasks, motions of the object, disturbances."""
 
-from grasp_env.task.disturbance import DISTURBANCES, Disturbance, Disturbed
+from grasp_env.task.disturbance import (
+    DISTURBANCES,
+    ConstantWrench,
+    Disturbance,
+    DisturbanceSettings,
+    Disturbed,
+    Impulses,
+    NoDisturbance,
+    PaperPath,
+    RandomWrench,
+    TiltingGravity,
+)
 from grasp_env.task.motion import MOTIONS
-from grasp_env.task.tasks import TASKS, Task
+from grasp_env.task.tasks import TASKS, Hold, Move, Payload, SixDirections, Task
 
-__all__ = ["DISTURBANCES", "MOTIONS", "TASKS", "Disturbance", "Disturbed", "Task"]
+__all__ = [
+    "DISTURBANCES",
+    "MOTIONS",
+    "TASKS",
+    "ConstantWrench",
+    "Disturbance",
+    "DisturbanceSettings",
+    "Disturbed",
+    "Hold",
+    "Impulses",
+    "Move",
+    "NoDisturbance",
+    "PaperPath",
+    "Payload",
+    "RandomWrench",
+    "SixDirections",
+    "Task",
+    "TiltingGravity",
+]

@@ -1,6 +1,6 @@
 """What disturbs the object over an episode: external wrenches, tilting gravity, pushes; one row per control tick.
 
-A disturbance is one function, f(times, rng, settings), whether of `DISTURBANCES` or of a user.
+A disturbance is called as f(times, rng, settings), whether it is a record of `DISTURBANCES` or a user's function.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,11 @@ from grasp_env import ranges
 from grasp_env._check import Array, as_array
 from grasp_env.errors import GraspError, InvalidInputError, shown
 from grasp_env.grasp.wrench import paper_path
+from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, any_of, numbers, real, setting
 from grasp_env.task.motion import blend
+
+_BLOCK = 64
+"""Impulses drawn at a time: fixed, so that a longer episode extends a shorter one."""
 
 
 @dataclass(frozen=True)
@@ -50,13 +54,19 @@ disturbance in a longer episode, it draws from rng in an order that does not dep
 """
 
 
+def name_of(disturbance: Disturbance | None) -> str:
+    """The name of a built-in disturbance or of a function; "" where it has none."""
+    name = disturbance.name if isinstance(disturbance, DisturbanceSettings) else getattr(disturbance, "__name__", "")
+    return name if isinstance(name, str) else ""
+
+
 def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings: Any) -> tuple[Array, Array]:
     """(T, 6) external wrench [N, N m], object frame, and (T, 3) gravity [m/s^2], world frame, of a disturbance.
 
     Raises:
         InvalidInputError: it failed, or returned something else, or what is not finite.
     """
-    called, rows = f"the disturbance {getattr(rule, '__name__', None) or shown(rule)}", len(times)
+    called, rows = f"the disturbance {name_of(rule) or shown(rule)}", len(times)
     try:
         made = rule(times.copy(), rng, settings)
     except GraspError:
@@ -81,144 +91,154 @@ def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings:
     return wrench, gravity
 
 
-def _none(times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
+@dataclass(frozen=True)
+class DisturbanceSettings(Settings):
+    """Base of the built-in disturbances: records of their numbers, called as any function that disturbs.
+
+    Example:
+        >>> from grasp_env.config import EnvConfig
+        >>> ConstantWrench(scale=0.5)(np.arange(2), np.random.default_rng(0), EnvConfig())[0, :3]
+        array([ 0.5 ,  0.25, -0.3 ])
+    """
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> ArrayLike | Disturbed:
+        """See `Disturbance`."""
+        return Disturbed()
+
+
+@dataclass(frozen=True)
+class NoDisturbance(DisturbanceSettings):
     """Nothing besides gravity."""
-    return Disturbed()
+
+    name: ClassVar[str] = "none"
 
 
-def _constant(times: Array, rng: np.random.Generator, settings: Any) -> Array:
-    """`disturbance_value`, scaled."""
-    return np.tile(_scale(settings, 1.0) * np.array(settings.disturbance_value), (len(times), 1))
+@dataclass(frozen=True)
+class ConstantWrench(DisturbanceSettings):
+    """A constant wrench, by default the paper's."""
+
+    name: ClassVar[str] = "constant"
+
+    value: tuple[float, ...] = setting(
+        (1.0, 0.5, -0.6, -0.1, 0.2, 0.0), numbers(6), "Force and moment, object frame.", unit="N, N m"
+    )
+    scale: float = setting(1.0, real(), "Factor on the wrench.")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
+        """See `Disturbance`."""
+        return np.tile(self.scale * np.array(self.value), (len(times), 1))
 
 
-def _paper_path(times: Array, rng: np.random.Generator, settings: Any) -> Array:
-    """The paper's W_ext(t), scaled."""
-    return _scale(settings, 0.1) * paper_path(times)
+@dataclass(frozen=True)
+class PaperPath(DisturbanceSettings):
+    """The paper's W_ext(t).
+
+    It peaks at 1 N m about z, which takes 153 N of normal force and 9 N m at the joints. A tenth keeps the joints near 1 N m, what motors
+    of a hand this size give (the simulated joints allow 12 N m).
+    """
+
+    name: ClassVar[str] = "paper_path"
+
+    scale: float = setting(0.1, real(), "Factor on the wrench.")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
+        """See `Disturbance`."""
+        return self.scale * paper_path(times)
 
 
-def _random(times: Array, rng: np.random.Generator, settings: Any) -> Array:
-    """An Ornstein-Uhlenbeck process per axis, from zero on."""
-    deviation = np.repeat([settings.random_force, settings.random_moment], 3)
-    return ornstein_uhlenbeck(rng, len(times), deviation, settings.random_time / (1.0 / settings.control_rate))
+@dataclass(frozen=True)
+class RandomWrench(DisturbanceSettings):
+    """An Ornstein-Uhlenbeck process per axis, from zero on, as the settled hand is."""
+
+    name: ClassVar[str] = "random"
+
+    force: float = setting(0.6, real(NOT_NEGATIVE), "Standard deviation of the force along each axis.", unit="N")
+    moment: float = setting(0.02, real(NOT_NEGATIVE), "Standard deviation of the moment about each axis.", unit="N m")
+    time: float = setting(0.3, real(POSITIVE), "Correlation time.", unit="s")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
+        """See `Disturbance`."""
+        ticks = self.time / (1.0 / settings.controller.rate)
+        decay = 1.0 / max(ticks, 1e-3)  # within a thousandth of a tick nothing is left to correlate
+        path = rng.standard_normal((len(times), 6))
+        path *= math.sqrt(-math.expm1(-2.0 * decay)) * np.repeat([self.force, self.moment], 3)
+        path[0] = 0.0
+        keep = math.exp(-decay)
+        for column in path.T:  # a plain loop: scipy's filter does the same, but takes half a second to import
+            column[:] = list(accumulate(column.tolist(), lambda before, drawn: drawn + keep * before))
+        return path
 
 
-def _impulses(times: Array, rng: np.random.Generator, settings: Any) -> Array:
-    """Half-sine pushes and twists in random directions, with exponential waits between them."""
-    return impulses(
-        rng, len(times), 1.0 / settings.control_rate, settings.impulse_force, settings.impulse_moment,
-        settings.impulse_time, settings.impulse_interval,
-    )  # fmt: skip
+@dataclass(frozen=True)
+class Impulses(DisturbanceSettings):
+    """Half-sine pushes and twists in random directions, with exponential waits between them.
+
+    Each row is the mean over its tick, so that every impulse delivers its 2 / pi * force * time [N s] however short it is. They never
+    overlap: a wait runs from the end of one to the start of the next, and starts are at least a tick apart.
+    """
+
+    name: ClassVar[str] = "impulses"
+
+    force: float = setting(5.0, real(NOT_NEGATIVE), "Peak force, in a direction uniform on the sphere.", unit="N")
+    moment: float = setting(0.1, real(NOT_NEGATIVE), "Peak moment, in another direction.", unit="N m")
+    time: float = setting(0.05, real(POSITIVE), "Duration of an impulse.", unit="s")
+    interval: float = setting(0.5, real(POSITIVE), "Mean of the waits.", unit="s")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Array:
+        """See `Disturbance`."""
+        tick = 1.0 / settings.controller.rate
+        length = max(self.time, 1e-6 * tick)
+        steps, peaks = [np.array([-length])], [np.zeros((1, 6))]  # one of nothing, which ends at time 0
+        end, reached = len(times) * tick, -length
+        while reached <= end:
+            direction = rng.standard_normal((_BLOCK, 2, 3))
+            direction *= np.array([[self.force], [self.moment]]) / np.sqrt((direction**2).sum(axis=2, keepdims=True))
+            steps.append(np.maximum(length + self.interval * rng.standard_exponential(_BLOCK), tick))
+            peaks.append(direction.reshape(_BLOCK, 6))
+            reached += float(steps[-1].sum())
+        starts = np.cumsum(np.concatenate(steps))
+        given = np.concatenate(peaks) * (2.0 * length / np.pi)
+        before = np.cumsum(given, axis=0) - given
+        edges = np.arange(len(times) + 1) * tick
+        last = np.searchsorted(starts, edges, side="right") - 1
+        part = 0.5 - 0.5 * np.cos(np.pi * np.clip((edges - starts[last]) / length, 0.0, 1.0))
+        return np.ascontiguousarray(np.diff(before[last] + part[:, None] * given[last], axis=0) / tick)
 
 
-def _tilting_gravity(times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
-    """Gravity swings about a random horizontal axis, as if the hand were tilted slowly."""
-    period = max(settings.tilt_period, 1.0 / settings.control_rate)
-    return Disturbed(gravity=tilting_gravity(rng, times, np.array(settings.gravity), settings.tilt_angle, period))
+@dataclass(frozen=True)
+class TiltingGravity(DisturbanceSettings):
+    """Gravity swings about a horizontal axis drawn at random, as if the hand were tilted slowly.
+
+    The swing is a sinusoid that fades in over its first period: it starts upright and without rate. The hand's own accelerations, were it
+    really tilted, are left out.
+    """
+
+    name: ClassVar[str] = "tilting_gravity"
+
+    angle: float = setting(0.7, real(NOT_NEGATIVE), "Largest tilt either way.", unit="rad")
+    period: float = setting(2.0, real(POSITIVE), "Period of the swing.", unit="s")
+
+    def __call__(self, times: Array, rng: np.random.Generator, settings: Any) -> Disturbed:
+        """See `Disturbance`."""
+        gravity, heading = np.array(settings.gravity), 2.0 * np.pi * rng.random()
+        size = float(np.sqrt((gravity**2).sum()))
+        if size == 0.0:
+            return Disturbed()
+        down = gravity / size
+        first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
+        first /= np.sqrt((first**2).sum())
+        sideways = np.cos(heading) * first + np.sin(heading) * np.cross(down, first)
+        phase = times / max(self.period, 1.0 / settings.controller.rate)
+        tilt = self.angle * blend(phase)[0] * np.sin(2.0 * np.pi * phase)
+        return Disturbed(gravity=size * (np.cos(tilt)[:, None] * down + np.sin(tilt)[:, None] * sideways))
 
 
-DISTURBANCES: dict[str, Disturbance] = {
-    "none": _none,
-    "constant": _constant,
-    "paper_path": _paper_path,
-    "random": _random,
-    "impulses": _impulses,
-    "tilting_gravity": _tilting_gravity,
+DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
+    made.name: made for made in (NoDisturbance, ConstantWrench, PaperPath, RandomWrench, Impulses, TiltingGravity)
 }
-"""The built-in ones, by name: what each does is its docstring."""
-
-RAMP = 0.05
-"""[s] in which a push of "six_directions" changes into the next, at most a quarter of `push_time`."""
-
-_BLOCK = 64
-"""Impulses drawn at a time: fixed, so that a longer episode extends a shorter one."""
-
-
-def _scale(settings: Any, own: float) -> float:
-    return own if settings.disturbance_scale is None else settings.disturbance_scale
-
-
-def ornstein_uhlenbeck(rng: np.random.Generator, ticks: int, deviation: Array, time: float) -> Array:
-    """(ticks, n) samples of independent Ornstein-Uhlenbeck processes that start at zero, as the settled hand does.
-
-    Args:
-        rng: source of one standard normal per sample, row by row.
-        ticks: number of rows.
-        deviation: (n,) stationary standard deviation.
-        time: correlation time in ticks.
-    """
-    decay = 1.0 / max(time, 1e-3)  # within a thousandth of a tick nothing is left to correlate
-    path = rng.standard_normal((ticks, len(deviation)))
-    path *= math.sqrt(-math.expm1(-2.0 * decay)) * deviation
-    path[0] = 0.0
-    keep = math.exp(-decay)
-    for column in path.T:  # a plain loop: scipy's filter does the same, but takes half a second to import
-        column[:] = list(accumulate(column.tolist(), lambda before, drawn: drawn + keep * before))
-    return path
-
-
-def impulses(
-    rng: np.random.Generator, ticks: int, tick: float, force: float, moment: float, length: float, interval: float
-) -> Array:
-    """(ticks, 6) half-sine impulses [N, N m] in random directions.
-
-    Each row is the mean over its tick, so that every impulse delivers its 2 / pi * force * length [N s] however short
-    it is. They never overlap: a wait runs from the end of one to the start of the next, and starts are at least a tick
-    apart.
-
-    Args:
-        rng: source of waits and directions.
-        ticks: number of rows.
-        tick: [s] between rows.
-        force: peak [N], in a direction uniform on the sphere. moment: peak [N m], in another.
-        length: [s] of an impulse.
-        interval: [s] mean of the exponential waits.
-    """
-    length = max(length, 1e-6 * tick)
-    steps, peaks = [np.array([-length])], [np.zeros((1, 6))]  # one of nothing, which ends at time 0
-    end, reached = ticks * tick, -length
-    while reached <= end:
-        direction = rng.standard_normal((_BLOCK, 2, 3))
-        direction *= np.array([[force], [moment]]) / np.sqrt((direction**2).sum(axis=2, keepdims=True))
-        steps.append(np.maximum(length + interval * rng.standard_exponential(_BLOCK), tick))
-        peaks.append(direction.reshape(_BLOCK, 6))
-        reached += float(steps[-1].sum())
-    starts = np.cumsum(np.concatenate(steps))
-    given = np.concatenate(peaks) * (2.0 * length / np.pi)
-    before = np.cumsum(given, axis=0) - given
-    edges = np.arange(ticks + 1) * tick
-    last = np.searchsorted(starts, edges, side="right") - 1
-    part = 0.5 - 0.5 * np.cos(np.pi * np.clip((edges - starts[last]) / length, 0.0, 1.0))
-    return np.ascontiguousarray(np.diff(before[last] + part[:, None] * given[last], axis=0) / tick)
-
-
-def tilting_gravity(rng: np.random.Generator, times: Array, gravity: Array, angle: float, period: float) -> Array:
-    """(T, 3) gravity [m/s^2], world frame, that swings to `angle` [rad] either way about an axis drawn at random.
-
-    The axis is orthogonal to `gravity` (3,). The swing is a sinusoid of `period` [s] that fades in over the first
-    one: it starts upright and without rate. The hand's own accelerations, were it really tilted, are left out.
-    """
-    heading = 2.0 * np.pi * rng.random()
-    size = float(np.sqrt((gravity**2).sum()))
-    if size == 0.0:
-        return np.zeros((len(times), 3))
-    down = gravity / size
-    first = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
-    first /= np.sqrt((first**2).sum())
-    sideways = np.cos(heading) * first + np.sin(heading) * np.cross(down, first)
-    phase = times / period
-    tilt = angle * blend(phase)[0] * np.sin(2.0 * np.pi * phase)
-    return size * (np.cos(tilt)[:, None] * down + np.sin(tilt)[:, None] * sideways)
-
-
-def six_pushes(times: Array, force: float, length: float) -> Array:
-    """(T, 3) force [N], world frame: along +x, -x, +y, -y, +z and -z for `length` [s] each, then nothing.
-
-    Each push grows out of the one before by a minimum-jerk ramp within its first `RAMP` seconds, or the first quarter
-    of `length` where that is shorter: a step would ask for a jump of the contact forces.
-    """
-    pushes = np.zeros((8, 3))  # nothing before the first and after the last
-    pushes[1:7:2] = force * np.eye(3)
-    pushes[2:7:2] = -force * np.eye(3)
-    index = np.minimum(times / length, 6.0).astype(np.int64)
-    share = blend((times - index * length) / min(RAMP, 0.25 * length))[0][:, None]
-    return (1.0 - share) * pushes[index] + share * pushes[index + 1]
+"""The built-in disturbances, by name."""
+DISTURBANCE = any_of(
+    DISTURBANCES, DisturbanceSettings, "disturbance",
+    ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]", calls=True,
+)  # fmt: skip
+"""What a setting may be that is a disturbance."""

@@ -19,7 +19,7 @@ def test_steps_resets_and_memory(monkeypatch):
     assert step["microseconds"].between(10.0, 1e5).all()
     assert step["ratio"].tolist() == pytest.approx((step["microseconds"] / bare["microseconds"]).tolist())
     assert step["per_second"].tolist() == pytest.approx((1e6 / step["microseconds"]).tolist())
-    rows = table(env.reset_times("new", {"randomise": ("mass",)}, 0, 3))
+    rows = table(env.reset_times("new", {"randomize": ("mass",)}, 0, 3))
     assert rows["problem"].tolist() == [0, 1, 2]
     assert rows["milliseconds"].between(0.01, 1e4).all()
     weight = {row["case"]: row["mebibytes"] for row in env.memory_of("same", {}, 20, 1)}

@@ -13,6 +13,7 @@ from grasp_env.force import Objective
 from grasp_env.grasp import presets
 from grasp_env.grasp.wrench import FORCE_RADIUS, MOMENT_RADIUS
 from grasp_env.quality import feasibility
+from grasp_env.task import Impulses, RandomWrench, SixDirections
 from training.compare.cases import (
     DIRECTION_SIZES,
     DISPLACEMENT,
@@ -166,15 +167,14 @@ def test_what_sets_scenarios_and_starts_are_called_is_what_is_done():
         assert part in labels[name], (name, part)
     assert IMPACT == 0.25  # "a quarter of the ball's radius"
     assert all(f"{STORED:,} stored" in STARTS[f"nearest_{kind}"].label for kind in ("tangent", "pseudoinverse"))
-    config = EnvConfig()
+    config, wind, impacts, pushes = EnvConfig(), RandomWrench(), Impulses(), SixDirections()
     for name, part in (
-        ("hold_random", f"{config.random_force:g} N / {config.random_moment:g} N m"),
-        ("hold_late", f"{1e3 * HOLDS_OF_STARTS['late']['wrench_delay'] / config.control_rate:g} ms late"),
-        ("hold_impulses", f"{config.impulse_force:g} N / {config.impulse_moment:g} N m, {config.impulse_time:g} s"),
+        ("hold_random", f"{wind.force:g} N / {wind.moment:g} N m"),
+        ("hold_late", f"{1e3 * HOLDS_OF_STARTS['late']['sensors.wrench_delay'] / config.controller.rate:g} ms late"),
+        ("hold_impulses", f"{impacts.force:g} N / {impacts.moment:g} N m, {impacts.time:g} s"),
     ):  # fmt: skip
         assert part in LABELS[name], (name, part)
-    pushes = LABELS["six_directions"]
-    assert f"six pushes of {config.push_per_mass:g} N/kg, {config.push_time:g} s each" in pushes
+    assert f"six pushes of {pushes.push_per_mass:g} N/kg, {pushes.push_time:g} s each" in LABELS["six_directions"]
     sizes = np.linalg.norm([scaled(case.wrench) for case in make_cases("six_decades", 100, 0)], axis=1)
     assert MAGNITUDES[0] <= sizes.min() < 0.01
     assert 100.0 < sizes.max() <= MAGNITUDES[1]

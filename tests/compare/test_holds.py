@@ -90,7 +90,7 @@ def test_an_episode_depends_on_its_seed_alone():
     first, again, other = (trial(SHORT, True, seed) for seed in (3, 3, 4))
     assert first == again
     assert first["mass"] != other["mass"]
-    squeezed = trial({**SHORT, "controller": "constant_squeeze"}, True, 3)
+    squeezed = trial({**SHORT, "controller.kind": "constant_squeeze"}, True, 3)
     assert [squeezed[name] for name in OBJECT] == [first[name] for name in OBJECT]
     assert first["time"] == pytest.approx(0.1)
     item, points, redrawn = draw_object(3, settings_of(SHORT))
@@ -99,7 +99,7 @@ def test_an_episode_depends_on_its_seed_alone():
 
 
 def test_a_grasp_that_does_not_settle_counts_as_not_held():
-    row = trial({**SHORT, "friction_error": 2.0}, False, 0)
+    row = trial({**SHORT, "controller.friction_error": 2.0}, False, 0)
     assert (row["failure"], row["held"]) == (NO_START, False)
     assert "settle" in row["detail"]
 
@@ -131,8 +131,8 @@ def test_a_seed_is_the_same_object_in_every_engine():
 
 PLAN = [
     Scenario("objects", {"controller": "paper"}, 5, SHORT),
-    Scenario("objects", {"controller": "pd"}, 2, {**SHORT, "controller": "pd"}),
-    Scenario("friction", {"controller": "paper"}, 1, {**SHORT, "friction_error": 2.0}, random_objects=False),
+    Scenario("objects", {"controller": "pd"}, 2, {**SHORT, "controller.kind": "pd"}),
+    Scenario("friction", {"controller": "paper"}, 1, {**SHORT, "controller.friction_error": 2.0}, random_objects=False),
 ]
 
 
@@ -176,12 +176,12 @@ def test_plans_are_sound():
     assert settings["friction/pd"] == {
         **RANDOM_WRENCH,
         **CONTROLLERS["pd"],
-        "friction_error": 0.25,
-        "friction_margin": 0.6,
+        "controller.friction_error": 0.25,
+        "controller.friction_margin": 0.6,
     }
-    assert "friction_margin" not in settings["friction/paper"]
-    assert settings["mild/paper/0.3"]["friction_margin"] == 0.3
-    assert settings["all/pd/120"]["squeeze"] == 120.0
+    assert "controller.friction_margin" not in settings["friction/paper"]
+    assert settings["mild/paper/0.3"]["controller.friction_margin"] == 0.3
+    assert settings["all/pd/120"]["controller.squeeze"] == 120.0
     assert not next(one for one in plan if one.name == "path_1/paper").random_objects
     assert sum(one.episodes for one in controllers_plan(4, True)) < 160
 
@@ -200,7 +200,7 @@ def test_plans_of_hands_and_engines(tmp_path):
     assert short_name("four_finger") == "four_finger"
     pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
     for name, settings in ENGINES.items():
-        rate = settings_of({"hand": "four_finger", **settings}).resolved().physics_rate
+        rate = settings_of({"hand": "four_finger", **settings}).engine.rate
         assert rate == (250 if name == "bullet" else 1000)
 
 

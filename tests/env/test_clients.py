@@ -4,35 +4,22 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from stable_baselines3.common.env_checker import check_env
 
-from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import SimulationError, UnknownNameError, UnknownSettingError
+from grasp_env.errors import InvalidInputError, SimulationError
 
 ID = "grasp_env:FourFingerGrasp-v0"
 ZERO = np.zeros(6, dtype=np.float32)
 
 
-def test_a_keyword_that_is_no_setting_is_a_type_error() -> None:
-    message = r"got an unexpected keyword argument 'frameskip': settings are 'hand', 'shape', "
-    for call in (
-        lambda: FourFingerGrasp(frameskip=1),
-        lambda: EnvConfig().override(frameskip=1),
-        lambda: gym.make(ID, frameskip=1),
-    ):
-        with pytest.raises(TypeError, match=message) as caught:
-            call()
-        assert isinstance(caught.value, UnknownSettingError)
-        assert isinstance(caught.value, UnknownNameError)
-
-
 def test_sb3_check_with_rendering() -> None:
-    env = FourFingerGrasp(render_mode="rgb_array", render_size=(64, 48))
+    env = FourFingerGrasp(render_mode="rgb_array", pictures={"size": (64, 48)})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env, skip_render_check=False)  # closes it and goes on
@@ -40,7 +27,7 @@ def test_sb3_check_with_rendering() -> None:
 
 
 def test_a_closed_environment_opens_anew() -> None:
-    env = FourFingerGrasp(render_mode="rgb_array", render_size=(64, 48), disturbance="random")
+    env = FourFingerGrasp(render_mode="rgb_array", pictures={"size": (64, 48)}, disturbance="random")
     fresh = env.reset(seed=3)[0], env.step(ZERO)[0], env.render()
     env.close()
     with pytest.raises(SimulationError, match=r"closed: call reset\(\)"):
@@ -51,13 +38,40 @@ def test_a_closed_environment_opens_anew() -> None:
     env.close()
 
 
-@pytest.mark.parametrize(("settings", "steps"), [({}, 100), ({"duration": 0.2}, 10), ({"task": "payload"}, 200)])
-def test_the_spec_says_how_long_an_episode_is(settings: dict[str, object], steps: int) -> None:
-    env = gym.make(ID, **settings)
-    assert env.spec is not None
-    assert env.spec.max_episode_steps == steps
-    assert not isinstance(env, gym.wrappers.TimeLimit)
-    env.close()
+@pytest.mark.parametrize(
+    ("settings", "steps"),
+    [
+        ({}, 100),
+        ({"duration": 0.2}, 10),
+        ({"task": "payload"}, 200),
+        ({"max_episode_steps": 4}, 4),
+        ({"max_episode_steps": 7, "duration": 0.1}, 7),  # longer than the settings say
+        ({"max_episode_steps": -1, "duration": 0.1}, 5),
+    ],
+)
+def test_an_episode_lasts_as_long_as_its_spec_says(settings: dict[str, Any], steps: int) -> None:
+    planned: list[float] = []
+
+    def still(times: np.ndarray, rng: np.random.Generator, settings: object) -> np.ndarray:
+        planned.append(times[-1])
+        return np.zeros((len(times), 6))
+
+    env = gym.make(ID, disturbance=still, **settings)
+    again = gym.make(env.spec)  # type: ignore[arg-type]
+    for made in (env, again):
+        assert made.spec is not None
+        assert made.spec.max_episode_steps == steps
+        assert isinstance(made, gym.wrappers.TimeLimit) == (
+            ("max_episode_steps" in settings and steps != 5) or made is again
+        )
+        if steps < 20:
+            for seed in (0, 1):
+                made.reset(seed=seed)
+                assert planned[-1] == pytest.approx(steps / 50)
+                assert [made.step(ZERO)[3] for _ in range(steps)] == [False] * (steps - 1) + [True]
+        made.close()
+    with pytest.raises(InvalidInputError, match="1000000 control ticks"):
+        gym.make(ID, max_episode_steps=10**9)
 
 
 def test_what_remains_of_an_episode_can_be_observed() -> None:
@@ -70,19 +84,9 @@ def test_what_remains_of_an_episode_can_be_observed() -> None:
     env.close()
 
 
-def test_made_again_from_its_spec() -> None:
-    made = gym.make(ID, duration=0.1)
-    assert made.spec is not None
-    made.close()
-    env = gym.make(made.spec)
-    env.reset(seed=0)
-    assert [env.step(ZERO)[3] for _ in range(5)] == [False] * 4 + [True]
-    env.close()
-
-
 def test_videos(tmp_path: Path) -> None:
     pytest.importorskip("moviepy")
-    env = gym.make(ID, duration=0.1, render_mode="rgb_array", render_size=(64, 48))
+    env = gym.make(ID, duration=0.1, render_mode="rgb_array", pictures={"size": (64, 48)})
     env = gym.wrappers.RecordVideo(env, str(tmp_path / "videos"), disable_logger=True)
     env.reset(seed=0)
     for _ in range(5):

@@ -36,7 +36,7 @@ def state(position=(0, 0, 0), turn=(0, 0, 0), linear=(0, 0, 0), angular=(0, 0, 0
 
 def controller(scene: core.Scene, **settings: Any) -> core.Controller:
     """A control loop with the default gains."""
-    config = EnvConfig(**settings)
+    config = EnvConfig().override(**settings)
     return controller_alone(scene, 4, control_settings(config, ITEM, KINEMATICS), sensor_settings(config))
 
 
@@ -290,7 +290,7 @@ def test_the_commanded_force_is_continuous(slipped):
 
 def test_a_slow_force_rate_is_kept():
     """The internal force of a finger that lands grows by 0.1 N per tick, not more."""
-    trial = Trial((2,), duration=4.0, steps=200, force_rate=25.0)
+    trial = Trial((2,), duration=4.0, steps=200, controller={"force_rate": 25.0})
     assert trial.infos[-1]["contacts"] == 4
     landed = max(k for k, tick in enumerate(trial.ticks) if 2 not in tick.fingers) + 1
     after = trial.ticks[landed : landed + 60]
@@ -302,7 +302,7 @@ def test_a_slow_force_rate_is_kept():
 
 
 def test_without_force_closure_the_episode_ends_with_that_cause():
-    trial = Trial((2, 3), ticks=200, max_drift=10.0, max_tilt=3.0)
+    trial = Trial((2, 3), ticks=200, limits={"max_drift": 10.0, "max_tilt": 3.0})
     last = trial.infos[-1]
     assert last["failure"] == "closure_lost"
     assert not last["is_success"]
@@ -321,7 +321,11 @@ def test_without_force_closure_the_episode_ends_with_that_cause():
 def test_a_short_gap_of_force_closure_is_survived():
     """Without gravity two fingers are pulled off and come back: closure is lost, then found again."""
     trial = Trial(
-        (2, 3), ticks=3, steps=200, duration=4.0, gravity=(0.0, 0.0, 0.0), max_contact_gap=2.0, max_drift=0.05
+        (2, 3),
+        ticks=3,
+        steps=200,
+        gravity=(0.0, 0.0, 0.0),
+        limits={"duration": 4.0, "max_contact_gap": 2.0, "max_drift": 0.05},
     )
     closed = [info["force_closure"] for info in trial.infos]
     assert closed.count(False) > 3

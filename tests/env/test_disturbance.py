@@ -9,27 +9,33 @@ from scipy.signal import lfilter
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.task.disturbance import (
-    DISTURBANCES,
-    RAMP,
-    Disturbed,
-    disturb,
-    impulses,
-    ornstein_uhlenbeck,
-    six_pushes,
-    tilting_gravity,
-)
+from grasp_env.sim import ObjectDescription
+from grasp_env.task import DISTURBANCES, Disturbed, Impulses, RandomWrench, SixDirections, TiltingGravity
+from grasp_env.task.disturbance import disturb
+from grasp_env.task.tasks import PUSH_RAMP
 
 TICK = 0.004
+TIMES = np.arange(501) * TICK
+G = np.array([0.0, -9.81, 0.0])
 
 
 def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
+def walk(ticks: int, seed: int) -> np.ndarray:
+    """Random wrenches with a correlation time of 75 ticks."""
+    return RandomWrench(time=75.0 * TICK)(np.arange(ticks) * TICK, rng(seed), EnvConfig())
+
+
+def tilted(times: np.ndarray, seed: int, gravity: tuple[float, ...]) -> np.ndarray:
+    """Gravity that swings by 0.3 rad with a period of 2 s."""
+    return disturb(TiltingGravity(0.3, 2.0), times, rng(seed), EnvConfig().override(gravity=gravity))[1]
+
+
 def test_ornstein_uhlenbeck_has_its_deviation_and_correlation_time():
     deviation = np.array([0.6, 0.6, 0.6, 0.02, 0.02, 0.02])
-    path = ornstein_uhlenbeck(rng(), 250_000, deviation, 75.0)
+    path = walk(250_000, 0)
     assert not path[0].any()
     # 250 000 / (2 * 75) = 1667 independent draws per axis: one sigma of a deviation is 1.7 %
     np.testing.assert_allclose(path.std(axis=0), deviation, rtol=0.06)
@@ -42,21 +48,21 @@ def test_ornstein_uhlenbeck_has_its_deviation_and_correlation_time():
 
 def test_ornstein_uhlenbeck_against_lfilter():
     keep = np.exp(-1.0 / 75.0)
-    noise = rng(3).standard_normal((500, 2)) * np.sqrt(1.0 - keep**2)
+    noise = rng(3).standard_normal((500, 6)) * np.sqrt(1.0 - keep**2) * np.repeat([0.6, 0.02], 3)
     noise[0] = 0.0
     expected = lfilter([1.0], [1.0, -keep], noise, axis=0)
-    np.testing.assert_allclose(ornstein_uhlenbeck(rng(3), 500, np.ones(2), 75.0), expected, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(walk(500, 3), expected, rtol=1e-12, atol=1e-13)
 
 
 def test_ornstein_uhlenbeck_starts_with_growing_variance():
-    starts = np.array([ornstein_uhlenbeck(rng(k), 76, np.ones(1), 75.0)[[1, 75], 0] for k in range(2000)])
+    starts = np.array([walk(76, k)[[1, 75], 0] / 0.6 for k in range(2000)])
     expected = np.sqrt(1.0 - np.exp(-2.0 * np.array([1, 75]) / 75.0))
     np.testing.assert_allclose(starts.std(axis=0), expected, rtol=0.07)  # 4 sigma of 2000 draws
 
 
 def test_impulses_deliver_their_momentum_however_short():
     for length in (0.1, 0.004, 0.0005):
-        wrench = impulses(rng(1), 25_000, TICK, 2.0, 0.05, length, 0.4)
+        wrench = Impulses(2.0, 0.05, length, 0.4)(np.arange(25_000) * TICK, rng(1), EnvConfig())
         assert np.linalg.norm(wrench[:, :3], axis=1).max() <= 2.0 + 1e-9
         assert np.linalg.norm(wrench[:, 3:], axis=1).max() <= 0.05 + 1e-9
         # runs of rows that are not zero are impulses, as long as none starts within the tick after another
@@ -73,7 +79,7 @@ def test_impulses_deliver_their_momentum_however_short():
 
 
 def test_impulses_without_waits_end():
-    wrench = impulses(rng(), 500, TICK, 1.0, 0.0, 1e-9, 1e-9)
+    wrench = Impulses(1.0, 0.0, 1e-9, 1e-9)(TIMES[:500], rng(), EnvConfig())
     assert wrench.shape == (500, 6)
     assert np.isfinite(wrench).all()
     assert not wrench[:, 3:].any()
@@ -83,7 +89,7 @@ def test_gravity_tilts_about_a_horizontal_axis_from_rest():
     times = np.arange(2001) * TICK
     headings = []
     for seed in range(20):
-        falls = tilting_gravity(rng(seed), times, np.array([0.0, -9.81, 0.0]), 0.3, 2.0)
+        falls = tilted(times, seed, (0.0, -9.81, 0.0))
         np.testing.assert_allclose(np.linalg.norm(falls, axis=1), 9.81)
         np.testing.assert_allclose(falls[0], [0.0, -9.81, 0.0], atol=1e-12)
         assert np.abs(np.diff(falls[:3], axis=0)).max() < 1e-6  # no rate at the start
@@ -93,40 +99,36 @@ def test_gravity_tilts_about_a_horizontal_axis_from_rest():
         far = falls[np.argmax(tilt)]
         headings.append(np.arctan2(far[2], far[0]))
     assert np.ptp(headings) > 2.0
-    assert not tilting_gravity(rng(), times, np.zeros(3), 0.3, 2.0).any()
-    sloped = tilting_gravity(rng(), times, np.array([1.0, -2.0, 0.5]), 0.3, 2.0)
+    assert not tilted(times, 0, (0.0, 0.0, 0.0)).any()
+    sloped = tilted(times, 0, (1.0, -2.0, 0.5))
     np.testing.assert_allclose(np.linalg.norm(sloped, axis=1), np.sqrt(5.25))
 
 
 def test_six_pushes_in_order_with_short_ramps():
     times = np.arange(3251) * TICK  # 13 s
-    push = six_pushes(times, 2.0, 2.0)
+    push = SixDirections().push(times, TICK, 0.2)
     expected = 2.0 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1], [0, 0, 0]])
     for k, force in enumerate(expected):
-        inside = (times > 2.0 * k + RAMP) & (times < 2.0 * (k + 1) - 1e-9)
+        inside = (times > 2.0 * k + PUSH_RAMP) & (times < 2.0 * (k + 1) - 1e-9)
         np.testing.assert_allclose(push[inside], np.tile(force, (inside.sum(), 1)), atol=1e-12)
     assert not push[0].any()
     # the steepest ramp turns 4 N within 50 ms, at most 15 / 8 of the mean rate
-    assert np.linalg.norm(np.diff(push, axis=0), axis=1).max() < 4.0 * 15.0 / 8.0 * TICK / RAMP * 1.001
-    short = six_pushes(times, 2.0, 0.1)  # a ramp of 25 ms
+    assert np.linalg.norm(np.diff(push, axis=0), axis=1).max() < 4.0 * 15.0 / 8.0 * TICK / PUSH_RAMP * 1.001
+    short = SixDirections(push_time=0.1).push(times, TICK, 0.2)  # a ramp of 25 ms
     np.testing.assert_allclose(short[round(0.09 / TICK)], [2.0, 0.0, 0.0], atol=1e-12)
     assert np.isfinite(short).all()
-
-
-TIMES = np.arange(501) * TICK
-G = np.array([0.0, -9.81, 0.0])
 
 
 def gust(times: np.ndarray, rng: np.random.Generator, settings: EnvConfig) -> np.ndarray:
     """A user's own: a push along x from 1 s on, as strong as drawn."""
     wrench = np.zeros((len(times), 6))
-    wrench[times >= 1.0, 0] = settings.object_mass * rng.uniform(4.0, 5.0)
+    wrench[times >= 1.0, 0] = settings.object.mass * rng.uniform(4.0, 5.0)
     return wrench
 
 
 def test_every_disturbance_but_none_acts_and_says_what_it_does() -> None:
     for name, rule in DISTURBANCES.items():
-        wrench, gravity = disturb(rule, TIMES, rng(), EnvConfig())
+        wrench, gravity = disturb(rule(), TIMES, rng(), EnvConfig())
         assert wrench.shape == (501, 6)
         assert gravity.shape == (501, 3)
         assert (wrench.any() or not (gravity == G).all()) == (name != "none")
@@ -134,7 +136,7 @@ def test_every_disturbance_but_none_acts_and_says_what_it_does() -> None:
 
 
 def test_any_function_is_a_disturbance() -> None:
-    wrench, gravity = disturb(gust, TIMES, rng(), EnvConfig(object_mass=0.5))
+    wrench, gravity = disturb(gust, TIMES, rng(), EnvConfig(object=ObjectDescription(mass=0.5)))
     assert not wrench[:250].any()
     assert (wrench[250:, 0] == 0.5 * rng().uniform(4.0, 5.0)).all()
     assert (gravity == G).all()
@@ -184,7 +186,7 @@ def test_what_is_no_disturbance() -> None:
         with pytest.raises(UnknownNameError, match=r"unknown disturbance.*'none'.*or give a function"):
             EnvConfig(disturbance=given)  # type: ignore[arg-type]
     with pytest.raises(InvalidInputError, match="pushes by itself, got disturbance=<function gust"):
-        EnvConfig(task="six_directions", disturbance=gust)
+        EnvConfig(task=SixDirections(), disturbance=gust)
 
 
 def test_a_function_in_the_environment() -> None:

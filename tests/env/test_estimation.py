@@ -8,9 +8,10 @@ from hands import controller_alone, scene_alone
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
+from grasp_env.config import EnvConfig
 from grasp_env.control.sensing import NoiseRows, keep_factor
 from grasp_env.sim import Snapshot
-from grasp_env.task.disturbance import ornstein_uhlenbeck
+from grasp_env.task import RandomWrench
 from grasp_env.task.motion import resting_target
 
 TICK = 0.004
@@ -139,7 +140,7 @@ def test_payload_shows_up_as_its_weight():
 
 @pytest.fixture(scope="module")
 def random_trial():
-    wrench = ornstein_uhlenbeck(np.random.default_rng(1), 1000, np.repeat([0.6, 0.02], 3), 0.3 / TICK)
+    wrench = RandomWrench()(TICK * np.arange(1000), np.random.default_rng(1), EnvConfig())
     return wrench, hold(wrench, 1)
 
 

@@ -8,35 +8,37 @@ import numpy as np
 import pytest
 from episodes import episode
 
-from grasp_env.config import CONTROLLERS
+from grasp_env.config.records import CONTROLLERS
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError
 from grasp_env.sim import HANDS, HandDescription, SceneConfig
 from grasp_env.sim.hand.frames import roll_pitch_yaw, rotation_matrix
 from grasp_env.sim.hand.urdf import hand_urdf
-from grasp_env.task.tasks import TASKS
+from grasp_env.task import ConstantWrench, Hold, Move, Payload
 
 ZERO = np.zeros(6, dtype=np.float32)
 
 
 @pytest.mark.parametrize(
-    ("task", "motion"), [("hold", "lift"), ("payload", "lift"), *(("move", m) for m in ("lift", "shake", "rotate"))]
+    "task",
+    [Hold(), Payload(), *(Move(motion) for motion in ("lift", "shake", "rotate"))],
+    ids=lambda task: f"{task.name} {task.caption}",
 )
-def test_tasks_run_to_their_end_with_success(task, motion):
-    _, infos = episode(None, task=task, motion=motion)
+def test_tasks_run_to_their_end_with_success(task):
+    _, infos = episode(None, task=task)
     last = infos[-1]
     assert last["truncated"]
     assert not last["terminated"]
     assert last["is_success"]
-    assert last["time"] == pytest.approx(TASKS[task].duration)
-    assert len(infos) == round(50 * TASKS[task].duration)
+    assert last["time"] == pytest.approx(task.duration)
+    assert len(infos) == round(50 * task.duration)
     assert all(info["touching"].all() and info["force_closure"] for info in infos)
-    if task == "payload":
+    if task.name == "payload":
         assert infos[0]["object_mass"] == 0.2
         assert last["object_mass"] == pytest.approx(0.4)
         # nobody told the controller: the pose spring gives way by what it does not know
         assert last["drift"] == pytest.approx(9.81 * 0.2 / (0.2 * 30.0**2), rel=0.1)
-    if task == "move":
+    if task.name == "move":
         assert max(info["drift"] for info in infos) < 1e-3
         assert max(info["tilt"] for info in infos) < 0.02
 
@@ -67,12 +69,12 @@ def test_the_payload_goes_with_the_episode():
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_controllers_hold(controller):
-    _, infos = episode(None, controller=controller, disturbance="none")
+    _, infos = episode(None, controller={"kind": controller}, disturbance="none")
     assert infos[-1]["truncated"]
     assert infos[-1]["is_success"]
     assert all(info["touching"].all() for info in infos)
     solved = [info["iterations"] > 0 for info in infos]
-    assert all(solved) if controller == "optimised" else not any(solved)
+    assert all(solved) if controller == "optimized" else not any(solved)
     if controller == "constant_squeeze":
         assert infos[-1]["measured_force"][:, 0].sum() == pytest.approx(
             40.0, rel=0.25
@@ -82,7 +84,7 @@ def test_controllers_hold(controller):
 def test_iteration_budget_limits_iterations_and_the_force_stays_valid():
     assert min(info["iterations"] for info in episode(30, disturbance="random")[1]) > 3
     for budget in (0, 1, 3):
-        env = FourFingerGrasp(iteration_budget=budget, disturbance="random")
+        env = FourFingerGrasp(solver={"iteration_budget": budget}, disturbance="random")
         env.reset(seed=2)
         for _ in range(60):
             _, _, terminated, _, info = env.step(ZERO)
@@ -98,8 +100,8 @@ def test_iteration_budget_limits_iterations_and_the_force_stays_valid():
 def test_wrench_told_late_or_not_at_all_moves_the_object():
     """The pose spring is m (30 rad/s)^2 = 180 N/m: 1 N that is never told moves it by 5.6 mm, 4 ms late by much less."""
     still, late, never = (
-        episode(None, disturbance_value=(1, 0, 0, 0, 0, 0), **settings)[1]
-        for settings in ({}, {"wrench_delay": 1}, {"wrench": "none"})
+        episode(None, disturbance=ConstantWrench((1, 0, 0, 0, 0, 0)), **settings)[1]
+        for settings in ({}, {"sensors.wrench_delay": 1}, {"sensors.wrench": "none"})
     )
     assert max(info["drift"] for info in still) < 5e-5  # what is left of the settling
     assert still[-1]["drift"] < 1e-6
@@ -107,9 +109,11 @@ def test_wrench_told_late_or_not_at_all_moves_the_object():
     assert never[-1]["drift"] == pytest.approx(1 / 180, rel=0.02)
 
 
-@pytest.mark.parametrize("settings", [{}, {"disturbance": "random"}, {"task": "payload"}, {"tactile_noise": 0.05}])
+@pytest.mark.parametrize(
+    "settings", [{}, {"disturbance": "random"}, {"task": "payload"}, {"sensors.tactile_noise": 0.05}]
+)
 def test_an_estimated_wrench_holds(settings):
-    _, infos = episode(None, wrench="estimated", **settings)
+    _, infos = episode(None, **{"sensors.wrench": "estimated"}, **settings)
     assert infos[-1]["truncated"]
     assert infos[-1]["is_success"]
     assert all(info["force_closure"] for info in infos)
@@ -118,8 +122,8 @@ def test_an_estimated_wrench_holds(settings):
 
 
 NOISES = [
-    {"sensor_delay": 0.008}, {"tactile_noise": 0.05, "wrench": "estimated"}, {"pose_noise": 1e-5},
-    {"force_noise": 0.01}, {"sensor_delay": 0.003, "pose_noise": 1e-5, "force_noise": 0.005},
+    {"sensors.delay": 0.008}, {"sensors.tactile_noise": 0.05, "sensors.wrench": "estimated"}, {"sensors.pose_noise": 1e-5},
+    {"controller.force_noise": 0.01}, {"sensors.delay": 0.003, "sensors.pose_noise": 1e-5, "controller.force_noise": 0.005},
 ]  # fmt: skip
 
 
@@ -135,7 +139,7 @@ def test_imperfect_sensors_and_motors_are_fixed_by_the_seed(settings):
     again = [env.reset(seed=3)[0]] + [env.step(ZERO)[0] for _ in range(40)]
     env.close()
     assert np.array(again).tobytes() == first.tobytes()
-    exact = {name: value for name, value in settings.items() if name == "wrench"}
+    exact = {name: value for name, value in settings.items() if name == "sensors.wrench"}
     assert not np.array_equal(episode(7, seed=2, **exact)[0][1:], rows)
     if settings != NOISES[0]:
         assert not np.array_equal(episode(7, seed=4, **settings)[0][1:], rows)
@@ -144,8 +148,8 @@ def test_imperfect_sensors_and_motors_are_fixed_by_the_seed(settings):
 def test_a_friction_that_is_overestimated_cannot_close_the_hand():
     """The simulation tells the truth: a solver that believes in 1.3 times the friction cannot even take over the object."""
     with pytest.raises(GraspError, match="friction_margin"):
-        FourFingerGrasp(friction_margin=1.0, friction_error=0.3, barrier_weight=1e-3)
-    held = episode(50, friction_margin=1.0, barrier_weight=1e-4)[1]
+        FourFingerGrasp(controller={"friction_margin": 1.0, "friction_error": 0.3}, solver={"barrier_weight": 1e-3})
+    held = episode(50, controller={"friction_margin": 1.0}, solver={"barrier_weight": 1e-4})[1]
     assert held[-1]["is_success"]  # the ideal simulation forgives exactly the true friction, and no more
 
 
@@ -207,7 +211,7 @@ def _cube(path: Path, half: float) -> Path:
 def test_a_users_mesh_is_held_like_the_cuboid_it_is(tmp_path: Path):
     path = _cube(tmp_path / "cube.obj", 50.0)
     points = SceneConfig().contact_points
-    _, infos = episode(None, shape="mesh", mesh=str(path), size=(0.001,), contact_points=points)
+    _, infos = episode(None, object={"shape": "mesh", "mesh": path, "size": (0.001,)}, contact_points=points)
     _, known = episode(None)
     assert infos[-1]["is_success"]
     assert infos[-1]["object_shape"] == "mesh"
@@ -216,7 +220,7 @@ def test_a_users_mesh_is_held_like_the_cuboid_it_is(tmp_path: Path):
 
 @pytest.mark.parametrize(
     "settings",
-    [{"size": (0.06, 0.15, 0.06)}, {"size": (0.05, 0.2, 0.05)}, {"size": 3 * (0.04,)}, {"object_mass": 2.0}],
+    [{"size": (0.06, 0.15, 0.06)}, {"size": (0.05, 0.2, 0.05)}, {"size": 3 * (0.04,)}, {"mass": 2.0}],
     ids=str,
 )
 def test_long_small_and_heavy_objects_are_held(settings):
@@ -228,23 +232,12 @@ def test_long_small_and_heavy_objects_are_held(settings):
     assert max(info["drift"] for info in infos) < 1e-3
 
 
-def test_settings_of_the_object_reach_the_simulation():
-    env = FourFingerGrasp(size=(0.08, 0.09, 0.1), object_mass=0.15, friction=0.55)
-    info = env.reset(seed=0)[1]
-    assert (info["object_mass"], info["object_friction"], info["object_size"]) == (0.15, 0.55, 0.1)
-    assert env.scene.config.object.size == (0.08, 0.09, 0.1)
-    for _ in range(20):
-        info = env.step(ZERO)[4]
-    assert info["is_success"]
-    env.close()
-
-
 def test_rates_that_differ_hold():
-    _, infos = episode(None, agent_rate=25, control_rate=250, physics_rate=1000)
+    _, infos = episode(None, agent={"rate": 25}, engine={"name": "bullet", "rate": 1000})
     assert len(infos) == 50
     assert infos[-1]["time"] == pytest.approx(2.0)
     assert infos[-1]["is_success"]
     assert max(info["drift"] for info in infos) < 1e-3
-    env = FourFingerGrasp(agent_rate=25)
+    env = FourFingerGrasp(agent={"rate": 25})
     assert env.metadata["render_fps"] == 25
     env.close()

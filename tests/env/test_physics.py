@@ -12,6 +12,7 @@ import pytest
 
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim.client import bullet
+from grasp_env.task import PaperPath
 
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 
@@ -97,8 +98,8 @@ def test_what_the_solver_balances_is_what_acts():
 
 def test_the_papers_wrench_acts_as_it_is_printed():
     """W_ext(t) = [cos pi t, cos^2 pi t, 8 cos^2(pi t / 2) - 5, 0.2 sin pi t, 0.2 cos pi t, sin^2(pi t / 2)], a tenth of it."""
-    for scale in (None, 0.05):
-        env = FourFingerGrasp(disturbance="paper_path", disturbance_scale=scale)
+    for disturbance in (PaperPath(), PaperPath(scale=0.05)):
+        env = FourFingerGrasp(disturbance=disturbance)
         pushes = record_pushes(env)
         run(env, 99)
         env.close()
@@ -109,7 +110,7 @@ def test_the_papers_wrench_acts_as_it_is_printed():
             0.2 * sin(pi * t), 0.2 * cos(pi * t), sin(0.5 * pi * t) ** 2,
         ]  # fmt: skip
         assert len(pushes) == 495
-        np.testing.assert_allclose(pushes, (scale or 0.1) * np.transpose(printed), rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(pushes, disturbance.scale * np.transpose(printed), rtol=0.0, atol=1e-14)
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +151,7 @@ def test_energy_does_not_grow(still):
 def test_torques_stay_within_the_limits():
     """The full W_ext asks for 9 N m of 12; three newton metres about z for more than there is."""
     for wrench, beyond in ((None, False), ([0.0, 0.0, 0.0, 0.0, 0.0, 3.0], True)):
-        env = FourFingerGrasp(disturbance="paper_path", disturbance_scale=1.0)
+        env = FourFingerGrasp(disturbance=PaperPath(scale=1.0))
         torques, advance = [], env.scene.advance
 
         def listen(given, wrench, torques=torques, advance=advance):

@@ -17,9 +17,7 @@ from grasp_env.sim.grasping import plan_grasp
 
 
 def make(hand: HandDescription, **settings: Any) -> gym.Env[Any, Any]:
-    return gym.make(
-        "grasp_env:FourFingerGrasp-v0", hand=hand, disturbance="none", friction=0.7, object_mass=0.15, **settings
-    )
+    return gym.make("grasp_env:FourFingerGrasp-v0", hand=hand, disturbance="none", friction=0.7, mass=0.15, **settings)
 
 
 def stage(env: gym.Env[Any, Any]) -> Stage:
@@ -44,7 +42,7 @@ def test_a_hand_without_a_place_holds(name: str) -> None:
 
 def test_other_objects_may_need_another_place() -> None:
     hand = gripper(3, 2)
-    ball = {"shape": "sphere", "size": (0.06,), "randomise": ("size",), "size_range": (0.045, 0.05)}
+    ball = {"shape": "sphere", "size": (0.06,), "randomize": {"size": (0.045, 0.05)}}
     env = make(hand, **ball)
     first = stage(env).scene.config.hand
     with pytest.raises(InvalidInputError):  # from the first place it cannot be grasped

@@ -17,17 +17,17 @@ from grasp_env.sim.objects.description import SHAPES
 ZERO = np.zeros(1, dtype=np.float32)
 OBJECTS: list[dict[str, Any]] = [
     {"shape": "cuboid"},
-    {"shape": "cuboid", "size": (0.06, 0.12, 0.08), "object_mass": 1.0, "friction": 0.7},
+    {"shape": "cuboid", "size": (0.06, 0.12, 0.08), "mass": 1.0, "friction": 0.7},
     {"shape": "cylinder"},
-    {"shape": "cylinder", "size": (0.08, 0.09), "object_mass": 0.05},
-    {"shape": "cylinder", "size": (0.07, 0.12), "object_mass": 0.5, "friction": 0.8},
+    {"shape": "cylinder", "size": (0.08, 0.09), "mass": 0.05},
+    {"shape": "cylinder", "size": (0.07, 0.12), "mass": 0.5, "friction": 0.8},
     {"shape": "sphere"},
-    {"shape": "sphere", "size": (0.07,), "object_mass": 0.05},
-    {"shape": "sphere", "size": (0.12,), "object_mass": 0.5, "friction": 0.8},
+    {"shape": "sphere", "size": (0.07,), "mass": 0.05},
+    {"shape": "sphere", "size": (0.12,), "mass": 0.5, "friction": 0.8},
     {"shape": "capsule"},
-    {"shape": "capsule", "size": (0.08, 0.12), "object_mass": 0.5, "friction": 0.7},
+    {"shape": "capsule", "size": (0.08, 0.12), "mass": 0.5, "friction": 0.7},
     {"shape": "mesh"},
-    {"shape": "mesh", "object_mass": 0.5, "friction": 0.8},
+    {"shape": "mesh", "mass": 0.5, "friction": 0.8},
     *({"shape": shape, "gravity": (6.0, -2.0, -7.5)} for shape in SHAPES),
     *({"shape": "sphere", "hand": hand} for hand in ("three_finger", "five_finger", "four_finger_4dof")),
 ]
@@ -39,7 +39,7 @@ def make(folder: Path, **settings: Any) -> FourFingerGrasp:
         egg = trimesh.creation.icosphere(2, 0.045)
         egg.apply_scale((1.0, 1.2, 1.0))
         egg.export(folder / "egg.obj")
-        settings = {**settings, "mesh": str(folder / "egg.obj")}
+        settings = {**settings, "object.mesh": folder / "egg.obj"}
     return FourFingerGrasp(disturbance="random", action_mode="none", **settings)
 
 
@@ -92,7 +92,7 @@ def test_a_state_kept_on_the_way_goes_on_as_if_it_had_not_been_kept(tmp_path: Pa
     """A turning object: tilted, moving, its contacts rolling."""
     records = []
     for kept in (False, True):
-        env = make(tmp_path, shape=shape, task="move", motion="rotate")
+        env = make(tmp_path, shape=shape, task={"name": "move", "motion": "rotate"})
         env.reset(seed=1)
         for _ in range(40):
             env.step(ZERO)

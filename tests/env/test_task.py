@@ -3,60 +3,44 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import pytest
 
 from grasp_env.config import EnvConfig
 from grasp_env.env.plan import Plan, make_plan
+from grasp_env.errors import GraspError
 from grasp_env.grasp.wrench import paper_path
-from grasp_env.task.disturbance import DISTURBANCES
+from grasp_env.task import (
+    DISTURBANCES,
+    TASKS,
+    ConstantWrench,
+    Hold,
+    Move,
+    NoDisturbance,
+    PaperPath,
+    Payload,
+    SixDirections,
+)
 from grasp_env.task.motion import MOTION_SIZES, MOTIONS, resting_target
-from grasp_env.task.tasks import TASKS, succeeded
 
 MASS = 0.2
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What `make_plan` reads."""
-
-    task: str = "hold"
-    disturbance: str | None = "none"
-    duration: float | None = 4.0
-    control_rate: int = 250
-    gravity: tuple[float, ...] = (0.0, -9.81, 0.0)
-    disturbance_value: tuple[float, ...] = (1.0, 0.5, -0.6, -0.1, 0.2, 0.0)
-    disturbance_scale: float | None = 1.0
-    random_force: float = 0.6
-    random_moment: float = 0.02
-    random_time: float = 0.3
-    impulse_force: float = 2.0
-    impulse_moment: float = 0.05
-    impulse_time: float = 0.03
-    impulse_interval: float = 0.5
-    tilt_angle: float = 0.5
-    tilt_period: float = 2.0
-    motion: str = "lift"
-    motion_size: float | None = 0.04
-    motion_period: float = 1.0
-    payload_factor: float = 2.0
-    payload_time: float = 1.0
-    push_per_mass: float = 10.0
-    push_time: float = 2.0
-
-
 KINDS = [
     *[{"disturbance": name} for name in DISTURBANCES],
-    *[{"task": "move", "motion": name} for name in MOTIONS],
+    *[{"task": {"name": "move", "motion": name}} for name in MOTIONS],
     {"task": "payload", "disturbance": "random"},
-    {"task": "six_directions", "disturbance": "random"},
+    {"task": "six_directions"},
 ]
+BASE = EnvConfig().override(disturbance="none", duration=4.0)
 
 
-def plan(seed: int = 0, **settings) -> Plan:
-    return make_plan(Settings(**settings), np.random.default_rng(seed), MASS)
+def plan(seed: int = 0, **settings: Any) -> Plan:
+    return make_plan(BASE.override(**settings), np.random.default_rng(seed), MASS)
 
 
 def arrays(made: Plan) -> tuple[np.ndarray, ...]:
@@ -79,9 +63,9 @@ def test_shapes_types_and_what_a_seed_fixes(settings):
     for name in ("wrench", "push", "gravity", "mass_factor"):
         assert getattr(longer, name)[:751].tobytes() == getattr(shorter, name).tobytes()
     generator = np.random.default_rng(0)
-    make_plan(Settings(**settings), generator, MASS)
+    make_plan(BASE.override(**settings), generator, MASS)
     other = np.random.default_rng(0)
-    make_plan(Settings(), other, MASS)
+    make_plan(BASE, other, MASS)
     assert generator.random() == other.random()  # the same draws, whatever the settings
 
 
@@ -92,7 +76,7 @@ def test_seeds_differ(disturbance):
 
 
 def test_hold_is_only_its_disturbance():
-    made = plan(disturbance="constant", disturbance_scale=0.5)
+    made = plan(disturbance=ConstantWrench(scale=0.5))
     np.testing.assert_array_equal(made.wrench, np.tile([0.5, 0.25, -0.3, -0.05, 0.1, 0.0], (1001, 1)))
     np.testing.assert_array_equal(made.gravity, np.tile([0.0, -9.81, 0.0], (1001, 1)))
     np.testing.assert_array_equal(made.target, resting_target(1001))
@@ -102,7 +86,7 @@ def test_hold_is_only_its_disturbance():
 
 
 def test_paper_path_is_sampled_as_printed():
-    wrench = plan(disturbance="paper_path", duration=2.0).wrench
+    wrench = plan(disturbance=PaperPath(1.0), duration=2.0).wrench
     assert len(wrench) == 501
     t = np.arange(501) / 250.0
     pi, cos, sin = np.pi, np.cos, np.sin
@@ -111,19 +95,19 @@ def test_paper_path_is_sampled_as_printed():
         0.2 * sin(pi * t), 0.2 * cos(pi * t), sin(0.5 * pi * t) ** 2,
     ]  # fmt: skip
     np.testing.assert_allclose(wrench, np.transpose(printed), rtol=0, atol=1e-15)
-    scaled = plan(disturbance="paper_path", duration=2.0, disturbance_scale=0.1).wrench
+    scaled = plan(disturbance="paper_path", duration=2.0).wrench
     np.testing.assert_allclose(scaled, 0.1 * paper_path(t), rtol=0, atol=1e-15)
 
 
 def test_move_follows_its_motion():
-    made = plan(task="move", motion="shake", motion_size=0.02, motion_period=0.5, disturbance="random")
+    made = plan(task=Move("shake", 0.02, 0.5), disturbance="random")
     assert np.abs(made.target[:, 0]).max() == pytest.approx(0.02, rel=1e-3)
     np.testing.assert_allclose(made.target[[0, -1]], resting_target(2), atol=1e-12)
     assert made.wrench.any()
 
 
 def test_payload_changes_the_mass_within_a_tenth_of_a_second():
-    factor = plan(task="payload", payload_factor=0.5, payload_time=1.2).mass_factor
+    factor = plan(task=Payload(0.5, 1.2)).mass_factor
     t = np.arange(1001) / 250.0
     assert (factor[t <= 1.2] == 1.0).all()
     np.testing.assert_allclose(factor[t >= 1.3], 0.5)
@@ -131,8 +115,8 @@ def test_payload_changes_the_mass_within_a_tenth_of_a_second():
     assert factor[round(1.25 * 250)] == pytest.approx(0.75, abs=0.05)
 
 
-def test_six_directions_pushes_in_proportion_to_the_mass_and_ignores_disturbances():
-    made = plan(task="six_directions", disturbance="constant", duration=12.0)
+def test_six_directions_pushes_in_proportion_to_the_mass():
+    made = plan(task="six_directions", duration=12.0)
     assert not made.wrench.any()
     np.testing.assert_allclose(made.push[250], [2.0, 0.0, 0.0])  # 10 N/kg of 0.2 kg
     np.testing.assert_allclose(made.push[-2], [0.0, 0.0, -2.0])
@@ -140,53 +124,56 @@ def test_six_directions_pushes_in_proportion_to_the_mass_and_ignores_disturbance
     assert directions == [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 
 
-def test_the_table_of_tasks_names_what_exists():
-    for name, task in TASKS.items():
-        assert task.disturbance in DISTURBANCES
-        assert np.isfinite(arrays(plan(task=name, duration=task.duration))[0]).all()
-    assert TASKS["six_directions"].duration == 6 * 2.0
-
-
 def test_what_is_not_given_is_the_own_of_the_task_and_of_the_motion():
-    for name, task in TASKS.items():
-        own = EnvConfig(task=name).resolved()
-        assert (own.duration, own.disturbance) == (task.duration, task.disturbance)
-        for motion, size in MOTION_SIZES.items():
-            assert EnvConfig(task=name, motion=motion).resolved().motion_size == size
-        given = EnvConfig(task=name, duration=1.5, disturbance="none", motion_size=0.01).resolved()
-        assert (given.duration, given.disturbance, given.motion_size) == (1.5, "none", 0.01)
+    for kind in TASKS.values():
+        own, task = EnvConfig(task=kind()).resolved(), kind()
+        assert (own.limits.duration, own.disturbance) == (task.duration, task.disturbance)
+        assert np.isfinite(arrays(make_plan(own, np.random.default_rng(0), MASS))[0]).all()
+        given = EnvConfig(task=kind()).override(duration=1.5, disturbance="none").resolved()
+        assert (given.limits.duration, given.disturbance) == (1.5, NoDisturbance())
+    for motion, size in MOTION_SIZES.items():
+        assert (plan(task=Move(motion)).target == plan(task=Move(motion, size)).target).all()
+    assert (SixDirections().duration, SixDirections(push_time=0.5).duration) == (12.0, 3.0)
+    pushed = EnvConfig(task=SixDirections()).resolved().limits
+    assert (pushed.max_drift, pushed.max_tilt) == (0.05, SixDirections.tilt_limit)
+    usual = EnvConfig().resolved().limits
+    assert (usual.max_drift, usual.max_tilt) == (0.02, 0.35)
 
 
 def test_success():
-    for task in ("hold", "move", "payload"):
-        assert succeeded(task, 0.019, 0.3, False)
-        assert not succeeded(task, 0.0, 0.0, True)
+    for task in (Hold(), Move(), Payload()):
+        assert task.succeeded(0.019, 0.3, False)
+        assert not task.succeeded(0.0, 0.0, True)
     limits = {"drift": 0.049, "tilt": np.radians(14.9), "failed": False}
-    assert succeeded("six_directions", **limits) is True
+    assert SixDirections().succeeded(**limits) is True
     for broken in ({"drift": 0.05}, {"tilt": np.radians(15.1)}, {"failed": True}, {"drift": np.nan}, {"tilt": np.nan}):
-        assert succeeded("six_directions", **(limits | broken)) is False
+        assert SixDirections().succeeded(**(limits | broken)) is False
 
 
-@pytest.mark.parametrize("settings", KINDS)
-@pytest.mark.parametrize("size", [0.0, 1e-12, 1e-3, 1e3, 1e12])
-def test_no_setting_gives_numbers_that_are_none(settings, size):
-    base = Settings(**settings)
-    for name in Settings.__dataclass_fields__:
-        if isinstance(getattr(base, name), float) and name != "duration":
-            made = make_plan(replace(base, **{name: size}), np.random.default_rng(0), MASS)
-            assert all(np.isfinite(array).all() for array in arrays(made)), name
-    tiny = make_plan(replace(base, duration=1e-9), np.random.default_rng(0), MASS)
-    assert len(tiny) == 1
-    for rate in (1, 1000):
-        made = make_plan(replace(base, control_rate=rate), np.random.default_rng(0), MASS)
+@pytest.mark.parametrize("record", [*DISTURBANCES.values(), *TASKS.values()])
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-3, 1e3, 1e9])
+def test_no_setting_gives_numbers_that_are_none(record, size):
+    """Every number of a task or disturbance, as small and as large as it may be, and the shortest episodes."""
+    place = "disturbance" if record in DISTURBANCES.values() else "task"
+    for item in fields(record):
+        with suppress(GraspError):  # 0 is not allowed everywhere
+            made = plan(**{place: record(**{item.name: size})})
+            assert all(np.isfinite(array).all() for array in arrays(made)), item.name
+    for others in (
+        {"duration": 1e-9},
+        {"controller": {"rate": 50}},
+        {"controller.rate": 1000, "engine": {"name": "bullet", "rate": 1000}},
+    ):
+        made = plan(**{place: record()}, **others)
         assert all(np.isfinite(array).all() for array in arrays(made))
+        assert len(made) == 1 or "duration" not in others
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("settings", KINDS)
 def test_plans_are_fast(settings):
     """Half a millisecond for 4 s at 250 Hz; the fastest of some, as other work shares the machine."""
-    config, generator = Settings(**settings), np.random.default_rng(0)
+    config, generator = BASE.override(**settings), np.random.default_rng(0)
     spent = []
     for _ in range(50):
         start = time.perf_counter()

@@ -19,6 +19,7 @@ from grasp_env.sim import HandDescription
 from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import _front, _thumb
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
+from grasp_env.task import RandomWrench, SixDirections
 
 ALL = np.arange(4)
 CLOSE = 2e-4
@@ -51,7 +52,7 @@ def limits_of(loop: ForceLoop) -> ForceLimits:
 @pytest.mark.parametrize("limit", [0.62, 0.6])
 def test_torques_are_cut_only_where_clarabel_finds_no_force_within_the_limits(limit):
     """Every tick of six pushes; four fingers must hold, fewer are another grasp."""
-    env = FourFingerGrasp(hand=weak(limit), contact_points=POINTS, task="six_directions", agent_rate=250)
+    env = FourFingerGrasp(hand=weak(limit), contact_points=POINTS, task="six_directions", agent={"rate": 250})
     env.reset(seed=0)
     loop, counts, over = env._loop, {True: 0, False: 0}, False
     ask, seen = loop.tick, {}
@@ -170,7 +171,13 @@ def test_two_fingers_hold_by_torsion(engine):
     pinch = HandDescription.of_fingers([_thumb(), _front("front", 0.0, 1)], "pinch")
     given = {"hand": pinch, "contact_points": ((0.0, 0.0, -0.05), (0.0, 0.0, 0.05)), "engine": engine}
     _, infos = episode(
-        None, seed=1, torsional_friction=0.005, disturbance="random", action_mode="none", duration=2.0, **given
+        None,
+        seed=1,
+        object={"torsional_friction": 0.005},
+        disturbance="random",
+        action_mode="none",
+        duration=2.0,
+        **given,
     )
     last = infos[-1]
     assert last["is_success"]
@@ -178,7 +185,7 @@ def test_two_fingers_hold_by_torsion(engine):
     assert last["status"] == "optimal"
     assert max(info["tilt"] for info in infos) < 0.01
     with pytest.raises(RankDeficientGraspError, match="two soft ones"):
-        FourFingerGrasp(torsional_friction=0.0, **given)
+        FourFingerGrasp(**given)
 
 
 def test_a_joint_that_two_fingers_share_keeps_its_limit():
@@ -194,9 +201,8 @@ def test_a_joint_that_two_fingers_share_keeps_its_limit():
     env = FourFingerGrasp(
         hand=replace(hand, links=tuple(links)),
         contact_points=POINTS,
-        task="six_directions",
-        agent_rate=250,
-        push_time=0.5,
+        task=SixDirections(push_time=0.5),
+        agent={"rate": 250},
     )
     env.reset(seed=0)
     joint, over, torques, limited = hand.joint_names.index(driver), False, [], 0
@@ -219,8 +225,8 @@ def test_coupled_fingers_push_as_they_are_told():
     """
     pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
     env = FourFingerGrasp(
-        hand=replace(planar(True), placed=False), shape="sphere", size=(0.07,), friction=0.8, disturbance="random",
-        random_force=0.2, random_moment=0.005, duration=2.0, engine="mujoco", action_mode="none",
+        hand=replace(planar(True), placed=False), shape="sphere", size=(0.07,), friction=0.8, disturbance=RandomWrench(force=0.2, moment=0.005),
+        duration=2.0, engine="mujoco", action_mode="none",
     )  # fmt: skip
     env.reset(seed=3)
     over, errors, squeezes = False, [], []

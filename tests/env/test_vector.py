@@ -18,9 +18,9 @@ from grasp_env.sim.client import bullet
 
 ENV = "grasp_env:FourFingerGrasp-v0"
 RANDOM = {"disturbance": "random"}
-OBJECTS = {"randomise": ("shape", "size", "mass", "friction")}
+OBJECTS = {"randomize": ("shape", "size", "mass", "friction")}
 ROUND = {"shape": "sphere", "disturbance": "random"}
-NOISY = {"disturbance": "random", "pose_noise": 1e-5, "force_noise": 0.01, "sensor_delay": 0.004}
+NOISY = {"disturbance": "random", "sensors.pose_noise": 1e-5, "controller.force_noise": 0.01, "sensors.delay": 0.004}
 
 
 def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 10) -> bytes:
@@ -100,9 +100,12 @@ def test_objects_of_a_seed():
     assert len(set(seen)) == 3
 
 
-@pytest.mark.parametrize("name", ["shape", "size", "mass", "friction"])
+RANGES = {"shape": True, "size": (0.08, 0.11), "mass": (0.1, 0.3), "friction": (0.4, 0.7)}
+
+
+@pytest.mark.parametrize("name", RANGES)
 def test_only_what_is_named_is_drawn(name):
-    env = FourFingerGrasp(randomise=(name,), mass_range=(0.1, 0.3), size_range=(0.08, 0.11), friction_range=(0.4, 0.7))
+    env = FourFingerGrasp(randomize={name: RANGES[name]})
     drawn: dict[str, set[Any]] = {"shape": set(), "size": set(), "mass": set(), "friction": set()}
     for seed in range(6):
         env.reset(seed=seed)
@@ -192,7 +195,7 @@ def _resident() -> int:
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the system does not tell the memory of a process")
 @pytest.mark.parametrize(
     ("settings", "resets"),
-    [(RANDOM, 600), ({"randomise": ("mass", "friction")}, 200), pytest.param(OBJECTS, 600, marks=pytest.mark.slow)],
+    [(RANDOM, 600), ({"randomize": ("mass", "friction")}, 200), pytest.param(OBJECTS, 600, marks=pytest.mark.slow)],
 )
 def test_memory_is_flat_over_resets(settings, resets):
     env, sizes = FourFingerGrasp(**settings), []

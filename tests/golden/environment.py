@@ -45,7 +45,7 @@ def first_tick(seed: int, learned: bool = False, adjust: float = 0.0, **settings
         settings["initial_force"] = LearnedInitialForce.pretrained()
     import gymnasium as gym  # the other groups need the solver only
 
-    env = gym.make(ENV, **{"agent_rate": 250, **settings})
+    env = gym.make(ENV, **{"agent.rate": 250, **settings})
     try:
         # the second reset of an environment, so that nothing depends on what the process did before
         env.reset(seed=seed + 1)
@@ -104,9 +104,9 @@ def episodes(count: int, **settings: Any) -> list[Outcome]:
     return [Outcome("episodes", f"{count}", extra=table.reshape(-1))]
 
 
-EXACT = {"method": "newton", "tolerance": 1e-15}
+EXACT = {"method": "newton", "solver.tolerance": 1e-15}
 """So that what the force is does not hang on how many steps it took."""
-FLOW = {"method": "reduced_flow", "tolerance": 1e-12}
+FLOW = {"method": "reduced_flow", "solver.tolerance": 1e-12}
 CLOSE = {
     "newton from learned": 1e-7, "reduced_flow": 1e-6, "reduced_flow from single_value": 1e-6, "full_flow": 1e-6,
     "conic": 1e-3, "sphere": 1e-7, "cylinder": 5e-2,
@@ -126,8 +126,8 @@ def cases() -> dict[str, Case]:
         "reduced_flow": FLOW,
         "reduced_flow from single_value": {**FLOW, "initial_force": "single_value"},
         "full_flow": {**FLOW, "method": "full_flow"},
-        "conic": {"method": "conic", "tolerance": 1e-9},
-        "random object": {"randomise": RANDOM},
+        "conic": {"method": "conic", "solver.tolerance": 1e-9},
+        "random object": {"randomize": RANDOM},
         "three fingers": {"hand": "three_finger"},
         "five fingers": {"hand": "five_finger"},
         "four joints a finger": {"hand": "four_finger_4dof"},
@@ -138,24 +138,32 @@ def cases() -> dict[str, Case]:
         "random wrench": {"disturbance": "random"},
         "impulses": {"disturbance": "impulses"},
         "tilting": {"disturbance": "tilting_gravity"},
-        "moving": {"task": "move", "motion": "shake"},
+        "moving": {"task": {"name": "move", "motion": "shake"}},
         "payload": {"task": "payload"},
         "six directions": {"task": "six_directions"},
-        "estimated": {"wrench": "estimated"},
-        "late and noisy": {"sensor_delay": 0.008, "tactile_noise": 0.05, "pose_noise": 1e-5, "force_noise": 0.01},
-        "unequal friction": {"friction_error": 0.1, "friction_margin": 0.7, "barrier_weight": 0.05},
+        "estimated": {"sensors.wrench": "estimated"},
+        "late and noisy": {
+            "sensors.delay": 0.008,
+            "sensors.tactile_noise": 0.05,
+            "sensors.pose_noise": 1e-5,
+            "controller.force_noise": 0.01,
+        },
+        "unequal friction": {
+            "controller": {"friction_error": 0.1, "friction_margin": 0.7},
+            "solver.barrier_weight": 0.05,
+        },
         "contact forces": {"action_mode": "contact_force", "adjust": 0.1},
-        "constant squeeze": {"controller": "constant_squeeze"},
-        "pd": {"controller": "pd"},
+        "constant squeeze": {"controller.kind": "constant_squeeze"},
+        "pd": {"controller.kind": "pd"},
     }
     out = [
         Case(f"first tick, {name}", lambda o={**EXACT, **each}: first_tick(5, **o), close=CLOSE.get(name, 1e-9))
         for name, each in settings.items()
     ]
     many: dict[str, dict[str, Any]] = {
-        "default": {"randomise": RANDOM, "disturbance": "random"},
-        "newton": {"randomise": RANDOM, "disturbance": "random", "method": "newton", "initial_force": "previous"},
-        "estimated": {"disturbance": "impulses", "wrench": "estimated", "tactile_noise": 0.02},
+        "default": {"randomize": RANDOM, "disturbance": "random"},
+        "newton": {"randomize": RANDOM, "disturbance": "random", "method": "newton", "initial_force": "previous"},
+        "estimated": {"disturbance": "impulses", "sensors.wrench": "estimated", "sensors.tactile_noise": 0.02},
         "three fingers": {"hand": "three_finger", "disturbance": "random", "method": "conic"},
     }
     for name, each in many.items():

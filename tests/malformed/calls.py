@@ -6,7 +6,7 @@ import io
 import json
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cache, partial
 from itertools import islice
 from pathlib import Path
@@ -38,6 +38,7 @@ from grasp_env.grasp.transforms import checked_rotation
 from grasp_env.sim import BulletEngine, FingerDescription, HandDescription, MujocoEngine
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
 from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.task import DISTURBANCES, TASKS
 from policies import LearnedInitialForce, ZeroPolicy
 from policies.agent import TrainedAgent
 from training.cli import main
@@ -103,7 +104,7 @@ def _with(make: Callable[[], Any], name: str) -> Callable[..., Any]:
 
 
 def _plan(**settings: Any) -> Any:
-    return make_plan(EnvConfig(**settings).resolved(), np.random.default_rng(0), 0.2)
+    return make_plan(EnvConfig().override(**settings).resolved(), np.random.default_rng(0), 0.2)
 
 
 def _quality(**keywords: Any) -> Any:
@@ -194,7 +195,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "torque_limit": 1.0, "mass": 0.1, "center": (0, 0, 0), "inertia": (1e-4, 0, 0, 1e-4, 0, 1e-4), "collision": (), "visual": (),
         "color": (1, 0, 0), "joint": "",
     }  # fmt: skip
-    settings = {name: getattr(EnvConfig(), name) for name in EnvConfig.__dataclass_fields__}
+    settings = {item.name: getattr(EnvConfig(), item.name) for item in fields(EnvConfig)}
     state = {"grasp": CUBOID, "wrench": PAPER}
     return {
         "Grasp.from_contacts": Call(Grasp.from_contacts, contacts, 4.0),
@@ -345,21 +346,30 @@ def calls(folder: Path) -> dict[str, Call]:
         "with_objective": Call(_with(_learned, "with_objective"), {"objective": f.Objective(2.0, 0.02)}),
         "EnvConfig": Call(EnvConfig, settings, 10.0),
         "MujocoEngine": Call(MujocoEngine, asdict(MujocoEngine())),
-        "BulletEngine": Call(BulletEngine, {"solver_iterations": 20}),
-        "EnvConfig.override": Call(EnvConfig().override, {"friction": 0.4, "size": (0.1, 0.1, 0.1)}),
+        "BulletEngine": Call(BulletEngine, asdict(BulletEngine())),
+        "EnvConfig.override": Call(EnvConfig().override, {"friction": 0.4, "size": (0.1, 0.1, 0.1), "sensors": {"delay": 0.0}, "disturbance": {"name": "random", "force": 1.0}}),
         **{
-            f"plan of {task}": Call(_plan, {**{n: settings[n] for n in names}, "task": task}, 1.0)
-            for task, names in {
-                "hold": ("duration", "disturbance", "disturbance_value", "disturbance_scale", "random_force", "random_time",
-                         "impulse_force", "impulse_time", "impulse_interval", "tilt_angle", "tilt_period", "gravity"),
-                "move": ("duration", "motion", "motion_size", "motion_period", "control_rate"),
-                "payload": ("payload_factor", "payload_time", "duration"),
-                "six_directions": ("push_per_mass", "push_time", "duration", "gravity"),
-            }.items()
+            f"plan of {name}": Call(
+                lambda limits, controller, name=name, place=place, **k: _plan(
+                    **{place: {"name": name, **k}}, limits={"duration": limits}, controller={"rate": controller}
+                ),
+                {item.name: item.default for item in fields(record)} | {"limits": 1.0, "controller": 250},
+            )
+            for place, table in (("disturbance", DISTURBANCES), ("task", TASKS)) for name, record in table.items()
         },
+        **{
+            f"EnvConfig of {name}": Call(lambda name=name, **k: EnvConfig().override(**{name: k}), vars(getattr(EnvConfig(), name)), 2.0)
+            for name in ("sensors", "solver", "controller", "agent", "reward", "limits", "pictures")
+        },
+        "EnvConfig.from_dict": Call(lambda **k: EnvConfig.from_dict(k), EnvConfig().to_dict(), 3.0),
+        "EnvConfig.from_json": Call(EnvConfig.from_json, {"text": EnvConfig().to_json()}),
+        "EnvConfig.drawn": Call(
+            lambda **k: EnvConfig().override(randomize=k).drawn(np.random.default_rng(0)),
+            {"mass": (0.1, 0.2), "size": (0.07, 0.12), "gravity": lambda rng: (0.0, -9.81, 0.0), "shape": True}, 2.0,
+        ),
         "ObjectDescription": Call(
             ObjectDescription,
-            {"shape": "cuboid", "size": (0.1, 0.1, 0.1), "mass": 0.2, "friction": 0.4, "inertia": (1e-4, 1e-4, 1e-4), "mesh": None}, 2.0,
+            {"shape": "cuboid", "size": (0.1, 0.1, 0.1), "mass": 0.2, "friction": 0.4, "inertia": (1e-4, 1e-4, 1e-4), "mesh": None, "torsional_friction": 0.0}, 2.0,
         ),
         "FingerDescription": Call(
             _chain(FingerDescription, "fingertip"),
@@ -394,7 +404,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "LearnedInitialForce.load": Call(LearnedInitialForce.load, {"path": str(folder / "none"), "remembers": False}),
         "ZeroPolicy": Call(lambda action_size, observation: ZeroPolicy(action_size).predict(observation)[0],
                            {"action_size": 6, "observation": np.zeros(10)}),
-        "make": Call(FourFingerGrasp, {"render_mode": "ascii", "initial_force": None, "config": None, "friction": 0.4}, 0.3),
+        "make": Call(FourFingerGrasp, {"render_mode": "ascii", "config": None, "friction": 0.4}, 0.3),
         "reset": Call(lambda **k: _env().reset(**k)[0], {"seed": 0, "options": {"wrench": PAPER}}, 0.5),
         "step": Call(_step, {"action": np.zeros(6, dtype=np.float32)}),
         "grasp solve": Call(

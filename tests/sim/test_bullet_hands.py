@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from grasp_env.sim import HandKinematics, ObjectDescription, SceneConfig
+from grasp_env.sim import BulletEngine, HandKinematics, ObjectDescription, SceneConfig
 from grasp_env.sim.bullet import Bullet
 from grasp_env.sim.client import bullet
 from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription, Link, Mimic, Palm
@@ -41,7 +41,7 @@ def coupled_finger(mass: float, count: int = 3, heavy_end: float = 0.0) -> HandD
 
 def loaded(hand: HandDescription) -> Bullet:
     config = SceneConfig(
-        hand=hand, object=ObjectDescription("sphere", (0.06,)), contact_points=((0.0, 0.0, 0.03),), physics_rate=RATE, gravity=(0, 0, 0)
+        hand=hand, object=ObjectDescription("sphere", (0.06,)), contact_points=((0.0, 0.0, 0.03),), engine=BulletEngine(rate=RATE), gravity=(0, 0, 0)
     )  # fmt: skip
     made = Bullet(hand)
     made.load(config, np.array(hand.home))
@@ -141,7 +141,7 @@ def test_links_that_always_overlap_do_not_push_each_other_apart() -> None:
     tips = tuple(Fingertip(name, name, (0.0, 0.1, 0.0), 0.005) for name in ("a", "b"))
     config = SceneConfig(
         hand=HandDescription("pair", Palm(), links, tips, home=(0.3, -0.3)), object=ObjectDescription("sphere", (0.06,)),
-        contact_points=((0.0, 0.0, 0.03), (0.0, 0.0, -0.03)), physics_rate=RATE, gravity=(0, 0, 0),
+        contact_points=((0.0, 0.0, 0.03), (0.0, 0.0, -0.03)), engine=BulletEngine(rate=RATE), gravity=(0, 0, 0),
     )  # fmt: skip
     simulator = Bullet(config.hand)
     simulator.load(config, np.array(config.hand.home))

@@ -10,7 +10,7 @@ from hands import scene_alone
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
-from grasp_env.sim import Scene, Snapshot
+from grasp_env.sim import BulletEngine, Scene, Snapshot
 from grasp_env.sim.client import bullet
 
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
@@ -321,7 +321,11 @@ def test_a_link_that_pushes_the_object_is_seen(make_scene: Callable[..., Scene])
     """The straight thumb swings against a low box: its link arrives at the lower edge, its tip is further down."""
     points = ((0.0, 0.0, -0.05), (0.0, 0.02, 0.05), (-0.03, -0.01, 0.05), (0.03, -0.01, 0.05))
     scene = make_scene(
-        size=(0.1, 0.06, 0.1), contact_points=points, clearance=0.02, gravity=(0.0, 0.0, 0.0), physics_rate=1000.0
+        size=(0.1, 0.06, 0.1),
+        contact_points=points,
+        clearance=0.02,
+        gravity=(0.0, 0.0, 0.0),
+        engine=BulletEngine(rate=1000),
     )
     first = scene.look().angles.copy()
     for step in range(600):

@@ -82,19 +82,29 @@ def test_every_second_step_is_a_frame_and_a_stopped_film_leaves_an_older_one(tmp
 
 def test_a_film_says_how_it_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.png"
-    settings = {"task": "move", "motion": "rotate", "disturbance": "impulses"}
-    options = [word for name, value in settings.items() for word in (f"--{name}", value)]
-    assert main(["demo", "--video", str(out), "--seconds", "0.2", "--size", "320", "240", *options]) == 0
+    settings = {
+        "task": {"name": "move", "motion": "rotate"},
+        "disturbance": {"name": "impulses", "force": 2.0},
+        "mass": 0.25,
+    }
+    options = "--task move --motion rotate --disturbance impulses --setting disturbance.force=2 --setting mass=0.25"
+    assert main(["demo", "--video", str(out), "--seconds", "0.2", "--size", "320", "240", *options.split()]) == 0
     assert re.fullmatch(r"held 0\.2 s, drift 0\.\d\d mm: .*out\.png", capsys.readouterr().out.replace("\n", ""))
-    record(tmp_path / "again.png", 0.2, "linear_combination", render_size=(320, 240), **settings)
+    record(tmp_path / "again.png", 0.2, "linear_combination", pictures={"size": (320, 240)}, **settings)
     assert (tmp_path / "again.png").read_bytes() == out.read_bytes()
-    lost = record(out, 1.0, controller="pd", disturbance="paper_path", disturbance_scale=1.0, render_size=(160, 160))
+    lost = record(
+        out,
+        1.0,
+        controller={"kind": "pd"},
+        disturbance={"name": "paper_path", "scale": 1.0},
+        pictures={"size": (160, 160)},
+    )
     assert str(lost) == f"lost after {lost.seconds:.1f} s: the object left its place"
     assert lost.seconds < 1.0
 
 
 def test_gymnasiums_recorder_films_it(tmp_path: Path) -> None:
-    env = gym.make("grasp_env:FourFingerGrasp-v0", render_mode="rgb_array", duration=0.1, render_size=(160, 160))
+    env = gym.make("grasp_env:FourFingerGrasp-v0", render_mode="rgb_array", duration=0.1, pictures={"size": (160, 160)})
     film = RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda episode: True, disable_logger=True)
     for _ in range(2):
         film.reset(seed=0)

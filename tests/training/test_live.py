@@ -55,7 +55,7 @@ def bare() -> Iterator[BareContacts]:
 
 @pytest.fixture
 def hand() -> Iterator[SimulatedHand]:
-    page = SimulatedHand(0, EnvConfig(hand=HANDS["four_finger"](), method="newton"), rule)
+    page = SimulatedHand(0, EnvConfig().override(hand=HANDS["four_finger"](), method="newton"), rule)
     page.draw()
     yield page
     page.server.stop()
@@ -402,7 +402,7 @@ def test_the_mouse_pulls_the_object_until_it_is_lost(hand):
     hand.step(0.0)
     assert "simulation diverged" in panel(hand)
     assert hand.status()[1] == "held"
-    hand._config = hand._config.override(max_drift=1e-9)
+    hand._config = hand._config.override(limits={"max_drift": 1e-9})
     hand.advance(25)
     assert "It moved" in hand.status()[2]
 

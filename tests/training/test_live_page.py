@@ -120,7 +120,7 @@ def test_load_and_contacts_follow_the_mouse_and_a_recording_opens_from_disk(tab,
 
 
 def test_the_hand_is_pulled_with_the_mouse(tab, tmp_path):
-    page = SimulatedHand(0, EnvConfig(hand=HANDS["four_finger"](), method="newton"), rule)
+    page = SimulatedHand(0, EnvConfig().override(hand=HANDS["four_finger"](), method="newton"), rule)
     with shown(tab, page):
         assert share(tab, tmp_path / "hand.png") > 0.1
         start = on_screen(tab, page, [0.5, -0.3, 0.3])

@@ -79,7 +79,7 @@ def test_a_run_leaves_rows_and_no_pickle(ppo):
     assert sizes.tolist() == [200] * 2 + [100] * 6  # two training seeds
     assert held_out["held"].count() == 10  # one outcome for each episode
     # what an environment says of the paper's start, step by step
-    env: Any = gym.make(f"grasp_env:{ENV_ID}", **RLConfig().env_settings)
+    env: Any = gym.make(f"grasp_env:{ENV_ID}", config=RLConfig().env_settings)
     mine, total = held_out[(held_out["agent"] == "zero") & (held_out["seed"] == HELD_OUT_SEED + 1)], 0.0
     env.reset(seed=HELD_OUT_SEED + 1)
     for iterations in mine["iterations"]:
@@ -414,7 +414,7 @@ def test_wrong_settings(wrong):
 
 
 def test_agents_are_paid_what_the_environment_pays_but_for_a_loss():
-    paid, usual = RLConfig().env_settings, EnvConfig()
-    for name in ("held_reward", "iteration_cost", "force_cost"):
+    paid, usual = RLConfig().env_settings["reward"], EnvConfig().reward
+    for name in ("held", "iteration_cost", "force_cost"):
         assert paid[name] == getattr(usual, name) > 0.0
     assert 0.0 < paid["failure_cost"] < usual.failure_cost

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from grasp_env._extras import need
 from grasp_env.task import DISTURBANCES, MOTIONS, TASKS
-from training.commands.options import left_out, listed, one_of
+from training.commands.options import left_out, listed, one_of, settings_of, told
 from training.commands.rules import rule
 
 
@@ -22,11 +22,8 @@ class Demo:
 
     Attributes:
         video: .mp4, .gif or .webp for a video, .png for its last picture.
-        task: what is asked of the grasp.
-        disturbance: what acts on the object.
-        motion: of the object, of task move.
-        shape: of the object.
-        hand: a built-in one.
+        setting: more settings of the environment, each PATH=VALUE: sensors.delay=0.01, controller.kind=pd,
+            disturbance='{"name": "random", "force": 2}'.
         seconds: simulated time.
         initial: start rule, "learned" for the shipped network, or the path of a fitted one.
         agent: a seed's folder of `grasp rl`, runs/rl/agent/seed-0: it acts, in the environment that it was trained in.
@@ -35,11 +32,14 @@ class Demo:
     """
 
     video: Path = Path("hand.mp4")
-    task: Annotated[str, one_of(TASKS)] = "hold"
-    disturbance: Annotated[str, one_of(DISTURBANCES), left_out("the task's own, of hold paper_path")] = ""
-    motion: Annotated[str, one_of(MOTIONS)] = "lift"
-    shape: Annotated[str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH")] = "cuboid"
-    hand: Annotated[str, listed("grasp_env.sim", "HANDS")] = "four_finger"
+    task: Annotated[str, one_of(TASKS), told("task")] = "hold"
+    disturbance: Annotated[str, one_of(DISTURBANCES), told("disturbance", "the task's own, of hold paper_path")] = ""
+    motion: Annotated[str, one_of(MOTIONS), told("task.motion")] = "lift"
+    shape: Annotated[str, listed("grasp_env.sim.objects.description", "SHAPES_WITHOUT_MESH"), told("object.shape")] = (
+        "cuboid"
+    )
+    hand: Annotated[str, listed("grasp_env.sim", "HANDS"), told("hand")] = "four_finger"
+    setting: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="PATH=VALUE")] = ()
     seconds: Annotated[float, left_out("the task's own")] = 0.0
     initial: str = "linear_combination"
     agent: Path | None = None
@@ -55,18 +55,18 @@ class Demo:
         from training.demo import record
 
         agent = None if self.agent is None else TrainedAgent.load(self.agent)
-        settings = {} if agent is None else dict(agent.meta["env_settings"])
-        start = settings.pop("initial_force", None)
-        settings |= {name: getattr(self, name) for name in ("task", "motion", "shape", "hand")}
+        settings: dict[str, Any] = {"task": self.task, "shape": self.shape, "hand": self.hand}
+        if self.task == "move":
+            settings["task.motion"] = self.motion
         if self.disturbance or agent is None:
             settings["disturbance"] = self.disturbance or ("paper_path" if self.task == "hold" else None)
         ending = record(
             self.video,
             self.seconds or None,
-            rule(self.initial) if agent is None else start,
+            rule(self.initial) if agent is None else None,
             self.seed,
             policy=agent,
-            render_size=self.size,
-            **settings,
+            config=None if agent is None else agent.meta["env_settings"],
+            **{"pictures.size": self.size, **settings, **settings_of(self.setting)},
         )
         Console().print(f"{ending}: {self.video}", highlight=False)

@@ -88,5 +88,5 @@ class Live:
             tips, limit = self.fingertips or None, self.torque_limit or None
             hand = HANDS[name]() if name in HANDS else HandDescription.from_urdf(name, tips, torque_limit=limit)
         sys.stderr.writelines(f"grasp: repaired: {warning.message}\n" for warning in told)
-        config = EnvConfig(hand=hand, shape=self.shape, method=self.method)
+        config = EnvConfig().override(hand=hand, shape=self.shape, method=self.method)
         return SimulatedHand(self.port, config, rule)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from importlib import import_module
 from typing import Annotated, Any
 
 import tyro
 
-from grasp_env.errors import MissingExtraError
+from grasp_env.errors import InvalidInputError, MissingExtraError
 
 
 def one_of(names: Iterable[str]) -> tyro.constructors.PrimitiveConstructorSpec[str]:
@@ -27,6 +28,37 @@ def one_of(names: Iterable[str]) -> tyro.constructors.PrimitiveConstructorSpec[s
 def left_out(otherwise: str, what: str | None = None) -> Any:
     """Shows `otherwise` as the default of an option whose default is no value of its own, and `what` as what it takes."""
     return tyro.conf.arg(metavar=what, help_behavior_hint=f"(default: {otherwise})")
+
+
+def told(path: str, otherwise: str | None = None) -> Any:
+    """Takes an option's help from the environment's setting at this path; `otherwise` as of `left_out`."""
+    try:
+        sentence = import_module("grasp_env.config").all_settings()[path].about.doc
+    except MissingExtraError:  # the command names the extra
+        sentence = "see the page of settings."
+    return tyro.conf.arg(help=sentence, help_behavior_hint=None if otherwise is None else f"(default: {otherwise})")
+
+
+def settings_of(words: Iterable[str]) -> dict[str, Any]:
+    """Settings of the environment from words PATH=VALUE; values are JSON, or else text.
+
+    Raises:
+        InvalidInputError: a word without "=".
+
+    Example:
+        >>> settings_of(["controller.kind=pd", "sensors.delay=0.01"])
+        {'controller.kind': 'pd', 'sensors.delay': 0.01}
+    """
+    made: dict[str, Any] = {}
+    for word in words:
+        path, equals, text = word.partition("=")
+        if not equals:
+            raise InvalidInputError(f"a setting is given as PATH=VALUE, such as sensors.delay=0.01, got {word!r}")
+        try:
+            made[path] = json.loads(text)
+        except (ValueError, RecursionError):
+            made[path] = text
+    return made
 
 
 Wrench = Annotated[tuple[float, float, float, float, float, float], tyro.conf.arg(metavar="FX FY FZ MX MY MZ")]

@@ -9,7 +9,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any
 
@@ -19,14 +19,13 @@ from rich.console import Console
 from grasp_env._check import choice, together
 from grasp_env._extras import need
 from grasp_env.config import EnvConfig
+from grasp_env.config.randomize import OBJECT as RANDOM_OBJECT
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError
 from grasp_env.force import InitialForceRule
 from grasp_env.sim import HandKinematics, ObjectDescription
-from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping.points import grasp_points
 from grasp_env.sim.hand.description import HANDS, HandDescription
-from grasp_env.sim.objects.description import random_object
 from training.compare.scenarios import (
     ENGINES,
     HOLDS_OF_STARTS,
@@ -133,7 +132,7 @@ def run(
         console: for the progress bar and for what was repaired in URDFs.
     """
     console, plan = console or Console(stderr=True), config.plan() if plan is None else plan
-    if any(ENGINES[engine].get("engine") == "mujoco" for scenario in plan for engine in scenario.engines):
+    if any(ENGINES[engine]["engine"]["name"] == "mujoco" for scenario in plan for engine in scenario.engines):
         need("mujoco")
     for name in config.hands:
         _print_repairs(name, console)
@@ -188,13 +187,12 @@ def trial(
     config, redrawn = settings_of(settings), 0
     if random_objects:
         item, points, redrawn = draw_object(seed, config)
-        config = config.override(
-            shape=item.shape, size=item.size, object_mass=item.mass, friction=item.friction,
-            contact_points=tuple(map(tuple, points.tolist())),
-        )  # fmt: skip
+        config = config.override(object=item, contact_points=points, randomize=())
+    if rule is not None:
+        config = config.override(initial_force=rule)
     row: dict[str, Any] = {"redrawn": redrawn, **_object(config)}
     try:
-        env = FourFingerGrasp(initial_force=rule, config=config)
+        env = FourFingerGrasp(config=config)
         try:
             infos = [step.info for step in episode(env, seed)]
         finally:
@@ -206,15 +204,16 @@ def trial(
 
 
 def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.ndarray, int]:
-    """The random object of a seed: any shape, size, mass and friction of the config's ranges that the hand can reach.
+    """The random object of a seed: any shape, size, mass and friction in the ranges of `randomize` that the hand can reach.
 
     Returns:
         The object, its contact points (N, 3) [m] in the object frame, and how many objects drawn before it no grasp was found for.
         None of it depends on the controller or the engine. A hand without a place of its own goes to every object anew: no points.
     """
     rng, kinematics = np.random.default_rng([seed, 0x0B1EC7]), _kinematics(config.hand)
+    drawn = EnvConfig().override(randomize={**RANDOM_OBJECT, **dict(config.randomize)})
     for redrawn in range(_REDRAWS):
-        item = random_object(rng, size=config.size_range, mass=config.mass_range, friction=config.friction_range)
+        item = drawn.drawn(rng).object
         if not kinematics.hand.placed:
             return item, np.zeros((0, 3)), 0
         try:
@@ -225,14 +224,9 @@ def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.nda
 
 
 def settings_of(settings: dict[str, Any]) -> EnvConfig:
-    """The environment's settings of a scenario: "hand" may be a URDF's path, "engine_settings" are the engine's own."""
-    made = dict(settings)
-    if "hand" in made:
-        made["hand"] = _hand(made["hand"])
-    own = made.pop("engine_settings", None)
-    if own is not None:
-        made["engine"] = replace(engine_of(made["engine"]), **own)
-    return EnvConfig().override(**made)
+    """The environment's settings of a scenario; "hand" may be a URDF's path."""
+    hand = {"hand": _hand(settings["hand"])} if "hand" in settings else {}
+    return EnvConfig().override(**{**settings, **hand})
 
 
 def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -266,12 +260,12 @@ def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _object(config: EnvConfig, info: dict[str, Any] | None = None) -> dict[str, Any]:
-    size = [*config.size, None, None, None][:3]
+    item, size = config.object, [*config.object.size, None, None, None][:3]
     return {
-        "shape": info["object_shape"] if info else config.shape,
+        "shape": info["object_shape"] if info else item.shape,
         **dict(zip(("size_x", "size_y", "size_z"), size, strict=True)),
-        "mass": info["object_mass"] if info else config.object_mass,
-        "friction": info["object_friction"] if info else config.friction,
+        "mass": info["object_mass"] if info else item.mass,
+        "friction": info["object_friction"] if info else item.friction,
     }
 
 
@@ -300,7 +294,7 @@ def _speeds(plan: Sequence[Scenario]) -> dict[str, float]:
     out: dict[str, float] = {}
     for name, settings in first.items():
         try:
-            env = FourFingerGrasp(config=settings_of(settings))
+            env = FourFingerGrasp(config=settings_of(settings).override(randomize=()))
         except GraspError:
             continue
         try:

@@ -27,7 +27,7 @@ IMPACT = 0.25
 """Of the ball's radius: a wrench that moves by more between two steps is an impact."""
 SLIP = (0.003, 0.010)
 """[m] least and largest slip."""
-RANDOM_OBJECTS: dict[str, Any] = {"randomise": ("shape", "size", "mass", "friction")}
+RANDOM_OBJECTS: dict[str, Any] = {"randomize": ("shape", "size", "mass", "friction")}
 
 
 class Recorder:
@@ -115,7 +115,7 @@ CASES: dict[str, Callable[[np.random.Generator, int], list[Case]]] = {
     "rollout_cold": _cold,
     "rollout_moving": _moving,
     "rollout_impulses": _impulses,
-    "rollout_fixed": partial(_impulses, hands=("four_finger",), randomise=()),
+    "rollout_fixed": partial(_impulses, hands=("four_finger",), randomize=()),
     "rollout_changes": _changes,
 }
 """Makers of the recorded sets; they make fewer cases than asked only where the roll-outs hold fewer."""

@@ -36,37 +36,37 @@ class Scenario:
 
 
 ENGINES: dict[str, dict[str, Any]] = {
-    "bullet": {},
-    "mujoco": {"engine": "mujoco"},
-    "bullet_1000": {"physics_rate": 1000},
-    "pyramidal": {"engine": "mujoco", "engine_settings": {"cone": "pyramidal"}},
-    "soft": {"engine": "mujoco", "engine_settings": {"time_constant": 0.02, "impedance": (0.9, 0.95, 1e-3, 0.5, 2.0), "impratio": 1.0}},
-    "noslip": {"engine": "mujoco", "engine_settings": {"noslip_iterations": 20}},
+    "bullet": {"engine": {"name": "bullet"}},
+    "mujoco": {"engine": {"name": "mujoco"}},
+    "bullet_1000": {"engine": {"name": "bullet", "rate": 1000}},
+    "pyramidal": {"engine": {"name": "mujoco", "cone": "pyramidal"}},
+    "soft": {"engine": {"name": "mujoco", "time_constant": 0.02, "impedance": (0.9, 0.95, 1e-3, 0.5, 2.0), "impratio": 1.0}},
+    "noslip": {"engine": {"name": "mujoco", "noslip_iterations": 20}},
 }  # fmt: skip
-"""Settings of the environment by name; `engine_settings` are the fields of the engine's own record."""
+"""Settings of the environment by name."""
 BOTH = ("bullet", "mujoco")
 PRESETS = ("four_finger", "allegro", "leap")
 """Hands of the comparison of engines where none are named."""
 CONTROLLERS: dict[str, dict[str, Any]] = {
     "paper": {},
-    "estimated": {"wrench": "estimated"},
-    "constant_squeeze": {"controller": "constant_squeeze"},
-    "pd": {"controller": "pd"},
+    "estimated": {"sensors.wrench": "estimated"},
+    "constant_squeeze": {"controller.kind": "constant_squeeze"},
+    "pd": {"controller.kind": "pd"},
 }
 BASELINES = ("constant_squeeze", "pd")
 ERRORS: dict[str, dict[str, Any]] = {
-    "friction": {"friction_error": 0.25},
-    "delay": {"sensor_delay": 0.010},
-    "tactile": {"tactile_noise": 0.05},
-    "force": {"force_noise": 0.05},
+    "friction": {"controller.friction_error": 0.25},
+    "delay": {"sensors.delay": 0.010},
+    "tactile": {"sensors.tactile_noise": 0.05},
+    "force": {"controller.force_noise": 0.05},
 }
-SAFE_START = {"friction_margin": 0.6}
+SAFE_START = {"controller.friction_margin": 0.6}
 """Friction margin of the baselines where friction is over-estimated: all controllers start from the optimised grasp, which then settles."""
 ALL_ERRORS: dict[str, Any] = {name: value for error in ERRORS.values() for name, value in error.items()}
 RANDOM_WRENCH: dict[str, Any] = {
-    "disturbance": "random", "random_force": 2.0, "random_moment": 0.06, "duration": 4.0,
+    "disturbance": {"name": "random", "force": 2.0, "moment": 0.06}, "duration": 4.0,
 }  # fmt: skip
-WEAK_WRENCH: dict[str, Any] = {"disturbance": "random", "random_force": 0.6, "random_moment": 0.02, "duration": 4.0}
+WEAK_WRENCH: dict[str, Any] = {"disturbance": {"name": "random", "force": 0.6, "moment": 0.02}, "duration": 4.0}
 CURVES: dict[str, dict[str, Any]] = {
     "mild": {**ERRORS["friction"], **ERRORS["force"], **SAFE_START},
     "all": {**ALL_ERRORS, **SAFE_START},
@@ -75,12 +75,12 @@ CURVES: dict[str, dict[str, Any]] = {
 MARGINS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 1.0)
 SQUEEZES = (10.0, 20.0, 40.0, 60.0, 80.0, 120.0)
 SMALL_OBJECTS: dict[str, Any] = {
-    "size_range": (0.04, 0.08), "mass_range": (0.05, 0.3), "friction_range": (0.5, 1.0),
+    "randomize": {"shape": True, "size": (0.04, 0.08), "mass": (0.05, 0.3), "friction": (0.5, 1.0)},
 }  # fmt: skip
 """Objects for hands of a human's size."""
 OBJECTS: dict[str, dict[str, Any]] = {
-    "cube": {"shape": "cuboid", "size": (0.05, 0.05, 0.05), "object_mass": 0.15, "friction": 0.7},
-    "sphere": {"shape": "sphere", "size": (0.06,), "object_mass": 0.15, "friction": 0.7},
+    "cube": {"shape": "cuboid", "size": (0.05, 0.05, 0.05), "mass": 0.15, "friction": 0.7},
+    "sphere": {"shape": "sphere", "size": (0.06,), "mass": 0.15, "friction": 0.7},
     "random": SMALL_OBJECTS,
 }
 PUSHES: dict[str, dict[str, Any]] = {
@@ -93,21 +93,21 @@ PATH_SCALE = 0.1
 HOLDS_OF_STARTS: dict[str, dict[str, Any]] = {
     "gravity": {"disturbance": "none"},
     "constant": {"disturbance": "constant"},
-    "paper_path": {"disturbance": "paper_path", "disturbance_scale": PATH_SCALE},
+    "paper_path": {"disturbance": {"name": "paper_path", "scale": PATH_SCALE}},
     "random": {"disturbance": "random"},
-    "late": {"disturbance": "random", "wrench_delay": 1},
-    "unknown": {"disturbance": "random", "wrench": "none"},
-    "impulses": {"disturbance": "impulses", "randomise": ("shape", "size", "mass", "friction")},
+    "late": {"disturbance": "random", "sensors.wrench_delay": 1},
+    "unknown": {"disturbance": "random", "sensors.wrench": "none"},
+    "impulses": {"disturbance": "impulses", "randomize": ("shape", "size", "mass", "friction")},
 }
 """Scenarios of the four-finger hand in which starts are compared; their rows have the case hold_<name>."""
 RANDOM_STARTS = ("random", "late", "unknown", "impulses")
 """Those of them in which something is random."""
 
 _ERROR_LABELS = {
-    "friction": f"friction over-estimated by {100 * ALL_ERRORS['friction_error']:g} %",
-    "delay": f"everything measured {1e3 * ALL_ERRORS['sensor_delay']:g} ms late",
-    "tactile": f"tactile noise {100 * ALL_ERRORS['tactile_noise']:g} %",
-    "force": f"motor torque noise {100 * ALL_ERRORS['force_noise']:g} %",
+    "friction": f"friction over-estimated by {100 * ALL_ERRORS['controller.friction_error']:g} %",
+    "delay": f"everything measured {1e3 * ALL_ERRORS['sensors.delay']:g} ms late",
+    "tactile": f"tactile noise {100 * ALL_ERRORS['sensors.tactile_noise']:g} %",
+    "force": f"motor torque noise {100 * ALL_ERRORS['controller.force_noise']:g} %",
 }
 _OBJECT_LABELS = {"cube": "cube of 50 mm", "sphere": "sphere of 60 mm", "random": "random objects"}
 _PUSH_LABELS = {"gravity": "gravity", "random": "random wrench", "six_directions": "six pushes"}
@@ -157,7 +157,7 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
         case: str, key: str, count: int, settings: dict[str, Any], swept: dict[str, float] | None = None
     ) -> Scenario:
         swept = swept or {}
-        own = {**settings, **CONTROLLERS[key], **swept}
+        own = {**settings, **CONTROLLERS[key], **{f"controller.{name}": value for name, value in swept.items()}}
         return Scenario(case, {"controller": key, **swept}, count, own, random_objects=not case.startswith("path"))
 
     plan = [scenario("objects", key, episodes, RANDOM_WRENCH) for key in CONTROLLERS]
@@ -166,7 +166,7 @@ def controllers_plan(episodes: int, quick: bool = False) -> list[Scenario]:
         for key in CONTROLLERS
     ]
     for scale in (0.25, 1.0):  # nothing is random here: one episode says it all
-        path = {"disturbance": "paper_path", "disturbance_scale": scale, "duration": 4.0}
+        path = {"disturbance": {"name": "paper_path", "scale": scale}, "duration": 4.0}
         plan += [scenario(f"path_{scale:g}", key, 1, path) for key in CONTROLLERS]
     for error, wrong in ERRORS.items():
         for key in CONTROLLERS:
@@ -195,18 +195,18 @@ def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
         if hand != "four_finger":
             plan.append(Scenario("weak", keys, episodes, {"hand": hand, **SMALL_OBJECTS, **WEAK_WRENCH}, BOTH))
             continue
-        third, safe = max(1, episodes // 3), {"friction_margin": 0.6}
+        third, safe = max(1, episodes // 3), {"controller.friction_margin": 0.6}
         wrong = {**ERRORS["friction"], **ERRORS["force"]}
         for case, engines, count, settings in (
             ("objects", BOTH, episodes, RANDOM_WRENCH),
             ("contacts", ("bullet", "mujoco", "bullet_1000", "noslip", "pyramidal", "soft"), third, RANDOM_WRENCH),
-            ("margin", (*BOTH, "pyramidal", "soft"), third, {**RANDOM_WRENCH, "friction_margin": 0.7}),
+            ("margin", (*BOTH, "pyramidal", "soft"), third, {**RANDOM_WRENCH, "controller.friction_margin": 0.7}),
             ("six_directions", BOTH, third, {"task": "six_directions"}),
-            ("estimated", (*BOTH, "bullet_1000"), episodes, {**RANDOM_WRENCH, "wrench": "estimated"}),
+            ("estimated", (*BOTH, "bullet_1000"), episodes, {**RANDOM_WRENCH, "sensors.wrench": "estimated"}),
             ("friction_force", BOTH, third, {**RANDOM_WRENCH, **wrong, **safe}),
             ("all_safe", BOTH, third, {**RANDOM_WRENCH, **ALL_ERRORS, **safe}),
-            ("squeeze", BOTH, third, {**RANDOM_WRENCH, "controller": "constant_squeeze"}),
-            ("pd", BOTH, third, {**RANDOM_WRENCH, "controller": "pd"}),
+            ("squeeze", BOTH, third, {**RANDOM_WRENCH, "controller.kind": "constant_squeeze"}),
+            ("pd", BOTH, third, {**RANDOM_WRENCH, "controller.kind": "pd"}),
         ):
             plan.append(Scenario(case, keys, count, {"hand": hand, **settings}, tuple(engines)))
     return plan

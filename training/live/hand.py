@@ -51,9 +51,9 @@ class SimulatedHand(Window):
     period: float | None = 1.0 / 30.0
 
     def __init__(self, port: int, config: EnvConfig, rule: Callable[[str], str | InitialForceRule]) -> None:
-        self._config = replace(config, task="hold", disturbance="none", randomise=()).resolved()
+        self._config = config.override(task="hold", disturbance="none", randomize=()).resolved()
         self._rule, self._target, self._trouble = rule, resting_target(1)[0], []
-        self._settings = config.shape, 100, config.method, STARTS[0]
+        self._settings = config.object.shape, 100, config.solver.method, STARTS[0]
         self.stage, self.loop = self._made(*self._settings)
         super().__init__(port, HINT)
         self._add_controls()
@@ -95,7 +95,7 @@ class SimulatedHand(Window):
             for _ in range(0 if self._gone else ticks):
                 force = scene.look().rotation.T @ self.pull()
                 wrench = np.array([*force, *np.cross(self.grip, force)])
-                due = round(self.time / loop.dt) % (config.control_rate // config.agent_rate) == 0
+                due = round(self.time / loop.dt) % (config.controller.rate // config.agent.rate) == 0
                 if due:
                     loop.begin_step()
                 scene.advance(loop.tick(wrench, scene.gravity, self._target, due), wrench.tolist())
@@ -105,11 +105,11 @@ class SimulatedHand(Window):
             self._trouble = [f"The hand took hold again, as the simulation ended: {error}"]
             self._take_hold()
         self.outcome = loop.outcome(self._target, self._error, self._measured)
-        drift, tilt = self.outcome.drift, self.outcome.tilt
+        drift, tilt, limits = self.outcome.drift, self.outcome.tilt, config.limits
         self._gone = drift > 1.0
-        if drift > (config.max_drift or math.inf) or tilt > (config.max_tilt or math.inf):
+        if drift > (limits.max_drift or math.inf) or tilt > (limits.max_tilt or math.inf):
             self._lost = self._lost or f"It moved {1e3 * drift:.0f} mm and turned {math.degrees(tilt):.0f} degrees."
-        elif self._open > config.max_contact_gap:
+        elif self._open > limits.max_contact_gap:
             self._lost = self._lost or "The fingers that still touch it cannot balance the load."
 
     def status(self) -> tuple[Mood, str, str]:
@@ -123,9 +123,9 @@ class SimulatedHand(Window):
         return "good", "held", "The fingers balance gravity and the pull, every commanded force inside its cone."
 
     def _made(self, shape: str, motors: int, method: str, start: str) -> tuple[Stage, ForceLoop]:
-        hand = self._config.hand
+        hand: Any = self._config.hand
         links = tuple(replace(link, torque_limit=0.01 * motors * link.torque_limit) for link in hand.links)
-        config = replace(self._config, hand=replace(hand, links=links), shape=shape, method=method)
+        config = self._config.override(hand=replace(hand, links=links), shape=shape, method=method)
         loop = ForceLoop(config, "linear_combination" if method == "conic" else self._rule(start))
         return Stage(config, loop, False, False), loop
 
@@ -161,12 +161,12 @@ class SimulatedHand(Window):
             self.max_pull = gui.add_slider("max pull, N", 1.0, 40.0, 0.5, 5.0)
             self.again = gui.add_button("Take hold again")
         with gui.add_folder("Object and hand"):
-            self.shape = gui.add_dropdown("shape", [*SHAPES_WITHOUT_MESH], initial_value=config.shape)
-            self.mass = gui.add_slider("mass, kg", 0.02, 1.0, 0.01, config.object_mass)
-            self.friction = gui.add_slider("friction", 0.05, 1.2, 0.01, config.friction)
+            self.shape = gui.add_dropdown("shape", [*SHAPES_WITHOUT_MESH], initial_value=config.object.shape)
+            self.mass = gui.add_slider("mass, kg", 0.02, 1.0, 0.01, config.object.mass)
+            self.friction = gui.add_slider("friction", 0.05, 1.2, 0.01, config.object.friction)
             self.motors = gui.add_slider("motors, %", 2, 100, 1, 100, hint="of the torques that the hand's joints have")
         with gui.add_folder("Solver"):
-            self.method = gui.add_dropdown("method", [*METHODS], initial_value=config.method)
+            self.method = gui.add_dropdown("method", [*METHODS], initial_value=config.solver.method)
             self.start = gui.add_dropdown("start", [*STARTS])
         self.on(self.again.on_click, self._take_hold)
 

@@ -29,12 +29,12 @@ def make_envs(settings: dict[str, Any], count: int, gamma: float) -> VecNormaliz
     four; 8 environments 737 and 820): sending what a step shows costs not much less than the step.
 
     Args:
-        settings: of the environment.
+        settings: of the environment, as `EnvConfig.to_dict`.
         count: how many.
         gamma: discount of the return whose deviation scales rewards.
     """
     envs = make_vec_env(
-        f"grasp_env:{ENV_ID}", count, env_kwargs={"render_mode": None, **settings},
+        f"grasp_env:{ENV_ID}", count, env_kwargs={"render_mode": None, "config": settings},
         monitor_kwargs={"info_keywords": ("is_success",)},
     )  # fmt: skip
     return VecNormalize(envs, gamma=gamma)

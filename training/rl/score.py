@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from grasp_env.config import EnvConfig, as_config
 from grasp_env.force import InitialForceRule
 from policies.agent_files import ENV_ID
 from policies.controllers import Policy
@@ -13,23 +14,26 @@ from training.data.episodes import Step, episode
 
 
 def score(
-    policy: Policy, settings: dict[str, Any], seeds: range, initial_force: InitialForceRule | None = None
+    policy: Policy,
+    settings: EnvConfig | dict[str, Any],
+    seeds: range,
+    initial_force: str | InitialForceRule | None = None,
 ) -> list[dict[str, Any]]:
     """The rows of the episodes of these seeds, deterministic; one environment serves them all.
 
     Args:
         policy: the agent, or a `ZeroPolicy`.
-        settings: of the environment.
+        settings: of the environment, or their dict.
         seeds: of the episodes.
-        initial_force: a start rule that the settings cannot name.
+        initial_force: a start rule instead of that of the settings.
 
     Returns:
         A row for each step with "seed", "step", "reward" and, where a solver runs, "iterations". The last one of an episode also
         has what belongs to the whole of it, see `outcome`.
     """
-    rule: dict[str, Any] = {} if initial_force is None else {"initial_force": initial_force}
-    solver = settings.get("action_mode") != "contact_force"
-    env = gym.make(f"grasp_env:{ENV_ID}", **{**settings, **rule})
+    config = as_config(settings).override(**({} if initial_force is None else {"initial_force": initial_force}))
+    solver = config.agent.action_mode != "contact_force"
+    env = gym.make(f"grasp_env:{ENV_ID}", config=config)
     rows: list[dict[str, Any]] = []
     try:
         for seed in seeds:

@@ -9,7 +9,7 @@ from grasp_env._check import choice, instance, number, whole
 from grasp_env.errors import InvalidInputError
 from training.results.run import check_counts
 
-PRICES: dict[str, float] = {"held_reward": 1.0, "iteration_cost": 0.01, "force_cost": 0.01, "failure_cost": 10.0}
+PRICES: dict[str, float] = {"held": 1.0, "iteration_cost": 0.01, "force_cost": 0.01, "failure_cost": 10.0}
 """The environment's own, but for `failure_cost`, 100 there. With the paper's start a step pays 1 for holding, costs about 0.55
 in iterations and 0.07 in force; all but the iterations is nearly the same whatever the start, because the forces converge to
 the same optimum. Losing the object costs 10 and all that holding would still have paid."""
@@ -100,11 +100,7 @@ class RLConfig:
 
     @property
     def env_settings(self) -> dict[str, Any]:
-        """Of the environment, JSON-able: the default cuboid under a random wrench, the paper's start and flow."""
-        return {
-            "disturbance": "random",
-            "initial_force": "linear_combination",
-            "method": "reduced_flow",
-            "action_mode": self.action,
-            **PRICES,
-        }
+        """The environment's settings, as `EnvConfig.to_dict`: the default cuboid under a random wrench, the paper's start and flow."""
+        from grasp_env.config import EnvConfig  # it needs the extra sim
+
+        return EnvConfig().override(disturbance="random", action_mode=self.action, reward=PRICES).to_dict()

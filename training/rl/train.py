@@ -73,8 +73,8 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
         took = {"training_steps": meta["steps"], "seconds": meta["seconds"], "cpu_seconds": meta["cpu_seconds"]}
         besides = [{"case": "curve", **row} for row in meta["curve"]] + [{"case": "training", **took}]
     else:
-        policy, rule = ZeroPolicy(), LearnedInitialForce.pretrained() if name == "learned" else None
-        settings = RLConfig().env_settings | ({"initial_force": "previous"} if name == "previous" else {})
+        policy, settings = ZeroPolicy(), RLConfig().env_settings
+        rule = {"learned": LearnedInitialForce.pretrained, "previous": lambda: "previous"}.get(name, lambda: None)()
         if name == "zero":
             along = score(policy, settings, range(CURVE_SEED, CURVE_SEED + config.curve_episodes))
             besides = [{"case": "curve", **row} for row in along if "return" in row]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env import core
-from grasp_env._check import Array, as_array, choice
+from grasp_env._check import Array, as_array, as_text
 from grasp_env._files import as_path
 from grasp_env.errors import InvalidInputError, UnknownNameError, shown
-from grasp_env.sim.hand.check import numbers, positive
+from grasp_env.ranges import Range
+from grasp_env.settings import Kind, Settings, one_of, placed, real, setting
+from grasp_env.sim.hand.check import numbers
 from grasp_env.sim.objects.mesh import Mesh, load_mesh
 
 SMALLEST, LARGEST = 0.001, 1.0
@@ -38,23 +41,28 @@ _DEFAULTS = {
 _MOST_MASS, _MOST_FRICTION = 1000.0, 10.0  # [kg], [1]; more is a mistake in the units
 
 
-@dataclass(frozen=True)
-class ObjectDescription:
-    """A rigid, convex object. The body frame has its origin in the centre of mass.
+def _numbers(value: Any, name: str) -> tuple[float, ...]:
+    """A row of numbers, as many as there are; () for None."""
+    given = np.atleast_1d(as_array(() if value is None else value, None, name))
+    return numbers(given, None, name) if given.size else ()
 
-    Attributes:
-        shape: "cuboid", "cylinder", "sphere", "capsule" or "mesh"; the axis of cylinder and capsule is y.
-        size: [m]. Cuboid: sides x, y, z. Cylinder: diameter, height. Sphere: diameter. Capsule: diameter, total length.
-            Mesh: what its coordinates are multiplied by to give metres, 0.001 for a file in millimetres.
-            () is 0.1 m each way (capsule: 0.07 m thick), and 1 for a mesh.
-        mass: [kg].
-        friction: Coefficient of Coulomb friction; it is multiplied by the fingertips'.
-        torsional_friction: [m] Moment about a contact's normal that friction holds per newton of normal force, of a soft
-            fingertip; also multiplied by the fingertips' friction. 0: hard contacts.
-        inertia: Moments about the body's axes through the centre of mass [kg m^2], (3,); () or None is that of the
-            solid of uniform density.
-        mesh: Path of a closed convex mesh (.obj, .stl, .ply, .off) in shape "mesh". Its axes become the principal axes
-            of inertia nearest to those of the file, its origin the centre of mass.
+
+def _moments(value: Any, name: str) -> tuple[float, ...] | None:
+    """Of a body that can exist."""
+    if not _numbers(value, name):
+        return None
+    given = numbers(value, 3, name)
+    if min(given) <= 0.0 or max(given) > (1.0 + 1e-9) * (sum(given) - max(given)):
+        raise InvalidInputError(
+            f"{name}={given} must be above 0, and none above the sum of the other two: give the moments about x, y and z through the "
+            "centre of mass"
+        )
+    return given
+
+
+@dataclass(frozen=True)
+class ObjectDescription(Settings):
+    """A rigid, convex object. The body frame has its origin in the centre of mass.
 
     Raises:
         UnknownNameError: No such shape.
@@ -69,35 +77,51 @@ class ObjectDescription:
         (array([0.   , 0.   , 0.033]), 0.017)
     """
 
-    shape: str = "cuboid"
-    size: tuple[float, ...] = ()
-    mass: float = 0.2
-    friction: float = 0.4
-    inertia: tuple[float, ...] | None = None
-    mesh: str | None = None
-    torsional_friction: float = 0.0
+    shape: str = setting(
+        "cuboid", one_of(SHAPES, "shape"), "Shape; the axis of cylinder and capsule is y.", random=True
+    )
+    size: tuple[float, ...] = setting(
+        (), Kind(_numbers, "0.001 to 1 each way"),
+        "Cuboid: sides x, y, z. Cylinder: diameter, height. Sphere: diameter. Capsule: diameter, total length. Mesh: what its coordinates "
+        "are multiplied by to give metres, 0.001 for a file in millimetres. (): 0.1 m each way (capsule: 0.07 m thick), 1 for a mesh.",
+        unit="m", random=True,
+    )  # fmt: skip
+    mass: float = setting(0.2, real(Range(1e-9, _MOST_MASS)), "Mass.", unit="kg", random=True)
+    friction: float = setting(
+        0.4, real(Range(1e-9, _MOST_FRICTION)), "Coefficient of Coulomb friction; it is multiplied by the fingertips'.",
+        random=True,
+    )  # fmt: skip
+    inertia: tuple[float, ...] | None = setting(
+        None, Kind(_moments, "3 numbers"), "Moments of inertia about the body's axes through the centre of mass.",
+        unit="kg m^2", none="those of the solid of uniform density",
+    )  # fmt: skip
+    mesh: str | None = setting(
+        None, Kind(lambda value, name: str(as_path(value, InvalidInputError, name)), "path"),
+        "Path of a closed convex mesh (.obj, .stl, .ply, .off) in shape \"mesh\"; its axes become the principal axes of inertia nearest "
+        "to those of the file, its origin the centre of mass.", none="the other shapes have none",
+    )  # fmt: skip
+    torsional_friction: float = setting(
+        0.0, real(Range(0.0, LARGEST)),
+        "Moment about a contact's normal that friction holds per newton of normal force, times the fingertips' friction: a few millimetres "
+        "with soft fingertips, with which two fingers can hold. Forces are then solved by Newton within all limits, whatever the method.",
+        unit="m",
+    )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        choice(self.shape, "shape", SHAPES)
+    def agree(self) -> None:
+        """Shape, size and mesh belong together."""
         if (self.shape == "mesh") != (self.mesh is not None):
             raise InvalidInputError(
-                f"shape={self.shape!r} with mesh={shown(self.mesh)}: shape 'mesh' needs the path of a mesh file, "
+                f"{placed('shape')}={self.shape!r} with mesh={shown(self.mesh)}: shape 'mesh' needs the path of a mesh file, "
                 "and other shapes take mesh=None"
             )
-        given = np.atleast_1d(as_array(self.size, None, "size [m]"))
-        size = numbers(given, None, "size [m]") if given.size else _DEFAULTS[self.shape]
-        self._set(
-            size=numbers(size, len(_SIZES[self.shape]), f"size of a {self.shape} ({', '.join(_SIZES[self.shape])})"),
-            mass=_at_most(positive(self.mass, "mass [kg]"), _MOST_MASS, "mass [kg]"),
-            friction=_at_most(positive(self.friction, "friction"), _MOST_FRICTION, "friction"),
-            torsional_friction=_torsional(self.torsional_friction),
-            mesh=None if self.mesh is None else str(as_path(self.mesh, InvalidInputError, "mesh")),
-        )
+        name = f"{placed('size')} of a {self.shape} ({', '.join(_SIZES[self.shape])})"
+        size = numbers(self.size or _DEFAULTS[self.shape], len(_SIZES[self.shape]), name)
+        object.__setattr__(self, "size", size)
         if min(self.size) <= 0.0:
-            raise InvalidInputError(f"size={self.size} of a {self.shape} must be above 0")
+            raise InvalidInputError(f"{name} must be above 0, got {self.size}")
         if self.shape == "capsule" and self.size[1] < self.size[0]:
             raise InvalidInputError(
-                f"size={self.size} of a capsule: its total length must be at least its diameter; "
+                f"{placed('size')}={self.size} of a capsule: its total length must be at least its diameter; "
                 "exchange them or use a cylinder"
             )
         if not (min(self.extent) >= SMALLEST and max(self.extent) <= LARGEST):
@@ -106,9 +130,17 @@ class ObjectDescription:
                 f"the {self.shape} measures {' x '.join(f'{side:.3g}' for side in self.extent)} m, allowed are "
                 f"{SMALLEST:g} to {LARGEST:g} m each way; sizes are in metres{hint}"
             )
-        if self.inertia is not None:
-            given = as_array(self.inertia, None, "inertia [kg m^2]")
-            self._set(inertia=_moments(given.tolist()) if given.size else None)
+
+    def replaced(self, given: Mapping[str, Any], path: str = "") -> ObjectDescription:
+        """A copy with some settings replaced; another shape has its own default size and no mesh, unless they are given.
+
+        Args:
+            given: settings by name.
+            path: of the object, for messages.
+        """
+        if as_text(given.get("shape")) not in (None, self.shape):
+            given = {"size": (), "mesh": None, **given}
+        return super().replaced(given, path)
 
     @property
     def extent(self) -> tuple[float, float, float]:
@@ -177,10 +209,6 @@ class ObjectDescription:
         """All but the surface, which cannot be pickled and is made anew."""
         return {name: value for name, value in self.__dict__.items() if name != "surface"}
 
-    def _set(self, **values: object) -> None:
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-
 
 def random_object(
     rng: np.random.Generator,
@@ -227,32 +255,6 @@ def _range(values: tuple[float, float], name: str) -> tuple[float, float]:
     if not 0.0 < low <= high:
         raise InvalidInputError(f"{name}={values} must be (least, largest) with 0 < least <= largest")
     return low, high
-
-
-def _torsional(value: object) -> float:
-    (number,) = numbers((value,), 1, "torsional_friction [m]")
-    if not 0.0 <= number <= LARGEST:
-        raise InvalidInputError(
-            f"torsional_friction={number} m must be 0 or up to {LARGEST:g}: a few millimetres are usual"
-        )
-    return number
-
-
-def _at_most(value: float, limit: float, name: str) -> float:
-    if value > limit:
-        raise InvalidInputError(f"{name}={value} must be at most {limit:g}; check its unit")
-    return value
-
-
-def _moments(values: Sequence[float]) -> tuple[float, ...]:
-    """Of a body that can exist."""
-    given = numbers(values, 3, "inertia (moments about x, y and z) [kg m^2]")
-    if min(given) <= 0.0 or max(given) > (1.0 + 1e-9) * (sum(given) - max(given)):
-        raise InvalidInputError(
-            f"inertia={given} kg m^2 must be above 0, and none above the sum of the other two: give the moments about "
-            "x, y and z through the centre of mass"
-        )
-    return given
 
 
 def _solid_gyration(shape: str, size: tuple[float, ...]) -> tuple[float, float, float]:

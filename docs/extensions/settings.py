@@ -1,0 +1,54 @@
+"""`all-settings`: the tables of every setting of the environment, made of the records while the site is built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from docutils import nodes
+from docutils.statemachine import StringList
+from sphinx.util.docutils import SphinxDirective
+
+from grasp_env.config import KEYWORDS, EnvConfig
+from grasp_env.settings import described
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+HEAD = "| Setting | Default | Unit | May be | |\n|---|---|---|---|---|"
+
+
+def tables() -> Iterator[tuple[str, str]]:
+    """A title and a Markdown table for the settings at the top, and for each record in them."""
+    plain = {path: name for name, path in KEYWORDS.items()}
+    groups: dict[tuple[str, type], list[str]] = {}
+    for row in described(EnvConfig):
+        group = row.path.rpartition(".")[0]
+        default, unit, allowed, sentence = (text.replace("|", "\\|").replace("\n", " ") for text in row.words)
+        name = f"`{row.path.rpartition('.')[2]}`" + (f", keyword `{plain[row.path]}`" if row.path in plain else "")
+        line = f"| {name} | {default} | {unit} | {allowed} | {sentence} |"
+        groups.setdefault((group, row.record), []).append(line)
+    for (group, record), lines in groups.items():
+        named = f", {record.name}" if record.name else ""
+        title = f"{group}{named}: {record.__name__}" if group else "EnvConfig"
+        yield title, "\n".join([(record.__doc__ or "").partition("\n")[0], "", HEAD, *lines])
+
+
+class AllSettings(SphinxDirective):
+    """The tables, each under a heading of its own."""
+
+    def run(self) -> list[nodes.Node]:
+        """The sections."""
+        return [self._section(title, text) for title, text in tables()]
+
+    def _section(self, title: str, text: str) -> nodes.section:
+        section = nodes.section("", nodes.title("", title), ids=[nodes.make_id(f"settings-{title}")])
+        self.state.document.note_explicit_target(section, section)
+        self.state.nested_parse(StringList(text.split("\n"), source="settings"), self.content_offset, section)
+        return section
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Called by Sphinx."""
+    app.add_directive("all-settings", AllSettings)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,18 @@
+"""The settings of the environment: `EnvConfig` and the records that it is made of."""
+
+from grasp_env.config.env import KEYWORDS, EnvConfig, all_settings, as_config
+from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
+
+__all__ = [
+    "KEYWORDS",
+    "Agent",
+    "Controller",
+    "EnvConfig",
+    "EpisodeLimits",
+    "Pictures",
+    "Reward",
+    "Sensors",
+    "Solver",
+    "all_settings",
+    "as_config",
+]

@@ -1,0 +1,315 @@
+"""`EnvConfig`: all settings of the environment, of keywords, dicts and JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from difflib import get_close_matches
+from functools import cache, partial
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from grasp_env._check import as_array, as_text, choice, is_a, together
+from grasp_env.config.randomize import RANDOMIZE, draw
+from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
+from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
+from grasp_env.settings import (
+    ANY,
+    Kind,
+    Row,
+    Settings,
+    described,
+    numbers,
+    record,
+    setting,
+    to_json,
+)
+from grasp_env.sim.engine import ENGINE, Engine, engine_of
+from grasp_env.sim.hand.description import HANDS, HandDescription
+from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.task.disturbance import DISTURBANCE, Disturbance, NoDisturbance
+from grasp_env.task.tasks import TASK, Hold, Task
+
+SCHEMA = 1
+"""Version of the JSON of an `EnvConfig`."""
+KEYWORDS = {
+    "shape": "object.shape",
+    "size": "object.size",
+    "mass": "object.mass",
+    "friction": "object.friction",
+    "method": "solver.method",
+    "initial_force": "solver.initial_force",
+    "duration": "limits.duration",
+    "action_mode": "agent.action_mode",
+    "observation": "agent.observation",
+}
+"""The plain keywords of `gym.make`, besides the fields of `EnvConfig`, and the setting that each of them is."""
+_MOST_TICKS = 1_000_000
+"""Of an episode, which is planned as a whole: 0.7 kB each."""
+
+
+def _hand(value: Any, name: str) -> Any:
+    if is_a(value, HandDescription):
+        return value
+    return choice(value, name, HANDS, ", or give a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')")
+
+
+def _points(value: Any, name: str) -> tuple[tuple[float, ...], ...]:
+    points = as_array(value, None, name, ANY)
+    return tuple(map(tuple, as_array(points, (None, 3), name).tolist())) if points.size else ()
+
+
+@dataclass(frozen=True)
+class EnvConfig(Settings):
+    """Settings of `FourFingerGrasp-v0`. Every field is a keyword of `gym.make`, as a record or as a dict of its settings.
+
+    Raises:
+        UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
+        InvalidInputError: values out of range; all faults are told at once, each with the setting's path, `sensors.delay`.
+
+    Example:
+        >>> config = EnvConfig(task={"name": "move", "motion": "lift"}, sensors=Sensors(delay=0.004))
+        >>> config.override(friction=0.8, sensors={"pose_noise": 1e-5}).sensors.delay
+        0.004
+        >>> EnvConfig.from_json(config.to_json()) == config
+        True
+    """
+
+    hand: str | HandDescription = setting(
+        "four_finger", Kind(_hand, ", ".join(f"`{name}`" for name in HANDS) + ", or a HandDescription"),
+        "The hand; one that is not `placed` is put around the object by `place_hand`.",
+    )  # fmt: skip
+    object: ObjectDescription = setting(ObjectDescription(), record(ObjectDescription), "What it holds.")
+    contact_points: tuple[tuple[float, float, float], ...] = setting(
+        (), Kind(_points, "(N, 3)"),
+        "Places of the tips on the object's surface, object frame, in the hand's order; (): chosen.", unit="m",
+    )  # fmt: skip
+    randomize: tuple[tuple[str, Any], ...] = setting(
+        (), RANDOMIZE,
+        "What is drawn anew at each reset: names of the object's settings, or a dict from the path of a setting to its (low, high) or to a "
+        "function of the episode's generator.",
+    )  # fmt: skip
+    task: Task = setting(Hold(), TASK, "What is asked of the grasp.")
+    disturbance: Disturbance | None = setting(
+        None, DISTURBANCE,
+        "What acts on the object besides gravity: a record, its name, or any function f(times, rng, settings), see "
+        "`grasp_env.task.Disturbance`.", none="the task's own",
+    )  # fmt: skip
+    gravity: tuple[float, float, float] = setting(
+        (0.0, -9.81, 0.0), numbers(3), "World frame; y points up.", unit="m/s^2", random=True
+    )
+    engine: Engine | None = setting(
+        None, ENGINE, "Physics engine: its name, or its settings.", none="the default engine"
+    )
+    sensors: Sensors = setting(Sensors(), record(Sensors), "What the controller knows.")
+    solver: Solver = setting(Solver(), record(Solver), "The force optimization.")
+    controller: Controller = setting(Controller(), record(Controller), "From forces to torques.")
+    agent: Agent = setting(Agent(), record(Agent), "How an agent acts and what it observes.")
+    reward: Reward = setting(Reward(), record(Reward), "Prices of a step.")
+    limits: EpisodeLimits = setting(EpisodeLimits(), record(EpisodeLimits), "When an episode ends.")
+    pictures: Pictures = setting(Pictures(), record(Pictures), "What `render` draws.")
+
+    def agree(self) -> None:
+        """Rates divide each other, an episode has a plan that fits into memory, and what is drawn can be drawn."""
+        engine, drawn = engine_of(self.engine), dict(self.randomize)
+        rates = ("agent.rate", self.agent.rate), ("controller.rate", self.controller.rate), ("engine.rate", engine.rate)
+        for (slow, low), (fast, high) in pairwise(rates):
+            if high < low or high % low:
+                raise InvalidInputError(f"{fast} must be a multiple of {slow}, got {high} and {low}")
+        for name, seconds in (("limits.duration", self.limits.duration or 0.0), ("sensors.delay", self.sensors.delay)):
+            if seconds * self.controller.rate > _MOST_TICKS:
+                raise InvalidInputError(
+                    f"{name} must be at most {_MOST_TICKS / self.controller.rate:g} s, {_MOST_TICKS} control ticks, got "
+                    f"{seconds} s: make episodes shorter, or lower controller.rate"
+                )
+        resized = drawn.keys() & {"object.shape", "object.size"}
+        if resized and self.object.shape == "mesh":
+            raise InvalidInputError(
+                "a mesh keeps its shape and size: randomize=('mass', 'friction'), or take another object.shape"
+            )
+        if resized and self.contact_points:
+            raise InvalidInputError(
+                "contact_points belong to one shape and size: leave them out where these are randomized"
+            )
+        if self.task.pushes and not is_a(self.disturbance, NoDisturbance | None):
+            raise InvalidInputError(
+                f"task {self.task.name!r} pushes by itself, got disturbance={shown(self.disturbance)}: leave it out, or use task 'hold'"
+            )
+
+    def override(self, **settings: Any) -> EnvConfig:
+        """A copy with some settings replaced.
+
+        Args:
+            **settings: fields, keywords of `KEYWORDS`, or paths, `**{"sensors.delay": 0.01}`. A dict changes some settings of a record,
+                and makes a new one where it has a "name".
+
+        Raises:
+            UnknownSettingError: no setting of that name.
+            InvalidInputError: all that is wrong with the values.
+        """
+        known = [item.name for item in fields(self)]
+        whole: dict[str, Any] = {}
+        parts: dict[str, dict[str, Any]] = {}
+        for name, value in settings.items():
+            place, _, inner = KEYWORDS.get(name, name).partition(".")
+            if place not in known:
+                raise UnknownSettingError(name, (*known, *KEYWORDS), _likely(name))
+            if inner:
+                parts.setdefault(place, {})[inner] = value
+            elif is_a(value, dict) and "name" not in value and is_a(getattr(self, place), Settings):
+                parts.setdefault(place, {}).update(value)
+            else:
+                whole[place] = value
+        changed = {**dict.fromkeys(whole), **dict.fromkeys(parts)}
+        values = together(*(partial(self._changed, place, whole, parts.get(place)) for place in changed))
+        return replace(self, **dict(zip(changed, values, strict=True)))
+
+    def _changed(self, place: str, whole: dict[str, Any], parts: dict[str, Any] | None) -> Any:
+        """A field's value with settings of its record replaced."""
+        value = whole.get(place, getattr(self, place))
+        if parts is None:
+            return value
+        about = all_settings()[place].about
+        base = value if is_a(value, Settings) or value is None else about.kind.take(value, place)
+        if not is_a(base, Settings):
+            raise InvalidInputError(
+                f"{place} is {shown(value)}, which has no {', '.join(parts)}: give {place} a name, too, {{'name': ..., ...}}"
+            )
+        return base.replaced(parts, place)
+
+    def resolved(self) -> EnvConfig:
+        """A copy in which what is None has its value: the task's own, and the default engine."""
+        task, limits = self.task, self.limits
+        own = {
+            name: getattr(task, name) for name in ("duration", "max_drift", "max_tilt") if getattr(limits, name) is None
+        }
+        disturbance = task.disturbance if self.disturbance is None else self.disturbance
+        return replace(self, engine=engine_of(self.engine), disturbance=disturbance, limits=replace(limits, **own))
+
+    def drawn(self, rng: np.random.Generator) -> EnvConfig:
+        """The settings of an episode: a copy in which what is randomized has its value.
+
+        Args:
+            rng: generator of the episode.
+
+        Raises:
+            InvalidInputError: a function that fails, or returns what the setting may not be.
+
+        Example:
+            >>> config = EnvConfig(randomize={"mass": (0.1, 0.2), "sensors.delay": lambda rng: rng.choice([0.0, 0.004])})
+            >>> made = config.drawn(np.random.default_rng(0))
+            >>> round(made.object.mass, 3), made.sensors.delay
+            (0.102, 0.004)
+        """
+        return self.override(**draw(dict(self.randomize), self.object, rng))
+
+    def to_dict(self, path: str = "") -> dict[str, Any]:
+        """All settings as JSON has them, with the version of their schema.
+
+        Args:
+            path: of the settings, for messages.
+
+        Raises:
+            InvalidInputError: a function, or a hand of your own, which have no JSON.
+        """
+        hand = self.hand
+        if is_a(hand, HandDescription):
+            hand = next((name for name, make in HANDS.items() if make() == hand), hand)
+        others = {
+            item.name: to_json(getattr(self, item.name), item.name)
+            for item in fields(self)[1:]
+            if item.name != "randomize"
+        }
+        drawn = {path: to_json(rule, f"randomize[{path!r}]") for path, rule in self.randomize}
+        return {"schema": SCHEMA, "hand": to_json(hand, "hand"), **others, "randomize": drawn}
+
+    @classmethod
+    def from_dict(cls, given: Mapping[str, Any]) -> EnvConfig:
+        """The settings of a dict as `to_dict` makes it; what it lacks has its default.
+
+        Args:
+            given: the dict.
+
+        Raises:
+            InvalidInputError: no schema, or another one than this version reads.
+        """
+        if not is_a(given, dict) or type(given.get("schema")) is not int:
+            raise InvalidInputError(f'settings must be a dict with "schema": {SCHEMA}, got {shown(given)}')
+        if given["schema"] != SCHEMA:
+            newer = "written by a newer version: install that one" if given["schema"] > SCHEMA else "too old"
+            raise InvalidInputError(
+                f"settings have schema {given['schema']}, this version reads {SCHEMA}: they are {newer}"
+            )
+        return cls().override(
+            **{
+                shown(name) if as_text(name) is None else name: value
+                for name, value in given.items()
+                if name != "schema"
+            }
+        )
+
+    def to_json(self) -> str:
+        """`to_dict` as text."""
+        return json.dumps(self.to_dict(), indent=2)
+
+    @classmethod
+    def from_json(cls, text: str) -> EnvConfig:
+        """The settings in a text; raises as `from_dict` does, and where it is no JSON.
+
+        Args:
+            text: as `to_json` makes it.
+        """
+        try:
+            given = json.loads(text)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise InvalidInputError(f"settings must be JSON: {error}, got {shown(text)}") from None
+        return cls.from_dict(given)
+
+
+def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
+    """The settings in any of their forms: a record, a dict or JSON of one; None: the defaults.
+
+    Args:
+        config: the settings.
+
+    Raises:
+        InvalidInputError: nothing of that kind.
+
+    Example:
+        >>> as_config({"schema": 1, "sensors": {"delay": 0.004}}).sensors.delay
+        0.004
+    """
+    if config is None or is_a(config, EnvConfig):
+        return EnvConfig() if config is None else config
+    if is_a(config, dict):
+        return EnvConfig.from_dict(config)
+    text = as_text(config)
+    if text is None:
+        raise InvalidInputError(
+            f"config must be an EnvConfig, its dict or its JSON, got {shown(config)}; single settings are keywords"
+        )
+    return EnvConfig.from_json(text)
+
+
+@cache
+def all_settings() -> dict[str, Row]:
+    """Every setting by its path, in order: "hand", "object", "object.shape", ...; of records that share a path the first.
+
+    Example:
+        >>> all_settings()["sensors.delay"].words
+        ('0', 's', '>= 0', 'Between measurement and torque, for everything; rounded up to control ticks.')
+    """
+    rows = dict[str, Row]()
+    for row in described(EnvConfig):
+        rows.setdefault(row.path, row)
+    return rows
+
+
+def _likely(name: str) -> list[str]:
+    """Settings that somebody may mean by a name that is none: found by their last words, or by their whole paths."""
+    words = {path.replace(".", "_"): path for path in (*all_settings(), *KEYWORDS)}
+    same = [path for path in all_settings() if path.rpartition(".")[2] == name]
+    return same or [words[found] for found in get_close_matches(name, words, 3, 0.6)]

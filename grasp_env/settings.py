@@ -1,0 +1,322 @@
+"""Records of settings that check themselves.
+
+A setting is described at its field and nowhere else: default, unit, what it may be, one sentence. The record's docstring, the page of all
+settings, the help of the command line and the messages of errors are made of that.
+
+Example:
+    >>> @dataclass(frozen=True)
+    ... class Lamp(Settings):
+    ...     '''A lamp.'''
+    ...     power: float = setting(10.0, real(ranges.Range(0.0, 100.0)), "Electric power.", unit="W")
+    >>> Lamp(power=5).power
+    5.0
+    >>> Lamp.made({"power": -1.0}, "hall.lamp")
+    Traceback (most recent call last):
+    grasp_env.errors.InvalidInputError: hall.lamp.power [W] must be a number >= 0, <= 100, got -1.0
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextvars import ContextVar
+from dataclasses import Field, dataclass, field, fields, replace
+from functools import partial
+from typing import Any, ClassVar, NamedTuple, TypeVar
+
+from grasp_env import ranges
+from grasp_env._check import as_array, as_number, as_text, choice, is_a, together, whole
+from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
+from grasp_env.ranges import Range
+
+ANY, POSITIVE, NOT_NEGATIVE = Range(-1e9, 1e9), Range(1e-9, 1e9), Range(0.0, 1e9)
+"""Ranges of settings whose sign alone matters; in the units of the settings nothing is larger."""
+S = TypeVar("S", bound="Settings")
+_ABOUT = "about"
+_PATH: ContextVar[str] = ContextVar("path", default="")
+"""Where the record that is being made stands, for the names in its messages."""
+
+
+class Kind(NamedTuple):
+    """What a setting may be.
+
+    Attributes:
+        take: (value, name) to the value as it is kept; raises a `GraspError` that has the name.
+        text: the same in words, for the page of settings.
+        records: what a setting may be that is a record, or one of several.
+    """
+
+    take: Callable[[Any, str], Any]
+    text: str
+    records: tuple[type[Settings], ...] = ()
+
+
+class About(NamedTuple):
+    """What is said of a setting: what it may be, a sentence, its unit, what None stands for, whether it may be drawn at each reset."""
+
+    kind: Kind
+    doc: str
+    unit: str
+    none: str
+    random: bool
+
+
+class Row(NamedTuple):
+    """A line of the page of settings; `record` is the class that has it."""
+
+    path: str
+    record: type[Settings]
+    default: Any
+    about: About
+
+    @property
+    def words(self) -> tuple[str, str, str, str]:
+        """Default, unit, range and sentence, as text."""
+        kind, doc, unit, none, _ = self.about
+        return (none or "none") if self.default is None else _plainly(self.default), unit, kind.text, doc
+
+
+def setting(default: Any, kind: Kind, doc: str, *, unit: str = "", none: str = "", random: bool = False) -> Any:
+    """A field of a `Settings` record.
+
+    Args:
+        default: its value unless given.
+        kind: what it may be.
+        doc: one sentence.
+        unit: of its numbers.
+        none: the meaning of None; empty: None is refused.
+        random: whether it may be drawn anew at each reset.
+    """
+    about = About(kind, f"{doc} None: {none}." if none else doc, unit, none, random)
+    return field(default=default, metadata={_ABOUT: about})
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Base of the records: every field is a `setting`, and all faults of a record are told at once.
+
+    Attributes:
+        name: of a record that is one of several, such as the disturbance "random".
+    """
+
+    name: ClassVar[str] = ""
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        said = [_sentence(name, about) for name, (_, about) in _own(cls).items()]
+        text = inspect.cleandoc(vars(cls).get("__doc__") or "")
+        cls.__doc__ = "\n\n".join([text, "Attributes:\n" + "\n".join(said)]) if said else text
+
+    def __post_init__(self) -> None:
+        known = [(item.name, item.metadata[_ABOUT]) for item in fields(self)]
+        values = together(*(partial(_taken, about, getattr(self, name), name) for name, about in known))
+        for (name, _), value in zip(known, values, strict=True):
+            object.__setattr__(self, name, value)
+        self.agree()
+
+    def agree(self) -> None:
+        """Refuses values that are good alone and do not fit each other; all are checked and converted before."""
+
+    @classmethod
+    def made(cls: type[S], given: Mapping[str, Any], path: str = "") -> S:
+        """A record of the settings in a dict.
+
+        Args:
+            given: settings by name; others have their defaults.
+            path: of the record, for messages: "sensors".
+
+        Raises:
+            UnknownSettingError: it has no setting of that name.
+            InvalidInputError: all that is wrong with the values.
+        """
+        return cls._in(path, given, lambda: cls(**given))
+
+    def replaced(self: S, given: Mapping[str, Any], path: str = "") -> S:
+        """A copy with the settings of a dict replaced; raises as `made` does.
+
+        Args:
+            given: settings by name.
+            path: of the record, for messages.
+        """
+        return self._in(path, given, lambda: replace(self, **given))
+
+    @classmethod
+    def _in(cls, path: str, given: Mapping[str, Any], make: Callable[[], S]) -> S:
+        before = _PATH.set(path)
+        try:
+            known = [item.name for item in fields(cls)]
+            for name in given:
+                if as_text(name) not in known:
+                    raise UnknownSettingError(placed(str(name)), map(placed, known or ["(none)"]))
+            return make()
+        finally:
+            _PATH.reset(before)
+
+    def to_dict(self, path: str = "") -> dict[str, Any]:
+        """The settings as JSON has them, with the name of a record that is one of several.
+
+        Args:
+            path: of the record, for messages.
+
+        Raises:
+            InvalidInputError: a function, which has no JSON.
+        """
+        named = {"name": self.name} if self.name else {}
+        start = path and f"{path}."
+        return named | {item.name: to_json(getattr(self, item.name), start + item.name) for item in fields(self)}
+
+
+def described(record: type[Settings], path: str = "") -> Iterator[Row]:
+    """All settings of a record, and of the records in it, in order.
+
+    Args:
+        record: the class.
+        path: of the record itself: "" or "sensors".
+    """
+    for item in fields(record):
+        about = item.metadata[_ABOUT]
+        here = f"{path}.{item.name}" if path else item.name
+        yield Row(here, record, item.default, about)
+        for inner in about.kind.records:
+            yield from described(inner, here)
+
+
+def real(within: Range = ANY) -> Kind:
+    """A number within a range."""
+    return Kind(partial(_real, within=within), _words(within))
+
+
+def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
+    """A whole number."""
+    return Kind(lambda value, name: whole(value, name, low, high), f"integer >= {low}")
+
+
+def one_of(names: Iterable[str], kind: str = "", hint: str = "") -> Kind:
+    """One of some names; `kind` is what they are called in a message, unless by the setting's own name."""
+    allowed = tuple(names)
+    text = ", ".join(f"`{each}`" for each in allowed)
+    return Kind(lambda value, name: choice(value, kind or name, allowed, hint), text)
+
+
+def numbers(count: int, within: Range = ANY) -> Kind:
+    """So many numbers, kept as a tuple."""
+    return Kind(
+        lambda value, name: tuple(as_array(value, (count,), name, within).tolist()),
+        f"{count} numbers, {_words(within)}",
+    )
+
+
+def record(kind: type[Settings]) -> Kind:
+    """A record of this class, or a dict of its settings."""
+
+    def take(value: Any, name: str) -> Any:
+        if is_a(value, kind):
+            return value
+        if is_a(value, dict):
+            return kind.made(value, name)
+        raise InvalidInputError(f"{name} must be a {kind.__name__}, or a dict of its settings, got {shown(value)}")
+
+    return Kind(take, f"{kind.__name__} or dict", (kind,))
+
+
+def any_of(
+    table: Mapping[str, type[Settings]], base: type[Settings], kind: str, hint: str, calls: bool = False
+) -> Kind:
+    """One of several records.
+
+    Args:
+        table: the classes by name.
+        base: of them all.
+        kind: how a message calls them.
+        hint: the end of the message about an unknown name.
+        calls: whether a function will do, too.
+    """
+
+    def take(value: Any, name: str) -> Any:
+        if is_a(value, base):
+            return value
+        if is_a(value, dict):
+            if "name" not in value:
+                raise InvalidInputError(
+                    f"{name} needs a name, one of {', '.join(map(repr, table))}, got {shown(value)}"
+                )
+            settings = {key: each for key, each in value.items() if key != "name"}
+            return table[choice(value["name"], kind, table, hint)].made(settings, name)
+        if calls and as_text(value) is None and callable(value):
+            return value
+        return table[choice(value, kind, table, hint)]()
+
+    text = ", ".join(f"`{each}`" for each in table)
+    return Kind(take, f"{text}, {base.__name__} or dict{', or a function' if calls else ''}", tuple(table.values()))
+
+
+def placed(name: str) -> str:
+    """A setting's name for messages of `Settings.agree`: with the path of the record that is being made."""
+    return f"{_PATH.get()}.{name}" if _PATH.get() else name
+
+
+def to_json(value: Any, path: str) -> Any:
+    """A setting's value as JSON has it.
+
+    Raises:
+        InvalidInputError: a function, which has no JSON.
+    """
+    if is_a(value, Settings):
+        return value.to_dict(path)
+    if is_a(value, tuple):
+        return [to_json(each, path) for each in value]
+    if value is None or is_a(value, str | int | float | bool):
+        return value
+    raise InvalidInputError(
+        f"{path} is {shown(value)}, which has no JSON: settings in a file name what is built in; give your own when the environment is made"
+    )
+
+
+def _taken(about: About, value: Any, name: str) -> Any:
+    if value is None and about.none:
+        return None
+    return about.kind.take(value, placed(name) + (about.unit and f" [{about.unit}]"))
+
+
+def _real(value: Any, name: str, within: Range) -> float:
+    found = as_number(value)
+    if found is None or not within.low <= found <= within.high:
+        far = f" and up to {within.high:g}" if within.high >= 1e9 and found is not None and found > within.high else ""
+        raise InvalidInputError(f"{name} must be a number {_words(within)}{far}, got {shown(value)}")
+    return found
+
+
+def _words(within: Range) -> str:
+    if within == ANY:
+        return "of any size"
+    least = "> 0" if 0.0 < within.low <= 1e-9 else f">= {within.low:g}"
+    return least if within.high >= 1e9 else f"{least}, <= {within.high:g}"
+
+
+def _own(cls: type) -> dict[str, tuple[Any, About]]:
+    """Defaults and descriptions of a class's settings, before `dataclass` has seen it."""
+    inherited = {
+        name: (item.default, item.metadata[_ABOUT])
+        for base in cls.__mro__[:0:-1]
+        for name, item in getattr(base, "__dataclass_fields__", {}).items()
+        if _ABOUT in item.metadata
+    }
+    mine = {
+        name: (item.default, item.metadata[_ABOUT])
+        for name, item in vars(cls).items()
+        if isinstance(item, Field) and _ABOUT in item.metadata
+    }
+    return inherited | mine
+
+
+def _sentence(name: str, about: About) -> str:
+    allowed = " ".join(part for part in (about.kind.text, about.unit) if part)
+    return f"    {name}: {about.doc} ({allowed})"
+
+
+def _plainly(value: Any) -> str:
+    if isinstance(value, Settings):
+        return value.name or f"{type(value).__name__}()"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_plainly, value))})"
+    return f"{value:g}" if isinstance(value, float) else str(value)
