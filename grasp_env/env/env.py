@@ -28,9 +28,10 @@ from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
 from grasp_env.force.initial import InitialForceRule
 from grasp_env.sim import Camera, CameraConfig, Scene
+from grasp_env.sim.engine import class_of
 from grasp_env.sim.picture.annotation import LONGEST, Annotation
-from grasp_env.sim.picture.camera import draw_in_window
 from grasp_env.sim.picture.overlay import room
+from grasp_env.sim.picture.painter import Painter
 from grasp_env.task.tasks import succeeded
 
 
@@ -182,7 +183,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._most_drift, self._most_tilt = config.max_drift, config.max_tilt
         self._step_limit = max(1, round(config.duration * config.agent_rate))
         self._camera: Camera | None = None
-        self._lines: list[int] = []  # of the window
+        self._window: Painter | None = None
         self._started = self._ended = False
         self._spec: EnvSpec | None = None
         self._failure = ""
@@ -236,7 +237,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         self._motor_noise = NoiseRows(
             np.random.default_rng(int(self.np_random.integers(2**63))), len(self._torque_limits)
         )
-        self._tick, self._open, self._slip_distance, self._lines = 0, 0.0, 0.0, []
+        self._tick, self._open, self._slip_distance = 0, 0.0, 0.0
         self._failure, self._ended, self._started = "", False, True
         external, _ = self._plan_tick(scene)
         self._observer.watch(scene.look(), self._loop)
@@ -284,7 +285,9 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         scene = self._open_stage().scene
         annotation = self._annotation(scene)
         if self.render_mode == "human" and annotation is not None:
-            self._lines = draw_in_window(scene.simulator.client.number, annotation, self._lines)
+            window: Painter = self._window or class_of(scene.config.engine, "painter").of_scene(scene)
+            window.show(annotation)
+            self._window = window
         if self.render_mode != "rgb_array":
             return None
         if self._camera is None:
@@ -311,7 +314,7 @@ class FourFingerGrasp(gym.Env[NDArray[np.float32], NDArray[np.float32]], EzPickl
         """Frees the simulator; twice is fine, and `reset` opens it anew."""
         if self._stage is not None:
             self._stage.scene.close()
-            self._stage = self._camera = None
+            self._stage = self._camera = self._window = None
 
     def _simulate(self, scene: Scene, numbers: list[float]) -> None:
         config, loop = self.config, self._loop

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, ClassVar
 
 from grasp_env import ranges
 from grasp_env._check import as_array, choice, is_a, number, positive, together, whole
+from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError, shown
 
 _CONES = ("elliptic", "pyramidal")
@@ -19,10 +24,10 @@ _MOST_SWEEPS = 100_000
 
 @dataclass(frozen=True)
 class Engine:
-    """Settings of a physics engine; its simulator is one file behind `Simulator`.
+    """Settings of a physics engine; its simulator is one file behind `Simulator`, its pictures are one behind `Painter`.
 
     Attributes:
-        name: In `ENGINES`. extra: of `pyproject.toml` that brings it. simulator: module and class that run it.
+        name: In `ENGINES`. extra: of `pyproject.toml` that brings it. simulator, painter: module and class that run it and draw it.
         rate: [Hz] of its steps where nobody asks for another.
         overlap: [m] by which tips start inside the object without clearance: at distance zero it falls and slips for a step.
     """
@@ -30,6 +35,7 @@ class Engine:
     name: ClassVar[str] = ""
     extra: ClassVar[str] = "sim"
     simulator: ClassVar[tuple[str, str]] = ("", "")
+    painter: ClassVar[tuple[str, str]] = ("", "")
     rate: ClassVar[int] = 250
     overlap: ClassVar[float] = 1e-5
 
@@ -49,6 +55,7 @@ class BulletEngine(Engine):
     solver_iterations: int = 20
     name: ClassVar[str] = "bullet"
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.bullet", "Bullet")
+    painter: ClassVar[tuple[str, str]] = ("grasp_env.sim.picture.bullet", "BulletPainter")
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -86,6 +93,7 @@ class MujocoEngine(Engine):
     name: ClassVar[str] = "mujoco"
     extra: ClassVar[str] = "mujoco"
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.mujoco", "Mujoco")
+    painter: ClassVar[tuple[str, str]] = ("grasp_env.sim.picture.mujoco", "MujocoPainter")
     rate: ClassVar[int] = 1000
 
     def __post_init__(self) -> None:
@@ -116,8 +124,12 @@ ENGINES: dict[str, type[Engine]] = {made.name: made for made in (BulletEngine, M
 """All there are; another one is a class here and the file that it names."""
 
 
-def engine_of(engine: Any) -> Engine:
+def engine_of(engine: Any = None, quiet: bool = False) -> Engine:
     """The settings that are given, or the engine's own where only its name is.
+
+    Args:
+        engine: Settings, a name in `ENGINES`, or None: PyBullet where it is installed, otherwise MuJoCo.
+        quiet: Otherwise MuJoCo by default is logged, once in a process.
 
     Raises:
         UnknownNameError: no engine of that name.
@@ -128,6 +140,33 @@ def engine_of(engine: Any) -> Engine:
     """
     if is_a(engine, Engine):
         return engine
+    if engine is None:
+        return _default(quiet)
     return ENGINES[
         choice(engine, "engine", ENGINES, ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
     ]()
+
+
+def class_of(engine: Engine, role: str) -> Any:
+    """The class that is an engine's "simulator" or "painter"; its module is imported here.
+
+    Raises:
+        MissingExtraError: The engine is not installed.
+    """
+    module, name = getattr(engine, role)
+    with need(engine.extra):
+        return getattr(import_module(module), name)
+
+
+def _default(quiet: bool) -> Engine:
+    if find_spec("pybullet") is not None:
+        return BulletEngine()
+    if not quiet:
+        _say_mujoco()
+    return MujocoEngine()
+
+
+@cache
+def _say_mujoco() -> None:
+    """Once in a process; not a warning, which `python -W error` makes an error of."""
+    logging.getLogger(__name__).warning("pybullet is not installed, so the default engine is MuJoCo")
