@@ -109,8 +109,8 @@ class EnvConfig:
         action_mode: "initial_force", "contact_force" or "none"; see the environment.
         action_scale: [N] at action 1.
         gravity: (3,) [m/s^2] in the world frame; y points up.
-        engine: that simulates: "bullet", "mujoco" (the extra of that name; it draws no pictures), or its settings, `BulletEngine(...)`,
-            `MujocoEngine(...)` of `grasp_env.sim`.
+        engine: that simulates: "bullet", "mujoco" (the extra of that name), or its settings, `BulletEngine(...)`,
+            `MujocoEngine(...)` of `grasp_env.sim`; None: PyBullet where it is installed, otherwise MuJoCo.
         agent_rate, control_rate, physics_rate: [Hz]; each must divide the next. None: the engine's own, 250 of Bullet, 1000 of MuJoCo.
         position_bandwidth, rotation_bandwidth: [rad/s] of the object-pose feedback, critically damped; at most 0.3 / `sensor_delay`.
         iteration_cost: reward per iteration. force_cost: reward per newton of total normal force. held_reward: per
@@ -189,7 +189,7 @@ class EnvConfig:
     action_mode: str = "initial_force"
     action_scale: float = 5.0
     gravity: tuple[float, float, float] = (0.0, -9.81, 0.0)
-    engine: Any = "bullet"
+    engine: Any | None = None
     agent_rate: int = 50
     control_rate: int = 250
     physics_rate: int | None = None
@@ -214,7 +214,7 @@ class EnvConfig:
         if not self.friction_error > -1.0:
             raise InvalidInputError(f"friction_error must be above -1, got {self.friction_error}")
         for slow, fast in (("agent_rate", "control_rate"), ("control_rate", "physics_rate")):
-            low, high = getattr(self, slow), getattr(self, fast) or engine_of(self.engine).rate
+            low, high = getattr(self, slow), getattr(self, fast) or engine_of(self.engine, quiet=True).rate
             if high < low or high % low:
                 raise InvalidInputError(f"{fast} must be a multiple of {slow}, got {high} and {low}")
         for seconds in ("duration", "sensor_delay"):
@@ -294,8 +294,10 @@ class EnvConfig:
     def resolved(self) -> EnvConfig:
         """A copy in which what is None has its value: the task's own, or the default said above."""
         task = TASKS[self.task]
+        engine = engine_of(self.engine)
         return self.override(
-            physics_rate=self.physics_rate or engine_of(self.engine).rate,
+            engine=engine.name if self.engine is None else self.engine,
+            physics_rate=self.physics_rate or engine.rate,
             duration=self._duration(task) if self.duration is None else self.duration,
             disturbance=task.disturbance if self.disturbance is None else self.disturbance,
             motion_size=MOTION_SIZES[self.motion] if self.motion_size is None else self.motion_size,

@@ -9,7 +9,7 @@ import numpy as np
 
 from grasp_env._check import as_array, instance, whole
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.engine import BulletEngine, Engine
+from grasp_env.sim.engine import Engine, engine_of
 from grasp_env.sim.hand.description import HandDescription, Vector3
 from grasp_env.sim.objects.description import ObjectDescription
 
@@ -30,7 +30,7 @@ class SceneConfig:
         object: What it holds.
         contact_points: Nominal contacts [m], (N, 3), object frame, on the object's surface.
         gravity: Acceleration [m/s^2], world frame; y points up, away from the object to the palm.
-        engine: The physics engine's settings, see `engine_of`.
+        engine: The physics engine's settings; the default is that of `engine_of`.
         physics_rate: The engine's steps per simulated second [Hz].
         substeps: Steps of the engine in one step of the scene, under the same torques; contact forces are their mean.
         clearance: Gap between tips and object at the start [m]; 0 lets them touch.
@@ -45,7 +45,7 @@ class SceneConfig:
     object: ObjectDescription = field(default_factory=ObjectDescription)
     contact_points: tuple[Vector3, ...] = _CUBOID_POINTS
     gravity: Vector3 = (0.0, -9.81, 0.0)
-    engine: Engine = field(default_factory=BulletEngine)
+    engine: Engine = field(default_factory=engine_of)
     physics_rate: float = 250.0
     substeps: int = 1
     clearance: float = 0.0

@@ -7,6 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 
+def usual_engines() -> tuple[str, ...]:
+    """The default engine alone."""
+    from grasp_env.sim.engine import engine_of  # needs the extra `sim`, which the names below do not
+
+    return (engine_of().name,)
+
+
 @dataclass(frozen=True)
 class Scenario:
     """Episodes of one kind, played in some engines with the same seeds.
@@ -24,7 +31,7 @@ class Scenario:
     keys: dict[str, Any]
     episodes: int
     settings: dict[str, Any] = field(default_factory=dict)
-    engines: tuple[str, ...] = ("bullet",)
+    engines: tuple[str, ...] = field(default_factory=usual_engines)
     random_objects: bool = True
 
     @property
@@ -36,9 +43,9 @@ class Scenario:
 
 
 ENGINES: dict[str, dict[str, Any]] = {
-    "bullet": {},
+    "bullet": {"engine": "bullet"},
     "mujoco": {"engine": "mujoco"},
-    "bullet_1000": {"physics_rate": 1000},
+    "bullet_1000": {"engine": "bullet", "physics_rate": 1000},
     "pyramidal": {"engine": "mujoco", "engine_settings": {"cone": "pyramidal"}},
     "soft": {"engine": "mujoco", "engine_settings": {"time_constant": 0.02, "impedance": (0.9, 0.95, 1e-3, 0.5, 2.0), "impratio": 1.0}},
     "noslip": {"engine": "mujoco", "engine_settings": {"noslip_iterations": 20}},
