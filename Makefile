@@ -29,18 +29,18 @@ install: core
 
 # torch goes first and alone: resolved together with other packages a newer build with gigabytes of CUDA may come
 $(STAMP): pyproject.toml constraints.txt
-	@fits() { "$$1" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 12))' >/dev/null 2>&1; }; \
+	@fits() { "$$1" -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' >/dev/null 2>&1; }; \
 	python="$(PYTHON)"; \
 	if [ -x $(BIN)/python ]; then \
 	  fits $(BIN)/python && exit 0; \
-	  echo ".venv holds $$($(BIN)/python --version 2>&1); CPython 3.10 or 3.11 is needed: run make clean first." >&2; exit 1; \
+	  echo ".venv holds $$($(BIN)/python --version 2>&1); CPython 3.10 to 3.13 is needed: run make clean first." >&2; exit 1; \
 	fi; \
 	if [ -z "$$python" ]; then \
-	  for name in python3.11 python3.10 python3; do if fits $$name; then python=$$name; break; fi; done; \
+	  for name in python3.11 python3.10 python3.12 python3.13 python3; do if fits $$name; then python=$$name; break; fi; done; \
 	fi; \
 	if ! fits "$$python"; then \
 	  found=$$("$${python:-python3}" --version 2>&1) || found="none that runs"; \
-	  echo "CPython 3.10 or 3.11 is needed (pybullet has wheels for no later one); found: $$found." >&2; \
+	  echo "CPython 3.10 to 3.13 is needed; found: $$found." >&2; \
 	  echo "Install python3.11 with its venv module, or run: make PYTHON=/path/to/python3.11 $(MAKECMDGOALS)" >&2; exit 1; \
 	fi; \
 	"$$python" -c 'import os, sysconfig as s; os.stat(s.get_path("include") + "/Python.h")' 2>/dev/null || { \

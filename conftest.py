@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,12 @@ class OtherBuild:
 
 if "GRASP_CORE_BUILD" in os.environ:
     sys.meta_path.insert(0, OtherBuild(Path(__file__).parent / os.environ["GRASP_CORE_BUILD"]))
+
+if find_spec("pybullet") is None:  # as from CPython 3.12 on: the doctests of what imports it
+    collect_ignore = [
+        "benchmarks/env.py",
+        *(f"grasp_env/sim/{name}.py" for name in ("bullet", "client", "picture/bullet")),
+    ]
 
 
 def pytest_configure(config: pytest.Config) -> None:

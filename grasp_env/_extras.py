@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import platform
 import sys
 from contextlib import nullcontext
 from importlib.util import find_spec
 
 from grasp_env.errors import MissingExtraError
 
+_ENGINE = "pybullet" if sys.version_info < (3, 12) or find_spec("pybullet") else "mujoco"
+"""The engine that `sim` brings: pip finds PyBullet for CPython 3.10 and 3.11 only."""
+
 EXTRAS = {
     "cli": ("rich", "tyro"),
-    "sim": ("PIL", "gymnasium", "pybullet", "trimesh"),
+    "sim": ("PIL", "gymnasium", _ENGINE, "trimesh"),
     "mujoco": ("mujoco",),
     "live": ("viser",),
     "train": ("stable_baselines3", "tensorboard", "torch"),
@@ -35,11 +37,6 @@ def need(*extras: str) -> nullcontext[None]:
     missing = {extra: [name for name in EXTRAS[extra] if find_spec(name) is None] for extra in extras}
     missing = {extra: names for extra, names in missing.items() if names}
     absent = dict.fromkeys(name for names in missing.values() for name in names)
-    if "pybullet" in absent and sys.version_info >= (3, 12):
-        raise MissingExtraError(
-            f"the simulated hand needs pybullet, which has wheels for CPython 3.10 and 3.11 only, and this is "
-            f'{platform.python_version()}: make an environment of one of those and run pip install "grasp-force[{",".join(missing)}]" there'
-        )
     if missing:
         raise MissingExtraError(f'this needs {", ".join(absent)}: pip install "grasp-force[{",".join(missing)}]"')
     return nullcontext()

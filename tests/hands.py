@@ -7,13 +7,12 @@ import tempfile
 from typing import Any
 
 import numpy as np
+from engines import HAND_FLAGS, bullet
 
 from grasp_env import core
 from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
 from grasp_env.sim import FingerDescription, HandDescription, HandKinematics, ObjectDescription, Scene, Snapshot
-from grasp_env.sim.bullet import HAND_FLAGS
-from grasp_env.sim.client import bullet
 from grasp_env.sim.hand.check import inertia_matrix
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 from grasp_env.sim.hand.urdf import hand_urdf

@@ -54,7 +54,6 @@ SHOWN_BY = {
 NO_EXAMPLE = {
     "grasp_env.force.InitialForceRule": "a protocol",
     "policies.Policy": "a protocol",
-    "grasp_env.sim.Client": "made by a Scene",
     "grasp_env.sim.Snapshot": "read by a Scene",
     "grasp_env.sim.Annotation": "made by an environment for its camera",
 }

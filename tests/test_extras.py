@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from grasp_env import _extras
 from grasp_env._extras import EXTRAS, need
 from grasp_env.errors import MissingExtraError
 
@@ -49,6 +48,8 @@ sys.meta_path[sys.meta_path.index(PathFinder)] = Finder
     return subprocess.run([sys.executable, "-c", start + script], cwd=ROOT, timeout=120, capture_output=True, text=True)
 
 
+ENGINE, OTHER_PYTHONS = ("pybullet", ">= '3.12'") if sys.version_info < (3, 12) else ("mujoco", "< '3.12'")
+"""What the extra `sim` simulates with on this CPython, and the marker of what it takes on others."""
 HEAVY = tuple(name for extra in ("sim", "train", "report", "video") for name in EXTRAS[extra])
 
 
@@ -56,7 +57,7 @@ def test_the_table_is_what_pip_installs() -> None:
     assert _names(PROJECT["dependencies"]) == {"numpy", "scipy", "safetensors"}
     homes = packages_distributions() | {"ray": ["ray"]}  # which only clusters need
     for extra, modules in EXTRAS.items():
-        asked = _names(OPTIONAL[extra])
+        asked = _names([one for one in OPTIONAL[extra] if not re.search(OTHER_PYTHONS, one)])
         found = [{home.lower().replace("_", "-") for home in homes[name]} for name in modules]
         assert all(some & asked for some in found)  # MuJoCo is one module of several distributions
         assert asked <= set().union(*found)
@@ -93,12 +94,12 @@ for statement, extra in {IMPORTS}.items():
         exec(statement)
         print(statement, "works")
     except ImportError as error:
-        name = "pybullet, trimesh" if extra == "sim" else "stable_baselines3, tensorboard, torch"
+        name = "{ENGINE}, trimesh" if extra == "sim" else "stable_baselines3, tensorboard, torch"
         wanted = f'this needs {{name}}: pip install "grasp-force[{{extra}}]"'
         if (type(error).__name__, str(error)) != ("MissingExtraError", wanted):
             print(statement, repr(error))
 """
-    done = _without(("pybullet", "trimesh", *EXTRAS["train"]), script)  # gym.make needs gymnasium itself
+    done = _without(("pybullet", "mujoco", "trimesh", *EXTRAS["train"]), script)  # gym.make needs gymnasium itself
     assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
@@ -171,10 +172,22 @@ def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(told.value, ImportError)
 
 
-def test_where_pybullet_has_no_wheel_another_python_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pybullet", None)
-    monkeypatch.setattr(_extras.sys, "version_info", (3, 12, 1))
-    with pytest.raises(MissingExtraError, match=r"wheels for CPython 3\.10 and 3\.11 only") as told:
-        need("sim")
-    assert "\n" not in str(told.value)
-    assert [one for one in OPTIONAL["sim"] if re.fullmatch(r"pybullet>=[\d.]+; python_version < '3\.12'", one)]
+def test_where_pybullet_has_no_wheel_mujoco_comes_instead_and_is_recommended() -> None:
+    engines = [one for one in OPTIONAL["sim"] if re.match("pybullet|mujoco", one)]
+    assert [re.sub(r">=[\d.]+", "", one) for one in engines] == [
+        "pybullet; python_version < '3.12'", "mujoco; python_version >= '3.12'"
+    ]  # fmt: skip
+    script = """
+import gymnasium
+from grasp_env.errors import MissingExtraError
+try:
+    gymnasium.make("grasp_env:FourFingerGrasp-v0", engine="bullet")
+except MissingExtraError as error:
+    print(error)
+"""
+    done = _without(("pybullet",), script)
+    told = (
+        "CPython 3.10 and 3.11 only, and this is" if sys.version_info >= (3, 12) else "this needs pybullet: pip install"
+    )
+    assert told in done.stdout
+    assert done.stderr == ""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from engines import Client, needs_bullet
 
 from grasp_env.config import EnvConfig
 from grasp_env.control.loop import ForceLoop
@@ -16,7 +17,7 @@ from grasp_env.env import FourFingerGrasp
 from grasp_env.errors import shown
 from grasp_env.force import RULES, ForceOptimizer, initial_rule, optimize_force
 from grasp_env.grasp import presets
-from grasp_env.sim import Camera, Client, HandDescription, HandKinematics, Scene
+from grasp_env.sim import Camera, HandDescription, HandKinematics, Scene
 from grasp_env.task import DISTURBANCES
 from policies import LearnedInitialForce, ZeroPolicy
 from policies.agent import TrainedAgent
@@ -58,6 +59,7 @@ def test_no_object_is_shown_by_its_address() -> None:
             assert not ADDRESS.search(text), text
 
 
+@needs_bullet
 def test_simulated_things_say_what_they_are() -> None:
     scene = Scene()
     env = FourFingerGrasp()

@@ -114,7 +114,7 @@ class EnvConfig(Settings):
 
     def agree(self) -> None:
         """Rates divide each other, an episode has a plan that fits into memory, and what is drawn can be drawn."""
-        engine, drawn = engine_of(self.engine), dict(self.randomize)
+        engine, drawn = engine_of(self.engine, quiet=True), dict(self.randomize)
         rates = ("agent.rate", self.agent.rate), ("controller.rate", self.controller.rate), ("engine.rate", engine.rate)
         for (slow, low), (fast, high) in pairwise(rates):
             if high < low or high % low:

@@ -27,9 +27,10 @@ from grasp_env.env.reward import reward_terms
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
 from grasp_env.sim import Camera, CameraConfig, Scene
+from grasp_env.sim.engine import class_of
 from grasp_env.sim.picture.annotation import LONGEST, Annotation
-from grasp_env.sim.picture.camera import draw_in_window
 from grasp_env.sim.picture.overlay import room
+from grasp_env.sim.picture.painter import Painter
 from grasp_env.task.disturbance import name_of
 
 
@@ -183,7 +184,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._most_drift, self._most_tilt, self._most_open = limits.max_drift, limits.max_tilt, limits.max_contact_gap
         self._step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
-        self._lines: list[int] = []  # of the window
+        self._window: Painter | None = None
         self._started = self._ended = False
         self._spec: EnvSpec | None = None
         self._failure = ""
@@ -238,7 +239,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._motor_noise = NoiseRows(
             np.random.default_rng(int(self.np_random.integers(2**63))), len(self._torque_limits)
         )
-        self._tick, self._open, self._slip_distance, self._lines = 0, 0.0, 0.0, []
+        self._tick, self._open, self._slip_distance = 0, 0.0, 0.0
         self._failure, self._ended, self._started = "", False, True
         external, _ = self._plan_tick(scene)
         self._observer.watch(scene.look(), self._loop)
@@ -286,7 +287,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         scene = self._open_stage().scene
         annotation = self._annotation(scene)
         if self.render_mode == "human" and annotation is not None:
-            self._lines = draw_in_window(scene.simulator.client.number, annotation, self._lines)
+            window: Painter = self._window or class_of(scene.config.engine, "painter").of_scene(scene)
+            window.show(annotation)
+            self._window = window
         if self.render_mode != "rgb_array":
             return None
         if self._camera is None:
@@ -329,7 +332,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         """Frees the simulator; twice is fine, and `reset` opens it anew."""
         if self._stage is not None:
             self._stage.scene.close()
-            self._stage = self._camera = None
+            self._stage = self._camera = self._window = None
 
     def _simulate(self, scene: Scene, numbers: list[float]) -> None:
         agent, loop = self.config.agent, self._loop

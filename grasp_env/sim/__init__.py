@@ -3,7 +3,6 @@
 from grasp_env._extras import need
 
 with need("sim"):
-    from grasp_env.sim.client import Client
     from grasp_env.sim.config import SceneConfig
     from grasp_env.sim.engine import ENGINES, BulletEngine, MujocoEngine
     from grasp_env.sim.grasping.placing import place_hand
@@ -22,7 +21,6 @@ __all__ = [
     "BulletEngine",
     "Camera",
     "CameraConfig",
-    "Client",
     "FingerDescription",
     "HandDescription",
     "HandKinematics",

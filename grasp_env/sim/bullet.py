@@ -7,8 +7,7 @@ import os
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +21,9 @@ from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.limbs import touching_pairs
 from grasp_env.sim.hand.urdf import HULL_MARGIN, hand_files
-from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 from grasp_env.sim.simulator import Simulator
 
-OBJECT_COLOR = (0.86, 0.80, 0.68)
 HAND_FLAGS: int = (
     bullet.URDF_USE_INERTIA_FROM_FILE
     | bullet.URDF_USE_SELF_COLLISION
@@ -150,24 +148,10 @@ class Bullet(Simulator):
         # the next step find them anew. Nothing is lost, as its solver starts from no impulses; until then those kept are read
         bullet.setCollisionFilterPair(world.hand, world.object, -1, -1, 1, physicsClientId=client)
 
-    @contextmanager
-    def object_hidden(self) -> Iterator[None]:
-        """Leaves the object out of pictures while the block runs; its physics stays."""
-        self._show_object(0.0)
-        try:
-            yield
-        finally:
-            self._show_object(1.0)
-
     def close(self) -> None:
         """See `Simulator`."""
         self.client.close()
         self._clean()
-
-    def _show_object(self, opacity: float) -> None:
-        bullet.changeVisualShape(
-            self.world.object, -1, rgbaColor=(*OBJECT_COLOR, opacity), physicsClientId=self.client.number
-        )
 
     def _contacts(self) -> Any:
         """What the server says of the contacts in the last `advance`, after a reset what it said when the state was kept."""

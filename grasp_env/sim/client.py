@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import ctypes
 import os
+import platform
 import sys
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from grasp_env.errors import SimulationError
+from grasp_env.errors import MissingExtraError, SimulationError
 
 
 @contextmanager
@@ -45,8 +46,14 @@ def _flush() -> None:
         ctypes.CDLL(None).fflush(None)
 
 
-with silenced():
-    import pybullet as bullet
+try:
+    with silenced():
+        import pybullet as bullet  # pyright: ignore[reportMissingImports]
+except ImportError as error:
+    raise MissingExtraError(
+        f"engine 'bullet' needs pybullet, which has wheels for CPython 3.10 and 3.11 only, and this is {platform.python_version()}: "
+        "use engine='mujoco', or an environment of one of those"
+    ) from error
 
 __all__ = ["Client", "bullet", "silenced"]
 

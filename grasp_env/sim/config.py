@@ -29,7 +29,7 @@ class SceneConfig:
         object: What it holds.
         contact_points: Nominal contacts [m], (N, 3), object frame, on the object's surface.
         gravity: Acceleration [m/s^2], world frame; y points up, away from the object to the palm.
-        engine: The physics engine's settings, see `engine_of`.
+        engine: The physics engine's settings; the default is that of `engine_of`.
         substeps: Steps of the engine in one step of the scene, under the same torques; contact forces are their mean.
         clearance: Gap between tips and object at the start [m]; 0 lets them touch.
         start_angles: Of the joints at the start [rad], (M,); () are those that put the tips there.
@@ -43,7 +43,7 @@ class SceneConfig:
     object: ObjectDescription = field(default_factory=ObjectDescription)
     contact_points: tuple[Vector3, ...] = _CUBOID_POINTS
     gravity: Vector3 = (0.0, -9.81, 0.0)
-    engine: Engine = field(default_factory=lambda: engine_of(None))
+    engine: Engine = field(default_factory=engine_of)
     substeps: int = 1
     clearance: float = 0.0
     start_angles: tuple[float, ...] = ()

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, ClassVar
 
 from grasp_env._check import as_array
+from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.ranges import Range
 from grasp_env.settings import Kind, Settings, any_of, integer, one_of, real, setting
@@ -16,12 +21,14 @@ _MOST_SWEEPS = 100_000
 
 @dataclass(frozen=True)
 class Engine(Settings):
-    """Settings of a physics engine; its simulator is one file behind `Simulator`."""
+    """Settings of a physics engine; its simulator is one file behind `Simulator`, its pictures are one behind `Painter`."""
 
     extra: ClassVar[str] = "sim"
     """Extra of `pyproject.toml` that brings it."""
     simulator: ClassVar[tuple[str, str]] = ("", "")
     """Module and class that run it."""
+    painter: ClassVar[tuple[str, str]] = ("", "")
+    """Module and class that draw it."""
     overlap: ClassVar[float] = 1e-5
     """[m] by which tips start inside the object without clearance: at distance zero it falls and slips for a step."""
 
@@ -39,6 +46,7 @@ class BulletEngine(Engine):
 
     name: ClassVar[str] = "bullet"
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.bullet", "Bullet")
+    painter: ClassVar[tuple[str, str]] = ("grasp_env.sim.picture.bullet", "BulletPainter")
 
     solver_iterations: int = setting(20, integer(1, _MOST_SWEEPS), "Sweeps of the contact solver in one step.")
 
@@ -65,6 +73,7 @@ class MujocoEngine(Engine):
     name: ClassVar[str] = "mujoco"
     extra: ClassVar[str] = "mujoco"
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.mujoco", "Mujoco")
+    painter: ClassVar[tuple[str, str]] = ("grasp_env.sim.picture.mujoco", "MujocoPainter")
 
     rate: int = setting(1000, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz")
     cone: str = setting(
@@ -96,8 +105,12 @@ ENGINE = any_of(ENGINES, Engine, "engine", ", or give its settings, BulletEngine
 """What a setting may be that is an engine."""
 
 
-def engine_of(engine: Any) -> Engine:
+def engine_of(engine: Any = None, quiet: bool = False) -> Engine:
     """The settings that are given, the engine's own where only its name is; None: the default engine's.
+
+    Args:
+        engine: Settings, a name in `ENGINES`, or None: PyBullet where it is installed, otherwise MuJoCo.
+        quiet: Otherwise MuJoCo by default is logged, once in a process.
 
     Raises:
         UnknownNameError: no engine of that name.
@@ -106,4 +119,29 @@ def engine_of(engine: Any) -> Engine:
         >>> engine_of("bullet").solver_iterations
         20
     """
-    return BulletEngine() if engine is None else ENGINE.take(engine, "engine")
+    return _default(quiet) if engine is None else ENGINE.take(engine, "engine")
+
+
+def class_of(engine: Engine, role: str) -> Any:
+    """The class that is an engine's "simulator" or "painter"; its module is imported here.
+
+    Raises:
+        MissingExtraError: The engine is not installed.
+    """
+    module, name = getattr(engine, role)
+    with need(engine.extra):
+        return getattr(import_module(module), name)
+
+
+def _default(quiet: bool) -> Engine:
+    if find_spec("pybullet") is not None:
+        return BulletEngine()
+    if not quiet:
+        _say_mujoco()
+    return MujocoEngine()
+
+
+@cache
+def _say_mujoco() -> None:
+    """Once in a process; not a warning, which `python -W error` makes an error of."""
+    logging.getLogger(__name__).warning("pybullet is not installed, so the default engine is MuJoCo")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,13 @@ import numpy as np
 from grasp_env.sim.engine import MujocoEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.limbs import touching_pairs
-from grasp_env.sim.hand.tree import Geometry
-from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.sim.hand.tree import Geometry, Link, Palm
+from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 
 PALM, OBJECT = "palm", "object"
 """Names of their bodies; the object's shape has its own name, too."""
+OBJECT_GROUP = 1
+"""Geometry group of the object's look; the hand's is 0."""
 _Z_TO_Y = "-1.5707963267948966 0 0"  # capsules and cylinders of MuJoCo lie along z
 
 
@@ -40,19 +42,8 @@ def scene_mjcf(
     soft = f'solref="{spring}" solimp="{_text(engine.impedance)}"'
     sliding, turning = (part * hand.tip_friction for part in (item.friction, item.torsional_friction))
     meshes: list[str] = []
-    children: dict[str, list[int]] = {}
-    for index, link in enumerate(hand.links):
-        children.setdefault(link.parent, []).append(index)
-
-    def bodies(parent: str) -> str:
-        return "".join(_body(hand, index, meshes, bodies) for index in children.get(parent, ()))
-
-    palm = _shapes(hand.palm.collision, meshes)
-    kind, size, axis = _object_shape(item, meshes)
-    shape = (
-        f'<geom name="{OBJECT}" type="{kind}" {size} euler="{axis}" priority="1" friction="{sliding!r} {turning!r} 0"/>'
-    )
-    tree = bodies(hand.palm.name)
+    tree = _tree(hand, lambda body: _shapes(body.collision, meshes))
+    shape = f'<geom name="{OBJECT}" {_object_shape(item, meshes)} priority="1" friction="{sliding!r} {turning!r} 0"/>'
     return f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <option timestep="{timestep!r}" gravity="{_text(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"
  integrator="{engine.integrator}" solver="Newton" iterations="{engine.solver_iterations}" tolerance="{engine.tolerance!r}"
@@ -60,14 +51,63 @@ def scene_mjcf(
 <default><geom condim="{4 if turning else 3}" friction="{hand.tip_friction**2!r} 0 0" {soft}/>
 <joint damping="0" armature="0" frictionloss="0" solreflimit="{spring}"/><equality {soft}/></default>
 <asset>{"".join(meshes)}</asset>
-<worldbody><body name="{PALM}">{palm}{tree}</body>
-<body name="{OBJECT}"><freejoint/><inertial pos="0 0 0" mass="{item.mass!r}" diaginertia="{_text(item.moments)}"/>{shape}</body></worldbody>
+<worldbody>{tree}{_free_body(item, shape)}</worldbody>
 <contact>{"".join(f'<exclude body1="{one}" body2="{other}"/>' for one, other in _neighbours(hand))}</contact>
 <equality>{"".join(_couplings(hand))}</equality></mujoco>"""
 
 
-def _body(hand: HandDescription, index: int, meshes: list[str], bodies: Any) -> str:
-    link = hand.links[index]
+def looks_mjcf(hand: HandDescription, item: ObjectDescription | None = None) -> tuple[str, dict[str, Geometry]]:
+    """The same bodies and joints as in `scene_mjcf` with their visual shapes and a light, to be drawn: nothing touches.
+
+    Args:
+        hand: Its visual shapes are drawn.
+        item: The object, in geometry group `OBJECT_GROUP`; None: the hand alone.
+
+    Returns:
+        The text, and the visual shapes of kind "mesh" by the names under which it uses them: it does not define these meshes.
+    """
+    meshes: list[str] = []
+    files: dict[str, Geometry] = {}
+
+    def looks(body: Link | Palm) -> str:
+        return "".join(
+            _shape(shape, meshes, f'rgba="{_text((*(shape.color or body.color), 1.0))}"', files)
+            for shape in body.visual
+        )
+
+    tree, held = _tree(hand, looks), ""
+    if item is not None:
+        color = f'rgba="{_text((*OBJECT_COLOR, 1.0))}" group="{OBJECT_GROUP}"'
+        held = _free_body(item, f"<geom {_object_shape(item, meshes)} {color}/>")
+    text = f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
+<statistic extent="1" center="0 0 0"/>
+<visual><headlight ambient="0.62 0.62 0.62" diffuse="0 0 0" specular="0 0 0"/><quality shadowsize="4096" offsamples="0"/></visual>
+<default><geom contype="0" conaffinity="0"/></default>
+<asset>{"".join(meshes)}</asset>
+<worldbody><light directional="true" pos="0.5 1 0.6" dir="-0.5 -1 -0.6" diffuse="0.42 0.42 0.42" specular="0.08 0.08 0.08"/>
+{tree}{held}</worldbody></mujoco>"""
+    return text, files
+
+
+def _tree(hand: HandDescription, shapes: Callable[[Link | Palm], str]) -> str:
+    """The palm and all that it carries, each with `shapes` of it."""
+    children: dict[str, list[int]] = {}
+    for index, link in enumerate(hand.links):
+        children.setdefault(link.parent, []).append(index)
+
+    def bodies(parent: str) -> str:
+        return "".join(_body(hand.links[index], index, shapes, bodies) for index in children.get(parent, ()))
+
+    return f'<body name="{PALM}">{shapes(hand.palm)}{bodies(hand.palm.name)}</body>'
+
+
+def _free_body(item: ObjectDescription, shape: str) -> str:
+    """The object with its shape, at the origin."""
+    inertial = f'<inertial pos="0 0 0" mass="{item.mass!r}" diaginertia="{_text(item.moments)}"/>'
+    return f'<body name="{OBJECT}"><freejoint/>{inertial}{shape}</body>'
+
+
+def _body(link: Link, index: int, shapes: Callable[[Link | Palm], str], bodies: Callable[[str], str]) -> str:
     ixx, ixy, ixz, iyy, iyz, izz = link.inertia
     limited = math.isfinite(link.lower)
     ends = f'limited="true" range="{_text((link.lower, link.upper))}"' if limited else 'limited="false"'
@@ -76,7 +116,7 @@ def _body(hand: HandDescription, index: int, meshes: list[str], bodies: Any) -> 
         f'<body name="{link_name(index)}" pos="{_text(link.origin)}" euler="{_text(link.rotation)}">'
         f'<inertial pos="{_text(link.center)}" mass="{link.mass!r}" fullinertia="{_text((ixx, iyy, izz, ixy, ixz, iyz))}"/>'
         f'<joint name="{link_name(index)}" type="{kind}" axis="{_text(link.axis)}" {ends}/>'
-        f"{_shapes(link.collision, meshes)}{bodies(link.name)}</body>"
+        f"{shapes(link)}{bodies(link.name)}</body>"
     )
 
 
@@ -85,27 +125,31 @@ def _shapes(shapes: Iterable[Geometry], meshes: list[str]) -> str:
     return "".join(_shape(shape, meshes) for shape in shapes if shape.kind != "mesh")
 
 
-def _shape(shape: Geometry, meshes: list[str]) -> str:
+def _shape(shape: Geometry, meshes: list[str], look: str = "", files: dict[str, Geometry] | None = None) -> str:
+    """A shape with more attributes; one of kind "mesh" is added to `files`."""
     kind, size = shape.kind, shape.size
-    if kind == "hull":
+    if kind == "mesh" and files is not None:
+        name = f"file{len(files)}"
+        files[name], given = shape, f'mesh="{name}"'
+    elif kind == "hull":
         kind, given = "mesh", _mesh(shape.corners, meshes)
     elif kind == "box":
         given = f'size="{_text(0.5 * side for side in size)}"'
     else:  # MuJoCo counts half of a cylinder's length
         given = f'size="{_text((size[0], *(0.5 * length for length in size[1:])))}"'
-    return f'<geom type="{kind}" {given} pos="{_text(shape.origin)}" euler="{_text(shape.rotation)}"/>'
+    return f'<geom type="{kind}" {given} pos="{_text(shape.origin)}" euler="{_text(shape.rotation)}" {look}/>'
 
 
-def _object_shape(item: ObjectDescription, meshes: list[str]) -> tuple[str, str, str]:
+def _object_shape(item: ObjectDescription, meshes: list[str]) -> str:
     """Type, size and orientation of the object's shape."""
     if item.shape == "mesh":
-        return "mesh", _mesh(item.faces[0], meshes), "0 0 0"
+        return f'type="mesh" {_mesh(item.faces[0], meshes)} euler="0 0 0"'
     half = [0.5 * side for side in item.size]
     if item.shape == "cuboid":
-        return "box", f'size="{_text(half)}"', "0 0 0"
+        return f'type="box" size="{_text(half)}" euler="0 0 0"'
     if item.shape == "capsule":
         half[1] -= half[0]
-    return item.shape, f'size="{_text(half)}"', _Z_TO_Y
+    return f'type="{item.shape}" size="{_text(half)}" euler="{_Z_TO_Y}"'
 
 
 def _mesh(corners: Any, meshes: list[str]) -> str:

@@ -18,6 +18,7 @@ from grasp_env.sim.simulator import Simulator
 
 mujoco: Any = compiled  # it has no types
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_CLOSED = "the simulation is closed; make a new Scene from its config"
 _LEAST_FORCE = 1e-9
 """[N] below which a contact is one that the solver left open."""
 
@@ -31,26 +32,28 @@ class Mujoco(Simulator):
 
     Args:
         hand: What is loaded with every object.
-        gui, visuals: For pictures, which it does not draw.
+        gui: Refused: there is no window. visuals: Not used: pictures have a model of their own.
 
     Attributes:
         model, data: What MuJoCo's own calls take; others after each `load`, None after `close`.
 
     Raises:
-        InvalidInputError: pictures or a window were asked for.
+        InvalidInputError: A window was asked for.
     """
 
     def __init__(self, hand: HandDescription, gui: bool = False, visuals: bool = False) -> None:
-        if gui or visuals:
+        if gui:
             raise InvalidInputError(
-                "pictures and windows are Bullet's: with engine='mujoco' leave render_mode, gui and visuals out, or take engine='bullet'"
+                "engine='mujoco' opens no window: use render_mode='rgb_array', `grasp live` in a browser, or engine='bullet'"
             )
-        self._hand = hand
+        self._hand, self._closed = hand, False
         self.model: Any = None
         self.data: Any = None
 
     def load(self, config: SceneConfig, angles: Array) -> None:
         """See `Simulator`."""
+        if self._closed:
+            raise SimulationError(_CLOSED)
         engine = instance(config.engine, MujocoEngine, "engine")
         text = scene_mjcf(self._hand, config.object, config.gravity, 1.0 / engine.rate, engine)
         try:
@@ -144,10 +147,11 @@ class Mujoco(Simulator):
     def close(self) -> None:
         """See `Simulator`."""
         self.model = self.data = None
+        self._closed = True
 
     def _open(self) -> Any:
         if self.data is None:
-            raise SimulationError("the simulation is closed; make a new Scene from its config")
+            raise SimulationError(_CLOSED)
         return self.data
 
     def _turned(self) -> Array:

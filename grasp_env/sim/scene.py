@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,9 @@ from numpy.typing import ArrayLike
 
 from grasp_env import core
 from grasp_env._check import Array, as_array
-from grasp_env._extras import need
 from grasp_env.errors import SimulationError
-from grasp_env.sim.bullet import World
-from grasp_env.sim.client import Client
 from grasp_env.sim.config import SceneConfig
+from grasp_env.sim.engine import class_of
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
@@ -33,7 +30,8 @@ class Scene:
         visuals: Load the hand's visual shapes, which pictures need; they make loading a new object five times slower.
 
     Attributes:
-        simulator: The physics engine that `config.engine` names. kinematics: of the hand. core: hand, object and what was read, in the core.
+        simulator: The physics engine that `config.engine` names, for calls of one's own: PyBullet's has `client` and `world`,
+            the numbers of its connection and bodies, MuJoCo's has `model` and `data`. kinematics: of the hand. core: hand, object and what was read, in the core.
         gravity: (3,) current [m/s^2], world frame.
 
     Raises:
@@ -65,16 +63,6 @@ class Scene:
     def timestep(self) -> float:
         """Simulated time of one step [s]."""
         return self.config.substeps / self.config.engine.rate
-
-    @property
-    def client(self) -> Client:
-        """The connection to PyBullet, for calls of one's own; other engines have none."""
-        return self.simulator.client
-
-    @property
-    def bodies(self) -> World:
-        """PyBullet's numbers of the hand, of the object and of the joints; other engines have none."""
-        return self.simulator.world
 
     def load(self, config: SceneConfig) -> None:
         """Builds another object, or another grasp of it, for the same engine; no kept state is left. The hand may be elsewhere.
@@ -203,10 +191,7 @@ class Scene:
 
 
 def _simulator(config: SceneConfig, gui: bool, visuals: bool) -> Simulator:
-    """The engine of a config, whose module is imported where it is asked for."""
-    module, name = config.engine.simulator
-    with need(config.engine.extra):
-        return getattr(import_module(module), name)(config.hand, gui=gui, visuals=visuals)
+    return class_of(config.engine, "simulator")(config.hand, gui=gui, visuals=visuals)
 
 
 def _start(config: SceneConfig, kinematics: HandKinematics) -> Array:

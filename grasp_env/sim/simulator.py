@@ -12,8 +12,8 @@ from grasp_env.sim.objects.description import ObjectDescription
 class Simulator(Protocol):
     """One hand and one object in a physics engine, made from the hand, `gui` and `visuals`; see `engine.ENGINES`.
 
-    Everything is in the world frame and in the hand's own numbering: no convention of an engine passes this boundary. Drawing is apart:
-    `Camera` needs Bullet.
+    Everything is in the world frame and in the hand's own numbering: no convention of an engine passes this boundary. Drawing is apart,
+    see `Painter`.
     """
 
     def load(self, config: SceneConfig, angles: Array) -> None:

@@ -8,6 +8,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from engines import needs_bullet
 
 from benchmarks import batch, scaling
 from benchmarks.__main__ import BENCHMARKS, main
@@ -16,7 +17,9 @@ from training.results.columns import COLUMNS
 from training.results.table import numbers, pd, read, summary
 
 
-@pytest.mark.parametrize("name", BENCHMARKS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[needs_bullet] if name == "env" else []) for name in BENCHMARKS]
+)
 def test_it_is_described_by_known_columns_and_settings(name, capsys):
     made = import_module(f"benchmarks.{name}").BENCHMARK
     for column in (*made.shown, *(claim.column for claim in made.claims)):

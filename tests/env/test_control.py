@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from engines import bullet, needs_bullet
 from hands import controller_alone, scene_alone
 from scipy.spatial.transform import Rotation
 
@@ -17,7 +18,6 @@ from grasp_env.control.loop import RELEASE, believed_body, control_settings
 from grasp_env.control.sensing import sensor_settings
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.sim import ObjectDescription, Scene, Snapshot
-from grasp_env.sim.client import bullet
 from grasp_env.sim.hand import HandDescription, HandKinematics
 from grasp_env.task.motion import motion_target, resting_target
 
@@ -221,6 +221,7 @@ def slipped(request: pytest.FixtureRequest) -> tuple[int, Trial]:
     return request.param, Trial((request.param,), duration=4.0, steps=200)
 
 
+@needs_bullet
 def test_a_finger_that_slips_off_leaves_the_others_balanced(slipped):
     finger, trial = slipped
     others = tuple(k for k in range(4) if k != finger)
@@ -245,6 +246,7 @@ def test_a_finger_that_slips_off_leaves_the_others_balanced(slipped):
     assert max(info["drift"] for info in trial.infos) < 5e-3
 
 
+@needs_bullet
 def test_the_loss_is_noticed_within_a_few_ticks(slipped):
     finger, trial = slipped
     lost = next(k for k, tick in enumerate(trial.ticks) if not tick.touching[finger])
@@ -253,6 +255,7 @@ def test_the_loss_is_noticed_within_a_few_ticks(slipped):
     assert noticed % 5 != 0 or noticed == lost + RELEASE
 
 
+@needs_bullet
 def test_the_finger_comes_back(slipped):
     finger, trial = slipped
     last = trial.infos[-1]
@@ -265,6 +268,7 @@ def test_the_finger_comes_back(slipped):
     assert last["force_error"] < 0.05
 
 
+@needs_bullet
 def test_the_commanded_force_is_continuous(slipped):
     """By at most force_rate * dt = 4 N per tick beyond what balance asks; a finger that lands starts from nothing."""
     finger, trial = slipped
@@ -288,6 +292,7 @@ def test_the_commanded_force_is_continuous(slipped):
             assert 0.0 < now.force[finger, 0] <= most + 1e-9
 
 
+@needs_bullet
 def test_a_slow_force_rate_is_kept():
     """The internal force of a finger that lands grows by 0.1 N per tick, not more."""
     trial = Trial((2,), duration=4.0, steps=200, controller={"force_rate": 25.0})
@@ -301,6 +306,7 @@ def test_a_slow_force_rate_is_kept():
     assert after[-1].force[2, 0] > after[0].force[2, 0]
 
 
+@needs_bullet
 def test_without_force_closure_the_episode_ends_with_that_cause():
     trial = Trial((2, 3), ticks=200, limits={"max_drift": 10.0, "max_tilt": 3.0})
     last = trial.infos[-1]
@@ -318,6 +324,7 @@ def test_without_force_closure_the_episode_ends_with_that_cause():
         assert info["reward/iterations"] < 0.0  # a failed optimisation is no free one
 
 
+@needs_bullet
 def test_a_short_gap_of_force_closure_is_survived():
     """Without gravity two fingers are pulled off and come back: closure is lost, then found again."""
     trial = Trial(
@@ -334,6 +341,7 @@ def test_a_short_gap_of_force_closure_is_survived():
     assert trial.infos[-1]["failure"] == ""
 
 
+@needs_bullet
 def test_a_hand_let_go_is_reported():
     trial = Trial((0, 1, 2, 3), ticks=200)
     assert trial.infos[-1]["failure"] in ("dropped", "closure_lost")

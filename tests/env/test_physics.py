@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from engines import bullet, needs_bullet
 
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.sim.client import bullet
 from grasp_env.task import PaperPath
 
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
@@ -55,6 +55,7 @@ def test_holds_for_two_seconds(disturbance):
     assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
 
 
+@needs_bullet
 @pytest.mark.parametrize("hand", ["three_finger", "four_finger", "five_finger"])
 @pytest.mark.parametrize("shape", ["cuboid", "cylinder", "sphere"])
 def test_contact_forces_sum_to_the_applied_wrench(hand, shape):
@@ -131,6 +132,7 @@ def still() -> list[tuple[dict[str, Any], float, np.ndarray]]:
     return rows
 
 
+@needs_bullet
 def test_pose_after_ten_seconds(still):
     first, last = still[0][2], still[-1][2]
     assert np.linalg.norm(last[:3]) < 5e-5  # 0.05 mm of the nominal pose
@@ -141,6 +143,7 @@ def test_pose_after_ten_seconds(still):
     assert last[1] == pytest.approx(0.0, abs=1e-6)  # nothing creeps down
 
 
+@needs_bullet
 def test_energy_does_not_grow(still):
     energy = np.array([row[1] for row in still])
     assert (energy[250:].max() <= energy[:50].max()) or energy[250:].max() < 1e-16

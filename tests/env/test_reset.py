@@ -64,7 +64,7 @@ def disturb(scene: Scene, seed: int, steps: int) -> None:
     push = np.zeros(6) if seed == 0 else np.array([2.0, 2.0, 2.0, 0.05, 0.05, 0.05])
     torque = 0.0 if seed == 0 else 0.3
     for _ in range(steps):
-        scene.step(torque * rng.normal(size=len(scene.simulator.world.joints)), push * rng.normal(size=6))
+        scene.step(torque * rng.normal(size=scene.kinematics.hand.joint_count), push * rng.normal(size=6))
 
 
 @pytest.mark.parametrize("settings", OBJECTS, ids=str)
@@ -83,7 +83,7 @@ def go_on(scene: Scene) -> np.ndarray:
     rows = []
     for _ in range(6):
         rows.append(numbers(scene))
-        scene.advance([0.02] * len(scene.simulator.world.joints), None)
+        scene.advance([0.02] * scene.kinematics.hand.joint_count, None)
     return np.array(rows)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from engines import needs_bullet
 from episodes import episode
 from force.clarabel_reference import Reference
 from scipy.linalg import null_space
@@ -99,6 +100,7 @@ def test_strong_motors_are_never_asked():
     assert 11.0 < min(info["torque_margin"] for info in infos) < 12.0
 
 
+@needs_bullet
 def test_what_does_not_settle_names_the_torques():
     with pytest.raises(SimulationError, match=r"torque limits: .*_joint \(0\.3 N m\).*raise torque_limit"):
         FourFingerGrasp(hand=weak(0.3), contact_points=POINTS)
@@ -135,7 +137,7 @@ def left_open(loop: ForceLoop) -> np.ndarray:
     return null_space(np.vstack([grasp.matrix, torques]), rcond=1e-6)
 
 
-@pytest.mark.parametrize("engine", [BulletEngine(solver_iterations=500), "mujoco"])
+@pytest.mark.parametrize("engine", [pytest.param(BulletEngine(solver_iterations=500), marks=needs_bullet), "mujoco"])
 def test_fingers_of_two_joints_push_as_they_are_told(engine):
     """What no motor commands is carried by the fingers' structure, as balance and torques leave it: there measured is commanded.
 
@@ -163,7 +165,7 @@ def test_fingers_of_two_joints_push_as_they_are_told(engine):
     assert np.median(errors) < 0.01  # of 2 N; the pushes change by as much in a tick
 
 
-@pytest.mark.parametrize("engine", ["bullet", "mujoco"])
+@pytest.mark.parametrize("engine", [pytest.param("bullet", marks=needs_bullet), "mujoco"])
 def test_two_fingers_hold_by_torsion(engine):
     """Without torsion two contacts cannot keep the object from turning about the line between them."""
     if engine == "mujoco":

@@ -11,10 +11,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from engines import bullet, needs_bullet
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.sim.client import bullet
 
 ENV = "grasp_env:FourFingerGrasp-v0"
 RANDOM = {"disturbance": "random"}
@@ -121,6 +121,7 @@ def test_only_what_is_named_is_drawn(name):
         assert len(drawn["size"]) == 1
 
 
+@needs_bullet
 def test_every_environment_has_a_client_of_its_own():
     """Stepped in turn, each of them gives the bits that it gives alone."""
     alone = []

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from engines import needs_bullet
 from golden.judge import GROUPS, differences
 from golden.record import FOLDER, Outcome, load
 
@@ -46,7 +47,9 @@ def recorded(group: str) -> dict[str, list[Outcome]]:
     return load(FOLDER / f"{group}.npz")
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[needs_bullet] if name.startswith("environment") else []) for name in CASES]
+)
 def test_as_recorded(name: str) -> None:
     group, case = CASES[name]
     found = differences(case, case.run(), recorded(group)[case.name])

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from engines import Bullet, bullet, needs_bullet
 
 from grasp_env.sim import BulletEngine, HandKinematics, ObjectDescription, SceneConfig
-from grasp_env.sim.bullet import Bullet
-from grasp_env.sim.client import bullet
 from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription, Link, Mimic, Palm
+
+pytestmark = needs_bullet
 
 RATE = 250
 CUBE = tuple((x, y, z) for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (-0.01, 0.01))

@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from engines import bullet, needs_bullet
 from PIL import Image, ImageDraw
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim import HANDS, Camera, CameraConfig, Scene, SceneConfig
-from grasp_env.sim.client import bullet
 from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN, WRENCH_COLOR, Annotation
-from grasp_env.sim.picture.camera import BACKGROUND_DEPTH, DIRECTION, draw_in_window
+from grasp_env.sim.picture.camera import DIRECTION
 from grasp_env.sim.picture.edges import smooth_edges
 from grasp_env.sim.picture.overlay import VEIL, draw, room
+from grasp_env.sim.picture.painter import BACKGROUND_DEPTH
 from grasp_env.sim.picture.portrait import portrait
 from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 
@@ -42,6 +43,7 @@ def one_finger(**fields: Any) -> Annotation:
     return Annotation(**{**given, **fields})
 
 
+@needs_bullet
 def test_project_is_what_opengl_does_and_unproject_goes_back() -> None:
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (30, 3))
     matrices = (
@@ -76,7 +78,7 @@ def test_fitted_leaves_the_margins_free_and_no_more(size: tuple[int, int]) -> No
 def test_a_picture_shows_the_object_where_project_says_and_what_is_behind_it(scene: Scene) -> None:
     camera = Camera(scene, CameraConfig(width=240, height=240, object_opacity=1.0))
     opaque = camera.capture().astype(int)
-    with scene.simulator.object_hidden():
+    with camera.painter.object_hidden():
         without = camera.capture().astype(int)
     rows, columns = np.nonzero(np.abs(opaque - without).max(axis=2) > 40)
     half = 0.05 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
@@ -103,7 +105,7 @@ def test_all_of_hand_and_object_is_in_the_picture(scene: Scene, half: float, siz
     cuboid = dataclasses.replace(default.object, size=(2 * half, 2 * half, 2 * half))
     scene.load(dataclasses.replace(default, object=cuboid, contact_points=points))
     camera.capture()  # finds new bodies and moves back
-    _, depth = camera._shoot(camera.view)
+    _, depth = camera.painter.shoot(camera.view)
     drawn = depth < BACKGROUND_DEPTH
     assert drawn.mean() > 0.15
     drawn[3:-3, 3:-3] = False  # the margin of 0.06 is more than 3 pixels
@@ -114,7 +116,7 @@ def test_all_of_hand_and_object_is_in_the_picture(scene: Scene, half: float, siz
 def test_contacts_are_looked_at_from_where_they_are_seen(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     camera = Camera(scene, CameraConfig(width=96, height=96))
     away = View((0.0, 1.2, 1e-3), (0.0, 0.0, 0.0), 40.0, 160, 160)  # from above, through the palm
-    with scene.simulator.object_hidden():
+    with camera.painter.object_hidden():
         assert camera._contacts_seen(dataclasses.replace(away, eye=(0.86, 0.13, 0.86))) == 4
         assert camera._contacts_seen(away) < 4
     monkeypatch.setattr(Camera, "_contacts_seen", lambda self, view: view.eye[0] < -0.1)
@@ -234,7 +236,7 @@ def test_words_have_their_place_beside_hand_and_arrows(
                       LONGEST_TURN / 0.2, "hold: random wrench", "four finger", "", lines)  # fmt: skip
     plain = draw(Image.new("RGB", size, (120, 120, 120)), note, camera.view)
     words = (np.array(plain) != round(255 - (1.0 - VEIL) * (255 - 120))).any(axis=2)
-    _, depth = camera._shoot(camera.view)
+    _, depth = camera.painter.shoot(camera.view)
     assert not (words & (depth < BACKGROUND_DEPTH)).any()
     ends = camera.project(np.vstack([0.95 * LONGEST * np.eye(3), -0.95 * LONGEST * np.eye(3)])).astype(int)
     assert not words[ends[:, 1], ends[:, 0]].any()
@@ -278,7 +280,8 @@ def test_smooth_edges_come_nearer_to_the_true_coverage(angle: float, most: float
     np.testing.assert_array_equal(smooth[flat], jagged[flat])
 
 
-def test_lines_in_a_window_are_drawn_once_and_then_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+@needs_bullet
+def test_lines_in_a_window_are_drawn_once_and_then_moved(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[tuple[Any, Any, int]] = []
 
     def add(start: Any, end: Any, color: Any, replaceItemUniqueId: int, **_: Any) -> int:
@@ -286,14 +289,18 @@ def test_lines_in_a_window_are_drawn_once_and_then_moved(monkeypatch: pytest.Mon
         return 70 + len(drawn)
 
     monkeypatch.setattr(bullet, "addUserDebugLine", add)
+    painter = Camera(scene, CameraConfig(width=16, height=16)).painter
     note = one_finger(wrench=[0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-    lines = draw_in_window(0, note)
+    painter.show(note)
     np.testing.assert_allclose(drawn[0][:2], [[-0.08, 0.0, 0.0], [-0.03, 0.0, 0.0]], atol=1e-12)
     np.testing.assert_allclose(drawn[1][:2], [[0.1, 0.1, 0.0], [0.1, 0.15, 0.0]], atol=1e-12)
-    draw_in_window(0, note, lines)
-    assert [line for _, _, line in drawn] == [-1, -1, *lines]
-    assert len(draw_in_window(0, dataclasses.replace(note, active=[False]))) == 2
-    np.testing.assert_allclose(*drawn[-2][:2])
+    painter.show(note)
+    assert [line for _, _, line in drawn] == [-1, -1, 71, 72]
+    painter.show(dataclasses.replace(note, active=[False]))
+    np.testing.assert_allclose(*drawn[4][:2])
+    scene.load(scene.config)
+    painter.show(note)
+    assert [line for _, _, line in drawn[6:]] == [-1, -1]  # other bodies, whose window has no lines
 
 
 def test_a_portrait_stands_upright_and_shows_tips_and_posture() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from engines import Client, bullet, create_body, joint_indices, needs_bullet
 from hands import load_hand
 
 from grasp_env import core
@@ -17,8 +18,6 @@ from grasp_env.grasp import Grasp
 from grasp_env.grasp.presets import paper_cuboid
 from grasp_env.quality import force_closure
 from grasp_env.sim import HANDS, HandKinematics
-from grasp_env.sim.bullet import create_body, joint_indices
-from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.grasping.points import FRICTION_MARGIN, check_points, grasp_points
 from grasp_env.sim.hand.limbs import hand_limbs
 from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
@@ -109,6 +108,7 @@ def test_contacts_keep_away_from_edges(hand: HandKinematics) -> None:
             assert (np.where(on_side, half[1] - np.abs(points[:, 1]), half[0] - side) > 0.0029).all()
 
 
+@needs_bullet
 def test_bullet_sees_no_other_contact(hand: HandKinematics) -> None:
     for shape in SHAPES_WITHOUT_MESH:
         item = ObjectDescription(shape)

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from engines import Client, bullet, joint_indices, needs_bullet
 from hands import links_of_indices, load_hand
 
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError
-from grasp_env.sim.bullet import joint_indices
-from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.hand.description import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Link, Palm
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import touching_pairs
@@ -126,6 +125,7 @@ def test_equal_hands_are_equal_hashable_and_picklable() -> None:
         assert pickle.loads(pickle.dumps(hand)) == hand
 
 
+@needs_bullet
 @pytest.mark.parametrize("side", OBJECT_SIDES)
 def test_links_clear_one_another_and_the_object(posed: Posed, side: float) -> None:
     kinematics, tips = posed.kinematics, tips_on_cuboid(posed.hand.name, side)
@@ -146,6 +146,7 @@ def test_links_clear_one_another_and_the_object(posed: Posed, side: float) -> No
                 assert posed.distance(posed.body, link, posed.indices[other]) > 0.004
 
 
+@needs_bullet
 @pytest.mark.parametrize("side", OBJECT_SIDES)
 def test_only_the_tip_of_a_distal_link_is_near_the_object(posed: Posed, side: float) -> None:
     kinematics, hand = posed.kinematics, posed.hand
@@ -157,6 +158,7 @@ def test_only_the_tip_of_a_distal_link_is_near_the_object(posed: Posed, side: fl
         assert np.linalg.norm(outside, axis=1).min() > capsule.size[0] + 0.007
 
 
+@needs_bullet
 def test_a_finger_meets_itself_nowhere_and_the_palm_only_with_its_folded_tip(posed: Posed) -> None:
     rng, hand, (lower, upper) = np.random.default_rng(5), posed.hand, (posed.kinematics.lower, posed.kinematics.upper)
     posed.pose(posed.kinematics.home)
@@ -189,6 +191,7 @@ def test_links_of_indices_turns_joint_indices_round() -> None:
     assert links[-1] == -1  # PyBullet's base
 
 
+@needs_bullet
 def test_another_body_is_no_hand(posed: Posed) -> None:
     shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.1, physicsClientId=posed.number)
     ball = bullet.createMultiBody(1.0, shape, physicsClientId=posed.number)

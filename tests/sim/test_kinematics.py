@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from engines import HAND_FLAGS, Client, bullet, joint_indices, needs_bullet
 from hands import load_hand, mass_matrix
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.bullet import HAND_FLAGS, joint_indices
-from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.hand.description import HANDS, FingerDescription, HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
 
@@ -81,6 +80,7 @@ def loaded(request: pytest.FixtureRequest) -> Iterator[Loaded]:
     made.client.close()
 
 
+@needs_bullet
 def test_positions_match_pybullet(loaded: Loaded) -> None:
     for link, index in enumerate(loaded.indices):
         state = bullet.getLinkState(loaded.body, index, computeForwardKinematics=1, physicsClientId=loaded.number)
@@ -90,6 +90,7 @@ def test_positions_match_pybullet(loaded: Loaded) -> None:
         np.testing.assert_allclose(loaded.frames[link], rotation, atol=1e-6)
 
 
+@needs_bullet
 def test_jacobians_match_pybullet(loaded: Loaded) -> None:
     zero, kinematics = [0.0] * loaded.count, loaded.kinematics
     tips = loaded.kinematics.tips(loaded.angles)
@@ -116,6 +117,7 @@ def test_jacobians_match_pybullet(loaded: Loaded) -> None:
             np.testing.assert_allclose(np.array(theirs)[:, loaded.columns], ours, atol=1e-12)
 
 
+@needs_bullet
 def test_jacobians_match_finite_differences(loaded: Loaded) -> None:
     step = 1e-6
     tips = loaded.kinematics.tips(loaded.angles)
@@ -128,6 +130,7 @@ def test_jacobians_match_finite_differences(loaded: Loaded) -> None:
             np.testing.assert_allclose(loaded.jacobian(link, tips[finger])[:, joint], slopes[finger], atol=1e-9)
 
 
+@needs_bullet
 def test_gravity_torques_match_pybullet(loaded: Loaded) -> None:
     torques, zero = loaded.kinematics.gravity_torques(loaded.angles, GRAVITY), [0.0] * loaded.count
     bullet.setGravity(*GRAVITY, physicsClientId=loaded.number)
@@ -135,6 +138,7 @@ def test_gravity_torques_match_pybullet(loaded: Loaded) -> None:
     np.testing.assert_allclose(torques, np.array(theirs)[loaded.columns], atol=1e-12)
 
 
+@needs_bullet
 def test_gravity_torques_are_the_slope_of_the_height(loaded: Loaded) -> None:
     torques, step = loaded.kinematics.gravity_torques(loaded.angles, GRAVITY), 1e-6
     masses = np.array([link.mass for link in loaded.hand.links])
@@ -151,6 +155,7 @@ def test_gravity_torques_are_the_slope_of_the_height(loaded: Loaded) -> None:
         assert abs(torques[joint] - slope) < 1e-9
 
 
+@needs_bullet
 def test_inertias_match_pybullet(loaded: Loaded) -> None:
     """The mass matrix: inertias, and what fixed joints merge, mean the same to PyBullet."""
     total = mass_matrix(loaded.kinematics, loaded.angles)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,14 +13,23 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import trimesh
+from engines import needs_bullet
 from hands import mass_matrix, numbers
 
 from grasp_env import _extras
 from grasp_env.config import EnvConfig
-from grasp_env.errors import GraspError, InvalidInputError, MissingExtraError, SimulationError, UnknownNameError
+from grasp_env.errors import (
+    GraspError,
+    InvalidInputError,
+    MissingExtraError,
+    SimulationError,
+    UnknownNameError,
+)
 from grasp_env.sim import (
     BulletEngine,
     Camera,
+    CameraConfig,
     HandDescription,
     HandKinematics,
     MujocoEngine,
@@ -26,14 +37,19 @@ from grasp_env.sim import (
     Scene,
     SceneConfig,
 )
+from grasp_env.sim.engine import Engine, _say_mujoco, engine_of
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
+from grasp_env.sim.picture.painter import BACKGROUND_DEPTH
+from grasp_env.sim.picture.view import View
 
 mujoco = pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
 from grasp_env.sim.mujoco import Mujoco  # noqa: E402
+from grasp_env.sim.picture.mujoco import MujocoPainter  # noqa: E402
 
 GRAVITY = np.array([1.0, -9.0, 3.0])
 STILL = (0.0, 0.0, 0.0)
 FAST = {"engine": MujocoEngine()}
+VIEW = View((0.35, 0.1, 0.35), (0.0, 0.05, 0.0), 40.0, 200, 200)
 INERTIA = (6e-6, 1e-7, 2e-7, 3e-6, 1e-7, 5e-6)
 
 
@@ -278,8 +294,27 @@ def test_an_engine_is_one_of_few() -> None:
         gym.make("grasp_env:FourFingerGrasp-v0", engine="bulet")
     assert EnvConfig().override(engine="mujoco").resolved().engine == MujocoEngine(rate=1000)
     assert EnvConfig(engine=MujocoEngine(rate=500)).resolved().engine == MujocoEngine(rate=500)
+
+
+@needs_bullet
+def test_a_simulator_takes_its_own_settings() -> None:
     with pytest.raises(InvalidInputError, match="engine must be a BulletEngine"):
         Scene(SceneConfig(engine=type("Other", (MujocoEngine,), {"simulator": BulletEngine.simulator})()))
+
+
+def test_the_default_is_bullet_where_it_is_installed(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    installed = {"pybullet", "mujoco"}
+    monkeypatch.setattr("grasp_env.sim.engine.find_spec", lambda name: name if name in installed else None)
+    _say_mujoco.cache_clear()
+    assert [engine_of(), SceneConfig().engine, EnvConfig().resolved().engine] == [BulletEngine()] * 3
+    assert not caplog.messages
+    installed.remove("pybullet")
+    EnvConfig().override(engine="mujoco").resolved()
+    assert not caplog.messages  # it was asked for
+    assert [engine_of(), SceneConfig().engine, EnvConfig().resolved().engine] == [MujocoEngine()] * 3
+    assert caplog.messages == ["pybullet is not installed, so the default engine is MuJoCo"]
 
 
 @pytest.mark.parametrize(
@@ -304,10 +339,111 @@ def test_settings_refuse_nonsense(settings: dict[str, Any], message: str) -> Non
         BulletEngine(solver_iterations=0)
 
 
-def test_pictures_are_bullets(make_scene: Callable[..., Scene]) -> None:
-    with pytest.raises(InvalidInputError, match="pictures and windows are Bullet's"):
-        gym.make("grasp_env:FourFingerGrasp-v0", engine="mujoco", render_mode="rgb_array")
-    with pytest.raises(InvalidInputError, match="pictures are drawn by Bullet"):
+@pytest.fixture
+def opengl() -> None:
+    """Skips where MuJoCo cannot draw, and says what it needs."""
+    try:
+        MujocoPainter().close()
+    except SimulationError as error:
+        pytest.skip(str(error))
+
+
+def test_it_has_no_window() -> None:
+    with pytest.raises(InvalidInputError, match=r"opens no window: use render_mode='rgb_array'"):
+        gym.make("grasp_env:FourFingerGrasp-v0", engine="mujoco", render_mode="human")
+
+
+@pytest.mark.usefixtures("opengl")
+def test_pictures_leave_the_physics_alone(make_scene: Callable[..., Scene]) -> None:
+    plain, drawn = make_scene(**FAST), make_scene(visuals=True, **FAST)
+    camera = Camera(drawn, CameraConfig(width=48, height=48))
+    for _ in range(5):
+        for scene in (plain, drawn):
+            scene.step(scene.look().gravity_torques)
+        camera.capture()
+    np.testing.assert_array_equal(numbers(drawn), numbers(plain))
+
+
+def drawn_in(engine: Engine, shape: str) -> tuple[Scene, Any]:
+    """An object that turned before the hand, which stands still, and what draws it."""
+    item = ObjectDescription(shape)
+    top = ((0.0, 0.5 * item.extent[1], 0.0),) * 4
+    scene = Scene(
+        SceneConfig(
+            object=item, contact_points=top, start_angles=HandDescription.four_finger().home, gravity=STILL, engine=engine
+        ),
+        visuals=True,
+    )  # fmt: skip
+    for _ in range(100):
+        scene.step(np.zeros(12), np.array([0.0, -0.5, 0.2, 0.02, 0.03, -0.02]))
+    return scene, Camera(scene, CameraConfig(width=16, height=16)).painter
+
+
+@pytest.mark.usefixtures("opengl")
+@pytest.mark.parametrize("shape", ["cuboid", "cylinder", "sphere", "capsule"])
+def test_pictures_show_the_object_where_it_is(shape: str) -> None:
+    scene, painter = drawn_in(MujocoEngine(), shape)
+    s = scene.look()
+    assert np.linalg.norm(s.rotation - np.eye(3)) > 0.1
+    _, depth = painter.shoot(VIEW)
+    with painter.object_hidden():
+        _, without = painter.shoot(VIEW)
+    seen = (VIEW.unproject(depth)[depth != without] - s.position) @ s.rotation
+    away = [scene.config.object.surface.nearest(point)[2] for point in seen[::10]]
+    assert len(seen) > 1500
+    assert np.percentile(np.abs(away), 95) < (1e-5 if shape == "cuboid" else 1e-3)  # round ones are drawn with corners
+    scene.close()
+
+
+@needs_bullet
+@pytest.mark.usefixtures("opengl")
+def test_both_engines_draw_the_same_picture() -> None:
+    (theirs, far), (ours, near) = (
+        drawn_in(engine, "cuboid")[1].shoot(VIEW, shadows=True) for engine in (BulletEngine(rate=1000), MujocoEngine())
+    )
+    both = (far < BACKGROUND_DEPTH) & (near < BACKGROUND_DEPTH)
+    assert both.sum() > 0.94 * ((far < BACKGROUND_DEPTH) | (near < BACKGROUND_DEPTH)).sum()
+    unlike = np.abs(np.asarray(theirs, float) - np.asarray(ours, float)).max(axis=2)[both]
+    assert np.median(unlike) < 16.0
+
+
+@pytest.mark.usefixtures("opengl")
+def test_looks_in_files_and_hulls_are_drawn(tmp_path: Path) -> None:
+    """A red mesh of millimetres in a file, a green hull; both boxes of 2 cm, 5 cm beside the middle."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    trimesh.convex.convex_hull(10.0 * corners).export(tmp_path / "box.stl")
+    mesh = Geometry("mesh", (1e-3,) * 3, (0.05, 0.0, 0.0), color=(1.0, 0.0, 0.0), file=str(tmp_path / "box.stl"))
+    hull = Geometry("hull", (), (-0.05, 0.0, 0.0), color=(0.0, 1.0, 0.0), corners=tuple(map(tuple, 0.01 * corners)))
+    hand = dataclasses.replace(HandDescription.four_finger(), palm=Palm(visual=(mesh, hull)))
+    hand = dataclasses.replace(hand, links=tuple(dataclasses.replace(link, visual=()) for link in hand.links))
+    painter = MujocoPainter.of_hand(hand, np.array(hand.home))
+    view = View((0.0, 0.0, 0.5), (0.0, 0.0, 0.0), 30.0, 120, 120)
+    picture, depth = painter.shoot(view)
+    painter.close()
+    colors, seen = np.asarray(picture).astype(int), depth < BACKGROUND_DEPTH
+    points = view.unproject(depth)
+    for channel, side in ((0, 1.0), (1, -1.0)):
+        own = seen & (side * points[..., 0] > 0.0)
+        assert np.ptp(points[own], axis=0)[:2] == pytest.approx(0.02, abs=0.005)
+        assert points[own].mean(axis=0) == pytest.approx([0.05 * side, 0.0, 0.01], abs=2e-3)
+        assert (colors[own][:, channel] > 120).all()
+        assert (colors[own][:, 1 - channel] < 40).all()
+
+
+@pytest.mark.usefixtures("opengl")
+def test_pictures_and_pytorch_for_cuda_bear_each_other() -> None:
+    """Mesa's LLVM before triton's crashes Python: pictures first, as in a test run."""
+    pytest.importorskip("triton", reason="PyTorch's builds without CUDA do not bring triton")
+    code = "from grasp_env.sim.picture.mujoco import MujocoPainter; painter = MujocoPainter(); import triton"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_without_opengl_what_to_install_is_told(
+    monkeypatch: pytest.MonkeyPatch, make_scene: Callable[..., Scene]
+) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco.osmesa", None)
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    with pytest.raises(SimulationError, match=r"osmesa gives none here .*apt-get install libosmesa6"):
         Camera(make_scene(**FAST))
 
 

@@ -10,17 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from engines import Bullet, bullet, needs_bullet
 
 from grasp_env.sim import HANDS, HandKinematics, ObjectDescription, SceneConfig
-from grasp_env.sim.bullet import Bullet
-from grasp_env.sim.client import bullet
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.solids import outline
 
 FOLDER = Path(os.environ.get("GRASP_HANDS", ""))
-pytestmark = pytest.mark.skipif(
-    "GRASP_HANDS" not in os.environ, reason="set GRASP_HANDS to the folder of hands of dexsuite/dex-urdf"
-)
+pytestmark = [
+    needs_bullet,
+    pytest.mark.skipif(
+        "GRASP_HANDS" not in os.environ, reason="set GRASP_HANDS to the folder of hands of dexsuite/dex-urdf"
+    ),
+]
 
 # joints, fingertips, coupled joints, what their one warning tells
 FILES = {

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from engines import UNDAMPED, Client, bullet, create_body, needs_bullet, set_dynamics
 from scipy.optimize import minimize
 
-from grasp_env.sim.bullet import UNDAMPED, create_body, set_dynamics
-from grasp_env.sim.client import Client, bullet
 from grasp_env.sim.objects.description import SHAPES, ObjectDescription
 
 SIZES = {
@@ -130,6 +129,7 @@ def test_surface_points_have_the_normal_of_the_surface(item: ObjectDescription) 
             assert step < 0.0 or np.abs(there - normal).max() < 1e-5
 
 
+@needs_bullet
 def test_bullet_has_the_same_surface(item: ObjectDescription, client: int) -> None:
     body = create_body(client, item, (1.0, 1.0, 1.0))
     ball = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.01, physicsClientId=client)
@@ -150,6 +150,7 @@ def test_bullet_has_the_same_surface(item: ObjectDescription, client: int) -> No
     assert np.median(rough) < 1e-5
 
 
+@needs_bullet
 def test_bullet_has_the_same_dynamics(item: ObjectDescription, client: int) -> None:
     body = create_body(client, item, (1.0, 1.0, 1.0))
     changed = ObjectDescription(item.shape, item.size, 0.35, 0.61, mesh=item.mesh)
@@ -173,6 +174,7 @@ def test_bullet_has_the_same_dynamics(item: ObjectDescription, client: int) -> N
         np.testing.assert_allclose(spin, moment / 240.0 / changed.moments, rtol=1e-9, atol=1e-12)
 
 
+@needs_bullet
 def test_a_capsule_as_long_as_thick_is_a_ball(client: int) -> None:
     item = ObjectDescription("capsule", (0.08, 0.08))
     create_body(client, item, (1.0, 1.0, 1.0))

@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from engines import bullet, needs_bullet
 from hands import scene_alone
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
 from grasp_env.sim import BulletEngine, Scene, Snapshot
-from grasp_env.sim.client import bullet
 
 WRENCH = np.array([1.0, 0.5, -0.6, -0.1, 0.2, 0.0])
 
@@ -54,6 +54,7 @@ def test_rotation_of_a_quaternion() -> None:
         np.testing.assert_allclose(views.rotation, turn.as_matrix(), atol=1e-14)
 
 
+@needs_bullet
 def test_the_hand_is_where_bullet_has_it(moving: Scene) -> None:
     s, client, hand = moving.look(), moving.simulator.client.number, moving.config.hand
     for joint, index in enumerate(moving.simulator.world.joints):
@@ -76,6 +77,7 @@ def test_the_hand_is_where_bullet_has_it(moving: Scene) -> None:
     np.testing.assert_allclose(s.gravity_torques, torques, atol=1e-9)
 
 
+@needs_bullet
 def test_the_object_is_where_bullet_has_it(moving: Scene) -> None:
     s, client = moving.look(), moving.simulator.client.number
     position, quaternion = bullet.getBasePositionAndOrientation(moving.simulator.world.object, client)
@@ -86,6 +88,7 @@ def test_the_object_is_where_bullet_has_it(moving: Scene) -> None:
     np.testing.assert_array_equal(s.angular, angular)
 
 
+@needs_bullet
 def test_contact_geometry_matches_bullet(moving: Scene) -> None:
     s, client = moving.look(), moving.simulator.client.number
     for finger, link in enumerate(_tip_links(moving)):
@@ -99,6 +102,7 @@ def test_contact_geometry_matches_bullet(moving: Scene) -> None:
         np.testing.assert_allclose(s.touch[finger], row[5], atol=1e-6)
 
 
+@needs_bullet
 def test_slip_is_the_sliding_speed_of_tip_and_surface(moving: Scene) -> None:
     client, normals = moving.simulator.client.number, np.empty((4, 3))
     moving.step(np.zeros(12))  # the grasp opens: tips and object part and slide
@@ -150,6 +154,7 @@ def test_forces_carry_the_weight(held: Scene) -> None:
     assert (np.einsum("ni,ni->n", s.forces, s.normals) > 1.0).all()
 
 
+@needs_bullet  # MuJoCo's contacts are springs; tests/sim/test_mujoco.py asks as much of them as they give
 def test_measured_forces_are_the_commanded_ones(held: Scene, make_holder: Callable) -> None:
     holder = make_holder(squeeze=12.0, wrench=WRENCH)
     for _ in range(200):
@@ -176,6 +181,7 @@ def test_equilibrium_in_a_turned_object_frame(held: Scene, make_holder: Callable
     np.testing.assert_allclose(moment, 0.0, atol=2e-4)
 
 
+@needs_bullet  # MuJoCo's contacts are springs; tests/sim/test_mujoco.py asks as much of them as they give
 @pytest.mark.parametrize("angle", range(0, 360, 45))
 def test_friction_cone_is_round_and_not_squared(
     make_scene: Callable[..., Scene], make_holder: Callable, to_torques: Callable, angle: float

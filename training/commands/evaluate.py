@@ -11,7 +11,7 @@ import tyro
 from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
 from training.commands.options import one_of
-from training.compare.scenarios import ENGINES
+from training.compare.scenarios import BOTH, ENGINES
 
 OWN = {
     "starts": ("wrenches", "timed", "repeats", "episodes", "steps", "start", "solver"),
@@ -47,7 +47,7 @@ class Evaluate:
             model's path; a rule takes (grasp, wrench) and returns an (N, 3) force.
         solver: of starts: solvers of your own, each NAME=module:Class or NAME=file.py:Class; solve(problem) returns the (N, 3) forces.
         hands: of env and transfer: names, or paths of URDFs; none: the four-finger hand, of transfer also allegro and leap.
-        engines: of env --hands, the engines in which they hold.
+        engines: of env --hands, the engines in which they hold; none: the default one.
     """
 
     what: tyro.conf.Positional[Literal["starts", "env", "transfer"]] = "starts"
@@ -65,16 +65,20 @@ class Evaluate:
     start: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     solver: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     hands: tuple[str, ...] = ()
-    engines: tuple[Annotated[str, one_of(ENGINES)], ...] = ("bullet",)
+    engines: tuple[Annotated[str, one_of(ENGINES)], ...] = ()
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         self._check()
-        need("sim", "report", *(["mujoco"] if self.what == "transfer" else []))
+        need("sim", "report")
+        from grasp_env.sim.engine import class_of, engine_of
         from training.report.page import write
         from training.results.claims import lines
         from training.results.run import Run, default_name
 
+        if self.what == "transfer":
+            for name in BOTH:
+                class_of(engine_of(name), "simulator")  # says what is not installed before there is a folder
         kind = "hands" if self.what == "env" and self.hands else self.what
         folder = Run.create(self.out, self.name or default_name(kind))
         rows, about = self._measure(kind, folder)

@@ -17,13 +17,13 @@ import numpy as np
 from rich.console import Console
 
 from grasp_env._check import choice, together
-from grasp_env._extras import need
 from grasp_env.config import EnvConfig
 from grasp_env.config.randomize import OBJECT as RANDOM_OBJECT
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError
 from grasp_env.force import InitialForceRule
 from grasp_env.sim import HandKinematics, ObjectDescription
+from grasp_env.sim.engine import class_of, engine_of
 from grasp_env.sim.grasping.points import grasp_points
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from training.compare.scenarios import (
@@ -36,6 +36,7 @@ from training.compare.scenarios import (
     hands_plan,
     short_name,
     transfer_plan,
+    usual_engines,
 )
 from training.data.episodes import episode
 from training.results.run import Run, check_counts
@@ -62,7 +63,7 @@ class HoldsConfig:
         kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances) or "transfer" (the same
             hands in both engines).
         hands: names, or paths of URDFs; none: for "transfer" four_finger, allegro and leap.
-        engines: of "hands", in which they hold: keys of `scenarios.ENGINES`.
+        engines: of "hands", in which they hold: keys of `scenarios.ENGINES`; none: the default one.
         episodes: of each main scenario; 0: 500 of "env", 100 of "hands", 300 of "transfer". The other scenarios have fewer.
         seed: of the first episode; the next ones follow.
         quick: a small version that says that it is quick.
@@ -70,7 +71,7 @@ class HoldsConfig:
 
     kind: str = "env"
     hands: tuple[str, ...] = ()
-    engines: tuple[str, ...] = ("bullet",)
+    engines: tuple[str, ...] = ()
     episodes: int = 0
     seed: int = 0
     quick: bool = False
@@ -88,10 +89,8 @@ class HoldsConfig:
         names = [short_name(name) for name in self.hands]
         if len(set(names)) < len(names):
             raise InvalidInputError(f"hands need different names, got {', '.join(names)}: rename a file")
-        if self.kind == "hands" and not (self.hands and self.engines):
-            raise InvalidInputError(
-                f"name at least one hand and one engine, got hands={self.hands}, engines={self.engines}"
-            )
+        if self.kind == "hands" and not self.hands:
+            raise InvalidInputError("name at least one hand, got none")
 
     def plan(self) -> list[Scenario]:
         """The scenarios."""
@@ -100,7 +99,7 @@ class HoldsConfig:
         if self.kind == "env":
             return controllers_plan(episodes, self.quick)
         if self.kind == "hands":
-            return hands_plan(self.hands, self.engines, episodes)
+            return hands_plan(self.hands, self.engines or usual_engines(), episodes)
         return transfer_plan(self.hands or PRESETS, episodes)
 
 
@@ -132,8 +131,8 @@ def run(
         console: for the progress bar and for what was repaired in URDFs.
     """
     console, plan = console or Console(stderr=True), config.plan() if plan is None else plan
-    if any(ENGINES[engine]["engine"]["name"] == "mujoco" for scenario in plan for engine in scenario.engines):
-        need("mujoco")
+    for name in {ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines}:
+        class_of(engine_of(name), "simulator")  # says here, not in the workers, what is not installed
     for name in config.hands:
         _print_repairs(name, console)
     shards: dict[str, Shard] = {}

@@ -7,6 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 
+def usual_engines() -> tuple[str, ...]:
+    """The default engine alone."""
+    from grasp_env.sim.engine import engine_of  # needs the extra `sim`, which the names below do not
+
+    return (engine_of().name,)
+
+
 @dataclass(frozen=True)
 class Scenario:
     """Episodes of one kind, played in some engines with the same seeds.
@@ -24,7 +31,7 @@ class Scenario:
     keys: dict[str, Any]
     episodes: int
     settings: dict[str, Any] = field(default_factory=dict)
-    engines: tuple[str, ...] = ("bullet",)
+    engines: tuple[str, ...] = field(default_factory=usual_engines)
     random_objects: bool = True
 
     @property

@@ -13,6 +13,7 @@ from grasp_env._check import Array, as_array
 from grasp_env.errors import InvalidInputError
 from grasp_env.grasp.presets import paper_cuboid
 from grasp_env.sim.config import START_CLEARANCE, SceneConfig
+from grasp_env.sim.engine import engine_of
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
@@ -127,8 +128,11 @@ def plan_grasp(
 
 def _of_points(item: ObjectDescription, kinematics: HandKinematics, points: Array, normals: Array) -> GraspPlan:
     """The plan of contacts that are given."""
+    engine = engine_of(quiet=True)  # nothing is simulated
     at, start = (
-        SceneConfig(kinematics.hand, item, tuple(map(tuple, points.tolist())), clearance=away).nominal_tips()
+        SceneConfig(
+            kinematics.hand, item, tuple(map(tuple, points.tolist())), clearance=away, engine=engine
+        ).nominal_tips()
         for away in (0.0, START_CLEARANCE)
     )
     return GraspPlan(points, normals, kinematics.solve(at), kinematics.solve(start), np.inf, 0.0)

@@ -22,6 +22,9 @@ from grasp_env.sim.objects.mesh import Mesh, load_mesh
 SMALLEST, LARGEST = 0.001, 1.0
 """[m] that an object measures along each axis."""
 
+OBJECT_COLOR = (0.86, 0.80, 0.68)
+"""Red, green and blue of objects in pictures."""
+
 _SIZES = {
     "cuboid": ("x", "y", "z"),
     "cylinder": ("diameter", "height"),

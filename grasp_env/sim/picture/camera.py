@@ -1,32 +1,27 @@
-"""Pictures of a scene, drawn without a display by PyBullet's software renderer."""
+"""Pictures of a scene, drawn without a display by the renderer of its physics engine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from PIL import Image, ImageOps
+from PIL import Image
 
 from grasp_env._check import Array, number, whole
 from grasp_env.errors import InvalidInputError
 from grasp_env.ranges import Range
-from grasp_env.sim.bullet import Bullet
-from grasp_env.sim.client import bullet
+from grasp_env.sim.engine import class_of
 from grasp_env.sim.hand.description import Vector3
-from grasp_env.sim.picture.annotation import WRENCH_COLOR, WRENCH_STRETCH, Annotation
+from grasp_env.sim.picture.annotation import Annotation
 from grasp_env.sim.picture.edges import smooth_edges
 from grasp_env.sim.picture.overlay import draw
-from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
+from grasp_env.sim.picture.painter import BACKGROUND_DEPTH, Painter
+from grasp_env.sim.picture.view import View
 from grasp_env.sim.scene import Scene
 
 DIRECTION = (0.72, 0.11, 0.72)
 """From the object towards the camera by default: from the front, the right and a little above."""
-
-BACKGROUND_DEPTH = 0.99999
-"""Pixels whose OpenGL depth is at least this show the background."""
 
 _TIP = 0.025  # [m] across of a fingertip
 _SURVEY = 160  # pixels along the longer side of the picture that finds where things are
@@ -89,8 +84,11 @@ class Camera:
         scene: The scene to look at.
         config: View and size.
 
+    Attributes:
+        painter: What draws the scene, see `Painter`.
+
     Raises:
-        InvalidInputError: Bullet does not simulate the scene.
+        SimulationError: This machine has no OpenGL, which MuJoCo's pictures need; the message says how to install it.
 
     Example:
         >>> scene = Scene(visuals=True)
@@ -102,10 +100,8 @@ class Camera:
 
     def __init__(self, scene: Scene, config: CameraConfig | None = None) -> None:
         self.config = config or CameraConfig()
-        if not isinstance(scene.simulator, Bullet):
-            engine = type(scene.simulator).__name__
-            raise InvalidInputError(f"pictures are drawn by Bullet, the scene's engine is {engine}")
         self._scene = scene
+        self.painter: Painter = class_of(scene.config.engine, "painter").of_scene(scene)
         self.fit()
 
     def __repr__(self) -> str:
@@ -127,9 +123,9 @@ class Camera:
             View(tuple((_SURVEY_DISTANCE / np.linalg.norm(way) * np.array(way)).tolist()), (0.0, 0.0, 0.0), 40.0, width, height)
             for way in (around if config.direction is None else [config.direction])
         ]  # fmt: skip
-        with self._scene.simulator.object_hidden():
+        with self.painter.object_hidden():
             survey = max(surveys, key=self._contacts_seen)  # the first of the best
-        _, depth = self._shoot(survey)
+        _, depth = self.painter.shoot(survey)
         drawn = survey.unproject(depth)[depth < BACKGROUND_DEPTH]
         if config.arrows > 0.0:
             ends = config.arrows * np.vstack([np.eye(3), -np.eye(3)])
@@ -137,14 +133,14 @@ class Camera:
         self.view = View(survey.eye, survey.target, config.field_of_view, config.width, config.height)
         if len(drawn):
             self.view = self.view.fitted(drawn, config.margin, config.footer)
-        self._fitted_to = self._scene.simulator.world
+        self._fitted_to = self._scene.core
 
     def _contacts_seen(self, view: View) -> int:
         """Counts the contacts that nothing but their own tip hides."""
         scene = self._scene
         snapshot = scene.look()
         points = snapshot.position + np.array(scene.config.contact_points) @ snapshot.rotation.T
-        _, depth = self._shoot(view)
+        _, depth = self.painter.shoot(view)
         columns, rows = view.project(points).astype(int).T
         inside = (columns >= 0) & (columns < view.width) & (rows >= 0) & (rows < view.height)
         before = view.unproject(depth)[rows[inside], columns[inside]]
@@ -159,13 +155,13 @@ class Camera:
         Raises:
             SimulationError: The scene is closed.
         """
-        if self._scene.simulator.world is not self._fitted_to:
+        if self._scene.core is not self._fitted_to:
             self.fit()
         opacity, factor = self.config.object_opacity, self.config.supersampling
-        picture, depth = self._shoot(self.view, factor, shadows=True)
+        picture, depth = self.painter.shoot(self.view, factor, shadows=True)
         if opacity < 1.0:  # the renderer draws a body or does not: blend the two
-            with self._scene.simulator.object_hidden():  # without shadows, which saves a tenth of the time
-                behind, behind_depth = self._shoot(self.view, factor)
+            with self.painter.object_hidden():  # without shadows, which saves a tenth of the time
+                behind, behind_depth = self.painter.shoot(self.view, factor)
             mixed = Image.blend(behind, picture, opacity)
             picture = Image.composite(mixed, picture, Image.fromarray(depth != behind_depth))
         picture = picture.reduce(factor) if factor > 1 else smooth_edges(picture)
@@ -174,53 +170,3 @@ class Camera:
     def project(self, points: ArrayLike) -> Array:
         """Pixels (N, 2), right and down, of points (N, 3) [m], world frame; see `View.project`."""
         return self.view.project(points)
-
-    def _shoot(self, view: View, factor: int = 1, shadows: bool = False) -> tuple[Image.Image, Array]:
-        return shoot(self._scene.simulator.client.number, view, factor, shadows)
-
-
-def shoot(client: int, view: View, factor: int, shadows: bool) -> tuple[Image.Image, Array]:
-    """All that a PyBullet server draws, before a light background: the picture and its OpenGL depth.
-
-    Both have `factor` pixels per pixel of the view along each side.
-    """
-    width, height = factor * view.width, factor * view.height
-    _, _, pixels, depth, _ = bullet.getCameraImage(
-        width, height, bullet.computeViewMatrix(view.eye, view.target, (0.0, 1.0, 0.0)),
-        bullet.computeProjectionMatrixFOV(view.field_of_view, view.width / view.height, NEAR_PLANE, FAR_PLANE),
-        lightDirection=(0.5, 1.0, 0.6), lightColor=(1.0, 1.0, 1.0), lightAmbientCoeff=0.62, lightDiffuseCoeff=0.42,
-        lightSpecularCoeff=0.08, shadow=int(shadows), renderer=bullet.ER_TINY_RENDERER,
-        flags=bullet.ER_NO_SEGMENTATION_MASK, physicsClientId=client,
-    )  # fmt: skip
-    picture = Image.fromarray(np.reshape(pixels, (height, width, 4)).astype(np.uint8)).convert("RGB")
-    depth = np.reshape(depth, (height, width))
-    return Image.composite(picture, _background(width, height), Image.fromarray(depth < BACKGROUND_DEPTH)), depth
-
-
-@lru_cache(maxsize=4)
-def _background(width: int, height: int) -> Image.Image:
-    """Changes evenly from nearly white at the top to a light grey at the bottom."""
-    return ImageOps.colorize(Image.linear_gradient("L").resize((width, height)), (253, 253, 254), (226, 231, 238))
-
-
-def draw_in_window(client: int, annotation: Annotation, lines: Sequence[int] = ()) -> list[int]:
-    """Draws or moves a line for each finger, from outside to its contact, and one for the wrench's force.
-
-    Args:
-        client: Number of the PyBullet connection; without a window nothing happens.
-        annotation: What to draw; a contact that is not active gets a line of no length.
-        lines: What the last call returned, to move those lines instead of adding more.
-
-    Returns:
-        PyBullet's numbers of the lines.
-    """
-    starts = annotation.points - annotation.scale * annotation.active[:, None] * annotation.forces
-    ends = [*zip(starts, annotation.points, annotation.colors, strict=True)]
-    tip = annotation.center + WRENCH_STRETCH * annotation.scale * annotation.wrench[:3]
-    ends.append((annotation.center, tip, np.divide(WRENCH_COLOR, 255.0)))
-    return [
-        bullet.addUserDebugLine(
-            start.tolist(), end.tolist(), color.tolist(), lineWidth=4.0, physicsClientId=client, replaceItemUniqueId=line
-        )
-        for (start, end, color), line in zip(ends, lines or [-1] * len(ends), strict=True)
-    ]  # fmt: skip

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env.sim.client import Client, bullet
+from grasp_env.sim.engine import class_of, engine_of
 from grasp_env.sim.hand.description import Geometry, HandDescription, Link, Palm, Vector3
 from grasp_env.sim.hand.frames import roll_pitch_yaw
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.solids import outline
-from grasp_env.sim.hand.urdf import hand_files
-from grasp_env.sim.picture.camera import shoot
 from grasp_env.sim.picture.view import View
 
 _TIP = (0.90, 0.25, 0.15)
@@ -50,16 +46,8 @@ def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None
 
 def _shot(hand: HandDescription, angles: Array, view: View) -> np.ndarray:
     """The hand in its posture, (H, W, 3) uint8."""
-    with tempfile.TemporaryDirectory() as folder, closing(Client(False)) as client:
-        for name, text in hand_files(hand).items():
-            with open(os.path.join(folder, name), "w", encoding="utf-8") as file:
-                file.write(text)
-        number = client.number
-        body = bullet.loadURDF(os.path.join(folder, "hand.urdf"), useFixedBase=True, physicsClientId=number)
-        names = [bullet.getJointInfo(body, index, number)[1].decode() for index in range(hand.joint_count)]
-        for name, angle in zip(hand.joint_names, angles.tolist(), strict=True):
-            bullet.resetJointState(body, names.index(name), angle, physicsClientId=number)
-        return np.array(shoot(number, view, _FINE, shadows=True)[0].reduce(_FINE))
+    with closing(class_of(engine_of(), "painter").of_hand(hand, angles)) as painter:
+        return np.array(painter.shoot(view, _FINE, shadows=True)[0].reduce(_FINE))
 
 
 def _solid(hand: HandDescription) -> HandDescription:

@@ -1,0 +1,100 @@
+"""PyBullet's software renderer, which needs no display, and the lines in its window."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from PIL import Image
+
+from grasp_env._check import Array
+from grasp_env.sim.client import Client, bullet
+from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.urdf import hand_files
+from grasp_env.sim.objects.description import OBJECT_COLOR
+from grasp_env.sim.picture.annotation import Annotation
+from grasp_env.sim.picture.painter import AMBIENT, DIFFUSE, LIGHT, SPECULAR, Painter, before_background, lines_of
+from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
+from grasp_env.sim.scene import Scene
+
+
+class BulletPainter(Painter):
+    """Draws what a PyBullet server holds; see `Painter`.
+
+    Args:
+        client: The connection.
+        scene: The one that it belongs to; None: the connection is closed with the painter.
+    """
+
+    def __init__(self, client: Client, scene: Scene | None = None) -> None:
+        self._client, self._scene = client, scene
+        self._lines: list[int] = []  # PyBullet's numbers of those in the window, in `_world`
+        self._world: object = None
+
+    @classmethod
+    def of_scene(cls, scene: Scene) -> BulletPainter:
+        """See `Painter`; the scene needs `visuals`."""
+        return cls(scene.simulator.client, scene)
+
+    @classmethod
+    def of_hand(cls, hand: HandDescription, angles: Array) -> BulletPainter:
+        """See `Painter`."""
+        client = Client()
+        with tempfile.TemporaryDirectory() as folder:
+            for name, text in hand_files(hand).items():
+                with open(os.path.join(folder, name), "w", encoding="utf-8") as file:
+                    file.write(text)
+            body = bullet.loadURDF(os.path.join(folder, "hand.urdf"), useFixedBase=True, physicsClientId=client.number)
+        names = [bullet.getJointInfo(body, index, client.number)[1].decode() for index in range(hand.joint_count)]
+        for name, angle in zip(hand.joint_names, angles.tolist(), strict=True):
+            bullet.resetJointState(body, names.index(name), angle, physicsClientId=client.number)
+        return cls(client)
+
+    def shoot(self, view: View, factor: int = 1, shadows: bool = False) -> tuple[Image.Image, Array]:
+        """See `Painter`."""
+        width, height = factor * view.width, factor * view.height
+        _, _, pixels, depth, _ = bullet.getCameraImage(
+            width, height, bullet.computeViewMatrix(view.eye, view.target, (0.0, 1.0, 0.0)),
+            bullet.computeProjectionMatrixFOV(view.field_of_view, view.width / view.height, NEAR_PLANE, FAR_PLANE),
+            lightDirection=LIGHT, lightColor=(1.0, 1.0, 1.0), lightAmbientCoeff=AMBIENT, lightDiffuseCoeff=DIFFUSE,
+            lightSpecularCoeff=SPECULAR, shadow=int(shadows), renderer=bullet.ER_TINY_RENDERER,
+            flags=bullet.ER_NO_SEGMENTATION_MASK, physicsClientId=self._client.number,
+        )  # fmt: skip
+        colors = np.reshape(pixels, (height, width, 4)).astype(np.uint8)[..., :3]
+        return before_background(np.ascontiguousarray(colors), np.reshape(depth, (height, width)))
+
+    @contextmanager
+    def object_hidden(self) -> Iterator[None]:
+        """See `Painter`."""
+        self._show_object(0.0)
+        try:
+            yield
+        finally:
+            self._show_object(1.0)
+
+    def show(self, annotation: Annotation) -> None:
+        """See `Painter`; the window is the server's own. Lines are drawn once and then moved."""
+        assert self._scene is not None
+        if self._scene.simulator.world is not self._world:  # which was loaded with it, has no lines yet
+            self._world, self._lines = self._scene.simulator.world, []
+        lines = lines_of(annotation)
+        self._lines = [
+            bullet.addUserDebugLine(
+                start.tolist(), end.tolist(), color.tolist(), lineWidth=4.0, physicsClientId=self._client.number,
+                replaceItemUniqueId=line,
+            )
+            for (start, end, color), line in zip(lines, self._lines or [-1] * len(lines), strict=True)
+        ]  # fmt: skip
+
+    def close(self) -> None:
+        """See `Painter`."""
+        if self._scene is None:
+            self._client.close()
+
+    def _show_object(self, opacity: float) -> None:
+        assert self._scene is not None
+        body = self._scene.simulator.world.object
+        bullet.changeVisualShape(body, -1, rgbaColor=(*OBJECT_COLOR, opacity), physicsClientId=self._client.number)

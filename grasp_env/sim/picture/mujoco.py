@@ -1,0 +1,170 @@
+"""MuJoCo's own renderer, which needs OpenGL but no display."""
+
+from __future__ import annotations
+
+import os
+import sys
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from ctypes.util import find_library
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+import mujoco as compiled
+import numpy as np
+from PIL import Image
+
+from grasp_env._check import Array
+from grasp_env.errors import SimulationError
+from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.meshes import read_mesh
+from grasp_env.sim.mjcf import OBJECT_GROUP, link_name, looks_mjcf
+from grasp_env.sim.objects.description import ObjectDescription
+from grasp_env.sim.picture.painter import Painter, before_background
+from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
+from grasp_env.sim.scene import Scene
+
+mujoco: Any = compiled  # it has no types
+_BACKENDS = ("egl", "osmesa", "glfw", "cgl")
+"""Modules of MuJoCo that make an OpenGL context, as the variable MUJOCO_GL names them."""
+_MOST_SHAPES = 10_000
+
+
+class MujocoPainter(Painter):
+    """Draws a model of its own that has only the looks of hand and object: the model that is simulated stays as it is.
+
+    Args:
+        scene: Where hand and object are; None: a hand alone, see `of_hand`.
+
+    Raises:
+        SimulationError: This machine has no OpenGL.
+    """
+
+    def __init__(self, scene: Scene | None = None) -> None:
+        self._scene = scene
+        self._drawn: object = None  # the bodies, as the scene numbers them in its core
+        self._option = mujoco.MjvOption()
+        self._context = _gl_context()
+        self._brushes: list[Any] = []  # one at most: MuJoCo's OpenGL objects of the present model
+        self._clean = weakref.finalize(self, _free, self._context, self._brushes)
+        self._clean.atexit = False  # MuJoCo's own clean-up may have come before
+
+    @classmethod
+    def of_scene(cls, scene: Scene) -> MujocoPainter:
+        """See `Painter`."""
+        return cls(scene)
+
+    @classmethod
+    def of_hand(cls, hand: HandDescription, angles: Array) -> MujocoPainter:
+        """See `Painter`."""
+        made = cls()
+        made._build(hand)
+        made._place(angles)
+        return made
+
+    def shoot(self, view: View, factor: int = 1, shadows: bool = False) -> tuple[Image.Image, Array]:
+        """See `Painter`."""
+        self._context.make_current()
+        self._follow()
+        width, height = factor * view.width, factor * view.height
+        (brush,), scene = self._brushes, self._shapes
+        if (brush.offWidth, brush.offHeight) != (width, height):
+            mujoco.mjr_resizeOffscreen(width, height, brush)
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._option, None, mujoco.MjvCamera(), mujoco.mjtCatBit.mjCAT_ALL.value, scene
+        )
+        slope = float(view.slope[1])
+        for camera in scene.camera:  # those of both eyes, whose mean is taken
+            camera.pos, camera.forward, camera.up = view.eye, -view.axes[2], view.axes[1]
+            camera.frustum_near, camera.frustum_far, camera.frustum_center = NEAR_PLANE, FAR_PLANE, 0.0
+            camera.frustum_top, camera.frustum_bottom = NEAR_PLANE * slope, -NEAR_PLANE * slope
+        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadows
+        pixels, depth = np.empty((height, width, 3), np.uint8), np.empty((height, width), np.float32)
+        frame = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(frame, scene, brush)
+        mujoco.mjr_readPixels(pixels, depth, frame, brush)
+        return before_background(np.ascontiguousarray(pixels[::-1]), depth[::-1])  # OpenGL's rows go upwards
+
+    @contextmanager
+    def object_hidden(self) -> Iterator[None]:
+        """See `Painter`."""
+        self._option.geomgroup[OBJECT_GROUP] = 0
+        try:
+            yield
+        finally:
+            self._option.geomgroup[OBJECT_GROUP] = 1
+
+    def close(self) -> None:
+        """See `Painter`."""
+        self._clean()
+
+    def _follow(self) -> None:
+        """Takes over what the scene holds, and where it is."""
+        scene = self._scene
+        if scene is None:
+            return
+        reading = (
+            scene.simulator.read()
+        )  # as `Simulator` lays it out: angles, rates, position, x, y, z and w of the quaternion
+        if scene.core is not self._drawn:
+            self._build(scene.config.hand, scene.config.object)
+            self._drawn = scene.core
+        joints = scene.config.hand.joint_count
+        x, y, z, *turn = reading[2 * joints : 2 * joints + 7]
+        self._place(np.array([*reading[:joints], x, y, z, turn[3], *turn[:3]]))
+
+    def _build(self, hand: HandDescription, item: ObjectDescription | None = None) -> None:
+        text, files = looks_mjcf(hand, item)
+        spec = mujoco.MjSpec.from_string(text)
+        for name, shape in files.items():
+            corners, faces = read_mesh(shape.file)
+            spec.add_mesh(
+                name=name, uservert=(corners * shape.size).ravel().tolist(), userface=faces.ravel().tolist(),
+                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+            )  # fmt: skip
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        names = [self._model.joint(link_name(index)).qposadr[0] for index in range(hand.joint_count)]
+        self._order = np.array([*names, *range(hand.joint_count, self._model.nq)])
+        self._shapes = mujoco.MjvScene(self._model, _MOST_SHAPES)
+        self._context.make_current()
+        while self._brushes:
+            self._brushes.pop().free()
+        self._brushes.append(mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value))
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._brushes[0])
+
+    def _place(self, state: Array) -> None:
+        """Joint angles, then position and quaternion (w first) of the object, if any."""
+        self._data.qpos[self._order] = np.nan_to_num(state)  # what diverged is drawn somewhere
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+
+
+def _gl_context() -> Any:
+    """An OpenGL context without a window, made by what MUJOCO_GL names, otherwise by what is there."""
+    name = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if name not in _BACKENDS:
+        windowless = "egl" if find_library("EGL") or not find_library("OSMesa") else "osmesa"
+        name = windowless if sys.platform.startswith("linux") else "cgl" if sys.platform == "darwin" else "glfw"
+    if find_spec(
+        "triton"
+    ):  # PyTorch's for CUDA brings it; imported after Mesa's software renderer, its other LLVM crashes Python
+        import_module("triton")
+    try:
+        context = import_module(f"mujoco.{name}").GLContext(1, 1)
+        context.make_current()
+    except Exception as error:  # PyOpenGL and the drivers have errors of many kinds
+        raise SimulationError(
+            f"MuJoCo draws pictures with OpenGL, and {name} gives none here ({error}): on Debian or Ubuntu run `apt-get install libegl1 "
+            "libgl1-mesa-dri`, or `apt-get install libosmesa6` and set MUJOCO_GL=osmesa; without pictures leave render_mode out"
+        ) from error
+    return context
+
+
+def _free(context: Any, brushes: list[Any]) -> None:
+    context.make_current()
+    while brushes:
+        brushes.pop().free()
+    context.free()
