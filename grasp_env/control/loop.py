@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,8 @@ from grasp_env.force import RULES, ForceOptimizer, ForceSolution, InitialForceRu
 from grasp_env.force.initial import StartFrom, rule_name, rule_start
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import refused_start
-from grasp_env.force.record import CODE, ITERATIONS, OUTSIDE, REFUSED, REPLACED, RESULTS, START, TRIALS
-from grasp_env.force.solution import start_name
+from grasp_env.force.record import CODE, OUTSIDE, REFUSED, REPLACED, RESULTS, START
+from grasp_env.force.solution import STATUSES, start_name
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.grasp.null_space import reference_basis
 from grasp_env.sim.hand.kinematics import HandKinematics
@@ -51,7 +52,6 @@ class ForceLoop:
 
     Attributes:
         optimizer: the method, made for the planned contacts of all fingers.
-        iterations, trials: of the method since `begin_step`.
         seen: what the controller sees of the scene.
         wrench: (6,) that the forces balance [N, N m], object frame.
         torques: (M,) of the joints, commanded [N m].
@@ -145,6 +145,12 @@ class ForceLoop:
         return ForceSolution(row, self.optimizer.method, initial)
 
     @property
+    def status(self) -> str:
+        """How the method's last solve ended, as a `Status` says it; empty without a solution."""
+        code = self._core.code
+        return STATUSES[code].value if code in RESULTS else ""
+
+    @property
     def closure(self) -> bool:
         """Whether the contacts could balance the wrench at the last tick."""
         return self._core.closure
@@ -155,34 +161,22 @@ class ForceLoop:
         mask = self._core.mask
         return np.array([finger for finger in range(self.count) if mask >> finger & 1], dtype=np.int64)
 
-    @property
-    def contacts(self) -> int:
-        """How many fingers are in contact."""
-        return self._core.mask.bit_count()
-
-    @property
-    def contact_changes(self) -> int:
-        """How often the set of fingers in contact changed."""
-        return self._core.changes
-
     def begin_step(self) -> None:
-        """Begins an agent's step: iterations, trials and `effort` are counted anew."""
-        self.iterations = self.trials = 0
+        """Begins an agent's step: `effort` is counted anew."""
         self._core.begin_step()
 
     @property
     def effort(self) -> core.Effort:
-        """What the motors were asked since `begin_step`."""
+        """What solvers and motors were asked since `begin_step`."""
         return self._core.effort
-
-    @property
-    def peak_torque(self) -> float:
-        """The largest so far [N m]."""
-        return self._core.peak
 
     def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
         """How the object is held, by the truth; see `core.Controller.outcome`."""
         return self._core.outcome(target, error, measured)
+
+    def told(self, outcome: core.Outcome, measured: Array) -> dict[str, Any]:
+        """What an environment tells of a step, by name; see `core.Controller.told`."""
+        return self._core.told(outcome, measured)
 
     def tick(
         self,
@@ -222,9 +216,6 @@ class ForceLoop:
         if torques is None:
             assert reading is not None  # what was read before is finite
             raise self.scene.diverged(reading)
-        if due and core.code in RESULTS:
-            self.iterations += int(self._row[ITERATIONS])
-            self.trials += int(self._row[TRIALS])
         return torques
 
     def _from_rule(self, adjustment: Array | None) -> list[float]:

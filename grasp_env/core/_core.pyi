@@ -6,6 +6,7 @@ from typing import Annotated, Any, overload
 
 import numpy
 import numpy as np
+import numpy.typing
 from numpy.typing import NDArray
 
 
@@ -53,6 +54,8 @@ class Solution:
     def cone_margin(self) -> float: ...
     @property
     def limit_excess(self) -> float: ...
+    @property
+    def optimality_gap(self) -> float: ...
     @property
     def start_replaced(self) -> bool: ...
     @property
@@ -561,10 +564,10 @@ class Answers:
         engine's, from number `first` on, -1: none.
         """
 
-    def read(self, joints: object, pose: object, velocity: object, contacts: object, numbers: object) -> int:
+    def read(self, joints: object, pose: object, velocity: object, contacts: object) -> numpy.typing.NDArray[numpy.float64]:
         """
         Joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, angular) and contacts as the flat
-        numbers of `Scene.read`; returns how many there are. Nothing is written where `numbers` is too short.
+        numbers of `Scene.read`, a new array.
         """
 
 def reading_size(joints: int, contacts: int) -> int:
@@ -588,6 +591,16 @@ class Scene:
 
     def arrays(self) -> dict[str, NDArray]:
         """Views of what follows from it, by name: overwritten at each reading."""
+
+class Gather:
+    """Numbers that lie in several arrays, clipped, as one new float32 array."""
+
+    def __init__(self, arrays: list, bound: object) -> None:
+        """
+        C-contiguous float64 arrays, which are read at each call, and a float32 bound for each of their numbers.
+        """
+
+    def __call__(self) -> numpy.typing.NDArray[numpy.float32]: ...
 
 class Body:
     """The object as a controller believes it to be, and the pose feedback."""
@@ -807,7 +820,15 @@ class SensorSettings:
     def tactile_noise(self, arg: float, /) -> None: ...
 
 class Effort:
-    """What the motors were asked since `begin_step`."""
+    """What solvers and motors were asked since `begin_step`."""
+
+    @property
+    def iterations(self) -> int:
+        """accepted steps of the method"""
+
+    @property
+    def trials(self) -> int:
+        """all steps of the method"""
 
     @property
     def followed(self) -> int:
@@ -913,6 +934,12 @@ class Controller:
         """
         How the object is held, by the truth: fills the pose error (12,) against a target (19,), and the measured forces
         (N, 3) in the commanded contact frames [N].
+        """
+
+    def told(self, outcome: Outcome, measured: object) -> dict[str, object]:
+        """
+        What an environment tells of a step, by name: the method's solution, contacts, forces [N], effort, and an outcome with its
+        measured forces (N, 3); the arrays are copies.
         """
 
     def arrays(self) -> dict[str, NDArray]:

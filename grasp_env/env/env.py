@@ -176,7 +176,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         sizes = {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}
         self._action_shape = (sizes[config.agent.action_mode],)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
-        self._ticks_per_step = config.controller.rate // config.agent.rate
+        self._rate, self._ticks_per_step = config.agent.rate, config.controller.rate // config.agent.rate
         limits = config.limits
         assert limits.duration is not None
         assert limits.max_drift is not None
@@ -241,7 +241,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         )
         self._tick, self._open, self._slip_distance = 0, 0.0, 0.0
         self._failure, self._ended, self._started = "", False, True
-        external, _ = self._plan_tick(scene)
+        self._acts = self._falling or self._growing or self._world_pushes is not None
+        self._weakened = self._noise or self._strength != 1.0
+        external, _ = self._act(scene, 0)
         self._observer.watch(scene.look(), self._loop)
         self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
         terms = reward_terms(self.config.reward, True, 0, 0.0)
@@ -272,7 +274,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         terms = reward_terms(
             self.config.reward,
             not self._failure,
-            self._loop.iterations if self._loop.closure else self._budget,
+            self._loop.effort.iterations if self._loop.closure else self._budget,
             self._outcome.total_normal,
         )
         truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
@@ -342,24 +344,25 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             given = self._forces(np.array(numbers))
         elif agent.action_mode == "initial_force" and any(numbers):
             adjustment = agent.action_scale * np.array(numbers)
+        believed, acts = scene.gravity if self._measured_wrench else self._upright, self._acts
         for k in range(self._ticks_per_step):
-            external, push = self._plan_tick(scene)
-            target = self._targets[min(self._tick, self._last_row)]
-            torques = loop.tick(external, self._believed_gravity(scene), target, k == 0, adjustment, given)
-            self._advance(scene, torques, push)
+            tick = min(self._tick, self._last_row)
+            external, push = self._act(scene, tick) if acts else (self._wrenches[tick], self._pushes[tick])
+            if acts:
+                believed = self._believed_gravity(scene)
+            torques = loop.tick(external, believed, self._targets[tick], k == 0, adjustment, given)
+            scene.advance(self._delivered(torques) if self._weakened else torques, push)
+            self._tick += 1
+            self._open = 0.0 if loop.closure else self._open + loop.dt
 
-    def _advance(self, scene: Scene, torques: list[float], push: list[float] | None) -> None:
-        """One control tick of physics."""
-        if self._noise or self._strength != 1.0:
-            delivered = np.array(torques) * (self._strength * (1.0 + self._noise * self._motor_noise()))
-            torques = np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
-        scene.advance(torques, push)
-        self._tick += 1
-        self._open = 0.0 if self._loop.closure else self._open + self._loop.dt
+    def _delivered(self, torques: list[float]) -> list[float]:
+        """What the motors make of the commanded torques."""
+        delivered = np.array(torques) * (self._strength * (1.0 + self._noise * self._motor_noise()))
+        return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 
-    def _plan_tick(self, scene: Scene) -> tuple[Array, list[float] | None]:
-        """Lets the plan of this tick act; the external wrench (6,), object frame, and the same for the simulator, None: none."""
-        tick, plan = min(self._tick, self._last_row), self._plan
+    def _act(self, scene: Scene, tick: int) -> tuple[Array, list[float] | None]:
+        """Lets the plan of a tick act; the external wrench (6,), object frame, and the same for the simulator, None: none."""
+        plan = self._plan
         if self._falling:
             scene.set_gravity(plan.gravity[tick])
         if self._growing and (tick == 0 or plan.mass_factor[tick] != plan.mass_factor[tick - 1]):
@@ -413,45 +416,21 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         return self._observer.named(self._observed) if self._named else self._observed
 
     def _info(self, scene: Scene, terms: dict[str, float]) -> dict[str, Any]:
-        loop, solution, outcome = self._loop, self._loop.solution, self._outcome
-        effort = loop.effort
-        force_error, slip, stray = outcome.force_error, outcome.slip, outcome.stray
-        if self._failure == "simulation_diverged":  # what was read last, but no forces
-            self._observer.measured[:], touching = 0.0, np.zeros(len(loop.force), dtype=bool)
-            force_error = slip = stray = 0.0
-        else:
-            touching = scene.look().touching > 0.0
-        self._slip_distance += slip / self.config.agent.rate
+        outcome, failure = self._outcome, self._failure
+        told = self._loop.told(outcome, self._observer.measured)
+        if failure == "simulation_diverged":  # what was read last, but no forces
+            told |= {name: np.zeros_like(told[name]) for name in ("measured_force", "touching")}
+            told |= dict.fromkeys(("force_error", "stray_force", "slip"), 0.0)
+        self._slip_distance += told["slip"] / self._rate
         info = {
-            "iterations": loop.iterations,
-            "trials": loop.trials,
-            "status": solution.status.value if solution else ("failed" if self._failure else "none"),
-            "objective": solution.objective if solution else 0.0,
-            "optimality_gap": min(solution.optimality_gap, 1e9) if solution else 0.0,
-            "cone_margin": solution.cone_margin if solution else 0.0,
-            "force_closure": loop.closure,
-            "contacts": loop.contacts,
-            "contact_changes": loop.contact_changes,
-            "wrench": loop.wrench.copy(),
-            "commanded_force": loop.force.copy(),
-            "measured_force": self._observer.measured.copy(),
-            "force_error": force_error,
-            "touching": touching,
-            "stray_force": stray,
-            "slip": slip,
+            "status": self._loop.status or ("failed" if failure else "none"),
+            **told,
             "slip_distance": self._slip_distance,
-            "drift": outcome.drift,
-            "tilt": outcome.tilt,
-            "peak_torque": loop.peak_torque,
-            "followed": effort.followed,
-            "limited": effort.limited,
-            "torque_margin": effort.margin,
-            "saturated": effort.saturated,
-            "time": self._tick * loop.dt,
+            "time": self._tick * self._loop.dt,
             "object_mass": scene.config.object.mass,
             **self._object_info,
-            "failure": self._failure,
-            "is_success": self.config.task.succeeded(outcome.drift, outcome.tilt, bool(self._failure)),
+            "failure": failure,
+            "is_success": self.config.task.succeeded(outcome.drift, outcome.tilt, bool(failure)),
             **terms,
         }
         if self.config.agent.info == "all":

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from grasp_env._check import Array
-from grasp_env.core import Outcome
+from grasp_env.core import Gather, Outcome
 from grasp_env.sim.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -65,7 +65,6 @@ class Observer:
     def __init__(self, tips: int, joints: int) -> None:
         self.fields, self.bound = fields(tips, joints), bounds(tips, joints)
         self._ends = np.cumsum([block.size for block in self.fields])[:-1]
-        self._least = -self.bound
         self.error, self.measured = np.zeros(12), np.zeros((tips, 3))
 
     def named(self, vector: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
@@ -79,15 +78,12 @@ class Observer:
             loop.wrench, self.error, snapshot.points, snapshot.normals, loop.force, self.measured, snapshot.touching,
             snapshot.angles, np.array([loop.friction]),
         )  # fmt: skip
-        self._parts = [part.reshape(-1) for part in parts]
+        self._gather = Gather(list(parts), self.bound)
 
     def __call__(self, target: Array) -> tuple[NDArray[np.float32], Outcome]:
         """The clipped observation, and how the object is held; target: (19,) the wanted motion."""
         outcome = self._loop.outcome(target, self.error, self.measured)
-        values = np.empty_like(self.bound)
-        np.concatenate(self._parts, out=values, casting="same_kind")
-        np.maximum(values, self._least, out=values)
-        return np.minimum(values, self.bound, out=values), outcome
+        return self._gather(), outcome
 
 
 def table() -> list[str]:

@@ -110,6 +110,7 @@ class ForceSolution(Solution):
         iterations: accepted steps; trials: all steps tried.
         objective: Phi of `force`; of `conic` the sum or maximum of the normal forces [N]; else `limit_excess`, where it is > 0.
         lower_bound: a dual bound: no balanced force has a smaller objective (-inf: none); with `optimum` given, that.
+        optimality_gap: (objective - lower_bound) / lower_bound, certified; +inf without a positive bound.
         equilibrium_residual: largest |component| of G f + w [N], moments about the contacts' centre, divided by the grasp's length.
         cone_margin: min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside.
         limit_excess: largest excess of a limit, as a part of that limit; 0 within all. See `elastic` of `optimize_force`.
@@ -134,13 +135,6 @@ class ForceSolution(Solution):
     def status(self) -> Status:
         """How the optimisation ended."""
         return STATUSES[self.code]
-
-    @property
-    def optimality_gap(self) -> float:
-        """(objective - lower_bound) / lower_bound, certified; +inf without a positive bound."""
-        if self.lower_bound > 0.0:
-            return max(0.0, (self.objective - self.lower_bound) / self.lower_bound)
-        return 0.0 if self.objective == 0.0 else float("inf")
 
     @property
     def total_normal_force(self) -> float:

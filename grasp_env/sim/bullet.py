@@ -68,7 +68,6 @@ class Bullet(Simulator):
         for name, text in hand_files(hand if visuals or gui else hand.unseen(), HULL_MARGIN).items():
             with open(os.path.join(folder, name), "w", encoding="utf-8") as file:
                 file.write(text)
-        self._numbers = np.empty(0)
 
     def load(self, config: SceneConfig, angles: Array) -> None:
         """See `Simulator`."""
@@ -83,35 +82,34 @@ class Bullet(Simulator):
             link=3, place=6, forces=[(9, 7), (10, 11), (12, 13)], factor=-1.0 / config.substeps, first=-1, links=links
         )
         self._kept: dict[str, tuple[int, Any]] = {}  # the server that held others was emptied
+        # `_noted`: contacts of all steps of the last `advance`, or those of when a state was kept; None: the server has them
         self._steps, self._noted = config.substeps, None
 
     def advance(self, torques: list[float], wrench: list[float] | None) -> None:
         """See `Simulator`."""
-        client, world = self.client.number, self.world
+        client, (hand, body, joints) = self.client.number, self.world
         self._noted = () if self._steps > 1 else None
         for _ in range(self._steps):  # Bullet forgets torques and wrenches after each
             bullet.setJointMotorControlArray(
-                world.hand, world.joints, bullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
+                hand, joints, bullet.TORQUE_CONTROL, forces=torques, physicsClientId=client
             )
             if wrench is not None:
-                bullet.applyExternalForce(world.object, -1, wrench[:3], (0.0, 0.0, 0.0), bullet.LINK_FRAME, client)
-                bullet.applyExternalTorque(world.object, -1, wrench[3:], bullet.LINK_FRAME, client)
+                bullet.applyExternalForce(body, -1, wrench[:3], (0.0, 0.0, 0.0), bullet.LINK_FRAME, client)
+                bullet.applyExternalTorque(body, -1, wrench[3:], bullet.LINK_FRAME, client)
             bullet.stepSimulation(client)
             if self._noted is not None:
-                self._noted += bullet.getContactPoints(world.hand, world.object, physicsClientId=client)
+                self._noted += bullet.getContactPoints(hand, body, physicsClientId=client)
 
     def read(self) -> Array:
         """See `Simulator`."""
-        client, world = self.client.number, self.world
-        joints = bullet.getJointStates(world.hand, world.joints, client)
-        pose = bullet.getBasePositionAndOrientation(world.object, client)
-        velocity = bullet.getBaseVelocity(world.object, client)
-        contacts = self._contacts()
-        count = self._answers.read(joints, pose, velocity, contacts, self._numbers)
-        if count > len(self._numbers):
-            self._numbers = np.empty(2 * count)
-            self._answers.read(joints, pose, velocity, contacts, self._numbers)
-        return self._numbers[:count]
+        client, (hand, body, joints) = self.client.number, self.world
+        states = bullet.getJointStates(hand, joints, client)
+        pose = bullet.getBasePositionAndOrientation(body, client)
+        velocity = bullet.getBaseVelocity(body, client)
+        contacts = self._noted
+        if contacts is None:
+            contacts = bullet.getContactPoints(hand, body, physicsClientId=client)
+        return self._answers.read(states, pose, velocity, contacts)
 
     def self_contacts(self) -> list[tuple[int, int]]:
         """See `Simulator`."""
@@ -131,7 +129,9 @@ class Bullet(Simulator):
     def keep(self, name: str) -> None:
         """See `Simulator`: 1 ms; each kept state takes 97 kB."""
         client = self.client.number
-        contacts = self._contacts()
+        contacts = self._noted
+        if contacts is None:
+            contacts = bullet.getContactPoints(self.world.hand, self.world.object, physicsClientId=client)
         if name in self._kept:
             bullet.removeState(self._kept[name][0], physicsClientId=client)
         self._kept[name] = bullet.saveState(physicsClientId=client), contacts
@@ -152,12 +152,6 @@ class Bullet(Simulator):
         """See `Simulator`."""
         self.client.close()
         self._clean()
-
-    def _contacts(self) -> Any:
-        """What the server says of the contacts in the last `advance`, after a reset what it said when the state was kept."""
-        if self._noted is not None:
-            return self._noted
-        return bullet.getContactPoints(self.world.hand, self.world.object, physicsClientId=self.client.number)
 
 
 class World(NamedTuple):

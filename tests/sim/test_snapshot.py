@@ -299,19 +299,13 @@ class TestAnswers:
 
     def test_as_flat_numbers(self, answers: core.Answers) -> None:
         """Force on the object = -(normal force * normal + friction * direction), by the order in which bodies are loaded."""
-        out = np.empty(40)
         given = (self.JOINTS, self.POSE, self.VELOCITY, (self.contact(2), self.contact(-1)))
-        count = answers.read(*given, out)
-        assert count == core.reading_size(2, 2)
+        numbers = answers.read(*given)
+        assert len(numbers) == core.reading_size(2, 2)
         expected = [0.1, 0.2, 1.0, 2.0, *self.POSE[0], *self.POSE[1], *self.VELOCITY[0], *self.VELOCITY[1]]
         for link in (0.0, -1.0):
             expected += [link, 0.1, 0.2, 0.3, -0.5, 0.25, -2.0]
-        np.testing.assert_array_equal(out[:count], expected)
-
-    def test_too_little_room_says_how_much_is_needed(self, answers: core.Answers) -> None:
-        out = np.full(20, 7.0)
-        assert answers.read(self.JOINTS, self.POSE, self.VELOCITY, (self.contact(2),), out) == core.reading_size(2, 1)
-        assert (out == 7.0).all()
+        np.testing.assert_array_equal(numbers, expected)
 
     @pytest.mark.parametrize("bad", [(), (1,), [(1, 2)], "ab", None])
     def test_other_things_are_refused(self, answers: core.Answers, bad: object) -> None:
@@ -320,7 +314,7 @@ class TestAnswers:
             if place in (0, 3) and bad == ():
                 continue  # a hand without joints, no contacts
             with pytest.raises((TypeError, IndexError, SystemError)):
-                answers.read(*good[:place], bad, *good[place + 1 :], np.empty(99))
+                answers.read(*good[:place], bad, *good[place + 1 :])
 
 
 def test_a_link_that_pushes_the_object_is_seen(make_scene: Callable[..., Scene]) -> None:

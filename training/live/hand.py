@@ -209,7 +209,7 @@ class SimulatedHand(Window):
             "pulled with": f"{np.linalg.norm(pull):.1f} N",
             "least torque margin": f"{loop.effort.margin:.3f} N m",
             "moved, turned": f"{1e3 * self.outcome.drift:.2f} mm, {math.degrees(self.outcome.tilt):.2f}°",
-            "iterations of the last tick": f"{loop.iterations}",
+            "iterations of the last tick": f"{loop.effort.iterations}",
             "simulated": f"{self.time:.1f} s",
         }
         names = self.stage.kinematics.hand.finger_names

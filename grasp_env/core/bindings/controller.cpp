@@ -1,4 +1,5 @@
 // The control loop of a hand.
+#include <bit>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/shared_ptr.h>
@@ -10,6 +11,7 @@
 #include "optimizer.hpp"
 #include "scene.hpp"
 #include "views.hpp"
+#include "solution.hpp"
 
 using namespace grasp;
 
@@ -104,6 +106,117 @@ Controller::Outcome outcome(const Controller& controller, nb::handle target, nb:
 }
 static_assert(sizeof(PoseError) == 12 * sizeof(double));
 
+// The keys of `told`, made once.
+enum Key {
+    ITERATIONS,
+    TRIALS,
+    OBJECTIVE,
+    GAP,
+    MARGIN,
+    CLOSURE,
+    CONTACTS,
+    CHANGES,
+    WRENCH,
+    COMMANDED,
+    MEASURED,
+    FORCE_ERROR,
+    TOUCHING,
+    STRAY,
+    SLIP,
+    DRIFT,
+    TILT,
+    PEAK,
+    FOLLOWED,
+    LIMITED,
+    TORQUE_MARGIN,
+    SATURATED,
+    KEYS
+};  // clang-format off
+constexpr const char* NAMES[KEYS] = {
+    "iterations", "trials", "objective", "optimality_gap", "cone_margin", "force_closure", "contacts", "contact_changes", "wrench",
+    "commanded_force", "measured_force", "force_error", "touching", "stray_force", "slip", "drift", "tilt", "peak_torque", "followed",
+    "limited", "torque_margin", "saturated"};  // clang-format on
+PyObject* keys[KEYS];
+constexpr double LARGEST_GAP = 1e9;  // told instead of an infinite one
+
+nb::typed<nb::dict, nb::str, nb::object> told(const Controller& c, const Controller::Outcome& outcome, nb::handle measured) {
+    nb::dict out;
+    const auto put = [&](Key key, PyObject* value) {
+        const nb::object owned = nb::steal(value);
+        if (!value || PyDict_SetItem(out.ptr(), keys[key], value) < 0) throw nb::python_error();
+    };
+    const auto array = [](int type, std::initializer_list<npy_intp> shape) {
+        PyObject* made = PyArray_SimpleNew(int(shape.size()), shape.begin(), type);
+        if (!made) throw nb::python_error();
+        return std::pair(made, PyArray_DATA(reinterpret_cast<PyArrayObject*>(made)));
+    };
+    const auto numbers = [&](Key key, const double* from, std::initializer_list<npy_intp> shape) {
+        const auto [made, to] = array(NPY_DOUBLE, shape);
+        std::copy_n(from, PyArray_SIZE(reinterpret_cast<PyArrayObject*>(made)), static_cast<double*>(to));
+        put(key, made);
+    };
+    const Py_ssize_t fingers = c.tree->fingers();
+    const Record solution(const_cast<double*>(c.solution.data()));  // only read
+    const bool solved = solution.has_force();
+    put(ITERATIONS, PyLong_FromLong(c.effort.iterations)), put(TRIALS, PyLong_FromLong(c.effort.trials));
+    put(OBJECTIVE, PyFloat_FromDouble(solved ? solution.summary().objective : 0.0));
+    put(GAP, PyFloat_FromDouble(solved ? std::min(solution.gap(), LARGEST_GAP) : 0.0));
+    put(MARGIN, PyFloat_FromDouble(solved ? solution.summary().margin : 0.0));
+    put(CLOSURE, PyBool_FromLong(c.closure));
+    put(CONTACTS, PyLong_FromLong(std::popcount(c.mask))), put(CHANGES, PyLong_FromLong(c.changes));
+    numbers(WRENCH, c.wrench.data(), {6}), numbers(COMMANDED, c.force.data(), {fingers, 3});
+    numbers(MEASURED, in(measured, fingers, 3).data(), {fingers, 3});
+    put(FORCE_ERROR, PyFloat_FromDouble(outcome.force_error));
+    const auto [made, touching] = array(NPY_BOOL, {fingers});
+    for (int i = 0; i < fingers; ++i) static_cast<npy_bool*>(touching)[i] = c.scene->now.touching[i] > 0.0;
+    put(TOUCHING, made);
+    put(STRAY, PyFloat_FromDouble(outcome.stray)), put(SLIP, PyFloat_FromDouble(outcome.slip));
+    put(DRIFT, PyFloat_FromDouble(outcome.drift)), put(TILT, PyFloat_FromDouble(outcome.tilt));
+    put(PEAK, PyFloat_FromDouble(c.peak));
+    put(FOLLOWED, PyLong_FromLong(c.effort.followed)), put(LIMITED, PyLong_FromLong(c.effort.limited));
+    put(TORQUE_MARGIN, PyFloat_FromDouble(c.effort.margin)), put(SATURATED, PyBool_FromLong(c.effort.saturated));
+    return out;
+}
+
+// Numbers that lie in several arrays, clipped, as float32: an observation.
+class Gather {
+public:
+    Gather(nb::list arrays, nb::handle bound) : bound_(nb::borrow(bound)) {
+        for (nb::handle each : arrays) parts_.push_back(nb::borrow(each));
+        npy_intp size = 0;
+        for (const nb::object& each : parts_) {
+            const PyArrayObject* a = reinterpret_cast<PyArrayObject*>(each.ptr());
+            if (!PyArray_Check(each.ptr()) || PyArray_TYPE(a) != NPY_DOUBLE ||
+                !PyArray_ISCARRAY_RO(const_cast<PyArrayObject*>(a)))
+                throw nb::type_error("C-contiguous float64 arrays are needed");
+            size += PyArray_SIZE(const_cast<PyArrayObject*>(a));
+        }
+        const PyArrayObject* most = reinterpret_cast<PyArrayObject*>(bound_.ptr());
+        if (!PyArray_Check(bound_.ptr()) || PyArray_TYPE(most) != NPY_FLOAT ||
+            PyArray_SIZE(const_cast<PyArrayObject*>(most)) != size)
+            throw nb::type_error("a bound of each number is needed, as float32");
+    }
+    nb::object operator()() const {
+        PyArrayObject* most = reinterpret_cast<PyArrayObject*>(bound_.ptr());
+        npy_intp size = PyArray_SIZE(most);
+        nb::object made = nb::steal(PyArray_SimpleNew(1, &size, NPY_FLOAT));
+        if (!made) throw nb::python_error();
+        const float* bound = static_cast<float*>(PyArray_DATA(most));
+        float* to = static_cast<float*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(made.ptr())));
+        for (const nb::object& each : parts_) {
+            PyArrayObject* part = reinterpret_cast<PyArrayObject*>(each.ptr());
+            const double* from = static_cast<double*>(PyArray_DATA(part));
+            for (npy_intp k = 0; k < PyArray_SIZE(part); ++k, ++bound, ++to)
+                *to = std::min(std::max(float(from[k]), -*bound), *bound);
+        }
+        return made;
+    }
+
+private:
+    std::vector<nb::object> parts_;
+    nb::object bound_;
+};
+
 nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
     auto& c = nb::cast<Controller&>(self);
     const std::size_t fingers = c.tree->fingers(), joints = c.tree->joints();
@@ -127,6 +240,13 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> seen(nb::handle self) {
 }  // namespace
 
 void bind_controller(nb::module_& m) {
+    if (_import_array() < 0) throw nb::python_error();
+    for (int k = 0; k < KEYS; ++k)
+        if (!(keys[k] = PyUnicode_InternFromString(NAMES[k]))) throw nb::python_error();
+    nb::class_<Gather>(m, "Gather", "Numbers that lie in several arrays, clipped, as one new float32 array.")
+        .def(nb::init<nb::list, nb::handle>(), "arrays"_a, "bound"_a,
+             "C-contiguous float64 arrays, which are read at each call, and a float32 bound for each of their numbers.")
+        .def("__call__", &Gather::operator(), nb::sig("def __call__(self) -> numpy.typing.NDArray[numpy.float32]"));
     nb::class_<Body>(m, "Body", "The object as a controller believes it to be, and the pose feedback.")
         .def(nb::init<>())
         .def_rw("mass", &Body::mass, "[kg]")
@@ -184,7 +304,9 @@ void bind_controller(nb::module_& m) {
         .def_rw("wrench_delay", &SensorSettings::wrench_delay, "ticks by which measured wrenches come later than that")
         .def_rw("pose_noise", &SensorSettings::pose_noise, "standard deviation per axis [m]")
         .def_rw("tactile_noise", &SensorSettings::tactile_noise, "standard deviation per axis, part of the force");
-    nb::class_<Effort>(m, "Effort", "What the motors were asked since `begin_step`.")
+    nb::class_<Effort>(m, "Effort", "What solvers and motors were asked since `begin_step`.")
+        .def_ro("iterations", &Effort::iterations, "accepted steps of the method")
+        .def_ro("trials", &Effort::trials, "all steps of the method")
         .def_ro("followed", &Effort::followed, "iterations at control ticks between two of the method's")
         .def_ro("limited", &Effort::limited, "iterations of Newton within the torque limits, where a force exceeded them")
         .def_ro("saturated", &Effort::saturated, "whether torques had to be cut")
@@ -230,6 +352,10 @@ void bind_controller(nb::module_& m) {
         .def("outcome", &outcome, "target"_a, "error"_a, "measured"_a,
              "How the object is held, by the truth: fills the pose error (12,) against a target (19,), and the measured forces\n"
              "(N, 3) in the commanded contact frames [N].")
+        .def("told", &told, "outcome"_a, "measured"_a,
+             "What an environment tells of a step, by name: the method's solution, contacts, forces [N], effort, and an outcome "
+             "with its\n"
+             "measured forces (N, 3); the arrays are copies.")
         .def("arrays", &arrays, "Views of what is commanded, by name: overwritten in place.")
         .def("seen", &seen, "Views of what is seen, by name: overwritten in place.")
         .def_prop_rw(

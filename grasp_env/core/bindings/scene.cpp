@@ -8,6 +8,7 @@
 
 #include "scene.hpp"
 #include "views.hpp"
+#include "solution.hpp"
 
 using namespace grasp;
 
@@ -34,13 +35,13 @@ struct Answers {
     int first;                                    // the engine's number of what comes first in `links`
     std::vector<int> links;                       // the hand's link of each of the engine's, -1: none
 
-    std::size_t read(nb::handle joints, nb::handle pose, nb::handle velocity, nb::handle contacts, nb::handle to) const {
-        const Numbers into = out(to, -1);
+    nb::object read(nb::handle joints, nb::handle pose, nb::handle velocity, nb::handle contacts) const {
         const Py_ssize_t count = PyTuple_Size(joints.ptr()), rows = PyTuple_Size(contacts.ptr());
         if (count < 0 || rows < 0) throw nb::python_error();
-        const std::size_t size = Reading::size(int(count), int(rows));
-        if (std::size_t(into.length(0)) < size) return size;
-        double* numbers = into.data();
+        const npy_intp size = Reading::size(int(count), int(rows));
+        nb::object made = nb::steal(PyArray_SimpleNew(1, &size, NPY_DOUBLE));
+        if (!made) throw nb::python_error();
+        double* numbers = static_cast<double*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(made.ptr())));
         for (Py_ssize_t j = 0; j < count; ++j) {
             PyObject* row = item(joints.ptr(), j);
             numbers[j] = number(item(row, 0)), numbers[count + j] = number(item(row, 1));
@@ -60,7 +61,7 @@ struct Answers {
             for (const auto& [amount, direction] : forces) total += number(item(row, amount)) * vector(item(row, direction));
             next->force = factor * total;
         }
-        return size;
+        return made;
     }
 };
 
@@ -107,15 +108,18 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays_of(nb::handle owner, Snapshot
 }
 
 void bind_scene(nb::module_& m) {
+    if (_import_array() < 0) throw nb::python_error();
     nb::class_<Answers>(m, "Answers", "Where the numbers lie in the nested tuples that a simulator answers with.")
         .def("__init__", &make_answers, nb::kw_only(), "link"_a, "place"_a, "forces"_a, "factor"_a, "first"_a, "links"_a,
              "Of a contact: which item is the engine's link number, which the point, which pairs are amounts and directions of\n"
              "forces; factor of all amounts, below 0 where they push the hand. links: the hand's link of each of the\n"
              "engine's, from number `first` on, -1: none.")
         .def(
-            "read", &Answers::read, "joints"_a, "pose"_a, "velocity"_a, "contacts"_a, "numbers"_a,
+            "read", &Answers::read, "joints"_a, "pose"_a, "velocity"_a, "contacts"_a,
+            nb::sig("def read(self, joints: object, pose: object, velocity: object, contacts: object) -> "
+                    "numpy.typing.NDArray[numpy.float64]"),
             "Joints ((angle, rate, ...), ...), pose (position, quaternion), velocity (linear, angular) and contacts as the flat\n"
-            "numbers of `Scene.read`; returns how many there are. Nothing is written where `numbers` is too short.");
+            "numbers of `Scene.read`, a new array.");
     m.def("reading_size", &Reading::size, "joints"_a, "contacts"_a, "Numbers of a reading.");
     nb::class_<Scene>(m, "Scene", "A hand and an object in a simulator, as they were last read.")
         .def_static("make", &make_scene, "tree"_a, "surface"_a, "gravity"_a)

@@ -131,6 +131,7 @@ PyObject* object_force(PyObject* self, void*) {
 template <double grasp::Summary::* field> PyObject* number(PyObject* self, void*) {
     return PyFloat_FromDouble(record(self).summary().*field);
 }
+PyObject* gap(PyObject* self, void*) { return PyFloat_FromDouble(record(self).gap()); }
 template <double grasp::Summary::* field> PyObject* whole(PyObject* self, void*) {
     return PyLong_FromDouble(record(self).summary().*field);
 }
@@ -160,6 +161,8 @@ PyGetSetDef read[] = {
      "Min over contacts of mu * normal - |tangential| [N] (in cone coordinates); > 0 strictly inside.", nullptr},
     {"limit_excess", number<&Summary::limit_excess>, nullptr,
      "Largest excess of a limit, as a part of that limit; 0 within all. See `elastic` of `optimize_force`.", nullptr},
+    {"optimality_gap", gap, nullptr, "(objective - lower_bound) / lower_bound, certified; +inf without a positive bound.",
+     nullptr},
     {"start_replaced", truth<&Summary::replaced>, nullptr,
      "True if nothing is left of the start that was asked for, so that the solve began from another; `initial` says which.",
      nullptr},

@@ -68,6 +68,12 @@ public:
         return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED;
     }
     Summary& summary() const { return *reinterpret_cast<Summary*>(row_); }
+    // (objective - lower_bound) / lower_bound, certified; inf without a positive bound.
+    double gap() const {
+        const Summary& s = summary();
+        if (s.lower_bound > 0.0) return std::max(0.0, (s.objective - s.lower_bound) / s.lower_bound);
+        return s.objective == 0.0 ? 0.0 : infinity;
+    }
     int contacts() const { return count_; }
     double* force() const { return row_ + SUMMARY; }  // (N, 3) [N]: normal, o, t
     double* initial_force() const { return force() + 3 * count_; }  // (N, 3) [N]

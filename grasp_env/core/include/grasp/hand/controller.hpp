@@ -25,8 +25,9 @@ struct ControlSettings {
     int release = 2;  // ticks without force after which a finger no longer counts as in contact
 };
 
-// What the motors were asked since `begin_step`.
+// What solvers and motors were asked since `begin_step`.
 struct Effort {
+    int iterations = 0, trials = 0;  // of the method: accepted steps, and all that were tried
     int followed = 0;  // iterations at control ticks between two of the method's
     int limited = 0;   // iterations of Newton within the torque limits, where a force exceeded them
     bool saturated = false;  // torques had to be cut: no force within the limits balances the wrench, or none was found
@@ -318,7 +319,9 @@ private:
         if (settings.remembers && known_) ask.previous = last_.data();
         if (!step.adjustment.empty()) adjust(step.adjustment), ask.adjustment = adjustment_;
         method_.solve(ask, solution.data());
-        return Record(solution.data());
+        const Record row(solution.data());
+        if (row.has_force()) effort.iterations += int(row.summary().iterations), effort.trials += int(row.summary().trials);
+        return row;
     }
     // From the last command.
     Record follow() {
