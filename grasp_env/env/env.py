@@ -38,18 +38,20 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     """The fingers of a hand hold an object while wrenches act on it, or move it.
 
     ## Step
-    Contacts are read from the simulator, G is built from those that exist, the wrench to balance is external wrench + gravity -
-    inertial wrench of the wanted motion + object-pose feedback, the initial force is the start rule's (by default the paper's
-    linear combination of 12 offline optima) plus the action, the reduced gradient flow optimises it, and the forces become
-    joint torques. The agent acts at 50 Hz; pose feedback, contact changes and torques run at 250 Hz, the physics at that rate or
-    faster (see `EnvConfig`). A finger without contact reaches for its place; when one slips off or lands the forces are optimised
-    anew at once, and change by at most `controller.force_rate` beyond what balance asks.
+    The agent acts at 50 Hz, the controller at 250 Hz, the physics at that rate or faster (see `EnvConfig`). A control tick reads the
+    contacts from the simulator and builds G from those that exist. The wrench to balance is external wrench + gravity - inertial
+    wrench of the wanted motion + object-pose feedback. At the first tick of a step the initial force is the start rule's (by default
+    the paper's linear combination of 12 offline optima) plus the action, and the method optimizes it (by default the reduced gradient
+    flow; on soft contacts, which the flows do not know, Newton). At the other ticks Newton continues from the last command
+    (`info["followed"]`). The forces become joint torques. A finger without contact reaches for its place. When a finger slips off or
+    lands, the forces of all others change at the next tick, by at most `controller.force_rate` beyond what balance asks. Contacts that
+    cannot balance the wrench get the force inside the cones that misses balance least.
 
-    Torques keep the motors' limits. Where the method's force needs more than the links' weight leaves of them, Newton within the limits
-    goes on from it in the same control tick (`info["limited"]`); where no force keeps them, the one that exceeds them least is
-    commanded, cut at the limits, marked (`info["saturated"]`), and the episode goes on. A finger with fewer than three motors (missing or
-    coupled joints) pushes with what they can; the rest of its force is carried by its structure, as balance and torques leave it.
-    What these leave open, a squeeze that no motor makes, is the engine's.
+    Torques keep the motors' limits. Where a force needs more than the links' weight leaves of them, Newton within the limits continues
+    from it in the same control tick (`info["limited"]`). Where no force keeps them, the one that exceeds them least is commanded and
+    cut at the limits (`info["saturated"]`), and the episode goes on. A finger with fewer than three motors (missing or coupled joints)
+    pushes with what they can; its structure carries the rest of its force, as balance and torques leave it. Any remaining internal
+    force that no motor can produce is determined by the physics engine.
 
     An episode starts from true contacts: the fingers close on the object and take over its weight; at reset the contact
     forces sum to it within 1 %. A hand that nobody placed (`HandDescription.placed`) is put where it holds the object well.
