@@ -184,6 +184,7 @@ public:
     }
 
 private:
+    static constexpr double NEAR = 0.9;   // of a torque limit: below, limits are left out of the next tick
     static constexpr double LIGHT = 1e-2;  // [N] of a finger that lands, times the friction
     static constexpr double ROUNDED = 1e-9;  // of a torque limit: rounding by which it may be passed
 
@@ -204,7 +205,8 @@ private:
     ElasticBalance elastic_;
     std::vector<double> followed_, found_, last_;  // rows of the two, and of the last command
     bool known_ = false;  // whether there is a last command
-    bool limited_ = false, exceeding_ = false;  // whether it was made within the limits; whether it exceeds them least
+    bool limited_ = false,
+         exceeding_ = false;  // whether it was made within the limits and is near them; whether it exceeds them least
     std::uint64_t squeezing_ = 0;  // the fingers that `squeezed_` is for
     bool missing_ = false, fresh_ = true;  // a finger that counts has no force; nothing was commanded before
     std::vector<int> apart_;  // (N,) ticks since a finger had force
@@ -296,9 +298,13 @@ private:
     void find_forces(const Step* step) {
         if (hold == Hold::optimized) {
             if (known_) land();
-            const Record row = step ? by_method(*step) : follow();
-            if (!row.has_force()) return balance_elastically();
-            take(row), keep_limits(row);
+            if (step || !known_ || !limited_ || !keep_limits(last_.data())) {
+                const Record row = step ? by_method(*step) : follow();
+                if (!row.has_force()) return balance_elastically();
+                take(row);
+                if (fits(1.0)) limited_ = false;
+                else keep_limits(known_ && limited_ ? last_.data() : reinterpret_cast<const double*>(&row.summary()));
+            }
             if (!fresh_ && known_) bound_change();
             return;
         }
@@ -334,20 +340,16 @@ private:
         return {
             .wrench = wrench.data(), .now = contacts(), .start = Start::previous, .previous = known_ ? last_.data() : nullptr};
     }
-    // Where the motors cannot make a solution's force: Newton within their limits, from the last command if that was made so.
-    void keep_limits(const Record& row) {
-        const bool again = limited_ && known_;
-        limited_ = !fits(force);
-        if (!limited_) return;
-        within_.solve({.wrench = wrench.data(),
-                       .now = limited_contacts(),
-                       .start = Start::previous,
-                       .previous = again ? last_.data() : reinterpret_cast<const double*>(&row.summary())},
+    // Newton within the motors' limits from the row of a force near them; false without a force.
+    bool keep_limits(const double* previous) {
+        within_.solve({.wrench = wrench.data(), .now = limited_contacts(), .start = Start::previous, .previous = previous},
                       found_.data());
         const Record within(found_.data());
         effort.limited += int(within.summary().iterations);
         exceeding_ = within.code() == LIMITS_EXCEEDED;
         if (within.has_force()) take(within);
+        limited_ = !fits(NEAR);
+        return within.has_force();
     }
     // No force closure: the last forces, towards what misses balance least.
     void balance_elastically() {
@@ -398,7 +400,7 @@ private:
         if (!kept.has_force()) return;
         const double moved = change(kept.force());
         if (moved <= settings.most_change) return;
-        const double share = limited_ ? within_limits(kept, settings.most_change / moved) : settings.most_change / moved;
+        const double share = within_limits(kept, settings.most_change / moved);
         for (std::size_t j = 0; j < force.size(); ++j) force[j] = kept.force()[j] + share * (force[j] - kept.force()[j]);
         for (std::size_t i = 0; i < torsion_.size(); ++i)
             torsion_[i] = kept.torsion()[i] + share * (torsion_[i] - kept.torsion()[i]);
@@ -462,12 +464,12 @@ private:
             if (torsion_[i] != 0.0) s.posture.twist(tree->tips[i].link, torsion_[i] * (s.rotation * axis(i, 0)), out.data());
         });
     }
-    // Whether the motors can push with forces (N, 3) besides carrying the hand.
-    bool fits(const std::vector<double>& forces) {
+    // Whether the motors can make the forces with a part of their limits, besides carrying the hand.
+    bool fits(double part) {
         std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), trial_.begin());
-        push(forces.data(), trial_);
+        push(force.data(), trial_);
         for (int j = 0; j < tree->joints(); ++j)
-            if (!(std::abs(trial_[j]) <= tree->links[j].torque_limit)) return false;
+            if (!(std::abs(trial_[j]) <= part * tree->links[j].torque_limit)) return false;
         return true;
     }
     // Adds as much of `extra_` to the torques as their limits leave room for.
