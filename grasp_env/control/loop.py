@@ -17,6 +17,7 @@ from grasp_env.force import RULES, ForceOptimizer, ForceSolution, InitialForceRu
 from grasp_env.force.initial import StartFrom, rule_name, rule_start
 from grasp_env.force.objective import Objective
 from grasp_env.force.optimizer import refused_start
+from grasp_env.force.options import FLOWS
 from grasp_env.force.record import CODE, OUTSIDE, REFUSED, REPLACED, RESULTS, START
 from grasp_env.force.solution import STATUSES, start_name
 from grasp_env.grasp.grasp import Grasp
@@ -27,7 +28,7 @@ from grasp_env.sim.scene import Scene
 from grasp_env.sim.snapshot import Snapshot
 
 FOLLOW_ITERATIONS = 200
-"""Most steps of Newton within the torque limits in one tick; it takes 2 to 15."""
+"""Most steps of a solve after the method's; Newton takes 1 to 15."""
 RELEASE = 2
 """Control ticks without force after which a finger no longer counts as in contact."""
 REACH_STIFFNESS, REACH_FORCE, REACH_LIMIT = 60.0, 0.3, 1.0
@@ -45,10 +46,10 @@ STABLE = 0.3
 class ForceLoop:
     """Optimizes the contact forces at every agent step and holds the object in between.
 
-    One compiled call is one control tick, from what is seen to joint torques. At an agent's step the configured method solves from
-    its start; at the other ticks Newton within the motors' limits goes on from the last command. Both know the current contacts of
-    the fingers that touch; the others reach for their places. Contacts that cannot balance the wrench get the force inside the
-    cones that misses balance least.
+    One compiled call is one control tick, from a reading to joint torques. At an agent's step the configured method solves from its
+    start. At the other ticks Newton (conic after conic) continues from the last command. Both take the current contacts of the
+    fingers that touch; the other fingers reach for their places. Where the motors cannot make a force, Newton within their limits
+    follows. Contacts that cannot balance the wrench get the force inside the cones that misses balance least.
 
     Attributes:
         optimizer: the method, made for the planned contacts of all fingers.
@@ -91,7 +92,7 @@ class ForceLoop:
         settings.remembers = self.optimizer.remembers
         settings.directions = reference_basis(grasp).reshape(-1).tolist()
         self._core = core.Controller.make(scene.core, self.optimizer.core, settings, sensor_settings(config))
-        self.settling = True  # until the hand holds the object
+        self._settling = True  # until the hand holds the object
         arrays = self._core.arrays()
         self.wrench, self.force, self.frames, self.torques, self._row = (
             arrays[name] for name in ("wrench", "force", "frames", "torques", "solution")
@@ -112,6 +113,7 @@ class ForceLoop:
         """
         self.scene.look()
         self._core.reset()
+        self.settling = self._settling
         self.seen = Snapshot(**self._core.seen())
         if rng is not None:
             noise = np.random.default_rng(int(rng.integers(2**63)))
@@ -247,7 +249,6 @@ class ForceLoop:
         return self.tick(np.zeros(6), gravity, target, False)
 
 
-FLOWS = ("reduced_flow", "full_flow")
 HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Hold.place}
 """What the fingers in contact do under each `controller`."""
 

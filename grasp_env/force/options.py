@@ -12,7 +12,9 @@ from grasp_env.errors import UnsupportedProblemError
 from grasp_env.force.objective import Objective, Weight
 from grasp_env.force.step_size import StepRule, checked_rule
 
-DESCENTS = ("reduced_flow", "full_flow", "newton")
+FLOWS = ("reduced_flow", "full_flow")
+"""The paper's methods: on hard contacts without limits."""
+DESCENTS = (*FLOWS, "newton")
 """Methods on Phi: they take a start, a known optimum and a trace."""
 METHODS = (*DESCENTS, "conic")
 """What `method` may be; `conic` starts from its own centre."""
@@ -40,7 +42,7 @@ class Options:
     @property
     def flows(self) -> bool:
         """Whether the method is one of the paper's flows."""
-        return self.method in ("reduced_flow", "full_flow")
+        return self.method in FLOWS
 
 
 def checked_options(*given: Any) -> Options:
