@@ -23,7 +23,7 @@ OBJECT: dict[str, Any] = {
 SHORT = {path.partition(".")[2]: path for path in OBJECT}
 _RECORDS = {"object": ObjectDescription, "sensors": Sensors, "controller": Controller}
 RANDOM = {
-    row.path: row.about.kind for name, kind in _RECORDS.items() for row in described(kind, name) if row.about.random
+    path: about.kind for name, kind in _RECORDS.items() for path, _, about in described(kind, name) if about.random
 }
 """Settings that may be drawn at a reset, and what each may be; gravity besides."""
 ALLOWED = (*SHORT, *RANDOM, "gravity")

@@ -238,7 +238,6 @@ DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
 }
 """The built-in disturbances, by name."""
 DISTURBANCE = any_of(
-    DISTURBANCES, DisturbanceSettings, "disturbance",
-    ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]", calls=True,
+    DISTURBANCES, DisturbanceSettings, ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]", calls=True
 )  # fmt: skip
 """What a setting may be that is a disturbance."""

@@ -97,7 +97,7 @@ class Move(Task):
 
     name: ClassVar[str] = "move"
 
-    motion: str = setting("lift", one_of(MOTIONS, "motion"), "Motion of the object.")
+    motion: str = setting("lift", one_of(MOTIONS), "Motion of the object.")
     size: float | None = setting(
         None, real(POSITIVE), "How far: lift and shake in metres, rotate in radians.", unit="m or rad",
         none=f"{MOTION_SIZES['lift']:g} m, {MOTION_SIZES['rotate']:g} rad",
@@ -174,5 +174,5 @@ class SixDirections(Task):
 
 TASKS: dict[str, type[Task]] = {made.name: made for made in (Hold, Move, Payload, SixDirections)}
 """The tasks by name."""
-TASK = any_of(TASKS, Task, "task", ", or give its settings, such as Move(motion='lift')")
+TASK = any_of(TASKS, Task, ", or give its settings, such as Move(motion='lift')")
 """What a setting may be that is a task."""

@@ -80,9 +80,7 @@ class ObjectDescription(Settings):
         (array([0.   , 0.   , 0.033]), 0.017)
     """
 
-    shape: str = setting(
-        "cuboid", one_of(SHAPES, "shape"), "Shape; the axis of cylinder and capsule is y.", random=True
-    )
+    shape: str = setting("cuboid", one_of(SHAPES), "Shape; the axis of cylinder and capsule is y.", random=True)
     size: tuple[float, ...] = setting(
         (), Kind(_numbers, "0.001 to 1 each way"),
         "Cuboid: sides x, y, z. Cylinder: diameter, height. Sphere: diameter. Capsule: diameter, total length. Mesh: what its coordinates "
