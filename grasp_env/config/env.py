@@ -189,7 +189,7 @@ class EnvConfig(Settings):
             >>> round(made.object.mass, 3), made.sensors.delay
             (0.102, 0.004)
         """
-        return self.override(**draw(dict(self.randomize), self.object, rng))
+        return self.override(**draw(dict(self.randomize), self.object.shape, rng))
 
     def to_dict(self) -> dict[str, Any]:
         """All settings as JSON has them, with the version of their schema; `as_config` reads them.

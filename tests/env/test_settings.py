@@ -10,14 +10,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from episodes import episode
+from episodes import episode, random_object
 
 from grasp_env.config import KEYWORDS, Controller, EnvConfig, Sensors, Solver, all_settings, as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError, UnknownSettingError
 from grasp_env.settings import Settings, described
 from grasp_env.sim import HANDS, BulletEngine, HandDescription, MujocoEngine, ObjectDescription
-from grasp_env.sim.objects.description import random_object
 from grasp_env.task import DISTURBANCES, TASKS, Hold, Impulses, Move, RandomWrench
 
 ZERO = np.zeros(6, dtype=np.float32)
