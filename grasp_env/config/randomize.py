@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_list, as_text, choice, is_a
+from grasp_env._check import as_array, as_list, as_text, called, choice, is_a
 from grasp_env.config.records import Controller, Sensors
-from grasp_env.errors import GraspError, InvalidInputError, shown
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.settings import Kind, described
 from grasp_env.sim.objects.description import SHAPES, SHAPES_WITHOUT_MESH, SIZES, ObjectDescription
 
@@ -85,7 +85,8 @@ def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict
         if shape != "mesh":
             drawn = _drawn("object.shape", rules["object.shape"], rng) if "object.shape" in rules else shape
             drawn = choice(drawn, "object.shape", SHAPES)
-            sides = rng.uniform(*ranges["object.size"], 3).tolist()[: len(SIZES[drawn])]
+            low, high = ranges["object.size"]
+            sides = rng.uniform(low, high, 3).tolist()[: len(SIZES[drawn])]
             if drawn != shape or "object.size" in rules:
                 size = sorted(sides) if drawn == "capsule" else sides
                 found |= {"object.shape": drawn, "object.size": size, "object.inertia": None}
@@ -104,11 +105,4 @@ def _drawn(path: str, rule: Any, rng: np.random.Generator) -> Any:
         return SHAPES_WITHOUT_MESH[int(rng.integers(len(SHAPES_WITHOUT_MESH)))]
     if not callable(rule):
         return rng.uniform(*rule)
-    try:
-        return rule(rng)
-    except GraspError:
-        raise
-    except Exception as error:  # somebody else's
-        raise InvalidInputError(
-            f"randomize[{path!r}] fails with {type(error).__name__}: {str(error)[:200]}; it takes a numpy generator and returns the setting"
-        ) from error
+    return called(rule, rng, what=f"randomize[{path!r}]", takes="it takes a numpy generator and returns the setting")
