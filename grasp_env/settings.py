@@ -162,10 +162,22 @@ def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
     return Kind(lambda value, name: whole(value, name, low, high), f"integer >= {low}")
 
 
-def one_of(names: Iterable[str]) -> Kind:
-    """One of some names."""
+def one_of(names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] = lambda _: False) -> Kind:
+    """One of some names, or what else fits.
+
+    Args:
+        names: those that exist.
+        instead: in words what else fits: "a rule".
+        fits: whether a value, which is no text, is that.
+    """
     allowed = tuple(names)
-    return Kind(lambda value, name: choice(value, name, allowed), ", ".join(f"`{each}`" for each in allowed))
+
+    def take(value: Any, name: str) -> Any:
+        if as_text(value) is None and fits(value):
+            return value
+        return choice(value, name, allowed, instead and f", or give {instead}")
+
+    return Kind(take, ", ".join(f"`{each}`" for each in allowed) + (instead and f", or {instead}"))
 
 
 def numbers(count: int, within: Range = ANY) -> Kind:

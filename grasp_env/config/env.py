@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_text, choice, is_a, together
+from grasp_env._check import as_array, as_text, is_a, together
 from grasp_env.config.randomize import RANDOMIZE, draw
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
-from grasp_env.settings import ANY, About, Kind, Settings, described, numbers, record, setting, to_json
+from grasp_env.settings import ANY, About, Kind, Settings, described, numbers, one_of, record, setting, to_json
 from grasp_env.sim.engine import ENGINE, Engine, engine_of
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import ObjectDescription
@@ -40,12 +40,6 @@ _MOST_TICKS = 1_000_000
 """Of an episode, which is planned as a whole: 0.7 kB each."""
 
 
-def _hand(value: Any, name: str) -> Any:
-    if is_a(value, HandDescription):
-        return value
-    return choice(value, name, HANDS, ", or give a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')")
-
-
 def _points(value: Any, name: str) -> tuple[tuple[float, ...], ...]:
     points = as_array(value, None, name, ANY)
     return tuple(map(tuple, as_array(points, (None, 3), name).tolist())) if points.size else ()
@@ -68,7 +62,7 @@ class EnvConfig(Settings):
     """
 
     hand: str | HandDescription = setting(
-        "four_finger", Kind(_hand, ", ".join(f"`{name}`" for name in HANDS) + ", or a HandDescription"),
+        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')", lambda value: is_a(value, HandDescription)),
         "The hand; one that is not `placed` is put around the object by `place_hand`.",
     )  # fmt: skip
     object: ObjectDescription = setting(ObjectDescription(), record(ObjectDescription), "What it holds.")
