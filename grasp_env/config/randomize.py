@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_list, as_text, called, choice, is_a
+from grasp_env._check import as_array, as_list, called, choice, is_a
 from grasp_env.config.records import Controller, Sensors
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.settings import Kind, described
@@ -30,18 +30,18 @@ ALLOWED = (*SHORT, *RANDOM, "gravity")
 
 
 def _rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
-    if is_a(value, dict):
-        given = dict(value)
-    else:
-        named = [value] if is_a(value, str) else as_list(value)
-        if named is None:
-            raise InvalidInputError(
-                f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
-            )
-        pairs = [each if is_a(each, tuple) and len(each) == 2 else (each, True) for each in named]
-        given = {as_text(path) or shown(path): rule for path, rule in pairs}
-    paths = [SHORT.get(choice(each, name, ALLOWED), each) for each in given]
-    return tuple((path, _rule(path, rule)) for path, rule in zip(paths, given.values(), strict=True))
+    given = list(value.items()) if is_a(value, dict) else as_list([value] if is_a(value, str) else value)
+    if given is None:
+        raise InvalidInputError(
+            f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
+        )
+    found: dict[str, Any] = {}
+    for each in given:
+        path, rule = each if is_a(each, tuple) and len(each) == 2 else (each, True)
+        path = choice(path, name, ALLOWED)
+        path = SHORT.get(path, path)
+        found[path] = _rule(path, rule)
+    return tuple(found.items())
 
 
 def _rule(path: str, rule: Any) -> Any:
