@@ -175,7 +175,7 @@ class EnvConfig(Settings):
             rng: generator of the episode.
 
         Raises:
-            InvalidInputError: a function that fails, or returns what the setting may not be.
+            GraspError: a function that fails, or returns what the setting may not be.
 
         Example:
             >>> config = EnvConfig(randomize={"mass": (0.1, 0.2), "sensors.delay": lambda rng: rng.choice([0.0, 0.004])})

@@ -77,7 +77,7 @@ def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict
         rng: generator of the episode.
 
     Raises:
-        InvalidInputError: a function that fails, or returns what the object may not be.
+        GraspError: a function that fails, or returns what the object may not be.
     """
     found: dict[str, Any] = {}
     if rules.keys() & OBJECT.keys():

@@ -283,6 +283,20 @@ def test_everything_that_may_be_drawn_is_drawn_of_the_seed_and_reaches_the_episo
     assert usual == random_object(np.random.default_rng(7))
 
 
+def test_what_is_kept_of_the_object_does_not_change_what_is_drawn() -> None:
+    base = ObjectDescription("cylinder", (0.08, 0.1), inertia=(2e-4, 2e-4, 2e-4))
+
+    def drawn(*names: str) -> EnvConfig:
+        rules = {**dict.fromkeys(names, True), "sensors.delay": (0.0, 0.004)}
+        return EnvConfig(object=base).override(randomize=rules).drawn(np.random.default_rng(7))
+
+    one, two, three = drawn("friction"), drawn("mass", "friction"), drawn("size", "mass", "friction")
+    assert one.object == replace(base, friction=two.object.friction)
+    assert three.object == replace(two.object, size=three.object.size, inertia=None)
+    assert three.object.size != base.size
+    assert one.sensors == two.sensors == three.sensors
+
+
 def test_weak_motors_deliver_a_part_of_what_is_commanded() -> None:
     def rates(**settings: Any) -> np.ndarray:
         env = FourFingerGrasp(disturbance="none", **settings)
@@ -297,12 +311,17 @@ def test_weak_motors_deliver_a_part_of_what_is_commanded() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rule", "message"),
-    [(lambda rng: -1.0, r"object.mass \[kg\] must"), (lambda: 1.0, r"randomize\['object.mass'\] fails with TypeError")],
+    ("name", "rule", "message"),
+    [
+        ("mass", lambda rng: -1.0, r"object.mass \[kg\] must"),
+        ("mass", lambda: 1.0, r"randomize\['object.mass'\] fails with TypeError"),
+        ("shape", lambda rng: "torus", "unknown object.shape 'torus'"),
+        ("shape", lambda rng: "mesh", "needs the path of a mesh file"),
+    ],
 )
-def test_a_function_that_draws_nonsense_is_named(rule: Any, message: str) -> None:
-    env = FourFingerGrasp(randomize={"mass": rule})
-    with pytest.raises(InvalidInputError, match=message):
+def test_a_function_that_draws_nonsense_is_named(name: str, rule: Any, message: str) -> None:
+    env = FourFingerGrasp(randomize={name: rule})
+    with pytest.raises(GraspError, match=message):
         env.reset(seed=0)
     env.close()
 
