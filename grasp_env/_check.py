@@ -232,6 +232,18 @@ def together(*checks: Callable[[], Any]) -> list[Any]:
 _MOST_TOLD = 40
 
 
+def called(
+    function: Callable[..., Any], *given: Any, what: str, takes: str, fault: type[GraspError] = InvalidInputError
+) -> Any:
+    """What a function of somebody else's returns; where it fails, a `fault` says so of `what`, and what such a function `takes`."""
+    try:
+        return function(*given)
+    except GraspError:
+        raise
+    except Exception as error:
+        raise fault(f"{what} fails with {type(error).__name__}: {str(error)[:200]}; {takes}") from error
+
+
 def as_number(value: Any) -> float | None:
     """A real number of any type, or an array of one without axes, as a float, infinite where it is too large; None: no number."""
     try:

@@ -10,7 +10,7 @@ Example:
     ...     power: float = setting(10.0, real(ranges.Range(0.0, 100.0)), "Electric power.", unit="W")
     >>> Lamp(power=5).power
     5.0
-    >>> Lamp.made({"power": -1.0}, "hall.lamp")
+    >>> Lamp().replaced({"power": -1.0}, "hall.lamp")
     Traceback (most recent call last):
     grasp_env.errors.InvalidInputError: hall.lamp.power [W] must be a number >= 0, <= 100, got -1.0
 """
@@ -52,28 +52,14 @@ class Kind(NamedTuple):
 
 
 class About(NamedTuple):
-    """What is said of a setting: what it may be, a sentence, its unit, what None stands for, whether it may be drawn at each reset."""
+    """All that is said of a setting: default, what it may be, a sentence, unit, what None stands for, whether it may be drawn at a reset."""
 
+    default: Any
     kind: Kind
     doc: str
     unit: str
     none: str
     random: bool
-
-
-class Row(NamedTuple):
-    """A line of the page of settings; `record` is the class that has it."""
-
-    path: str
-    record: type[Settings]
-    default: Any
-    about: About
-
-    @property
-    def words(self) -> tuple[str, str, str, str]:
-        """Default, unit, range and sentence, as text."""
-        kind, doc, unit, none, _ = self.about
-        return (none or "none") if self.default is None else _plainly(self.default), unit, kind.text, doc
 
 
 def setting(default: Any, kind: Kind, doc: str, *, unit: str = "", none: str = "", random: bool = False) -> Any:
@@ -87,7 +73,7 @@ def setting(default: Any, kind: Kind, doc: str, *, unit: str = "", none: str = "
         none: the meaning of None; empty: None is refused.
         random: whether it may be drawn anew at each reset.
     """
-    about = About(kind, f"{doc} None: {none}." if none else doc, unit, none, random)
+    about = About(default, kind, f"{doc} None: {none}." if none else doc, unit, none, random)
     return field(default=default, metadata={_ABOUT: about})
 
 
@@ -103,9 +89,13 @@ class Settings:
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
-        said = [_sentence(name, about) for name, (_, about) in _own(cls).items()]
-        text = inspect.cleandoc(vars(cls).get("__doc__") or "")
-        cls.__doc__ = "\n\n".join([text, "Attributes:\n" + "\n".join(said)]) if said else text
+        cls.__doc__ = inspect.cleandoc(vars(cls).get("__doc__") or "")
+        # what is inherited, and what `dataclass` has not seen yet
+        known = {**getattr(cls, "__dataclass_fields__", {}), **vars(cls)}
+        abouts = {name: each.metadata.get(_ABOUT) for name, each in known.items() if isinstance(each, Field)}
+        said = [_sentence(name, about) for name, about in abouts.items() if about]
+        if said:
+            cls.__doc__ += "\n\nAttributes:\n" + "\n".join(said)
 
     def __post_init__(self) -> None:
         known = [(item.name, item.metadata[_ABOUT]) for item in fields(self)]
@@ -117,57 +107,30 @@ class Settings:
     def agree(self) -> None:
         """Refuses values that are good alone and do not fit each other; all are checked and converted before."""
 
-    @classmethod
-    def made(cls: type[S], given: Mapping[str, Any], path: str = "") -> S:
-        """A record of the settings in a dict.
+    def replaced(self: S, given: Mapping[str, Any], path: str = "") -> S:
+        """A copy with the settings of a dict replaced.
 
         Args:
-            given: settings by name; others have their defaults.
+            given: settings by name.
             path: of the record, for messages: "sensors".
 
         Raises:
             UnknownSettingError: it has no setting of that name.
             InvalidInputError: all that is wrong with the values.
         """
-        return cls._in(path, given, lambda: cls(**given))
-
-    def replaced(self: S, given: Mapping[str, Any], path: str = "") -> S:
-        """A copy with the settings of a dict replaced; raises as `made` does.
-
-        Args:
-            given: settings by name.
-            path: of the record, for messages.
-        """
-        return self._in(path, given, lambda: replace(self, **given))
-
-    @classmethod
-    def _in(cls, path: str, given: Mapping[str, Any], make: Callable[[], S]) -> S:
         before = _PATH.set(path)
         try:
-            known = [item.name for item in fields(cls)]
+            known = [item.name for item in fields(self)]
             for name in given:
                 if as_text(name) not in known:
                     raise UnknownSettingError(placed(str(name)), map(placed, known or ["(none)"]))
-            return make()
+            return replace(self, **given)
         finally:
             _PATH.reset(before)
 
-    def to_dict(self, path: str = "") -> dict[str, Any]:
-        """The settings as JSON has them, with the name of a record that is one of several.
 
-        Args:
-            path: of the record, for messages.
-
-        Raises:
-            InvalidInputError: a function, which has no JSON.
-        """
-        named = {"name": self.name} if self.name else {}
-        start = path and f"{path}."
-        return named | {item.name: to_json(getattr(self, item.name), start + item.name) for item in fields(self)}
-
-
-def described(record: type[Settings], path: str = "") -> Iterator[Row]:
-    """All settings of a record, and of the records in it, in order.
+def described(record: type[Settings], path: str = "") -> Iterator[tuple[str, type[Settings], About]]:
+    """All settings of a record, and of the records in it, in order: path, the class that has it, what is said of it.
 
     Args:
         record: the class.
@@ -176,14 +139,22 @@ def described(record: type[Settings], path: str = "") -> Iterator[Row]:
     for item in fields(record):
         about = item.metadata[_ABOUT]
         here = f"{path}.{item.name}" if path else item.name
-        yield Row(here, record, item.default, about)
+        yield here, record, about
         for inner in about.kind.records:
             yield from described(inner, here)
 
 
 def real(within: Range = ANY) -> Kind:
     """A number within a range."""
-    return Kind(partial(_real, within=within), _words(within))
+
+    def take(value: Any, name: str) -> float:
+        found = as_number(value)
+        if found is None or not within.low <= found <= within.high:
+            most = f" and up to {within.high:g}" if found is not None and found > within.high >= 1e9 else ""
+            raise InvalidInputError(f"{name} must be a number {_words(within)}{most}, got {shown(value)}")
+        return found
+
+    return Kind(take, _words(within))
 
 
 def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
@@ -191,11 +162,22 @@ def integer(low: int, high: int = ranges.ITERATIONS) -> Kind:
     return Kind(lambda value, name: whole(value, name, low, high), f"integer >= {low}")
 
 
-def one_of(names: Iterable[str], kind: str = "", hint: str = "") -> Kind:
-    """One of some names; `kind` is what they are called in a message, unless by the setting's own name."""
+def one_of(names: Iterable[str], instead: str = "", fits: Callable[[Any], bool] = lambda _: False) -> Kind:
+    """One of some names, or what else fits.
+
+    Args:
+        names: those that exist.
+        instead: in words what else fits: "a rule".
+        fits: whether a value, which is no text, is that.
+    """
     allowed = tuple(names)
-    text = ", ".join(f"`{each}`" for each in allowed)
-    return Kind(lambda value, name: choice(value, kind or name, allowed, hint), text)
+
+    def take(value: Any, name: str) -> Any:
+        if as_text(value) is None and fits(value):
+            return value
+        return choice(value, name, allowed, instead and f", or give {instead}")
+
+    return Kind(take, ", ".join(f"`{each}`" for each in allowed) + (instead and f", or {instead}"))
 
 
 def numbers(count: int, within: Range = ANY) -> Kind:
@@ -210,41 +192,36 @@ def record(kind: type[Settings]) -> Kind:
     """A record of this class, or a dict of its settings."""
 
     def take(value: Any, name: str) -> Any:
-        if is_a(value, kind):
-            return value
         if is_a(value, dict):
-            return kind.made(value, name)
-        raise InvalidInputError(f"{name} must be a {kind.__name__}, or a dict of its settings, got {shown(value)}")
+            return kind().replaced(value, name)
+        if not is_a(value, kind):
+            raise InvalidInputError(f"{name} must be a {kind.__name__}, or a dict of its settings, got {shown(value)}")
+        return value
 
     return Kind(take, f"{kind.__name__} or dict", (kind,))
 
 
-def any_of(
-    table: Mapping[str, type[Settings]], base: type[Settings], kind: str, hint: str, calls: bool = False
-) -> Kind:
-    """One of several records.
+def any_of(table: Mapping[str, type[Settings]], base: type[Settings], hint: str, calls: bool = False) -> Kind:
+    """One of several records, its name, or a dict of its name and settings.
 
     Args:
         table: the classes by name.
         base: of them all.
-        kind: how a message calls them.
         hint: the end of the message about an unknown name.
         calls: whether a function will do, too.
     """
 
     def take(value: Any, name: str) -> Any:
-        if is_a(value, base):
+        if is_a(value, base) or (calls and as_text(value) is None and callable(value)):
             return value
+        named, settings = value, {}
         if is_a(value, dict):
             if "name" not in value:
                 raise InvalidInputError(
                     f"{name} needs a name, one of {', '.join(map(repr, table))}, got {shown(value)}"
                 )
-            settings = {key: each for key, each in value.items() if key != "name"}
-            return table[choice(value["name"], kind, table, hint)].made(settings, name)
-        if calls and as_text(value) is None and callable(value):
-            return value
-        return table[choice(value, kind, table, hint)]()
+            named, settings = value["name"], {key: each for key, each in value.items() if key != "name"}
+        return table[choice(named, name, table, hint)]().replaced(settings, name)
 
     text = ", ".join(f"`{each}`" for each in table)
     return Kind(take, f"{text}, {base.__name__} or dict{', or a function' if calls else ''}", tuple(table.values()))
@@ -255,14 +232,19 @@ def placed(name: str) -> str:
     return f"{_PATH.get()}.{name}" if _PATH.get() else name
 
 
-def to_json(value: Any, path: str) -> Any:
-    """A setting's value as JSON has it.
+def to_json(value: Any, path: str = "") -> Any:
+    """Settings as JSON has them, with the name of a record that is one of several.
+
+    Args:
+        value: a record, or one of its values.
+        path: of it, for messages.
 
     Raises:
         InvalidInputError: a function, which has no JSON.
     """
     if is_a(value, Settings):
-        return value.to_dict(path)
+        named, start = {"name": value.name} if value.name else {}, path and f"{path}."
+        return named | {item.name: to_json(getattr(value, item.name), start + item.name) for item in fields(value)}
     if is_a(value, tuple):
         return [to_json(each, path) for each in value]
     if value is None or is_a(value, str | int | float | bool):
@@ -278,14 +260,6 @@ def _taken(about: About, value: Any, name: str) -> Any:
     return about.kind.take(value, placed(name) + (about.unit and f" [{about.unit}]"))
 
 
-def _real(value: Any, name: str, within: Range) -> float:
-    found = as_number(value)
-    if found is None or not within.low <= found <= within.high:
-        far = f" and up to {within.high:g}" if within.high >= 1e9 and found is not None and found > within.high else ""
-        raise InvalidInputError(f"{name} must be a number {_words(within)}{far}, got {shown(value)}")
-    return found
-
-
 def _words(within: Range) -> str:
     if within == ANY:
         return "of any size"
@@ -293,30 +267,6 @@ def _words(within: Range) -> str:
     return least if within.high >= 1e9 else f"{least}, <= {within.high:g}"
 
 
-def _own(cls: type) -> dict[str, tuple[Any, About]]:
-    """Defaults and descriptions of a class's settings, before `dataclass` has seen it."""
-    inherited = {
-        name: (item.default, item.metadata[_ABOUT])
-        for base in cls.__mro__[:0:-1]
-        for name, item in getattr(base, "__dataclass_fields__", {}).items()
-        if _ABOUT in item.metadata
-    }
-    mine = {
-        name: (item.default, item.metadata[_ABOUT])
-        for name, item in vars(cls).items()
-        if isinstance(item, Field) and _ABOUT in item.metadata
-    }
-    return inherited | mine
-
-
 def _sentence(name: str, about: About) -> str:
     allowed = " ".join(part for part in (about.kind.text, about.unit) if part)
     return f"    {name}: {about.doc} ({allowed})"
-
-
-def _plainly(value: Any) -> str:
-    if isinstance(value, Settings):
-        return value.name or f"{type(value).__name__}()"
-    if isinstance(value, tuple):
-        return f"({', '.join(map(_plainly, value))})"
-    return f"{value:g}" if isinstance(value, float) else str(value)

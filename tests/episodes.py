@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+
+from grasp_env.config import EnvConfig
+from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription
 
 ENV = "grasp_env:FourFingerGrasp-v0"
 
@@ -30,3 +34,9 @@ def episode(
         return np.array(out), infos
     finally:
         env.close()
+
+
+def random_object(rng: np.random.Generator, shapes: Sequence[str] = SHAPES_WITHOUT_MESH) -> ObjectDescription:
+    """An object of one of some shapes, drawn in the ranges of `randomize`."""
+    rules = {"shape": lambda rng: shapes[rng.integers(len(shapes))], "size": True, "mass": True, "friction": True}
+    return EnvConfig().override(randomize=rules).drawn(rng).object

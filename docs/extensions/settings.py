@@ -10,7 +10,7 @@ from docutils.statemachine import StringList
 from sphinx.util.docutils import SphinxDirective
 
 from grasp_env.config import KEYWORDS, EnvConfig
-from grasp_env.settings import described
+from grasp_env.settings import Settings, described
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -18,16 +18,26 @@ if TYPE_CHECKING:
 HEAD = "| Setting | Default | Unit | May be | |\n|---|---|---|---|---|"
 
 
+def plainly(value: Any) -> str:
+    """A default in words."""
+    if isinstance(value, Settings):
+        return value.name or f"{type(value).__name__}()"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(plainly, value))})"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def tables() -> Iterator[tuple[str, str]]:
     """A title and a Markdown table for the settings at the top, and for each record in them."""
     plain = {path: name for name, path in KEYWORDS.items()}
     groups: dict[tuple[str, type], list[str]] = {}
-    for row in described(EnvConfig):
-        group = row.path.rpartition(".")[0]
-        default, unit, allowed, sentence = (text.replace("|", "\\|").replace("\n", " ") for text in row.words)
-        name = f"`{row.path.rpartition('.')[2]}`" + (f", keyword `{plain[row.path]}`" if row.path in plain else "")
-        line = f"| {name} | {default} | {unit} | {allowed} | {sentence} |"
-        groups.setdefault((group, row.record), []).append(line)
+    for path, record, about in described(EnvConfig):
+        group, _, last = path.rpartition(".")
+        default = about.none or "none" if about.default is None else plainly(about.default)
+        words = (default, about.unit, about.kind.text, about.doc)
+        cells = [text.replace("|", "\\|").replace("\n", " ") for text in words]
+        name = f"`{last}`" + (f", keyword `{plain[path]}`" if path in plain else "")
+        groups.setdefault((group, record), []).append(f"| {' | '.join([name, *cells])} |")
     for (group, record), lines in groups.items():
         named = f", {record.name}" if record.name else ""
         title = f"{group}{named}: {record.__name__}" if group else "EnvConfig"

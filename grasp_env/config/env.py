@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache, partial
@@ -12,21 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_text, choice, is_a, together
+from grasp_env._check import as_array, as_text, is_a, together
 from grasp_env.config.randomize import RANDOMIZE, draw
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
-from grasp_env.settings import (
-    ANY,
-    Kind,
-    Row,
-    Settings,
-    described,
-    numbers,
-    record,
-    setting,
-    to_json,
-)
+from grasp_env.settings import ANY, About, Kind, Settings, described, numbers, one_of, record, setting, to_json
 from grasp_env.sim.engine import ENGINE, Engine, engine_of
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import ObjectDescription
@@ -51,12 +40,6 @@ _MOST_TICKS = 1_000_000
 """Of an episode, which is planned as a whole: 0.7 kB each."""
 
 
-def _hand(value: Any, name: str) -> Any:
-    if is_a(value, HandDescription):
-        return value
-    return choice(value, name, HANDS, ", or give a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')")
-
-
 def _points(value: Any, name: str) -> tuple[tuple[float, ...], ...]:
     points = as_array(value, None, name, ANY)
     return tuple(map(tuple, as_array(points, (None, 3), name).tolist())) if points.size else ()
@@ -74,12 +57,12 @@ class EnvConfig(Settings):
         >>> config = EnvConfig(task={"name": "move", "motion": "lift"}, sensors=Sensors(delay=0.004))
         >>> config.override(friction=0.8, sensors={"pose_noise": 1e-5}).sensors.delay
         0.004
-        >>> EnvConfig.from_json(config.to_json()) == config
+        >>> as_config(config.to_json()) == config
         True
     """
 
     hand: str | HandDescription = setting(
-        "four_finger", Kind(_hand, ", ".join(f"`{name}`" for name in HANDS) + ", or a HandDescription"),
+        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')", lambda value: is_a(value, HandDescription)),
         "The hand; one that is not `placed` is put around the object by `place_hand`.",
     )  # fmt: skip
     object: ObjectDescription = setting(ObjectDescription(), record(ObjectDescription), "What it holds.")
@@ -150,35 +133,31 @@ class EnvConfig(Settings):
             UnknownSettingError: no setting of that name.
             InvalidInputError: all that is wrong with the values.
         """
-        known = [item.name for item in fields(self)]
+        kinds = {item.name: item.metadata["about"].kind for item in fields(self)}
         whole: dict[str, Any] = {}
         parts: dict[str, dict[str, Any]] = {}
         for name, value in settings.items():
             place, _, inner = KEYWORDS.get(name, name).partition(".")
-            if place not in known:
-                raise UnknownSettingError(name, (*known, *KEYWORDS), _likely(name))
+            if place not in kinds:
+                raise UnknownSettingError(name, (*kinds, *KEYWORDS), _likely(name))
             if inner:
                 parts.setdefault(place, {})[inner] = value
             elif is_a(value, dict) and "name" not in value and is_a(getattr(self, place), Settings):
                 parts.setdefault(place, {}).update(value)
             else:
                 whole[place] = value
-        changed = {**dict.fromkeys(whole), **dict.fromkeys(parts)}
-        values = together(*(partial(self._changed, place, whole, parts.get(place)) for place in changed))
-        return replace(self, **dict(zip(changed, values, strict=True)))
 
-    def _changed(self, place: str, whole: dict[str, Any], parts: dict[str, Any] | None) -> Any:
-        """A field's value with settings of its record replaced."""
-        value = whole.get(place, getattr(self, place))
-        if parts is None:
-            return value
-        about = all_settings()[place].about
-        base = value if is_a(value, Settings) or value is None else about.kind.take(value, place)
-        if not is_a(base, Settings):
-            raise InvalidInputError(
-                f"{place} is {shown(value)}, which has no {', '.join(parts)}: give {place} a name, too, {{'name': ..., ...}}"
-            )
-        return base.replaced(parts, place)
+        def changed(place: str) -> Settings:
+            given = whole.get(place, getattr(self, place))
+            base = None if given is None else kinds[place].take(given, place)
+            if not is_a(base, Settings):
+                raise InvalidInputError(
+                    f"{place} is {shown(given)}, which has no {', '.join(parts[place])}: give {place} a name, too, {{'name': ..., ...}}"
+                )
+            return base.replaced(parts[place], place)
+
+        made = together(*(partial(changed, place) for place in parts))
+        return replace(self, **whole | dict(zip(parts, made, strict=True)))
 
     def resolved(self) -> EnvConfig:
         """A copy in which what is None has its value: the task's own, and the default engine."""
@@ -196,7 +175,7 @@ class EnvConfig(Settings):
             rng: generator of the episode.
 
         Raises:
-            InvalidInputError: a function that fails, or returns what the setting may not be.
+            GraspError: a function that fails, or returns what the setting may not be.
 
         Example:
             >>> config = EnvConfig(randomize={"mass": (0.1, 0.2), "sensors.delay": lambda rng: rng.choice([0.0, 0.004])})
@@ -204,79 +183,32 @@ class EnvConfig(Settings):
             >>> round(made.object.mass, 3), made.sensors.delay
             (0.102, 0.004)
         """
-        return self.override(**draw(dict(self.randomize), self.object, rng))
+        return self.override(**draw(dict(self.randomize), self.object.shape, rng))
 
-    def to_dict(self, path: str = "") -> dict[str, Any]:
-        """All settings as JSON has them, with the version of their schema.
-
-        Args:
-            path: of the settings, for messages.
+    def to_dict(self) -> dict[str, Any]:
+        """All settings as JSON has them, with the version of their schema; `as_config` reads them.
 
         Raises:
             InvalidInputError: a function, or a hand of your own, which have no JSON.
         """
-        hand = self.hand
-        if is_a(hand, HandDescription):
-            hand = next((name for name, make in HANDS.items() if make() == hand), hand)
-        others = {
-            item.name: to_json(getattr(self, item.name), item.name)
-            for item in fields(self)[1:]
-            if item.name != "randomize"
-        }
+        hand = next((name for name, make in HANDS.items() if self.hand in (name, make())), self.hand)
         drawn = {path: to_json(rule, f"randomize[{path!r}]") for path, rule in self.randomize}
-        return {"schema": SCHEMA, "hand": to_json(hand, "hand"), **others, "randomize": drawn}
-
-    @classmethod
-    def from_dict(cls, given: Mapping[str, Any]) -> EnvConfig:
-        """The settings of a dict as `to_dict` makes it; what it lacks has its default.
-
-        Args:
-            given: the dict.
-
-        Raises:
-            InvalidInputError: no schema, or another one than this version reads.
-        """
-        if not is_a(given, dict) or type(given.get("schema")) is not int:
-            raise InvalidInputError(f'settings must be a dict with "schema": {SCHEMA}, got {shown(given)}')
-        if given["schema"] != SCHEMA:
-            newer = "written by a newer version: install that one" if given["schema"] > SCHEMA else "too old"
-            raise InvalidInputError(
-                f"settings have schema {given['schema']}, this version reads {SCHEMA}: they are {newer}"
-            )
-        return cls().override(
-            **{
-                shown(name) if as_text(name) is None else name: value
-                for name, value in given.items()
-                if name != "schema"
-            }
-        )
+        return {"schema": SCHEMA, **to_json(replace(self, hand=hand, randomize=())), "randomize": drawn}
 
     def to_json(self) -> str:
         """`to_dict` as text."""
         return json.dumps(self.to_dict(), indent=2)
 
-    @classmethod
-    def from_json(cls, text: str) -> EnvConfig:
-        """The settings in a text; raises as `from_dict` does, and where it is no JSON.
-
-        Args:
-            text: as `to_json` makes it.
-        """
-        try:
-            given = json.loads(text)
-        except (TypeError, ValueError, RecursionError) as error:
-            raise InvalidInputError(f"settings must be JSON: {error}, got {shown(text)}") from None
-        return cls.from_dict(given)
-
 
 def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
-    """The settings in any of their forms: a record, a dict or JSON of one; None: the defaults.
+    """The settings in any of their forms: a record, its `to_dict` or `to_json`, where what is left out has its default; None: the defaults.
 
     Args:
         config: the settings.
 
     Raises:
-        InvalidInputError: nothing of that kind.
+        InvalidInputError: nothing of that kind, no schema, or another one than this version reads; or wrong values.
+        UnknownSettingError: no setting of that name.
 
     Example:
         >>> as_config({"schema": 1, "sensors": {"delay": 0.004}}).sensors.delay
@@ -284,28 +216,36 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
     """
     if config is None or is_a(config, EnvConfig):
         return EnvConfig() if config is None else config
-    if is_a(config, dict):
-        return EnvConfig.from_dict(config)
-    text = as_text(config)
-    if text is None:
+    given: Any = config
+    if as_text(given) is not None:
+        try:
+            given = json.loads(given)
+        except (ValueError, RecursionError) as error:
+            raise InvalidInputError(f"config must be JSON: {error}, got {shown(given)}") from None
+    schema = given.get("schema") if is_a(given, dict) else None
+    if type(schema) is not int:
         raise InvalidInputError(
-            f"config must be an EnvConfig, its dict or its JSON, got {shown(config)}; single settings are keywords"
+            f'config must be an EnvConfig, or a dict or JSON with "schema": {SCHEMA}, got {shown(given)}; single settings are keywords'
         )
-    return EnvConfig.from_json(text)
+    if schema != SCHEMA:
+        newer = "written by a newer version: install that one" if schema > SCHEMA else "too old"
+        raise InvalidInputError(f"config has schema {schema}, this version reads {SCHEMA}: it is {newer}")
+    return EnvConfig().override(**{str(name): value for name, value in given.items() if name != "schema"})
 
 
 @cache
-def all_settings() -> dict[str, Row]:
-    """Every setting by its path, in order: "hand", "object", "object.shape", ...; of records that share a path the first.
+def all_settings() -> dict[str, About]:
+    """What is said of every setting by its path, in order: "hand", "object", "object.shape", ...; of those that share a path the first.
 
     Example:
-        >>> all_settings()["sensors.delay"].words
-        ('0', 's', '>= 0', 'Between measurement and torque, for everything; rounded up to control ticks.')
+        >>> about = all_settings()["sensors.delay"]
+        >>> about.default, about.unit, about.kind.text
+        (0.0, 's', '>= 0')
     """
-    rows = dict[str, Row]()
-    for row in described(EnvConfig):
-        rows.setdefault(row.path, row)
-    return rows
+    found = dict[str, About]()
+    for path, _, about in described(EnvConfig):
+        found.setdefault(path, about)
+    return found
 
 
 def _likely(name: str) -> list[str]:

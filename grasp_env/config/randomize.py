@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_list, as_text, choice, is_a
+from grasp_env._check import as_array, as_list, called, choice, is_a
 from grasp_env.config.records import Controller, Sensors
-from grasp_env.errors import GraspError, InvalidInputError, shown
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.settings import Kind, described
-from grasp_env.sim.objects.description import ObjectDescription, random_object
+from grasp_env.sim.objects.description import SHAPES, SHAPES_WITHOUT_MESH, SIZES, ObjectDescription
 
 OBJECT: dict[str, Any] = {
     "object.shape": True,
@@ -23,26 +23,25 @@ OBJECT: dict[str, Any] = {
 SHORT = {path.partition(".")[2]: path for path in OBJECT}
 _RECORDS = {"object": ObjectDescription, "sensors": Sensors, "controller": Controller}
 RANDOM = {
-    row.path: row.about.kind for name, kind in _RECORDS.items() for row in described(kind, name) if row.about.random
+    path: about.kind for name, kind in _RECORDS.items() for path, _, about in described(kind, name) if about.random
 }
 """Settings that may be drawn at a reset, and what each may be; gravity besides."""
 ALLOWED = (*SHORT, *RANDOM, "gravity")
 
 
 def _rules(value: Any, name: str) -> tuple[tuple[str, Any], ...]:
-    if is_a(value, dict):
-        given = dict(value)
-    else:
-        named = [value] if is_a(value, str) else as_list(value)
-        if named is None:
-            raise InvalidInputError(
-                f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
-            )
-        pairs = [each if is_a(each, tuple) and len(each) == 2 else (each, True) for each in named]
-        given = {as_text(path) or shown(path): rule for path, rule in pairs}
-    return tuple(
-        (path := SHORT.get(choice(each, name, ALLOWED), each), _rule(path, rule)) for each, rule in given.items()
-    )
+    given = list(value.items()) if is_a(value, dict) else as_list([value] if is_a(value, str) else value)
+    if given is None:
+        raise InvalidInputError(
+            f"{name} must be a list of some of {', '.join(SHORT)}, or a dict from paths to ranges, got {shown(value)}"
+        )
+    found: dict[str, Any] = {}
+    for each in given:
+        path, rule = each if is_a(each, tuple) and len(each) == 2 else (each, True)
+        path = choice(path, name, ALLOWED)
+        path = SHORT.get(path, path)
+        found[path] = _rule(path, rule)
+    return tuple(found.items())
 
 
 def _rule(path: str, rule: Any) -> Any:
@@ -67,55 +66,43 @@ RANDOMIZE = Kind(_rules, "names, or dict from paths")
 """What `EnvConfig.randomize` may be; kept as pairs of path and rule."""
 
 
-def draw(rules: Mapping[str, Any], base: ObjectDescription, rng: np.random.Generator) -> dict[str, Any]:
-    """What an episode has instead of the settings: "object", and others by path.
+def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict[str, Any]:
+    """What an episode has instead of the settings, by path: the object's first, then the others in their order.
 
-    What is drawn of the object comes first, by one `random_object`, whatever of it is kept; then the others in their order.
+    As soon as one number of the object is drawn, all are: what is kept of them does not change what is drawn later.
 
     Args:
         rules: by path, as `EnvConfig` keeps them.
-        base: the object of the settings.
+        shape: of the settings' object.
         rng: generator of the episode.
 
     Raises:
-        InvalidInputError: a function that fails, or returns what the object may not be.
+        GraspError: a function that fails, or returns what the object may not be.
     """
-    made: dict[str, Any] = {"object": _object(base, rules, rng)} if rules.keys() & OBJECT.keys() else {}
-    for path, rule in rules.items():
-        if path not in OBJECT:
-            made[path] = _called(path, rule, rng) if callable(rule) else rng.uniform(*rule)
-    return made
+    found: dict[str, Any] = {}
+    if rules.keys() & OBJECT.keys():
+        ranges = OBJECT | {path: rule for path, rule in rules.items() if not callable(rule)}
+        if shape != "mesh":
+            drawn = _drawn("object.shape", rules["object.shape"], rng) if "object.shape" in rules else shape
+            drawn = choice(drawn, "object.shape", SHAPES)
+            low, high = ranges["object.size"]
+            sides = rng.uniform(low, high, 3).tolist()[: len(SIZES[drawn])]
+            if drawn != shape or "object.size" in rules:
+                size = sorted(sides) if drawn == "capsule" else sides
+                found |= {"object.shape": drawn, "object.size": size, "object.inertia": None}
+        for path in ("object.mass", "object.friction"):
+            value = rng.uniform(*ranges[path])
+            if path in rules:
+                found[path] = value
+    for path in dict.fromkeys((*OBJECT, *rules)):
+        if path in rules and path != "object.shape" and (path not in OBJECT or callable(rules[path])):
+            found[path] = _drawn(path, rules[path], rng)
+    return found
 
 
-def _object(base: ObjectDescription, rules: Mapping[str, Any], rng: np.random.Generator) -> ObjectDescription:
-    own = {path.partition(".")[2]: rules[path] for path in OBJECT if callable(rules.get(path))}
-    size, mass, friction = (
-        rules[path] if path in rules and not callable(rules[path]) else OBJECT[path] for path in list(OBJECT)[1:]
-    )
-    kept = {name for name, path in SHORT.items() if path not in rules}
-    if base.shape == "mesh":
-        found = {"mass": float(rng.uniform(*mass)), "friction": float(rng.uniform(*friction))}
-        changes = {name: value for name, value in found.items() if name not in kept}
-    else:
-        shapes = {}
-        if "shape" in own:
-            shapes = {"shapes": (_called("object.shape", own.pop("shape"), rng),)}
-        elif "shape" in kept:
-            shapes = {"shapes": (base.shape,)}
-        made = random_object(rng, size=size, mass=mass, friction=friction, **shapes)
-        changes = {name: getattr(made, name) for name in ("mass", "friction") if name not in kept}
-        if made.shape != base.shape or "size" not in kept:
-            changes |= {"shape": made.shape, "size": made.size, "inertia": None}
-    changes |= {name: _called(f"object.{name}", rule, rng) for name, rule in own.items()}
-    return base.replaced(changes, "object")
-
-
-def _called(path: str, rule: Any, rng: np.random.Generator) -> Any:
-    try:
-        return rule(rng)
-    except GraspError:
-        raise
-    except Exception as error:  # somebody else's
-        raise InvalidInputError(
-            f"randomize[{path!r}] fails with {type(error).__name__}: {str(error)[:200]}; it takes a numpy generator and returns the setting"
-        ) from error
+def _drawn(path: str, rule: Any, rng: np.random.Generator) -> Any:
+    if rule is True:
+        return SHAPES_WITHOUT_MESH[int(rng.integers(len(SHAPES_WITHOUT_MESH)))]
+    if not callable(rule):
+        return rng.uniform(*rule)
+    return called(rule, rng, what=f"randomize[{path!r}]", takes="it takes a numpy generator and returns the setting")

@@ -3,37 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from grasp_env import ranges
-from grasp_env._check import as_array, as_text
-from grasp_env.errors import InvalidInputError, UnknownNameError, shown
 from grasp_env.force import METHODS, RULES, InitialForceRule
 from grasp_env.ranges import Range
-from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Kind, Settings, integer, one_of, real, setting
+from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Kind, Settings, integer, numbers, one_of, real, setting
 
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")
 ACTION_MODES = ("initial_force", "contact_force", "none")
-WRENCHES = ("measured", "estimated", "none")
-OBSERVATIONS = ("vector", "dict")
-INFOS = ("all", "numbers")
-STARTS = (*RULES, "previous")
-_MOST_PIXELS = 8192
-
-
-def _start(value: Any, name: str) -> Any:
-    if as_text(value) in STARTS or (as_text(value) is None and callable(value)):
-        return value
-    raise UnknownNameError(name, value, STARTS, ", or give a rule(grasp, wrench) -> (N, 3) forces [N]")
-
-
-def _pixels(value: Any, name: str) -> tuple[int, int]:
-    width, height = as_array(value, (2,), name).tolist()
-    if not (min(width, height) >= 16 and max(width, height) <= _MOST_PIXELS):
-        raise InvalidInputError(
-            f"{name} must be (width, height) of at least 16, at most {_MOST_PIXELS}, got {shown(value)}"
-        )
-    return int(width), int(height)
+_PIXELS = numbers(2, Range(16, 8192))
 
 
 @dataclass(frozen=True)
@@ -46,7 +24,7 @@ class Sensors(Settings):
     """
 
     wrench: str = setting(
-        "measured", one_of(WRENCHES),
+        "measured", one_of(("measured", "estimated", "none")),
         "What is known of the external wrench: measured, estimated from the object's motion and the mean contact forces of a tick, or "
         "nothing, which leaves pose feedback alone. The hand always knows gravity for its own weight.",
     )  # fmt: skip
@@ -78,8 +56,8 @@ class Solver(Settings):
 
     method: str = setting("reduced_flow", one_of(METHODS), "Method of the optimization.")
     initial_force: str | InitialForceRule = setting(
-        "linear_combination", Kind(_start, ", ".join(f"`{name}`" for name in STARTS) + ", or a function"),
-        "Start rule: its name, or any rule(grasp, wrench) -> (N, 3).",
+        "linear_combination", one_of((*RULES, "previous"), "a rule(grasp, wrench) -> (N, 3) forces [N]", callable),
+        "Start rule: its name, or any function.",
     )  # fmt: skip
     force_weight: float = setting(1.0, real(ranges.FORCE_WEIGHT), "Weight of the forces in Phi.")
     barrier_weight: float = setting(
@@ -148,9 +126,11 @@ class Agent(Settings):
         "initial_force", one_of(ACTION_MODES), "Adjusts the solver's start, gives the contact forces, or is ignored."
     )
     action_scale: float = setting(5.0, real(POSITIVE), "Force at action 1.", unit="N")
-    observation: str = setting("vector", one_of(OBSERVATIONS), "One vector, or a dict of named parts.")
+    observation: str = setting("vector", one_of(("vector", "dict")), "One vector, or a dict of named parts.")
     info: str = setting(
-        "all", one_of(INFOS), "Everything, or numbers only, as arrays: for readers that make tensors of them."
+        "all",
+        one_of(("all", "numbers")),
+        "Everything, or numbers only, as arrays: for readers that make tensors of them.",
     )
 
 
@@ -201,7 +181,10 @@ class Pictures(Settings):
     """
 
     size: tuple[int, int] = setting(
-        (480, 480), Kind(_pixels, f"16 to {_MOST_PIXELS} each"), "Width and height.", unit="pixels"
+        (480, 480),
+        Kind(lambda value, name: tuple(map(int, _PIXELS.take(value, name))), _PIXELS.text),
+        "Width and height.",
+        unit="pixels",
     )
     force: float | None = setting(
         None, real(POSITIVE), "Force that pictures have room for, which fixes the scale of their arrows.", unit="N",

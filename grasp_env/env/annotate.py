@@ -131,7 +131,7 @@ def title(config: EnvConfig) -> str:
     """
     name = name_of(config.disturbance)
     disturbance = DISTURBANCES.get(name, name).strip("_").replace("_", " ")
-    what = [each for each in (config.task.caption, disturbance) if each]
+    what = [each for each in (config.task.caption.format_map(vars(config.task)), disturbance) if each]
     return f"{config.task.name.replace('_', ' ')}{': ' if what else ''}{', '.join(what)}"
 
 

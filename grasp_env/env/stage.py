@@ -55,7 +55,7 @@ class Stage:
         self.redrawn = 0
         self.episode, self.item = config, config.object
         try:
-            self._hold(self.item, keep=True)
+            self._hold(self.item)
         except GraspError:
             if self._scene is not None:
                 self._scene.close()
@@ -90,26 +90,22 @@ class Stage:
             try:
                 if anew:
                     self._hold(drawn)
-                    return
-                scene.reset("closed")
-                scene.change_object(drawn.mass, drawn.friction)
-                self._settle(drawn)
+                else:
+                    scene.reset("closed")
+                    scene.change_object(drawn.mass, drawn.friction)
+                    self._settle(drawn)
                 return
             except GraspError as error:
                 failed = error
         raise SimulationError(f"none of {REDRAWS} random objects could be held; the last: {failed}")
 
-    def _hold(self, item: ObjectDescription, keep: bool = False) -> None:
+    def _hold(self, item: ObjectDescription) -> None:
         """The hand holds an object: where it held the first, else, if nobody placed it, where it is placed for this one.
-
-        Args:
-            item: The object.
-            keep: The states "closed" and "settled".
 
         Raises:
             GraspError: nowhere.
         """
-        failures: list[GraspError] = []
+        first, failures = self._nominal is None, list[GraspError]()
         for place in self._places(item):
             try:
                 self.kinematics = place()
@@ -119,10 +115,10 @@ class Stage:
                 else:
                     self._scene.load(grasp)
                 close_hand(self.scene, self._loop)
-                if keep:
+                if first:
                     self.scene.keep("closed")
                 self._settle(item)
-                if keep:
+                if first:
                     self.scene.keep("settled")
                 return
             except GraspError as error:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from grasp_env import core
-from grasp_env._check import ContactForces, Wrench, as_array, as_text, as_wrench, choice, is_a
-from grasp_env.errors import GraspError, InfeasibleStartError, InvalidInputError, shown
+from grasp_env._check import ContactForces, Wrench, as_array, as_text, as_wrench, called, choice, is_a
+from grasp_env.errors import InfeasibleStartError, InvalidInputError, shown
 from grasp_env.force.basis import OfflineBasis
 from grasp_env.force.objective import Objective
 from grasp_env.force.repair import Repair, start_replaced
@@ -100,15 +100,9 @@ def call_rule(rule: Any, function: Callable[..., Any], *given: Any) -> Any:
     Raises:
         InfeasibleStartError: it fails, in whatever way; `__cause__` says which.
     """
-    try:
-        return function(*given)
-    except GraspError:
-        raise
-    except Exception as error:
-        raise InfeasibleStartError(
-            f"initial-force rule {rule_name(rule)!r} fails with {type(error).__name__}: {str(error)[:200]}; a rule takes "
-            "(grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
-        ) from error
+    takes = "a rule takes (grasp, wrench) and returns an (N, 3) force, or raises InfeasibleStartError"
+    what = f"initial-force rule {rule_name(rule)!r}"
+    return called(function, *given, what=what, takes=takes, fault=InfeasibleStartError)
 
 
 @dataclass(frozen=True)

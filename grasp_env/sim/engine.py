@@ -77,13 +77,11 @@ class MujocoEngine(Engine):
 
     rate: int = setting(1000, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz")
     cone: str = setting(
-        "elliptic", one_of(("elliptic", "pyramidal"), "cone"),
+        "elliptic", one_of(("elliptic", "pyramidal")),
         "Friction cones; a pyramidal one is an inner approximation with four sides, which slips below the friction that it is told.",
     )  # fmt: skip
     impratio: float = setting(10.0, real(_POSITIVE), "Stiffness of friction over that of the normal force.")
-    integrator: str = setting(
-        "implicitfast", one_of(("implicitfast", "implicit", "Euler"), "integrator"), "Integrator of MuJoCo."
-    )
+    integrator: str = setting("implicitfast", one_of(("implicitfast", "implicit", "Euler")), "Integrator of MuJoCo.")
     time_constant: float = setting(
         0.0, real(Range(0.0, 1.0)), "Time in which overlaps vanish; 0: two steps, the least that is stable.", unit="s"
     )
@@ -101,7 +99,7 @@ class MujocoEngine(Engine):
 
 ENGINES: dict[str, type[Engine]] = {made.name: made for made in (BulletEngine, MujocoEngine)}
 """All there are; another one is a class here and the file that it names."""
-ENGINE = any_of(ENGINES, Engine, "engine", ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
+ENGINE = any_of(ENGINES, Engine, ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
 """What a setting may be that is an engine."""
 
 

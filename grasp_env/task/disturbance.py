@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import ranges
-from grasp_env._check import Array, as_array
-from grasp_env.errors import GraspError, InvalidInputError, shown
+from grasp_env._check import Array, as_array, called
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.grasp.wrench import paper_path
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Settings, any_of, numbers, real, setting
 from grasp_env.task.motion import blend
@@ -66,28 +66,21 @@ def disturb(rule: Disturbance, times: Array, rng: np.random.Generator, settings:
     Raises:
         InvalidInputError: it failed, or returned something else, or what is not finite.
     """
-    called, rows = f"the disturbance {name_of(rule) or shown(rule)}", len(times)
-    try:
-        made = rule(times.copy(), rng, settings)
-    except GraspError:
-        raise
-    except Exception as error:  # somebody else's
-        raise InvalidInputError(
-            f"{called} fails with {type(error).__name__}: {str(error)[:200]}; a disturbance takes (times, rng, settings) and returns "
-            "(T, 6) wrenches [N, N m], a row per tick"
-        ) from error
-    name = f"what {called} returns"
+    what, rows = f"the disturbance {name_of(rule) or shown(rule)}", len(times)
+    takes = "a disturbance takes (times, rng, settings) and returns (T, 6) wrenches [N, N m], a row per tick"
+    made = called(rule, times.copy(), rng, settings, what=what, takes=takes)
     if made is None:
         raise InvalidInputError(
-            f"{name} must be (T, 6) wrenches [N, N m] or a Disturbed, got None: does it end in a return?"
+            f"what {what} returns must be (T, 6) wrenches [N, N m] or a Disturbed, got None: does it end in a return?"
         )
     acts = made if isinstance(made, Disturbed) else Disturbed(made)
-    wrench, gravity = np.zeros((rows, 6)), np.empty((rows, 3))
-    gravity[:] = settings.gravity
+    wrench, gravity = np.zeros((rows, 6)), np.tile(settings.gravity, (rows, 1))
     if acts.wrench is not None:
-        wrench = as_array(acts.wrench, (rows, 6), f"{name} (wrench [N, N m], a row per tick)", ranges.SIZE)
+        wrench = as_array(acts.wrench, (rows, 6), f"what {what} returns (wrench [N, N m], a row per tick)", ranges.SIZE)
     if acts.gravity is not None:
-        gravity = as_array(acts.gravity, (rows, 3), f"{name} (gravity [m/s^2], a row per tick)", ranges.SIZE)
+        gravity = as_array(
+            acts.gravity, (rows, 3), f"what {what} returns (gravity [m/s^2], a row per tick)", ranges.SIZE
+        )
     return wrench, gravity
 
 
@@ -238,7 +231,6 @@ DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
 }
 """The built-in disturbances, by name."""
 DISTURBANCE = any_of(
-    DISTURBANCES, DisturbanceSettings, "disturbance",
-    ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]", calls=True,
+    DISTURBANCES, DisturbanceSettings, ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]", calls=True
 )  # fmt: skip
 """What a setting may be that is a disturbance."""

@@ -44,14 +44,10 @@ class Task(Settings):
     """[m] below which the object must be from its place for success; infinite: only not lost."""
     tilt_limit: ClassVar[float] = math.inf
     """[rad], the same."""
-
     duration: ClassVar[Any] = 4.0
     """[s] of an episode, unless given."""
-
-    @property
-    def caption(self) -> str:
-        """What is asked, in a few words for a picture."""
-        return ""
+    caption: ClassVar[str] = ""
+    """What is asked, in a few words for a picture, with settings in braces."""
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
         """(T, 3) force at the object's centre [N], world frame.
@@ -96,18 +92,14 @@ class Move(Task):
     """Follow a motion of the object: gravity and inertia must be balanced."""
 
     name: ClassVar[str] = "move"
+    caption: ClassVar[str] = "{motion}"
 
-    motion: str = setting("lift", one_of(MOTIONS, "motion"), "Motion of the object.")
+    motion: str = setting("lift", one_of(MOTIONS), "Motion of the object.")
     size: float | None = setting(
         None, real(POSITIVE), "How far: lift and shake in metres, rotate in radians.", unit="m or rad",
         none=f"{MOTION_SIZES['lift']:g} m, {MOTION_SIZES['rotate']:g} rad",
     )  # fmt: skip
     period: float = setting(1.0, real(POSITIVE), "Duration of one motion.", unit="s")
-
-    @property
-    def caption(self) -> str:
-        """See `Task`."""
-        return self.motion
 
     def target(self, times: Array, tick: float) -> Array:
         """See `Task`: times [s], tick [s]."""
@@ -120,14 +112,10 @@ class Payload(Task):
     """Hold while the mass changes, which the controller is not told."""
 
     name: ClassVar[str] = "payload"
+    caption: ClassVar[str] = "{factor:g} times the mass at {time:g} s"
 
     factor: float = setting(2.0, real(POSITIVE), "Factor by which the mass changes.")
     time: float = setting(1.0, real(NOT_NEGATIVE), "When it changes.", unit="s")
-
-    @property
-    def caption(self) -> str:
-        """See `Task`."""
-        return f"{self.factor:g} times the mass at {self.time:g} s"
 
     def mass_factor(self, times: Array) -> Array:
         """See `Task`: times [s]."""
@@ -142,6 +130,7 @@ class SixDirections(Task):
     """
 
     name: ClassVar[str] = "six_directions"
+    caption: ClassVar[str] = "pushes of {push_per_mass:g} N/kg"
     pushes: ClassVar[bool] = True
     max_drift = drift_limit = 0.05
     max_tilt = tilt_limit = math.radians(15.0)
@@ -153,11 +142,6 @@ class SixDirections(Task):
     def duration(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
         """See `Task`."""
         return 6.0 * self.push_time
-
-    @property
-    def caption(self) -> str:
-        """See `Task`."""
-        return f"pushes of {self.push_per_mass:g} N/kg"
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
         """See `Task`: times [s], tick [s], mass [kg].
@@ -174,5 +158,5 @@ class SixDirections(Task):
 
 TASKS: dict[str, type[Task]] = {made.name: made for made in (Hold, Move, Payload, SixDirections)}
 """The tasks by name."""
-TASK = any_of(TASKS, Task, "task", ", or give its settings, such as Move(motion='lift')")
+TASK = any_of(TASKS, Task, ", or give its settings, such as Move(motion='lift')")
 """What a setting may be that is a task."""

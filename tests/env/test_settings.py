@@ -10,14 +10,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from episodes import episode
+from episodes import episode, random_object
 
-from grasp_env.config import KEYWORDS, Controller, EnvConfig, Sensors, Solver, all_settings
+from grasp_env.config import KEYWORDS, Controller, EnvConfig, Sensors, Solver, all_settings, as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError, UnknownSettingError
 from grasp_env.settings import Settings, described
 from grasp_env.sim import HANDS, BulletEngine, HandDescription, MujocoEngine, ObjectDescription
-from grasp_env.sim.objects.description import random_object
 from grasp_env.task import DISTURBANCES, TASKS, Hold, Impulses, Move, RandomWrench
 
 ZERO = np.zeros(6, dtype=np.float32)
@@ -121,7 +120,7 @@ def test_an_unknown_keyword_is_told_where_the_setting_is(name: str, meant: str) 
 
 
 def every(record: type[Settings]) -> set[type[Settings]]:
-    return {row.record for row in described(record)} | {record}
+    return {kind for _, kind, _ in described(record)} | {record}
 
 
 def test_all_settings_have_one_description_and_no_record_is_large() -> None:
@@ -155,8 +154,8 @@ def test_records_dicts_keywords_and_paths_say_the_same() -> None:
         EnvConfig().override(shape="sphere", size=0.08, mass=0.15, disturbance=Impulses(force=2), sensors={"delay": 0.004}, method="newton"),
         EnvConfig().override(**{"object.shape": "sphere", "object.size": [0.08], "object.mass": 0.15, "disturbance": "impulses",
                                 "disturbance.force": 2.0, "sensors.delay": 0.004, "solver.method": "newton"}),
-        EnvConfig.from_json(wanted.to_json()),
-        EnvConfig.from_dict(wanted.to_dict()),
+        as_config(wanted.to_json()),
+        as_config(wanted.to_dict()),
         pickle.loads(pickle.dumps(wanted)),
     ):  # fmt: skip
         assert made == wanted
@@ -185,8 +184,8 @@ def test_json_keeps_everything_and_refuses_what_it_cannot() -> None:
         "mujoco",
         None,
     )
-    assert EnvConfig.from_dict(told) == config.override(hand="allegro")
-    assert EnvConfig.from_dict({"schema": 1, "sensors": {"delay": 0.01}}) == EnvConfig(sensors=Sensors(delay=0.01))
+    assert as_config(told) == config.override(hand="allegro")
+    assert as_config({"schema": 1, "sensors": {"delay": 0.01}}) == EnvConfig(sensors=Sensors(delay=0.01))
     for settings, message in (
         ({"disturbance": lambda times, rng, settings: None}, "disturbance is <function .*no JSON"),
         ({"initial_force": lambda grasp, wrench: None}, "solver.initial_force is <function"),
@@ -196,18 +195,18 @@ def test_json_keeps_everything_and_refuses_what_it_cannot() -> None:
         with pytest.raises(InvalidInputError, match=message):
             EnvConfig().override(**settings).to_json()
     for given, message in (
-        ({"schema": 2}, "schema 2, this version reads 1: they are written by a newer version"),
+        ({"schema": 2}, "schema 2, this version reads 1: it is written by a newer version"),
         ({"schema": 0}, "too old"),
         ({}, '"schema": 1'),
         ([], '"schema": 1'),
     ):
         with pytest.raises(InvalidInputError, match=message):
-            EnvConfig.from_dict(given)  # type: ignore[arg-type]
-    for text in ("{", "3", "", None):
-        with pytest.raises(InvalidInputError, match="settings must be"):
-            EnvConfig.from_json(text)  # type: ignore[arg-type]
+            as_config(given)  # type: ignore[arg-type]
+    for text in ("{", "3", "", 3):
+        with pytest.raises(InvalidInputError, match="config must be"):
+            as_config(text)  # type: ignore[arg-type]
     with pytest.raises(UnknownSettingError, match="colour"):
-        EnvConfig.from_dict({"schema": 1, "colour": "red"})
+        as_config({"schema": 1, "colour": "red"})
 
 
 def test_one_entry_adds_a_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -220,7 +219,7 @@ def test_one_entry_adds_a_disturbance(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(DISTURBANCES, "wind", Wind)
     made = EnvConfig().override(disturbance={"name": "wind", "force": 1.0})
     assert made.disturbance == Wind(force=1.0)
-    assert EnvConfig.from_json(made.to_json()) == made
+    assert as_config(made.to_json()) == made
 
 
 def test_everything_that_may_be_drawn_is_drawn_of_the_seed_and_reaches_the_episode() -> None:
@@ -284,6 +283,20 @@ def test_everything_that_may_be_drawn_is_drawn_of_the_seed_and_reaches_the_episo
     assert usual == random_object(np.random.default_rng(7))
 
 
+def test_what_is_kept_of_the_object_does_not_change_what_is_drawn() -> None:
+    base = ObjectDescription("cylinder", (0.08, 0.1), inertia=(2e-4, 2e-4, 2e-4))
+
+    def drawn(*names: str) -> EnvConfig:
+        rules = {**dict.fromkeys(names, True), "sensors.delay": (0.0, 0.004)}
+        return EnvConfig(object=base).override(randomize=rules).drawn(np.random.default_rng(7))
+
+    one, two, three = drawn("friction"), drawn("mass", "friction"), drawn("size", "mass", "friction")
+    assert one.object == replace(base, friction=two.object.friction)
+    assert three.object == replace(two.object, size=three.object.size, inertia=None)
+    assert three.object.size != base.size
+    assert one.sensors == two.sensors == three.sensors
+
+
 def test_weak_motors_deliver_a_part_of_what_is_commanded() -> None:
     def rates(**settings: Any) -> np.ndarray:
         env = FourFingerGrasp(disturbance="none", **settings)
@@ -298,12 +311,17 @@ def test_weak_motors_deliver_a_part_of_what_is_commanded() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rule", "message"),
-    [(lambda rng: -1.0, r"object.mass \[kg\] must"), (lambda: 1.0, r"randomize\['object.mass'\] fails with TypeError")],
+    ("name", "rule", "message"),
+    [
+        ("mass", lambda rng: -1.0, r"object.mass \[kg\] must"),
+        ("mass", lambda: 1.0, r"randomize\['object.mass'\] fails with TypeError"),
+        ("shape", lambda rng: "torus", "unknown object.shape 'torus'"),
+        ("shape", lambda rng: "mesh", "needs the path of a mesh file"),
+    ],
 )
-def test_a_function_that_draws_nonsense_is_named(rule: Any, message: str) -> None:
-    env = FourFingerGrasp(randomize={"mass": rule})
-    with pytest.raises(InvalidInputError, match=message):
+def test_a_function_that_draws_nonsense_is_named(name: str, rule: Any, message: str) -> None:
+    env = FourFingerGrasp(randomize={name: rule})
+    with pytest.raises(GraspError, match=message):
         env.reset(seed=0)
     env.close()
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from grasp_env import force as f
 from grasp_env import quality as q
-from grasp_env.config import EnvConfig
+from grasp_env.config import EnvConfig, as_config
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.env.plan import make_plan
 from grasp_env.force.rules import CoreStart
@@ -361,8 +361,8 @@ def calls(folder: Path) -> dict[str, Call]:
             f"EnvConfig of {name}": Call(lambda name=name, **k: EnvConfig().override(**{name: k}), vars(getattr(EnvConfig(), name)), 2.0)
             for name in ("sensors", "solver", "controller", "agent", "reward", "limits", "pictures")
         },
-        "EnvConfig.from_dict": Call(lambda **k: EnvConfig.from_dict(k), EnvConfig().to_dict(), 3.0),
-        "EnvConfig.from_json": Call(EnvConfig.from_json, {"text": EnvConfig().to_json()}),
+        "as_config": Call(as_config, {"config": EnvConfig().to_json()}),
+        "as_config of a dict": Call(lambda **k: as_config(k), EnvConfig().to_dict(), 3.0),
         "EnvConfig.drawn": Call(
             lambda **k: EnvConfig().override(randomize=k).drawn(np.random.default_rng(0)),
             {"mass": (0.1, 0.2), "size": (0.07, 0.12), "gravity": lambda rng: (0.0, -9.81, 0.0), "shape": True}, 2.0,

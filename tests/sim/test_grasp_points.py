@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from engines import Client, bullet, create_body, joint_indices, needs_bullet
+from episodes import random_object
 from hands import load_hand
 
 from grasp_env import core
@@ -20,7 +21,7 @@ from grasp_env.quality import force_closure
 from grasp_env.sim import HANDS, HandKinematics
 from grasp_env.sim.grasping.points import FRICTION_MARGIN, check_points, grasp_points
 from grasp_env.sim.hand.limbs import hand_limbs
-from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
+from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription
 
 
 @pytest.fixture(scope="module")

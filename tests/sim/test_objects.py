@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from episodes import random_object
 
 from grasp_env.errors import InvalidInputError, UnknownNameError
-from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription, random_object
+from grasp_env.sim.objects.description import SHAPES_WITHOUT_MESH, ObjectDescription
 from grasp_env.sim.objects.mesh import principal_rotation
 
 
@@ -211,10 +212,6 @@ def test_bad_numbers(fields: dict[str, object], message: str) -> None:
 def test_unknown_shapes() -> None:
     with pytest.raises(UnknownNameError, match="'cuboid', 'cylinder', 'sphere', 'capsule', 'mesh'"):
         ObjectDescription("torus")
-    with pytest.raises(UnknownNameError, match="'mesh'"):
-        random_object(np.random.default_rng(0), shapes=["mesh"])
-    with pytest.raises(InvalidInputError, match="least"):
-        random_object(np.random.default_rng(0), size=(0.1, 0.05))
 
 
 def test_random_objects_are_within_and_repeat() -> None:

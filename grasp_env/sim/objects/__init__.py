@@ -1,5 +1,5 @@
 """Objects: shapes and meshes, sizes, inertia, surfaces."""
 
-from grasp_env.sim.objects.description import SHAPES, ObjectDescription, random_object
+from grasp_env.sim.objects.description import SHAPES, ObjectDescription
 
-__all__ = ["SHAPES", "ObjectDescription", "random_object"]
+__all__ = ["SHAPES", "ObjectDescription"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from grasp_env import core
 from grasp_env._check import Array, as_array, as_text
 from grasp_env._files import as_path
-from grasp_env.errors import InvalidInputError, UnknownNameError, shown
+from grasp_env.errors import InvalidInputError, shown
 from grasp_env.ranges import Range
 from grasp_env.settings import Kind, Settings, one_of, placed, real, setting
 from grasp_env.sim.hand.check import numbers
@@ -25,14 +25,15 @@ SMALLEST, LARGEST = 0.001, 1.0
 OBJECT_COLOR = (0.86, 0.80, 0.68)
 """Red, green and blue of objects in pictures."""
 
-_SIZES = {
+SIZES = {
     "cuboid": ("x", "y", "z"),
     "cylinder": ("diameter", "height"),
     "sphere": ("diameter",),
     "capsule": ("diameter", "total length"),
     "mesh": ("scale",),
 }
-SHAPES = tuple(_SIZES)
+"""What the numbers of a size are."""
+SHAPES = tuple(SIZES)
 SHAPES_WITHOUT_MESH = tuple(shape for shape in SHAPES if shape != "mesh")
 _DEFAULTS = {
     "cuboid": (0.1, 0.1, 0.1),
@@ -80,9 +81,7 @@ class ObjectDescription(Settings):
         (array([0.   , 0.   , 0.033]), 0.017)
     """
 
-    shape: str = setting(
-        "cuboid", one_of(SHAPES, "shape"), "Shape; the axis of cylinder and capsule is y.", random=True
-    )
+    shape: str = setting("cuboid", one_of(SHAPES), "Shape; the axis of cylinder and capsule is y.", random=True)
     size: tuple[float, ...] = setting(
         (), Kind(_numbers, "0.001 to 1 each way"),
         "Cuboid: sides x, y, z. Cylinder: diameter, height. Sphere: diameter. Capsule: diameter, total length. Mesh: what its coordinates "
@@ -117,8 +116,8 @@ class ObjectDescription(Settings):
                 f"{placed('shape')}={self.shape!r} with mesh={shown(self.mesh)}: shape 'mesh' needs the path of a mesh file, "
                 "and other shapes take mesh=None"
             )
-        name = f"{placed('size')} of a {self.shape} ({', '.join(_SIZES[self.shape])})"
-        size = numbers(self.size or _DEFAULTS[self.shape], len(_SIZES[self.shape]), name)
+        name = f"{placed('size')} of a {self.shape} ({', '.join(SIZES[self.shape])})"
+        size = numbers(self.size or _DEFAULTS[self.shape], len(SIZES[self.shape]), name)
         object.__setattr__(self, "size", size)
         if min(self.size) <= 0.0:
             raise InvalidInputError(f"{name} must be above 0, got {self.size}")
@@ -211,53 +210,6 @@ class ObjectDescription(Settings):
     def __getstate__(self) -> dict[str, object]:
         """All but the surface, which cannot be pickled and is made anew."""
         return {name: value for name, value in self.__dict__.items() if name != "surface"}
-
-
-def random_object(
-    rng: np.random.Generator,
-    size: tuple[float, float] = (0.07, 0.12),
-    mass: tuple[float, float] = (0.05, 0.5),
-    friction: tuple[float, float] = (0.3, 0.8),
-    shapes: Sequence[str] = SHAPES_WITHOUT_MESH,
-) -> ObjectDescription:
-    """An object drawn uniformly; a capsule's smaller number is its diameter.
-
-    The same number of draws for every shape, so that what follows does not depend on it.
-
-    Args:
-        rng: Generator.
-        size: Least and largest side, diameter, height or length [m].
-        mass: [kg].
-        friction: Coefficients.
-        shapes: To draw from.
-
-    Raises:
-        InvalidInputError: A range that is none, no shape, or "mesh".
-        UnknownNameError: An unknown shape.
-
-    Example:
-        >>> random_object(np.random.default_rng(0), shapes=["sphere"]).size
-        (0.1018...,)
-    """
-    shapes = (shapes,) if isinstance(shapes, str) else tuple(shapes)
-    if not shapes:
-        raise InvalidInputError(f"shapes=() is empty; name some of {', '.join(SHAPES_WITHOUT_MESH)}")
-    for shape in shapes:
-        if shape not in SHAPES_WITHOUT_MESH:
-            raise UnknownNameError("random shape", shape, SHAPES_WITHOUT_MESH)
-    (low, high), masses, frictions = _range(size, "size"), _range(mass, "mass"), _range(friction, "friction")
-    shape = shapes[int(rng.integers(len(shapes)))]
-    sides = rng.uniform(low, high, 3).tolist()[: len(_SIZES[shape])]
-    if shape == "capsule":
-        sides.sort()
-    return ObjectDescription(shape, tuple(sides), float(rng.uniform(*masses)), float(rng.uniform(*frictions)))
-
-
-def _range(values: tuple[float, float], name: str) -> tuple[float, float]:
-    low, high = as_array(values, (2,), name).tolist()
-    if not 0.0 < low <= high:
-        raise InvalidInputError(f"{name}={values} must be (least, largest) with 0 < least <= largest")
-    return low, high
 
 
 def _solid_gyration(shape: str, size: tuple[float, ...]) -> tuple[float, float, float]:
