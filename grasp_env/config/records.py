@@ -64,10 +64,7 @@ class Solver(Settings):
         0.01, real(ranges.BARRIER_WEIGHT), "Weight of the barrier in Phi: more of it holds further from slipping.", unit="N^2"
     )  # fmt: skip
     tolerance: float = setting(1e-4, real(ranges.TOLERANCE), "Relative gap to the certified bound.")
-    max_iterations: int = setting(5000, integer(0), "Most iterations of one optimization.")
-    iteration_budget: int | None = setting(
-        None, integer(0), "Most iterations that real time allows.", none="max_iterations"
-    )
+    max_iterations: int = setting(5000, integer(0), "Most iterations of one optimization: what real time allows.")
 
 
 @dataclass(frozen=True)
@@ -147,6 +144,20 @@ class Reward(Settings):
     iteration_cost: float = setting(0.01, real(NOT_NEGATIVE), "Per iteration of the optimization.")
     force_cost: float = setting(0.01, real(NOT_NEGATIVE), "Per newton of total normal force.", unit="1/N")
     failure_cost: float = setting(100.0, real(NOT_NEGATIVE), "Once, when the object is lost.")
+
+    def terms(self, held: bool, iterations: int, total_normal_force: float) -> dict[str, float]:
+        """The terms that add up to a step's reward. No second solve is made for them.
+
+        Args:
+            held: whether the object is still held.
+            iterations: of the force optimization in this step.
+            total_normal_force: [N] of the optimized force.
+        """
+        return {
+            "reward/held": self.held if held else -self.failure_cost,
+            "reward/iterations": -self.iteration_cost * iterations,
+            "reward/force": -self.force_cost * total_normal_force,
+        }
 
 
 @dataclass(frozen=True)

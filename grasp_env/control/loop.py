@@ -269,13 +269,8 @@ def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | Initial
         initial = initial_rule(initial, Objective(config.solver.force_weight, config.solver.barrier_weight))
     return ForceOptimizer(
         grasp, method=method, initial=initial, force_weight=config.solver.force_weight, barrier_weight=config.solver.barrier_weight,
-        tolerance=config.solver.tolerance, max_iterations=budget_of(config),
+        tolerance=config.solver.tolerance, max_iterations=config.solver.max_iterations,
     )  # fmt: skip
-
-
-def budget_of(config: EnvConfig) -> int:
-    """Most iterations of an optimization."""
-    return config.solver.max_iterations if config.solver.iteration_budget is None else config.solver.iteration_budget
 
 
 def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: HandKinematics) -> core.ControlSettings:
@@ -298,7 +293,9 @@ def control_settings(config: EnvConfig, item: ObjectDescription, kinematics: Han
         )
         for each in joints
     ]
-    made.set_follow(config.solver.tolerance, min(budget_of(config), FOLLOW_ITERATIONS), config.solver.method == "conic")
+    made.set_follow(
+        config.solver.tolerance, min(config.solver.max_iterations, FOLLOW_ITERATIONS), config.solver.method == "conic"
+    )
     made.squeeze = config.controller.squeeze
     made.most_change = config.controller.force_rate / config.controller.rate
     made.release = RELEASE

@@ -23,7 +23,6 @@ from grasp_env.control.sensing import NoiseRows
 from grasp_env.env.annotate import Annotator
 from grasp_env.env.observation import Observer
 from grasp_env.env.plan import make_plan
-from grasp_env.env.reward import reward_terms
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
 from grasp_env.sim import Camera, CameraConfig, Scene
@@ -164,8 +163,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._stage: Stage | None = self._new_stage()
         hand = self._stage.kinematics.hand
         tips, joints = hand.finger_count, hand.joint_count
-        budget = config.solver.iteration_budget
-        self._budget = config.solver.max_iterations if budget is None else budget
         self._torque_limits = hand.torque_limits
         self._annotator = Annotator(config, hand)
         self._observer = Observer(tips, joints)
@@ -248,7 +245,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         external, _ = self._act(scene, 0)
         self._observer.watch(scene.look(), self._loop)
         self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
-        terms = reward_terms(self.config.reward, True, 0, 0.0)
+        terms = self.config.reward.terms(True, 0, 0.0)
         self._observed = self._observe(scene)
         return self._seen(), self._info(scene, terms)
 
@@ -273,10 +270,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             self._failure = "simulation_diverged"
         except GraspError:
             self._failure = "force_optimisation"
-        terms = reward_terms(
-            self.config.reward,
+        terms = self.config.reward.terms(
             not self._failure,
-            self._loop.effort.iterations if self._loop.closure else self._budget,
+            self._loop.effort.iterations if self._loop.closure else self.config.solver.max_iterations,
             self._outcome.total_normal,
         )
         truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step

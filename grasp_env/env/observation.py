@@ -84,14 +84,3 @@ class Observer:
         """The clipped observation, and how the object is held; target: (19,) the wanted motion."""
         outcome = self._loop.outcome(target, self.error, self.measured)
         return self._gather(), outcome
-
-
-def table() -> list[str]:
-    """Lines "first-last | key | name | unit | frame | bound" of the four-finger hand, as printed in the environment's docstring."""
-    lines, start = [], 0
-    for block in fields():
-        last = start + block.size - 1
-        index = f"{start}" if block.size == 1 else f"{start}-{last}"
-        lines.append(f"| {index} | `{block.key}` | {block.name} | {block.unit} | {block.frame} | {block.bound:g} |")
-        start = last + 1
-    return lines

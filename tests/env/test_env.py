@@ -57,7 +57,12 @@ def test_sb3_check(settings):
 
 def test_observation_table_matches_docstring_and_space():
     rows = [line.strip() for line in DOC.splitlines()]
-    table = observation.table()
+    table, index = [], 0
+    for block in observation.fields():
+        last = index + block.size - 1
+        where = f"{index}" if block.size == 1 else f"{index}-{last}"
+        table.append(f"| {where} | `{block.key}` | {block.name} | {block.unit} | {block.frame} | {block.bound:g} |")
+        index = last + 1
     start = rows.index(table[0])
     assert rows[start : start + len(table)] == table  # all of it, in order, and no row more
     assert not rows[start + len(table)].startswith("|")

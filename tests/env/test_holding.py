@@ -81,10 +81,10 @@ def test_controllers_hold(controller):
         )  # what balance asks comes on top
 
 
-def test_iteration_budget_limits_iterations_and_the_force_stays_valid():
+def test_a_budget_limits_iterations_and_the_force_stays_valid():
     assert min(info["iterations"] for info in episode(30, disturbance="random")[1]) > 3
     for budget in (0, 1, 3):
-        env = FourFingerGrasp(solver={"iteration_budget": budget}, disturbance="random")
+        env = FourFingerGrasp(solver={"max_iterations": budget}, disturbance="random")
         env.reset(seed=2)
         for _ in range(60):
             _, _, terminated, _, info = env.step(ZERO)

@@ -68,7 +68,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"sensors": {"delay": 1e6}}, "sensors.delay must be at most 4000 s"),
     ({"sensors": "exact"}, "sensors must be a Sensors, or a dict of its settings, got 'exact'"),
     ({"sensors": {"delay": -1.0}, "reward": {"held": "a"}}, r"sensors.delay .*; reward.held must"),
-    ({"solver": {"iteration_budget": 2.5}}, "solver.iteration_budget"),
+    ({"solver": {"max_iterations": 2.5}}, "solver.max_iterations"),
     ({"solver": {"max_iterations": None}}, "solver.max_iterations"),
     ({"reward": {"iteration_cost": float("nan")}}, "reward.iteration_cost"),
     ({"duration": 0.0}, r"limits.duration \[s\]"),
