@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from grasp_env.config import EnvConfig
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import InvalidInputError, UnknownNameError
+from grasp_env.errors import InvalidInputError
 from grasp_env.sim import ObjectDescription
 from grasp_env.task import DISTURBANCES, Disturbed, Impulses, RandomWrench, SixDirections, TiltingGravity
 from grasp_env.task.disturbance import disturb
@@ -179,14 +179,6 @@ def test_a_disturbance_that_fails_is_named() -> None:
     ) as caught:
         disturb(still, TIMES, rng(), EnvConfig())  # type: ignore[arg-type]
     assert isinstance(caught.value.__cause__, TypeError)
-
-
-def test_what_is_no_disturbance() -> None:
-    for given in ("wind", ["none"], 5, np.zeros((501, 6))):
-        with pytest.raises(UnknownNameError, match=r"unknown disturbance.*'none'.*or give a function"):
-            EnvConfig(disturbance=given)  # type: ignore[arg-type]
-    with pytest.raises(InvalidInputError, match="pushes by itself, got disturbance=<function gust"):
-        EnvConfig(task=SixDirections(), disturbance=gust)
 
 
 def test_a_function_in_the_environment() -> None:
