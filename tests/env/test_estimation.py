@@ -25,18 +25,6 @@ GRASP = np.concatenate(
 SQUEEZE = np.array([[0, 0, 6.0], [0, 0, -2.4], [0, 0, -1.8], [0, 0, -1.8]])
 
 
-def twin(state, rotation, linear, angular, points, forces, mass, inertia, gravity, dt, keep):
-    """`estimate_wrench` in numpy: the new state and the estimate."""
-    momentum = np.concatenate([mass * linear, rotation @ inertia @ rotation.T @ angular])
-    if not state[0]:
-        return np.concatenate([[1.0], momentum, np.zeros(6)]), np.zeros(6)
-    change = (momentum - state[1:7]) / dt
-    force = rotation.T @ (change[:3] - mass * gravity) - forces.sum(axis=0)
-    moment = rotation.T @ change[3:] - np.cross(points, forces).sum(axis=0)
-    estimate = keep * state[7:] + (1.0 - keep) * np.concatenate([force, moment])
-    return np.concatenate([[1.0], momentum, estimate]), estimate
-
-
 def hold(wrench: np.ndarray, seed: int, mass: float = MASS, spin=(0.0, 0.0, 0.0), substeps: int = 4):
     """A rigid body under `wrench` (T, 6), pushed back by contact forces with a soft pose feedback.
 
@@ -97,18 +85,6 @@ def estimates(trial, time=0.0, noise=0.0):
     return np.array(
         [estimator(rotation, linear, angular, POINTS, forces) for rotation, linear, angular, forces in trial]
     )
-
-
-def test_the_core_against_numpy():
-    rng, estimator = np.random.default_rng(0), Estimator(fingers=5, keep=0.7)
-    state = np.zeros(13)
-    for _ in range(20):
-        rotation = Rotation.random(random_state=int(rng.integers(1000))).as_matrix()
-        linear, angular = rng.standard_normal((2, 3))
-        points, forces = rng.standard_normal((2, 5, 3))
-        seen = (rotation, linear, angular, points, forces)
-        state, expected = twin(state, *seen, MASS, INERTIA, GRAVITY, TICK, 0.7)
-        np.testing.assert_allclose(estimator(*seen), expected, rtol=1e-11, atol=1e-11)
 
 
 def test_constant_wrench_is_found_at_once_and_filtered_as_asked():

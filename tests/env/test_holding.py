@@ -127,21 +127,14 @@ NOISES = [
 
 
 @pytest.mark.parametrize("settings", NOISES)
-def test_imperfect_sensors_and_motors_are_fixed_by_the_seed(settings):
+def test_imperfect_sensors_and_motors_hold_and_are_drawn(settings):
     first, infos = episode(40, **settings)
     assert not infos[-1]["terminated"]
     assert infos[-1]["is_success"]
-    env = FourFingerGrasp(**settings)
-    for seed in (1, 2):  # whatever came before
-        env.reset(seed=seed)
-        rows = [env.step(ZERO)[0] for _ in range(7)]
-    again = [env.reset(seed=3)[0]] + [env.step(ZERO)[0] for _ in range(40)]
-    env.close()
-    assert np.array(again).tobytes() == first.tobytes()
     exact = {name: value for name, value in settings.items() if name == "sensors.wrench"}
-    assert not np.array_equal(episode(7, seed=2, **exact)[0][1:], rows)
-    if settings != NOISES[0]:
-        assert not np.array_equal(episode(7, seed=4, **settings)[0][1:], rows)
+    assert not np.array_equal(episode(7, **exact)[0], first[:8])
+    same = np.array_equal(episode(7, seed=4, **settings)[0][1:], first[1:8])
+    assert same == (settings == NOISES[0])  # a delay alone is nothing random
 
 
 def test_a_friction_that_is_overestimated_cannot_close_the_hand():

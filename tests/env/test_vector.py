@@ -11,7 +11,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from engines import bullet, needs_bullet
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
 from grasp_env.env.env import FourFingerGrasp
@@ -113,29 +112,6 @@ def test_only_what_is_named_is_drawn(name):
     assert all(0.1 <= item.mass <= 0.3 and 0.4 <= item.friction <= 0.7 for item in items)
 
 
-@needs_bullet
-def test_every_environment_has_a_client_of_its_own():
-    """Stepped in turn, each of them gives the bits that it gives alone."""
-    alone = []
-    for seed in (3, 4, 5):
-        env = gym.make(ENV, **RANDOM)
-        alone.append(rollout(env, seed))
-        env.close()
-    before = sum(bullet.isConnected(number) for number in range(64))
-    envs = [FourFingerGrasp(**RANDOM) for _ in range(3)]
-    assert len({env.scene.simulator.client.number for env in envs}) == 3
-    assert sum(bullet.isConnected(number) for number in range(64)) == before + 3
-    rows: list[list[np.ndarray]] = [[env.reset(seed=seed)[0]] for env, seed in zip(envs, (3, 4, 5), strict=True)]
-    for _ in range(10):
-        for env, seen in zip(envs, rows, strict=True):
-            seen.append(env.step(np.zeros(6, dtype=np.float32))[0])
-    for seen, bits in zip(rows, alone, strict=True):
-        assert bits.startswith(np.array(seen).tobytes())
-    for env in envs:
-        env.close()
-    assert sum(bullet.isConnected(number) for number in range(64)) == before
-
-
 def _vector_rows(kind: str) -> np.ndarray:
     """(4, 2, size) observations of two environments with seeds 3 and 4, and closes them."""
     makers, zero = [make(RANDOM)] * 2, np.zeros((2, 6), dtype=np.float32)
@@ -164,18 +140,6 @@ def test_vector_environments_agree_with_single_ones(kind):
         single = [env.reset(seed=seed)[0]] + [env.step(np.zeros(6, dtype=np.float32))[0] for _ in range(3)]
         env.close()
         assert np.array(single).tobytes() == rows[:, place].tobytes()
-
-
-def test_a_vector_environment_goes_on_after_its_episodes():
-    envs = gym.vector.SyncVectorEnv([make({**RANDOM, "duration": 0.1})] * 2)
-    envs.reset(seed=1)
-    ends = 0
-    for _ in range(20):
-        _, _, _, truncated, info = envs.step(np.zeros((2, 6), dtype=np.float32))
-        ends += int(truncated.sum())
-        assert np.isfinite(info["drift"]).all()
-    envs.close()
-    assert ends >= 6
 
 
 def _resident() -> int:

@@ -91,17 +91,6 @@ def test_built_in_hands(name: str, fingers: int, joints: int, torque: float) -> 
     assert hash(hand) == hash(HANDS[name]())
 
 
-def test_the_four_finger_hand_keeps_its_numbers() -> None:
-    hand = HandDescription.four_finger()
-    assert hand.finger_names == ("thumb", "middle", "left", "right")
-    assert [link.mass for link in hand.links[:3]] == pytest.approx([0.02, 0.03, 0.03])
-    assert [(link.lower, link.upper) for link in hand.links[3:6]] == [(-1.0, 1.0), (-1.8, 1.2), (0.05, 2.6)]
-    tips = HandKinematics(hand).tips(np.zeros(12))  # hanging straight
-    np.testing.assert_allclose(
-        tips, [(0, -0.05, -0.09), (0, -0.05, 0.105), (-0.045, -0.05, 0.09), (0.045, -0.05, 0.09)], atol=1e-15
-    )
-
-
 def test_real_hands_have_their_published_measures() -> None:
     """Straight middle fingers along z; the links of a finger overlap only their neighbours."""
     straight = {"allegro": (0.0, 0.0, 0.1362), "leap": (0.0019, -0.0149, 0.1284)}

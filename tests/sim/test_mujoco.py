@@ -25,7 +25,6 @@ from grasp_env.errors import (
     InvalidInputError,
     MissingExtraError,
     SimulationError,
-    UnknownNameError,
 )
 from grasp_env.sim import (
     BulletEngine,
@@ -175,36 +174,6 @@ def test_forces_on_the_object_carry_its_weight(
     np.testing.assert_allclose(np.cross(s.points, s.forces).sum(axis=0), 0.0, atol=1e-5)
     assert np.abs(s.position).max() < 2e-4
     assert s.stray[0] == 0.0
-
-
-def test_states_come_back_bit_by_bit(held_scene: Scene, make_holder: Callable) -> None:
-    holder = make_holder()
-
-    def played() -> np.ndarray:
-        rows = [numbers(held_scene)]
-        for k in range(40):
-            held_scene.step(holder(held_scene) * (1.0 + 0.2 * math.sin(k)), [0.1, 0.0, 0.0, 0.0, 0.001 * k, 0.0])
-            rows.append(numbers(held_scene))
-        return np.array(rows)
-
-    held_scene.reset("settled")
-    first = played()
-    assert np.abs(held_scene.look().forces).max() > 0.1
-    held_scene.keep("later")
-    later = numbers(held_scene)
-    held_scene.reset("settled")
-    np.testing.assert_array_equal(played(), first)  # contact forces of the kept state among them
-    held_scene.reset("later")
-    np.testing.assert_array_equal(numbers(held_scene), later)
-    with pytest.raises(UnknownNameError, match="kept state"):
-        held_scene.reset("never")
-
-
-@pytest.fixture
-def held_scene(make_scene: Callable[..., Scene], make_holder: Callable) -> Scene:
-    scene = make_scene(**FAST, substeps=4)
-    make_holder().settle(scene, 0.2)
-    return scene
 
 
 @pytest.mark.parametrize("shape", ["cuboid", "sphere", "cylinder", "capsule", "mesh"])

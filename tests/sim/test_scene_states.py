@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from engines import needs_bullet
 from hands import numbers
 
 from grasp_env.errors import InvalidInputError, SimulationError, UnknownNameError
-from grasp_env.sim import ObjectDescription, Scene, SceneConfig
+from grasp_env.sim import BulletEngine, MujocoEngine, ObjectDescription, Scene, SceneConfig
+from grasp_env.sim.engine import Engine
 
 PUSH = np.array([0.4, -0.3, 0.2, 0.02, -0.03, 0.01])
 
@@ -24,9 +26,15 @@ def _record(scene: Scene, holder: Callable[[Scene], np.ndarray], steps: int = 60
     return np.array(rows)
 
 
-def test_reset_is_exact(held: Scene, make_holder: Callable) -> None:
+@pytest.mark.parametrize(
+    "engine", [pytest.param(BulletEngine(), marks=needs_bullet), MujocoEngine()], ids=lambda engine: engine.name
+)
+def test_reset_is_exact(make_scene: Callable[..., Scene], make_holder: Callable, engine: Engine) -> None:
     """To a kept state with its contact forces, to the start without any, and after the object was lost."""
-    first = {}
+    if engine.name == "mujoco":
+        pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
+    first, held = {}, make_scene(engine=engine, substeps=engine.rate // 250)
+    make_holder().settle(held)
     held.reset("settled")
     forces = held.look().forces.copy()
     assert held.look().touching.all()
