@@ -91,16 +91,6 @@ def test_an_episode_lasts_as_long_as_its_spec_says(settings: dict[str, Any], ste
         gym.make(ID, max_episode_steps=10**9)
 
 
-def test_what_remains_of_an_episode_can_be_observed() -> None:
-    env = gym.wrappers.TimeAwareObservation(gym.make(ID, duration=0.2), normalize_time=True)
-    assert env.observation_space.contains(env.reset(seed=0)[0])
-    for step in range(10):
-        observed, _, terminated, truncated, _ = env.step(ZERO)
-        assert observed[-1] == pytest.approx((step + 1) / 10)
-        assert (terminated, truncated) == (False, step == 9)
-    env.close()
-
-
 def test_videos(tmp_path: Path) -> None:
     pytest.importorskip("moviepy")
     env = gym.make(ID, duration=0.1, render_mode="rgb_array", pictures={"size": (64, 48)})

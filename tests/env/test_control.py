@@ -313,7 +313,7 @@ def test_gaps_of_force_closure_are_survived_and_a_hand_let_go_is_reported():
     assert (trial.infos[-1]["contacts"], trial.infos[-1]["failure"]) == (4, "")
     last = Trial((0, 1, 2, 3), ticks=200).infos[-1]
     assert last["failure"] in ("dropped", "closure_lost")
-    assert (last["force_closure"], last["contacts"]) == (False, 0)
+    assert (last["force_closure"], last["contacts"], last["touching"].any()) == (False, 0, False)
 
 
 def test_one_missed_tick_does_not_let_a_finger_go() -> None:

@@ -148,6 +148,7 @@ def test_actions_move_the_start_of_every_optimization_and_not_the_optimum():
     """Also of the first; zero is the rule itself."""
     assert iterations() == iterations(initial_force="linear_combination")
     assert all(a != b for a, b in zip(iterations(), iterations(action=-1.0), strict=True))
+    assert iterations(action=-1.0, agent={"action_scale": 1e-9}) == iterations()
     base, moved = (episode(5, action=np.full(6, a, dtype=np.float32))[1][-1]["objective"] for a in (0.0, -0.5))
     assert moved == pytest.approx(base, rel=3e-4)
     for method in ("newton", "full_flow"):

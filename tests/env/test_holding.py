@@ -193,6 +193,6 @@ def test_rates_that_differ_hold():
     assert (len(infos), infos[-1]["is_success"]) == (50, True)
     assert infos[-1]["time"] == pytest.approx(2.0)
     assert max(info["drift"] for info in infos) < 1e-3
-    env = FourFingerGrasp(agent={"rate": 25})
-    assert env.metadata["render_fps"] == 25
+    env = FourFingerGrasp(agent={"rate": 25}, engine={"name": "bullet", "rate": 1000})
+    assert (env.metadata["render_fps"], env.scene.timestep) == (25, 1 / 250)
     env.close()

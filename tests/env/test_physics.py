@@ -46,6 +46,7 @@ def test_holds_for_two_seconds(disturbance):
     """Drift below 1 mm, no contact lost, and what is commanded arrives: 0.05 N is 1 % of the thumb's force."""
     env = FourFingerGrasp(disturbance=disturbance)
     infos = run(env, 100, seed=3)
+    assert (env.scene.gravity == [0.0, -9.81, 0.0]).all() == (disturbance != "tilting_gravity")
     env.close()
     assert max(info["drift"] for info in infos) < 1e-3
     assert max(info["tilt"] for info in infos) < 0.01

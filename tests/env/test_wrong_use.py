@@ -123,6 +123,7 @@ FAR = {"max_drift": 1e9, "max_tilt": 10.0, "max_contact_gap": 1e9}
     ("limits", "wrench", "failures"),
     [
         ({}, [0, 0, 0, 0, 0, 3.0], ("dropped", "closure_lost")),  # far beyond the joint torques
+        ({"max_drift": 1e9, "max_contact_gap": 1e9}, [0, 0, 0, 0, 0, 3.0], ("dropped",)),  # it turns
         *((FAR, [push, push, 0, 0, 0, push], ("simulation_diverged",)) for push in (1e5, 1e9, 1e12)),
     ],
 )
@@ -130,11 +131,14 @@ def test_a_lost_object_ends_the_episode_with_its_cause(limits, wrench, failures)
     env = FourFingerGrasp(limits=limits)
     calm = env.reset(seed=0)[0]
     env.reset(seed=0, options={"wrench": wrench})
-    terminated = False
+    terminated, slipped = False, 0.0
     while not terminated:
         obs, reward, terminated, truncated, info = env.step(ZERO)
         assert not truncated
         finite(env, obs, reward, info)
+        slipped += info["slip"] / 50
+    assert info["slip_distance"] == pytest.approx(slipped, abs=1e-8)
+    assert info["failure"] != "simulation_diverged" or not (info["measured_force"].any() or info["touching"].any())
     assert info["failure"] in failures
     assert reward < -90.0
     assert not info["is_success"]

@@ -199,8 +199,9 @@ def test_mass_friction_and_gravity_change_where_they_are_told() -> None:
     simulator.set_object(ObjectDescription(mass=0.4, friction=0.9))
     assert simulator.model.geom("object").friction[0] == 0.9
     simulator.set_gravity(np.array([2.0, 0.0, 0.0]))
-    simulator.advance([0.0] * 5, [0.0, 0.4, 0.0, 0.0, 0.0, 0.0])
+    simulator.advance([0.0] * 5, [0.0, 0.4, 0.0, 0.0, 0.0, 0.002])
     np.testing.assert_allclose(place(simulator)[7:10], [2e-3, 1e-3, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(place(simulator)[12], 0.002e-3 / (0.4 * 0.1**2 / 6.0), rtol=1e-6)
 
 
 def test_divergence_is_an_error_without_a_word(
