@@ -64,10 +64,9 @@ def test_meshes_are_found_and_become_hulls(tmp_path: Path, name: str) -> None:
     (tmp_path / "urdf").mkdir()
     BOX.export(tmp_path / "meshes" / "box.obj")
     BOX.export(tmp_path / "meshes" / "box.stl")
+    text, tips = urdf(mesh(name.format(folder=tmp_path), "2 1 -0.5")), {"finger": ((0.0, 0.0, 0.005), 0.001)}
     for folder in (tmp_path, tmp_path / "urdf"):  # beside it, and in the folder above
-        hand = read(
-            folder, urdf(mesh(name.format(folder=tmp_path), "2 1 -0.5")), {"finger": ((0.0, 0.0, 0.005), 0.001)}
-        )
+        hand = read(folder, text, tips)
         (hull,) = (shape for shape in hand.links[0].collision if shape.kind == "hull")
         found = np.array(sorted(hull.corners))
         np.testing.assert_allclose(np.abs(found), np.tile((0.02, 0.015, 0.01), (8, 1)), atol=1e-7)
@@ -168,15 +167,14 @@ def test_few_corners_contain_all_and_little_more(name: str) -> None:
 
 
 def test_cut_and_inset_boxes_are_boxes() -> None:
-    points = np.array(BOX.vertices)
-    left = beneath(points, np.array([0.0, 0.0, 1.0]), 0.005)
+    points, up = np.array(BOX.vertices), np.array([0.0, 0.0, 1.0])
+    left, small = beneath(points, up, 0.005), inset(points, 1e-3)
     np.testing.assert_allclose(
-        (left.min(axis=0), left.max(axis=0)), ((-0.01, -0.015, -0.02), (0.01, 0.015, 0.005)), atol=1e-12
+        [left.min(axis=0), left.max(axis=0)], [(-0.01, -0.015, -0.02), (0.01, 0.015, 0.005)], atol=1e-12
     )
-    assert len(beneath(points, np.array([0.0, 0.0, 1.0]), -0.02)) == 0
-    small = inset(points, 1e-3)
+    assert len(beneath(points, up, -0.02)) == 0
     np.testing.assert_allclose(
-        (small.min(axis=0), small.max(axis=0)), ((-0.009, -0.014, -0.019), (0.009, 0.014, 0.019)), atol=1e-9
+        [small.min(axis=0), small.max(axis=0)], [(-0.009, -0.014, -0.019), (0.009, 0.014, 0.019)], atol=1e-9
     )
     thin = inset(points * (1.0, 1.0, 0.03), 1e-3)  # 1.2 mm: a third of the ball of 0.6 mm goes
     np.testing.assert_allclose(np.ptp(thin, axis=0), (0.0196, 0.0296, 0.0008), atol=1e-6)
@@ -226,15 +224,10 @@ def test_tips_are_given_by_place_and_on_links_of_all_kinds(tmp_path: Path) -> No
     named = read(tmp_path, text, ["pad"])  # no shape of its own: that of its link, towards it
     assert named.fingertips[0].radius == pytest.approx(0.01, abs=1e-4)
     assert 0.055 < named.fingertips[0].center[2] + 0.01 < 0.0601
-    for wrong in (
-        {"pad": 0.1},
-        {"pad": ((0.0, 0.0), 0.1)},
-        {"pad": ((0.0, 0.0, 0.0), -1.0)},
-        {"pad": ((0.0, 0.0, 0.0),)},
-        {1: ((0, 0, 0), 1)},
-    ):
+    wrong = (0.1, ((0.0, 0.0), 0.1), ((0.0, 0.0, 0.0), -1.0), ((0.0, 0.0, 0.0),))
+    for tips in (*({"pad": each} for each in wrong), {1: ((0, 0, 0), 1)}):
         with pytest.raises(InvalidInputError, match="fingertips"):
-            read(tmp_path, text, wrong)
+            read(tmp_path, text, tips)
 
 
 def test_every_end_of_a_branch_is_a_finger(tmp_path: Path) -> None:

@@ -149,28 +149,12 @@ def test_bullet_has_the_same_dynamics(item: ObjectDescription, client: int) -> N
     body = create_body(client, item, (1.0, 1.0, 1.0))
     changed = ObjectDescription(item.shape, item.size, 0.35, 0.61, mesh=item.mesh)
     set_dynamics(client, body, changed)
-    info = bullet.getDynamicsInfo(body, -1, physicsClientId=client)
-    assert info[0] == 0.35
-    assert info[1] == 0.61
-    np.testing.assert_allclose(info[2], np.diag(changed.inertia_matrix), rtol=1e-12)
-    assert info[3:5] == ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-    assert info[5:8] == (0.0, 0.0, 0.0)
+    mass, friction, moments, *rest = bullet.getDynamicsInfo(body, -1, physicsClientId=client)[:8]
+    assert (mass, friction, *rest) == (0.35, 0.61, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), 0.0, 0.0, 0.0)
+    np.testing.assert_allclose(moments, np.diag(changed.inertia_matrix), rtol=1e-12)
     assert set(UNDAMPED.values()) == {0.0}
-    # a moment about each axis turns it as Euler says
-    for axis in range(3):
-        bullet.resetBaseVelocity(body, (0, 0, 0), (0, 0, 0), physicsClientId=client)
-        bullet.resetBasePositionAndOrientation(body, (0, 0, 0), (0, 0, 0, 1), physicsClientId=client)
-        moment = np.zeros(3)
-        moment[axis] = 1e-3
-        bullet.applyExternalTorque(body, -1, moment.tolist(), bullet.WORLD_FRAME, physicsClientId=client)
-        bullet.stepSimulation(physicsClientId=client)
-        _, spin = bullet.getBaseVelocity(body, physicsClientId=client)
-        np.testing.assert_allclose(spin, moment / 240.0 / changed.moments, rtol=1e-9, atol=1e-12)
-
-
-@needs_bullet
-def test_a_capsule_as_long_as_thick_is_a_ball(client: int) -> None:
-    item = ObjectDescription("capsule", (0.08, 0.08))
-    create_body(client, item, (1.0, 1.0, 1.0))
-    np.testing.assert_allclose(item.moments, ObjectDescription("sphere", (0.08,)).moments)
-    assert found(item, np.array([0.0, 0.0, 0.05]))[0] == pytest.approx(0.01)
+    if item.shape == "capsule":  # one that is as long as it is thick is a ball
+        ball = ObjectDescription("capsule", (0.08, 0.08))
+        create_body(client, ball, (1.0, 1.0, 1.0))
+        np.testing.assert_allclose(ball.moments, ObjectDescription("sphere", (0.08,)).moments)
+        assert found(ball, np.array([0.0, 0.0, 0.05]))[0] == pytest.approx(0.01)
