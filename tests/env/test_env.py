@@ -158,7 +158,7 @@ def test_action_modes():
     np.testing.assert_array_equal(zero, one)  # ignored
     np.testing.assert_array_equal(zero, episode(10)[0])
     far, edge = (
-        episode(4, action_mode="contact_force", action=np.tile(np.float32([0.0, a, 0.0]), 4))[1][-1] for a in (3.0, 1.0)
+        episode(4, action_mode="contact_force", action=np.tile(np.float32([a, 0.0, 0.0]), 4))[1][-1] for a in (3.0, 1.0)
     )
     np.testing.assert_array_equal(far["commanded_force"], edge["commanded_force"])  # clipped to the box
 

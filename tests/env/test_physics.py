@@ -53,7 +53,9 @@ def test_holds_for_two_seconds(disturbance):
     assert all(info["touching"].all() and info["contacts"] == 4 for info in infos)
     assert all(info["stray_force"] == 0.0 for info in infos)
     assert infos[-1]["is_success"]
-    assert infos[-1]["slip_distance"] < 1e-4
+    slipped = sum(info["slip"] for info in infos) / 50
+    assert infos[-1]["slip_distance"] == pytest.approx(slipped, abs=1e-7)
+    assert slipped < 1e-4
     assert np.percentile([info["force_error"] for info in infos], 95) < 0.05
 
 

@@ -71,7 +71,9 @@ def test_wrong_actions_change_nothing():
 
 
 def test_calls_in_the_wrong_order():
+    before = connections()
     env = FourFingerGrasp(duration=0.1)
+    assert connections() - before == (bullet is not None)
     with pytest.raises(SimulationError, match="reset"):
         env.step(ZERO)
     env.reset(seed=0)
@@ -89,6 +91,7 @@ def test_calls_in_the_wrong_order():
         env.step(ZERO)
     env.close()
     env.close()
+    assert connections() == before
     for call in (lambda: env.step(ZERO), env.render, lambda: env.scene):
         with pytest.raises(SimulationError, match=r"closed: call reset\(\)"):
             call()
@@ -131,14 +134,11 @@ def test_a_lost_object_ends_the_episode_with_its_cause(limits, wrench, failures)
     env = FourFingerGrasp(limits=limits)
     calm = env.reset(seed=0)[0]
     env.reset(seed=0, options={"wrench": wrench})
-    terminated, slipped = False, 0.0
+    terminated = False
     while not terminated:
         obs, reward, terminated, truncated, info = env.step(ZERO)
         assert not truncated
         finite(env, obs, reward, info)
-        slipped += info["slip"] / 50
-    assert info["slip_distance"] == pytest.approx(slipped, abs=1e-8)
-    assert info["failure"] != "simulation_diverged" or not (info["measured_force"].any() or info["touching"].any())
     assert info["failure"] in failures
     assert reward < -90.0
     assert not info["is_success"]
