@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from engines import bullet, needs_bullet
-from hands import controller_alone, scene_alone
+from hands import controller_alone, grasp_torques, scene_alone
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
@@ -17,7 +17,7 @@ from grasp_env.config import EnvConfig
 from grasp_env.control.loop import RELEASE, believed_body, control_settings
 from grasp_env.control.sensing import sensor_settings
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.sim import ObjectDescription, Scene, Snapshot
+from grasp_env.sim import ObjectDescription
 from grasp_env.sim.hand import HandDescription, HandKinematics
 from grasp_env.task.motion import motion_target, resting_target
 
@@ -124,16 +124,6 @@ def test_inertial_wrench_of_a_moving_target():
         np.testing.assert_allclose(balanced(s, target), [*force, *moment], rtol=1e-4, atol=1e-6)
 
 
-def torques_of(s: Snapshot, scene: Scene, frames: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Gravity compensation + J^T f, in plain numpy; forces (N, 3) in contact frames."""
-    torques = s.gravity_torques.copy()
-    for finger in range(len(forces)):
-        push = s.rotation @ frames[finger] @ forces[finger]
-        for link in np.flatnonzero(scene.kinematics.carries[finger]):
-            torques[link] += s.axes[link] @ np.cross(s.touch[finger] - s.origins[link], push)
-    return torques
-
-
 @dataclass
 class Tick:
     """One control tick: what the loop knew, what it commanded and what Bullet then measured."""
@@ -185,7 +175,7 @@ class Trial:
             fingers, given = tuple(loop.fingers.tolist()), loop.force.copy()
             self.ticks.append(Tick(fingers, s.touching > 0, given, loop.wrench.copy(), loop.closure, matrix))
             if len(self.ticks) <= 5 and loop.fingers.size == 4:
-                expected = torques_of(s, scene, frames, loop.force)
+                expected = grasp_torques(scene, np.einsum("nij,nj->ni", frames, loop.force))
                 np.testing.assert_allclose(torques, expected, atol=1e-9)
             if self.START < len(self.ticks) <= self.START + ticks:
                 for finger in pulled:

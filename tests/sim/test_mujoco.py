@@ -150,9 +150,8 @@ def test_coupled_and_sliding_joints_are_held_by_the_motors_of_their_drivers() ->
             simulator.advance((torques + more).tolist(), None)
         return simulator.read()[:5]
 
-    np.testing.assert_allclose(
-        pushed(200, [0.0] * 5), kinematics.home, atol=1e-3
-    )  # it starts before the couplings are stretched
+    # it starts before the couplings are stretched
+    np.testing.assert_allclose(pushed(200, [0.0] * 5), kinematics.home, atol=1e-3)
     angles = pushed(100, [0.0, 0.02, 0.005, 0.0, 0.0])
     assert angles[1] > 0.011
     assert angles[2] > 0.35

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from engines import bullet, needs_bullet
-from hands import scene_alone
+from hands import grasp_torques, scene_alone
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
@@ -130,7 +130,7 @@ def test_equilibrium_in_a_turned_object_frame(held: Scene, make_holder: Callable
 @needs_bullet  # MuJoCo's contacts are springs; tests/sim/test_mujoco.py asks as much of them as they give
 @pytest.mark.parametrize("angle", range(0, 360, 45))
 def test_friction_cone_is_round_and_not_squared(
-    make_scene: Callable[..., Scene], make_holder: Callable, to_torques: Callable, angle: float
+    make_scene: Callable[..., Scene], make_holder: Callable, angle: float
 ) -> None:
     """The object is pushed sideways out of a squeeze until all tips slide: tangential over normal force is then mu."""
     scene = make_scene(gravity=(0.0, 0.0, 0.0))
@@ -145,7 +145,7 @@ def test_friction_cone_is_round_and_not_squared(
         last = scene.look().tips.copy()
         spring = -1000.0 * (last - start) - 4.0 * speed
         spring[:, 2] = 0.0
-        scene.step(to_torques(scene, squeeze + spring), push * direction)
+        scene.step(grasp_torques(scene, squeeze + spring), push * direction)
         s = scene.look()
         if s.slip.min() > 1e-3:
             normal = np.einsum("ni,ni->n", s.forces, s.normals)
