@@ -35,7 +35,7 @@ def tips_on_cuboid(name: str, side: float) -> np.ndarray:
 
 
 OF_FINGERS = sorted(name for name, make in HANDS.items() if make().placed)
-"""Hands that stand around an object at the origin; the others are in test_presets.py."""
+"""Hands that stand around an object at the origin; the others have no place of their own."""
 
 
 class Posed:
