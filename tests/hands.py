@@ -82,6 +82,16 @@ def mass_matrix(kinematics: HandKinematics, angles: np.ndarray) -> np.ndarray:
     return total
 
 
+def grasp_torques(scene: Scene, forces: np.ndarray) -> np.ndarray:
+    """Torques (M,) with which the tips push with `forces` (N, 3), object frame, and that carry the links."""
+    s = scene.look()
+    torques = s.gravity_torques.copy()
+    for finger, force in enumerate(forces @ s.rotation.T):
+        for link in np.flatnonzero(scene.kinematics.carries[finger]):
+            torques[link] += s.axes[link] @ np.cross(s.touch[finger] - s.origins[link], force)
+    return torques
+
+
 def numbers(scene: Scene) -> np.ndarray:
     """Everything that can be read of a scene now, in one row."""
     return np.concatenate([part.reshape(-1) for part in scene.look()])

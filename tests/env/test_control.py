@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from engines import bullet, needs_bullet
-from hands import controller_alone, scene_alone
+from hands import controller_alone, grasp_torques, scene_alone
 from scipy.spatial.transform import Rotation
 
 from grasp_env import core
@@ -17,7 +17,7 @@ from grasp_env.config import EnvConfig
 from grasp_env.control.loop import RELEASE, believed_body, control_settings
 from grasp_env.control.sensing import sensor_settings
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.sim import ObjectDescription, Scene, Snapshot
+from grasp_env.sim import ObjectDescription
 from grasp_env.sim.hand import HandDescription, HandKinematics
 from grasp_env.task.motion import motion_target, resting_target
 
@@ -60,26 +60,20 @@ def balanced(scene: core.Scene, target: np.ndarray | None = None, told: np.ndarr
     return wrench
 
 
-def test_orientation_error_against_scipy():
-    rng, target = np.random.default_rng(0), resting_target(1)[0]
-    vectors = [rng.normal(size=3) * rng.uniform(0, 0.9) for _ in range(200)]
-    for vector in vectors:
-        np.testing.assert_allclose(pose_error(state(turn=vector), target)[3:6], vector, atol=1e-12)
-    for tiny in (0.0, 1e-12, 1e-8, 1e-6):
-        error = pose_error(state(turn=(tiny, 0.0, 0.0)), target)[3:6]
-        np.testing.assert_allclose(error, [tiny, 0.0, 0.0], rtol=1e-6, atol=1e-15)
-
-
-def test_pose_error_is_zero_on_the_target_and_points_away_from_it():
-    target = motion_target("rotate", np.linspace(0.0, 1.0, 51), 0.3, 1.0)[10]
+def test_pose_error_against_scipy():
+    """Position, orientation and velocities against the target's; small turns keep their digits."""
+    rng, target = np.random.default_rng(0), motion_target("rotate", np.linspace(0.0, 1.0, 51), 0.3, 1.0)[10]
     wanted = Rotation.from_quat(target[3:7])
-    on = state(target[:3], wanted.as_rotvec(), target[7:10], target[10:13])
-    np.testing.assert_allclose(pose_error(on, target), 0.0, atol=1e-12)
-    off = Rotation.from_rotvec([0.01, -0.02, 0.03])
-    error = pose_error(state((0.1, 0.2, 0.3), (off * wanted).as_rotvec(), (1, 2, 3), (4, 5, 6)), target)
-    np.testing.assert_allclose(error[3:6], [0.01, -0.02, 0.03], atol=1e-12)
-    np.testing.assert_allclose(error[:3], np.array([0.1, 0.2, 0.3]) - target[:3])
-    np.testing.assert_allclose(error[6:], np.arange(1.0, 7.0) - target[7:13])
+    for size in (0.0, 1e-12, 1e-8, 1e-6, *[1.5] * 100):
+        turn = size * rng.uniform(-0.6, 0.6, 3)
+        turned = (Rotation.from_rotvec(turn) * wanted).as_rotvec()
+        error = pose_error(state((0.1, 0.2, 0.3), turned, (1, 2, 3), (4, 5, 6)), target)
+        np.testing.assert_allclose(error[3:6], turn, atol=1e-12)
+        np.testing.assert_allclose(error[:3], np.array([0.1, 0.2, 0.3]) - target[:3])
+        np.testing.assert_allclose(error[6:], np.arange(1.0, 7.0) - target[7:13])
+    for tiny in (1e-12, 1e-8, 1e-6):
+        error = pose_error(state(turn=(tiny, 0.0, 0.0)), resting_target(1)[0])
+        np.testing.assert_allclose(error[3:6], [tiny, 0.0, 0.0], rtol=1e-6)
 
 
 def test_wrench_to_balance_signs():
@@ -130,16 +124,6 @@ def test_inertial_wrench_of_a_moving_target():
         np.testing.assert_allclose(balanced(s, target), [*force, *moment], rtol=1e-4, atol=1e-6)
 
 
-def torques_of(s: Snapshot, scene: Scene, frames: np.ndarray, forces: np.ndarray) -> np.ndarray:
-    """Gravity compensation + J^T f, in plain numpy; forces (N, 3) in contact frames."""
-    torques = s.gravity_torques.copy()
-    for finger in range(len(forces)):
-        push = s.rotation @ frames[finger] @ forces[finger]
-        for link in np.flatnonzero(scene.kinematics.carries[finger]):
-            torques[link] += s.axes[link] @ np.cross(s.touch[finger] - s.origins[link], push)
-    return torques
-
-
 @dataclass
 class Tick:
     """One control tick: what the loop knew, what it commanded and what Bullet then measured."""
@@ -148,9 +132,13 @@ class Tick:
     touching: np.ndarray
     force: np.ndarray
     wrench: np.ndarray
-    residual: np.ndarray
     closure: bool
     matrix: np.ndarray
+
+    @property
+    def missing(self) -> np.ndarray:
+        """G f + w, (6,)."""
+        return self.matrix @ self.force.reshape(-1) + self.wrench
 
 
 class Trial:
@@ -184,15 +172,10 @@ class Trial:
                 skew = np.cross(np.eye(3), s.points[finger])  # skew @ f = p x f
                 matrix[:3, 3 * finger : 3 * finger + 3] = frames[finger]
                 matrix[3:, 3 * finger : 3 * finger + 3] = skew @ frames[finger]
-            residual = matrix @ loop.force.reshape(-1) + loop.wrench
-            self.ticks.append(
-                Tick(
-                    tuple(loop.fingers.tolist()), s.touching > 0, loop.force.copy(), loop.wrench.copy(), residual,
-                    loop.closure, matrix,
-                )
-            )  # fmt: skip
+            fingers, given = tuple(loop.fingers.tolist()), loop.force.copy()
+            self.ticks.append(Tick(fingers, s.touching > 0, given, loop.wrench.copy(), loop.closure, matrix))
             if len(self.ticks) <= 5 and loop.fingers.size == 4:
-                expected = torques_of(s, scene, frames, loop.force)
+                expected = grasp_torques(scene, np.einsum("nij,nj->ni", frames, loop.force))
                 np.testing.assert_allclose(torques, expected, atol=1e-9)
             if self.START < len(self.ticks) <= self.START + ticks:
                 for finger in pulled:
@@ -222,7 +205,7 @@ def slipped(request: pytest.FixtureRequest) -> tuple[int, Trial]:
 
 
 @needs_bullet
-def test_a_finger_that_slips_off_leaves_the_others_balanced(slipped):
+def test_a_finger_that_slips_off_leaves_the_others_balanced_and_comes_back(slipped):
     finger, trial = slipped
     others = tuple(k for k in range(4) if k != finger)
     alone = [tick for tick in trial.ticks if tick.fingers == others]
@@ -235,34 +218,21 @@ def test_a_finger_that_slips_off_leaves_the_others_balanced(slipped):
         np.testing.assert_array_equal(tick.force[finger], 0.0)  # nothing is commanded where there is nothing to push
         inside = trial.friction * tick.force[:, 0] - np.hypot(tick.force[:, 1], tick.force[:, 2])
         assert (inside[list(others)] > 0.0).all()
-    # G f + w = 0 over the three
-    assert np.percentile([np.abs(tick.residual).max() for tick in alone], 95) < 1e-8
+    assert np.percentile([np.abs(tick.missing).max() for tick in alone], 95) < 1e-8  # balance over the three
     for info in trial.infos:
-        assert info["force_closure"]
-        assert info["failure"] == ""
+        assert (info["force_closure"], info["failure"]) == (True, "")
         if info["contacts"] == 3:
             assert info["status"] == "optimal"
             np.testing.assert_array_equal(info["commanded_force"][finger], 0.0)
     assert max(info["drift"] for info in trial.infos) < 5e-3
-
-
-@needs_bullet
-def test_the_loss_is_noticed_within_a_few_ticks(slipped):
-    finger, trial = slipped
     lost = next(k for k, tick in enumerate(trial.ticks) if not tick.touching[finger])
     noticed = next(k for k, tick in enumerate(trial.ticks) if finger not in tick.fingers)
     assert lost <= noticed <= lost + RELEASE + 1  # not at the next agent step, nor at the first tick without force
     assert noticed % 5 != 0 or noticed == lost + RELEASE
-
-
-@needs_bullet
-def test_the_finger_comes_back(slipped):
-    finger, trial = slipped
     last = trial.infos[-1]
-    assert last["contacts"] == 4
     assert last["touching"].all()
+    assert (last["contacts"], last["is_success"]) == (4, True)
     assert last["contact_changes"] >= 2
-    assert last["is_success"]
     assert last["drift"] < 1e-4
     assert last["commanded_force"][finger, 0] > 0.1
     assert last["force_error"] < 0.05
@@ -284,10 +254,8 @@ def test_the_commanded_force_is_continuous(slipped):
             left = before.force.copy()
             left[finger] = 0.0
             missing = now.matrix @ left.reshape(-1) + now.wrench
-            assert (
-                change
-                <= most + 4.0 * np.abs(np.linalg.pinv(now.matrix) @ missing).max() + np.abs(before.force[finger]).max()
-            )
+            given_up = 4.0 * np.abs(np.linalg.pinv(now.matrix) @ missing).max() + np.abs(before.force[finger]).max()
+            assert change <= most + given_up
         else:
             assert 0.0 < now.force[finger, 0] <= most + 1e-9
 
@@ -325,25 +293,29 @@ def test_without_force_closure_the_episode_ends_with_that_cause():
 
 
 @needs_bullet
-def test_a_short_gap_of_force_closure_is_survived():
+def test_gaps_of_force_closure_are_survived_and_a_hand_let_go_is_reported():
     """Without gravity two fingers are pulled off and come back: closure is lost, then found again."""
-    trial = Trial(
-        (2, 3),
-        ticks=3,
-        steps=200,
-        gravity=(0.0, 0.0, 0.0),
-        limits={"duration": 4.0, "max_contact_gap": 2.0, "max_drift": 0.05},
-    )
+    limits = {"duration": 4.0, "max_contact_gap": 2.0, "max_drift": 0.05}
+    trial = Trial((2, 3), ticks=3, steps=200, gravity=(0.0, 0.0, 0.0), limits=limits)
     closed = [info["force_closure"] for info in trial.infos]
     assert closed.count(False) > 3
     assert closed[-1]
-    assert trial.infos[-1]["contacts"] == 4
-    assert trial.infos[-1]["failure"] == ""
+    assert (trial.infos[-1]["contacts"], trial.infos[-1]["failure"]) == (4, "")
+    last = Trial((0, 1, 2, 3), ticks=200).infos[-1]
+    assert last["failure"] in ("dropped", "closure_lost")
+    assert (last["force_closure"], last["contacts"], last["touching"].any()) == (False, 0, False)
 
 
-@needs_bullet
-def test_a_hand_let_go_is_reported():
-    trial = Trial((0, 1, 2, 3), ticks=200)
-    assert trial.infos[-1]["failure"] in ("dropped", "closure_lost")
-    assert not trial.infos[-1]["force_closure"]
-    assert trial.infos[-1]["contacts"] == 0
+def test_one_missed_tick_does_not_let_a_finger_go() -> None:
+    """RELEASE counts ticks in a row: three single misses with contact between them keep the finger."""
+    env = FourFingerGrasp()
+    env.reset(seed=0)
+    env.step(np.zeros(6, dtype=np.float32))
+    core, touching = env._loop._core, env.scene.look().touching
+    held = []
+    for touches in (0, 1, 1, 0, 1, 0, 1, 0, 0, 0):  # the thumb
+        touching[:] = [touches, 1, 1, 1]
+        core.see(None, np.zeros(6), env.scene.gravity, resting_target(1)[0], None)
+        held.append(core.mask)
+    assert held == [15] * 9 + [14]
+    env.close()

@@ -1,17 +1,20 @@
-"""What an episode starts from: contact forces that carry the weight of any shape, the same bits at every reset."""
+"""What an episode starts from: contact forces that carry the weight of any shape, the same bits at every reset, a place for the hand."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from hands import numbers
+from hands import gripper, numbers
 
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.sim import Scene
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim import HANDS, HandDescription, ObjectDescription, Scene
+from grasp_env.sim.grasping import plan_grasp
 from grasp_env.sim.objects.description import SHAPES
 
 ZERO = np.zeros(1, dtype=np.float32)
@@ -108,3 +111,37 @@ def test_a_state_kept_on_the_way_goes_on_as_if_it_had_not_been_kept(tmp_path: Pa
         env.close()
     for record in records[1:]:
         np.testing.assert_array_equal(record, records[0])
+
+
+def around_ball(hand: HandDescription, **settings: Any) -> FourFingerGrasp:
+    """Around a ball; the environment finds a place for a hand that has none."""
+    return FourFingerGrasp(
+        hand=hand, shape="sphere", size=0.06, friction=0.7, mass=0.15, disturbance="none", **settings
+    )
+
+
+@pytest.mark.parametrize("name", ["three_finger", "four_finger"])
+def test_a_hand_without_a_place_holds(name: str) -> None:
+    hand = replace(HANDS[name]().moved((3.0, 2.0, 1.0), (1.0, 2.0, 3.0)), placed=False)
+    env = around_ball(hand, duration=0.5)
+    env.reset(seed=0)
+    assert np.abs(env.scene.look().position).max() < 1e-4
+    steps = [env.step(np.zeros(env.action_space.shape or (), dtype=np.float32)) for _ in range(25)]
+    assert [step[2:4] for step in steps] == [(False, False)] * 24 + [(False, True)]
+    env.close()
+
+
+def test_other_objects_may_need_another_place() -> None:
+    env = around_ball(gripper(3, 2), randomize={"size": (0.045, 0.05)})
+    first = env.scene.config.hand
+    with pytest.raises(InvalidInputError):  # from the first place it cannot be grasped
+        plan_grasp(ObjectDescription("sphere", (0.048,), mass=0.15, friction=0.7), env.scene.kinematics)
+    angles = []
+    for seed in (1, 2, 1):  # whatever came between
+        env.reset(seed=seed)
+        there = env.scene
+        assert there.config.hand != first
+        assert there.config.hand.finger_names == first.finger_names
+        angles.append(there.look().angles.copy())
+    np.testing.assert_array_equal(angles[0], angles[2])
+    env.close()

@@ -17,16 +17,14 @@ from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError, UnknownSettingError
 from grasp_env.settings import Settings, described
 from grasp_env.sim import HANDS, BulletEngine, HandDescription, MujocoEngine, ObjectDescription
-from grasp_env.task import DISTURBANCES, TASKS, Hold, Impulses, Move, RandomWrench
+from grasp_env.task import DISTURBANCES, TASKS, Impulses, Move, RandomWrench
 
 ZERO = np.zeros(6, dtype=np.float32)
 WRONG: list[tuple[dict[str, Any], str]] = [
-    ({"disturbance": "wind"}, "unknown disturbance 'wind'"),
-    ({"disturbance": ["none"]}, "unknown disturbance"),
-    ({"disturbance": 5}, "or give a function"),
+    ({"disturbance": "wind"}, r"unknown disturbance 'wind'.*'none'.*or give a function"),
+    *(({"disturbance": given}, "unknown disturbance") for given in (5, ["none"], np.zeros((501, 6)))),
     ({"disturbance": {"force": 1.0}}, "disturbance needs a name"),
     ({"disturbance": {"name": "random", "force": -1.0}}, r"disturbance.force \[N\] must"),
-    ({"disturbance": {"name": "random", "time": 0.0}}, r"disturbance.time \[s\] must be a number > 0"),
     ({"disturbance": {"name": "random", "speed": 1.0}}, r"disturbance.speed': .*'disturbance.force'"),
     ({"disturbance": {"name": "constant", "value": (1, 2)}}, "disturbance.value"),
     ({"task": "juggle"}, "'hold', 'move', 'payload', 'six_directions'"),
@@ -34,46 +32,27 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"task": "six_directions", "disturbance": "random"}, "pushes by itself"),
     ({"method": "magic"}, "unknown solver.method 'magic'"),
     ({"initial_force": "best"}, r"'linear_combination'.* or give a rule\(grasp, wrench\)"),
-    ({"initial_force": 3}, "solver.initial_force"),
     ({"hand": "six_finger"}, "HandDescription.from_urdf"),
-    ({"hand": 4}, "hand"),
-    ({"shape": "torus"}, "'torus'"),
-    ({"shape": "mesh"}, "needs the path"),
-    ({"friction": -0.4}, "object.friction must be a number > 0"),
     ({"mass": float("nan")}, r"object.mass \[kg\]"),
     ({"mass": "heavy"}, r"object.mass \[kg\] must be a number"),
-    ({"size": (0.1, 0.1)}, "3 numbers"),
-    ({"size": (0.1, -0.1, 0.1)}, "above 0"),
     ({"size": 30.0}, "object.size"),
     ({"object": 3}, "object must be a ObjectDescription, or a dict"),
     ({"contact_points": ((0.0, 0.0),)}, "contact_points"),
-    ({"contact_points": "here"}, "contact_points"),
     ({"gravity": (0.0, float("inf"), 0.0)}, "gravity"),
-    ({"engine": "bulet"}, "did you mean 'bullet'"),
+    ({"engine": "bulet"}, r"unknown engine 'bulet': did you mean 'bullet'\? .* or give its settings"),
     ({"engine": {"name": "bullet", "rate": 100}}, "engine.rate must be a multiple of controller.rate, got 100 and 250"),
     ({"controller": {"rate": 333}}, "controller.rate must be a multiple of agent.rate, got 333 and 50"),
     ({"agent": {"rate": 0}}, r"agent.rate \[Hz\] must be an integer >= 1"),
-    ({"agent": {"rate": 50.0}}, "agent.rate"),
     ({"action_mode": "torque"}, "agent.action_mode"),
     ({"controller": {"kind": "magic"}}, "'optimized', 'constant_squeeze', 'pd'"),
-    ({"controller": {"friction_error": -1.0}}, "controller.friction_error"),
-    (
-        {"controller": {"position_bandwidth": 1e300, "squeeze": -1}},
-        r"position_bandwidth .*; controller.squeeze \[N\] must",
-    ),
     ({"controller": {"motor_strength": 0.0}}, "controller.motor_strength must be a number > 0"),
     ({"sensors": {"wrench": "guessed"}}, "unknown sensors.wrench 'guessed'"),
-    ({"sensors": {"wrench_delay": -1}}, "sensors.wrench_delay must be an integer >= 0"),
     ({"sensors": {"delay": -0.1}}, r"sensors.delay \[s\] must be a number >= 0, got -0.1"),
     ({"sensors": {"delay": 1e6}}, "sensors.delay must be at most 4000 s"),
     ({"sensors": "exact"}, "sensors must be a Sensors, or a dict of its settings, got 'exact'"),
     ({"sensors": {"delay": -1.0}, "reward": {"held": "a"}}, r"sensors.delay .*; reward.held must"),
     ({"solver": {"max_iterations": 2.5}}, "solver.max_iterations"),
-    ({"solver": {"max_iterations": None}}, "solver.max_iterations"),
-    ({"reward": {"iteration_cost": float("nan")}}, "reward.iteration_cost"),
-    ({"duration": 0.0}, r"limits.duration \[s\]"),
     ({"duration": 4001.0}, "a million|1000000 control ticks"),  # a plan of 0.7 GB
-    ({"pictures": {"size": (8, 8)}}, "pictures.size"),
     ({"randomize": ("colour",)}, "'shape', 'size', 'mass', 'friction'"),
     ({"randomize": None}, "randomize must be a list of some of shape, size, mass, friction"),
     ({"randomize": {"mass": (0.3, 0.1)}}, "low <= high"),
@@ -82,16 +61,14 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"randomize": {"sensors.delay": True}}, r"randomize\['sensors.delay'\]"),
     ({"randomize": {"solver.tolerance": (1e-6, 1e-3)}}, "unknown randomize 'solver.tolerance'"),
     ({"randomize": "size", "contact_points": ((0.0, 0.0, 0.05),)}, "contact_points belong to one shape"),
-    ({"sensors.delay": -1.0}, r"sensors.delay \[s\] must"),
     ({"disturbance.force": 1.0}, "give disturbance a name"),
 ]
 
 
 @pytest.mark.parametrize(("settings", "message"), WRONG, ids=str)
 def test_wrong_settings_are_refused_with_their_path(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(GraspError, match=message) as caught:
+    with pytest.raises((UnknownNameError, InvalidInputError), match=message):
         EnvConfig().override(**settings)
-    assert isinstance(caught.value, UnknownNameError | InvalidInputError)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +87,9 @@ def test_wrong_settings_are_refused_with_their_path(settings: dict[str, Any], me
 )
 def test_an_unknown_keyword_is_told_where_the_setting_is(name: str, meant: str) -> None:
     for call in (EnvConfig().override, FourFingerGrasp, lambda **k: gym.make("grasp_env:FourFingerGrasp-v0", **k)):
-        with pytest.raises(UnknownSettingError, match=meant) as caught:
+        with pytest.raises(UnknownSettingError, match=meant):
             call(**{name: 1})
-        assert isinstance(caught.value, TypeError)
+    assert issubclass(UnknownSettingError, TypeError)
     with pytest.raises(UnknownSettingError, match="got an unexpected keyword argument 'mas': did you mean 'mass'"):
         EnvConfig().override(mas=1)
     with pytest.raises(UnknownSettingError, match=r"task.size'.*\(none\)"):
@@ -141,34 +118,38 @@ def test_all_settings_have_one_description_and_no_record_is_large() -> None:
 
 
 def test_records_dicts_keywords_and_paths_say_the_same() -> None:
-    wanted = replace(
-        EnvConfig(),
-        object=ObjectDescription("sphere", (0.08,), mass=0.15),
-        disturbance=Impulses(force=2.0),
-        sensors=Sensors(delay=0.004),
+    wanted = EnvConfig(
+        object=ObjectDescription("sphere", (0.08,), mass=0.15), disturbance=Impulses(force=2.0), sensors=Sensors(delay=0.004),
         solver=Solver(method="newton"),
-    )
+    )  # fmt: skip
+    given: dict[str, Any] = {"sensors": {"delay": 0.004}, "disturbance": {"name": "impulses", "force": 2.0}}
+    paths: dict[str, Any] = {
+        "object.shape": "sphere", "object.size": [0.08], "object.mass": 0.15, "disturbance": "impulses", "disturbance.force": 2.0,
+        "sensors.delay": 0.004, "solver.method": "newton",
+    }  # fmt: skip
     for made in (
-        EnvConfig(object={"shape": "sphere", "size": (0.08,), "mass": 0.15}, disturbance={"name": "impulses", "force": 2.0},
-                  sensors={"delay": 0.004}, solver={"method": "newton"}),  # type: ignore[arg-type]
-        EnvConfig().override(shape="sphere", size=0.08, mass=0.15, disturbance=Impulses(force=2), sensors={"delay": 0.004}, method="newton"),
-        EnvConfig().override(**{"object.shape": "sphere", "object.size": [0.08], "object.mass": 0.15, "disturbance": "impulses",
-                                "disturbance.force": 2.0, "sensors.delay": 0.004, "solver.method": "newton"}),
+        EnvConfig(object={"shape": "sphere", "size": (0.08,), "mass": 0.15}, solver={"method": "newton"}, **given),  # type: ignore[arg-type]
+        EnvConfig().override(shape="sphere", size=0.08, mass=0.15, method="newton", **given),
+        EnvConfig().override(**paths),
         as_config(wanted.to_json()),
         as_config(wanted.to_dict()),
         pickle.loads(pickle.dumps(wanted)),
-    ):  # fmt: skip
-        assert made == wanted
-        assert hash(made) == hash(wanted)
+    ):
+        assert (made, hash(made)) == (wanted, hash(wanted))
     changed = wanted.override(sensors={"pose_noise": 1e-5}, disturbance={"moment": 0.0}, mass=0.2)
     assert (changed.sensors, changed.disturbance) == (Sensors(delay=0.004, pose_noise=1e-5), Impulses(2.0, 0.0))
     assert (changed.object.shape, changed.object.mass) == ("sphere", 0.2)
     assert wanted.override(shape="cylinder").object.size == (0.1, 0.1)  # another shape has its own size
-    one, other = (episode(4, **settings)[0] for settings in ({"config": wanted}, {"config": wanted.to_json()}))
-    np.testing.assert_array_equal(one, other)
-    np.testing.assert_array_equal(
-        episode(4, config=wanted, mass=0.2)[0], episode(4, config=wanted.override(mass=0.2))[0]
+    one, *others = (
+        episode(4, **settings)[0]
+        for settings in (
+            {"config": wanted},
+            {"config": wanted.to_json()},
+            {"config": wanted.override(mass=0.2), "mass": 0.15},
+        )
     )
+    for other in others:
+        np.testing.assert_array_equal(one, other)
 
 
 def test_json_keeps_everything_and_refuses_what_it_cannot() -> None:
@@ -178,12 +159,8 @@ def test_json_keeps_everything_and_refuses_what_it_cannot() -> None:
     )  # fmt: skip
     told = json.loads(config.to_json())
     assert told["schema"] == 1
-    assert (told["hand"], told["task"]["name"], told["engine"]["name"], told["disturbance"]) == (
-        "allegro",
-        "move",
-        "mujoco",
-        None,
-    )
+    names = told["hand"], told["task"]["name"], told["engine"]["name"], told["disturbance"]
+    assert names == ("allegro", "move", "mujoco", None)
     assert as_config(told) == config.override(hand="allegro")
     assert as_config({"schema": 1, "sensors": {"delay": 0.01}}) == EnvConfig(sensors=Sensors(delay=0.01))
     for settings, message in (
@@ -246,11 +223,8 @@ def test_everything_that_may_be_drawn_is_drawn_of_the_seed_and_reaches_the_episo
         observation, info = env.reset(seed=seed)
         drawn, item = env.episode, env.scene.config.object
         assert told[-1] is drawn
-        assert (info["object_mass"], item.mass, item.friction) == (
-            drawn.object.mass,
-            drawn.object.mass,
-            drawn.object.friction,
-        )
+        assert info["object_mass"] == item.mass == drawn.object.mass
+        assert item.friction == drawn.object.friction
         np.testing.assert_array_equal(env.scene.gravity, drawn.gravity)
         believed = 0.85 * drawn.object.friction * (1.0 + drawn.controller.friction_error)
         assert observation[-1] == pytest.approx(believed, rel=1e-6)
@@ -258,13 +232,13 @@ def test_everything_that_may_be_drawn_is_drawn_of_the_seed_and_reaches_the_episo
         s = env.scene.look()
         assert (s.rotation @ s.forces.sum(axis=0))[1] == pytest.approx(weight, rel=0.01)
         rows = [env.step(ZERO)[0] for _ in range(5)]
-        values = [
-            drawn.object.mass,
+        values = (
+            item.mass,
             drawn.gravity[1],
             drawn.controller.motor_strength,
             drawn.sensors.delay,
             drawn.sensors.pose_noise,
-        ]
+        )
         found.append((np.array(rows).tobytes(), *values))
     env.close()
     assert found[0] == found[4]
@@ -324,8 +298,3 @@ def test_a_function_that_draws_nonsense_is_named(name: str, rule: Any, message: 
     with pytest.raises(GraspError, match=message):
         env.reset(seed=0)
     env.close()
-
-
-def test_hold_is_the_default_and_has_no_settings() -> None:
-    assert EnvConfig().task == Hold()
-    assert fields(Hold) == ()

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hands import grasp_torques
 
 from grasp_env.sim import ObjectDescription, Scene, SceneConfig
 
@@ -18,16 +19,6 @@ def grasp_matrix(points: np.ndarray) -> np.ndarray:
     """Forces (3N,) in object axes to their wrench (6,) about the object's centre."""
     columns = [np.vstack([np.eye(3), np.cross(np.eye(3), point).T * -1.0]) for point in points]
     return np.hstack(columns)
-
-
-def grasp_torques(scene: Scene, forces: np.ndarray) -> np.ndarray:
-    """Torques (M,) with which the tips push with `forces` (N, 3), object frame, and that carry the links."""
-    s = scene.look()
-    torques = s.gravity_torques.copy()
-    for finger, force in enumerate(forces @ s.rotation.T):
-        for link in np.flatnonzero(scene.kinematics.carries[finger]):
-            torques[link] += s.axes[link] @ np.cross(s.touch[finger] - s.origins[link], force)
-    return torques
 
 
 class Holder:
@@ -69,12 +60,6 @@ class Holder:
 def make_holder() -> type[Holder]:
     """The controller's class; test modules cannot import this file."""
     return Holder
-
-
-@pytest.fixture
-def to_torques() -> Callable[[Scene, np.ndarray], np.ndarray]:
-    """`grasp_torques`."""
-    return grasp_torques
 
 
 @pytest.fixture

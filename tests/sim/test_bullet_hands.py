@@ -5,18 +5,33 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from engines import Bullet, bullet, needs_bullet
 
 from grasp_env.sim import BulletEngine, HandKinematics, ObjectDescription, SceneConfig
 from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription, Link, Mimic, Palm
+from grasp_env.sim.picture.portrait import portrait
 
 pytestmark = needs_bullet
 
 RATE = 250
 CUBE = tuple((x, y, z) for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (-0.01, 0.01))
+STILL = (0.0, 0.0, 0.0)
+
+
+def light(name: str, origin: tuple[float, float, float] = STILL, **fields: Any) -> Link:
+    """A link of 20 g that turns about z."""
+    given = {"center": STILL, "inertia": (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), **fields}
+    return Link(name, "palm", origin, STILL, (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, 0.02, **given)
+
+
+def one_link(link: Link, tip: float) -> HandDescription:
+    """A hand whose tip is at height `tip` on its link [m]."""
+    return HandDescription("one", Palm(), (link,), (Fingertip("f", "a", (0.0, 0.0, tip), 0.001),))
 
 
 def coupled_finger(mass: float, count: int = 3, heavy_end: float = 0.0) -> HandDescription:
@@ -41,11 +56,10 @@ def coupled_finger(mass: float, count: int = 3, heavy_end: float = 0.0) -> HandD
 
 
 def loaded(hand: HandDescription) -> Bullet:
-    config = SceneConfig(
-        hand=hand, object=ObjectDescription("sphere", (0.06,)), contact_points=((0.0, 0.0, 0.03),), engine=BulletEngine(rate=RATE), gravity=(0, 0, 0)
-    )  # fmt: skip
+    points = ((0.0, 0.0, 0.03), (0.0, 0.0, -0.03))[: hand.finger_count]
+    item, engine = ObjectDescription("sphere", (0.06,)), BulletEngine(rate=RATE)
     made = Bullet(hand)
-    made.load(config, np.array(hand.home))
+    made.load(SceneConfig(hand, item, points, engine=engine, gravity=STILL), np.array(hand.home))
     return made
 
 
@@ -62,13 +76,8 @@ def test_coupled_joints_hold_and_their_load_reaches_the_motor(mass: float, count
     worst, held, load = 0.0, [], {2: 0.5 * 2.3, 3: 0.5 * 3.0}[count]
     inertia = (0.02 if count == 3 else 0.002) * mass + 5.0 * heavy_end
     for _ in range(RATE):
-        bullet.applyExternalTorque(
-            simulator.world.hand,
-            simulator.world.joints[-1],
-            (0.0, 0.5, 0.0),
-            bullet.WORLD_FRAME,
-            simulator.client.number,
-        )
+        world, number = simulator.world, simulator.client.number
+        bullet.applyExternalTorque(world.hand, world.joints[-1], (0.0, 0.5, 0.0), bullet.WORLD_FRAME, number)
         angle, speed = states(simulator)[0]
         torque = load - inertia * (1000.0 * (angle - 0.4) + 60.0 * speed)
         held.append(torque)
@@ -101,11 +110,8 @@ def test_a_force_at_a_coupled_tip_is_held_by_the_torque_of_the_jacobian() -> Non
 @pytest.fixture
 def cube() -> Iterator[Bullet]:
     """A hull of 20 mm on a link, its centre at (0, 0, 0.2)."""
-    link = Link(
-        "a", "palm", (0.0, 0.0, 0.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, 0.02, (0.0, 0.0, 0.0),
-        (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), collision=(Geometry("hull", (), corners=CUBE), Geometry("sphere", (0.001,), (0.0, 0.0, 0.3))),
-    )  # fmt: skip
-    simulator = loaded(HandDescription("cube", Palm(), (link,), (Fingertip("f", "a", (0.0, 0.0, 0.3), 0.001),)))
+    shapes = Geometry("hull", (), corners=CUBE), Geometry("sphere", (0.001,), (0.0, 0.0, 0.3))
+    simulator = loaded(one_link(light("a", (0.0, 0.0, 0.2), collision=shapes), 0.3))
     yield simulator
     simulator.close()
 
@@ -114,13 +120,10 @@ def cube() -> Iterator[Bullet]:
 def test_hulls_lie_where_they_should(cube: Bullet, gap: float) -> None:
     """Bullet adds 1 mm around hulls; those it is given are as much smaller, so that their faces are right."""
     number = cube.client.number
-    for shape in (
-        {"shapeType": bullet.GEOM_SPHERE, "radius": 0.01},
-        {"shapeType": bullet.GEOM_BOX, "halfExtents": [0.01] * 3},
-    ):
-        body = bullet.createMultiBody(
-            1.0, bullet.createCollisionShape(**shape, physicsClientId=number), physicsClientId=number
-        )
+    ball, box = {"radius": 0.01}, {"halfExtents": [0.01] * 3}
+    for kind, size in ((bullet.GEOM_SPHERE, ball), (bullet.GEOM_BOX, box)):
+        shape = bullet.createCollisionShape(kind, **size, physicsClientId=number)
+        body = bullet.createMultiBody(1.0, shape, physicsClientId=number)
         bullet.resetBasePositionAndOrientation(body, (0.02 + gap, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0), number)
         rows = bullet.getClosestPoints(
             cube.world.hand, body, 0.05, linkIndexA=cube.world.joints[0], physicsClientId=number
@@ -131,21 +134,13 @@ def test_hulls_lie_where_they_should(cube: Bullet, gap: float) -> None:
 
 def test_links_that_always_overlap_do_not_push_each_other_apart() -> None:
     """Two fingers whose first links share a place: nothing moves without torque."""
-    ball, inertia = Geometry("sphere", (0.01,)), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6)
+    shapes = Geometry("sphere", (0.01,)), Geometry("sphere", (0.005,), (0.0, 0.1, 0.0))
     links = tuple(
-        Link(
-            name, "palm", (x, 0.0, 0.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, 0.02, (0.0, 0.01, 0.0), inertia,
-            collision=(ball, Geometry("sphere", (0.005,), (0.0, 0.1, 0.0))),
-        )
+        light(name, (x, 0.0, 0.2), center=(0.0, 0.01, 0.0), collision=shapes)
         for name, x in (("a", -0.004), ("b", 0.004))
-    )  # fmt: skip
+    )
     tips = tuple(Fingertip(name, name, (0.0, 0.1, 0.0), 0.005) for name in ("a", "b"))
-    config = SceneConfig(
-        hand=HandDescription("pair", Palm(), links, tips, home=(0.3, -0.3)), object=ObjectDescription("sphere", (0.06,)),
-        contact_points=((0.0, 0.0, 0.03), (0.0, 0.0, -0.03)), engine=BulletEngine(rate=RATE), gravity=(0, 0, 0),
-    )  # fmt: skip
-    simulator = Bullet(config.hand)
-    simulator.load(config, np.array(config.hand.home))
+    simulator = loaded(HandDescription("pair", Palm(), links, tips, home=(0.3, -0.3)))
     for _ in range(20):
         simulator.advance([0.0, 0.0], None)
     np.testing.assert_allclose(states(simulator), ((0.3, 0.0), (-0.3, 0.0)), atol=1e-9)
@@ -153,16 +148,9 @@ def test_links_that_always_overlap_do_not_push_each_other_apart() -> None:
 
 
 def test_a_visual_mesh_is_drawn(tmp_path: Path) -> None:
-    trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box((0.02, 0.02, 0.02)).export(tmp_path / "box.obj")
     look = Geometry("mesh", (1.0, 1.0, 1.0), file=str(tmp_path / "box.obj"))
-    hand = HandDescription(
-        "seen", Palm(), (Link("a", "palm", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), -1.0, 1.0, 1.0, 0.02, (0.0, 0.0, 0.0),
-        (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), visual=(look,)),), (Fingertip("f", "a", (0.0, 0.0, 0.1), 0.001),),
-    )  # fmt: skip
-    from grasp_env.sim.picture.portrait import portrait
-
-    drawn = portrait(hand, 64)
+    drawn = portrait(one_link(light("a", visual=(look,)), 0.1), 64)
     assert drawn.shape == (64, 128, 3)
     assert drawn[:, :64].min() < 150  # grey before a light ground
     assert drawn[:, 64:].min() > 200  # it touches nothing

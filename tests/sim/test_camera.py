@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from engines import bullet, needs_bullet
+from hands import numbers
 from PIL import Image, ImageDraw
 
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import InvalidInputError, SimulationError
 from grasp_env.sim import HANDS, Camera, CameraConfig, Scene, SceneConfig
 from grasp_env.sim.picture.annotation import LONGEST, LONGEST_TURN, WRENCH_COLOR, Annotation
 from grasp_env.sim.picture.camera import DIRECTION
@@ -86,9 +87,8 @@ def test_a_picture_shows_the_object_where_project_says_and_what_is_behind_it(sce
     # the fingers hide the left edge: right edge and lowest corner, within a pixel and the smoothing's one
     assert columns.max() == pytest.approx(pixels[:, 0].max(), abs=2.5)
     assert rows.max() == pytest.approx(pixels[:, 1].max(), abs=2.5)
-    row, column = camera.project([[0.02, -0.04, 0.05]])[0, ::-1].astype(
-        int
-    )  # nothing before or behind but the palm's shadow
+    # nothing before or behind but the palm's shadow
+    row, column = camera.project([[0.02, -0.04, 0.05]])[0, ::-1].astype(int)
     half_open = Camera(scene, CameraConfig(width=240, height=240, object_opacity=0.5)).capture().astype(int)
     assert np.abs(half_open[row, column] - 0.5 * (opaque + without)[row, column]).max() <= 2.0
     assert np.abs(opaque - without)[row, column].max() > 10
@@ -129,6 +129,7 @@ def test_contacts_are_looked_at_from_where_they_are_seen(scene: Scene, monkeypat
 def test_pictures_are_smooth_and_deterministic_and_annotations_leave_them(
     scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    state = numbers(scene)
     camera = Camera(scene, CameraConfig(width=120, height=100))
     note = one_finger(lines=[("iterations", "12")])
     plain, noted = camera.capture(), camera.capture(note)
@@ -137,8 +138,17 @@ def test_pictures_are_smooth_and_deterministic_and_annotations_leave_them(
     assert (noted != plain).any()
     np.testing.assert_array_equal(camera.capture(note), noted)
     np.testing.assert_array_equal(camera.capture(), plain)
+    fine = Camera(scene, CameraConfig(width=120, height=100, supersampling=2)).capture()
+    assert fine.shape == plain.shape
+    assert 0.0 < np.abs(fine.astype(int) - plain).mean() < 10.0
+    np.testing.assert_array_equal(numbers(scene), state)
     monkeypatch.setattr("grasp_env.sim.picture.camera.smooth_edges", lambda picture: picture)
     np.testing.assert_array_equal(smooth_edges(Image.fromarray(camera.capture())), plain)
+    closed = Scene(SceneConfig(), visuals=True)
+    camera = Camera(closed, CameraConfig(width=16, height=16))
+    closed.close()
+    with pytest.raises(SimulationError, match="closed"):
+        camera.capture()
 
 
 def test_what_is_wrong_is_said() -> None:
@@ -203,18 +213,16 @@ def test_drawn(what: str) -> None:
             assert LOOKS[look](image[row, column]), (look, x, y, image[row, column])
 
 
-def test_what_is_not_drawn_on_is_only_veiled() -> None:
-    image = np.random.default_rng(0).integers(0, 256, (300, 300, 3)).astype(np.uint8)
-    out = np.array(draw(Image.fromarray(image), one_finger(), FRONT))
-    np.testing.assert_array_equal(out[:100], np.round(255 - (1.0 - VEIL) * (255.0 - image))[:100])
-
-
 @pytest.mark.parametrize("size", [(480, 480), (240, 240), (64, 48), (1, 1)])
 def test_every_size_and_every_place_can_be_drawn(size: tuple[int, int]) -> None:
+    """What is not drawn on is only veiled."""
     view = dataclasses.replace(FRONT, width=size[0], height=size[1])
     for place in ([0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [0.0, 0.0, 3.0], [0.0, 0.0, 0.5]):
         note = one_finger(points=[place], center=place, wrench=np.ones(6), lines=[("margin", "0.31 N")] * 4)
         assert draw(Image.new("RGB", size), note, view).size == size
+    image = np.random.default_rng(0).integers(0, 256, (300, 300, 3)).astype(np.uint8)
+    out = np.array(draw(Image.fromarray(image), one_finger(), FRONT))
+    np.testing.assert_array_equal(out[:100], np.round(255 - (1.0 - VEIL) * (255.0 - image))[:100])
 
 
 @pytest.mark.parametrize("size", [(480, 480), (320, 320), (320, 240), (1280, 720), (200, 400)])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from engines import Client, bullet, joint_indices, needs_bullet
 from hands import links_of_indices, load_hand
 
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError
+from grasp_env.errors import GraspError, SimulationError
 from grasp_env.sim.hand.description import HANDS, FingerDescription, Fingertip, Geometry, HandDescription, Link, Palm
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import touching_pairs
@@ -34,7 +35,7 @@ def tips_on_cuboid(name: str, side: float) -> np.ndarray:
 
 
 OF_FINGERS = sorted(name for name, make in HANDS.items() if make().placed)
-"""Hands that stand around an object at the origin; the others are in test_presets.py."""
+"""Hands that stand around an object at the origin; the others have no place of their own."""
 
 
 class Posed:
@@ -74,33 +75,20 @@ def posed(request: pytest.FixtureRequest) -> Iterator[Posed]:
     made.client.close()
 
 
-def test_built_in_hands_have_their_fingers_and_joints() -> None:
-    sizes = {name: (make().finger_count, make().joint_count) for name, make in HANDS.items()}
-    assert sizes == {
-        "four_finger": (4, 12),
-        "three_finger": (3, 9),
-        "five_finger": (5, 15),
-        "four_finger_4dof": (4, 16),
-        "allegro": (4, 16),
-        "leap": (4, 16),
-    }
-    for name, make in HANDS.items():
-        hand = make()
-        assert hand.name == name
-        torque = {"allegro": 0.7, "leap": 0.95}.get(name, 12.0)
-        assert hand.torque_limits.tolist() == [torque] * hand.joint_count
-        assert len(set(hand.joint_names)) == hand.joint_count
-
-
-def test_the_four_finger_hand_keeps_its_numbers() -> None:
-    hand = HandDescription.four_finger()
-    assert hand.finger_names == ("thumb", "middle", "left", "right")
-    assert [link.mass for link in hand.links[:3]] == pytest.approx([0.02, 0.03, 0.03])
-    assert [(link.lower, link.upper) for link in hand.links[3:6]] == [(-1.0, 1.0), (-1.8, 1.2), (0.05, 2.6)]
-    tips = HandKinematics(hand).tips(np.zeros(12))  # hanging straight
-    np.testing.assert_allclose(
-        tips, [(0, -0.05, -0.09), (0, -0.05, 0.105), (-0.045, -0.05, 0.09), (0.045, -0.05, 0.09)], atol=1e-15
-    )
+@pytest.mark.parametrize(
+    ("name", "fingers", "joints", "torque"),
+    [
+        ("four_finger", 4, 12, 12.0), ("three_finger", 3, 9, 12.0), ("five_finger", 5, 15, 12.0), ("four_finger_4dof", 4, 16, 12.0),
+        ("allegro", 4, 16, 0.7), ("leap", 4, 16, 0.95),
+    ],
+)  # fmt: skip
+def test_built_in_hands(name: str, fingers: int, joints: int, torque: float) -> None:
+    hand = HANDS[name]()
+    assert (hand.name, hand.finger_count, hand.joint_count) == (name, fingers, joints)
+    assert hand.torque_limits.tolist() == [torque] * joints
+    assert len(set(hand.joint_names)) == joints
+    assert hand == HANDS[name]() == pickle.loads(pickle.dumps(hand))
+    assert hash(hand) == hash(HANDS[name]())
 
 
 def test_real_hands_have_their_published_measures() -> None:
@@ -117,26 +105,27 @@ def test_real_hands_have_their_published_measures() -> None:
         assert 0.45 < sum(link.mass for link in hand.links) < 0.65
 
 
-def test_equal_hands_are_equal_hashable_and_picklable() -> None:
-    for make in HANDS.values():
-        hand = make()
-        assert hand == make()
-        assert hash(hand) == hash(make())
-        assert pickle.loads(pickle.dumps(hand)) == hand
-
-
 @needs_bullet
 @pytest.mark.parametrize("side", OBJECT_SIDES)
 def test_links_clear_one_another_and_the_object(posed: Posed, side: float) -> None:
     kinematics, tips = posed.kinematics, tips_on_cuboid(posed.hand.name, side)
     angles = kinematics.solve(tips)
     assert np.minimum(angles - kinematics.lower, kinematics.upper - angles).min() > 0.4
+    for finger in range(len(tips)):  # far from singular
+        jacobian = kinematics.jacobian(angles, finger)
+        assert side != 0.1 or np.linalg.cond(jacobian[:, kinematics.carries[finger]]) < 4.5
     posed.pose(angles)
     assert posed.collisions() == set()
     halves = [0.5 * side] * 3
     shape = bullet.createCollisionShape(bullet.GEOM_BOX, halfExtents=halves, physicsClientId=posed.number)
     box = bullet.createMultiBody(0.2, shape, physicsClientId=posed.number)
     tip_links = kinematics.tip_links.tolist()
+    frames, origins = kinematics.links(angles)
+    for link in tip_links:  # only the tip of a distal link is near the object
+        capsule = next(shape for shape in posed.hand.links[link].collision if shape.kind == "capsule")
+        along = np.linspace(-0.5, 0.5, 41) * capsule.size[1] + capsule.origin[0]
+        outside = np.maximum(np.abs(origins[link] + np.outer(along, frames[link][:, 0])) - 0.5 * side, 0.0)
+        assert np.linalg.norm(outside, axis=1).min() > capsule.size[0] + 0.007
     for link in range(posed.hand.joint_count):
         gap = posed.distance(box, link)
         assert abs(gap) < 1e-6 if link in tip_links else gap > 0.03, (link, gap)
@@ -144,18 +133,8 @@ def test_links_clear_one_another_and_the_object(posed: Posed, side: float) -> No
             finger, other_finger = kinematics.carries[:, link].argmax(), kinematics.carries[:, other].argmax()
             if finger != other_finger:
                 assert posed.distance(posed.body, link, posed.indices[other]) > 0.004
-
-
-@needs_bullet
-@pytest.mark.parametrize("side", OBJECT_SIDES)
-def test_only_the_tip_of_a_distal_link_is_near_the_object(posed: Posed, side: float) -> None:
-    kinematics, hand = posed.kinematics, posed.hand
-    frames, origins = kinematics.links(kinematics.solve(tips_on_cuboid(hand.name, side)))
-    for link in kinematics.tip_links:
-        capsule = next(shape for shape in hand.links[link].collision if shape.kind == "capsule")
-        along = np.linspace(-0.5, 0.5, 41) * capsule.size[1] + capsule.origin[0]
-        outside = np.maximum(np.abs(origins[link] + np.outer(along, frames[link][:, 0])) - 0.5 * side, 0.0)
-        assert np.linalg.norm(outside, axis=1).min() > capsule.size[0] + 0.007
+    with pytest.raises(SimulationError, match="lacks the joints thumb_knuckle_joint"):
+        joint_indices(posed.number, box, posed.hand)
 
 
 @needs_bullet
@@ -175,30 +154,6 @@ def test_a_finger_meets_itself_nowhere_and_the_palm_only_with_its_folded_tip(pos
                 assert "distal" in first + second
 
 
-@pytest.mark.parametrize("name", OF_FINGERS)
-def test_grasping_poses_are_far_from_singular(name: str) -> None:
-    kinematics = HandKinematics(HANDS[name]())
-    tips = tips_on_cuboid(name, 0.1)
-    angles = kinematics.solve(tips)
-    for finger in range(len(tips)):
-        jacobian = kinematics.jacobian(angles, finger)
-        assert np.linalg.cond(jacobian[:, kinematics.carries[finger]]) < 4.5
-
-
-def test_links_of_indices_turns_joint_indices_round() -> None:
-    links = links_of_indices([3, 0, 5])
-    assert links == [1, -1, -1, 0, -1, 2, -1]
-    assert links[-1] == -1  # PyBullet's base
-
-
-@needs_bullet
-def test_another_body_is_no_hand(posed: Posed) -> None:
-    shape = bullet.createCollisionShape(bullet.GEOM_SPHERE, radius=0.1, physicsClientId=posed.number)
-    ball = bullet.createMultiBody(1.0, shape, physicsClientId=posed.number)
-    with pytest.raises(SimulationError, match="lacks the joints thumb_knuckle_joint"):
-        joint_indices(posed.number, ball, posed.hand)
-
-
 def test_a_moved_hand_moves_as_a_whole() -> None:
     hand = HandDescription.five_finger()
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -209,21 +164,12 @@ def test_a_moved_hand_moves_as_a_whole() -> None:
     assert hand.moved((0.0, 0.0, 0.0)) == hand
 
 
-def link(**changes: Any) -> Link:
+def link(name: str = "a", parent: str = "palm", **changes: Any) -> Link:
     fields: dict[str, Any] = {
-        "name": "a",
-        "parent": "palm",
-        "origin": (0, 0, 0),
-        "rotation": (0, 0, 0),
-        "axis": (0, 0, 1),
-        "lower": -1,
-        "upper": 1,
-        "torque_limit": 2,
-        "mass": 0.1,
-        "center": (0, 0, 0),
-        "inertia": (1e-5, 0, 0, 1e-5, 0, 1e-5),
-    }
-    return Link(**(fields | changes))
+        "origin": (0, 0, 0), "rotation": (0, 0, 0), "axis": (0, 0, 1), "lower": -1, "upper": 1, "torque_limit": 2, "mass": 0.1,
+        "center": (0, 0, 0), "inertia": (1e-5, 0, 0, 1e-5, 0, 1e-5),
+    }  # fmt: skip
+    return Link(name, parent, **(fields | changes))
 
 
 TIP = Fingertip("a", "a", (0, 0, 0), 0.01)
@@ -233,83 +179,65 @@ def hand(links: Any, tips: Any = (TIP,), **fields: Any) -> HandDescription:
     return HandDescription("test", Palm(), links, tips, **fields)
 
 
+GOOD, NEXT = link(), link("b", "a")
+THUMB = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
+
+
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("make", "message"),
     [
-        ({"mass": 0.0}, r"link 'a': mass \[kg\]=0.0 must be above 0"),
-        ({"mass": "heavy"}, "must be 1 numbers"),
-        ({"torque_limit": -1.0}, "torque_limit .* must be above 0"),
-        ({"axis": (0, 0, 2)}, "axis=.* must have length 1, not 2; normalise it"),
-        ({"axis": (0, 0, 0)}, "must have length 1, not 0"),
-        ({"axis": (0, 1)}, "must be 3 numbers, not 2"),
-        ({"lower": 1.0, "upper": -1.0}, "lower=1.0 must be below upper=-1.0"),
-        ({"lower": -np.inf}, "must be finite"),
-        ({"origin": (np.nan, 0, 0)}, "origin=.* must be finite"),
-        ({"rotation": (0, 0, np.inf)}, "rotation=.* must be finite"),
-        ({"inertia": (1e-5, 0, 0, 1e-5, 0, -1e-5)}, "all must be above 0"),
-        ({"inertia": (1e-5, 2e-5, 0, 1e-5, 0, 1e-5)}, "all must be above 0"),
-        ({"inertia": (1e-5, 0, 0, 1e-5, 0, 3e-5)}, "the largest is below the sum of the other two"),
-        ({"inertia": (1e-5, 1e-5, 1e-5)}, "must be 6 numbers"),
-        ({"name": ""}, "must be a name"),
+        *(
+            (partial(link, **changes), message)
+            for changes, message in (
+                ({"mass": 0.0}, r"link 'a': mass \[kg\]=0.0 must be above 0"),
+                ({"mass": "heavy"}, "must be 1 numbers"),
+                ({"axis": (0, 0, 2)}, "axis=.* must have length 1, not 2; normalise it"),
+                ({"axis": (0, 1)}, "must be 3 numbers, not 2"),
+                ({"lower": 1.0, "upper": -1.0}, "lower=1.0 must be below upper=-1.0"),
+                ({"lower": -np.inf}, "must be finite"),
+                ({"origin": (np.nan, 0, 0)}, "origin=.* must be finite"),
+                ({"inertia": (1e-5, 0, 0, 1e-5, 0, -1e-5)}, "all must be above 0"),
+                ({"inertia": (1e-5, 2e-5, 0, 1e-5, 0, 1e-5)}, "all must be above 0"),
+                ({"inertia": (1e-5, 0, 0, 1e-5, 0, 3e-5)}, "the largest is below the sum of the other two"),
+                ({"name": ""}, "must be a name"),
+            )
+        ),
+        *(
+            (partial(hand, links, tips, **fields), message)
+            for links, tips, fields, message in (
+                ([], (TIP,), {}, "links=.. is empty"),
+                ([GOOD], (), {}, "fingertips=.. is empty"),
+                ([NEXT, GOOD], (TIP,), {}, "parent 'a' of link 'b' stands after it"),
+                ([GOOD, link("b", "c")], (TIP,), {}, "parent 'c' of link 'b' is no link; known are palm, a"),
+                ([GOOD, GOOD], (TIP,), {}, "two links are called 'a'"),
+                ([link("palm")], (TIP,), {}, "two links are called 'palm'"),
+                ([GOOD, link("b", joint="a_joint")], (TIP,), {}, "two joints are called 'a_joint'"),
+                ([GOOD], (TIP, TIP), {}, "two fingertips are called 'a'"),
+                ([GOOD], (Fingertip("a", "palm", (0, 0, 0), 0.01),), {}, "is on link 'palm', which does not move .*moving links are a"),
+                ([GOOD], (TIP,), {"home": (2.0,)}, "home=2.0 rad of joint 'a_joint' must be within its limits"),
+                ([GOOD], (TIP,), {"home": (0.0, 0.0)}, "must be 1 numbers, not 2"),
+                ([GOOD], (TIP,), {"tip_friction": 0.0}, "tip_friction=0.0 must be above 0"),
+            )
+        ),
+        (partial(Fingertip, "a", "a", (0, 0, 0), 0.0), r"radius .* must be above 0"),
+        (partial(Geometry, "cone", (1.0,)), "unknown kind of geometry 'cone': choose one of 'sphere'"),
+        (partial(Geometry, "capsule", (1.0,)), r"size \(radius, length\).* must be 2 numbers"),
+        (partial(Geometry, "box", (1.0, 0.0, 1.0)), "m must be above 0"),
+        (partial(replace, THUMB, press=(0.0, -1.0, 0.1)), r"press=.* must have length 1"),
+        (partial(replace, THUMB, press=(0.0, -1.0, 0.0)), "must be orthogonal"),
+        *(
+            (lambda field=field, value=value: HandDescription.of_fingers([replace(THUMB, **{field: value})]), field)
+            for field, value in (
+                ("link_lengths", (0.1, 0.1)), ("link_masses", (0.02, 0.03, 0.0)), ("joint_lower", (2.0, 0.0, 0.0)),
+                ("joint_upper", (1.0, 1.0, 1.0, 1.0)), ("tip_radius", -0.01), ("home", (0.0, 5.0, 0.1)),
+            )
+        ),
+        (partial(HandDescription.of_fingers, []), "is empty"),
+        (partial(HandDescription.of_fingers, [THUMB, THUMB]), "two links are called 'good_knuckle'"),
     ],
-)
-def test_impossible_links_are_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidInputError, match=message):
-        link(**changes)
-
-
-def test_impossible_hands_are_refused() -> None:
-    tip, good, next_link = TIP, link(), link(name="b", parent="a")
-    assert hand([good, next_link]).joint_count == 2
-    wrong: list[tuple[Any, Any, dict[str, Any], str]] = [
-        ([], (tip,), {}, "links=.. is empty"),
-        ([good], (), {}, "fingertips=.. is empty"),
-        ([next_link, good], (tip,), {}, "parent 'a' of link 'b' stands after it"),
-        ([good, link(name="b", parent="c")], (tip,), {}, "parent 'c' of link 'b' is no link; known are palm, a"),
-        ([good, good], (tip,), {}, "two links are called 'a'"),
-        ([link(name="palm")], (tip,), {}, "two links are called 'palm'"),
-        ([good, link(name="b", joint="a_joint")], (tip,), {}, "two joints are called 'a_joint'"),
-        ([good], (tip, tip), {}, "two fingertips are called 'a'"),
-        ([good], (Fingertip("a", "z", (0, 0, 0), 0.01),), {}, "is on link 'z'.*moving links are a"),
-        ([good], (Fingertip("a", "palm", (0, 0, 0), 0.01),), {}, "does not move"),
-        ([good], (tip,), {"home": (2.0,)}, "home=2.0 rad of joint 'a_joint' must be within its limits"),
-        ([good], (tip,), {"home": (0.0, 0.0)}, "must be 1 numbers, not 2"),
-        ([good], (tip,), {"tip_friction": 0.0}, "tip_friction=0.0 must be above 0"),
-    ]
-    for links, tips, fields, message in wrong:
-        with pytest.raises(InvalidInputError, match=message):
-            hand(links, tips, **fields)
-
-
-def test_impossible_parts_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match=r"radius .* must be above 0"):
-        Fingertip("a", "a", (0, 0, 0), 0.0)
-    with pytest.raises(GraspError, match="unknown kind of geometry 'cone': choose one of 'sphere'"):
-        Geometry("cone", (1.0,))
-    with pytest.raises(InvalidInputError, match=r"size \(radius, length\).* must be 2 numbers"):
-        Geometry("capsule", (1.0,))
-    with pytest.raises(InvalidInputError, match="m must be above 0"):
-        Geometry("box", (1.0, 0.0, 1.0))
-
-
-def test_impossible_fingers_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match=r"press=.* must have length 1"):
-        FingerDescription("bent", (0.0, 0.0, 0.0), press=(0.0, -1.0, 0.1))
-    with pytest.raises(InvalidInputError, match="must be orthogonal"):
-        FingerDescription("bent", (0.0, 0.0, 0.0), press=(0.0, -1.0, 0.0))
-    good = FingerDescription("good", (0.0, 0.1, 0.0), press=(0.0, 0.0, 1.0))
-    wrong: dict[str, Any] = {
-        "link_lengths": (0.1, 0.1),
-        "link_masses": (0.02, 0.03, 0.0),
-        "joint_lower": (2.0, 0.0, 0.0),
-        "joint_upper": (1.0, 1.0, 1.0, 1.0),
-        "tip_radius": -0.01,
-        "home": (0.0, 5.0, 0.1),
-    }
-    for field, value in wrong.items():
-        with pytest.raises(InvalidInputError, match=field):
-            HandDescription.of_fingers([replace(good, **{field: value})])
-    with pytest.raises(InvalidInputError, match="is empty"):
-        HandDescription.of_fingers([])
-    with pytest.raises(InvalidInputError, match="two links are called 'good_knuckle'"):
-        HandDescription.of_fingers([good, good])
+    ids=lambda value: value if isinstance(value, str) else "",
+)  # fmt: skip
+def test_impossible_parts_and_hands_are_refused(make: Callable[[], object], message: str) -> None:
+    assert hand([GOOD, NEXT]).joint_count == 2
+    with pytest.raises(GraspError, match=message):
+        make()

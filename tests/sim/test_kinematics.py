@@ -81,83 +81,55 @@ def loaded(request: pytest.FixtureRequest) -> Iterator[Loaded]:
 
 
 @needs_bullet
-def test_positions_match_pybullet(loaded: Loaded) -> None:
+def test_positions_and_jacobians_match_pybullet(loaded: Loaded) -> None:
+    zero, kinematics, number = [0.0] * loaded.count, loaded.kinematics, loaded.number
     for link, index in enumerate(loaded.indices):
-        state = bullet.getLinkState(loaded.body, index, computeForwardKinematics=1, physicsClientId=loaded.number)
+        state = bullet.getLinkState(loaded.body, index, computeForwardKinematics=1, physicsClientId=number)
         # getLinkState rounds to single precision; the Jacobians below do not
         np.testing.assert_allclose(loaded.origins[link], state[4], atol=3e-8)
         rotation = np.array(bullet.getMatrixFromQuaternion(state[5])).reshape(3, 3)
         np.testing.assert_allclose(loaded.frames[link], rotation, atol=1e-6)
-
-
-@needs_bullet
-def test_jacobians_match_pybullet(loaded: Loaded) -> None:
-    zero, kinematics = [0.0] * loaded.count, loaded.kinematics
-    tips = loaded.kinematics.tips(loaded.angles)
+    tips = kinematics.tips(loaded.angles)
     for finger, link in enumerate(kinematics.tip_links.tolist()):
         np.testing.assert_array_equal(kinematics.jacobian(loaded.angles, finger), loaded.jacobian(link, tips[finger]))
         index = loaded.indices[link]
         # PyBullet measures the point from the link's origin along the principal axes of its inertia
-        turn = bullet.getDynamicsInfo(loaded.body, index, physicsClientId=loaded.number)[4]
+        turn = bullet.getDynamicsInfo(loaded.body, index, physicsClientId=number)[4]
         axes = np.array(bullet.getMatrixFromQuaternion(turn)).reshape(3, 3)
-        for local, point in (
-            ((0.0, 0.0, 0.0), loaded.origins[link]),
-            (loaded.hand.fingertips[finger].center, tips[finger]),
-        ):
-            theirs, _ = bullet.calculateJacobian(
-                loaded.body,
-                index,
-                (axes.T @ local).tolist(),
-                loaded.theirs(),
-                zero,
-                zero,
-                physicsClientId=loaded.number,
-            )
-            ours = loaded.jacobian(link, point)
-            np.testing.assert_allclose(np.array(theirs)[:, loaded.columns], ours, atol=1e-12)
+        center = loaded.hand.fingertips[finger].center
+        for local, point in (((0.0, 0.0, 0.0), loaded.origins[link]), (center, tips[finger])):
+            place = (axes.T @ local).tolist()
+            theirs, _ = bullet.calculateJacobian(loaded.body, index, place, loaded.theirs(), zero, zero, number)
+            np.testing.assert_allclose(np.array(theirs)[:, loaded.columns], loaded.jacobian(link, point), atol=1e-12)
+
+
+@pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
+def test_jacobians_and_gravity_torques_match_finite_differences(maker: Callable[[], HandDescription]) -> None:
+    kinematics, step = HandKinematics(maker()), 1e-6
+    hand, angles = kinematics.hand, np.random.default_rng(3).uniform(-0.6, 1.1, kinematics.hand.joint_count)
+    masses, inside = (np.array([getattr(link, name) for link in hand.links]) for name in ("mass", "center"))
+
+    def seen(angles: np.ndarray) -> np.ndarray:
+        """The tips' places, then the height of all links."""
+        frames, origins = kinematics.links(angles)
+        height = -masses @ (origins + (frames @ inside[:, :, None])[:, :, 0]) @ GRAVITY
+        return np.append(kinematics.tips(angles), height)
+
+    slopes = np.array([seen(angles + shift) - seen(angles - shift) for shift in step * np.eye(len(angles))]) / (
+        2 * step
+    )
+    ours = np.vstack([kinematics.jacobian(angles, finger) for finger in range(hand.finger_count)])
+    np.testing.assert_allclose(slopes[:, :-1].T, ours, atol=1e-9)
+    np.testing.assert_allclose(slopes[:, -1], kinematics.gravity_torques(angles, GRAVITY), atol=1e-9)
 
 
 @needs_bullet
-def test_jacobians_match_finite_differences(loaded: Loaded) -> None:
-    step = 1e-6
-    tips = loaded.kinematics.tips(loaded.angles)
-    for joint in range(loaded.count):
-        shift = np.zeros(loaded.count)
-        shift[joint] = step
-        ahead, behind = (loaded.kinematics.tips(loaded.angles + sign * shift) for sign in (1, -1))
-        slopes = (ahead - behind) / (2 * step)
-        for finger, link in enumerate(loaded.kinematics.tip_links.tolist()):
-            np.testing.assert_allclose(loaded.jacobian(link, tips[finger])[:, joint], slopes[finger], atol=1e-9)
-
-
-@needs_bullet
-def test_gravity_torques_match_pybullet(loaded: Loaded) -> None:
+def test_gravity_torques_and_inertias_match_pybullet(loaded: Loaded) -> None:
+    """The mass matrix: inertias, and what fixed joints merge, mean the same to PyBullet."""
     torques, zero = loaded.kinematics.gravity_torques(loaded.angles, GRAVITY), [0.0] * loaded.count
     bullet.setGravity(*GRAVITY, physicsClientId=loaded.number)
     theirs = bullet.calculateInverseDynamics(loaded.body, loaded.theirs(), zero, zero, physicsClientId=loaded.number)
     np.testing.assert_allclose(torques, np.array(theirs)[loaded.columns], atol=1e-12)
-
-
-@needs_bullet
-def test_gravity_torques_are_the_slope_of_the_height(loaded: Loaded) -> None:
-    torques, step = loaded.kinematics.gravity_torques(loaded.angles, GRAVITY), 1e-6
-    masses = np.array([link.mass for link in loaded.hand.links])
-    inside = np.array([link.center for link in loaded.hand.links])
-
-    def potential(angles: np.ndarray) -> float:
-        frames, origins = loaded.kinematics.links(angles)
-        return -float(masses @ (origins + (frames @ inside[:, :, None])[:, :, 0]) @ GRAVITY)
-
-    for joint in range(loaded.count):
-        shift = np.zeros(loaded.count)
-        shift[joint] = step
-        slope = (potential(loaded.angles + shift) - potential(loaded.angles - shift)) / (2 * step)
-        assert abs(torques[joint] - slope) < 1e-9
-
-
-@needs_bullet
-def test_inertias_match_pybullet(loaded: Loaded) -> None:
-    """The mass matrix: inertias, and what fixed joints merge, mean the same to PyBullet."""
     total = mass_matrix(loaded.kinematics, loaded.angles)
     np.testing.assert_allclose(loaded.kinematics.mass_matrix(loaded.angles), total, atol=1e-15)
     theirs = np.array(bullet.calculateMassMatrix(loaded.body, loaded.theirs(), physicsClientId=loaded.number))
@@ -214,25 +186,22 @@ def test_joints_that_move_no_fingertip_stay() -> None:
     np.testing.assert_array_equal(angles[idle], kinematics.home[idle])
 
 
-def test_out_of_reach_names_the_finger_and_the_distance() -> None:
+@pytest.mark.parametrize(
+    ("finger", "tip", "message"),
+    [
+        (2, (-0.03, -0.2, 0.06), r"'left' cannot reach.*it is 0\.3367 m.*up to 0\.1850 m; move the"),
+        # on the second joint: the knee would have to fold beyond itself
+        (1, (0.0, 0.1, 0.105), r"'middle' cannot reach.*nearest its tip comes is 0\.0413 m"),
+        (
+            0,
+            (0.13, 0.13, -0.08),
+            r"'thumb' reaches .* only beyond its joint limits: thumb_knuckle_joint = 1\.532 rad, allowed are -1\.000",
+        ),
+    ],
+)
+def test_what_cannot_be_reached_names_finger_and_reason(finger: int, tip: tuple[float, ...], message: str) -> None:
     kinematics, tips = HandKinematics(HandDescription.four_finger()), NOMINAL.copy()
-    tips[2, 1] = -0.2
-    with pytest.raises(InvalidInputError, match=r"'left' cannot reach.*it is 0\.3367 m.*up to 0\.1850 m; move the"):
-        kinematics.solve(tips)
-    assert not kinematics.reachable(tips)
-
-
-def test_too_near_names_the_finger_and_what_is_missing() -> None:
-    kinematics, tips = HandKinematics(HandDescription.four_finger()), NOMINAL.copy()
-    tips[1] = (0.0, 0.1, 0.105)  # on the second joint: the knee would have to fold beyond itself
-    with pytest.raises(InvalidInputError, match=r"'middle' cannot reach.*nearest its tip comes is 0\.0413 m"):
-        kinematics.solve(tips)
-
-
-def test_beyond_a_joint_limit_names_the_joint() -> None:
-    kinematics, tips = HandKinematics(HandDescription.four_finger()), NOMINAL.copy()
-    tips[0] = (0.13, 0.13, -0.08)
-    message = r"'thumb' reaches .* only beyond its joint limits: thumb_knuckle_joint = 1\.532 rad, allowed are -1\.000"
+    tips[finger] = tip
     with pytest.raises(InvalidInputError, match=message):
         kinematics.solve(tips)
     assert not kinematics.reachable(tips)

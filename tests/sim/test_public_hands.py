@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from engines import Bullet, bullet, needs_bullet
 
-from grasp_env.sim import HANDS, HandKinematics, ObjectDescription, SceneConfig
+from grasp_env.sim import HANDS, HandKinematics, ObjectDescription, SceneConfig, place_hand
+from grasp_env.sim.grasping import plan_grasp
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.solids import outline
 
@@ -121,3 +122,12 @@ def test_presets_move_as_the_files_do(name: str, preset: str) -> None:
     )
     off -= off.mean(axis=(0, 1))
     assert np.linalg.norm(off, axis=2).max() < 1.5e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FILES)
+def test_public_hands_are_placed(name: str) -> None:
+    """With a grasp that `plan_grasp` finds."""
+    ball = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
+    kinematics = HandKinematics(place_hand(read(name)[0], ball))
+    assert len(plan_grasp(ball, kinematics).points) == kinematics.hand.finger_count >= 3
