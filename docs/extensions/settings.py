@@ -15,7 +15,7 @@ from grasp_env.settings import Settings, described
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
-HEAD = "| Setting | Default | Unit | May be | |\n|---|---|---|---|---|"
+HEAD = "| Setting | Meaning | Default | May be |\n|---|---|---|---|"
 
 
 def plainly(value: Any) -> str:
@@ -34,10 +34,10 @@ def tables() -> Iterator[tuple[str, str]]:
     for path, record, about in described(EnvConfig):
         group, _, last = path.rpartition(".")
         default = about.none or "none" if about.default is None else plainly(about.default)
-        words = (default, about.unit, about.kind.text, about.doc)
+        words = (about.doc, default, about.kind.text)
         cells = [text.replace("|", "\\|").replace("\n", " ") for text in words]
-        name = f"`{last}`" + (f", keyword `{plain[path]}`" if path in plain else "")
-        groups.setdefault((group, record), []).append(f"| {' | '.join([name, *cells])} |")
+        unit, keyword = about.unit and f" [{about.unit}]", f", keyword `{plain[path]}`" if path in plain else ""
+        groups.setdefault((group, record), []).append(f"| {' | '.join([f'`{last}`{unit}{keyword}', *cells])} |")
     for (group, record), lines in groups.items():
         named = f", {record.name}" if record.name else ""
         title = f"{group}{named}: {record.__name__}" if group else "EnvConfig"

@@ -74,7 +74,7 @@ class Hand:
             picture = Image.fromarray(portrait(hand, self.size))
             with replacing(self.draw) as path:
                 picture.save(path, format="PNG")
-            console.print(str(self.draw), highlight=False)
+            console.print(str(self.draw), highlight=False, soft_wrap=True)
 
 
 def _table(title: str, *columns: str) -> Table:
