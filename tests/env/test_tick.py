@@ -10,6 +10,7 @@ from hands import controller_alone, scene_alone
 from oracles.elastic import elastic
 from oracles.phi import phi
 from problems import PAPER_WRENCH
+from scipy.spatial.transform import Rotation
 
 from grasp_env import core
 from grasp_env.force import ForceLimits, ForceOptimizer, Objective, Status
@@ -129,26 +130,28 @@ def test_an_adjustment_is_added_to_the_start_and_repaired() -> None:
 def test_what_the_motors_cannot_make_is_found_within_their_limits(due: bool) -> None:
     """Joints at odd places: the optimum where its torques are within the limits, else Newton within them, else the least excess."""
     loop, rng, ended = Loop(method="reduced_flow", tolerance=1e-8), np.random.default_rng(5), set()
-    views = loop.views
+    views, turn = loop.views, Rotation.from_rotvec([0.3, -0.5, 0.4]).as_matrix()  # the object's frame to the world's
+    views.rotation[:] = turn
     for k, (positions, normals, wrench) in enumerate(path(6, 40)):
         if not due:  # from a command before it
             loop.tick(wrench, True)
         loop.place(positions, normals)
-        views.touch[:] = positions
+        views.touch[:] = positions @ turn.T
         views.axes[:] = np.tile(np.eye(3), (4, 1))
-        views.origins[:] = np.repeat(positions, 3, axis=0) + rng.uniform(-0.1, 0.1, (12, 3))
+        views.origins[:] = np.repeat(views.touch, 3, axis=0) + rng.uniform(-0.1, 0.1, (12, 3))
+        views.gravity_torques[:] = carried = rng.uniform(-0.2, 0.2, 12) * MOTOR
         load = (5.0 + 5.0 * k) * wrench
         jacobian = np.zeros((4, 3, 12))
         for j in range(12):
-            jacobian[j // 3, :, j] = np.cross(views.axes[j], positions[j // 3] - views.origins[j])
-        limits = ForceLimits(jacobian=jacobian, torque_limit=MOTOR)
+            jacobian[j // 3, :, j] = turn.T @ np.cross(views.axes[j], views.touch[j // 3] - views.origins[j])
+        limits = ForceLimits(jacobian=jacobian, torque_limit=MOTOR, torque_bias=carried)
         now = {"positions": positions, "normals": normals}
         best = ForceOptimizer(GRASP, tolerance=1e-10, limits=limits, elastic=True).solve(load, **now)
         free = ForceOptimizer(GRASP, tolerance=1e-10).solve(load, **now)
         loop.core.begin_step()
         force = loop.tick(load, due)
-        torques = np.einsum("nrj,nr->j", jacobian, np.einsum("nij,nj->ni", loop.grasp.frames, force))
-        fits = np.abs(np.einsum("nrj,nr->j", jacobian, free.object_force)).max() <= MOTOR
+        torques = carried + np.einsum("nrj,nr->j", jacobian, np.einsum("nij,nj->ni", loop.grasp.frames, force))
+        fits = np.abs(carried + np.einsum("nrj,nr->j", jacobian, free.object_force)).max() <= MOTOR
         wanted = free if fits else best
         if wanted.status is not Status.LIMITS_EXCEEDED:  # whose force is not unique
             np.testing.assert_allclose(force, wanted.force, atol=1e-3 * np.abs(wanted.force).max())
@@ -165,7 +168,10 @@ def test_what_the_motors_cannot_make_is_found_within_their_limits(due: bool) -> 
 def test_lost_closure_is_the_elastic_answer(touching: tuple[int, ...]) -> None:
     """Thumb and one finger, one finger, or the three of one side: inside the cones, missing balance least."""
     loop = Loop(method="reduced_flow")
-    loop.tick(PAPER_WRENCH, True)
+    loop.core.hold = core.Hold.direct  # forces outside their cones, from where it begins
+    given = np.tile([1.0, 3.0, -2.0], (4, 1))
+    loop.core.tick(None, PAPER_WRENCH, STILL, TARGET, None, True, None, given)
+    loop.core.hold = core.Hold.optimized
     codes = set()
     for k, (positions, normals, wrench) in enumerate(path(7, 8)):
         loop.place(positions, normals, touching)
