@@ -133,7 +133,7 @@ class EnvConfig(Settings):
             UnknownSettingError: no setting of that name.
             InvalidInputError: all that is wrong with the values.
         """
-        kinds = {item.name: item.metadata["about"].kind for item in fields(self)}
+        kinds = {item.name: all_settings()[item.name].kind for item in fields(self)}
         whole: dict[str, Any] = {}
         parts: dict[str, dict[str, Any]] = {}
         for name, value in settings.items():

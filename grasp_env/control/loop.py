@@ -66,7 +66,6 @@ class ForceLoop:
         # a user's rule without a start says so; a named one has none where the grasp is being lost
         named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
         self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
-        self.objective = Objective(config.solver.force_weight, config.solver.barrier_weight)
         self.dt = 1.0 / config.controller.rate
         self._noise: NoiseRows | None = None
 
@@ -225,7 +224,7 @@ class ForceLoop:
         touching = self.fingers
         try:
             grasp = Grasp.from_contacts(self.seen.points[touching], self.seen.normals[touching], self.friction)
-            start = rule_start(self.optimizer.initial, grasp, self.wrench, self.objective)
+            start = rule_start(self.optimizer.initial, grasp, self.wrench, self.optimizer.objective)
         except self._lost_closure:  # the method says so by its own start
             self._start = None
             return self._core.act(True, adjustment, None, None)

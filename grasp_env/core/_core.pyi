@@ -595,7 +595,7 @@ class Scene:
 class Gather:
     """Numbers that lie in several arrays, clipped, as one new float32 array."""
 
-    def __init__(self, arrays: list, bound: object) -> None:
+    def __init__(self, arrays: Sequence[Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)]], bound: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None:
         """
         C-contiguous float64 arrays, which are read at each call, and a float32 bound for each of their numbers.
         """

@@ -223,7 +223,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._wrenches, self._targets = list(plan.wrench), list(plan.target)
         self._pushes = plan.wrench.tolist() if plan.wrench.any() else [None] * len(plan)
         self._world_pushes = plan.push if plan.push.any() else None
-        item = stage.item
+        item = episode.object
         self._mass = item.mass
         self._object_info = {
             "object_friction": item.friction * scene.config.hand.tip_friction,

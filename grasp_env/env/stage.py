@@ -36,7 +36,6 @@ class Stage:
         gui, visuals: see `Scene`.
 
     Attributes:
-        item: the object held.
         episode: the settings of the episode, with what was drawn for it.
         redrawn: random objects of the last draw that the hand could not hold.
 
@@ -53,9 +52,9 @@ class Stage:
         self._nominal: HandKinematics | None = None
         self._scene: Scene | None = None
         self.redrawn = 0
-        self.episode, self.item = config, config.object
+        self.episode = config
         try:
-            self._hold(self.item)
+            self._hold(config.object)
         except GraspError:
             if self._scene is not None:
                 self._scene.close()
@@ -77,8 +76,9 @@ class Stage:
         scene = self.scene
         if not self.config.randomize:
             scene.set_gravity(np.array(self.config.gravity))
-            if scene.config.object.mass != self.item.mass:  # a payload, which `Scene.reset` does not take off
-                scene.change_object(self.item.mass)
+            mass = self.config.object.mass
+            if scene.config.object.mass != mass:  # a payload, which `Scene.reset` does not take off
+                scene.change_object(mass)
             scene.reset("settled")
             return
         anew = dict(self.config.randomize).keys() & {"object.shape", "object.size"}
@@ -93,7 +93,7 @@ class Stage:
                 else:
                     scene.reset("closed")
                     scene.change_object(drawn.mass, drawn.friction)
-                    self._settle(drawn)
+                    self._settle()
                 return
             except GraspError as error:
                 failed = error
@@ -117,7 +117,7 @@ class Stage:
                 close_hand(self.scene, self._loop)
                 if first:
                     self.scene.keep("closed")
-                self._settle(item)
+                self._settle()
                 if first:
                     self.scene.keep("settled")
                 return
@@ -155,8 +155,7 @@ class Stage:
             clearance=START_CLEARANCE,
         )
 
-    def _settle(self, item: ObjectDescription) -> None:
+    def _settle(self) -> None:
         self._loop.begin(self.scene)
         take_over(self.scene, self._loop)
         self._loop.settling = False
-        self.item = item

@@ -140,7 +140,7 @@ class SimulatedHand(Window):
 
     def _take_hold(self, _: Any = None) -> None:
         """The hand holds the object at rest again, with the mass and friction it had first."""
-        item = self.stage.item
+        item = self.stage.episode.object
         self.stage.set(np.random.default_rng(0))
         self.time, self._open, self._lost, self._gone, self._until = 0.0, 0.0, "", False, time.monotonic()
         self.grip, self.mouse = np.zeros(3), None

@@ -106,115 +106,96 @@ Controller::Outcome outcome(const Controller& controller, nb::handle target, nb:
 }
 static_assert(sizeof(PoseError) == 12 * sizeof(double));
 
-// The keys of `told`, made once.
-enum Key {
-    ITERATIONS,
-    TRIALS,
-    OBJECTIVE,
-    GAP,
-    MARGIN,
-    CLOSURE,
-    CONTACTS,
-    CHANGES,
-    WRENCH,
-    COMMANDED,
-    MEASURED,
-    FORCE_ERROR,
-    TOUCHING,
-    STRAY,
-    SLIP,
-    DRIFT,
-    TILT,
-    PEAK,
-    FOLLOWED,
-    LIMITED,
-    TORQUE_MARGIN,
-    SATURATED,
-    KEYS
-};  // clang-format off
-constexpr const char* NAMES[KEYS] = {
-    "iterations", "trials", "objective", "optimality_gap", "cone_margin", "force_closure", "contacts", "contact_changes", "wrench",
-    "commanded_force", "measured_force", "force_error", "touching", "stray_force", "slip", "drift", "tilt", "peak_torque", "followed",
-    "limited", "torque_margin", "saturated"};  // clang-format on
-PyObject* keys[KEYS];
+// What is told of a step.
+struct Telling {
+    const Controller& c;
+    const Controller::Outcome& outcome;
+    const double* measured;
+    Record solution{const_cast<double*>(c.solution.data())};  // only read
+    bool solved = solution.has_force();
+};
+
+PyObject* new_array(const double* from, std::initializer_list<npy_intp> shape) {
+    PyObject* made = PyArray_SimpleNew(int(shape.size()), shape.begin(), NPY_DOUBLE);
+    if (!made) return nullptr;
+    PyArrayObject* array = reinterpret_cast<PyArrayObject*>(made);
+    std::copy_n(from, PyArray_SIZE(array), static_cast<double*>(PyArray_DATA(array)));
+    return made;
+}
+PyObject* touching(const Controller& c) {
+    npy_intp fingers = c.tree->fingers();
+    PyObject* made = PyArray_SimpleNew(1, &fingers, NPY_BOOL);
+    if (!made) return nullptr;
+    npy_bool* to = static_cast<npy_bool*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(made)));
+    for (int i = 0; i < fingers; ++i) to[i] = c.scene->now.touching[i] > 0.0;
+    return made;
+}
+
 constexpr double LARGEST_GAP = 1e9;  // told instead of an infinite one
+// clang-format off
+constexpr struct { const char* name; PyObject* (*make)(const Telling&); } TOLD[] = {
+    {"iterations", [](const Telling& t) { return PyLong_FromLong(t.c.effort.iterations); }},
+    {"trials", [](const Telling& t) { return PyLong_FromLong(t.c.effort.trials); }},
+    {"objective", [](const Telling& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().objective : 0.0); }},
+    {"optimality_gap", [](const Telling& t) { return PyFloat_FromDouble(t.solved ? std::min(t.solution.gap(), LARGEST_GAP) : 0.0); }},
+    {"cone_margin", [](const Telling& t) { return PyFloat_FromDouble(t.solved ? t.solution.summary().margin : 0.0); }},
+    {"force_closure", [](const Telling& t) { return PyBool_FromLong(t.c.closure); }},
+    {"contacts", [](const Telling& t) { return PyLong_FromLong(std::popcount(t.c.mask)); }},
+    {"contact_changes", [](const Telling& t) { return PyLong_FromLong(t.c.changes); }},
+    {"wrench", [](const Telling& t) { return new_array(t.c.wrench.data(), {6}); }},
+    {"commanded_force", [](const Telling& t) { return new_array(t.c.force.data(), {t.c.tree->fingers(), 3}); }},
+    {"measured_force", [](const Telling& t) { return new_array(t.measured, {t.c.tree->fingers(), 3}); }},
+    {"force_error", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.force_error); }},
+    {"touching", [](const Telling& t) { return touching(t.c); }},
+    {"stray_force", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.stray); }},
+    {"slip", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.slip); }},
+    {"drift", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.drift); }},
+    {"tilt", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.tilt); }},
+    {"peak_torque", [](const Telling& t) { return PyFloat_FromDouble(t.c.peak); }},
+    {"followed", [](const Telling& t) { return PyLong_FromLong(t.c.effort.followed); }},
+    {"limited", [](const Telling& t) { return PyLong_FromLong(t.c.effort.limited); }},
+    {"torque_margin", [](const Telling& t) { return PyFloat_FromDouble(t.c.effort.margin); }},
+    {"saturated", [](const Telling& t) { return PyBool_FromLong(t.c.effort.saturated); }},
+};
+// clang-format on
+PyObject* keys[std::size(TOLD)];  // their names, interned once
 
 nb::typed<nb::dict, nb::str, nb::object> told(const Controller& c, const Controller::Outcome& outcome, nb::handle measured) {
+    const Telling telling{c, outcome, in(measured, c.tree->fingers(), 3).data()};
     nb::dict out;
-    const auto put = [&](Key key, PyObject* value) {
-        const nb::object owned = nb::steal(value);
-        if (!value || PyDict_SetItem(out.ptr(), keys[key], value) < 0) throw nb::python_error();
-    };
-    const auto array = [](int type, std::initializer_list<npy_intp> shape) {
-        PyObject* made = PyArray_SimpleNew(int(shape.size()), shape.begin(), type);
-        if (!made) throw nb::python_error();
-        return std::pair(made, PyArray_DATA(reinterpret_cast<PyArrayObject*>(made)));
-    };
-    const auto numbers = [&](Key key, const double* from, std::initializer_list<npy_intp> shape) {
-        const auto [made, to] = array(NPY_DOUBLE, shape);
-        std::copy_n(from, PyArray_SIZE(reinterpret_cast<PyArrayObject*>(made)), static_cast<double*>(to));
-        put(key, made);
-    };
-    const Py_ssize_t fingers = c.tree->fingers();
-    const Record solution(const_cast<double*>(c.solution.data()));  // only read
-    const bool solved = solution.has_force();
-    put(ITERATIONS, PyLong_FromLong(c.effort.iterations)), put(TRIALS, PyLong_FromLong(c.effort.trials));
-    put(OBJECTIVE, PyFloat_FromDouble(solved ? solution.summary().objective : 0.0));
-    put(GAP, PyFloat_FromDouble(solved ? std::min(solution.gap(), LARGEST_GAP) : 0.0));
-    put(MARGIN, PyFloat_FromDouble(solved ? solution.summary().margin : 0.0));
-    put(CLOSURE, PyBool_FromLong(c.closure));
-    put(CONTACTS, PyLong_FromLong(std::popcount(c.mask))), put(CHANGES, PyLong_FromLong(c.changes));
-    numbers(WRENCH, c.wrench.data(), {6}), numbers(COMMANDED, c.force.data(), {fingers, 3});
-    numbers(MEASURED, in(measured, fingers, 3).data(), {fingers, 3});
-    put(FORCE_ERROR, PyFloat_FromDouble(outcome.force_error));
-    const auto [made, touching] = array(NPY_BOOL, {fingers});
-    for (int i = 0; i < fingers; ++i) static_cast<npy_bool*>(touching)[i] = c.scene->now.touching[i] > 0.0;
-    put(TOUCHING, made);
-    put(STRAY, PyFloat_FromDouble(outcome.stray)), put(SLIP, PyFloat_FromDouble(outcome.slip));
-    put(DRIFT, PyFloat_FromDouble(outcome.drift)), put(TILT, PyFloat_FromDouble(outcome.tilt));
-    put(PEAK, PyFloat_FromDouble(c.peak));
-    put(FOLLOWED, PyLong_FromLong(c.effort.followed)), put(LIMITED, PyLong_FromLong(c.effort.limited));
-    put(TORQUE_MARGIN, PyFloat_FromDouble(c.effort.margin)), put(SATURATED, PyBool_FromLong(c.effort.saturated));
+    for (std::size_t k = 0; k < std::size(TOLD); ++k) {
+        const nb::object value = nb::steal(TOLD[k].make(telling));
+        if (!value || PyDict_SetItem(out.ptr(), keys[k], value.ptr()) < 0) throw nb::python_error();
+    }
     return out;
 }
 
 // Numbers that lie in several arrays, clipped, as float32: an observation.
 class Gather {
 public:
-    Gather(nb::list arrays, nb::handle bound) : bound_(nb::borrow(bound)) {
-        for (nb::handle each : arrays) parts_.push_back(nb::borrow(each));
-        npy_intp size = 0;
-        for (const nb::object& each : parts_) {
-            const PyArrayObject* a = reinterpret_cast<PyArrayObject*>(each.ptr());
-            if (!PyArray_Check(each.ptr()) || PyArray_TYPE(a) != NPY_DOUBLE ||
-                !PyArray_ISCARRAY_RO(const_cast<PyArrayObject*>(a)))
-                throw nb::type_error("C-contiguous float64 arrays are needed");
-            size += PyArray_SIZE(const_cast<PyArrayObject*>(a));
-        }
-        const PyArrayObject* most = reinterpret_cast<PyArrayObject*>(bound_.ptr());
-        if (!PyArray_Check(bound_.ptr()) || PyArray_TYPE(most) != NPY_FLOAT ||
-            PyArray_SIZE(const_cast<PyArrayObject*>(most)) != size)
-            throw nb::type_error("a bound of each number is needed, as float32");
+    using Part = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+    using Bound = nb::ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+    Gather(std::vector<Part> parts, Bound bound) : parts_(std::move(parts)), bound_(std::move(bound)) {
+        std::size_t size = 0;
+        for (const Part& part : parts_) size += part.size();
+        if (bound_.size() != size) throw nb::type_error("a bound of each number is needed, as float32");
     }
     nb::object operator()() const {
-        PyArrayObject* most = reinterpret_cast<PyArrayObject*>(bound_.ptr());
-        npy_intp size = PyArray_SIZE(most);
+        npy_intp size = bound_.size();
         nb::object made = nb::steal(PyArray_SimpleNew(1, &size, NPY_FLOAT));
         if (!made) throw nb::python_error();
-        const float* bound = static_cast<float*>(PyArray_DATA(most));
+        const float* bound = bound_.data();
         float* to = static_cast<float*>(PyArray_DATA(reinterpret_cast<PyArrayObject*>(made.ptr())));
-        for (const nb::object& each : parts_) {
-            PyArrayObject* part = reinterpret_cast<PyArrayObject*>(each.ptr());
-            const double* from = static_cast<double*>(PyArray_DATA(part));
-            for (npy_intp k = 0; k < PyArray_SIZE(part); ++k, ++bound, ++to)
-                *to = std::min(std::max(float(from[k]), -*bound), *bound);
-        }
+        for (const Part& part : parts_)
+            for (std::size_t k = 0; k < part.size(); ++k, ++bound, ++to)
+                *to = std::min(std::max(float(part.data()[k]), -*bound), *bound);
         return made;
     }
 
 private:
-    std::vector<nb::object> parts_;
-    nb::object bound_;
+    std::vector<Part> parts_;
+    Bound bound_;
 };
 
 nb::typed<nb::dict, nb::str, nb::ndarray<>> arrays(nb::handle self) {
@@ -241,10 +222,10 @@ nb::typed<nb::dict, nb::str, nb::ndarray<>> seen(nb::handle self) {
 
 void bind_controller(nb::module_& m) {
     if (_import_array() < 0) throw nb::python_error();
-    for (int k = 0; k < KEYS; ++k)
-        if (!(keys[k] = PyUnicode_InternFromString(NAMES[k]))) throw nb::python_error();
+    for (std::size_t k = 0; k < std::size(TOLD); ++k)
+        if (!(keys[k] = PyUnicode_InternFromString(TOLD[k].name))) throw nb::python_error();
     nb::class_<Gather>(m, "Gather", "Numbers that lie in several arrays, clipped, as one new float32 array.")
-        .def(nb::init<nb::list, nb::handle>(), "arrays"_a, "bound"_a,
+        .def(nb::init<std::vector<Gather::Part>, Gather::Bound>(), "arrays"_a.noconvert(), "bound"_a.noconvert(),
              "C-contiguous float64 arrays, which are read at each call, and a float32 bound for each of their numbers.")
         .def("__call__", &Gather::operator(), nb::sig("def __call__(self) -> numpy.typing.NDArray[numpy.float32]"));
     nb::class_<Body>(m, "Body", "The object as a controller believes it to be, and the pose feedback.")

@@ -72,7 +72,7 @@ public:
           inwards(goals), solution(method.size()), method_(method), motors_(*tree), follow_({method.contacts()}, settings.follow),
           within_(within(method.contacts())), elastic_(tree->fingers()), followed_(follow_.size()), found_(within_.size()),
           last_(found_), apart_(tree->fingers()), before_(force), given_(force), squeezed_(force), adjustment_(force),
-          frames_before_(frames), torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
+          torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
           posture_(force.size() * torques.size()), normal_(int(force.size())), redundant_(is_redundant(*tree)) {
         if (method.contacts().count != tree->fingers())
             throw std::invalid_argument("the method needs one contact of each finger");
@@ -88,7 +88,7 @@ public:
         forget_solution();
         wrench = {}, peak = 0.0, mask = squeezing_ = 0, changes = 0, closure = true;
         begin_step();
-        missing_ = known_ = limited_ = false, fresh_ = true;
+        missing_ = known_ = limited_ = false;
         sensors.reset();
     }
 
@@ -123,16 +123,16 @@ public:
         return true;
     }
     void act(const Step* step = nullptr) {
-        std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), torques.begin());
-        before_ = force, frames_before_ = frames;  // not swapped: Python looks at them
+        before_ = force;  // not swapped: Python looks at it
         std::fill(force.begin(), force.end(), 0.0);
         std::fill(torsion_.begin(), torsion_.end(), 0.0);
         write_frames();
         const bool pushes = hold != Hold::place && hold != Hold::reach && mask;
         closure = mask || hold != Hold::optimized;
         if (step) forget_solution();
-        if (pushes) find_forces(step), push(force.data(), torques);
+        if (pushes) find_forces(step);
         remember(pushes);
+        torques_of(force.data(), torques);
         for (int i = 0; i < tree->fingers(); ++i) {
             if (pushes && mask >> i & 1) continue;
             std::fill(extra_.begin(), extra_.end(), 0.0);
@@ -141,7 +141,6 @@ public:
         }
         if (redundant_) keep_posture();
         cut();
-        fresh_ = false;
     }
     const Snapshot& seen() const { return sensors.seen(); }
 
@@ -208,12 +207,11 @@ private:
     bool limited_ = false,
          exceeding_ = false;  // whether it was made within the limits and is near them; whether it exceeds them least
     std::uint64_t squeezing_ = 0;  // the fingers that `squeezed_` is for
-    bool missing_ = false, fresh_ = true;  // a finger that counts has no force; nothing was commanded before
+    bool missing_ = false;  // a finger that counts has no force
     std::vector<int> apart_;  // (N,) ticks since a finger had force
     Target target_{};
     std::vector<double> before_, given_, squeezed_,
         adjustment_;  // (N, 3): commanded at the last tick; of the agent; internal; object frame
-    std::vector<double> frames_before_;  // of the last tick
     std::vector<double> torsion_;  // (N,) commanded [N m]
     std::vector<double> pull_, extra_, trial_;  // (M,) of `keep_posture`, `add_within`, `fits`
     std::vector<double> push_, posture_;  // of `keep_posture`
@@ -293,7 +291,7 @@ private:
 
     // --- forces
 
-    void forget_solution() { *reinterpret_cast<Summary*>(solution.data()) = {}; }
+    void forget_solution() { Record(solution.data(), tree->fingers()).summary() = {}; }
     // Forces of the fingers in contact into `force` and `torsion_`.
     void find_forces(const Step* step) {
         if (hold == Hold::optimized) {
@@ -303,9 +301,9 @@ private:
                 if (!row.has_force()) return balance_elastically();
                 take(row);
                 if (fits(1.0)) limited_ = false;
-                else keep_limits(known_ && limited_ ? last_.data() : reinterpret_cast<const double*>(&row.summary()));
+                else keep_limits(known_ && limited_ ? last_.data() : (step ? solution : followed_).data());
             }
-            if (!fresh_ && known_) bound_change();
+            if (known_) bound_change();
             return;
         }
         if (hold == Hold::direct && step) std::copy(step->force.begin(), step->force.end(), given_.begin());
@@ -378,9 +376,8 @@ private:
     void remember(bool pushes) {
         known_ = pushes;
         if (!pushes) return;
-        Summary& s = *reinterpret_cast<Summary*>(last_.data());
-        s.code = limited_ && exceeding_ ? LIMITS_EXCEEDED : CONVERGED, s.contacts = tree->fingers();
-        const Record row(last_.data());
+        const Record row(last_.data(), tree->fingers());
+        row.summary().code = limited_ && exceeding_ ? LIMITS_EXCEEDED : CONVERGED, row.summary().contacts = tree->fingers();
         std::copy(force.begin(), force.end(), row.force());
         std::copy(torsion_.begin(), torsion_.end(), row.torsion());
         std::copy(frames.begin(), frames.end(), row.frames());
@@ -407,10 +404,6 @@ private:
     }
     // The least share, from one on, of the way from `kept` to the forces that is within the torque limits if the forces are.
     double within_limits(const Record& kept, double share) {
-        const auto torques_of = [&](const double* forces, std::vector<double>& out) {
-            std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), out.begin());
-            push(forces, out);
-        };
         torques_of(kept.force(), trial_), torques_of(force.data(), extra_);
         for (int j = 0; j < tree->joints(); ++j) {
             const double limit = tree->links[j].torque_limit, from = trial_[j], way = extra_[j] - from;
@@ -454,9 +447,11 @@ private:
 
     // --- torques
 
-    // out (M,) += the torques with which the fingers in contact push with forces (N, 3) [N], contact frames, and their torsion.
-    void push(const double* forces, std::vector<double>& out) const {
+    // out (M,) = the torques that carry the hand and with which the fingers in contact push with forces (N, 3) [N], contact frames, and
+    // their torsion. Forces of no finger: none.
+    void torques_of(const double* forces, std::vector<double>& out) const {
         const Snapshot& s = seen();
+        std::copy(s.gravity_torques.begin(), s.gravity_torques.end(), out.begin());
         touching([&](int i) {
             Point push{0.0, 0.0, 0.0};
             for (int k = 0; k < 3; ++k) push += forces[3 * i + k] * axis(i, k);
@@ -466,8 +461,7 @@ private:
     }
     // Whether the motors can make the forces with a part of their limits, besides carrying the hand.
     bool fits(double part) {
-        std::copy(seen().gravity_torques.begin(), seen().gravity_torques.end(), trial_.begin());
-        push(force.data(), trial_);
+        torques_of(force.data(), trial_);
         for (int j = 0; j < tree->joints(); ++j)
             if (!(std::abs(trial_[j]) <= part * tree->links[j].torque_limit)) return false;
         return true;
