@@ -235,7 +235,7 @@ _MOST_TOLD = 40
 def called(
     function: Callable[..., Any], *given: Any, what: str, takes: str, fault: type[GraspError] = InvalidInputError
 ) -> Any:
-    """What a function of somebody else's returns; where it fails, a `fault` says so of `what`, and what such a function `takes`."""
+    """Calls a user's function and returns its result; any failure becomes a `fault` that names `what` failed and what it `takes`."""
     try:
         return function(*given)
     except GraspError:

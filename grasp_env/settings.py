@@ -34,11 +34,11 @@ ANY, POSITIVE, NOT_NEGATIVE = Range(-1e9, 1e9), Range(1e-9, 1e9), Range(0.0, 1e9
 S = TypeVar("S", bound="Settings")
 _ABOUT = "about"
 _PATH: ContextVar[str] = ContextVar("path", default="")
-"""Where the record that is being made stands, for the names in its messages."""
+"""Path of the record that is being made; error messages name it."""
 
 
 class Kind(NamedTuple):
-    """What a setting may be.
+    """The values that a setting accepts.
 
     Attributes:
         take: (value, name) to the value as it is kept; raises a `GraspError` that has the name.

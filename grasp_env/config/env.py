@@ -37,7 +37,7 @@ KEYWORDS = {
 }
 """The plain keywords of `gym.make`, besides the fields of `EnvConfig`, and the setting that each of them is."""
 _MOST_TICKS = 1_000_000
-"""Of an episode, which is planned as a whole: 0.7 kB each."""
+"""Most control ticks of an episode, which is planned as a whole at 0.7 kB per tick."""
 
 
 def _points(value: Any, name: str) -> tuple[tuple[float, ...], ...]:
@@ -235,7 +235,7 @@ def as_config(config: EnvConfig | dict[str, Any] | str | None) -> EnvConfig:
 
 @cache
 def all_settings() -> dict[str, About]:
-    """What is said of every setting by its path, in order: "hand", "object", "object.shape", ...; of those that share a path the first.
+    """The description of every setting by its path, in order: "hand", "object", "object.shape", ...; of those that share a path the first.
 
     Example:
         >>> about = all_settings()["sensors.delay"]

@@ -1,4 +1,4 @@
-"""What is drawn anew at each reset."""
+"""Randomization: the settings that are drawn anew at each reset."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OBJECT: dict[str, Any] = {
     "object.mass": (0.05, 0.5),
     "object.friction": (0.3, 0.8),
 }
-"""What of the object may be drawn, and the range where none is given; [m], [kg], [1]."""
+"""Settings of the object that may be drawn, with their default ranges [m], [kg], [1]."""
 SHORT = {path.partition(".")[2]: path for path in OBJECT}
 _RECORDS = {"object": ObjectDescription, "sensors": Sensors, "controller": Controller}
 RANDOM = {
@@ -63,11 +63,11 @@ def _rule(path: str, rule: Any) -> Any:
 
 
 RANDOMIZE = Kind(_rules, "names, or dict from paths")
-"""What `EnvConfig.randomize` may be; kept as pairs of path and rule."""
+"""The kind of `EnvConfig.randomize`, which is kept as pairs of path and rule."""
 
 
 def draw(rules: Mapping[str, Any], shape: str, rng: np.random.Generator) -> dict[str, Any]:
-    """What an episode has instead of the settings, by path: the object's first, then the others in their order.
+    """The settings of an episode that are drawn, by path: the object's first, then the others in their order.
 
     As soon as one number of the object is drawn, all are: what is kept of them does not change what is drawn later.
 

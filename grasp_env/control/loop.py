@@ -63,7 +63,7 @@ class ForceLoop:
     def __init__(self, config: EnvConfig, initial_force: str | InitialForceRule) -> None:
         self.config = config
         self.initial_force = initial_force
-        # a user's rule without a start says so; a named one has none where the grasp is being lost
+        # a user's rule that has no start is an error; a named rule has none when the grasp is being lost
         named = (InfeasibleStartError,) if isinstance(initial_force, str) else ()
         self._lost_closure = (InfeasibleWrenchError, RankDeficientGraspError, *named)
         self.dt = 1.0 / config.controller.rate
@@ -122,7 +122,7 @@ class ForceLoop:
 
     @property
     def settling(self) -> bool:
-        """Whether the hand is still taking over the object, which every controller leaves to the optimized one and exact sensors."""
+        """True while the hand takes over the object. Until then every controller uses optimized forces and exact sensors."""
         return self._settling
 
     @settling.setter
@@ -153,7 +153,7 @@ class ForceLoop:
 
     @property
     def closure(self) -> bool:
-        """Whether the contacts could balance the wrench at the last tick."""
+        """True if the contacts could balance the wrench at the last tick."""
         return self._core.closure
 
     @property
@@ -168,7 +168,7 @@ class ForceLoop:
 
     @property
     def effort(self) -> core.Effort:
-        """What solvers and motors were asked since `begin_step`."""
+        """Iterations of the solvers and use of the motors since `begin_step`."""
         return self._core.effort
 
     def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
@@ -176,7 +176,7 @@ class ForceLoop:
         return self._core.outcome(target, error, measured)
 
     def told(self, outcome: core.Outcome, measured: Array) -> dict[str, Any]:
-        """What an environment tells of a step, by name; see `core.Controller.told`."""
+        """The entries of `info` that the core knows, by name; see `core.Controller.told`."""
         return self._core.told(outcome, measured)
 
     def tick(
@@ -225,7 +225,7 @@ class ForceLoop:
         try:
             grasp = Grasp.from_contacts(self.seen.points[touching], self.seen.normals[touching], self.friction)
             start = rule_start(self.optimizer.initial, grasp, self.wrench, self.optimizer.objective)
-        except self._lost_closure:  # the method says so by its own start
+        except self._lost_closure:  # the method reports it from its own start
             self._start = None
             return self._core.act(True, adjustment, None, None)
         force = np.zeros((self.count, 3))
@@ -249,7 +249,7 @@ class ForceLoop:
 
 
 HOLDS = {"optimized": Hold.optimized, "constant_squeeze": Hold.squeeze, "pd": Hold.place}
-"""What the fingers in contact do under each `controller`."""
+"""The behaviour of the fingers in contact under each kind of controller."""
 
 
 def make_optimizer(grasp: Grasp, config: EnvConfig, initial_force: str | InitialForceRule) -> ForceOptimizer:

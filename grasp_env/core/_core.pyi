@@ -733,7 +733,7 @@ class ControlSettings:
 
     @property
     def remembers(self) -> bool:
-        """whether the method is told the last command"""
+        """whether the method receives the last command"""
 
     @remembers.setter
     def remembers(self, arg: bool, /) -> None: ...
@@ -938,7 +938,7 @@ class Controller:
 
     def told(self, outcome: Outcome, measured: object) -> dict[str, object]:
         """
-        What an environment tells of a step, by name: the method's solution, contacts, forces [N], effort, and an outcome with its
+        What an environment reports of a step, by name: the method's solution, contacts, forces [N], effort, and an outcome with its
         measured forces (N, 3); the arrays are copies.
         """
 

@@ -305,7 +305,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What `gym.make` made it from, with the steps after which an episode is truncated: those of `limits.duration`."""
+        """The specification that `gym.make` used; its `max_episode_steps` are those of `limits.duration`."""
         return self._spec
 
     def truncate_after(self, steps: int) -> None:
@@ -354,7 +354,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             self._open = 0.0 if loop.closure else self._open + loop.dt
 
     def _delivered(self, torques: list[float]) -> list[float]:
-        """What the motors make of the commanded torques."""
+        """The torques that the motors deliver for the commanded ones, within their limits."""
         delivered = np.array(torques) * (self._strength * (1.0 + self._noise * self._motor_noise()))
         return np.clip(delivered, -self._torque_limits, self._torque_limits).tolist()
 

@@ -32,7 +32,7 @@ class Stage:
 
     Args:
         config: the settings.
-        loop: the force loop, which is told of every new object.
+        loop: the force loop; it is prepared for every new object.
         gui, visuals: see `Scene`.
 
     Attributes:

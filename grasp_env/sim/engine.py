@@ -78,7 +78,7 @@ class MujocoEngine(Engine):
     rate: int = setting(1000, integer(1), "Steps per simulated second; a multiple of `controller.rate`.", unit="Hz")
     cone: str = setting(
         "elliptic", one_of(("elliptic", "pyramidal")),
-        "Friction cones; a pyramidal one is an inner approximation with four sides, which slips below the friction that it is told.",
+        "Friction cones; a pyramidal one is an inner approximation with four sides, which slips below the given friction.",
     )  # fmt: skip
     impratio: float = setting(10.0, real(_POSITIVE), "Stiffness of friction over that of the normal force.")
     integrator: str = setting("implicitfast", one_of(("implicitfast", "implicit", "Euler")), "Integrator of MuJoCo.")
@@ -100,7 +100,7 @@ class MujocoEngine(Engine):
 ENGINES: dict[str, type[Engine]] = {made.name: made for made in (BulletEngine, MujocoEngine)}
 """All there are; another one is a class here and the file that it names."""
 ENGINE = any_of(ENGINES, Engine, ", or give its settings, BulletEngine(...) or MujocoEngine(...)")
-"""What a setting may be that is an engine."""
+"""The kind of a setting that holds an engine."""
 
 
 def engine_of(engine: Any = None, quiet: bool = False) -> Engine:

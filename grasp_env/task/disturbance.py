@@ -233,4 +233,4 @@ DISTURBANCES: dict[str, type[DisturbanceSettings]] = {
 DISTURBANCE = any_of(
     DISTURBANCES, DisturbanceSettings, ", or give a function f(times, rng, settings) -> (T, 6) wrenches [N, N m]", calls=True
 )  # fmt: skip
-"""What a setting may be that is a disturbance."""
+"""The kind of a setting that holds a disturbance."""

@@ -33,9 +33,9 @@ class Task(Settings):
     """
 
     disturbance: ClassVar[DisturbanceSettings] = NoDisturbance()
-    """What disturbs the object unless settings say otherwise."""
+    """The default disturbance."""
     pushes: ClassVar[bool] = False
-    """Whether it pushes by itself, so that no disturbance may be given."""
+    """True if the task pushes the object itself; then no disturbance may be given."""
     max_drift: ClassVar[float] = 0.02
     """[m] at which the object counts as lost unless settings say otherwise."""
     max_tilt: ClassVar[float] = 0.35
@@ -47,7 +47,7 @@ class Task(Settings):
     duration: ClassVar[Any] = 4.0
     """[s] of an episode, unless given."""
     caption: ClassVar[str] = ""
-    """What is asked, in a few words for a picture, with settings in braces."""
+    """A short description for pictures, with settings in braces."""
 
     def push(self, times: Array, tick: float, mass: float) -> Array:
         """(T, 3) force at the object's centre [N], world frame.
@@ -68,7 +68,7 @@ class Task(Settings):
         return np.ones(len(times))
 
     def succeeded(self, drift: float, tilt: float, failed: bool) -> bool:
-        """Whether an episode that ends here is a success.
+        """Returns True if an episode that ends here is a success.
 
         Args:
             drift: [m] of the object from where it should be.
@@ -159,4 +159,4 @@ class SixDirections(Task):
 TASKS: dict[str, type[Task]] = {made.name: made for made in (Hold, Move, Payload, SixDirections)}
 """The tasks by name."""
 TASK = any_of(TASKS, Task, ", or give its settings, such as Move(motion='lift')")
-"""What a setting may be that is a task."""
+"""The kind of a setting that holds a task."""

@@ -29,7 +29,7 @@ def run(env: FourFingerGrasp, steps: int, seed: int = 0, **options: Any) -> list
 
 
 def record(env: FourFingerGrasp) -> tuple[list[np.ndarray], list[list[float]]]:
-    """What the simulation gets from now on, one per physics step: external wrenches (6,), object frame, and torques."""
+    """Records what the simulation receives at every physics step: external wrenches (6,), object frame, and torques."""
     pushes, commanded, advance = [], [], env.scene.advance
 
     def listen(torques: list[float], wrench: list[float] | None) -> None:

@@ -107,7 +107,7 @@ def test_an_agents_step_is_a_call_of_the_optimizer(method: str, initial: str | N
 
 
 def test_between_two_steps_the_command_is_the_optimum() -> None:
-    """Whatever moved, and whichever fingers touch: Newton from the last command ends at the optimum of now."""
+    """Whatever moved, and whichever fingers touch: Newton from the last command ends at the current optimum."""
     loop, newton = Loop(), ForceOptimizer(GRASP, tolerance=1e-12)
     loop.tick(PAPER_WRENCH, True)
     for k, (positions, normals, wrench) in enumerate(path(1, 30)):

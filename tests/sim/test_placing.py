@@ -77,7 +77,7 @@ def test_two_fingers_pinch_with_soft_contacts() -> None:
 
 
 def test_seeds() -> None:
-    """Where the hand was does not matter."""
+    """The result does not depend on where the hand was."""
     hand = gripper(3, 2)
     moved = hand.moved((1.0, -2.0, 0.5), (0.3, 2.0, -1.0))
     assert place_hand(hand, BALL, seed=1) == place_hand(hand, replace(BALL), seed=1)

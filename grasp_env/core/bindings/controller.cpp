@@ -106,7 +106,7 @@ Controller::Outcome outcome(const Controller& controller, nb::handle target, nb:
 }
 static_assert(sizeof(PoseError) == 12 * sizeof(double));
 
-// What is told of a step.
+// A step, as `told` reports it.
 struct Telling {
     const Controller& c;
     const Controller::Outcome& outcome;
@@ -271,7 +271,7 @@ void bind_controller(nb::module_& m) {
             },
             "tolerance"_a, "limit"_a, "conic"_a = false,
             "What solves between two ticks of the method, Newton or conic: relative certified gap, most steps.")
-        .def_rw("remembers", &ControlSettings::remembers, "whether the method is told the last command")
+        .def_rw("remembers", &ControlSettings::remembers, "whether the method receives the last command")
         .def_rw("directions", &ControlSettings::directions, "(N, 3, K) internal forces of an adjustment, object frame")
         .def_rw("squeeze", &ControlSettings::squeeze, "[N] total normal force of `Hold.squeeze`")
         .def_rw("most_change", &ControlSettings::most_change, "[N] by which a force may change in a tick beyond balance")
@@ -333,10 +333,11 @@ void bind_controller(nb::module_& m) {
         .def("outcome", &outcome, "target"_a, "error"_a, "measured"_a,
              "How the object is held, by the truth: fills the pose error (12,) against a target (19,), and the measured forces\n"
              "(N, 3) in the commanded contact frames [N].")
-        .def("told", &told, "outcome"_a, "measured"_a,
-             "What an environment tells of a step, by name: the method's solution, contacts, forces [N], effort, and an outcome "
-             "with its\n"
-             "measured forces (N, 3); the arrays are copies.")
+        .def(
+            "told", &told, "outcome"_a, "measured"_a,
+            "What an environment reports of a step, by name: the method's solution, contacts, forces [N], effort, and an outcome "
+            "with its\n"
+            "measured forces (N, 3); the arrays are copies.")
         .def("arrays", &arrays, "Views of what is commanded, by name: overwritten in place.")
         .def("seen", &seen, "Views of what is seen, by name: overwritten in place.")
         .def_prop_rw(

@@ -32,7 +32,7 @@ SIZES = {
     "capsule": ("diameter", "total length"),
     "mesh": ("scale",),
 }
-"""What the numbers of a size are."""
+"""The dimensions in the size of each shape."""
 SHAPES = tuple(SIZES)
 SHAPES_WITHOUT_MESH = tuple(shape for shape in SHAPES if shape != "mesh")
 _DEFAULTS = {
@@ -52,7 +52,7 @@ def _numbers(value: Any, name: str) -> tuple[float, ...]:
 
 
 def _moments(value: Any, name: str) -> tuple[float, ...] | None:
-    """Of a body that can exist."""
+    """Principal moments of inertia that a rigid body can have; None for an empty value."""
     if not _numbers(value, name):
         return None
     given = numbers(value, 3, name)

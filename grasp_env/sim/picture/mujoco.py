@@ -105,9 +105,8 @@ class MujocoPainter(Painter):
         scene = self._scene
         if scene is None:
             return
-        reading = (
-            scene.simulator.read()
-        )  # as `Simulator` lays it out: angles, rates, position, x, y, z and w of the quaternion
+        # as `Simulator` lays it out: angles, rates, position, x, y, z and w of the quaternion
+        reading = scene.simulator.read()
         if scene.core is not self._drawn:
             self._build(scene.config.hand, scene.config.object)
             self._drawn = scene.core
@@ -148,9 +147,8 @@ def _gl_context() -> Any:
     if name not in _BACKENDS:
         windowless = "egl" if find_library("EGL") or not find_library("OSMesa") else "osmesa"
         name = windowless if sys.platform.startswith("linux") else "cgl" if sys.platform == "darwin" else "glfw"
-    if find_spec(
-        "triton"
-    ):  # PyTorch's for CUDA brings it; imported after Mesa's software renderer, its other LLVM crashes Python
+    # PyTorch's for CUDA brings triton; imported after Mesa's software renderer, its other LLVM crashes Python
+    if find_spec("triton"):
         import_module("triton")
     try:
         context = import_module(f"mujoco.{name}").GLContext(1, 1)

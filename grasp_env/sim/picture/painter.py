@@ -1,4 +1,4 @@
-"""What draws the bodies of a scene, one class for each physics engine."""
+"""Rendering of the bodies of a scene, one class for each physics engine."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ struct ControlSettings {
     std::vector<Spring> posture;  // (M,) [N m/rad], [N m s/rad]: joints that the tips leave free
     Options follow{.tolerance = 1e-4,
                    .limit = 200};  // what solves after the method, from the last command, and within the torque limits
-    bool remembers = true;  // whether the method is told the last command, for starts that take it
+    bool remembers = true;  // whether the method receives the last command, for starts that use it
     std::vector<double> directions;  // (N, 3, K) [1], object frame: the internal forces of an adjustment
     double squeeze = 0.0;  // [N] total normal force of `Hold::squeeze`
     double most_change = infinity;  // [N] by which a force may change in one tick beyond what balance asks
