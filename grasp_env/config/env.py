@@ -185,6 +185,11 @@ class EnvConfig(Settings):
         """
         return self.override(**draw(dict(self.randomize), self.object.shape, rng))
 
+    @property
+    def hand_description(self) -> HandDescription:
+        """The hand as a description, also where it is given by its name."""
+        return self.hand if isinstance(self.hand, HandDescription) else HANDS[self.hand]()
+
     def to_dict(self) -> dict[str, Any]:
         """All settings as JSON has them, with the version of their schema; `as_config` reads them.
 

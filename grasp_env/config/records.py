@@ -5,12 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from grasp_env import ranges
+from grasp_env.core import Costs
+from grasp_env.errors import InvalidInputError
 from grasp_env.force import METHODS, RULES, InitialForceRule
 from grasp_env.ranges import Range
 from grasp_env.settings import NOT_NEGATIVE, POSITIVE, Kind, Settings, integer, numbers, one_of, real, setting
 
 CONTROLLERS = ("optimized", "constant_squeeze", "pd")
 ACTION_MODES = ("initial_force", "contact_force", "none")
+COSTS = ("iterations", "force", "torque", "force_change")
+"""Costs of a step in the reward; each name is a weight of `Reward` and, after "reward/", a term."""
+MAX_COST = 0.9
+"""Largest share of what a step pays for holding that its costs may take."""
+WEIGHT = Range(0.0, MAX_COST)
+ROUNDING = 1e-12
+"""Rounding by which a sum of weights may exceed its limit."""
 _PIXELS = numbers(2, Range(16, 8192))
 
 
@@ -133,31 +142,69 @@ class Agent(Settings):
 
 @dataclass(frozen=True)
 class Reward(Settings):
-    """Prices of a step.
+    """The reward of a step: `held` * (1 - c), with c the weighted sum of the costs, each from 0 to 1.
+
+    The weights add up to at most `MAX_COST`, so that a step with the object held always pays more than 0: whatever the object, the
+    hand, the method and the discount, holding on pays more than letting go.
 
     Example:
-        >>> Reward(failure_cost=10.0).held
-        1.0
+        >>> Reward(iterations=0.8, force=0.0, torque=0.0, force_change=0.0).failure_cost
+        0.0
+        >>> Reward(iterations=0.8)
+        Traceback (most recent call last):
+        grasp_env.errors.InvalidInputError: the weights of the reward's costs (iterations 0.8, force 0.1, torque 0.1, ... at most 0.9 ...
     """
 
-    held: float = setting(1.0, real(NOT_NEGATIVE), "Per step with the object held.")
-    iteration_cost: float = setting(0.01, real(NOT_NEGATIVE), "Per iteration of the optimization.")
-    force_cost: float = setting(0.01, real(NOT_NEGATIVE), "Per newton of total normal force.", unit="1/N")
-    failure_cost: float = setting(100.0, real(NOT_NEGATIVE), "Once, when the object is lost.")
+    held: float = setting(1.0, real(POSITIVE), "Reward of a step with the object held, before the costs.")
+    iterations: float = setting(
+        0.5,
+        real(WEIGHT),
+        "Weight of the method's iterations as a share of `iteration_scale`; it buys starts near the optimum.",
+    )
+    force: float = setting(
+        0.1, real(WEIGHT),
+        "Weight of the share of the commanded normal forces above the least that balances the wrench; it buys a light grip.",
+    )  # fmt: skip
+    torque: float = setting(
+        0.1, real(WEIGHT),
+        "Weight of the step's largest torque as a share of its limit; it buys distance from saturated motors.",
+    )  # fmt: skip
+    force_change: float = setting(
+        0.1, real(WEIGHT),
+        "Weight of the change of the commanded forces in the step, as a share of the forces before and after; it buys calm fingers.",
+    )  # fmt: skip
+    iteration_scale: float = setting(
+        200.0, real(POSITIVE), "Iterations that cost the whole weight, and beyond which more cost no more."
+    )
+    failure_cost: float = setting(0.0, real(NOT_NEGATIVE), "Cost of the step in which the object is lost.")
 
-    def terms(self, held: bool, iterations: int, total_normal_force: float) -> dict[str, float]:
-        """The terms that add up to a step's reward. No second solve is made for them.
+    def agree(self) -> None:
+        """Holding always pays."""
+        if not sum(weights := [getattr(self, name) for name in COSTS]) <= MAX_COST + ROUNDING:
+            told = ", ".join(f"{name} {weight:g}" for name, weight in zip(COSTS, weights, strict=True))
+            raise InvalidInputError(
+                f"the weights of the reward's costs ({told}) add up to {sum(weights):g}, allowed is at most {MAX_COST:g}, so that "
+                "holding the object always pays: lower one of them"
+            )
+
+    def terms(self, held: bool, iterations: float, costs: Costs | None) -> dict[str, float]:
+        """The terms that add up to a step's reward.
 
         Args:
-            held: whether the object is still held.
-            iterations: of the force optimization in this step.
-            total_normal_force: [N] of the optimized force.
+            held: whether the object is still held; a step that loses it pays -`failure_cost` and nothing else.
+            iterations: of the method in this step.
+            costs: the others; None: none.
         """
-        return {
-            "reward/held": self.held if held else -self.failure_cost,
-            "reward/iterations": -self.iteration_cost * iterations,
-            "reward/force": -self.force_cost * total_normal_force,
+        if not held or costs is None:
+            shares = (0.0,) * len(COSTS)
+        else:
+            shares = (min(1.0, iterations / self.iteration_scale), costs.force, costs.torque, costs.change)
+        paid = self.held if held else 0.0 - self.failure_cost
+        charged = {
+            f"reward/{name}": 0.0 - self.held * getattr(self, name) * share
+            for name, share in zip(COSTS, shares, strict=True)
         }
+        return {"reward/held": paid, **charged}
 
 
 @dataclass(frozen=True)

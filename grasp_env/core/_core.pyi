@@ -848,6 +848,29 @@ class Effort:
     def margin(self) -> float:
         """least distance of a torque from its limit [N m]"""
 
+    @property
+    def share(self) -> float:
+        """largest torque as a share of its limit"""
+
+class Costs:
+    """What an agent's step cost the hand, each from 0 to 1."""
+
+    @property
+    def force(self) -> float:
+        """
+        share of the commanded normal forces above the least that balances the wrench; 1: no force balances it
+        """
+
+    @property
+    def torque(self) -> float:
+        """largest torque of the step as a share of its limit"""
+
+    @property
+    def change(self) -> float:
+        """
+        change of the commanded forces in the step as a share of the forces before and after: sums of |components|
+        """
+
 class Outcome:
     """How the object is held."""
 
@@ -870,10 +893,6 @@ class Outcome:
     @property
     def stray(self) -> float:
         """force of links on the object [N]"""
-
-    @property
-    def total_normal(self) -> float:
-        """sum of the commanded normal forces [N]"""
 
 class Controller:
     """The control loop of a hand: what it sees, and the torques that hold."""
@@ -918,6 +937,11 @@ class Controller:
 
     @property
     def effort(self) -> Effort: ...
+
+    def costs(self) -> Costs:
+        """
+        The costs of the step since `begin_step`, on the contacts that are seen now.
+        """
 
     @property
     def code(self) -> int:

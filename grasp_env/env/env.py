@@ -21,10 +21,10 @@ from grasp_env.config import EnvConfig, as_config
 from grasp_env.control.loop import ForceLoop
 from grasp_env.control.sensing import NoiseRows
 from grasp_env.env.annotate import Annotator
-from grasp_env.env.observation import Observer
+from grasp_env.env.observation import Observer, action_size
 from grasp_env.env.plan import make_plan
 from grasp_env.env.stage import Stage
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown, warn
 from grasp_env.sim import Camera, CameraConfig, Scene
 from grasp_env.sim.engine import class_of
 from grasp_env.sim.picture.annotation import LONGEST, Annotation
@@ -70,7 +70,10 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
       force of least Phi between the linear combination and it.
     - "contact_force" (3N,): the contact forces themselves, no solver: per finger normal in [0, 2 `action_scale`], o and t in
       +-`action_scale`.
-    - "none" (1,): ignored. Controllers that do not optimise, and `conic`, which has no start, ignore "initial_force".
+    - "none" (1,): ignored.
+
+    Where "initial_force" would leave an agent nothing to improve, the environment warns: controllers that do not optimise, `conic`,
+    which has no start, and Newton, which takes as many iterations from any start.
 
     ## Observation space
     `Box(-bound, bound, (83,), float32)` for the four-finger hand, clipped:
@@ -94,8 +97,15 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     `observation="dict"` gives a `Dict` of the same numbers by their keys.
 
     ## Reward
-    `reward.held` while the object is held (or `-failure_cost` once), `- iteration_cost * iterations`,
-    `- force_cost * total normal force`; a step that ends without force closure costs all iterations allowed. Each term stands in `info["reward/..."]`.
+    `reward.held` * (1 - c) while the object is held. c is the sum of four costs, each from 0 to 1 and times its weight in `Reward`:
+
+    - `iterations`: iterations of the method / `iteration_scale`, at most 1; 1 where the contacts cannot balance the wrench.
+    - `force`: the share of the commanded normal forces above the least that balances the wrench; 1 where none does.
+    - `torque`: the largest torque of the step as a share of its limit.
+    - `force_change`: the change of the commanded forces in the step, as a share of the forces before and after.
+
+    The weights add up to at most 0.9, so every step with the object held pays more than 0. The step that loses the object pays
+    -`failure_cost`, by default 0. The terms stand in `info["reward/held"]`, `info["reward/iterations"]`, ... and add up to the reward.
 
     ## Episode end
     Terminated when the object is lost (`info["failure"]`: "dropped", "closure_lost" (no force closure for `limits.max_contact_gap`),
@@ -108,7 +118,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of links on the object) [N], `slip` [m/s],
     `slip_distance` [m], `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `followed` (iterations at
     the control ticks after the step's first), `limited` (iterations of Newton within the torque limits, where a force exceeds them), `torque_margin` (least of limit - |torque| in the step;
-    [N m]), `saturated` (torques were cut: no force within the limits balances the wrench),
+    [N m]), `torque_share` (largest torque of the step as a share of its limit), `saturated` (torques were cut: no force within the limits balances the wrench),
     `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
     the hand could not hold), `failure`, `is_success`, and the reward terms. `agent={"info": "numbers"}` leaves the words out and makes
     arrays of all numbers, which readers of tensors such as torchrl's take.
@@ -159,6 +169,11 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self.config = config = as_config(config).override(**settings).resolved()
         self.metadata = {**self.metadata, "render_fps": config.agent.rate}
         self.render_mode = render_mode
+        if reason := why_idle(config):
+            warn(
+                f"an agent's actions change nothing: {reason}. Leave the method at 'reduced_flow' for an agent that adjusts its start, "
+                "give it the forces with action_mode='contact_force', or say action_mode='none'"
+            )
         self._loop = ForceLoop(config, config.solver.initial_force)
         self._stage: Stage | None = self._new_stage()
         hand = self._stage.kinematics.hand
@@ -172,8 +187,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             block.key: gym.spaces.Box(-block.bound, block.bound, (block.size,)) for block in self._observer.fields
         }
         self.observation_space = gym.spaces.Dict(parts) if self._named else vector
-        sizes = {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}
-        self._action_shape = (sizes[config.agent.action_mode],)
+        self._action_shape = (action_size(config.agent.action_mode, tips),)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
         self._rate, self._ticks_per_step = config.agent.rate, config.controller.rate // config.agent.rate
         limits = config.limits
@@ -245,7 +259,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         external, _ = self._act(scene, 0)
         self._observer.watch(scene.look(), self._loop)
         self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
-        terms = self.config.reward.terms(True, 0, 0.0)
+        terms = self.config.reward.terms(True, 0, None)
         self._observed = self._observe(scene)
         return self._seen(), self._info(scene, terms)
 
@@ -270,11 +284,9 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             self._failure = "simulation_diverged"
         except GraspError:
             self._failure = "force_optimisation"
-        terms = self.config.reward.terms(
-            not self._failure,
-            self._loop.effort.iterations if self._loop.closure else self.config.solver.max_iterations,
-            self._outcome.total_normal,
-        )
+        loop, held = self._loop, not self._failure
+        iterations = loop.effort.iterations if loop.closure else math.inf
+        terms = self.config.reward.terms(held, iterations, loop.costs() if held else None)
         truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
         self._ended = bool(self._failure) or truncated
         info = self._info(scene, terms)
@@ -448,6 +460,21 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
 
     def _new_stage(self) -> Stage:
         return Stage(self.config, self._loop, self.render_mode == "human", self.render_mode is not None)
+
+
+def why_idle(config: EnvConfig) -> str:
+    """Why adjusting the initial force would change nothing; empty where it changes something, or where actions are ignored on purpose."""
+    if config.agent.action_mode != "initial_force":
+        return ""
+    if config.controller.kind != "optimized":
+        return f"controller.kind={config.controller.kind!r} does not optimize"
+    if config.solver.method == "conic":
+        return "method='conic' has no start"
+    if config.object.torsional_friction > 0.0:
+        return "on soft contacts Newton optimizes, which takes as many iterations from any start"
+    if config.solver.method == "newton":
+        return "method='newton' takes as many iterations from any start"
+    return ""
 
 
 def honour_time_limit(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:

@@ -47,6 +47,11 @@ def fields(tips: int = 4, joints: int = 12) -> tuple[Field, ...]:
     )
 
 
+def action_size(mode: str, tips: int) -> int:
+    """Numbers of an action in mode "initial_force", "contact_force" or "none" for a hand of so many tips."""
+    return {"initial_force": max(3 * tips - 6, 1), "contact_force": 3 * tips, "none": 1}[mode]
+
+
 def bounds(tips: int, joints: int) -> NDArray[np.float32]:
     """The bound of each entry; observations are clipped to +-bound."""
     blocks = fields(tips, joints)

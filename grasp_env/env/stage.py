@@ -15,7 +15,6 @@ from grasp_env.sim import HandKinematics, ObjectDescription, Scene, SceneConfig
 from grasp_env.sim.config import START_CLEARANCE
 from grasp_env.sim.engine import engine_of
 from grasp_env.sim.grasping import place_hand, plan_grasp
-from grasp_env.sim.hand.description import HANDS, HandDescription
 
 PLACINGS = 3
 """Places that a hand without its own is tried in, for each object."""
@@ -46,7 +45,7 @@ class Stage:
 
     def __init__(self, config: EnvConfig, loop: ForceLoop, gui: bool, visuals: bool) -> None:
         self.config, self._loop = config, loop
-        self._given = config.hand if isinstance(config.hand, HandDescription) else HANDS[config.hand]()
+        self._given = config.hand_description
         self._fixed = self._given.placed or bool(config.contact_points)
         self._visible = gui, visuals
         self._nominal: HandKinematics | None = None

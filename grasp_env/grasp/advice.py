@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-import warnings
-
 import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.core import ForceOptimizer, codes
-from grasp_env.errors import GraspWarning
+from grasp_env.errors import warn
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 LARGEST_LENGTH = 5.0
@@ -52,10 +49,7 @@ def warn_of(grasp: Grasp) -> None:
     """
     contacts = grasp.contacts
     if contacts.length > LARGEST_LENGTH or contacts.outwards:
-        level, frame = 1, sys._getframe()
-        while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("grasp_env."):
-            level, frame = level + 1, frame.f_back
-        warnings.warn("; ".join([*_normals(grasp), *_sizes(grasp)]), GraspWarning, stacklevel=level)
+        warn("; ".join([*_normals(grasp), *_sizes(grasp)]))
 
 
 def _squeezes(grasp: Grasp) -> bool:

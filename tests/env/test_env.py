@@ -241,16 +241,6 @@ def test_a_constant_wrench_of_the_reset():
     env.close()
 
 
-def test_reward_is_the_sum_of_its_terms_and_punishes_iterations():
-    env = FourFingerGrasp()
-    env.reset(seed=0)
-    _, reward, _, _, info = env.step(ZERO)
-    assert reward == pytest.approx(sum(info[key] for key in info if key.startswith("reward/")))
-    assert info["reward/iterations"] == pytest.approx(-0.01 * info["iterations"])
-    assert info["reward/force"] == pytest.approx(-0.01 * info["commanded_force"][:, 0].sum())
-    env.close()
-
-
 def test_pictures_change_nothing_and_copies_are_equal():
     env = FourFingerGrasp(render_mode="rgb_array", disturbance="random", randomize=("mass",))
     copy, rows = pickle.loads(pickle.dumps(env)), []

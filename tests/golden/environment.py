@@ -54,14 +54,9 @@ def first_tick(seed: int, learned: bool = False, adjust: float = 0.0, **settings
         assert env.action_space.shape is not None
         with torques_of(env) as told:
             action = np.full(env.action_space.shape, adjust, dtype=np.float32)
-            observed, reward, _, _, info = env.step(action)
+            observed, _, _, _, info = env.step(action)
         rows += [_array("torques", told[0]), _array("observation", observed), *_of_info("after a tick", info)]
-        rows.append(
-            _array(
-                "peak torque and reward but for iterations",
-                [info["peak_torque"], float(reward) - info["reward/iterations"]],
-            )
-        )
+        rows.append(_array("peak torque", [info["peak_torque"]]))
         # not the status: rounding decides whether a solve to the last digit stalls
         names = (info["failure"], info["object_shape"], str(info["contacts"]))
         rows.append(Outcome("ends", ", ".join(names)))

@@ -155,6 +155,7 @@ constexpr struct { const char* name; PyObject* (*make)(const Telling&); } TOLD[]
     {"followed", [](const Telling& t) { return PyLong_FromLong(t.c.effort.followed); }},
     {"limited", [](const Telling& t) { return PyLong_FromLong(t.c.effort.limited); }},
     {"torque_margin", [](const Telling& t) { return PyFloat_FromDouble(t.c.effort.margin); }},
+    {"torque_share", [](const Telling& t) { return PyFloat_FromDouble(t.c.effort.share); }},
     {"saturated", [](const Telling& t) { return PyBool_FromLong(t.c.effort.saturated); }},
 };
 // clang-format on
@@ -291,15 +292,21 @@ void bind_controller(nb::module_& m) {
         .def_ro("followed", &Effort::followed, "iterations at control ticks between two of the method's")
         .def_ro("limited", &Effort::limited, "iterations of Newton within the torque limits, where a force exceeded them")
         .def_ro("saturated", &Effort::saturated, "whether torques had to be cut")
-        .def_ro("margin", &Effort::margin, "least distance of a torque from its limit [N m]");
+        .def_ro("margin", &Effort::margin, "least distance of a torque from its limit [N m]")
+        .def_ro("share", &Effort::share, "largest torque as a share of its limit");
+    nb::class_<Costs>(m, "Costs", "What an agent's step cost the hand, each from 0 to 1.")
+        .def_ro("force", &Costs::force,
+                "share of the commanded normal forces above the least that balances the wrench; 1: no force balances it")
+        .def_ro("torque", &Costs::torque, "largest torque of the step as a share of its limit")
+        .def_ro("change", &Costs::change,
+                "change of the commanded forces in the step as a share of the forces before and after: sums of |components|");
     using Outcome = Controller::Outcome;
     nb::class_<Outcome>(m, "Outcome", "How the object is held.")
         .def_ro("drift", &Outcome::drift, "[m] from where it should be")
         .def_ro("tilt", &Outcome::tilt, "[rad] from how it should stand")
         .def_ro("force_error", &Outcome::force_error, "largest component of measured - commanded force [N]")
         .def_ro("slip", &Outcome::slip, "fastest touching tip on the object [m/s]")
-        .def_ro("stray", &Outcome::stray, "force of links on the object [N]")
-        .def_ro("total_normal", &Outcome::total_normal, "sum of the commanded normal forces [N]");
+        .def_ro("stray", &Outcome::stray, "force of links on the object [N]");
     nb::class_<Controller>(m, "Controller", "The control loop of a hand: what it sees, and the torques that hold.")
         .def_static(
             "make",
@@ -326,6 +333,7 @@ void bind_controller(nb::module_& m) {
         .def_rw("hold", &Controller::hold, "What the fingers in contact do.")
         .def("begin_step", &Controller::begin_step, "An agent's step begins.")
         .def_ro("effort", &Controller::effort)
+        .def("costs", &Controller::costs, "The costs of the step since `begin_step`, on the contacts that are seen now.")
         .def_prop_ro(
             "code", [](const Controller& c) { return int(c.code()); }, "How the method's last solve ended.")
         .def_ro("closure", &Controller::closure, "Whether a force was found at the last tick that optimized.")

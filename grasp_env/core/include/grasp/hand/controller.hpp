@@ -32,6 +32,14 @@ struct Effort {
     int limited = 0;   // iterations of Newton within the torque limits, where a force exceeded them
     bool saturated = false;  // torques had to be cut: no force within the limits balances the wrench, or none was found
     double margin = infinity;  // least distance of a torque from its limit [N m]
+    double share = 0.0;  // largest torque as a share of its limit
+};
+
+// What an agent's step cost the hand, each from 0 to 1.
+struct Costs {
+    double force;   // share of the commanded normal forces above the least that balances the wrench; 1: no force balances it
+    double torque;  // largest torque of the step as a share of its limit
+    double change;  // change of the commanded forces in the step as a share of the forces before and after: sums of |components|
 };
 
 // What the fingers in contact do.
@@ -70,8 +78,9 @@ public:
         : scene(std::move(given)), tree(scene->tree), settings(settings), sensors(scene, sensing), torques(tree->joints()),
           force(3 * tree->fingers()), frames(9 * tree->fingers()), depths(tree->fingers()), home(torques), goals(tree->fingers()),
           inwards(goals), solution(method.size()), method_(method), motors_(*tree), follow_({method.contacts()}, settings.follow),
-          within_(within(method.contacts())), elastic_(tree->fingers()), followed_(follow_.size()), found_(within_.size()),
-          last_(found_), apart_(tree->fingers()), before_(force), given_(force), squeezed_(force), adjustment_(force),
+          within_(within(method.contacts())), least_({method.contacts()}, {.method = Method::conic, .tolerance = 1e-4}),
+          elastic_(tree->fingers()), followed_(follow_.size()), found_(within_.size()), cheapest_(least_.size()), last_(found_),
+          apart_(tree->fingers()), before_(force), began_(force), given_(force), squeezed_(force), adjustment_(force),
           torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
           posture_(force.size() * torques.size()), normal_(int(force.size())), redundant_(is_redundant(*tree)) {
         if (method.contacts().count != tree->fingers())
@@ -94,17 +103,17 @@ public:
 
     // What is known at a control tick.
     struct Known {
-        Doubles reading;         // of the simulator or the hand, see `Reading`; none: the scene stands as it was read
+        Doubles reading;  // of the simulator or the hand, see `Reading`; none: the scene stands as it was read
         const double* external;  // (6,) wrench on the object as a perfect sensor would tell it [N, N m], object frame
-        const double* noise;     // (3 + 3N,) standard normal numbers where sensors are noisy
-        Point gravity;           // [m/s^2], world
+        const double* noise;  // (3 + 3N,) standard normal numbers where sensors are noisy
+        Point gravity;  // [m/s^2], world
         Target target;
     };
     // What an agent does in its step, which begins at this tick. All may be left out.
     struct Step {
         Doubles adjustment{};  // (K,) [N] along `settings.directions`: added to the start, which is then repaired
         Start start = Start::standard;  // of the method: its own, or `given`
-        Doubles force{};       // (N, 3) [N], contact frames: that start, or with `Hold::direct` what is commanded
+        Doubles force{};  // (N, 3) [N], contact frames: that start, or with `Hold::direct` what is commanded
     };
     // One control tick, from a reading to `torques`, within the motors' limits. step: where an agent's step begins. False: the reading is not
     // finite or the object is lost; nothing has changed.
@@ -145,7 +154,21 @@ public:
     const Snapshot& seen() const { return sensors.seen(); }
 
     // An agent's step begins: its effort is counted anew.
-    void begin_step() { effort = {}; }
+    void begin_step() { effort = {}, began_ = force; }
+    // The costs of the step since `begin_step`, on the contacts that are seen now.
+    Costs costs() {
+        double total = 0.0, moved = 0.0, both = 0.0;
+        for (int i = 0; i < tree->fingers(); ++i) total += force[3 * i];
+        for (std::size_t j = 0; j < force.size(); ++j)
+            moved += std::abs(force[j] - began_[j]), both += std::abs(force[j]) + std::abs(began_[j]);
+        Costs out{.force = closure ? 0.0 : 1.0, .torque = std::min(effort.share, 1.0), .change = both > 0.0 ? moved / both : 0.0};
+        if (closure && total > 0.0) {
+            least_.solve({.wrench = wrench.data(), .now = contacts()}, cheapest_.data());
+            const Record row(cheapest_.data());
+            out.force = row.has_force() ? std::max(0.0, 1.0 - row.summary().objective / total) : 1.0;
+        }
+        return out;
+    }
     // How the method's last solve ended.
     Code code() const { return Code(int(reinterpret_cast<const Summary*>(solution.data())->code)); }
 
@@ -163,7 +186,6 @@ public:
         double force_error = 0.0;  // largest component of measured - commanded force [N]
         double slip = 0.0;  // fastest touching tip on the object [m/s]
         double stray = 0.0;  // force of links on the object [N]
-        double total_normal = 0.0;  // sum of the commanded normal forces [N]
     };
     // measured: (N, 3) receives the measured forces in the commanded contact frames [N]
     Outcome outcome(const Target& target, double* measured) const {
@@ -176,14 +198,13 @@ public:
                 measured[j] = dot(axis(i, a), now.forces[i]);
                 out.force_error = std::max(out.force_error, std::abs(measured[j] - force[j]));
             }
-            out.total_normal += force[3 * i];
             if (now.touching[i] > 0.0) out.slip = std::max(out.slip, now.slip[i]);
         }
         return out;
     }
 
 private:
-    static constexpr double NEAR = 0.9;   // of a torque limit: below, limits are left out of the next tick
+    static constexpr double NEAR = 0.9;  // of a torque limit: below, limits are left out of the next tick
     static constexpr double LIGHT = 1e-2;  // [N] of a finger that lands, times the friction
     static constexpr double ROUNDED = 1e-9;  // of a torque limit: rounding by which it may be passed
 
@@ -201,8 +222,9 @@ private:
     Motors motors_;
     std::vector<double> jacobian_;  // (N, 3 or 6, J) object frame; before what is made with it
     ForceOptimizer follow_, within_;  // what goes on after the method, on the cones alone; Newton within the motors' limits
+    ForceOptimizer least_;  // the least sum of normal forces
     ElasticBalance elastic_;
-    std::vector<double> followed_, found_, last_;  // rows of the two, and of the last command
+    std::vector<double> followed_, found_, cheapest_, last_;  // rows of the three, and of the last command
     bool known_ = false;  // whether there is a last command
     bool limited_ = false,
          exceeding_ = false;  // whether it was made within the limits and is near them; whether it exceeds them least
@@ -210,8 +232,8 @@ private:
     bool missing_ = false;  // a finger that counts has no force
     std::vector<int> apart_;  // (N,) ticks since a finger had force
     Target target_{};
-    std::vector<double> before_, given_, squeezed_,
-        adjustment_;  // (N, 3): commanded at the last tick; of the agent; internal; object frame
+    std::vector<double> before_, began_, given_, squeezed_,
+        adjustment_;  // (N, 3): commanded at the last tick, and before the step; of the agent; internal; object frame
     std::vector<double> torsion_;  // (N,) commanded [N m]
     std::vector<double> pull_, extra_, trial_;  // (M,) of `keep_posture`, `add_within`, `fits`
     std::vector<double> push_, posture_;  // of `keep_posture`
@@ -483,7 +505,9 @@ private:
             const double limit = tree->links[j].torque_limit, asked = std::abs(torques[j]);
             effort.saturated = effort.saturated || asked > limit * (1.0 + ROUNDED);
             torques[j] = std::min(std::max(torques[j], -limit), limit);
-            peak = std::max(peak, std::abs(torques[j])), effort.margin = std::min(effort.margin, limit - std::abs(torques[j]));
+            const double used = std::abs(torques[j]);
+            peak = std::max(peak, used), effort.margin = std::min(effort.margin, limit - used);
+            effort.share = std::max(effort.share, used / limit);
         }
     }
 
