@@ -14,17 +14,18 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from grasp_env._files import WEIGHTS, as_path, digest, parsed, read_bytes, unpacked
-from grasp_env.env.observation import bounds
+from grasp_env.env.observation import action_size, bounds
 from grasp_env.errors import ModelFileError
 from policies.checkpoint import signature
 
-SCHEMA = "grasp-force/rl-agent/2"
+SCHEMA = "grasp-force/rl-agent/3"
 ENV_ID = "FourFingerGrasp-v0"
 META = "agent.json"
 STEM = "step-"
-ACTION_SIZES = {"initial_force": 6, "contact_force": 12}
-"""Of the four-finger hand, by action mode."""
-OBSERVATION_SIZE = len(bounds(4, 12))
+ACTIONS = ("initial_force", "contact_force")
+"""Action modes that agents are trained for."""
+LARGEST_HAND = 1000
+"""Fingers and joints of a hand are below it."""
 _AGAIN = "copy the whole folder again, or train anew with `grasp rl`"
 
 
@@ -120,13 +121,18 @@ def read_meta(folder: Path) -> dict[str, Any]:
         raise ModelFileError(
             f"agent {file} was trained on {meta.get('env_id')!r}, this version has {ENV_ID!r}: train anew"
         )
-    if meta.get("observation_size") != OBSERVATION_SIZE:
+    if meta.get("action") not in ACTIONS:
+        raise ModelFileError(f"agent {file} acts as {meta.get('action')!r}; known: {', '.join(ACTIONS)}")
+    tips, joints = meta.get("fingers"), meta.get("joints")
+    if not (
+        isinstance(tips, int) and isinstance(joints, int) and 0 < tips < LARGEST_HAND and 0 < joints < LARGEST_HAND
+    ):
+        raise ModelFileError(f"agent {file} is for a hand of {tips!r} fingers and {joints!r} joints: {_AGAIN}")
+    shown, needed = len(bounds(tips, joints)), action_size(meta["action"], tips)
+    if (meta.get("observation_size"), meta.get("action_size")) != (shown, needed):
         raise ModelFileError(
-            f"agent {file} sees {meta.get('observation_size')!r} numbers, {ENV_ID} shows {OBSERVATION_SIZE}: train anew"
-        )
-    if not isinstance(meta.get("action"), str) or meta.get("action_size") != ACTION_SIZES.get(meta["action"]):
-        raise ModelFileError(
-            f"agent {file} gives {meta.get('action_size')!r} numbers as {meta.get('action')!r}; known: {ACTION_SIZES}"
+            f"agent {file} goes from {meta.get('observation_size')!r} numbers to {meta.get('action_size')!r}; {ENV_ID} shows {shown} "
+            f"of such a hand and takes {needed}: train anew"
         )
     body = {name: value for name, value in meta.items() if name != "sha256"}
     if meta.get("sha256") != signature(body):

@@ -123,6 +123,7 @@ COLUMNS: dict[str, Column] = {
     "force_error": Column("real", "measured minus commanded contact force, mean over the episode", "N", False, _MEAN),
     "stray_force": Column("real", "largest force by links that are no fingertips", "N", False, ("max",)),
     "peak_torque": Column("real", "largest joint torque", "N m", False, ("mean", "max")),
+    "torque_share": Column("real", "largest joint torque of a step as a share of its limit, mean over the episode", "", False, _MEAN),
     "torque_margin": Column("real", "least distance of a torque from its limit", "N m", False, ("mean", "min")),
     "limited": Column("whole", "ticks in which a torque limit was active", "", False, ("mean", "sum")),
     "saturated": Column("real", "share of the steps in which a torque was cut", "", False, ("mean", "max")),

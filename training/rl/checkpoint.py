@@ -13,8 +13,6 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from grasp_env.errors import InvalidInputError
 from policies.agent_files import (
-    ACTION_SIZES,
-    OBSERVATION_SIZE,
     find_checkpoint,
     read_arrays,
     read_meta,
@@ -70,8 +68,7 @@ class Training:
         meta = {
             "algorithm": config.algorithm,
             "action": config.action,
-            "observation_size": OBSERVATION_SIZE,
-            "action_size": ACTION_SIZES[config.action],
+            **config.sizes,
             "seed": self.seed,
             "config": asdict(config),
             "env_settings": config.env_settings,
@@ -124,7 +121,7 @@ def check_space(out: Path, config: RLConfig) -> None:
     Raises:
         InvalidInputError: too little free space.
     """
-    row = 4 * (2 * OBSERVATION_SIZE + ACTION_SIZES[config.action] + 3)
+    row = 4 * (2 * config.sizes["observation_size"] + config.sizes["action_size"] + 3)
     buffer = min(config.buffer, config.steps) * row if config.algorithm == "sac" else 0
     need = _SPARE + 2 * buffer * len(config.seeds)
     free = shutil.disk_usage(out).free

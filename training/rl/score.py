@@ -58,6 +58,7 @@ def outcome(steps: list[Step], solver: bool = True) -> dict[str, Any]:
         "return": sum(step.reward for step in steps),
         "mean_iterations": sum(int(info["iterations"]) for info in infos) / len(infos) if solver else None,
         "commanded_force": sum(float(info["commanded_force"][:, 0].sum()) for info in infos) / len(infos),
+        "torque_share": sum(float(info["torque_share"]) for info in infos) / len(infos),
         "drift": 1e3 * max(float(info["drift"]) for info in infos) if held else None,
         "end_drift": 1e3 * float(infos[-1]["drift"]),
     }

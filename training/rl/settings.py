@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 from grasp_env._check import choice, instance, number, whole
 from grasp_env.errors import InvalidInputError
 from training.results.run import check_counts
-
-PRICES: dict[str, float] = {"held": 1.0, "iteration_cost": 0.01, "force_cost": 0.01, "failure_cost": 10.0}
-"""The environment's own, but for `failure_cost`, 100 there. With the paper's start a step pays 1 for holding, costs about 0.55
-in iterations and 0.07 in force; all but the iterations is nearly the same whatever the start, because the forces converge to
-the same optimum. Losing the object costs 10 and all that holding would still have paid."""
 
 HELD_OUT_SEED = 1_000_000
 """First seed of the episodes that score agents; training draws its seeds from 2**30 on."""
@@ -26,6 +22,8 @@ class RLConfig:
 
     Attributes:
         algorithm: ppo or sac, stable-baselines3's.
+        env: JSON of the environment's settings, as keywords of `gym.make`: {"hand": "allegro", "shape": "sphere", "size": [0.06]}.
+            Unless it says otherwise, the default cuboid under a random wrench, with the paper's start and flow.
         action: initial_force (adjusts the solver's start; zero is the paper) or contact_force (no solver).
         steps: environment steps per seed, rounded up to whole updates.
         seed: of everything random in training.
@@ -47,6 +45,7 @@ class RLConfig:
 
     algorithm: Literal["ppo", "sac"] = "ppo"
     action: Literal["initial_force", "contact_force"] = "initial_force"
+    env: str = "{}"
     steps: int = 150_000
     seed: int = 0
     seeds: tuple[int, ...] = ()
@@ -100,7 +99,27 @@ class RLConfig:
 
     @property
     def env_settings(self) -> dict[str, Any]:
-        """The environment's settings, as `EnvConfig.to_dict`: the default cuboid under a random wrench, the paper's start and flow."""
+        """The environment's settings, as `EnvConfig.to_dict`.
+
+        Raises:
+            InvalidInputError: `env` is no JSON of settings, or these make no environment.
+        """
         from grasp_env.config import EnvConfig  # it needs the extra sim
 
-        return EnvConfig().override(disturbance="random", action_mode=self.action, reward=PRICES).to_dict()
+        try:
+            given = json.loads(self.env)
+        except ValueError as error:
+            raise InvalidInputError(f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}') from None
+        settings = {"disturbance": "random", **instance(given, dict, "env")}
+        return EnvConfig().override(**settings, action_mode=self.action).to_dict()
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Fingers and joints of the hand, and the numbers that an agent is shown and gives."""
+        from grasp_env.config import as_config
+        from grasp_env.env.observation import action_size, bounds
+
+        hand = as_config(self.env_settings).hand_description
+        fingers, joints = hand.finger_count, hand.joint_count
+        shown, given = len(bounds(fingers, joints)), action_size(self.action, fingers)
+        return {"fingers": fingers, "joints": joints, "observation_size": shown, "action_size": given}

@@ -73,7 +73,8 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
         took = {"training_steps": meta["steps"], "seconds": meta["seconds"], "cpu_seconds": meta["cpu_seconds"]}
         besides = [{"case": "curve", **row} for row in meta["curve"]] + [{"case": "training", **took}]
     else:
-        policy, settings = ZeroPolicy(), RLConfig().env_settings
+        config = replace(config, action="initial_force")
+        policy, settings = ZeroPolicy(config.sizes["action_size"]), config.env_settings
         rule = {"learned": LearnedInitialForce.pretrained, "previous": lambda: "previous"}.get(name, lambda: None)()
         if name == "zero":
             along = score(policy, settings, range(CURVE_SEED, CURVE_SEED + config.curve_episodes))
@@ -93,12 +94,13 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", conso
         console: for the progress; None: stderr.
 
     Raises:
-        InvalidInputError: the folder cannot be written, holds another or a finished run, or its disk is too full.
+        InvalidInputError: no such environment; the folder cannot be written, holds another or a finished run, or its disk is too full.
         ModelFileError: a checkpoint to go on from that is damaged.
         KeyboardInterrupt: interrupted; every seed in training saves its last update.
     """
     console = console or Console(stderr=True)
     config = config.resolved()
+    settings = config.env_settings
     folders = {seed: out / f"seed-{seed}" for seed in config.seeds}
     begun = [folder for folder in folders.values() if checkpoints(folder / FOLDER)]
     if resume:
@@ -120,7 +122,7 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", conso
     if resume and not begun:
         raise ModelFileError(f"{out} holds no checkpoint of seeds {config.seeds}: leave --resume out")
     check_space(out, config)
-    run.write_json("config.json", {**asdict(config), "env_settings": config.env_settings})
+    run.write_json("config.json", {**asdict(config), "env_settings": settings})
     name = f"{config.algorithm}/{config.action}"
     shards = {folder.name: Shard(name, config, folder.absolute(), seed) for seed, folder in folders.items()}
     return _finish(run, shards, config, on or ("inline" if len(shards) == 1 else "processes"), console)
