@@ -16,7 +16,7 @@ def _register() -> bool:
     if not hasattr(registration, "register"):
         return False
     if "FourFingerGrasp-v0" not in registration.registry:  # type: ignore[union-attr]
-        last = registration.WrapperSpec("honour_time_limit", "grasp_env.env.env:honour_time_limit", {})  # type: ignore[union-attr]
+        last = registration.WrapperSpec("finish", "grasp_env.env.env:finish", {})  # type: ignore[union-attr]
         registration.register(  # type: ignore[union-attr]
             id="FourFingerGrasp-v0", entry_point="grasp_env.env:FourFingerGrasp", additional_wrappers=(last,)
         )

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import gymnasium as gym
 import numpy as np
@@ -23,7 +24,7 @@ from grasp_env._check import positive
 from grasp_env._extras import need
 from grasp_env._files import replacing
 from grasp_env.env.annotate import FAILURES
-from grasp_env.errors import InvalidInputError
+from grasp_env.errors import GraspWarning, InvalidInputError
 from grasp_env.force import InitialForceRule
 from policies import Policy
 from training.data.episodes import episode
@@ -96,7 +97,10 @@ def record(
     if not out.absolute().parent.is_dir():
         raise InvalidInputError(f"the folder {out.absolute().parent} does not exist: make it first")
     ending = Ending()
-    env = gym.make(env_id, render_mode="rgb_array", **settings)
+    with catch_warnings():
+        if policy is None:  # nobody acts
+            simplefilter("ignore", GraspWarning)
+        env = gym.make(env_id, render_mode="rgb_array", **settings)
     frames = _frames(env, seed, policy, out.suffix == ".png", ending)
     with closing(env), closing(frames), replacing(out) as temporary:
         _write(temporary, frames)

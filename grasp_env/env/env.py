@@ -72,7 +72,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
       +-`action_scale`.
     - "none" (1,): ignored.
 
-    Where "initial_force" would leave an agent nothing to improve, the environment warns: controllers that do not optimise, `conic`,
+    Where "initial_force" would leave an agent nothing to improve, `gym.make` warns: controllers that do not optimise, `conic`,
     which has no start, and Newton, which takes as many iterations from any start.
 
     ## Observation space
@@ -169,11 +169,6 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self.config = config = as_config(config).override(**settings).resolved()
         self.metadata = {**self.metadata, "render_fps": config.agent.rate}
         self.render_mode = render_mode
-        if reason := why_idle(config):
-            warn(
-                f"an agent's actions change nothing: {reason}. Leave the method at 'reduced_flow' for an agent that adjusts its start, "
-                "give it the forces with action_mode='contact_force', or say action_mode='none'"
-            )
         self._loop = ForceLoop(config, config.solver.initial_force)
         self._stage: Stage | None = self._new_stage()
         hand = self._stage.kinematics.hand
@@ -477,15 +472,24 @@ def why_idle(config: EnvConfig) -> str:
     return ""
 
 
-def honour_time_limit(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """The last thing that `gym.make` calls: an episode lasts as long as its `max_episode_steps` say, shorter or longer than the task's.
+def finish(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """The last thing that `gym.make` calls.
+
+    An episode lasts as long as its `max_episode_steps` say, shorter or longer than the task's. Where actions change nothing, it warns.
 
     Args:
         env: with Gymnasium's wrappers.
     """
     made, layer = env.unwrapped, env
+    if not isinstance(made, FourFingerGrasp):
+        return env
+    if reason := why_idle(made.config):
+        warn(
+            f"an agent's actions change nothing: {reason}. Leave the method at 'reduced_flow' for an agent that adjusts its start, "
+            "give it the forces with action_mode='contact_force', or say action_mode='none'"
+        )
     while isinstance(layer, gym.Wrapper):
-        if isinstance(layer, gym.wrappers.TimeLimit) and isinstance(made, FourFingerGrasp):
+        if isinstance(layer, gym.wrappers.TimeLimit):
             made.truncate_after(layer._max_episode_steps)  # `layer.spec` says it, too, and would keep the old settings
         layer = layer.env
     return env

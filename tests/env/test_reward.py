@@ -5,6 +5,7 @@ from __future__ import annotations
 import gymnasium as gym
 import numpy as np
 import pytest
+from env.reward_trial import BALL, POLICIES, faults, tried
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -142,5 +143,19 @@ def test_making_an_environment_in_which_actions_change_nothing_warns(settings, r
     [{}, {"initial_force": "previous"}, {"method": "newton", "action_mode": "none"}, {"action_mode": "contact_force"}],
 )
 def test_an_environment_in_which_actions_matter_does_not_warn(settings, recwarn):
-    FourFingerGrasp(**settings).close()
+    gym.make("grasp_env:FourFingerGrasp-v0", **settings).close()
     assert not recwarn.list
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"shape": "capsule"}, {"hand": "allegro", **BALL}, {"shape": "sphere", "method": "newton"}],
+    ids=("capsule", "allegro", "newton"),
+)
+def test_the_zero_policy_earns_more_than_policies_that_drop(settings):
+    """Three of the settings of `reward_trial.py`."""
+    rows = list(tried("here", settings, POLICIES, range(1)))
+    assert not faults(rows)
+    assert {row.policy: row.failures for row in rows}["let go"] == "dropped"
+    assert rows[0].failures == "held"
+    assert rows[0].mean > 40.0
