@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from grasp_env import ranges
-from grasp_env.core import Costs
 from grasp_env.errors import InvalidInputError
 from grasp_env.force import METHODS, RULES, InitialForceRule
 from grasp_env.ranges import Range
@@ -187,18 +187,15 @@ class Reward(Settings):
                 "holding the object always pays: lower one of them"
             )
 
-    def terms(self, held: bool, iterations: float, costs: Costs | None) -> dict[str, float]:
+    def terms(self, held: bool, iterations: float, costs: Sequence[float]) -> dict[str, float]:
         """The terms that add up to a step's reward.
 
         Args:
             held: whether the object is still held; a step that loses it pays -`failure_cost` and nothing else.
             iterations: of the method in this step.
-            costs: the others; None: none.
+            costs: the others of `COSTS`, in their order, from 0 to 1.
         """
-        if not held or costs is None:
-            shares = (0.0,) * len(COSTS)
-        else:
-            shares = (min(1.0, iterations / self.iteration_scale), costs.force, costs.torque, costs.change)
+        shares = (min(1.0, iterations / self.iteration_scale), *costs) if held else (0.0,) * len(COSTS)
         paid = self.held if held else 0.0 - self.failure_cost
         charged = {
             f"reward/{name}": 0.0 - self.held * getattr(self, name) * share

@@ -171,9 +171,10 @@ class ForceLoop:
         """Iterations of the solvers and use of the motors since `begin_step`."""
         return self._core.effort
 
-    def costs(self) -> core.Costs:
-        """The costs of the step since `begin_step`, for a reward; see `core.Costs`."""
-        return self._core.costs()
+    def costs(self) -> tuple[float, float, float]:
+        """Force, torque and change of force since `begin_step`, as costs from 0 to 1 for a reward; see `core.Costs`."""
+        found = self._core.costs()
+        return found.force, found.torque, found.change
 
     def outcome(self, target: Array, error: Array, measured: Array) -> core.Outcome:
         """How the object is held, by the truth; see `core.Controller.outcome`."""

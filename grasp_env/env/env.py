@@ -32,6 +32,9 @@ from grasp_env.sim.picture.overlay import room
 from grasp_env.sim.picture.painter import Painter
 from grasp_env.task.disturbance import name_of
 
+NOTHING = (0.0, 0.0, 0.0)
+"""Costs of force, torque and change of force where no step was taken, or the object was lost."""
+
 
 class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     """The fingers of a hand hold an object while wrenches act on it, or move it.
@@ -254,7 +257,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         external, _ = self._act(scene, 0)
         self._observer.watch(scene.look(), self._loop)
         self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
-        terms = self.config.reward.terms(True, 0, None)
+        terms = self.config.reward.terms(True, 0, NOTHING)
         self._observed = self._observe(scene)
         return self._seen(), self._info(scene, terms)
 
@@ -281,7 +284,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             self._failure = "force_optimisation"
         loop, held = self._loop, not self._failure
         iterations = loop.effort.iterations if loop.closure else math.inf
-        terms = self.config.reward.terms(held, iterations, loop.costs() if held else None)
+        terms = self.config.reward.terms(held, iterations, loop.costs() if held else NOTHING)
         truncated = not self._failure and self._tick >= self._step_limit * self._ticks_per_step
         self._ended = bool(self._failure) or truncated
         info = self._info(scene, terms)

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from grasp_env.config.records import COSTS, MAX_COST, Reward
-from grasp_env.core import Costs
 from grasp_env.env.env import FourFingerGrasp
 from grasp_env.errors import GraspWarning, InvalidInputError
 from grasp_env.force import ForceOptimizer
@@ -18,13 +17,6 @@ from grasp_env.grasp import Grasp
 
 ZERO = np.zeros(6, dtype=np.float32)
 share = st.floats(0.0, 1.0)
-
-
-class Found:
-    """Costs of a step that nobody took."""
-
-    def __init__(self, force: float, torque: float, change: float) -> None:
-        self.force, self.torque, self.change = force, torque, change
 
 
 @st.composite
@@ -44,9 +36,7 @@ def rewards(draw: st.DrawFn) -> Reward:
     gamma=st.floats(0.0, 1.0, exclude_min=True),
 )  # fmt: skip
 def test_holding_one_step_longer_pays_more_than_letting_go_now(reward, iterations, force, torque, change, gamma):
-    costs: Costs = Found(force, torque, change)  # type: ignore[assignment]
-    held = reward.terms(True, iterations, costs)
-    dropped = reward.terms(False, iterations, costs)
+    held, dropped = (reward.terms(kept, iterations, (force, torque, change)) for kept in (True, False))
     now, later = sum(dropped.values()), sum(held.values()) + gamma * sum(dropped.values())
     assert held.keys() == dropped.keys() == {"reward/held", *(f"reward/{name}" for name in COSTS)}
     assert later > now
