@@ -23,7 +23,7 @@ from grasp_env._files import replacing
 from training.report import holds, starts
 from training.report.page import cell, claims_of, module_of
 from training.report.reproduce import RULES
-from training.report.rl import AGENTS
+from training.report.rl import AGENTS, SPEEDS, place
 from training.report.starts import pair
 from training.results.claims import Judged, judge
 from training.results.run import Run
@@ -152,14 +152,40 @@ def table_one() -> str:
 
 def rl() -> str:
     """Agents beside the paper's start, the previous solution and the learned start."""
-    means = chosen(saved("rl")[0], "case == 'held_out'").set_index("agent")
-    zero = means.loc["zero", "mean_iterations_median"]
-    made = [
-        {"policy": label, "held": f"{row['held_sum']:.0f} of {row['n']}",
-         "iterations, median / p95 / p99": " / ".join(cell(row[f"iterations_{part}"]) for part in ("median", "p95", "p99")),
-         "of the paper's": row["mean_iterations_median"] / zero, "return, interquartile mean": row["return_iqm"]}
-        for agent, (label, _) in AGENTS.items() if agent in means.index for row in [means.loc[agent]]
-    ]  # fmt: skip
+    means, made = chosen(saved("rl")[0], "case == 'held_out'"), []
+    for environment in means["environment"].unique():
+        here = means[means["environment"] == environment].set_index("agent")
+        zero = here.loc["zero"]
+        for agent, (label, _) in AGENTS.items():
+            if agent not in here.index:
+                continue
+            row = here.loc[agent]
+            saved_parts = (
+                1.0 - row[f"{name}_mean"] / zero[f"{name}_mean"] for name in ("commanded_force", "torque_share")
+            )
+            made.append({
+                "environment": place(environment), "policy": label, "held": f"{row['held_sum']:.0f} of {row['n']}",
+                "iterations, median / p95 / p99": " / ".join(cell(row[f"iterations_{part}"]) for part in ("median", "p95", "p99")),
+                "of the paper's": row["mean_iterations_median"] / zero["mean_iterations_median"],
+                "force; torque saved [%]": "; ".join(f"{100.0 * part:.2f}" for part in saved_parts),
+                "return, interquartile mean": row["return_iqm"],
+            })  # fmt: skip
+    return markdown("rl", pd.DataFrame(made))
+
+
+def rl_speed() -> str:
+    """Steps per second, and what the trainings took."""
+    means, made = saved("rl")[0], []
+    for environment in chosen(means, "case == 'with training'")["environment"].unique():
+        here = means[means["environment"] == environment]
+        for agent, (label, _) in AGENTS.items():
+            mine = here[here["agent"] == agent].set_index("case")
+            if "with training" in mine.index:
+                made.append({
+                    "environment": place(environment), "agent": label,
+                    **{f"steps/s, {case}": round(mine.loc[case, "per_second_median"]) for case in SPEEDS},
+                    "longest training [s of a core]": round(mine.loc["training", "cpu_seconds_max"]),
+                })  # fmt: skip
     return markdown("rl", pd.DataFrame(made))
 
 
@@ -208,7 +234,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps),
     "starts_claims": asked("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
     "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),
-    "step_rules": step_rules, "table_one": table_one, "rl": rl,
+    "step_rules": step_rules, "table_one": table_one, "rl": rl, "rl_speed": rl_speed,
 }  # fmt: skip
 
 

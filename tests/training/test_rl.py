@@ -22,6 +22,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 import policies.agent_files
 import policies.checkpoint
 import training.rl.checkpoint
+import training.rl.speed
 import training.rl.train
 from grasp_env.config import EnvConfig, as_config
 from grasp_env.env.env import FourFingerGrasp
@@ -42,6 +43,8 @@ TINY: dict[str, Any] = {
     "steps": 96, "envs": 2, "episodes": 2, "curve_points": 1, "curve_episodes": 1, "rollout": 48, "warmup": 32,
     "buffer": 200, "checkpoint_every": 48,
 }  # fmt: skip
+
+BALL = '{"hand": "allegro", "shape": "sphere", "size": [0.06], "friction": 0.7, "mass": 0.15}'
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +116,7 @@ def test_the_page_is_made_of_the_rows(ppo):
     label = {name: told for name, (told, _) in page.AGENTS.items()}
     scores, trained = (
         function(rows, summary(rows)).set_index(head)
-        for (_, _, function), head in zip(page.TABLES, ("policy", "seed"), strict=True)
+        for (_, _, function), head in zip(page.TABLES[:2], ("policy", "seed"), strict=True)
     )
     assert scores.index.tolist() == [label[name] for name in ("zero", "learned", "previous", "ppo/initial_force")]
     assert scores.loc[label["ppo/initial_force"], "held"].startswith("4 of 4 [")
@@ -274,14 +277,30 @@ def test_a_finished_run_says_so_and_others_are_refused(ppo, sac, tmp_path, capsy
         train(RLConfig(**TINY), tmp_path / "new", resume=True)
 
 
-def test_runs_are_compared_in_one_report(ppo, sac, tmp_path, capsys):
+def test_runs_are_compared_in_one_report(ppo, sac, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(training.rl.speed, "STEPS", 48)
+    ball = tmp_path / "ball"
+    train(RLConfig(**TINY, env=BALL), ball)
     arguments = ["rl", "--on", "inline", "--episodes", "1", "--compare"]
-    assert main([*arguments, str(ppo), "--out", str(tmp_path / "all")]) == 0
+    assert main([*arguments, str(ppo), str(ball), "--out", str(tmp_path / "all")]) == 0
     rows, about = Run(tmp_path / "all").load()
     held_out = rows[rows["case"] == "held_out"]
-    assert held_out[held_out["agent"] == "ppo/initial_force"]["training_seed"].unique().tolist() == [0, 3]
+    agents = held_out[held_out["agent"] == "ppo/initial_force"].groupby("environment")["training_seed"].unique()
+    assert {place: seeds.tolist() for place, seeds in agents.items()} == {"{}": [0, 3], BALL: [0]}
     assert held_out["seed"].unique().tolist() == [HELD_OUT_SEED]
-    assert [one["seed"] for one in about["agents"]] == [0, 3]
+    assert held_out.groupby("environment")["agent"].nunique().to_dict() == {
+        "{}": 4,
+        BALL: 4,
+    }  # each beside its own paper
+    assert [one["seed"] for one in about["agents"]] == [0, 3, 0]
+    assert rows[rows["case"] == "with training"].groupby("environment")["per_second"].count().to_dict() == {
+        "{}": 3,
+        BALL: 3,
+    }
+    scores, _, speed = (function(rows, summary(rows)) for _, _, function in page.TABLES)
+    assert scores["environment"].unique().tolist() == ["cuboid", "sphere, allegro"]
+    assert (speed[list(page.SPEEDS)] > 0).all(axis=None)
+    assert len(page.CLAIMS[0].values(summary(rows))) == 2  # in both environments
     assert main([*arguments, str(sac), "--out", str(tmp_path / "none")]) == 2  # it never finished
     assert "is not a finished run" in capsys.readouterr().err
 
@@ -421,12 +440,11 @@ def test_wrong_settings(wrong):
 
 
 def test_an_agent_is_trained_in_any_environment(tmp_path):
-    settings = {"hand": "allegro", "shape": "sphere", "size": [0.06], "friction": 0.7, "mass": 0.15}
-    config = RLConfig(**TINY, env=json.dumps(settings)).resolved()
+    config = RLConfig(**TINY, env=BALL).resolved()
     assert config.sizes == {"fingers": 4, "joints": 16, "observation_size": 87, "action_size": 6}
     train(config, tmp_path / "run")
     agent = TrainedAgent.load(tmp_path / "run" / "seed-0")
-    made = EnvConfig().override(disturbance="random", **settings)
+    made = EnvConfig().override(disturbance="random", **json.loads(BALL))
     assert as_config(agent.meta["env_settings"]) == made
     rows = pd.read_parquet(tmp_path / "run" / "rows.parquet")
     assert set(rows[rows["case"] == "held_out"]["agent"]) == {"ppo/initial_force", "zero", "learned", "previous"}

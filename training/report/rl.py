@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 from training.report.page import axes
 from training.results.claims import Claim
 from training.results.statistics import iqm, iqm_interval, ratio_interval
-from training.results.table import chosen, pd
+from training.results.table import pd
 from training.results.words import number, percent
 
 AGENTS = {
@@ -23,6 +24,8 @@ AGENTS = {
     "sac/contact_force": ("SAC, contact forces, no solver", "#7a4fa3"),
 }
 """Label and colour of what is scored, in the order of the tables."""
+SPEEDS = ("environment alone", "with inference", "with training")
+"""Cases of what is measured in steps per second."""
 TITLE = "Agents beside the paper's start"
 INTRO = (
     "Agents on FourFingerGrasp-v0 are compared with what learns nothing: a policy that does nothing, which is the paper's start, the "
@@ -40,10 +43,20 @@ CLAIMS = tuple(
 )  # fmt: skip
 
 
-def _by_agent(rows: pd.DataFrame, case: str) -> dict[str, Any]:
-    """The rows of every agent, in the order of `AGENTS`."""
-    found: Any = chosen(rows, f"case == '{case}'")
+def _environments(rows: pd.DataFrame) -> list[str]:
+    return rows["environment"].dropna().unique().tolist()
+
+
+def _by_agent(rows: pd.DataFrame, case: str, environment: str) -> dict[str, Any]:
+    """The rows of every agent in one environment, in the order of `AGENTS`."""
+    found: Any = rows[(rows["case"] == case) & (rows["environment"] == environment)]
     return {agent: found[found["agent"] == agent] for agent in AGENTS if (found["agent"] == agent).any()}
+
+
+def place(environment: str) -> str:
+    """An environment's settings in a few words: "sphere, allegro"; the default is a cuboid."""
+    given = json.loads(environment)
+    return ", ".join([given.get("shape", "cuboid"), *([str(given["hand"])] if "hand" in given else [])])
 
 
 def _interval(value: float, low: float, high: float) -> str:
@@ -51,64 +64,109 @@ def _interval(value: float, low: float, high: float) -> str:
 
 
 def scores_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
-    """Held, iterations, force, drift and return of everything that played the held-out episodes."""
-    several = {agent: steps[steps["held"].notna()] for agent, steps in _by_agent(rows, "held_out").items()}
-    iterations = {agent: ends.groupby("seed")["mean_iterations"].mean() for agent, ends in several.items()}
+    """Held, iterations, force, torque, drift and return of everything that played the held-out episodes."""
     out = []
-    for agent, found in _by_agent(summary, "held_out").items():
-        row, ends = found.iloc[0], several[agent]
-        told = {"policy": AGENTS[agent][0], "training seeds": ends["training_seed"].nunique() or None}
-        rates = percent(row["held_rate_low"]), percent(row["held_rate_high"])
-        told["held"] = f"{row['held_sum']:.0f} of {len(ends)} [{', '.join(rates)}]"
-        if iterations[agent].notna().all():  # a solver runs
-            counts = (number(row[f"iterations_{part}"]) for part in ("median", "p95", "p99"))
-            pairs = (iterations[name].to_numpy(float) for name in (agent, "zero"))
-            told |= {"iterations per step": " / ".join(counts), "of the paper's": _interval(*ratio_interval(*pairs))}
-        force = (row[f"commanded_force_{part}"] for part in ("mean", "mean_low", "mean_high"))
-        told |= {"squeeze [N]": _interval(*force), "largest drift [mm]": row.get("drift_mean")}
-        # training seeds and episodes are drawn anew, so that an agent's interval is over both
-        returns = ends.fillna({"training_seed": -1}).pivot_table("return", "training_seed", "seed").to_numpy(float)
-        out.append(told | {"return": _interval(iqm(returns), *iqm_interval(returns))})
+    for environment in _environments(rows):
+        played = _by_agent(rows, "held_out", environment)
+        several = {agent: steps[steps["held"].notna()] for agent, steps in played.items()}
+        iterations = {agent: ends.groupby("seed")["mean_iterations"].mean() for agent, ends in several.items()}
+        for agent, found in _by_agent(summary, "held_out", environment).items():
+            row, ends = found.iloc[0], several[agent]
+            told = {
+                "environment": place(environment), "policy": AGENTS[agent][0],
+                "training seeds": ends["training_seed"].nunique() or None,
+            }  # fmt: skip
+            rates = percent(row["held_rate_low"]), percent(row["held_rate_high"])
+            told["held"] = f"{row['held_sum']:.0f} of {len(ends)} [{', '.join(rates)}]"
+            if iterations[agent].notna().all():  # a solver runs
+                counts = (number(row[f"iterations_{part}"]) for part in ("median", "p95", "p99"))
+                pairs = (iterations[name].to_numpy(float) for name in (agent, "zero"))
+                told |= {
+                    "iterations per step": " / ".join(counts),
+                    "of the paper's": _interval(*ratio_interval(*pairs)),
+                }
+            force = (row[f"commanded_force_{part}"] for part in ("mean", "mean_low", "mean_high"))
+            told |= {
+                "squeeze [N]": _interval(*force), "torque, share of the limit": row["torque_share_mean"],
+                "largest drift [mm]": row.get("drift_mean"),
+            }  # fmt: skip
+            # training seeds and episodes are drawn anew, so that an agent's interval is over both
+            returns = ends.fillna({"training_seed": -1}).pivot_table("return", "training_seed", "seed").to_numpy(float)
+            out.append(told | {"return": _interval(iqm(returns), *iqm_interval(returns))})
     return pd.DataFrame(out)
 
 
 def training_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
     """Steps and time of every training, and what changed along it."""
     out = []
-    for agent, trained in _by_agent(rows, "training").items():
-        curves = chosen(rows, "case == 'curve'")
-        for _, row in trained.iterrows():
-            mine: Any = curves[(curves["agent"] == agent) & (curves["training_seed"] == row["training_seed"])]
-            told = {
-                "agent": AGENTS[agent][0], "seed": row["training_seed"], "environment steps": row["training_steps"],
-                "seconds": row["seconds"], "of processor": row["cpu_seconds"],
-                "steps per processor second": round(row["training_steps"] / max(row["cpu_seconds"], 1e-9)),
-            }  # fmt: skip
-            for name, label in (("mean_iterations", "iterations"), ("return", "return")):
-                means = mine.groupby("training_steps")[name].mean().dropna().tolist()
-                told[f"{label}, first → last"] = f"{number(means[0])} → {number(means[-1])}" if means else None
-            out.append(told)
+    for environment in _environments(rows):
+        curves = _by_agent(rows, "curve", environment)
+        for agent, trained in _by_agent(rows, "training", environment).items():
+            for _, row in trained.iterrows():
+                mine: Any = curves[agent][curves[agent]["training_seed"] == row["training_seed"]]
+                told = {
+                    "environment": place(environment), "agent": AGENTS[agent][0], "seed": row["training_seed"],
+                    "environment steps": row["training_steps"], "seconds": row["seconds"], "of processor": row["cpu_seconds"],
+                    "steps per processor second": round(row["training_steps"] / max(row["cpu_seconds"], 1e-9)),
+                }  # fmt: skip
+                for name, label in (("mean_iterations", "iterations"), ("return", "return")):
+                    means = mine.groupby("training_steps")[name].mean().dropna().tolist()
+                    told[f"{label}, first → last"] = f"{number(means[0])} → {number(means[-1])}" if means else None
+                out.append(told)
+    return pd.DataFrame(out)
+
+
+def speed_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
+    """Steps per second of the environments alone, with an agent that acts and with one that trains."""
+    out = []
+    for environment in _environments(rows):
+        for agent, (label, _) in AGENTS.items():
+            rates = {
+                case: found[agent]["per_second_median"].iloc[0]
+                for case in SPEEDS
+                if agent in (found := _by_agent(summary, case, environment))
+            }
+            if rates:
+                out.append(
+                    {
+                        "environment": place(environment),
+                        "agent": label,
+                        **{case: round(rate) for case, rate in rates.items()},
+                    }
+                )
     return pd.DataFrame(out)
 
 
 def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure | None:
-    """A mean against environment steps: every seed thin, their mean thick, the zero policy dashed."""
-    curves = _by_agent(rows.assign(length=rows["step"] + 1), "curve")
-    agents = {agent: found for agent, found in curves.items() if agent != "zero" and agent.endswith(ending)}
-    if not agents:
+    """A mean against environment steps, a panel for each environment: every seed thin, their mean thick, the zero policy dashed."""
+    rows = rows.assign(length=rows["step"] + 1)
+    shown = {environment: _by_agent(rows, "curve", environment) for environment in _environments(rows)}
+    shown = {
+        name: curves
+        for name, curves in shown.items()
+        if any(agent.endswith(ending) for agent in curves if agent != "zero")
+    }
+    if not shown:
         return None
-    figure, panel = axes(3.2)
-    for agent, found in agents.items():
-        told, colour = AGENTS[agent]
-        lines = [one.groupby("training_steps")[column].mean() for _, one in found.groupby("training_seed")]
-        for line in lines:
-            panel.plot(line, color=colour, linewidth=0.7, alpha=0.55)
-        steps = np.linspace(0.0, min(line.index[-1] for line in lines), 60)
-        mean = np.mean([np.interp(steps, line.index.to_numpy(float), line.to_numpy(float)) for line in lines], axis=0)
-        panel.plot(steps, mean, color=colour, linewidth=2.2, label=told)
-    panel.axhline(curves["zero"][column].mean(), color="black", linestyle="--", label=AGENTS["zero"][0])
-    panel.set(xlabel="environment steps", ylabel=label, xlim=(0, None))
-    panel.legend(fontsize=8.5, frameon=False)
+    figure, panels = axes(3.2, columns=len(shown))
+    for panel, (environment, curves) in zip(np.atleast_1d(panels), shown.items(), strict=True):
+        for agent, found in curves.items():
+            if agent == "zero" or not agent.endswith(ending):
+                continue
+            told, colour = AGENTS[agent]
+            lines = [one.groupby("training_steps")[column].mean() for _, one in found.groupby("training_seed")]
+            for line in lines:
+                panel.plot(line, color=colour, linewidth=0.7, alpha=0.55)
+            steps = np.linspace(0.0, min(line.index[-1] for line in lines), 60)
+            mean = np.mean(
+                [np.interp(steps, line.index.to_numpy(float), line.to_numpy(float)) for line in lines], axis=0
+            )
+            panel.plot(steps, mean, color=colour, linewidth=2.2, label=told)
+        panel.axhline(curves["zero"][column].mean(), color="black", linestyle="--", label=AGENTS["zero"][0])
+        panel.set(xlabel="environment steps", title=place(environment), xlim=(0, None))
+    first = np.atleast_1d(panels)[0]
+    first.set(ylabel=label)
+    first.legend(fontsize=8.5, frameon=False)
     return figure
 
 
@@ -124,7 +182,8 @@ TABLES = (
     ("Scores on the held-out episodes", "Iterations: median / p95 / p99, and of the paper's: ratio of the medians per episode. Return: "
      "interquartile mean. Intervals are 95 %: Wilson for the rate, bootstrap for the rest. Agents see the wrench of one control tick "
      "ago; the solver, with the learned start and the previous solution, sees the current one. Agents without solver make no "
-     "iterations.", scores_table),
+     "iterations. Where the shipped learned start does not know the contacts, the paper's start takes over.", scores_table),
     ("Training, every seed", "Seconds are of training alone, without the scores along the curve, on one thread; other programs shared "
      "the cores where the two differ.", training_table),
+    ("Steps per second", "All environments of a training together, on one core that did nothing else: median of three rounds.", speed_table),
 )  # fmt: skip

@@ -46,6 +46,7 @@ COLUMNS: dict[str, Column] = {
     "hand": _key("name of the hand"),
     "engine": _key("physics engine and its settings"),
     "controller": _key("what commands the fingers"),
+    "environment": _key("settings of the agents' environment as JSON; {} is the default cuboid under a random wrench"),
     "agent": _key("trained policy, or what stands in its place"),
     "start": _key("start of the optimisation; empty for a method that takes none"),
     "method": _key("optimisation method, or solver"),

@@ -31,6 +31,7 @@ from training.rl.agent import build, first_seed, make_envs
 from training.rl.checkpoint import FOLDER, Training, check_settings, check_space
 from training.rl.score import score
 from training.rl.settings import CURVE_SEED, HELD_OUT_SEED, RLConfig
+from training.rl.speed import speeds
 
 BASELINES = ("zero", "learned", "previous")
 """Policies that agents are compared with: the paper's start, as the zero policy; the shipped learned start; the previous solution."""
@@ -63,7 +64,7 @@ def rows_of(shard: Shard, bar: Progress | None = None) -> pd.DataFrame:
         episodes), and one of what the training took ("training").
     """
     config, name, folder = shard.config, shard.name, shard.folder
-    who, besides = {"agent": name}, list[dict[str, Any]]()
+    who, besides = {"environment": config.env, "agent": name}, list[dict[str, Any]]()
     if folder is not None:
         if shard.seed is not None:
             train_seed(config, folder, shard.seed, bool(checkpoints(folder / FOLDER)), bar, folder.parent / STOP)
@@ -129,7 +130,7 @@ def train(config: RLConfig, out: Path, resume: bool = False, on: str = "", conso
 
 
 def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "", console: Console | None = None) -> Run:
-    """Scores the agents of all seeds of some runs beside each other.
+    """Scores the agents of all seeds of some runs beside each other, and measures how fast they act and train, alone in this process.
 
     Args:
         folders: of runs of `grasp rl`.
@@ -145,18 +146,33 @@ def compare(folders: Sequence[Path], out: Path, config: RLConfig, on: str = "", 
     metas = {seed: read_meta(find_checkpoint(seed)) for folder in runs for seed in sorted(folder.glob("seed-*"))}
     if not metas:
         raise InvalidInputError(f"no trained agent in {', '.join(map(str, folders))}: name folders of `grasp rl`")
-    # the zero policy's curve is of the episodes that the agents' were
-    config = replace(config.resolved(), curve_episodes=int(next(iter(metas.values()))["config"]["curve_episodes"]))
-    shards = {
-        str(seed): Shard(f"{meta['algorithm']}/{meta['action']}", config, seed.absolute())
-        for seed, meta in metas.items()
-    }
-    return _finish(Run.create(out.parent, out.name), shards, config, on or "processes", console)
+    config, shards = config.resolved(), dict[str, Shard]()
+    for seed, meta in metas.items():  # the zero policy's curve is of the episodes that the agents' were
+        kept = {
+            name: meta["config"][name] for name in ("algorithm", "action", "env", "envs", "rollout", "curve_episodes")
+        }
+        mine = replace(config, **kept, learning_rate=0.0, gamma=-1.0, deviation=0.0).resolved()
+        shards[str(seed)] = Shard(f"{meta['algorithm']}/{meta['action']}", mine, seed.absolute())
+    run = Run.create(out.parent, out.name)
+    kinds = {(shard.config.env, shard.name): shard.config for shard in shards.values()}
+    times = [] if config.quick else [
+        {"environment": env, "agent": name, **row} for (env, name), kind in kinds.items() for row in speeds(kind)
+    ]  # fmt: skip
+    return _finish(run, shards, config, on or "processes", console, times)
 
 
-def _finish(run: Run, shards: dict[str, Shard], config: RLConfig, on: str, console: Console | None) -> Run:
-    """Trains and scores agents and baselines, and saves the run."""
-    every, stop = shards | {name: Shard(name, config) for name in BASELINES}, run.path(STOP)
+def _finish(
+    run: Run,
+    shards: dict[str, Shard],
+    config: RLConfig,
+    on: str,
+    console: Console | None,
+    more: Sequence[dict[str, Any]] = (),
+) -> Run:
+    """Trains and scores agents, and the baselines in the same environments, and saves the run."""
+    worlds = {shard.config.env: shard.config for shard in shards.values()}
+    baselines = {f"{name} {env}": Shard(name, world) for env, world in worlds.items() for name in BASELINES}
+    every, stop = shards | baselines, run.path(STOP)
     stop.unlink(missing_ok=True)
     if on == "inline":
         with progress(console) as bar:  # which shows steps, too
@@ -168,6 +184,8 @@ def _finish(run: Run, shards: dict[str, Shard], config: RLConfig, on: str, conso
         except KeyboardInterrupt:
             stop.touch()
             raise
+    if more:
+        rows = join([rows, table(more)])
     metas = [read_meta(find_checkpoint(shard.folder)) for shard in shards.values() if shard.folder]
     told = ("algorithm", "action", "seed", "steps", "config", "env_settings", "provenance")
     agents = [{key: meta[key] for key in told} for meta in metas]
