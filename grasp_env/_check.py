@@ -7,6 +7,8 @@ Text, booleans, complex numbers, dates and masked entries are no numbers, though
 from __future__ import annotations
 
 import math
+import sys
+import warnings
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from numbers import Real
@@ -17,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from grasp_env import ranges
 from grasp_env.core import LARGEST, all_finite
-from grasp_env.errors import GraspError, InvalidInputError, UnknownNameError, shown
+from grasp_env.errors import GraspError, GraspWarning, InvalidInputError, UnknownNameError, shown
 from grasp_env.ranges import Range
 
 if TYPE_CHECKING:
@@ -339,3 +341,11 @@ def _text(shape: Shape | None) -> str:
         return "(...)"
     parts = ["N" if want is None else str(want) for want in shape]
     return f"({', '.join(parts)}{',' if len(parts) == 1 else ''})"
+
+
+def warn(message: str) -> None:
+    """Issues a `GraspWarning` at the line that called this package, be it through Gymnasium."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("grasp_env.", "gymnasium.")):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, GraspWarning, stacklevel=level)

@@ -7,8 +7,6 @@ says what was given, what is allowed and how to mend it.
 from __future__ import annotations
 
 import re
-import sys
-import warnings
 from collections.abc import Callable, Iterable
 from reprlib import Repr
 from typing import Any
@@ -126,14 +124,6 @@ def _told(kind: type[GraspError], message: str, attributes: dict[str, Any]) -> G
 
 class GraspWarning(UserWarning):
     """Input that is valid but looks like a mistake; `grasp_env.grasp.advise` says more of contacts."""
-
-
-def warn(message: str) -> None:
-    """Issues a `GraspWarning` at the line that called this package, be it through Gymnasium."""
-    level, frame = 2, sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("grasp_env.", "gymnasium.")):
-        level, frame = level + 1, frame.f_back
-    warnings.warn(message, GraspWarning, stacklevel=level)
 
 
 class RankDeficientGraspError(GraspError):

@@ -16,7 +16,7 @@ with need("sim"):
     from gymnasium.envs.registration import EnvSpec
     from gymnasium.utils import EzPickle
 
-from grasp_env._check import Array, as_array, as_wrench, choice, instance, whole
+from grasp_env._check import Array, as_array, as_wrench, choice, instance, warn, whole
 from grasp_env.config import EnvConfig, as_config
 from grasp_env.control.loop import ForceLoop
 from grasp_env.control.sensing import NoiseRows
@@ -24,7 +24,7 @@ from grasp_env.env.annotate import Annotator
 from grasp_env.env.observation import Observer, action_size
 from grasp_env.env.plan import make_plan
 from grasp_env.env.stage import Stage
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown, warn
+from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
 from grasp_env.sim import Camera, CameraConfig, Scene
 from grasp_env.sim.engine import class_of
 from grasp_env.sim.picture.annotation import LONGEST, Annotation

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from grasp_env._check import Array
+from grasp_env._check import Array, warn
 from grasp_env.core import ForceOptimizer, codes
-from grasp_env.errors import warn
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
 LARGEST_LENGTH = 5.0
