@@ -24,9 +24,7 @@ FOLDER = Path("runs/example_ppo")  # `tensorboard --logdir runs/example_ppo` sho
 ENV, SETTINGS = "grasp_env:FourFingerGrasp-v0", {"disturbance": "random"}
 torch.set_num_threads(1)  # two threads train several times slower
 plain = make_vec_env(ENV, n_envs=8, seed=0, env_kwargs=SETTINGS)  # DummyVecEnv: a process each gains nothing
-envs = VecNormalize(
-    plain, gamma=0.0, clip_reward=np.inf
-)  # an action changes its own step only, and any clip all rewards
+envs = VecNormalize(plain, gamma=0.0, clip_reward=np.inf)  # gamma: an action changes its own step only
 kwargs = {"n_steps": 256, "batch_size": 256, "learning_rate": 1e-3, "policy_kwargs": {"log_std_init": np.log(0.1)}}
 model = PPO("MlpPolicy", envs, gamma=0.0, seed=0, device="cpu", tensorboard_log=str(FOLDER), **kwargs)
 model.learn(STEPS, log_interval=1)
