@@ -47,7 +47,7 @@ class Settings:
     budget: float = 1e-4  # [s] of an update: longer ones are counted
     damping: float = 0.01  # [N m s/rad] of every joint
     stiffness: float = 0.1  # [N m/rad] towards the posture at `activate`, for joints that the fingertips leave free
-    push: float = 0.3  # [N] of a finger without contact, along its last normal
+    push: float = 0.1  # [N] of a finger without contact, along its last normal
     slew: float = 50.0  # [1/s] fastest change of a torque, as a part of its limit
     stale: float = 0.005  # [s] largest age of contacts that are solved for
     grace: float = 0.1  # [s] for which the last forces are kept without a solution
@@ -55,10 +55,9 @@ class Settings:
 
 
 class Calibration:
-    """Torques [N m] to whole device units: for each joint piecewise linear between K points, clipped at the outer ones."""
+    """Torques (M, K) [N m], ascending from below zero to above it, to units (M, K): linear between, clipped at the ends."""
 
     def __init__(self, torques, units):
-        """torques: (M, K) [N m], ascending from below zero to above it; units: (M, K)."""
         torques, units = np.array(torques, dtype=float), np.array(units, dtype=float)
         if torques.ndim != 2 or torques.shape != units.shape or not (np.diff(torques) > 0.0).all():
             raise ValueError("a calibration needs for each joint torques that ascend, and as many units")
@@ -67,10 +66,9 @@ class Calibration:
         self.limits = np.minimum(-torques[:, 0], torques[:, -1])  # (M,) [N m] that it reaches in both directions
 
     def __call__(self, torques):
-        """Device units (M,) for torques (M,)."""
-        return np.rint(
-            self.first + (self.slopes * np.clip(torques[:, None] - self.knots, 0.0, self.widths)).sum(axis=1)
-        )
+        """Whole device units (M,) for torques (M,)."""
+        covered = np.clip(torques[:, None] - self.knots, 0.0, self.widths)  # of each piece
+        return np.rint(self.first + (self.slopes * covered).sum(axis=1))
 
 
 class HandController:
@@ -128,21 +126,21 @@ class HandController:
         jacobian, weight = self.kinematics.statics(now.angles, self.positions, now.gravity)
         levers = jacobian.reshape(-1, len(weight))  # forces at the fingertips @ levers are joint torques
         carry = weight - s.damping * now.rates
-        seek = s.stiffness * (self.home - now.angles) + (~touching * s.push * self.normals).ravel() @ levers
-        solution = self._solve(jacobian, carry + seek) if self.age <= s.stale else None
+        spring = s.stiffness * (self.home - now.angles)
+        pushes = ~touching * s.push * self.normals
+        solution = self._solve(jacobian, carry + spring + pushes.ravel() @ levers) if self.age <= s.stale else None
         if solution is not None:
-            self.blind, self.forces, wanted = 0.0, solution.object_force, solution.torques
+            self.blind, self.forces, wanted = 0.0, solution.object_force + pushes, solution.torques
             self.status = "overloaded" if solution.status is Status.LIMITS_EXCEEDED else "holding"
         else:
             # The object was in balance a moment ago: the same forces hold it until contacts have moved or the load has
             # changed. Later a hand that does not know what it holds must not go on to squeeze it: forces fade.
             self.blind += period
             share = min(max(1.0 - (self.blind - s.grace) / s.fade, 0.0), 1.0)
-            wanted = carry + share * (seek + self.forces.ravel() @ levers)
+            wanted = carry + share * (spring + self.forces.ravel() @ levers)
             self.status = "coasting" if share > 0.0 else "released"
         most = s.slew * min(period, 2.0 / s.rate) * self.limits  # a missed deadline does not make torques jump
-        wanted = np.clip(wanted, self.torques - most, self.torques + most)
-        self.torques = np.clip(wanted, -self.limits, self.limits)
+        self.torques = np.clip(np.clip(wanted, self.torques - most, self.torques + most), -self.limits, self.limits)
 
     def _solve(self, jacobian, bias):
         now = {"positions": self.positions, "normals": self.normals, "contacts": self.state.touching}
