@@ -7,14 +7,13 @@ turn are cut for a while, and messages stop now and then.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import select
 import socket
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import util
@@ -33,6 +32,7 @@ from grasp_env.errors import SimulationError
 from grasp_env.sim import HandDescription, MujocoEngine
 from grasp_env.sim.hand.description import HANDS
 from grasp_env.task.motion import resting_target
+from training.report.page import WIDTH
 from training.results.claims import Claim
 from training.results.table import pd, table
 
@@ -51,8 +51,13 @@ FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR = 0.7, 1.2, 0.02
 """[s] when messages stop; never while contacts are cut."""
 SENSOR_AGE = 0.001
 """[s] age of contacts when they are sent."""
-SEQUENCE, HEARD, UPDATES, DURATION, LATE, OVER_BUDGET, STATUS, COMMANDS = range(8)
+NUMBER, HEARD, UPDATES, DURATION, LATE, OVER_BUDGET, STATUS, COMMANDS = range(8)
 """Places in what comes back."""
+HELD = 5.0
+"""[mm] of drift within which the object counts as held."""
+UPDATE, TRIP, WHOLE = "update", "round trip", "run"
+LANGUAGES = {"cpp": "C++", "python": "Python"}
+COLORS = {"cpp": "tab:blue", "python": "tab:orange"}
 PATIENCE = 60.0
 """[s] until the controller must have answered its first message."""
 
@@ -63,31 +68,48 @@ class Settings:
 
     Attributes:
         hand: that holds a ball of 60 mm and 150 g.
-        rate: of the hand's messages, and of the controller [Hz].
+        rate: of the hand's messages, and of the controller [Hz]; a divisor of 1000.
         seconds: of simulated and real time.
-        language: of the controller.
+        language: of the controller, one after another.
     """
 
     hand: Literal["allegro", "leap"] = "allegro"
-    rate: int = 1000
+    rate: Literal[1000, 500, 250, 100] = 1000
     seconds: int = 60
-    language: Literal["cpp", "python"] = "cpp"
+    language: tuple[Literal["cpp", "python"], ...] = ("cpp", "python")
 
 
 def run(settings: Settings) -> pd.DataFrame:
-    """Runs the loop, and returns a row for each update, for each round trip, and one of counts."""
-    with tempfile.TemporaryDirectory() as folder:
-        hand = SimulatedHand(settings.hand, settings.rate)
-        start = python_controller(hand) if settings.language == "python" else compiled_controller(hand, Path(folder))
-        with start() as channel:
-            told = Loop(hand, channel, settings.rate).run(settings.seconds)
-        hand.env.close()
+    """Runs the loop, and returns a row for each update, one for each message that was answered, and one of counts."""
     rows: list[dict[str, Any]] = []
-    for case, times in (("update", told["durations"]), ("round trip", told["trips"])):
-        rows += [{"case": case, "problem": k, "latency": 1e6 * value} for k, value in enumerate(times)]
-    counts = {name: told[name] for name in ("lost", "late", "over_budget", "unanswered", "held", "drift", "solves")}
-    rows.append({"case": "run", "problem": 0, "latency": None, **counts})
-    return table([{"hand": settings.hand, "method": settings.language, **row} for row in rows])
+    for language in settings.language:
+        told = measure(settings.hand, settings.rate, settings.seconds, language)
+        keys = {"hand": settings.hand, "method": language}
+        for case, times in ((UPDATE, told.durations), (TRIP, told.trips.values())):
+            rows += [{**keys, "case": case, "problem": k, "latency": 1e6 * value} for k, value in enumerate(times)]
+        rows.append({**keys, "case": WHOLE, "problem": 0, **told.counts})
+    return table(rows)
+
+
+def measure(name: str, rate: int, seconds: float, language: str, program: Path | None = None) -> Loop:
+    """One run of the loop; program: the compiled example, else it is built.
+
+    Raises:
+        SimulationError: the controller does not answer, or cannot be built.
+    """
+    hand = SimulatedHand(name, rate)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            if language == "python":
+                start = python_controller(hand, rate)
+            else:
+                start = compiled_controller(hand, rate, Path(folder), program or build(Path(folder)))
+            with start as channel:
+                loop = Loop(hand, channel, rate)
+                loop.run(seconds)
+                return loop
+    finally:
+        hand.env.close()
 
 
 class SimulatedHand:
@@ -95,10 +117,8 @@ class SimulatedHand:
 
     def __init__(self, name: str, rate: int) -> None:
         ball = {"shape": "sphere", "size": (0.06,), "friction": 0.7, "mass": 0.15}
-        engine = MujocoEngine(rate=1000 if 1000 % rate == 0 else rate)
-        self.env = FourFingerGrasp(
-            hand=HANDS[name](), engine=engine, **{"controller.rate": rate, "agent.rate": rate // 10}, **ball
-        )
+        rates = {"controller.rate": rate, "agent.rate": rate // 10}
+        self.env = FourFingerGrasp(hand=HANDS[name](), engine=MujocoEngine(), **rates, **ball)
         self.env.reset(seed=0)
         self.scene = scene = self.env.scene
         self.hand: HandDescription = scene.kinematics.hand
@@ -108,8 +128,8 @@ class SimulatedHand:
         self.target = resting_target(1)[0]
 
     def drift(self) -> float:
-        """How far the object is from where it was grasped [m]."""
-        return float(np.linalg.norm(self.scene.look().position))
+        """How far the object is from where it was grasped [mm]."""
+        return 1e3 * float(np.linalg.norm(self.scene.look().position))
 
     def step(self, commands: Array) -> None:
         """A period under commands in device units: motors turn them into torques."""
@@ -130,56 +150,71 @@ class SimulatedHand:
 
 
 class Loop:
-    """The hand's side of the loop: steps, sends, and takes what comes back until the next step is due."""
+    """The hand's side of the loop: steps, sends, and takes what comes back until the next step is due.
+
+    Attributes:
+        durations: seconds of each update, as the controller measured it. statuses: what it did, places in `STATUSES`.
+        trips: seconds from sending a message to its answer, by its number.
+        counts: of the whole run, columns of the table.
+    """
 
     def __init__(self, hand: SimulatedHand, channel: socket.socket, rate: int) -> None:
         self.hand, self.channel, self.period = hand, channel, 1.0 / rate
-        self.sent: list[float] = []  # when
         self.durations: list[float] = []
-        self.trips: dict[int, float] = {}
         self.statuses: list[int] = []
-        self.answer = np.zeros(0)
+        self.trips: dict[int, float] = {}
+        self.counts: dict[str, Any] = {}
+        self._sent: list[float] = []
+        self._answer = np.zeros(COMMANDS)
 
-    def run(self, seconds: float) -> dict[str, Any]:
-        """What was measured and counted.
+    def run(self, seconds: float) -> None:
+        """Runs for a time [s].
 
         Raises:
             SimulationError: the controller does not answer.
         """
-        hand, fingers = self.hand, self.hand.hand.finger_count
-        self.send(hand.state(-1))
-        self.take(time.perf_counter() + PATIENCE, first=True)
-        for _ in range(round(RISE / self.period)):  # the object is carried until torques have risen
-            self.send(hand.state(-1))
-            self.take(time.perf_counter() + self.period)
-        due, drift, behind = time.perf_counter(), 0.0, 0
+        hand, fingers, drift, behind = self.hand, self.hand.hand.finger_count, 0.0, 0
+        self._rise()
+        due = time.perf_counter()
         for k in range(round(seconds / self.period)):
             now, due = k * self.period, due + self.period
             if not k % 1000:
-                tick(f"{now:.0f} s of {seconds} s, {1e3 * drift:.3f} mm")
-            hand.step(self.answer[COMMANDS : COMMANDS + len(hand.limits)])
+                tick(f"{now:.0f} s of {seconds} s, {drift:.3f} mm")
+            hand.step(self._answer[COMMANDS : COMMANDS + len(hand.limits)])
             drift = max(drift, hand.drift())
             if not _within(now, FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR):
                 cut = _within(now, FIRST_CUT, CUT_EVERY, CUT_FOR)
-                self.send(hand.state((cut - 1) % fingers if cut else -1))
-            if time.perf_counter() > due + self.period:  # this side is late: a hand would not be
-                due, behind = time.perf_counter(), behind + 1
-            self.take(due)
-        self.take(time.perf_counter() + 0.1)
-        heard, updates = self.answer[HEARD], self.answer[UPDATES]
-        return {
-            "durations": self.durations, "trips": list(self.trips.values()), "statuses": np.array(self.statuses),
-            "lost": int(len(self.sent) - heard + updates - len(self.durations)), "late": int(self.answer[LATE]),
-            "over_budget": int(self.answer[OVER_BUDGET]), "unanswered": len(self.sent) - len(self.trips), "behind": behind,
-            "held": hand.scene.look().touching.any() and drift < 0.005, "drift": 1e3 * drift, "solves": int(updates),
+                self._send(hand.state((cut - 1) % fingers if cut else -1))
+            if time.perf_counter() > due:  # this machine is busy: a hand would not be
+                due, behind = time.perf_counter() + 0.5 * self.period, behind + 1
+            self._take(due)
+        self._take(time.perf_counter() + 0.1)
+        heard, updates = self._answer[HEARD], self._answer[UPDATES]
+        self.counts = {
+            "lost": int(len(self._sent) - heard + updates - len(self.durations)), "unanswered": len(self._sent) - len(self.trips),
+            "late": int(self._answer[LATE]), "over_budget": int(self._answer[OVER_BUDGET]), "behind": behind, "solves": int(updates),
+            "held": bool(drift < HELD), "drift": drift, "seconds": seconds,
         }  # fmt: skip
 
-    def send(self, numbers: Array) -> None:
-        """One message, with its number."""
-        self.sent.append(time.perf_counter())
-        self.channel.send(np.concatenate([[len(self.sent) - 1], numbers]).tobytes())
+    def _rise(self) -> None:
+        """The object is carried until torques have risen; none of it is timed."""
+        self._send(self.hand.state(-1))
+        self._take(time.perf_counter() + PATIENCE, first=True)
+        if not self.durations:
+            raise SimulationError(f"the controller did not answer in {PATIENCE} s")
+        for _ in range(round(RISE / self.period)):
+            self._send(self.hand.state(-1))
+            self._take(time.perf_counter() + self.period)
+        self._take(time.perf_counter() + self.period)
+        self.trips = dict.fromkeys(self.trips, 0.0)
 
-    def take(self, until: float, first: bool = False) -> None:
+    def _send(self, numbers: Array) -> None:
+        """One message, with its number."""
+        message = np.concatenate([[len(self._sent)], numbers]).tobytes()
+        self._sent.append(time.perf_counter())
+        self.channel.send(message)
+
+    def _take(self, until: float, first: bool = False) -> None:
         """What comes back until then, or the first of it."""
         while (left := until - time.perf_counter()) > 0.0:
             if not select.select([self.channel], [], [], left)[0]:
@@ -188,15 +223,13 @@ class Loop:
             came = time.perf_counter()
             if not message:
                 raise SimulationError("the controller has ended")
-            self.answer = np.frombuffer(message)
-            sequence = int(self.answer[SEQUENCE])
-            self.trips.setdefault(sequence, came - self.sent[sequence])
-            self.durations.append(float(self.answer[DURATION]))
-            self.statuses.append(int(self.answer[STATUS]))
+            self._answer = np.frombuffer(message)
+            number = int(self._answer[NUMBER])
+            self.trips.setdefault(number, came - self._sent[number])
+            self.durations.append(float(self._answer[DURATION]))
+            self.statuses.append(int(self._answer[STATUS]))
             if first:
                 break
-        if not len(self.answer):
-            raise SimulationError(f"the controller did not answer in {PATIENCE} s")
 
 
 def _within(now: float, first: float, every: float, lasts: float) -> int:
@@ -205,29 +238,39 @@ def _within(now: float, first: float, every: float, lasts: float) -> int:
     return int(number) + 1 if now >= first and since < lasts else 0
 
 
-def compiled_controller(hand: SimulatedHand, folder: Path, program: Path | None = None) -> Callable[[], Any]:
-    """Starts the example in C++, which is built first unless it is given."""
-    built = program or build(folder)
+@contextmanager
+def compiled_controller(hand: SimulatedHand, rate: int, folder: Path, program: Path) -> Iterator[socket.socket]:
+    """The example in C++, served by a process."""
     file = hand.scene.kinematics.export(folder / "hand")
+    mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    words = [str(other.fileno()), str(file), str(rate), f"{hand.friction:.17g}"]
+    with (
+        subprocess.Popen([program, *words], pass_fds=[other.fileno()]) as process,
+        mine,
+    ):  # which ends when that is closed
+        other.close()
+        yield mine
+        mine.close()
+        process.wait(10.0)
 
-    @contextmanager
-    def start() -> Iterator[socket.socket]:
-        mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        words = [str(other.fileno()), str(file), f"{1.0 / hand.scene.timestep:g}", f"{hand.friction:.17g}"]
-        with mine, subprocess.Popen([built, *words], pass_fds=[other.fileno()]) as process:
-            other.close()
-            yield mine
-            mine.close()
-            process.wait(10.0)
 
-    return start
+@contextmanager
+def python_controller(hand: SimulatedHand, rate: int) -> Iterator[socket.socket]:
+    """The example in Python, served by a process."""
+    mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    given = other, hand.hand, float(rate), hand.friction
+    process = multiprocessing.get_context("spawn").Process(target=serve, args=given, daemon=True)
+    with mine:
+        process.start()
+        other.close()
+        yield mine
+    process.join(10.0)
 
 
 def build(folder: Path) -> Path:
     """The example in C++, compiled for this processor."""
-    core = ROOT / "grasp_env" / "core"
+    core, made = ROOT / "grasp_env" / "core", folder / "build"
     options = ["-DGRASP_EXAMPLES=ON", "-DCMAKE_BUILD_TYPE=Release", "-DCMAKE_CXX_FLAGS=-march=native"]
-    made = folder / "build"
     tick("the example is compiled")
     for words in (["-S", core, "-B", made, *options], ["--build", made, "--target", "hand_controller"]):
         done = subprocess.run(["cmake", *words], capture_output=True, text=True, check=False)
@@ -236,49 +279,40 @@ def build(folder: Path) -> Path:
     return made / "hand_controller"
 
 
-def python_controller(hand: SimulatedHand) -> Callable[[], Any]:
-    """Starts the example in Python."""
-
-    @contextmanager
-    def start() -> Iterator[socket.socket]:
-        mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        given = other, hand.hand, 1.0 / hand.scene.timestep, hand.friction
-        process = multiprocessing.get_context("spawn").Process(target=serve, args=given, daemon=True)
-        with mine:
-            process.start()
-            other.close()
-            yield mine
-        process.join(10.0)
-
-    return start
-
-
 def example() -> ModuleType:
     """`examples/hand_controller.py`."""
     spec = util.spec_from_file_location("hand_controller", ROOT / "examples" / "hand_controller.py")
-    assert spec is not None and spec.loader is not None  # noqa: PT018
+    assert spec is not None
+    assert spec.loader is not None
     module = util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
 
 
+def state_of(shown: ModuleType, numbers: Array, joints: int, fingers: int) -> Any:
+    """The `HandState` of a message."""
+    ends = np.cumsum([joints, joints, fingers, 3 * fingers, 3 * fingers, 6, 3])
+    angles, rates, touching, positions, normals, wrench, gravity, age = np.split(numbers, ends)
+    rows = positions.reshape(-1, 3), normals.reshape(-1, 3)
+    return shown.HandState(angles, rates, touching > 0.0, *rows, wrench, gravity, float(age[0]))
+
+
+def controller_of(shown: ModuleType, hand: HandDescription, rate: float, friction: float) -> Any:
+    """The controller in Python as `main` in C++ configures it."""
+    limits, made = hand.torque_limits, shown.HandController()
+    table = shown.Calibration(np.outer(limits, [-1.0, 1.0]), np.tile([-UNITS, UNITS], (len(limits), 1)))
+    made.configure(hand, shown.Settings(friction=friction, rate=rate), table)
+    return made
+
+
 def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: float) -> None:
-    """What `main` of the example in C++ does, with the one in Python."""
+    """What `main` in C++ does, with the example in Python."""
     shown = example()
-    limits = hand.torque_limits
-    controller = shown.HandController()
-    settings = shown.Settings(friction=friction, rate=rate)
-    controller.configure(
-        hand, settings, shown.Calibration(np.outer(limits, [-1, 1]), np.outer(UNITS + 0 * limits, [-1, 1]))
-    )
-    joints, fingers = hand.joint_count, hand.finger_count
-    ends = np.cumsum([1, joints, joints, fingers, 3 * fingers, 3 * fingers, 6, 3])
-    names = ("inactive", "holding", "overloaded", "coasting", "released")
-    channel.setblocking(False)
-    heard, updates, measured, last = 0, 0, 0.0, 0.0
+    controller = controller_of(shown, hand, rate, friction)
+    heard, updates, number, measured, last = 0, 0, 0.0, 0.0, 0.0
     state: Any = None
-    sequence = 0.0
+    channel.setblocking(False)
     while True:
         select.select([channel], [], [], 1.5 / rate if heard else None)
         newest = b""
@@ -287,31 +321,57 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
                 newest, heard = message, heard + 1
             return
         except BlockingIOError:
-            if not heard:
-                continue
+            pass
         now = time.perf_counter()
         if newest:
-            (sequence,), angles, rates, touching, positions, normals, wrench, gravity, (age,) = np.split(
-                np.frombuffer(newest), ends
-            )
-            rows = positions.reshape(-1, 3), normals.reshape(-1, 3)
-            state, measured = shown.HandState(angles, rates, touching > 0.0, *rows, wrench, gravity), now - age
+            row = np.frombuffer(newest)
+            number, state = row[0], state_of(shown, row[1:], hand.joint_count, hand.finger_count)
+            measured = now - state.age
         if not updates:
             controller.activate(state)
             last = now - 1.0 / rate
         state.age = now - measured
         commands = controller.update(state, now - last)
         last, updates = now, updates + 1
-        told = [
-            sequence,
-            heard,
-            updates,
-            controller.duration,
-            controller.late,
-            controller.over_budget,
-            names.index(controller.status),
-        ]
-        channel.send(np.concatenate([told, commands, controller.torques]).tobytes())
+        c = controller
+        told = [number, heard, updates, c.duration, c.late, c.over_budget, shown.STATUSES.index(c.status)]
+        channel.send(np.concatenate([told, commands, c.torques]).tobytes())
 
 
-BENCHMARK = Benchmark(run, Settings(), {"seconds": 5}, ("latency_median", "latency_p99"))
+def draw(rows: pd.DataFrame) -> Figure:
+    """How many updates and round trips took how long, on logarithmic axes."""
+    figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
+    axes = figure.subplots()
+    timed = rows.dropna(subset="latency")
+    edges = np.geomspace(max(timed["latency"].min(), 1.0), timed["latency"].max() * 1.01, 80)
+    for (method, case), part in timed.groupby(["method", "case"], sort=False):
+        label = f"{LANGUAGES[str(method)]}, {case}"
+        axes.hist(
+            part["latency"], edges, histtype="step", label=label, color=COLORS[str(method)],
+            linestyle="-" if case == UPDATE else ":", linewidth=1.4,
+        )  # fmt: skip
+    axes.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="how many", ylim=(0.8, None))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=9)
+    return figure
+
+
+_FAST = f"case == '{UPDATE}' and method == 'cpp'"
+_WHOLE = f"case == '{WHOLE}'"
+BENCHMARK = Benchmark(
+    run,
+    Settings(),
+    {"seconds": 5},
+    (
+        "latency_median", "latency_p99", "latency_p999", "latency_max", "lost_sum", "unanswered_sum", "late_sum", "over_budget_sum",
+        "behind_sum", "drift_max",
+    ),
+    claims=(
+        Claim("update in C++, median", _FAST, "latency_median", "<=", 15.0, unit="us"),
+        Claim("update in C++, 99.9th percentile", _FAST, "latency_p999", "<=", 60.0, unit="us"),
+        Claim("messages lost", _WHOLE, "lost_sum", "<=", 0.0),
+        Claim("runs in which the object was held", _WHOLE, "held_mean", ">=", 1.0),
+    ),
+    words=LANGUAGES,
+    draw=draw,
+)  # fmt: skip
