@@ -165,6 +165,7 @@ class Loop:
         self.trips: dict[int, float] = {}
         self.counts: dict[str, Any] = {}
         self._sent: list[float] = []
+        self._first = self._came = 0  # number of the first message that is timed; answers
         self._answer = np.zeros(COMMANDS)
 
     def run(self, seconds: float) -> None:
@@ -191,7 +192,7 @@ class Loop:
         self._take(time.perf_counter() + 0.1)
         heard, updates = self._answer[HEARD], self._answer[UPDATES]
         self.counts = {
-            "lost": int(len(self._sent) - heard + updates - len(self.durations)), "unanswered": len(self._sent) - len(self.trips),
+            "lost": int(len(self._sent) - heard + updates - self._came), "unanswered": len(self._sent) - self._first - len(self.trips),
             "late": int(self._answer[LATE]), "over_budget": int(self._answer[OVER_BUDGET]), "behind": behind, "solves": int(updates),
             "held": bool(drift < HELD), "drift": drift, "seconds": seconds,
         }  # fmt: skip
@@ -206,7 +207,7 @@ class Loop:
             self._send(self.hand.state(-1))
             self._take(time.perf_counter() + self.period)
         self._take(time.perf_counter() + self.period)
-        self.trips = dict.fromkeys(self.trips, 0.0)
+        self.durations, self.statuses, self.trips, self._first = [], [], {}, len(self._sent)
 
     def _send(self, numbers: Array) -> None:
         """One message, with its number."""
@@ -224,8 +225,9 @@ class Loop:
             if not message:
                 raise SimulationError("the controller has ended")
             self._answer = np.frombuffer(message)
-            number = int(self._answer[NUMBER])
-            self.trips.setdefault(number, came - self._sent[number])
+            number, self._came = int(self._answer[NUMBER]), self._came + 1
+            if number >= self._first:
+                self.trips.setdefault(number, came - self._sent[number])
             self.durations.append(float(self._answer[DURATION]))
             self.statuses.append(int(self._answer[STATUS]))
             if first:
@@ -344,10 +346,11 @@ def draw(rows: pd.DataFrame) -> Figure:
     axes = figure.subplots()
     timed = rows.dropna(subset="latency")
     edges = np.geomspace(max(timed["latency"].min(), 1.0), timed["latency"].max() * 1.01, 80)
-    for (method, case), part in timed.groupby(["method", "case"], sort=False):
-        label = f"{LANGUAGES[str(method)]}, {case}"
+    for keys, part in timed.groupby(["method", "case"], sort=False):
+        method, case = map(str, keys)  # type: ignore[call-overload]
+        label = f"{LANGUAGES[method]}, {case}"
         axes.hist(
-            part["latency"], edges, histtype="step", label=label, color=COLORS[str(method)],
+            part["latency"], edges, histtype="step", label=label, color=COLORS[method],
             linestyle="-" if case == UPDATE else ":", linewidth=1.4,
         )  # fmt: skip
     axes.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="how many", ylim=(0.8, None))
