@@ -3,7 +3,7 @@ A controller for a torque-controlled hand
 =========================================
 
 Joint state, contacts and a wrench go in; commands in the units of the motors come out. To learn: a controller's life
-cycle, calibration, a watchdog, lost contacts, the weight of the hand and a budget of time around one solve in each
+cycle, calibration, a watchdog, lost contacts, the hand's own weight and a budget of time around one solve in each
 update. In C++: ``hand_controller.hpp``.
 """
 
@@ -55,7 +55,7 @@ class Settings:
 
 
 class Calibration:
-    """Torques (M, K) [N m], ascending from below zero to above it, to units (M, K): linear between, clipped at the ends."""
+    """Torques (M, K) [N m], ascending through zero, to units (M, K): linear between these points, clipped at the ends."""
 
     def __init__(self, torques, units):
         torques, units = np.array(torques, dtype=float), np.array(units, dtype=float)
@@ -72,7 +72,7 @@ class Calibration:
 
 
 class HandController:
-    """`configure` and `activate` may raise, `update` never does; then `torques` [N m] are commanded, and `status` says why.
+    """`configure` and `activate` may raise, `update` never does; it commands `torques` [N m], and `status` says why.
 
     "holding": forces that balance the wrench; "overloaded": those that exceed the motors' limits least; "coasting": the
     last forces, as contacts are stale, numbers broken or no force balances; "released": the hand carries itself.

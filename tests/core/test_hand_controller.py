@@ -181,6 +181,14 @@ def test_contacts_that_cannot_hold_are_told_from_motors_that_are_too_weak(hand, 
     assert made.over_budget == 40
 
 
+def sealed(blob: bytes, numbers: np.ndarray) -> bytes:
+    """A file of these numbers whose hash is right."""
+    body, check = numbers.tobytes(), 14695981039346656037
+    for byte in body:
+        check = (check ^ byte) * 1099511628211 % 2**64
+    return blob[:8] + check.to_bytes(8, "little") + body
+
+
 def test_a_hand_comes_back_from_its_file(hand, tmp_path: Path) -> None:
     kinematics = hand.scene.kinematics
     blob = kinematics.export(tmp_path / "hand").read_bytes()
@@ -202,6 +210,24 @@ def test_a_hand_comes_back_from_its_file(hand, tmp_path: Path) -> None:
     for at in rng.integers(0, len(blob), 200):
         spoiled.append(blob[:at] + bytes([blob[at] ^ 1 << int(rng.integers(8))]) + blob[at + 1 :])
     assert [core.Tree.load(each) for each in spoiled] == [None] * len(spoiled)
+    numbers = np.frombuffer(blob[16:])
+    assert sealed(blob, numbers) == blob
+    for place, value in (
+        (0, 15),
+        (0, 17),
+        (0, 1e9),
+        (1, 65),
+        (2, 0),
+        (2, -2),
+        (2, 0.5),
+        (3, np.nan),
+        (33, 2),
+        (34, 0),
+        (-5, 16),
+    ):
+        changed = numbers.copy()
+        changed[place] = value
+        assert core.Tree.load(sealed(blob, changed)) is None, (place, value)
     with pytest.raises(InvalidInputError, match="No such file"):
         kinematics.export(tmp_path / "no folder/hand")
 

@@ -1,7 +1,6 @@
 // Runs the controller of `hand_controller.hpp` for a hand in another process: `hand_controller FD HAND_FILE RATE FRICTION` answers
-// messages over an inherited socket (AF_UNIX, SOCK_SEQPACKET) until it is closed. A message is a row of doubles. In: its number, and a
-// state. Out: the newest state's number, how many states were heard, updates, seconds of this one, late, over_budget, status; commands;
-// torques.
+// messages over an inherited socket (AF_UNIX, SOCK_SEQPACKET) until it is closed; each is a row of doubles. In: number, state.
+// Out: the newest state's number, messages heard, updates, seconds of this one, late, over_budget, status; commands; torques.
 #include "hand_controller.hpp"
 
 #include <cstdio>

@@ -1,5 +1,5 @@
-// A controller for a torque-controlled hand: joint state, contacts and a wrench go in; commands in the units of the motors come out. It
-// has the life cycle of controllers of robot middleware, without any: copy it, make it yours. In Python: examples/hand_controller.py.
+// A controller for a torque-controlled hand: joint state, contacts and a wrench in, commands in the units of the motors out. It has
+// the life cycle of controllers of robot middleware, without any: copy it, make it yours. In Python: examples/hand_controller.py.
 #pragma once
 #include <grasp/hand/tree_file.hpp>
 #include <grasp/optimizer.hpp>
@@ -50,8 +50,8 @@ struct Calibration {
 };
 
 // `configure` allocates and may throw, the others never do. Status: inactive: no torque; holding: forces that balance the wrench;
-// overloaded: those that exceed the motors' limits least; coasting: the last forces, as contacts are stale, numbers broken or no force
-// balances; released: the hand carries itself.
+// overloaded: those that exceed the motors' limits least; coasting: the last forces, as contacts are stale, numbers broken or no
+// force balances; released: the hand carries itself.
 class HandController {
 public:
     enum Status { inactive, holding, overloaded, coasting, released } status = inactive;
