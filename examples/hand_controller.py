@@ -55,7 +55,7 @@ class Settings:
 
 
 class Calibration:
-    """Torques (M, K) [N m], ascending through zero, to units (M, K): linear between these points, clipped at the ends."""
+    """Torques (M, K) [N m], ascending through zero, to units (M, K): linear between points, clipped at the ends."""
 
     def __init__(self, torques, units):
         torques, units = np.array(torques, dtype=float), np.array(units, dtype=float)
