@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import util
 from pathlib import Path
@@ -324,6 +324,8 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
             return
         except BlockingIOError:
             pass
+        except ConnectionError:  # closed with answers unread
+            return
         now = time.perf_counter()
         if newest:
             row = np.frombuffer(newest)
@@ -337,7 +339,8 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
         last, updates = now, updates + 1
         c = controller
         told = [number, heard, updates, c.duration, c.late, c.over_budget, shown.STATUSES.index(c.status)]
-        channel.send(np.concatenate([told, commands, c.torques]).tobytes())
+        with suppress(BlockingIOError, ConnectionError):
+            channel.send(np.concatenate([told, commands, c.torques]).tobytes())
 
 
 def draw(rows: pd.DataFrame) -> Figure:

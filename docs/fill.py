@@ -166,17 +166,17 @@ def rl() -> str:
 def hand_loop() -> str:
     """Latencies of the example for hardware, and what was lost."""
     means = saved("hand_loop")[0]
-    counts = chosen(means, "case == 'run'").set_index("method")
+    names = {"cpp": "C++", "python": "Python"}
     made = [
-        {"controller": {"cpp": "C++", "python": "Python"}[row["method"]], "time [us]": row["case"], "n": row["n"],
+        {"controller": names[row["method"]], "time [us]": row["case"], "n": row["n"],
          **{label: cell(row[f"latency_{name}"]) for name, label in (("median", "median"), ("p99", "99 %"), ("p999", "99.9 %"), ("max", "largest"))}}
         for row in chosen(means, "case != 'run'").to_dict("records")
     ]  # fmt: skip
     told = [
-        f"{name}: {row['lost_sum']:.0f} messages lost, {row['unanswered_sum']:.0f} overtaken by a newer one, {row['late_sum']:.0f} updates "
+        f"{names[row['method']]}: {row['lost_sum']:.0f} messages lost, {row['unanswered_sum']:.0f} overtaken by a newer one, {row['late_sum']:.0f} updates "
         f"after a missed deadline, {row['over_budget_sum']:.0f} over their budget, the simulated hand late in {row['behind_sum']:.0f} steps; "
         f"the ball moved by at most {row['drift_max']:.2f} mm."
-        for name, row in zip(("C++", "Python"), (counts.loc["cpp"], counts.loc["python"]), strict=True)
+        for row in chosen(means, "case == 'run'").to_dict("records")
     ]  # fmt: skip
     return markdown("hand_loop", pd.DataFrame(made), "\n".join(told))
 

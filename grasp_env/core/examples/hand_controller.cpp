@@ -54,6 +54,6 @@ int main(int given, char** arguments) try {
                double(controller.status)};
         out.insert(out.end(), controller.commands.begin(), controller.commands.end());
         out.insert(out.end(), controller.torques.begin(), controller.torques.end());
-        send(channel, out.data(), out.size() * sizeof(double), MSG_DONTWAIT);
+        send(channel, out.data(), out.size() * sizeof(double), MSG_DONTWAIT | MSG_NOSIGNAL);
     }
 } catch (const std::exception& error) { return std::fprintf(stderr, "%s\n", error.what()), 2; }
