@@ -172,6 +172,9 @@ class HandKinematics:
     def export(self, path: str | Path) -> Path:
         """Writes what C++ programs read with `grasp::TreeFile::load`: links, masses, limits and fingertips, without shapes.
 
+        Args:
+            path: Of the file, which is written whole or not at all.
+
         Raises:
             InvalidInputError: The file cannot be written; the message says why.
 
@@ -179,7 +182,7 @@ class HandKinematics:
             >>> import tempfile
             >>> with tempfile.TemporaryDirectory() as folder:
             ...     HandKinematics(HandDescription.allegro()).export(f"{folder}/allegro.hand").stat().st_size
-            4496
+            4416
         """
         file = as_path(path, InvalidInputError, "a hand's file")
         try:
