@@ -345,20 +345,22 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
 
 def draw(rows: pd.DataFrame) -> Figure:
     """How many updates and round trips took how long, on logarithmic axes."""
-    figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
     axes = figure.subplots()
     timed = rows.dropna(subset="latency")
-    edges = np.geomspace(max(timed["latency"].min(), 1.0), timed["latency"].max() * 1.01, 80)
+    edges = np.geomspace(max(timed["latency"].min(), 1.0), 1.01 * timed["latency"].max(), 70)
     for keys, part in timed.groupby(["method", "case"], sort=False):
         method, case = map(str, keys)  # type: ignore[call-overload]
-        label = f"{LANGUAGES[method]}, {case}"
-        axes.hist(
-            part["latency"], edges, histtype="step", label=label, color=COLORS[method],
-            linestyle="-" if case == UPDATE else ":", linewidth=1.4,
-        )  # fmt: skip
+        counts, _ = np.histogram(part["latency"], edges)
+        style = "-" if case == UPDATE else ":"
+        axes.stairs(
+            counts, edges, label=f"{LANGUAGES[method]}, {case}", color=COLORS[method], linestyle=style, linewidth=1.4
+        )
     axes.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="how many", ylim=(0.8, None))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(lambda value, _: f"{value:,.0f}")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=9)
+    figure.legend(frameon=False, fontsize=9, ncols=2, loc="outside upper left")
     return figure
 
 
