@@ -6,6 +6,7 @@ turn are cut for a while, and messages stop now and then.
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import select
 import socket
@@ -315,6 +316,8 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
     heard, updates, number, measured, last = 0, 0, 0.0, 0.0, 0.0
     state: Any = None
     channel.setblocking(False)
+    gc.freeze()
+    gc.disable()  # nothing here makes circles
     while True:
         select.select([channel], [], [], 1.5 / rate if heard else None)
         newest = b""

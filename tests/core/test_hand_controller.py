@@ -53,9 +53,7 @@ def controller(hand, table: Any = None, **settings: Any) -> Any:
 
 
 def repeated(made, state, ticks: int, period: float = PERIOD) -> np.ndarray:
-    for _ in range(ticks):
-        commands = made.update(state, period)
-    return commands
+    return [made.update(state, period) for _ in range(ticks)][-1]
 
 
 def carried(hand, state) -> tuple[np.ndarray, np.ndarray]:
@@ -178,6 +176,7 @@ def test_contacts_that_cannot_hold_are_told_from_motors_that_are_too_weak(hand, 
     commands = repeated(made, replace(state, wrench=4.0 * state.wrench), 40)
     assert made.status == "overloaded"
     assert abs(commands).max() == 240
+    assert (abs(made.torques) <= made.limits).all()
     assert made.over_budget == 40
 
 
@@ -319,12 +318,15 @@ class Watched(hand_loop.SimulatedHand):
         return numbers
 
 
+@pytest.mark.parametrize("seconds", [3, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("rate", [500, 1000])
 @pytest.mark.parametrize("language", ["cpp", "python"])
-def test_it_holds_in_real_time(language: str, rate: int, program: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """3 s, with contacts cut and given back and messages that stop; how fast it is depends on what else runs here."""
+def test_it_holds_in_real_time(
+    language: str, rate: int, seconds: int, program: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With contacts cut and given back and messages that stop; how fast it is depends on what else runs here."""
     monkeypatch.setattr(hand_loop, "SimulatedHand", Watched)
-    loop = hand_loop.measure("allegro", rate, 3.0, language, program)
+    loop = hand_loop.measure("allegro", rate, seconds, language, program)
     counts = loop.counts
     assert counts["held"], counts
     assert counts["drift"] < 2.0
@@ -333,7 +335,7 @@ def test_it_holds_in_real_time(language: str, rate: int, program: Path, monkeypa
     done = np.bincount(loop.statuses, minlength=5)
     assert done[HOLDING] > 0.7 * done.sum()
     assert done[0] == 0  # inactive
-    assert done[3] > 5  # two silences
+    assert done[3] > 2 * seconds  # silences
     hand = loop.hand
     assert isinstance(hand, Watched)
     cuts = {finger: [k for k, (cut, _) in enumerate(hand.seen) if cut == finger] for finger in range(4)}
