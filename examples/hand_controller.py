@@ -32,10 +32,6 @@ class HandState:
     gravity: np.ndarray  # (3,) [m/s^2]: the hand may be on an arm
     age: float = 0.0  # [s] since the contacts were measured
 
-    def numbers(self):
-        """All of it in one array."""
-        return np.concatenate([np.ravel(part) for part in vars(self).values()])
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -85,21 +81,22 @@ class HandController:
         turn = 2 * np.pi * np.arange(hand.finger_count) / hand.finger_count
         ring = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])  # any N contacts: every call brings its own
         limits = ForceLimits(jacobian=np.zeros((len(turn), 3, hand.joint_count)), torque_limit=self.limits)
-        self.optimizer = ForceOptimizer(
-            Grasp.from_contacts(0.03 * ring, -ring, settings.friction), limits=limits, elastic=True, initial="previous",
-            max_iterations=settings.iterations,
-        )  # fmt: skip
+        options = {"initial": "previous", "elastic": True, "max_iterations": settings.iterations}
+        grasp = Grasp.from_contacts(0.03 * ring, -ring, settings.friction)
+        self.optimizer = ForceOptimizer(grasp, limits=limits, **options)
+        self.size = 2 * hand.joint_count + 7 * hand.finger_count + 10  # numbers of a state
         self.duration, self.late, self.over_budget = 0.0, 0, 0
         self.deactivate()
 
     def activate(self, state: HandState):
         """Begins where the hand is; torques rise from none."""
-        self.state, self.home, self.size = state, state.angles.copy(), state.numbers().size
+        if not self._good(state):
+            raise ValueError(f"a state of {self.size} finite numbers is needed to begin with, got {state}")
+        self.state, self.age, self.home = state, state.age, state.angles.copy()
         self.positions, self.normals = state.positions.copy(), state.normals.copy()
         self.forces = np.zeros_like(state.positions)  # (N, 3) [N] of the last solution
-        self.age, self.blind, self.late, self.over_budget = state.age, np.inf, 0, 0
+        self.blind, self.late, self.over_budget, self.status = np.inf, 0, 0, "released"
         self.optimizer.forget()
-        self.status = "released"
 
     def deactivate(self):
         """From now on no torque is commanded."""
@@ -110,15 +107,18 @@ class HandController:
         begin = perf_counter()
         if self.status != "inactive":
             self.late += period > 1.9 / self.settings.rate
-            self._watch(state, period)
+            self._watch(state, max(0.0, period))
         commands = self.calibration(self.torques)
         self.duration = perf_counter() - begin
         self.over_budget += self.duration > self.settings.budget
         return commands
 
+    def _good(self, state):
+        numbers = np.concatenate([np.ravel(part) for part in vars(state).values()])
+        return numbers.size == self.size and np.isfinite(numbers).all()
+
     def _watch(self, state, period):
-        numbers, s = state.numbers(), self.settings
-        good = numbers.size == self.size and np.isfinite(numbers).all()  # else the last good message counts
+        s, good = self.settings, self._good(state)  # else the last good message counts
         self.state, self.age = (state, state.age) if good else (self.state, self.age + period)
         now, touching = self.state, self.state.touching[:, None]
         np.copyto(self.positions, now.positions, where=touching)  # a finger without contact keeps its last

@@ -129,7 +129,12 @@ def test_broken_messages_count_as_none(hand, state, spoil: str) -> None:
     np.testing.assert_allclose(made.torques, held, atol=1e-3)
     repeated(made, broken, 400)
     assert made.status == "released"
+    made.update(broken, np.nan)
+    made.update(broken, -1.0)
     assert np.isfinite(made.torques).all()
+    if spoil != "twisted":
+        with pytest.raises(ValueError, match="a state of 70 finite numbers"):
+            made.activate(broken)
 
 
 def test_a_missed_deadline_is_counted_and_torques_do_not_jump(hand, state) -> None:

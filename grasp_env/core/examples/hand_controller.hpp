@@ -3,7 +3,6 @@
 #pragma once
 #include <grasp/hand/tree_file.hpp>
 #include <grasp/optimizer.hpp>
-
 #include <chrono>
 #include <numbers>
 
@@ -14,8 +13,7 @@ struct HandState {
     Numbers angles, rates;  // (M,) [rad], [rad/s]
     Numbers touching, positions, normals;  // (N,) 1 or 0; (N, 3) where they touch [m], unit vectors into the object
     Numbers wrench;  // (6,) that the fingers balance: the object's weight and feedback on its pose [N, N m]
-    Numbers gravity;  // (3,) [m/s^2]: the hand may be on an arm
-    Numbers age;  // (1,) [s] since the contacts were measured
+    Numbers gravity, age;  // (3,) [m/s^2]: the hand may be on an arm; (1,) [s] since the contacts were measured
 
     explicit HandState(int m = 0, int n = 0)
         : angles(m), rates(m), touching(n), positions(3 * n), normals(3 * n), wrench(6), gravity(3), age(1) {}
@@ -49,9 +47,8 @@ struct Calibration {
     }
 };
 
-// `configure` allocates and may throw, the others never do. Status: inactive: no torque; holding: forces that balance the wrench;
-// overloaded: those that exceed the motors' limits least; coasting: the last forces, as contacts are stale, numbers broken or no
-// force balances; released: the hand carries itself.
+// `configure` allocates and may throw, the others never do. overloaded: forces that exceed the motors' limits least; coasting: the
+// last forces, as contacts are stale, numbers broken or no force balances; released: the hand carries itself.
 class HandController {
 public:
     enum Status { inactive, holding, overloaded, coasting, released } status = inactive;
@@ -60,10 +57,9 @@ public:
     int late = 0, over_budget = 0;  // updates after a missed deadline; that took longer than the budget
 
     void configure(std::shared_ptr<const grasp::Tree> hand, const Settings& settings, const Calibration& calibration) {
-        m_ = hand->joints(), n_ = hand->fingers();
+        m_ = hand->joints(), n_ = hand->fingers(), status = inactive, jacobian_ = Numbers(3 * n_ * m_);
         hand_ = hand, s_ = settings, calibration_ = calibration, posture_.emplace(hand), now_ = HandState(m_, n_);
-        torques = commands = home_ = limits_ = carry_ = spring_ = wanted_ = Numbers(m_);
-        forces_ = pushes_ = Numbers(3 * n_), jacobian_ = Numbers(3 * n_ * m_);
+        torques = commands = home_ = limits_ = carry_ = spring_ = wanted_ = Numbers(m_), forces_ = pushes_ = Numbers(3 * n_);
         for (int j = 0; j < m_; ++j) limits_[j] = std::min(hand->links[j].torque_limit, calibration.limit(j));
         Numbers ring(3 * n_), inward(3 * n_);  // any N contacts: every call brings its own
         for (int i = 0; i < n_; ++i) {
@@ -73,17 +69,17 @@ public:
         }
         solver_.emplace(grasp::Problem{grasp::Contacts::from(ring, inward, s_.friction), {{}, {}, jacobian_, limits_, {}}},
                         grasp::Options{.start = grasp::Start::previous, .limit = s_.iterations, .elastic = true});
-        deactivate();
     }
-    void activate(const HandState& state) {  // torques rise from none
-        now_ = state, home_ = state.angles, blind_ = grasp::infinity, late = over_budget = 0;
-        status = released, solver_->forget();
+    void activate(const HandState& state) {  // torques rise from none; broken numbers leave it inactive
+        if (good(state)) now_ = state, home_ = state.angles, blind_ = grasp::infinity, late = over_budget = 0, status = released;
+        solver_->forget();
     }
     void deactivate() { status = inactive, std::fill(torques.begin(), torques.end(), 0.0); }
     // Fills `commands`. state: the newest, however old; period: [s] since the last update.
     void update(const HandState& state, double period) noexcept {
         const auto begin = std::chrono::steady_clock::now();
-        if (status != inactive) late += period > 1.9 / s_.rate, take(state, period), command(period);
+        if (status != inactive)
+            late += period > 1.9 / s_.rate, take(state, std::max(0.0, period)), command(std::max(0.0, period));
         for (int j = 0; j < m_; ++j) commands[j] = calibration_(j, torques[j]);
         duration = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         over_budget += duration > s_.budget;
@@ -100,11 +96,15 @@ private:
     double blind_ = 0.0;  // [s] without a solution
     Numbers home_, limits_, carry_, spring_, wanted_, forces_, pushes_, jacobian_;
 
-    void take(const HandState& state, double period) {
-        now_.age[0] += period;
+    bool good(const HandState& state) const {
         const auto finite = [](double value) { return std::isfinite(value); };
         for (auto part : PARTS)
-            if ((state.*part).size() != (now_.*part).size() || !std::ranges::all_of(state.*part, finite)) return;
+            if ((state.*part).size() != (now_.*part).size() || !std::ranges::all_of(state.*part, finite)) return false;
+        return true;
+    }
+    void take(const HandState& state, double period) {
+        now_.age[0] += period;
+        if (!good(state)) return;
         for (auto part : PARTS)
             if (part != &HandState::positions && part != &HandState::normals) now_.*part = state.*part;
         for (int k = 0; k < 3 * n_; ++k)
