@@ -17,12 +17,13 @@ BENCHMARKS = {
     "scaling": "cost against contacts",
     "batch": "solves per second on one core and on all",
     "env": "steps per second of the environment beside bare PyBullet, resets, memory",
+    "hand_loop": "the controllers of examples/hand_controller in real time against a simulated hand: latencies, what is lost",
     "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
 }
 """Every benchmark is the `BENCHMARK` of the module of its name."""
 USAGE = f"""usage: python -m benchmarks NAME [OPTIONS]
 
-{"".join(f"  {name:8} {text}{os.linesep}" for name, text in BENCHMARKS.items())}
+{"".join(f"  {name:9} {text}{os.linesep}" for name, text in BENCHMARKS.items())}
 python -m benchmarks NAME --help lists the options.
 """
 
@@ -67,6 +68,7 @@ def execute(name: str, *words: str) -> None:
 
     from benchmarks import show
     from benchmarks.settings import Options, checked, tick
+    from training.report.page import svg
     from training.results import Run, default_name
 
     benchmark = import_module(f"benchmarks.{name}").BENCHMARK
@@ -80,6 +82,8 @@ def execute(name: str, *words: str) -> None:
     rows = benchmark.run(given.settings)
     tick("")
     about = {"kind": kind, "quick": given.quick, "settings": asdict(given.settings), "load": os.getloadavg()}
+    if benchmark.draw is not None:
+        run.write_text("picture.svg", svg(benchmark.draw(rows)))
     run.save(rows, about | {"missing": show.lacking(rows), "claims": [asdict(claim) for claim in benchmark.claims]})
     written = (show.as_json if given.json else show.as_text)(benchmark, rows, run.read_json("run.json"), before)
     sys.stdout.write(written if given.json else f"{written}{run.folder}\n")

@@ -10,6 +10,7 @@ from shutil import get_terminal_size
 from typing import Annotated, Any, Generic, TypeVar
 
 import tyro
+from matplotlib.figure import Figure
 
 from grasp_env import ranges
 from grasp_env.errors import InvalidInputError, shown
@@ -58,6 +59,7 @@ class Benchmark:
         claims: about the summary.
         words: meaning of values of the column `method`.
         notes: takes the summary, returns lines to print below it.
+        draw: takes the rows, returns a figure that is kept beside them as picture.svg; None: there is none.
     """
 
     run: Callable[[Any], pd.DataFrame]
@@ -67,6 +69,7 @@ class Benchmark:
     claims: tuple[Claim, ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
     notes: Callable[[pd.DataFrame], Iterable[str]] = lambda summary: ()
+    draw: Callable[[pd.DataFrame], Figure] | None = None
 
 
 Settings = TypeVar("Settings")

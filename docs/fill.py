@@ -4,8 +4,8 @@ python -m docs.fill                 writes every block <!-- results: NAME --> ..
 python -m docs.fill --check         names the blocks that differ from the saved runs; exit code 1
 python -m docs.fill --save RUN...   keeps the summaries of run folders, of `grasp` or of the benchmarks
 
-docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json says how it was made. A table of a
-page is a function of `TABLES`: a query on these summaries.
+docs/results/KIND.csv is the summary of a run (columns: training/results/columns.py), KIND.json says how it was made, KIND.svg is its
+picture where it has one. A table of a page is a function of `TABLES`: a query on these summaries.
 """
 
 from __future__ import annotations
@@ -189,6 +189,24 @@ def rl_speed() -> str:
     return markdown("rl", pd.DataFrame(made))
 
 
+def hand_loop() -> str:
+    """Latencies of the example for hardware, and what was lost."""
+    means = saved("hand_loop")[0]
+    names = {"cpp": "C++", "python": "Python"}
+    made = [
+        {"controller": names[row["method"]], "time [us]": row["case"], "n": row["n"],
+         **{label: cell(row[f"latency_{name}"]) for name, label in (("median", "median"), ("p99", "99 %"), ("p999", "99.9 %"), ("max", "largest"))}}
+        for row in chosen(means, "case != 'run'").to_dict("records")
+    ]  # fmt: skip
+    told = [
+        f"{names[row['method']]}: {row['lost_sum']:.0f} messages lost, {row['unanswered_sum']:.0f} overtaken by a newer one, {row['late_sum']:.0f} updates "
+        f"after a missed deadline, {row['over_budget_sum']:.0f} over their budget, the simulated hand late in {row['behind_sum']:.0f} steps; "
+        f"the ball moved by at most {row['drift_max']:.2f} mm."
+        for row in chosen(means, "case == 'run'").to_dict("records")
+    ]  # fmt: skip
+    return markdown("hand_loop", pd.DataFrame(made), "\n".join(told))
+
+
 def overview() -> str:
     """The table of README.md: the main numbers beside what was asked."""
 
@@ -230,7 +248,7 @@ def _us(row: dict[str, Any]) -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "summary": overview, "solvers": solvers, "batch": batch, "starts": reported("starts", starts.hardest_sets),
+    "summary": overview, "hand_loop": hand_loop, "solvers": solvers, "batch": batch, "starts": reported("starts", starts.hardest_sets),
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps),
     "starts_claims": asked("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
     "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),
@@ -239,7 +257,7 @@ TABLES: dict[str, Callable[[], str]] = {
 
 
 def save(folder: Path) -> str:
-    """Keeps the summary of a run folder; the kind under which it is kept."""
+    """Keeps the summary of a run folder, and its picture; the kind under which it is kept."""
     rows, about = Run.open(folder, "run.json").load()
     if about.get("quick"):
         raise SystemExit(f"{folder} is a quick run, whose numbers are not quoted: run it in full")
@@ -249,6 +267,9 @@ def save(folder: Path) -> str:
         kept = json.dumps({name: about[name] for name in PROVENANCE if name in about}, indent=1)
         # a path says something about one machine only
         target.write_text(re.sub(r"(?<![\w.])/[^\s\"]*/(?=[^\s\"])", "", kept) + "\n", encoding="utf-8")
+    if (folder / "picture.svg").exists():
+        with replacing(RESULTS / f"{about['kind']}.svg") as target:
+            target.write_bytes((folder / "picture.svg").read_bytes())
     return about["kind"]
 
 

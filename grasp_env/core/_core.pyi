@@ -441,6 +441,18 @@ class Tree:
         Torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].
         """
 
+    def statics(self, angles: object, points: object, gravity: object, jacobian: object, torques: object) -> None:
+        """
+        The Jacobians of the points (N, 3) [m] with which the fingertips touch, into (N, 3, M), and those torques, into (M,).
+        """
+
+    def save(self) -> bytes:
+        """What `grasp::TreeFile` reads: one file for C++ programs."""
+
+    @staticmethod
+    def load(bytes: bytes) -> Tree | None:
+        """The hand that `save` wrote; None: it is not whole."""
+
 class Reach:
     """
     Inverse kinematics of a hand: damped least squares within the joint limits.

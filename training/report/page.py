@@ -94,7 +94,7 @@ def write(run: Run) -> Report:
         derived = getattr(shown, "derive", lambda means: means)(means)
         claims = judge(claims_of(about), derived)
         figures = [
-            (title, caption, svg(figure), f"{title}. {caption}")
+            (title, caption, embedded(figure), f"{title}. {caption}")
             for title, caption, draw in getattr(shown, "FIGURES", ())
             if (figure := draw(rows, derived)) is not None
         ]
@@ -190,7 +190,7 @@ def axes(height: float, width: float = WIDTH, columns: int = 1) -> tuple[Figure,
 
 
 def svg(figure: Figure) -> str:
-    """The figure as a data URI: text stays text, and its ink is light on a dark page."""
+    """The figure as a file: text stays text, and its ink is light on a dark page."""
     out = io.StringIO()
     with rc_context(STYLE):
         figure.savefig(out, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
@@ -199,8 +199,12 @@ def svg(figure: Figure) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"(\d+\.\d{2})\d+", r"\1", text)
     ink = "svg{color:#101010}text{fill:currentColor;font-family:system-ui,sans-serif!important}@media(prefers-color-scheme:dark){svg{color:#e8e8e8}}"
-    text = text.replace(">", f"><style>{ink}</style>", 1)
-    return "data:image/svg+xml;base64," + base64.b64encode(text.encode()).decode("ascii")
+    return text.replace(">", f"><style>{ink}</style>", 1)
+
+
+def embedded(figure: Figure) -> str:
+    """The same as a data URI."""
+    return "data:image/svg+xml;base64," + base64.b64encode(svg(figure).encode()).decode("ascii")
 
 
 _INTRO = (

@@ -33,6 +33,7 @@ STATISTICS: dict[str, tuple[str, Callable[[NDArray[np.float64]], float]]] = {
     "p90": ("90th percentile", lambda x: float(np.percentile(x, 90))),
     "p95": ("95th percentile", lambda x: float(np.percentile(x, 95))),
     "p99": ("99th percentile", lambda x: float(np.percentile(x, 99))),
+    "p999": ("99.9th percentile", lambda x: float(np.percentile(x, 99.9))),
     "min": ("least", lambda x: float(x.min())),
     "max": ("largest", lambda x: float(x.max())),
     "sum": ("sum", lambda x: float(x.sum())),

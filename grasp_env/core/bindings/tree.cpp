@@ -6,6 +6,7 @@
 #include <nanobind/stl/vector.h>
 
 #include <grasp/hand/reach.hpp>
+#include <grasp/hand/tree_file.hpp>
 
 #include "buffers.hpp"
 
@@ -36,14 +37,19 @@ void make_link(Link* link, int parent, const Three& offset, const Nine& rotation
 }
 
 std::shared_ptr<Tree> make_tree(const std::vector<Link>& links, const std::vector<Tip>& tips) {
-    for (std::size_t j = 0; j < links.size(); ++j)
-        if (links[j].parent >= int(j) || links[j].parent < -1) throw nb::value_error("parents come before their links");
-    for (const Link& link : links)
-        if (link.driver >= int(links.size()) || (link.coupled() && links[link.driver].coupled()))
-            throw nb::value_error("a joint is coupled to one that is not");
-    for (const Tip& tip : tips)
-        if (tip.link < 0 || tip.link >= int(links.size())) throw nb::value_error("a tip is on a link");
-    return std::make_shared<Tree>(Tree{links, tips});
+    auto tree = std::make_shared<Tree>(Tree{links, tips});
+    if (const char* fault = tree->fault()) throw nb::value_error(fault);
+    return tree;
+}
+
+nb::bytes save(const Tree& tree) {
+    const std::string bytes = TreeFile::write(tree);
+    return nb::bytes(bytes.data(), bytes.size());
+}
+
+std::shared_ptr<Tree> load(nb::bytes bytes) {
+    auto tree = TreeFile::read({bytes.c_str(), bytes.size()});
+    return tree ? std::make_shared<Tree>(*std::move(tree)) : nullptr;
 }
 
 // A posture at these angles (M,).
@@ -82,6 +88,13 @@ void mass_matrix(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handl
 
 void gravity_torques(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle gravity, nb::handle torques) {
     posture(tree, angles).support(point(in(gravity, 3).data()), out(torques, tree->joints()).data());
+}
+
+void statics(const std::shared_ptr<Tree>& tree, nb::handle angles, nb::handle points, nb::handle gravity, nb::handle moves,
+             nb::handle torques) {
+    const std::size_t fingers = tree->fingers(), joints = tree->joints();
+    Posture(tree).statics(in(angles, joints).data(), {in(points, fingers, 3).data(), 3 * fingers}, point(in(gravity, 3).data()),
+                          {out(moves, fingers, 3, joints).data(), 3 * fingers * joints}, {out(torques, joints).data(), joints});
 }
 
 void solve(Reach& reach, nb::handle targets, nb::handle starts, nb::handle angles, nb::handle missed) {
@@ -126,7 +139,13 @@ void bind_tree(nb::module_& m) {
              "The velocity of a point (3,) [m] of a link per joint speed, world frame, into (3, M).")
         .def("mass_matrix", &mass_matrix, "angles"_a, "matrix"_a, "(M, M) [kg m^2]; rows and columns of coupled joints are zero.")
         .def("gravity_torques", &gravity_torques, "angles"_a, "gravity"_a, "torques"_a,
-             "Torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].");
+             "Torques that carry the weight of all links under a gravity (3,) [m/s^2], into (M,) [N m].")
+        .def("statics", &statics, "angles"_a, "points"_a, "gravity"_a, "jacobian"_a, "torques"_a,
+             "The Jacobians of the points (N, 3) [m] with which the fingertips touch, into (N, 3, M), and those torques, into "
+             "(M,).")
+        .def("save", &save, "What `grasp::TreeFile` reads: one file for C++ programs.")
+        .def_static("load", &load, "bytes"_a, nb::sig("def load(bytes: bytes) -> Tree | None"),
+                    "The hand that `save` wrote; None: it is not whole.");
     nb::class_<Reach>(m, "Reach", "Inverse kinematics of a hand: damped least squares within the joint limits.")
         .def_static(
             "make", [](const std::shared_ptr<Tree>& tree, bool limited) { return std::make_unique<Reach>(tree, limited); },

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from grasp_env import core
 from grasp_env._check import Array, Indices, as_array, whole
+from grasp_env._files import as_path, replacing
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import rotation_matrix
@@ -140,6 +142,55 @@ class HandKinematics:
         out = np.empty(self.hand.joint_count)
         self.tree.gravity_torques(self._angles(angles), as_array(gravity, (3,), "gravity"), out)
         return out
+
+    def statics(
+        self, angles: ArrayLike, positions: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)
+    ) -> tuple[Array, Array]:
+        """What a control tick needs of the hand, in one call: how its contact points move, and what carries its weight.
+
+        Args:
+            angles: Of the joints [rad], (M,).
+            positions: Where each fingertip touches [m], (N, 3), world frame.
+            gravity: [m/s^2], (3,), world frame.
+
+        Returns:
+            Joint speeds to velocities of these points, (N, 3, M) [m/rad], as `ForceLimits` takes it; the torques (M,) [N m] of
+            `gravity_torques`.
+
+        Example:
+            >>> kinematics = HandKinematics(HandDescription.four_finger())
+            >>> jacobian, weight = kinematics.statics(kinematics.home, kinematics.tips(kinematics.home))
+            >>> jacobian.shape, weight.shape
+            ((4, 3, 12), (12,))
+        """
+        count = self.hand.joint_count
+        points = as_array(positions, (self.hand.finger_count, 3), "positions")
+        jacobian, torques = np.empty((len(points), 3, count)), np.empty(count)
+        self.tree.statics(self._angles(angles), points, as_array(gravity, (3,), "gravity"), jacobian, torques)
+        return jacobian, torques
+
+    def export(self, path: str | Path) -> Path:
+        """Writes what C++ programs read with `grasp::TreeFile::load`: links, masses, limits and fingertips, without shapes.
+
+        Args:
+            path: Of the file, which is written whole or not at all.
+
+        Raises:
+            InvalidInputError: The file cannot be written; the message says why.
+
+        Example:
+            >>> import tempfile
+            >>> with tempfile.TemporaryDirectory() as folder:
+            ...     HandKinematics(HandDescription.allegro()).export(f"{folder}/allegro.hand").stat().st_size
+            4416
+        """
+        file = as_path(path, InvalidInputError, "a hand's file")
+        try:
+            with replacing(file) as temporary:
+                temporary.write_bytes(self.tree.save())
+        except OSError as error:
+            raise InvalidInputError(f"hand file {file}: {error.strerror or error}") from None
+        return file
 
     def mass_matrix(self, angles: ArrayLike) -> Array:
         """Inertia of the hand, (M, M) [kg m^2], at `angles` (M,) [rad]: its kinetic energy is 1/2 rates^T out rates.

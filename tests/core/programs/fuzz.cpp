@@ -3,6 +3,7 @@
 //
 //     clang++ -fsanitize=fuzzer,address,undefined ... fuzz.cpp   with libFuzzer
 //     g++ -DGRASP_SEEDED ... fuzz.cpp; fuzz SEED COUNT           bytes by chance, everywhere
+#include <grasp/hand/tree_file.hpp>
 #include <grasp/optimizer.hpp>
 
 #include <cstdint>
@@ -475,6 +476,8 @@ void run(Bytes& from) {
         const std::string_view bytes(reinterpret_cast<const char*>(from.data()), from.left());
         if (ModelFile::read(bytes)) std::abort();  // one in 2^64 hashes
         if (ModelFile::body(bytes) && bytes.size() < 14 * sizeof(double)) std::abort();
+        if (TreeFile::read(bytes)) std::abort();
+        if (const auto tree = TreeFile::body(bytes); tree && !TreeFile::read(TreeFile::write(*tree))) std::abort();
         return;
     }
     const Made made(from);

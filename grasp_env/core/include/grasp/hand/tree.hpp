@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <memory>
 #include <numeric>
+#include <span>
 #include <grasp/hand/rotation.hpp>
 
 namespace grasp {
@@ -37,6 +38,18 @@ struct Tree {
 
     int joints() const { return int(links.size()); }
     int fingers() const { return int(tips.size()); }
+    // What is wrong with its order, as a sentence; none: nothing is.
+    const char* fault() const {
+        for (int j = 0; j < joints(); ++j) {
+            const Link& link = links[j];
+            if (link.parent >= j || link.parent < -1) return "parents come before their links";
+            if (link.driver >= joints() || (link.coupled() && links[link.driver].coupled()))
+                return "a joint is coupled to one that is not";
+        }
+        for (const Tip& tip : tips)
+            if (tip.link < 0 || tip.link >= joints()) return "a tip is on a link";
+        return nullptr;
+    }
     // Coupled joints follow theirs; angles: (M,)
     void couple(double* angles) const {
         for (int j = 0; j < joints(); ++j)
@@ -159,6 +172,15 @@ public:
             const Link& link = tree_->links[j];
             push(j, at(j, link.center), -link.mass * gravity, torques);
         }
+    }
+    // What a control tick needs at angles (M,): where links are, the Jacobian of the points (N, 3) with which tips touch, and that support.
+    void statics(const double* angles, std::span<const double> points, const Point& gravity, std::span<double> jacobian,
+                 std::span<double> torques) {
+        const int count = tree_->joints();
+        trace(angles);
+        for (int i = 0; i < tree_->fingers(); ++i)
+            this->jacobian(tree_->tips[i].link, point(&points[3 * i]), &jacobian[3 * count * i]);  // (N, 3, M)
+        support(gravity, torques.data());
     }
 
     // (M, M) into `out` [kg m^2]: kinetic energy = 1/2 rates^T out rates; rows and columns of coupled joints are zero.

@@ -1,0 +1,389 @@
+"""The controllers of `examples/hand_controller` in a process of their own, in real time against a simulated hand that holds an object.
+
+The hand runs here: MuJoCo steps at the rate, sends what a hand would, and turns what comes back into torques. Contacts of each finger in
+turn are cut for a while, and messages stop now and then.
+"""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib import util
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.settings import Benchmark, tick
+from grasp_env._check import Array
+from grasp_env.control.loop import critically_damped
+from grasp_env.env.env import FourFingerGrasp
+from grasp_env.errors import SimulationError
+from grasp_env.sim import HandDescription, MujocoEngine
+from grasp_env.sim.hand.description import HANDS
+from grasp_env.task.motion import resting_target
+from training.report.page import WIDTH
+from training.results.claims import Claim
+from training.results.table import pd, table
+
+ROOT = Path(__file__).parents[1]
+UNITS = 240.0
+"""Largest command, for the largest torque of each joint."""
+MARGIN = 0.9
+"""Of the friction: what the controller believes in."""
+BANDWIDTH = 40.0, 60.0
+"""Of the feedback on position and orientation [rad/s]."""
+RISE = 0.05
+"""[s] before the hand carries the object."""
+FIRST_CUT, CUT_EVERY, CUT_FOR = 0.5, 0.4, 0.1
+"""[s] when contacts of a finger are cut, the next one's after that, and for how long."""
+FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR = 0.7, 1.2, 0.02
+"""[s] when messages stop; never while contacts are cut."""
+SENSOR_AGE = 0.001
+"""[s] age of contacts when they are sent."""
+NUMBER, HEARD, UPDATES, DURATION, LATE, OVER_BUDGET, STATUS, COMMANDS = range(8)
+"""Places in what comes back."""
+HELD = 5.0
+"""[mm] of drift within which the object counts as held."""
+UPDATE, TRIP, WHOLE = "update", "round trip", "run"
+LANGUAGES = {"cpp": "C++", "python": "Python"}
+COLORS = {"cpp": "tab:blue", "python": "tab:orange"}
+PATIENCE = 60.0
+"""[s] until the controller must have answered its first message."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What runs.
+
+    Attributes:
+        hand: that holds a ball of 60 mm and 150 g.
+        rate: of the hand's messages, and of the controller [Hz]; a divisor of 1000.
+        seconds: of simulated and real time.
+        language: of the controller, one after another.
+    """
+
+    hand: Literal["allegro", "leap"] = "allegro"
+    rate: Literal[1000, 500, 250, 100] = 1000
+    seconds: int = 60
+    language: tuple[Literal["cpp", "python"], ...] = ("cpp", "python")
+
+
+def run(settings: Settings) -> pd.DataFrame:
+    """Runs the loop, and returns a row for each update, one for each message that was answered, and one of counts."""
+    rows: list[dict[str, Any]] = []
+    for language in settings.language:
+        told = measure(settings.hand, settings.rate, settings.seconds, language)
+        keys = {"hand": settings.hand, "method": language}
+        for case, times in ((UPDATE, told.durations), (TRIP, told.trips.values())):
+            rows += [{**keys, "case": case, "problem": k, "latency": 1e6 * value} for k, value in enumerate(times)]
+        rows.append({**keys, "case": WHOLE, "problem": 0, **told.counts})
+    return table(rows)
+
+
+def measure(name: str, rate: int, seconds: float, language: str, program: Path | None = None) -> Loop:
+    """One run of the loop; program: the compiled example, else it is built.
+
+    Raises:
+        SimulationError: the controller does not answer, or cannot be built.
+    """
+    hand = SimulatedHand(name, rate)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            if language == "python":
+                start = python_controller(hand, rate)
+            else:
+                start = compiled_controller(hand, rate, Path(folder), program or build(Path(folder)))
+            with start as channel:
+                loop = Loop(hand, channel, rate)
+                loop.run(seconds)
+                return loop
+    finally:
+        hand.env.close()
+
+
+class SimulatedHand:
+    """A hand that holds an object, as a driver of hardware shows it."""
+
+    def __init__(self, name: str, rate: int) -> None:
+        ball = {"shape": "sphere", "size": (0.06,), "friction": 0.7, "mass": 0.15}
+        rates = {"controller.rate": rate, "agent.rate": rate // 10}
+        self.env = FourFingerGrasp(hand=HANDS[name](), engine=MujocoEngine(), **rates, **ball)
+        self.env.reset(seed=0)
+        self.scene = scene = self.env.scene
+        self.hand: HandDescription = scene.kinematics.hand
+        self.limits = scene.kinematics.torque_limits
+        self.friction = MARGIN * scene.config.object.friction * self.hand.tip_friction
+        self.body = critically_damped(scene.config.object, *BANDWIDTH)
+        self.target = resting_target(1)[0]
+
+    def drift(self) -> float:
+        """How far the object is from where it was grasped [mm]."""
+        return 1e3 * float(np.linalg.norm(self.scene.look().position))
+
+    def step(self, commands: Array) -> None:
+        """A period under commands in device units: motors turn them into torques."""
+        self.scene.advance((commands / UNITS * self.limits).tolist(), None)
+
+    def state(self, cut: int) -> Array:
+        """The numbers of a `HandState`; cut: a finger whose contact is not seen, -1: none."""
+        seen = self.scene.look()
+        touching = seen.touching.copy()
+        if cut >= 0:
+            touching[cut] = 0.0
+        load = np.array(self.body.wrench(self.scene.core, self.target, self.scene.gravity))
+        force, moment = seen.rotation @ load[:3], seen.rotation @ load[3:]
+        return np.concatenate([
+            seen.angles, seen.rates, touching, seen.touch.ravel(), (seen.normals @ seen.rotation.T).ravel(), force,
+            moment + np.cross(seen.position, force), self.scene.gravity, [SENSOR_AGE],
+        ])  # fmt: skip
+
+
+class Loop:
+    """The hand's side of the loop: steps, sends, and takes what comes back until the next step is due.
+
+    Attributes:
+        durations: seconds of each update, as the controller measured it. statuses: what it did, places in `STATUSES`.
+        trips: seconds from sending a message to its answer, by its number.
+        counts: of the whole run, columns of the table.
+    """
+
+    def __init__(self, hand: SimulatedHand, channel: socket.socket, rate: int) -> None:
+        self.hand, self.channel, self.period = hand, channel, 1.0 / rate
+        self.durations: list[float] = []
+        self.statuses: list[int] = []
+        self.trips: dict[int, float] = {}
+        self.counts: dict[str, Any] = {}
+        self._sent: list[float] = []
+        self._first = self._came = 0  # number of the first message that is timed; answers
+        self._answer = np.zeros(COMMANDS)
+
+    def run(self, seconds: float) -> None:
+        """Runs for a time [s].
+
+        Raises:
+            SimulationError: the controller does not answer.
+        """
+        hand, fingers, drift, behind = self.hand, self.hand.hand.finger_count, 0.0, 0
+        self._rise()
+        due = time.perf_counter()
+        for k in range(round(seconds / self.period)):
+            now, due = k * self.period, due + self.period
+            if not k % 1000:
+                tick(f"{now:.0f} s of {seconds} s, {drift:.3f} mm")
+            hand.step(self._answer[COMMANDS : COMMANDS + len(hand.limits)])
+            drift = max(drift, hand.drift())
+            if not _within(now, FIRST_SILENCE, SILENCE_EVERY, SILENT_FOR):
+                cut = _within(now, FIRST_CUT, CUT_EVERY, CUT_FOR)
+                self._send(hand.state((cut - 1) % fingers if cut else -1))
+            if time.perf_counter() > due:  # this machine is busy: a hand would not be
+                due, behind = time.perf_counter() + 0.5 * self.period, behind + 1
+            self._take(due)
+        self._take(time.perf_counter() + 0.1)
+        heard, updates = self._answer[HEARD], self._answer[UPDATES]
+        self.counts = {
+            "lost": int(len(self._sent) - heard + updates - self._came), "unanswered": len(self._sent) - self._first - len(self.trips),
+            "late": int(self._answer[LATE]), "over_budget": int(self._answer[OVER_BUDGET]), "behind": behind, "solves": int(updates),
+            "held": bool(drift < HELD), "drift": drift, "seconds": seconds,
+        }  # fmt: skip
+
+    def _rise(self) -> None:
+        """The object is carried until torques have risen; none of it is timed."""
+        self._send(self.hand.state(-1))
+        self._take(time.perf_counter() + PATIENCE, first=True)
+        if not self.durations:
+            raise SimulationError(f"the controller did not answer in {PATIENCE} s")
+        for _ in range(round(RISE / self.period)):
+            self._send(self.hand.state(-1))
+            self._take(time.perf_counter() + self.period)
+        self._take(time.perf_counter() + self.period)
+        self.durations, self.statuses, self.trips, self._first = [], [], {}, len(self._sent)
+
+    def _send(self, numbers: Array) -> None:
+        """One message, with its number."""
+        message = np.concatenate([[len(self._sent)], numbers]).tobytes()
+        self._sent.append(time.perf_counter())
+        self.channel.send(message)
+
+    def _take(self, until: float, first: bool = False) -> None:
+        """What comes back until then, or the first of it."""
+        while (left := until - time.perf_counter()) > 0.0:
+            if not select.select([self.channel], [], [], left)[0]:
+                break
+            message = self.channel.recv(1 << 16)
+            came = time.perf_counter()
+            if not message:
+                raise SimulationError("the controller has ended")
+            self._answer = np.frombuffer(message)
+            number, self._came = int(self._answer[NUMBER]), self._came + 1
+            if number >= self._first:
+                self.trips.setdefault(number, came - self._sent[number])
+            self.durations.append(float(self._answer[DURATION]))
+            self.statuses.append(int(self._answer[STATUS]))
+            if first:
+                break
+
+
+def _within(now: float, first: float, every: float, lasts: float) -> int:
+    """The number, from one on, of the repeated event that now is within; 0: of none."""
+    number, since = divmod(now - first, every)
+    return int(number) + 1 if now >= first and since < lasts else 0
+
+
+@contextmanager
+def compiled_controller(hand: SimulatedHand, rate: int, folder: Path, program: Path) -> Iterator[socket.socket]:
+    """The example in C++, served by a process."""
+    file = hand.scene.kinematics.export(folder / "hand")
+    mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    words = [str(other.fileno()), str(file), str(rate), f"{hand.friction:.17g}"]
+    with (
+        subprocess.Popen([program, *words], pass_fds=[other.fileno()]) as process,
+        mine,
+    ):  # which ends when that is closed
+        other.close()
+        yield mine
+        mine.close()
+        process.wait(10.0)
+
+
+@contextmanager
+def python_controller(hand: SimulatedHand, rate: int) -> Iterator[socket.socket]:
+    """The example in Python, served by a process."""
+    mine, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    given = other, hand.hand, float(rate), hand.friction
+    process = multiprocessing.get_context("spawn").Process(target=serve, args=given, daemon=True)
+    with mine:
+        process.start()
+        other.close()
+        yield mine
+    process.join(10.0)
+
+
+def build(folder: Path) -> Path:
+    """The example in C++, compiled for this processor."""
+    core, made = ROOT / "grasp_env" / "core", folder / "build"
+    options = ["-DGRASP_EXAMPLES=ON", "-DCMAKE_BUILD_TYPE=Release", "-DCMAKE_CXX_FLAGS=-march=native"]
+    tick("the example is compiled")
+    for words in (["-S", core, "-B", made, *options], ["--build", made, "--target", "hand_controller"]):
+        done = subprocess.run(["cmake", *words], capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise SimulationError(f"cmake fails: {done.stderr or done.stdout}")
+    return made / "hand_controller"
+
+
+def example() -> ModuleType:
+    """`examples/hand_controller.py`."""
+    spec = util.spec_from_file_location("hand_controller", ROOT / "examples" / "hand_controller.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def state_of(shown: ModuleType, numbers: Array, joints: int, fingers: int) -> Any:
+    """The `HandState` of a message."""
+    ends = np.cumsum([joints, joints, fingers, 3 * fingers, 3 * fingers, 6, 3])
+    angles, rates, touching, positions, normals, wrench, gravity, age = np.split(numbers, ends)
+    rows = positions.reshape(-1, 3), normals.reshape(-1, 3)
+    return shown.HandState(angles, rates, touching > 0.0, *rows, wrench, gravity, float(age[0]))
+
+
+def controller_of(shown: ModuleType, hand: HandDescription, rate: float, friction: float) -> Any:
+    """The controller in Python as `main` in C++ configures it."""
+    limits, made = hand.torque_limits, shown.HandController()
+    table = shown.Calibration(np.outer(limits, [-1.0, 1.0]), np.tile([-UNITS, UNITS], (len(limits), 1)))
+    made.configure(hand, shown.Settings(friction=friction, rate=rate), table)
+    return made
+
+
+def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: float) -> None:
+    """What `main` in C++ does, with the example in Python."""
+    shown = example()
+    controller = controller_of(shown, hand, rate, friction)
+    heard, updates, number, measured, last = 0, 0, 0.0, 0.0, 0.0
+    state: Any = None
+    channel.setblocking(False)
+    gc.freeze()
+    gc.disable()  # nothing here makes circles
+    while True:
+        select.select([channel], [], [], 1.5 / rate if heard else None)
+        newest = b""
+        try:
+            while message := channel.recv(1 << 16):  # the newest counts
+                newest, heard = message, heard + 1
+            return
+        except BlockingIOError:
+            pass
+        except ConnectionError:  # closed with answers unread
+            return
+        now = time.perf_counter()
+        if newest:
+            row = np.frombuffer(newest)
+            number, state = row[0], state_of(shown, row[1:], hand.joint_count, hand.finger_count)
+            measured = now - state.age
+        if controller.status == "inactive":
+            with suppress(ValueError):  # broken numbers: the next message
+                controller.activate(state)
+            last = now - 1.0 / rate
+        state.age = now - measured
+        commands = controller.update(state, now - last)
+        last, updates = now, updates + 1
+        c = controller
+        told = [number, heard, updates, c.duration, c.late, c.over_budget, shown.STATUSES.index(c.status)]
+        with suppress(BlockingIOError, ConnectionError):
+            channel.send(np.concatenate([told, commands, c.torques]).tobytes())
+
+
+def draw(rows: pd.DataFrame) -> Figure:
+    """How many updates and round trips took how long, on logarithmic axes."""
+    figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+    axes = figure.subplots()
+    timed = rows.dropna(subset="latency")
+    edges = np.geomspace(max(timed["latency"].min(), 1.0), 1.01 * timed["latency"].max(), 70)
+    for keys, part in timed.groupby(["method", "case"], sort=False):
+        method, case = map(str, keys)  # type: ignore[call-overload]
+        counts, _ = np.histogram(part["latency"], edges)
+        style = "-" if case == UPDATE else ":"
+        axes.stairs(
+            counts, edges, label=f"{LANGUAGES[method]}, {case}", color=COLORS[method], linestyle=style, linewidth=1.4
+        )
+    axes.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="how many", ylim=(0.8, None))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(lambda value, _: f"{value:,.0f}")
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(frameon=False, fontsize=9, ncols=2, loc="outside upper left")
+    return figure
+
+
+_FAST = f"case == '{UPDATE}' and method == 'cpp'"
+_WHOLE = f"case == '{WHOLE}'"
+BENCHMARK = Benchmark(
+    run,
+    Settings(),
+    {"seconds": 5},
+    (
+        "latency_median", "latency_p99", "latency_p999", "latency_max", "lost_sum", "unanswered_sum", "late_sum", "over_budget_sum",
+        "behind_sum", "drift_max",
+    ),
+    claims=(
+        Claim("update in C++, median", _FAST, "latency_median", "<=", 15.0, unit="us"),
+        Claim("update in C++, 99.9th percentile", _FAST, "latency_p999", "<=", 60.0, unit="us"),
+        Claim("messages lost", _WHOLE, "lost_sum", "<=", 0.0),
+        Claim("runs in which the object was held", _WHOLE, "held_mean", ">=", 1.0),
+    ),
+    words=LANGUAGES,
+    draw=draw,
+)  # fmt: skip

@@ -1,0 +1,150 @@
+"""
+A controller for a torque-controlled hand
+=========================================
+
+Joint state, contacts and a wrench go in; commands in the units of the motors come out. To learn: a controller's life
+cycle, calibration, a watchdog, lost contacts, the hand's own weight and a budget of time around one solve in each
+update. In C++: ``hand_controller.hpp``.
+"""
+
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+
+from grasp_env.force import ForceLimits, ForceOptimizer, Status
+from grasp_env.grasp import Grasp
+from grasp_env.sim import HandDescription, HandKinematics
+
+STATUSES = ("inactive", "holding", "overloaded", "coasting", "released")
+
+
+@dataclass
+class HandState:
+    """A message of a hand with M joints and N fingertips: float64 arrays, in the frame of the hand's base."""
+
+    angles: np.ndarray  # (M,) [rad]
+    rates: np.ndarray  # (M,) [rad/s]
+    touching: np.ndarray  # (N,) bool: which fingertips touch
+    positions: np.ndarray  # (N, 3) where they do [m]
+    normals: np.ndarray  # (N, 3) unit vectors into the object
+    wrench: np.ndarray  # (6,) that the fingers balance: the object's weight and feedback on its pose [N, N m]
+    gravity: np.ndarray  # (3,) [m/s^2]: the hand may be on an arm
+    age: float = 0.0  # [s] since the contacts were measured
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is tuned for a hand and a task."""
+
+    friction: float = 0.8
+    rate: float = 1000.0  # [Hz] of `update`
+    iterations: int = 40  # most steps of the solver in an update
+    budget: float = 1e-4  # [s] of an update: longer ones are counted
+    damping: float = 0.01  # [N m s/rad] of every joint
+    stiffness: float = 0.1  # [N m/rad] towards the posture at `activate`, for joints that the fingertips leave free
+    push: float = 0.1  # [N] of a finger without contact, along its last normal
+    slew: float = 50.0  # [1/s] fastest change of a torque, as a part of its limit
+    stale: float = 0.005  # [s] largest age of contacts that are solved for
+    grace: float = 0.1  # [s] for which the last forces are kept without a solution
+    fade: float = 0.2  # [s] in which they are then let go
+
+
+class Calibration:
+    """Torques (M, K) [N m], ascending through zero, to units (M, K): linear between points, clipped at the ends."""
+
+    def __init__(self, torques, units):
+        torques, units = np.array(torques, dtype=float), np.array(units, dtype=float)
+        if torques.ndim != 2 or torques.shape != units.shape or not (np.diff(torques) > 0.0).all():
+            raise ValueError("a calibration needs for each joint torques that ascend, and as many units")
+        self.knots, self.widths, self.first = torques[:, :-1], np.diff(torques), units[:, 0]
+        self.slopes = np.diff(units) / self.widths
+        self.limits = np.minimum(-torques[:, 0], torques[:, -1])  # (M,) [N m] that it reaches in both directions
+
+    def __call__(self, torques):
+        """Whole device units (M,) for torques (M,)."""
+        covered = np.clip(torques[:, None] - self.knots, 0.0, self.widths)  # of each piece
+        return np.rint(self.first + (self.slopes * covered).sum(axis=1))
+
+
+class HandController:
+    """`configure` and `activate` may raise, `update` never does; it commands `torques` [N m], and `status` says why.
+
+    "holding": forces that balance the wrench; "overloaded": those that exceed the motors' limits least; "coasting": the
+    last forces, as contacts are stale, numbers broken or no force balances; "released": the hand carries itself.
+    """
+
+    def configure(self, hand: HandDescription, settings: Settings, calibration: Calibration):
+        """Makes all that an update needs."""
+        self.kinematics, self.settings, self.calibration = HandKinematics(hand), settings, calibration
+        self.limits = np.minimum(self.kinematics.torque_limits, calibration.limits)
+        turn = 2 * np.pi * np.arange(hand.finger_count) / hand.finger_count
+        ring = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])  # any N contacts: every call brings its own
+        limits = ForceLimits(jacobian=np.zeros((len(turn), 3, hand.joint_count)), torque_limit=self.limits)
+        options = {"initial": "previous", "elastic": True, "max_iterations": settings.iterations}
+        grasp = Grasp.from_contacts(0.03 * ring, -ring, settings.friction)
+        self.optimizer = ForceOptimizer(grasp, limits=limits, **options)
+        self.size = 2 * hand.joint_count + 7 * hand.finger_count + 10  # numbers of a state
+        self.duration, self.late, self.over_budget = 0.0, 0, 0
+        self.deactivate()
+
+    def activate(self, state: HandState):
+        """Begins where the hand is; torques rise from none."""
+        if not self._good(state):
+            raise ValueError(f"a state of {self.size} finite numbers is needed to begin with, got {state}")
+        self.state, self.age, self.home = state, state.age, state.angles.copy()
+        self.positions, self.normals = state.positions.copy(), state.normals.copy()
+        self.forces = np.zeros_like(state.positions)  # (N, 3) [N] of the last solution
+        self.blind, self.late, self.over_budget, self.status = np.inf, 0, 0, "released"
+        self.optimizer.forget()
+
+    def deactivate(self):
+        """From now on no torque is commanded."""
+        self.status, self.torques = "inactive", np.zeros(len(self.limits))
+
+    def update(self, state: HandState, period: float):
+        """Commands (M,) in device units. state: the newest, however old; period: [s] since the last update."""
+        begin = perf_counter()
+        if self.status != "inactive":
+            self.late += period > 1.9 / self.settings.rate
+            self._watch(state, max(0.0, period))
+        commands = self.calibration(self.torques)
+        self.duration = perf_counter() - begin
+        self.over_budget += self.duration > self.settings.budget
+        return commands
+
+    def _good(self, state):
+        numbers = np.concatenate([np.ravel(part) for part in vars(state).values()])
+        return numbers.size == self.size and np.isfinite(numbers).all()
+
+    def _watch(self, state, period):
+        s, good = self.settings, self._good(state)  # else the last good message counts
+        self.state, self.age = (state, state.age) if good else (self.state, self.age + period)
+        now, touching = self.state, self.state.touching[:, None]
+        np.copyto(self.positions, now.positions, where=touching)  # a finger without contact keeps its last
+        np.copyto(self.normals, now.normals, where=touching)
+        jacobian, weight = self.kinematics.statics(now.angles, self.positions, now.gravity)
+        levers = jacobian.reshape(-1, len(weight))  # forces at the fingertips @ levers are joint torques
+        carry = weight - s.damping * now.rates
+        spring = s.stiffness * (self.home - now.angles)
+        pushes = ~touching * s.push * self.normals
+        solution = self._solve(jacobian, carry + spring + pushes.ravel() @ levers) if self.age <= s.stale else None
+        if solution is not None:
+            self.blind, self.forces, wanted = 0.0, solution.object_force + pushes, solution.torques
+            self.status = "overloaded" if solution.status is Status.LIMITS_EXCEEDED else "holding"
+        else:
+            # The object was in balance a moment ago: the same forces hold it until contacts have moved or the load has
+            # changed. Later a hand that does not know what it holds must not go on to squeeze it: forces fade.
+            self.blind += period
+            share = min(max(1.0 - (self.blind - s.grace) / s.fade, 0.0), 1.0)
+            wanted = carry + share * (spring + self.forces.ravel() @ levers)
+            self.status = "coasting" if share > 0.0 else "released"
+        most = s.slew * min(period, 2.0 / s.rate) * self.limits  # a missed deadline does not make torques jump
+        self.torques = np.clip(np.clip(wanted, self.torques - most, self.torques + most), -self.limits, self.limits)
+
+    def _solve(self, jacobian, bias):
+        now = {"positions": self.positions, "normals": self.normals, "contacts": self.state.touching}
+        try:
+            return self.optimizer.solve(self.state.wrench, **now, jacobian=jacobian, torque_bias=bias)
+        except ValueError:  # as every error of the solver is: no force balances the wrench, or numbers make no sense
+            return None

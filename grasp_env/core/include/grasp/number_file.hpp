@@ -1,0 +1,92 @@
+// Files of numbers that Python writes and C++ programs read, little-endian: eight letters that name kind and version, a hash of all that
+// follows, then the numbers. A file may come from anywhere: what is read is bounded by its length, and every number is looked at.
+#pragma once
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstring>
+#include <limits>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+
+namespace grasp {
+
+static_assert(std::endian::native == std::endian::little, "number files hold little-endian numbers");
+
+inline constexpr std::size_t LARGEST_FILE = std::size_t(1) << 26;  // bytes; the shipped model has 22 thousand
+
+class NumberWriter {
+public:
+    template <class T> void put(T value) { bytes_.append(reinterpret_cast<const char*>(&value), sizeof value); }
+    void put(int value) { put(double(value)); }
+    // The whole file. kind: eight letters.
+    std::string file(std::string_view kind) const {
+        const std::uint64_t check = hash(bytes_);
+        return std::string(kind) + std::string(reinterpret_cast<const char*>(&check), sizeof check) + bytes_;
+    }
+    static std::uint64_t hash(std::string_view bytes) {  // FNV-1a
+        std::uint64_t out = 14695981039346656037u;
+        for (const char byte : bytes) out = (out ^ std::uint8_t(byte)) * 1099511628211u;
+        return out;
+    }
+
+private:
+    std::string bytes_;
+};
+
+class NumberReader {
+public:
+    explicit NumberReader(std::string_view numbers) : left_(numbers) {}
+
+    // What follows kind and hash; none where the bytes are not those of a whole file of that kind.
+    static std::optional<std::string_view> body(std::string_view bytes, std::string_view kind) {
+        std::uint64_t check;
+        const std::size_t head = kind.size() + sizeof check;
+        if (bytes.size() < head || bytes.size() > LARGEST_FILE || !bytes.starts_with(kind)) return {};
+        std::memcpy(&check, bytes.data() + kind.size(), sizeof check);
+        if (check != NumberWriter::hash(bytes.substr(head))) return {};
+        return bytes.substr(head);
+    }
+    // The bytes of a file; empty: it cannot be read.
+    static std::string bytes(const std::string& path) {
+        std::string out;
+        if (std::FILE* file = std::fopen(path.c_str(), "rb")) {
+            char part[4096];
+            for (std::size_t got; out.size() <= LARGEST_FILE && (got = std::fread(part, 1, sizeof part, file)) > 0;)
+                out.append(part, got);
+            std::fclose(file);
+        }
+        return out;
+    }
+
+    // The next number, which must be finite; 0 from the first that is not.
+    template <class T> T take() {
+        T value{};
+        good_ = good_ && left_.size() >= sizeof value;
+        if (!good_) return T{};
+        std::memcpy(&value, left_.data(), sizeof value);
+        left_.remove_prefix(sizeof value);
+        good_ = std::abs(value) <= std::numeric_limits<T>::max();
+        return good_ ? value : T{};
+    }
+    double number() { return take<double>(); }
+    // A whole number from `least` to `most`.
+    int whole(int most, int least = 0) {
+        const double value = number();
+        good_ = good_ && value >= least && value <= most && value == std::floor(value);
+        return good_ ? int(value) : 0;
+    }
+    // Whether all numbers so far were there and as they must be.
+    bool good() const { return good_; }
+    std::size_t bytes_left() const { return left_.size(); }
+
+private:
+    std::string_view left_;
+    bool good_ = true;
+};
+
+}  // namespace grasp

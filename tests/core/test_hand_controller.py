@@ -1,0 +1,352 @@
+"""The example that is a controller for hardware: its logic, its twin in C++, and both against a simulated hand in another process."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_front import OPTIMIZE, PROGRAMS
+from test_package import CORE, FLAGS, SHADOW, run, succeed, tool
+
+from grasp_env import core
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim import HandDescription, HandKinematics
+
+pytest.importorskip("mujoco")
+
+from benchmarks import hand_loop
+
+shown = hand_loop.example()
+PERIOD = 1e-3
+HOLDING = shown.STATUSES.index("holding")
+
+
+@pytest.fixture(scope="module")
+def hand():
+    """An Allegro around a ball."""
+    made = hand_loop.SimulatedHand("allegro", 1000)
+    yield made
+    made.env.close()
+
+
+@pytest.fixture
+def state(hand):
+    """It at rest, with all fingers on the ball."""
+    hand.env.reset(seed=0)
+    return message(hand)
+
+
+def message(hand, cut: int = -1) -> Any:
+    return hand_loop.state_of(shown, hand.state(cut), hand.hand.joint_count, hand.hand.finger_count)
+
+
+def controller(hand, table: Any = None, **settings: Any) -> Any:
+    limits = hand.limits
+    made = shown.HandController()
+    plain = shown.Calibration(np.outer(limits, [-1.0, 1.0]), np.tile([-240.0, 240.0], (len(limits), 1)))
+    made.configure(hand.hand, shown.Settings(friction=hand.friction, **settings), table or plain)
+    return made
+
+
+def repeated(made, state, ticks: int, period: float = PERIOD) -> np.ndarray:
+    return [made.update(state, period) for _ in range(ticks)][-1]
+
+
+def carried(hand, state) -> tuple[np.ndarray, np.ndarray]:
+    """How forces at the fingertips (N, 3) become torques, and what the hand's weight takes."""
+    moves, weight = hand.scene.kinematics.statics(state.angles, state.positions, state.gravity)
+    return moves.reshape(-1, len(weight)), weight
+
+
+def test_a_calibration_is_linear_between_its_points_and_clipped_at_its_ends() -> None:
+    table = shown.Calibration([[-1.0, 0.0, 0.5], [-2.0, -1.0, 4.0]], [[-200.0, 10.0, 240.0], [20.0, 0.0, -100.0]])
+    for torques, units in (
+        ([0.0, -1.0], [10, 0]), ([0.25, 1.5], [125, -50]), ([-0.5, -1.5], [-95, 10]), ([9.0, 9.0], [240, -100]),
+        ([-9.0, -9.0], [-200, 20]), ([0.001, 4.0], [10, -100]), ([0.002, 4.0], [11, -100]),
+    ):  # fmt: skip
+        assert table(np.array(torques)).tolist() == units
+    assert table.limits.tolist() == [0.5, 2.0]
+    for torques, units in (([[1.0, 0.0]], [[0.0, 1.0]]), ([[0.0, 1.0]], [[0.0]]), ([0.0, 1.0], [0.0, 1.0])):
+        with pytest.raises(ValueError, match="torques that ascend"):
+            shown.Calibration(torques, units)
+
+
+def test_torques_rise_to_those_that_hold_and_end_with_the_life_cycle(hand, state) -> None:
+    made = controller(hand)
+    assert not repeated(made, state, 3).any()  # not activated
+    made.activate(state)
+    most = made.settings.slew * PERIOD * hand.limits
+    before = np.zeros(len(hand.limits))
+    for _ in range(40):
+        made.update(state, PERIOD)
+        assert (abs(made.torques - before) <= most * (1 + 1e-9)).all()
+        before = made.torques
+    levers, weight = carried(hand, state)
+    assert made.status == "holding"
+    np.testing.assert_allclose(made.torques, weight - 0.01 * state.rates + made.forces.ravel() @ levers, atol=1e-9)
+    np.testing.assert_allclose(made.forces.sum(axis=0), -state.wrench[:3], atol=1e-6)
+    assert (abs(made.torques) <= hand.limits).all()
+    np.testing.assert_array_equal(made.update(state, PERIOD), np.rint(240.0 * made.torques / hand.limits))
+    assert (made.late, 0.0 < made.duration < 1.0) == (0, True)
+    made.deactivate()
+    assert made.status == "inactive"
+    assert not repeated(made, state, 2).any()
+
+
+def test_without_contacts_in_time_the_last_forces_stay_fade_and_end(hand, state) -> None:
+    made = controller(hand)
+    made.activate(state)
+    repeated(made, state, 40)
+    forces, s = made.forces, made.settings
+    turned = replace(state, angles=state.angles + 0.01, rates=state.rates + 0.5, age=s.stale + 1e-6)
+    levers, weight = carried(hand, turned)
+    own, spring = weight - s.damping * turned.rates, -0.01 * s.stiffness
+    for ticks, share, status in ((100, 1.0, "coasting"), (100, 0.5, "coasting"), (101, 0.0, "released")):
+        repeated(made, turned, ticks)
+        assert made.status == status
+        np.testing.assert_allclose(made.torques, own + share * (spring + forces.ravel() @ levers), atol=1e-9)
+    repeated(made, state, 40)
+    assert made.status == "holding"
+    np.testing.assert_allclose(made.forces, forces, atol=0.05)
+
+
+@pytest.mark.parametrize("spoil", ["nan", "inf", "short", "twisted"])
+def test_broken_messages_count_as_none(hand, state, spoil: str) -> None:
+    made = controller(hand)
+    made.activate(state)
+    repeated(made, state, 40)
+    held = made.torques
+    broken = {
+        "nan": replace(state, rates=np.full(16, np.nan)), "inf": replace(state, normals=state.normals + np.inf),
+        "short": replace(state, angles=state.angles[:-1]), "twisted": replace(state, normals=2.0 * state.normals),
+    }[spoil]  # fmt: skip
+    repeated(made, broken, 3)
+    assert made.status == ("coasting" if spoil == "twisted" else "holding")  # the last good one is fresh still
+    np.testing.assert_allclose(made.torques, held, atol=1e-3)
+    repeated(made, broken, 400)
+    assert made.status == "released"
+    made.update(broken, np.nan)
+    made.update(broken, -1.0)
+    assert np.isfinite(made.torques).all()
+    if spoil != "twisted":
+        with pytest.raises(ValueError, match="a state of 70 finite numbers"):
+            made.activate(broken)
+
+
+def test_a_missed_deadline_is_counted_and_torques_do_not_jump(hand, state) -> None:
+    made = controller(hand, slew=0.5)
+    made.activate(state)
+    repeated(made, state, 5)
+    before = made.torques
+    made.update(state, 0.5)
+    assert made.late == 1
+    step = abs(made.torques - before) / hand.limits
+    assert step.max() == pytest.approx(2 * PERIOD * made.settings.slew)
+
+
+@pytest.mark.parametrize("finger", range(4))
+def test_a_finger_loses_its_contact_and_regains_it(hand, state, finger: int) -> None:
+    made = controller(hand)
+    made.activate(state)
+    repeated(made, state, 40)
+    whole, push = made.forces, made.settings.push
+    touching = np.arange(4) != finger
+    far = np.where(touching[:, None], state.positions, 0.0)
+    lost = replace(
+        state, touching=touching, positions=far, normals=np.where(touching[:, None], state.normals, np.eye(3)[0])
+    )
+    repeated(made, lost, 40)
+    levers, weight = carried(hand, state)  # the contact is taken for where it was last
+    assert made.status == "holding"
+    np.testing.assert_allclose(made.forces[finger], push * state.normals[finger], atol=1e-12)
+    np.testing.assert_allclose(made.forces[touching].sum(axis=0), -state.wrench[:3], atol=1e-6)
+    np.testing.assert_allclose(made.torques, weight - 0.01 * state.rates + made.forces.ravel() @ levers, atol=1e-9)
+    repeated(made, state, 40)
+    np.testing.assert_allclose(made.forces, whole, atol=0.05)
+
+
+def test_contacts_that_cannot_hold_are_told_from_motors_that_are_too_weak(hand, state) -> None:
+    made = controller(hand)
+    made.activate(state)
+    repeated(made, state, 40)
+    made.update(replace(state, touching=np.array([True, False, False, True])), PERIOD)
+    assert made.status == "coasting"
+    weak = shown.Calibration(np.outer(hand.limits, [-0.15, 0.15]), np.tile([-240.0, 240.0], (16, 1)))
+    made = controller(hand, weak, budget=0.0)
+    made.activate(state)
+    commands = repeated(made, replace(state, wrench=4.0 * state.wrench), 40)
+    assert made.status == "overloaded"
+    assert abs(commands).max() == 240
+    assert (abs(made.torques) <= made.limits).all()
+    assert made.over_budget == 40
+
+
+def sealed(blob: bytes, numbers: np.ndarray) -> bytes:
+    """A file of these numbers whose hash is right."""
+    body, check = numbers.tobytes(), 14695981039346656037
+    for byte in body:
+        check = (check ^ byte) * 1099511628211 % 2**64
+    return blob[:8] + check.to_bytes(8, "little") + body
+
+
+def test_a_hand_comes_back_from_its_file(hand, tmp_path: Path) -> None:
+    kinematics = hand.scene.kinematics
+    blob = kinematics.export(tmp_path / "hand").read_bytes()
+    assert not list(tmp_path.glob(".*"))
+    tree = core.Tree.load(blob)
+    assert tree is not None
+    assert tree.save() == blob
+    moves, weight = np.empty((4, 3, 16)), np.empty(16)
+    angles, tips = kinematics.home + 0.1, kinematics.tips(kinematics.home)
+    tree.statics(angles, tips, np.array([1.0, 2.0, 3.0]), moves, weight)
+    jacobian, own = kinematics.statics(angles, tips, (1.0, 2.0, 3.0))
+    np.testing.assert_array_equal(moves, jacobian)
+    np.testing.assert_array_equal(weight, own)
+    np.testing.assert_array_equal(weight, kinematics.gravity_torques(angles, (1.0, 2.0, 3.0)))
+    for finger in range(4):
+        np.testing.assert_array_equal(moves[finger], kinematics.jacobian(angles, finger, tips[finger]))
+    rng = np.random.default_rng(0)
+    spoiled = [blob[:k] for k in (0, 7, 8, 15, 16, len(blob) // 2, len(blob) - 1)] + [blob + b"0"]
+    for at in rng.integers(0, len(blob), 200):
+        spoiled.append(blob[:at] + bytes([blob[at] ^ 1 << int(rng.integers(8))]) + blob[at + 1 :])
+    assert [core.Tree.load(each) for each in spoiled] == [None] * len(spoiled)
+    numbers = np.frombuffer(blob[16:])
+    assert sealed(blob, numbers) == blob
+    for place, value in (
+        (0, 15),
+        (0, 17),
+        (0, 1e9),
+        (1, 65),
+        (2, 0),
+        (2, -2),
+        (2, 0.5),
+        (3, np.nan),
+        (33, 2),
+        (34, 0),
+        (-5, 16),
+    ):
+        changed = numbers.copy()
+        changed[place] = value
+        assert core.Tree.load(sealed(blob, changed)) is None, (place, value)
+    with pytest.raises(InvalidInputError, match="No such file"):
+        kinematics.export(tmp_path / "no folder/hand")
+
+
+def test_a_hand_with_coupled_joints_and_joints_without_limits_comes_back(tmp_path: Path) -> None:
+    hand = HandDescription.four_finger()
+    links = (*hand.links[:2], replace(hand.links[2], lower=-np.inf, upper=np.inf), *hand.links[3:])
+    tree = HandKinematics(replace(hand, links=links)).tree
+    again = core.Tree.load(tree.save())
+    assert again is not None
+    assert again.save() == tree.save()
+
+
+# --- in C++
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The example, which also answers recorded states; not optimized, which takes a minute."""
+    made = tmp_path_factory.mktemp("example") / "hand_controller"
+    flags = [*FLAGS, SHADOW["g++"], *OPTIMIZE, f"-I{CORE / 'include'}"]
+    succeed(tool("g++"), *flags, PROGRAMS / "hand_controller.cpp", "-o", made)
+    return made
+
+
+def scenario(hand) -> tuple[list[tuple[float, np.ndarray]], list[np.ndarray], Any]:
+    """Periods and states of a run with all that may happen, what the controller in Python answered, and its table."""
+    knees = np.outer(hand.limits, [-1.0, -0.05, 0.05, 1.0])
+    table = shown.Calibration(knees, np.tile([-240.0, -20.0, 20.0, 240.0], (len(hand.limits), 1)))
+    made, asked, answered = controller(hand, table), [], []
+    hand.env.reset(seed=0)
+    age = 0.0
+    for tick in range(1100):
+        cut = (tick // 50) % 4 if tick % 100 > 50 else -1
+        silent, dead = 300 <= tick < 320, 600 <= tick < 950
+        age = age + PERIOD if silent or dead else 1e-3
+        period = 0.02 if tick == 450 else PERIOD
+        numbers = hand.state(cut)
+        numbers[-1] = age
+        if tick == 500:
+            numbers[20] = np.nan
+        if tick == 520:
+            numbers[32:36] = 0.0  # nothing touches
+        state = hand_loop.state_of(shown, numbers, 16, 4)
+        if tick == 20:
+            made.activate(state)
+        if tick == 1050:
+            made.deactivate()
+        commands = made.update(state, period)
+        asked.append((-period if tick == 20 else 0.0 if tick == 1050 else period, numbers))
+        answered.append(np.concatenate([[shown.STATUSES.index(made.status), made.late], commands, made.torques]))
+        if tick >= 60 and not dead:  # before, something else carries the ball
+            hand.scene.advance(made.torques.tolist(), None)
+    return asked, answered, (knees, np.tile([-240.0, -20.0, 20.0, 240.0], (16, 1)))
+
+
+def test_the_twin_answers_the_same_and_allocates_nothing(hand, program: Path, tmp_path: Path) -> None:
+    asked, answered, tables = scenario(hand)
+    file = hand.scene.kinematics.export(tmp_path / "hand")
+    rows = [np.concatenate([[period], numbers]) for period, numbers in asked]
+    given = np.concatenate([[4.0], *(table.ravel() for table in tables), *rows])
+    command = [program, file, f"{hand.friction:.17g}"]
+    done = subprocess.run(command, input=given.tobytes(), capture_output=True, timeout=60, check=True)
+    *_, status, allocated, finite = told = np.frombuffer(done.stdout)
+    mine, other = np.array(answered), told[:-3].reshape(len(answered), -1)
+    np.testing.assert_array_equal(other[:, :2], mine[:, :2])
+    np.testing.assert_allclose(other[:, 18:], mine[:, 18:], atol=1e-6)
+    assert abs(other[:, 2:18] - mine[:, 2:18]).max() <= 1.0  # half a unit may be rounded either way
+    assert {*mine[:, 0].astype(int)} == {0, 1, 3, 4}
+    assert (status, allocated, finite) == (0.0, 0.0, 1.0)
+
+
+def test_what_is_wrong_with_its_arguments_is_told(program: Path, tmp_path: Path) -> None:
+    for words, told in (([], "usage"), (["9", tmp_path / "none", "1000", "0.5"], "HandKinematics.export writes one")):
+        done = run(program, *words)
+        assert (done.returncode, told in done.stderr, len(done.stderr.splitlines())) == (2, True, 1)
+
+
+class Watched(hand_loop.SimulatedHand):
+    """Notes what the fingers did while their contacts were cut."""
+
+    def __init__(self, name: str, rate: int) -> None:
+        super().__init__(name, rate)
+        self.seen: list[tuple[int, np.ndarray]] = []
+
+    def state(self, cut: int) -> np.ndarray:
+        numbers = super().state(cut)
+        self.seen.append((cut, np.linalg.norm(self.scene.look().forces, axis=1)))
+        return numbers
+
+
+@pytest.mark.parametrize("seconds", [3, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rate", [500, 1000])
+@pytest.mark.parametrize("language", ["cpp", "python"])
+def test_it_holds_in_real_time(
+    language: str, rate: int, seconds: int, program: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With contacts cut and given back and messages that stop; how fast it is depends on what else runs here."""
+    monkeypatch.setattr(hand_loop, "SimulatedHand", Watched)
+    loop = hand_loop.measure("allegro", rate, seconds, language, program)
+    counts = loop.counts
+    assert counts["held"], counts
+    assert counts["drift"] < 2.0
+    assert counts["lost"] == 0
+    assert len(loop.trips) > 2 * counts["unanswered"]
+    done = np.bincount(loop.statuses, minlength=5)
+    assert done[HOLDING] > 0.7 * done.sum()
+    assert done[0] == 0  # inactive
+    assert done[3] > 2 * seconds  # silences
+    hand = loop.hand
+    assert isinstance(hand, Watched)
+    cuts = {finger: [k for k, (cut, _) in enumerate(hand.seen) if cut == finger] for finger in range(4)}
+    assert all(len(ticks) > 0.05 * rate for ticks in cuts.values())
+    for finger in (0, 2):  # which carry the ball
+        first, ticks = cuts[finger][0], cuts[finger]
+        pushed = np.median([hand.seen[k][1][finger] for k in ticks[len(ticks) // 4 : rate // 10]])
+        before, after = (hand.seen[k][1][finger] for k in (first - rate // 50, first + round(0.25 * rate)))
+        assert pushed < 0.5 * min(before, after)
