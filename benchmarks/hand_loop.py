@@ -333,8 +333,9 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
             row = np.frombuffer(newest)
             number, state = row[0], state_of(shown, row[1:], hand.joint_count, hand.finger_count)
             measured = now - state.age
-        if not updates:
-            controller.activate(state)
+        if controller.status == "inactive":
+            with suppress(ValueError):  # broken numbers: the next message
+                controller.activate(state)
             last = now - 1.0 / rate
         state.age = now - measured
         commands = controller.update(state, now - last)

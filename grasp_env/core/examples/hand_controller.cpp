@@ -41,7 +41,7 @@ int main(int given, char** arguments) try {
                 for (double& value : state.*part) value = *from++;
             measured = now - state.age[0];
         }
-        if (updates == 0.0) controller.activate(state), last = now - 1.0 / rate;
+        if (controller.status == HandController::inactive) controller.activate(state), last = now - 1.0 / rate;
         state.age[0] = now - measured;
         controller.update(state, now - last);
         last = now, ++updates;

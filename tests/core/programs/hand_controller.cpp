@@ -31,6 +31,7 @@ int main(int given, char** arguments) {
     }
     HandState short_of_one = state;
     short_of_one.rates.pop_back();
+    controller.activate(short_of_one);
     controller.update(short_of_one, 1e-3);
     write({double(controller.status), double(allocated), double(std::isfinite(controller.torques[0]))});
 }
