@@ -92,8 +92,10 @@ class Hand:
     def play(self, phase: dict[str, Any]) -> dict[str, Any]:
         """Publishes a phase's messages for its `seconds` at its `rate` [Hz], but for topics that are `silent`.
 
-        Contacts are stamped `ahead` of time [s].
+        A `transition` of the node comes first; contacts are stamped `ahead` of time [s].
         """
+        if transition := phase.get("transition"):
+            self.change(transition)
         self.fill(phase)
         self.seen, sent = [], list[int]()
         due = time.monotonic()

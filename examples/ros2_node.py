@@ -2,9 +2,8 @@
 The hand controller as a ROS 2 node
 ===================================
 
-A managed (lifecycle) node around ``HandController``: a timer updates it with the newest joint states, contacts and
-wrench, and joint torques are published as efforts. To learn: messages, their quality of service, parameters, ages by
-time stamps. ``python ros2_node.py --ros-args -p hand:=allegro -p friction:=0.6 -r joint_states:=/hand/joint_states``
+A managed (lifecycle) node around ``HandController`` publishes efforts. To learn: messages, ages by time stamps, a clean
+end. ``python ros2_node.py --ros-args -p hand:=allegro -p friction:=0.6 -r joint_states:=/hand/joint_states``
 """
 
 import signal
@@ -26,8 +25,7 @@ from grasp_env.sim import HANDS, HandDescription
 
 INPUTS = {"joint_states": JointState, "contacts": PointCloud2, "wrench": WrenchStamped}
 PARAMETERS = {"hand": "four_finger", "gravity": [0.0, 0.0, -9.81], **asdict(Settings())}  # [m/s^2], base frame
-# Subscriptions that ask for best effort match every publisher, and a publisher that is reliable every subscription.
-NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches publishers of both reliabilities
 POINT = ("x", "y", "z", "normal_x", "normal_y", "normal_z")  # float32, as in PCL's PointNormal
 
 
@@ -71,11 +69,14 @@ class HandNode(LifecycleNode):
 
     def on_deactivate(self, state):
         """Stops the loop; the last command is no torque."""
-        self.destroy_timer(self.timer)
-        self.timer = None
-        self.controller.deactivate()
-        self.publish()
+        if self.timer is not None:
+            self.destroy_timer(self.timer)
+            self.timer = None
+            self.controller.deactivate()
+            self.publish()
         return super().on_deactivate(state)
+
+    on_shutdown = on_deactivate  # from every state
 
     def tick(self):
         """One update of the controller; while messages do not fit, the last state grows old."""
@@ -140,8 +141,7 @@ def main():
     executor.add_node(node)
     while not ended.is_set():
         executor.spin_once(timeout_sec=0.1)
-    if node.timer is not None:
-        node.trigger_deactivate()
+    node.on_shutdown(None)
     node.destroy_node()
     rclpy.shutdown()
 

@@ -63,6 +63,8 @@ def test_the_node_commands_what_its_controller_does() -> None:
         "from the future": phase(1.3, wrench=pushed, ahead=10.0),
         "from now": phase(wrench=pushed),
         "two frames": phase(1.3, wrench=pushed, frames=["palm", "camera"]),
+        "deactivated": phase(0.3, wrench=pushed, transition="deactivate"),
+        "active again": phase(wrench=pushed, transition="activate"),
     }
     told = ros2.play(list(phases.values()), *(f"{name}:={value}" for name, value in PARAMETERS.items()))
     assert [told[name] for name in ("configured", "early", "activated", "code")] == [True, False, True, 0]
@@ -102,6 +104,7 @@ def test_the_node_commands_what_its_controller_does() -> None:
     expected |= dict.fromkeys(
         ["none for long", "no joint states for long", "of three fingers", "from the future", "two frames"], released
     )
+    expected |= {"deactivated": dict.fromkeys(HAND.joint_names, 0.0), "active again": expected["of all"]}
     for name, effort in efforts.items():
         assert effort == pytest.approx(expected[name], abs=1e-5), name
     different = np.array([list(values.values()) for values in (*list(expected.values())[:3], released)])
@@ -117,6 +120,15 @@ def test_the_node_commands_what_its_controller_does() -> None:
         "their frame_id differ",
     ):
         assert said in told["log"]
+
+
+@pytest.mark.usefixtures("_needs_ros")
+def test_the_node_is_shut_down_while_it_is_active() -> None:
+    told = ros2.play([phase(), phase(0.3, transition="shutdown")])
+    first, last = told["phases"]
+    assert max(map(abs, first["effort"].values())) > 0.01
+    assert set(last["effort"].values()) == {0.0}
+    assert (told["code"], told["end"]) == (0, None)
 
 
 @pytest.mark.usefixtures("_needs_ros")
