@@ -239,11 +239,11 @@ def _us(row: dict[str, Any]) -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "summary": overview, "solvers": solvers, "batch": batch, "starts": reported("starts", starts.hardest_sets),
+    "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "batch": batch, "starts": reported("starts", starts.hardest_sets),
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps),
     "starts_claims": asked("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
     "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),
-    "hand_loop": hand_loop, "ros2": ros2, "step_rules": step_rules, "table_one": table_one, "rl": rl,
+    "step_rules": step_rules, "table_one": table_one, "rl": rl,
 }  # fmt: skip
 
 
