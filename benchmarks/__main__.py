@@ -18,6 +18,7 @@ BENCHMARKS = {
     "batch": "solves per second on one core and on all",
     "env": "steps per second of the environment beside bare PyBullet, resets, memory",
     "hand_loop": "the controllers of examples/hand_controller in real time against a simulated hand: latencies, what is lost",
+    "ros2": "the same as a ROS 2 node: from contacts to efforts; GRASP_ROS_PYTHON names a Python that has rclpy",
     "core": "this checkout beside an earlier one, taking turns on one core: solves, moving contacts, grasps",
 }
 """Every benchmark is the `BENCHMARK` of the module of its name."""
@@ -83,7 +84,7 @@ def execute(name: str, *words: str) -> None:
     tick("")
     about = {"kind": kind, "quick": given.quick, "settings": asdict(given.settings), "load": os.getloadavg()}
     if benchmark.draw is not None:
-        run.write_text("picture.svg", svg(benchmark.draw(rows)))
+        run.write_text("picture.svg", svg(benchmark.draw(rows, benchmark.words)))
     run.save(rows, about | {"missing": show.lacking(rows), "claims": [asdict(claim) for claim in benchmark.claims]})
     written = (show.as_json if given.json else show.as_text)(benchmark, rows, run.read_json("run.json"), before)
     sys.stdout.write(written if given.json else f"{written}{run.folder}\n")

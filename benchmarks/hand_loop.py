@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib import util
@@ -58,7 +58,6 @@ HELD = 5.0
 """[mm] of drift within which the object counts as held."""
 UPDATE, TRIP, WHOLE = "update", "round trip", "run"
 LANGUAGES = {"cpp": "C++", "python": "Python"}
-COLORS = {"cpp": "tab:blue", "python": "tab:orange"}
 PATIENCE = 60.0
 """[s] until the controller must have answered its first message."""
 
@@ -347,8 +346,8 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
             channel.send(np.concatenate([told, commands, c.torques]).tobytes())
 
 
-def draw(rows: pd.DataFrame) -> Figure:
-    """How many updates and round trips took how long, on logarithmic axes."""
+def draw(rows: pd.DataFrame, words: Mapping[str, str]) -> Figure:
+    """How many updates and round trips of each method took how long, on logarithmic axes; words: names of the methods."""
     figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
     axes = figure.subplots()
     timed = rows.dropna(subset="latency")
@@ -356,10 +355,8 @@ def draw(rows: pd.DataFrame) -> Figure:
     for keys, part in timed.groupby(["method", "case"], sort=False):
         method, case = map(str, keys)  # type: ignore[call-overload]
         counts, _ = np.histogram(part["latency"], edges)
-        style = "-" if case == UPDATE else ":"
-        axes.stairs(
-            counts, edges, label=f"{LANGUAGES[method]}, {case}", color=COLORS[method], linestyle=style, linewidth=1.4
-        )
+        color, style = f"C{list(words).index(method)}", "-" if case == UPDATE else ":"
+        axes.stairs(counts, edges, label=f"{words[method]}, {case}", color=color, linestyle=style, linewidth=1.4)
     axes.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="how many", ylim=(0.8, None))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(lambda value, _: f"{value:,.0f}")

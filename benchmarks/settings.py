@@ -59,7 +59,7 @@ class Benchmark:
         claims: about the summary.
         words: meaning of values of the column `method`.
         notes: takes the summary, returns lines to print below it.
-        draw: takes the rows, returns a figure that is kept beside them as picture.svg; None: there is none.
+        draw: takes the rows and `words`, returns a figure that is kept beside them as picture.svg; None: there is none.
     """
 
     run: Callable[[Any], pd.DataFrame]
@@ -69,7 +69,7 @@ class Benchmark:
     claims: tuple[Claim, ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
     notes: Callable[[pd.DataFrame], Iterable[str]] = lambda summary: ()
-    draw: Callable[[pd.DataFrame], Figure] | None = None
+    draw: Callable[[pd.DataFrame, Mapping[str, str]], Figure] | None = None
 
 
 Settings = TypeVar("Settings")

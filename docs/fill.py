@@ -194,8 +194,7 @@ def hand_loop() -> str:
     means = saved("hand_loop")[0]
     names = {"cpp": "C++", "python": "Python"}
     made = [
-        {"controller": names[row["method"]], "time [us]": row["case"], "n": row["n"],
-         **{label: cell(row[f"latency_{name}"]) for name, label in (("median", "median"), ("p99", "99 %"), ("p999", "99.9 %"), ("max", "largest"))}}
+        {"controller": names[row["method"]], "time": row["case"], "n": row["n"], **latencies(row)}
         for row in chosen(means, "case != 'run'").to_dict("records")
     ]  # fmt: skip
     told = [
@@ -205,6 +204,24 @@ def hand_loop() -> str:
         for row in chosen(means, "case == 'run'").to_dict("records")
     ]  # fmt: skip
     return markdown("hand_loop", pd.DataFrame(made), "\n".join(told))
+
+
+def ros2() -> str:
+    """Round trips of the ROS 2 node."""
+    means = saved("ros2")[0]
+    unanswered = chosen(means, "case == 'run'").set_index("method")["unanswered_sum"]
+    made = [
+        {"node": {"ros2_500": "500 Hz", "ros2_1000": "1 kHz"}[row["method"]], "answered": row["n"],
+         "unanswered": int(unanswered[row["method"]]), **latencies(row)}
+        for row in chosen(means, "case != 'run'").to_dict("records")
+    ]  # fmt: skip
+    return markdown("ros2", pd.DataFrame(made))
+
+
+def latencies(row: dict[str, Any]) -> dict[str, str]:
+    """The statistics of a latency [us] by their headings."""
+    names = {"median": "median [us]", "p99": "99 %", "p999": "99.9 %", "max": "largest"}
+    return {label: cell(row[f"latency_{name}"]) for name, label in names.items()}
 
 
 def overview() -> str:
@@ -248,7 +265,7 @@ def _us(row: dict[str, Any]) -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "summary": overview, "hand_loop": hand_loop, "solvers": solvers, "batch": batch, "starts": reported("starts", starts.hardest_sets),
+    "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "batch": batch, "starts": reported("starts", starts.hardest_sets),
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps),
     "starts_claims": asked("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
     "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),

@@ -9,9 +9,11 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
+from grasp_env import __version__
 from grasp_env.force import optimize_force
 from grasp_env.grasp import presets
 
@@ -82,7 +84,8 @@ def installed(folder: Path) -> Iterator[str]:
         succeed(tool("cmake"), "--install", build)
         files = {path.relative_to(prefix).as_posix() for path in prefix.rglob("*") if path.is_file()}
         assert {"include/grasp/optimizer.hpp", "share/cmake/grasp/graspConfig.cmake"} <= files
-        assert not {name for name in files if not name.startswith(("include/grasp/", "share/cmake/grasp/"))}
+        others = {name for name in files if not name.startswith(("include/grasp/", "share/cmake/grasp/"))}
+        assert others == {"share/grasp/package.xml"}
     yield f"-DCMAKE_PREFIX_PATH={prefix}"
 
 
@@ -145,3 +148,32 @@ def test_another_version_is_not_found(tmp_path: Path) -> None:
         build = tmp_path / wanted.replace(";", "-")
         done = run(tool("cmake"), "-S", tmp_path, "-B", build, f"-Dgrasp_DIR={CORE / 'cmake'}", f"-DWANTED={wanted}")
         assert (done.returncode == 0) == found, (wanted, done.stderr)
+
+
+def test_ros_tools_read_what_the_package_is() -> None:
+    """The version is the project's; a consumer depends on the name that `find_package` finds."""
+    package = ElementTree.parse(CORE / "package.xml").getroot()
+    assert (package.tag, package.get("format")) == ("package", "3")
+    said = {part.tag: part.text for part in package if len(part) == 0}
+    assert len(said) == len(package) - 1, "each once, besides what is exported"
+    assert (CORE / f"cmake/{said['name']}Config.cmake").exists()
+    assert (said["version"], said["license"]) == (__version__, "MIT")
+    assert {tag: said[tag] for tag in said if tag.endswith("depend")} == {"buildtool_depend": "cmake"}
+    assert package.findtext("export/build_type") == "cmake"
+    assert ElementTree.parse(CONSUMER / "package.xml").findtext("depend") == said["name"]
+
+
+def test_a_colcon_workspace_builds_what_depends_on_it(tmp_path: Path) -> None:
+    colcon = [tool("colcon"), "--log-base", tmp_path / "log"]
+    source = tmp_path / "src"
+    source.mkdir()
+    for name, folder in (("a_consumer", CONSUMER), ("core", CORE)):  # by dependence core is first
+        (source / name).symlink_to(folder)
+    found = succeed(*colcon, "list", "--names-only", "--topological-order", "--base-paths", source)
+    assert found.split() == ["grasp", "consumer"]
+    bases = [word for part in ("build", "install") for word in (f"--{part}-base", tmp_path / part)]
+    succeed(*colcon, "build", "--base-paths", source, *bases, "--cmake-args", "-DCMAKE_BUILD_TYPE=Debug")
+    assert (tmp_path / "install/grasp/share/grasp/package.xml").exists()
+    code, objective = succeed(tmp_path / "build/consumer/consumer").split()
+    assert code == "0"
+    assert float(objective) == pytest.approx(EXPECTED, rel=2e-9)

@@ -1,0 +1,150 @@
+"""
+The hand controller as a ROS 2 node
+===================================
+
+A managed (lifecycle) node around ``HandController`` publishes efforts. To learn: messages, ages by time stamps, a clean
+end. ``python ros2_node.py --ros-args -p hand:=allegro -p friction:=0.6 -r joint_states:=/hand/joint_states``
+"""
+
+import signal
+import threading
+from dataclasses import asdict
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from hand_controller import Calibration, HandController, HandState, Settings  # the file beside this one
+from numpy.lib.recfunctions import structured_to_unstructured
+from rclpy.experimental import EventsExecutor  # before Kilted: rclpy.executors.SingleThreadedExecutor, which is slower
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
+from sensor_msgs.msg import JointState, PointCloud2, PointField
+
+from grasp_env.sim import HANDS, HandDescription
+
+INPUTS = {"joint_states": JointState, "contacts": PointCloud2, "wrench": WrenchStamped}
+PARAMETERS = {"hand": "four_finger", "gravity": [0.0, 0.0, -9.81], **asdict(Settings())}  # [m/s^2], base frame
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches publishers of both reliabilities
+POINT = ("x", "y", "z", "normal_x", "normal_y", "normal_z")  # float32, as in PCL's PointNormal
+
+
+class HandNode(LifecycleNode):
+    """`configure` reads the parameters, `activate` needs a message on every topic, `deactivate` commands no torque."""
+
+    def __init__(self):
+        super().__init__("hand_controller")
+        self.controller, self.newest, self.timer = HandController(), dict.fromkeys(INPUTS), None
+        for topic, kind in INPUTS.items():
+            self.create_subscription(kind, topic, lambda told, topic=topic: self.newest.update({topic: told}), NEWEST)
+        self.publisher = self.create_lifecycle_publisher(JointState, "joint_commands", 1)
+        self.declare_parameters("", [*PARAMETERS.items()])
+
+    def on_configure(self, state):
+        """Makes the controller."""
+        hand, gravity, *rest = (self.get_parameter(name).value for name in PARAMETERS)
+        self.gravity, self.settings = np.array(gravity), Settings(*rest)
+        try:
+            if not self.settings.rate > 0.0:
+                raise ValueError(f"rate={self.settings.rate} Hz must be above 0")
+            self.hand = HANDS[hand]() if hand in HANDS else HandDescription.from_urdf(hand)
+            table = np.outer(self.hand.torque_limits, [-1.0, 1.0])  # efforts are in N m
+            self.controller.configure(self.hand, self.settings, Calibration(table, table))
+        except (ValueError, OSError) as error:
+            self.get_logger().error(f"cannot configure: {error}")
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state):
+        """Starts the loop where the hand is."""
+        self.last = self.get_clock().now()
+        try:
+            self.reading = self.read()
+            self.controller.activate(self.reading)
+        except ValueError as error:
+            self.get_logger().error(f"cannot activate: {error}")
+            return TransitionCallbackReturn.FAILURE
+        self.timer = self.create_timer(1.0 / self.settings.rate, self.tick)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state):
+        """Stops the loop; the last command is no torque."""
+        if self.timer is not None:
+            self.destroy_timer(self.timer)
+            self.timer = None
+            self.controller.deactivate()
+            self.publish()
+        return super().on_deactivate(state)
+
+    on_shutdown = on_deactivate  # from every state
+
+    def tick(self):
+        """One update of the controller; while messages do not fit, the last state grows old."""
+        before, status, self.last = self.last, self.controller.status, self.get_clock().now()
+        period = (self.last - before).nanoseconds * 1e-9
+        try:
+            self.reading = self.read()
+        except ValueError as error:
+            self.reading.age += period
+            self.get_logger().warning(str(error), throttle_duration_sec=1.0)
+        self.controller.update(self.reading, period)
+        if self.controller.status != status:
+            self.get_logger().info(f"{self.controller.status}, was {status}")
+        self.publish()
+
+    def publish(self):
+        """Efforts, with the time stamp of the contacts that they answer."""
+        header, efforts = self.newest["contacts"].header, self.controller.torques.tolist()
+        self.publisher.publish(JointState(header=header, name=self.hand.joint_names, effort=efforts))
+
+    def read(self):
+        """The newest messages as a state, or ValueError. Its age is by the older stamp; one of the future is as bad."""
+        if missing := [topic for topic, message in self.newest.items() if message is None]:
+            raise ValueError(f"nothing came yet on {', '.join(missing)}")
+        joints, contacts, wrench = self.newest.values()
+        if contacts.header.frame_id != wrench.header.frame_id:
+            raise ValueError("contacts and wrench must both be in the frame of the hand's base; their frame_id differ")
+        known = dict(zip(joints.name, zip(joints.position, joints.velocity, strict=False), strict=False))
+        angles, rates = np.array(pick(self.hand.joint_names, known, "joint_states with position and velocity")).T.copy()
+        load = np.array([getattr(part, axis) for part in (wrench.wrench.force, wrench.wrench.torque) for axis in "xyz"])
+        age = max(abs((self.last - Time.from_msg(part.header.stamp)).nanoseconds) for part in (joints, contacts))
+        return HandState(angles, rates, *read_points(contacts, self.hand.finger_count), load, self.gravity, 1e-9 * age)
+
+
+def read_points(cloud, count):
+    """Which fingertips touch (count,), where (count, 3) [m], and unit normals; NaN stands for one without contact."""
+    places = {field.name: field.offset for field in cloud.fields if field.datatype == PointField.FLOAT32}
+    offsets, number = pick(POINT, places, "float32 fields of contacts"), ">f4" if cloud.is_bigendian else "<f4"
+    layout = np.dtype({"names": POINT, "formats": [number] * 6, "offsets": offsets, "itemsize": cloud.point_step})
+    points = structured_to_unstructured(np.frombuffer(cloud.data, layout)).astype(np.float64)
+    if len(points) != count:
+        raise ValueError(f"contacts have {len(points)} points, {count} fingertips need one each")
+    touching = np.isfinite(points).all(axis=1)
+    positions, normals = np.where(touching[:, None], points, 0.0).reshape(count, 2, 3).swapaxes(0, 1).copy()
+    return touching, positions, normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-6)
+
+
+def pick(names, known, what):
+    """The values of these names."""
+    if missing := [name for name in names if name not in known]:
+        raise ValueError(f"{what} lack {', '.join(missing)}")
+    return [known[name] for name in names]
+
+
+def main():
+    """Spins until ctrl-C or SIGTERM; an active controller then commands no torque before it ends."""
+    rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)  # its own would end the connection first
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    node, executor = HandNode(), EventsExecutor()
+    executor.add_node(node)
+    while not ended.is_set():
+        executor.spin_once(timeout_sec=0.1)
+    node.on_shutdown(None)
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+if __name__ == "__main__":
+    main()
