@@ -160,14 +160,15 @@ def rl() -> str:
             if agent not in here.index:
                 continue
             row = here.loc[agent]
+            held = f"{row['held_sum']:.0f} of {row['held_sum'] / row['held_mean']:.0f}" if row["held_mean"] else "none"
             saved_parts = (
                 1.0 - row[f"{name}_mean"] / zero[f"{name}_mean"] for name in ("commanded_force", "torque_share")
             )
             made.append({
-                "environment": place(environment), "policy": label, "held": f"{row['held_sum']:.0f} of {row['n']}",
+                "environment": place(environment), "policy": label, "held": held,
                 "iterations, median / p95 / p99": " / ".join(cell(row[f"iterations_{part}"]) for part in ("median", "p95", "p99")),
                 "of the paper's": row["mean_iterations_median"] / zero["mean_iterations_median"],
-                "force; torque saved [%]": "; ".join(f"{100.0 * part:.2f}" for part in saved_parts),
+                "force / torque saved [%]": " / ".join(f"{100.0 * part:.1f}" for part in saved_parts).replace("-0.0", "0.0"),
                 "return, interquartile mean": row["return_iqm"],
             })  # fmt: skip
     return markdown("rl", pd.DataFrame(made))
