@@ -454,7 +454,10 @@ def test_an_agent_is_trained_in_any_environment(tmp_path):
     env.close()
 
 
-@pytest.mark.parametrize(("env", "message"), [("{", "not JSON"), ("[]", "env must be"), ('{"form": 1}', "form")])
+@pytest.mark.parametrize(
+    ("env", "message"),
+    [("{", "not JSON"), ("[]", "env must be"), ('{"form": 1}', "form"), ('{"action_mode": "none"}', "leave it out")],
+)
 def test_an_environment_that_cannot_be_made_is_refused_before_training(env, message, tmp_path):
     with pytest.raises((InvalidInputError, UnknownSettingError), match=message):
         train(RLConfig(**TINY, env=env), tmp_path / "run")

@@ -177,11 +177,11 @@ def cell(value: Any) -> str:
     return ("yes" if value else "no") if pd.api.types.is_bool(value) else number(float(value))
 
 
-def axes(height: float, width: float = WIDTH, columns: int = 1) -> tuple[Figure, Any]:
-    """A figure of the house style and its axes, several in an array; sizes in inches."""
+def axes(height: float, width: float = WIDTH, rows: int = 1) -> tuple[Figure, Any]:
+    """A figure of the house style and its axes, several below each other in an array; sizes in inches."""
     with rc_context(STYLE):
         figure = Figure(figsize=(width, height), layout="constrained")
-        made = figure.subplots(1, columns)
+        made = figure.subplots(rows, sharex=True)
     for panel in figure.axes:
         panel.spines[["top", "right"]].set_visible(False)
         panel.grid(color=LINE, linewidth=0.6)

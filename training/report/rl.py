@@ -56,7 +56,8 @@ def _by_agent(rows: pd.DataFrame, case: str, environment: str) -> dict[str, Any]
 def place(environment: str) -> str:
     """An environment's settings in a few words: "sphere, allegro"; the default is a cuboid."""
     given = json.loads(environment)
-    return ", ".join([given.get("shape", "cuboid"), *([str(given["hand"])] if "hand" in given else [])])
+    shape = given.get("shape") or given.get("object", {}).get("shape", "cuboid")
+    return ", ".join([str(shape), *([str(given["hand"])] if "hand" in given else [])])
 
 
 def _interval(value: float, low: float, high: float) -> str:
@@ -138,7 +139,7 @@ def speed_table(rows: pd.DataFrame, summary: pd.DataFrame) -> pd.DataFrame:
 
 
 def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure | None:
-    """A mean against environment steps, a panel for each environment: every seed thin, their mean thick, the zero policy dashed."""
+    """A mean against environment steps, a panel below the other for each environment: every seed thin, their mean thick, the zero policy dashed."""
     rows = rows.assign(length=rows["step"] + 1)
     shown = {environment: _by_agent(rows, "curve", environment) for environment in _environments(rows)}
     shown = {
@@ -148,7 +149,7 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
     }
     if not shown:
         return None
-    figure, panels = axes(3.2, columns=len(shown))
+    figure, panels = axes(0.9 + 2.1 * len(shown), rows=len(shown))
     for panel, (environment, curves) in zip(np.atleast_1d(panels), shown.items(), strict=True):
         for agent, found in curves.items():
             if agent == "zero" or not agent.endswith(ending):
@@ -163,10 +164,12 @@ def _curves(rows: pd.DataFrame, column: str, label: str, ending: str) -> Figure 
             )
             panel.plot(steps, mean, color=colour, linewidth=2.2, label=told)
         panel.axhline(curves["zero"][column].mean(), color="black", linestyle="--", label=AGENTS["zero"][0])
-        panel.set(xlabel="environment steps", title=place(environment), xlim=(0, None))
-    first = np.atleast_1d(panels)[0]
-    first.set(ylabel=label)
-    first.legend(fontsize=8.5, frameon=False)
+        panel.set(ylabel=label, xlim=(0, None))
+        panel.set_title(place(environment), loc="left", fontsize=9)
+        panel.locator_params(axis="x", nbins=5)
+    figure.axes[-1].set(xlabel="environment steps")
+    lines = {text: line for panel in figure.axes for line, text in zip(*panel.get_legend_handles_labels(), strict=True)}
+    figure.legend(lines.values(), lines.keys(), loc="outside upper left", ncols=2, fontsize=8.5, frameon=False)
     return figure
 
 

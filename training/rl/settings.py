@@ -110,8 +110,11 @@ class RLConfig:
             given = json.loads(self.env)
         except ValueError as error:
             raise InvalidInputError(f'env is not JSON ({error}); give settings as {{"shape": "sphere"}}') from None
-        settings = {"disturbance": "random", **instance(given, dict, "env")}
-        return EnvConfig().override(**settings, action_mode=self.action).to_dict()
+        if "action_mode" in instance(given, dict, "env"):
+            raise InvalidInputError(
+                f"env has action_mode {given['action_mode']!r}: leave it out, action={self.action!r} says it"
+            )
+        return EnvConfig().override(**{"disturbance": "random", **given, "action_mode": self.action}).to_dict()
 
     @property
     def sizes(self) -> dict[str, int]:
