@@ -462,3 +462,22 @@ def test_an_environment_that_cannot_be_made_is_refused_before_training(env, mess
     with pytest.raises((InvalidInputError, UnknownSettingError), match=message):
         train(RLConfig(**TINY, env=env), tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+def test_baselines_solve_whatever_the_agents_do():
+    rows = rows_of(Shard("zero", RLConfig(**{**TINY, "episodes": 1}, action="contact_force").resolved()))
+    played = rows[rows["case"] == "held_out"]
+    assert played["held"].iloc[-1]
+    assert (played["iterations"] > 0).all()
+
+
+def test_normalised_rewards_differ():
+    """A clip would make them equal: they are not centred, and lie above 10."""
+    config = RLConfig().resolved()
+    envs = make_envs(config.env_settings, 2, config.gamma)
+    envs.seed(0)
+    envs.reset()
+    rewards = np.array([envs.step(np.zeros((2, 6), np.float32))[1] for _ in range(60)])[40:]
+    envs.close()
+    assert rewards.min() > 0.0
+    assert len(np.unique(rewards)) == rewards.size
