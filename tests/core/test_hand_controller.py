@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -294,7 +293,8 @@ def test_the_twin_answers_the_same_and_allocates_nothing(hand, program: Path, tm
     rows = [np.concatenate([[period], numbers]) for period, numbers in asked]
     given = np.concatenate([[4.0], *(table.ravel() for table in tables), *rows])
     command = [program, file, f"{hand.friction:.17g}"]
-    done = subprocess.run(command, input=given.tobytes(), capture_output=True, timeout=60, check=True)
+    done = run(*command, input=given.tobytes(), text=False)
+    assert done.returncode == 0, done.stderr
     *_, status, allocated, finite = told = np.frombuffer(done.stdout)
     mine, other = np.array(answered), told[:-3].reshape(len(answered), -1)
     np.testing.assert_array_equal(other[:, :2], mine[:, :2])

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -35,10 +36,10 @@ def tool(name: str) -> str:
     return found
 
 
-def run(*command: str | Path, **options: object) -> subprocess.CompletedProcess[str]:
+def run(*command: str | Path, **options: object) -> subprocess.CompletedProcess[Any]:
     """With the environment of a user's shell, not that of these tests: they may preload a sanitizer."""
     plain = {name: value for name, value in os.environ.items() if name != "LD_PRELOAD"}
-    return subprocess.run(command, env=plain, timeout=300, capture_output=True, text=True, **options)  # type: ignore[call-overload]
+    return subprocess.run(command, env=plain, timeout=300, capture_output=True, **{"text": True, **options})  # type: ignore[call-overload]
 
 
 def succeed(*command: str | Path) -> str:
