@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import os
 import select
+import shutil
 import socket
 import subprocess
 import sys
@@ -33,7 +35,7 @@ from grasp_env.errors import SimulationError
 from grasp_env.sim import HandDescription, MujocoEngine
 from grasp_env.sim.hand.description import HANDS
 from grasp_env.task.motion import resting_target
-from training.report.page import WIDTH
+from training.report.page import axes
 from training.results.claims import Claim
 from training.results.table import pd, table
 
@@ -41,9 +43,9 @@ ROOT = Path(__file__).parents[1]
 UNITS = 240.0
 """Largest command, for the largest torque of each joint."""
 MARGIN = 0.9
-"""Of the friction: what the controller believes in."""
+"""Share of the true friction that the controller believes in."""
 BANDWIDTH = 40.0, 60.0
-"""Of the feedback on position and orientation [rad/s]."""
+"""Bandwidths of the feedback on position and orientation [rad/s]."""
 RISE = 0.05
 """[s] before the hand carries the object."""
 FIRST_CUT, CUT_EVERY, CUT_FOR = 0.5, 0.4, 0.1
@@ -64,7 +66,7 @@ PATIENCE = 60.0
 
 @dataclass(frozen=True)
 class Settings:
-    """What runs.
+    """Hand, rate, duration and languages of a run.
 
     Attributes:
         hand: that holds a ball of 60 mm and 150 g.
@@ -216,7 +218,7 @@ class Loop:
         self.channel.send(message)
 
     def _take(self, until: float, first: bool = False) -> None:
-        """What comes back until then, or the first of it."""
+        """Takes the answers that come until a time of `perf_counter`, or only the first one."""
         while (left := until - time.perf_counter()) > 0.0:
             if not select.select([self.channel], [], [], left)[0]:
                 break
@@ -270,12 +272,19 @@ def python_controller(hand: SimulatedHand, rate: int) -> Iterator[socket.socket]
 
 
 def build(folder: Path) -> Path:
-    """The example in C++, compiled for this processor."""
+    """Compiles the example in C++ for this processor.
+
+    Raises:
+        SimulationError: there is no CMake, or it fails.
+    """
+    beside = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    if (cmake := shutil.which("cmake", path=beside)) is None:
+        raise SimulationError("the controller in C++ is built with cmake, which is not there: pip install cmake")
     core, made = ROOT / "grasp_env" / "core", folder / "build"
     options = ["-DGRASP_EXAMPLES=ON", "-DCMAKE_BUILD_TYPE=Release", "-DCMAKE_CXX_FLAGS=-march=native"]
     tick("the example is compiled")
     for words in (["-S", core, "-B", made, *options], ["--build", made, "--target", "hand_controller"]):
-        done = subprocess.run(["cmake", *words], capture_output=True, text=True, check=False)
+        done = subprocess.run([cmake, *words], capture_output=True, text=True, check=False)
         if done.returncode:
             raise SimulationError(f"cmake fails: {done.stderr or done.stdout}")
     return made / "hand_controller"
@@ -293,25 +302,25 @@ def example() -> ModuleType:
 
 
 def state_of(shown: ModuleType, numbers: Array, joints: int, fingers: int) -> Any:
-    """The `HandState` of a message."""
+    """Turns a message into a `HandState`."""
     ends = np.cumsum([joints, joints, fingers, 3 * fingers, 3 * fingers, 6, 3])
     angles, rates, touching, positions, normals, wrench, gravity, age = np.split(numbers, ends)
     rows = positions.reshape(-1, 3), normals.reshape(-1, 3)
     return shown.HandState(angles, rates, touching > 0.0, *rows, wrench, gravity, float(age[0]))
 
 
-def controller_of(shown: ModuleType, hand: HandDescription, rate: float, friction: float) -> Any:
-    """The controller in Python as `main` in C++ configures it."""
+def controller_of(shown: ModuleType, hand: HandDescription, table: Any = None, **settings: Any) -> Any:
+    """Configures the controller in Python, with the calibration of `main` in C++ unless another `table` is given."""
     limits, made = hand.torque_limits, shown.HandController()
-    table = shown.Calibration(np.outer(limits, [-1.0, 1.0]), np.tile([-UNITS, UNITS], (len(limits), 1)))
-    made.configure(hand, shown.Settings(friction=friction, rate=rate), table)
+    usual = shown.Calibration(np.outer(limits, [-1.0, 1.0]), np.tile([-UNITS, UNITS], (len(limits), 1)))
+    made.configure(hand, shown.Settings(**settings), table or usual)
     return made
 
 
 def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: float) -> None:
-    """What `main` in C++ does, with the example in Python."""
+    """Serves the example in Python as `main` serves the one in C++."""
     shown = example()
-    controller = controller_of(shown, hand, rate, friction)
+    controller = controller_of(shown, hand, rate=rate, friction=friction)
     heard, updates, number, measured, last = 0, 0, 0.0, 0.0, 0.0
     state: Any = None
     channel.setblocking(False)
@@ -348,19 +357,17 @@ def serve(channel: socket.socket, hand: HandDescription, rate: float, friction: 
 
 def draw(rows: pd.DataFrame, words: Mapping[str, str]) -> Figure:
     """How many updates and round trips of each method took how long, on logarithmic axes; words: names of the methods."""
-    figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
-    axes = figure.subplots()
+    figure, panel = axes(3.4)
     timed = rows.dropna(subset="latency")
     edges = np.geomspace(max(timed["latency"].min(), 1.0), 1.01 * timed["latency"].max(), 70)
     for keys, part in timed.groupby(["method", "case"], sort=False):
         method, case = map(str, keys)  # type: ignore[call-overload]
         counts, _ = np.histogram(part["latency"], edges)
         color, style = f"C{list(words).index(method)}", "-" if case == UPDATE else ":"
-        axes.stairs(counts, edges, label=f"{words[method]}, {case}", color=color, linestyle=style, linewidth=1.4)
-    axes.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="how many", ylim=(0.8, None))
-    for axis in (axes.xaxis, axes.yaxis):
+        panel.stairs(counts, edges, label=f"{words[method]}, {case}", color=color, linestyle=style, linewidth=1.4)
+    panel.set(xscale="log", yscale="log", xlabel="time [us]", ylabel="how many", ylim=(0.8, None))
+    for axis in (panel.xaxis, panel.yaxis):
         axis.set_major_formatter(lambda value, _: f"{value:,.0f}")
-    axes.spines[["top", "right"]].set_visible(False)
     figure.legend(frameon=False, fontsize=9, ncols=2, loc="outside upper left")
     return figure
 

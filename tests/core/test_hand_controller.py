@@ -44,11 +44,7 @@ def message(hand, cut: int = -1) -> Any:
 
 
 def controller(hand, table: Any = None, **settings: Any) -> Any:
-    limits = hand.limits
-    made = shown.HandController()
-    plain = shown.Calibration(np.outer(limits, [-1.0, 1.0]), np.tile([-240.0, 240.0], (len(limits), 1)))
-    made.configure(hand.hand, shown.Settings(friction=hand.friction, **settings), table or plain)
-    return made
+    return hand_loop.controller_of(shown, hand.hand, table, friction=hand.friction, **settings)
 
 
 def repeated(made, state, ticks: int, period: float = PERIOD) -> np.ndarray:
