@@ -28,7 +28,7 @@ VARIABLE = "GRASP_ROS_PYTHON"
 PATIENCE = 120.0
 """Seconds that a run may take besides what is played."""
 WEIGHT = (0.0, -1.5, 0.0, 0.0, 0.0, 0.0)
-"""What the fingers balance [N, N m]."""
+"""Wrench that the fingers balance [N, N m]."""
 
 
 METHODS = {"ros2_500": "ROS 2, 500 Hz", "ros2_1000": "ROS 2, 1 kHz"}
@@ -39,7 +39,7 @@ SLOWER = 0.97
 
 @dataclass(frozen=True)
 class Settings:
-    """What runs.
+    """Duration of the measurement.
 
     Attributes:
         seconds: of each rate.

@@ -59,7 +59,7 @@ class Hand:
         self.seen: list[tuple[int, int]] = []
 
     def receive(self, message: Any) -> None:
-        """Keeps an effort, with the times [ns] of the contacts that it answers and of now."""
+        """Keeps an effort, with the time stamp of the contacts that it answers and the current time [ns]."""
         now, stamp = time.time_ns(), message.header.stamp
         self.last = message
         self.seen.append((stamp.sec * 10**9 + stamp.nanosec, now))

@@ -35,7 +35,7 @@ class HandState:
 
 @dataclass(frozen=True)
 class Settings:
-    """What is tuned for a hand and a task."""
+    """Parameters that are tuned for a hand and a task."""
 
     friction: float = 0.8
     rate: float = 1000.0  # [Hz] of `update`

@@ -17,7 +17,7 @@ ALL = sorted(FOLDER.glob("*.py"))
 EXAMPLES = [path for path in ALL if re.match(r"\d\d_", path.name)]
 """The others are parts of users' own programs; their tests are elsewhere."""
 LINES, MOST_LINES = 60, 150
-"""That an example stays below, docstring and imports included; that the others do not exceed."""
+"""Limits on lines, docstring and imports included: an example stays below the first, the others do not exceed the second."""
 SECONDS = 60
 """Most for one of them; all together take about a minute of one core."""
 each = pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

@@ -14,7 +14,7 @@ from grasp_env.sim import HandDescription, HandKinematics
 
 RATE, FRICTION, GRAVITY = 500.0, 0.6, (0.0, -9.81, 0.0)
 TIMES = {"stale": 0.1, "grace": 0.6, "fade": 0.1}
-"""Of the watchdog [s]; long enough that a busy machine does not look like a dead sensor."""
+"""Times of the watchdog [s]; long enough that a busy machine does not look like a dead sensor."""
 PARAMETERS = {"rate": RATE, "friction": FRICTION, "gravity": list(GRAVITY), **TIMES}
 HAND = HandDescription.four_finger()
 KINEMATICS = HandKinematics(HAND)
@@ -133,7 +133,7 @@ def test_the_node_is_shut_down_while_it_is_active() -> None:
 
 @pytest.mark.usefixtures("_needs_ros")
 def test_a_hand_that_is_not_there() -> None:
-    """The node says so, and waits for another configuration."""
+    """The node logs an error and waits for another configuration."""
     told = ros2.play([], "hand:=nowhere.urdf")
     assert [told[name] for name in ("configured", "early", "code", "end")] == [False, False, 0, None]
     assert "cannot configure: " in told["log"]

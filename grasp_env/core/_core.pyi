@@ -447,7 +447,7 @@ class Tree:
         """
 
     def save(self) -> bytes:
-        """What `grasp::TreeFile` reads: one file for C++ programs."""
+        """The bytes of a file for C++ programs, which `grasp::TreeFile` reads."""
 
     @staticmethod
     def load(bytes: bytes) -> Tree | None:
@@ -865,7 +865,7 @@ class Effort:
         """largest torque as a share of its limit"""
 
 class Costs:
-    """What an agent's step cost the hand, each from 0 to 1."""
+    """Costs of an agent's step, each from 0 to 1."""
 
     @property
     def force(self) -> float:

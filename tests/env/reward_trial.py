@@ -1,4 +1,4 @@
-"""What the zero policy earns, and what policies earn that lose the object, in many settings: `python tests/env/reward_trial.py`.
+"""Compares the zero policy's return with that of policies that lose the object, in many settings: `python tests/env/reward_trial.py`.
 
 GRASP_HANDS: a folder with the hands of the repository dexsuite/dex-urdf, whose hands are tried, too.
 """
@@ -92,7 +92,7 @@ def tried(name: str, given: dict[str, Any], policies: dict[str, tuple[str, Polic
 
 
 def faults(rows: list[Tried]) -> list[str]:
-    """What contradicts the reward's promise in the rows of one setting, whose first is the zero policy's."""
+    """Finds contradictions to the reward's promise in the rows of one setting, whose first is the zero policy's."""
     zero = rows[0]
     found = [] if zero.mean > 0.0 else [f"{zero.setting}: the zero policy earns {zero.mean:.1f}"]
     return found + [

@@ -294,7 +294,7 @@ void bind_controller(nb::module_& m) {
         .def_ro("saturated", &Effort::saturated, "whether torques had to be cut")
         .def_ro("margin", &Effort::margin, "least distance of a torque from its limit [N m]")
         .def_ro("share", &Effort::share, "largest torque as a share of its limit");
-    nb::class_<Costs>(m, "Costs", "What an agent's step cost the hand, each from 0 to 1.")
+    nb::class_<Costs>(m, "Costs", "Costs of an agent's step, each from 0 to 1.")
         .def_ro("force", &Costs::force,
                 "share of the commanded normal forces above the least that balances the wrench; 1: no force balances it")
         .def_ro("torque", &Costs::torque, "largest torque of the step as a share of its limit")

@@ -143,7 +143,7 @@ void bind_tree(nb::module_& m) {
         .def("statics", &statics, "angles"_a, "points"_a, "gravity"_a, "jacobian"_a, "torques"_a,
              "The Jacobians of the points (N, 3) [m] with which the fingertips touch, into (N, 3, M), and those torques, into "
              "(M,).")
-        .def("save", &save, "What `grasp::TreeFile` reads: one file for C++ programs.")
+        .def("save", &save, "The bytes of a file for C++ programs, which `grasp::TreeFile` reads.")
         .def_static("load", &load, "bytes"_a, nb::sig("def load(bytes: bytes) -> Tree | None"),
                     "The hand that `save` wrote; None: it is not whole.");
     nb::class_<Reach>(m, "Reach", "Inverse kinematics of a hand: damped least squares within the joint limits.")

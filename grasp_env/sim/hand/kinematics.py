@@ -146,7 +146,7 @@ class HandKinematics:
     def statics(
         self, angles: ArrayLike, positions: ArrayLike, gravity: ArrayLike = (0.0, -9.81, 0.0)
     ) -> tuple[Array, Array]:
-        """What a control tick needs of the hand, in one call: how its contact points move, and what carries its weight.
+        """Computes the Jacobians of the contact points and the torques that carry the hand's weight, in one call.
 
         Args:
             angles: Of the joints [rad], (M,).

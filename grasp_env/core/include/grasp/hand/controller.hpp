@@ -35,7 +35,7 @@ struct Effort {
     double share = 0.0;  // largest torque as a share of its limit
 };
 
-// What an agent's step cost the hand, each from 0 to 1.
+// Costs of an agent's step, each from 0 to 1.
 struct Costs {
     double force;   // share of the commanded normal forces above the least that balances the wrench; 1: no force balances it
     double torque;  // largest torque of the step as a share of its limit
