@@ -290,6 +290,23 @@ def conic_grasps(contacts: list, weights: object, first: object, tolerance: floa
     REFUSED: they are soft, or without force closure.
     """
 
+LAYER_FACTS: int = 4
+
+def layer_state_size(contacts: int) -> int:
+    """Numbers of a problem's state."""
+
+def optimal_forces(inputs: tuple, tolerance: float, limit: int, state: object, force: object, torsion: object, multipliers: object, facts: object) -> None:
+    """
+    Optimal forces of M problems, see `ForceBatch` and `BatchForces`. inputs: positions, normals, friction (M, N, 2), tangents,
+    torsional friction, wrench, jacobian, torque limit, torque bias, least and largest normal force, omega, lambda (M, N), start;
+    each None or an array whose rows are C-contiguous; the first axis may have any step. Releases the GIL.
+    """
+
+def optimal_forces_gradients(inputs: tuple, state: object, by_force: object | None, by_torsion: object | None, by_multipliers: object | None, elastic: bool, gradients: tuple) -> None:
+    """
+    Gradients of a loss by the inputs, without the start, into arrays or None in their order. Releases the GIL.
+    """
+
 FULL_CONTACTS: int = 8
 
 def descend_flow(contacts: Contacts, form: str, rule: object, tolerance: float, limit: int, wrench: object, force: object, optimum: float, trace: object, record: object) -> int:

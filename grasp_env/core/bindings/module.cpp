@@ -10,6 +10,7 @@ NB_MODULE(_core, m) {
     bind_contacts(m);
     bind_optimizer(m);
     bind_grasps(m);
+    bind_layer(m);
     bind_flow(m);
     bind_limits(m);
     bind_learned(m);

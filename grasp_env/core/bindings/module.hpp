@@ -11,6 +11,7 @@ void bind_record(nb::module_& m);
 void bind_contacts(nb::module_& m);
 void bind_optimizer(nb::module_& m);
 void bind_grasps(nb::module_& m);
+void bind_layer(nb::module_& m);
 void bind_flow(nb::module_& m);
 void bind_limits(nb::module_& m);
 void bind_learned(nb::module_& m);

@@ -8,6 +8,17 @@
 
 namespace grasp {
 
+// The contacts of one problem, (N, 3) each but weights (N, 2) omega and lambda. apart: from one coordinate of a tangent to the next.
+struct ContactArrays {
+    const double *positions, *normals, *scale, *tangents, *weights;
+    int apart = 1;
+};
+// One problem: its contacts, its number.
+struct Case {
+    ContactArrays at;
+    std::ptrdiff_t number;
+};
+
 // Hard contacts of U grasps, N each; problems first[u] to first[u + 1] - 1 are those of grasp u.
 class Grasps {
 public:
@@ -19,9 +30,12 @@ public:
     Grasps(int contacts, std::ptrdiff_t count, const Contacts* const* placed, const double* weights, const double* first)
         : contacts(contacts), count(count), weights(weights), first(first), placed_(placed) {}
 
-    const Contacts& operator[](std::ptrdiff_t u) const { return *placed_[u]; }
     // Whether they are those of a hard grasp.
     bool sound(std::ptrdiff_t u) const { return placed_[u]->placing == Placing::good && !placed_[u]->soft(); }
+    Case problem(std::ptrdiff_t u, std::ptrdiff_t k) const {
+        const Contacts& at = *placed_[u];
+        return {{at.positions.data(), at.normals.data(), at.scale.data(), at.frames.data() + 1, weights, 3}, k};
+    }
     Contacts weighed(std::ptrdiff_t u) const {
         Contacts made = *placed_[u];
         made.weigh(weights);
@@ -31,9 +45,6 @@ public:
 private:
     const Contacts* const* placed_;
 };
-
-// One problem: its grasp, its number.
-struct Case { std::ptrdiff_t grasp, number; };
 
 // The contacts of W grasps, a lane for each, as `Contacts` places those of one.
 template <int W> class PlacedLanes {
@@ -47,12 +58,16 @@ public:
           system_(Cones<V, 0>(count)) {}
 
     // Into the cones; which are ordinary: finite numbers, normals of unit length, rank 6 beyond doubt.
-    Mask place(const Grasps& grasps, const Case (&problems)[W], Cones<V, 0>& cones) {
-        const int count = grasps.contacts;
+    Mask place(const Case (&problems)[W], Cones<V, 0>& cones) {
+        const int count = cones.count;
         for (int lane = 0; lane < W; ++lane) {
-            const Contacts& at = grasps[problems[lane].grasp];
-            gather(at.positions.data(), 1, lane, points_), gather(at.normals.data(), 1, lane, normals_);
-            gather(at.scale.data(), 1, lane, scales_), gather(at.frames.data() + 1, 3, lane, tangents_);
+            const ContactArrays& at = problems[lane].at;
+            gather(at.positions, 1, lane, points_), gather(at.normals, 1, lane, normals_);
+            gather(at.scale, 1, lane, scales_), gather(at.tangents, at.apart, lane, tangents_);
+            for (int i = 0; i < count; ++i) {
+                auto& weights = cones.blocks[i].weights;
+                set(weights.omega, lane, at.weights[2 * i]), set(weights.lambda, lane, at.weights[2 * i + 1]);
+            }
         }
         V total{}, off{};
         for (int i = 0; i < count; ++i) {
@@ -74,7 +89,6 @@ public:
                 for (int r = 0; r < 6; ++r) block.g[r][a] = per * row[r], block.inverse[r][a] = row[r];
             }
             block.cost = 1.0 / block.divisor.u, block.mask = V(1.0);
-            block.weights = {V(grasps.weights[2 * i]), V(grasps.weights[2 * i + 1])};
             block.bind_gjg();
         }
         Ldl<V> factor;
@@ -99,6 +113,7 @@ private:
     Field points_, normals_, scales_, tangents_, x_, step_;
     System<V, 0> system_;
 
+    // stride: from one coordinate of a triple to the next
     static void gather(const double* from, int stride, int lane, Field& to) {
         for (auto& triple : to) {
             set(triple.u, lane, from[0]), set(triple.o, lane, from[stride]), set(triple.t, lane, from[2 * stride]);
@@ -113,19 +128,17 @@ template <int W> struct GraspLanes {
     using Mask = typename V::Mask;
     using Field = typename Cones<V, 0>::Field;
 
-    const Grasps& grasps;
     const Many& many;
     PlacedLanes<W> placed;
     Six<V> w{}, nu{};  // wrenches and multipliers, unit frame
     Field rest, first, force;  // internal force, start, answer: cone coordinates
     V iterations{}, trials{}, objective{}, bound{}, residual{}, margin{};
 
-    GraspLanes(const Grasps& grasps, const Many& many)
-        : grasps(grasps), many(many), placed(grasps.contacts), rest(grasps.contacts), first(rest), force(rest) {}
+    GraspLanes(int contacts, const Many& many) : many(many), placed(contacts), rest(contacts), first(rest), force(rest) {}
 
     // The contacts into the cones; which problems are ordinary.
     Mask place(const Case (&problems)[W], Cones<V, 0>& cones) {
-        const Mask good = placed.place(grasps, problems, cones) & placed.internal_force(cones, rest);
+        const Mask good = placed.place(problems, cones) & placed.internal_force(cones, rest);
         for (int lane = 0; lane < W; ++lane)
             for (int r = 0; r < 6; ++r) set(w[r], lane, many.wrench(problems[lane].number)[r]);
         const Mask sane = size(w) <= LARGEST;
@@ -145,7 +158,7 @@ template <int W> struct GraspLanes {
         cones.to_force(first), cones.to_force(force);
         for (int lane = 0; lane < W; ++lane) {
             if (!good[lane]) continue;
-            const Record record = many.record(problems[lane].number, grasps.contacts);
+            const Record record = many.record(problems[lane].number, cones.count);
             record.clear();
             Summary& s = record.summary();
             s.code = CONVERGED, s.iterations = get(iterations, lane), s.trials = get(trials, lane);
@@ -162,8 +175,7 @@ public:
     using V = Each<W>;
     using Mask = typename V::Mask;
 
-    NewtonGrasps(const Grasps& grasps, const Stop& options, const Many& many)
-        : group_(grasps, many), lanes_(grasps.contacts, options) {}
+    NewtonGrasps(int contacts, const Stop& options, const Many& many) : group_(contacts, many), lanes_(contacts, options) {}
 
     // Solves the problems that are `wanted` and ordinary; returns which those are.
     Mask solve(const Case (&problems)[W], const Mask& wanted) {
@@ -203,8 +215,7 @@ public:
     using V = Each<W>;
     using Mask = typename V::Mask;
 
-    ConicGrasps(const Grasps& grasps, const Stop& options, const Many& many)
-        : group_(grasps, many), lanes_(grasps.contacts, options) {}
+    ConicGrasps(int contacts, const Stop& options, const Many& many) : group_(contacts, many), lanes_(contacts, options) {}
 
     Mask solve(const Case (&problems)[W], const Mask& wanted) {
         auto& g = group_;
@@ -265,7 +276,7 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
             continue;
         }
         for (std::ptrdiff_t k = from; k < until; ++k) {
-            problems[waiting++] = {u, k};
+            problems[waiting++] = grasps.problem(u, k);
             if (waiting == W) solve();
         }
     }
@@ -274,7 +285,7 @@ template <class Group, class F> void solve_grasps(const Grasps& grasps, const Ma
 
 // Newton, each grasp from an internal force of its own. REFUSED: no force closure in floating point.
 inline void newton_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
-    NewtonGrasps<REGISTER> group(grasps, options, many);
+    NewtonGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
         NewtonOn<V, B> one(grasps.contacts, options);
         auto rest = one.cones.field();
@@ -289,7 +300,7 @@ inline void newton_grasps(const Grasps& grasps, const Stop& options, const Many&
 
 // The least sum of normal forces.
 inline void conic_grasps(const Grasps& grasps, const Stop& options, const Many& many) {
-    ConicGrasps<REGISTER> group(grasps, options, many);
+    ConicGrasps<REGISTER> group(grasps.contacts, options, many);
     dispatch(grasps.contacts, [&]<class V, int B>() {
         NewtonOn<V, B> newton(grasps.contacts, options);
         ConicOn<V, B> one(grasps.contacts, options);

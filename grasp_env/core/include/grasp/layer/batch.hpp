@@ -1,0 +1,101 @@
+// Many problems as arrays, one row of each array per problem, and one problem of them as solvers take it.
+#pragma once
+#include <span>
+#include <vector>
+#include <grasp/contacts/contacts.hpp>
+#include <grasp/terms/force_limits.hpp>
+
+namespace grasp {
+
+// The rows of an array, one per problem. step: numbers from one to the next; 0: one row serves all problems.
+struct Slices {
+    const double* data = nullptr;  // none: the array is not given
+    std::ptrdiff_t step = 0;
+
+    const double* operator[](std::ptrdiff_t k) const { return data ? data + step * k : nullptr; }
+    explicit operator bool() const { return data; }
+};
+
+// Everything is given in one frame of the caller's choice. Positions, normals, friction, wrenches and weights are needed; without the others
+// contacts are hard, have no limits, and have the tangents of the default rule.
+struct ForceBatch {
+    std::ptrdiff_t size = 0;
+    int contacts = 0, joints = 0;
+    int jacobian_rows = 3;  // 3, or 6 with the angular velocities of the fingertips
+    Slices positions, normals, friction;  // (N, 3) [m], (N, 3) inward, of any length, (N, 2) along o and t
+    Slices tangents;  // (N, 3) directions of o, of any length
+    Slices torsion;  // (N,) torsional friction [m], 0: hard
+    Slices wrench;  // (6,) external, on the object [N, N m]
+    Slices jacobian, torque_limit, torque_bias;  // (N, rows, J), (J,) [N m], (J,) [N m]
+    Slices min_normal, max_normal;  // (N,) [N]
+    Slices force_weight, barrier_weight;  // (N,) omega, lambda
+    Slices start;  // (N, 3) forces to begin with [N]
+
+    bool limited() const { return torque_limit || min_normal || max_normal; }
+};
+
+// The contacts of one problem of a batch: directions of unit length, scales and weights.
+struct Posed {
+    std::vector<double> normals, tangents, scale, weights,
+        lengths;  // (N, 3), (N, 3), (N, 3), (N, 2) omega and lambda, (N,) of the normals
+    std::vector<double> start;  // (N, 3) [N], contact frames
+
+    explicit Posed(int count = 0)
+        : normals(3 * count), tangents(3 * count), scale(3 * count), weights(2 * count), lengths(count), start(3 * count) {}
+
+    // False: numbers that are not finite or not possible.
+    bool take(const ForceBatch& batch, std::ptrdiff_t k) {
+        const int count = batch.contacts;
+        const auto within = [](const double* from, int many, double low, double high) {
+            return !from || std::all_of(from, from + many, [&](double v) { return v >= low && v <= high; });
+        };
+        const int motions = count * batch.jacobian_rows * batch.joints;
+        if (!within(batch.positions[k], 3 * count, -LARGEST, LARGEST) || !within(batch.friction[k], 2 * count, 0.0, LARGEST) ||
+            !within(batch.wrench[k], 6, -LARGEST, LARGEST) || !within(batch.torsion[k], count, 0.0, LARGEST) ||
+            !within(batch.jacobian[k], motions, -LARGEST, LARGEST) ||
+            !within(batch.torque_bias[k], batch.joints, -LARGEST, LARGEST) ||
+            !within(batch.torque_limit[k], batch.joints, 0.0, infinity) || !within(batch.min_normal[k], count, 0.0, LARGEST) ||
+            !within(batch.max_normal[k], count, 0.0, infinity) || !within(batch.force_weight[k], count, LEAST, LARGEST) ||
+            !within(batch.barrier_weight[k], count, LEAST, LARGEST))
+            return false;
+        for (int i = 0; i < count; ++i) {
+            const Point given = point(batch.normals[k] + 3 * i);
+            const double size = lengths[i] = length(given);
+            if (!(size > LEAST && size < LARGEST)) return false;
+            const Point normal = normalised((1.0 / size) * given);
+            Point along = std::abs(normal.u) > TANGENT_SWITCH ? Point{0.0, 1.0, 0.0} : Point{1.0, 0.0, 0.0};
+            if (batch.tangents) {
+                const Point tangent = point(batch.tangents[k] + 3 * i);
+                const double reach = length(tangent);
+                if (!(reach > LEAST && reach < LARGEST)) return false;
+                along = (1.0 / reach) * tangent;
+                if (!(length(along - dot(along, normal) * normal) > ALONG)) return false;
+            }
+            const double* mu = batch.friction[k] + 2 * i;
+            const Point made = cone_scale(mu[0], mu[1]);
+            for (int a = 0; a < 3; ++a)
+                normals[3 * i + a] = normal[a], tangents[3 * i + a] = along[a], scale[3 * i + a] = made[a];
+            weights[2 * i] = batch.force_weight[k][i], weights[2 * i + 1] = batch.barrier_weight[k][i];
+        }
+        return true;
+    }
+    // The start in contact frames; false where there is none or its numbers are none.
+    bool take_start(const ForceBatch& batch, std::ptrdiff_t k) {
+        if (!batch.start) return false;
+        double total = 0.0;
+        for (int i = 0; i < batch.contacts; ++i) {
+            const Frame frame(point(&normals[3 * i]), &tangents[3 * i]);
+            for (int a = 0; a < 3; ++a) {
+                start[3 * i + a] = dot(frame[a], point(batch.start[k] + 3 * i));
+                total += std::abs(start[3 * i + a]);
+            }
+        }
+        return total < LARGEST;
+    }
+
+private:
+    static constexpr double LEAST = 1e-150;  // of lengths and weights
+    static constexpr double ALONG = 1e-6;  // sine of the angle between a tangent and its normal
+};
+
+}  // namespace grasp

@@ -1,0 +1,224 @@
+// Optimal forces of many problems, none of which shares anything with another, and their gradients: what layers of learning programs call.
+// An answer is the same bits whatever stands beside its problem.
+#pragma once
+#include <grasp/layer/gradients.hpp>
+#include <grasp/layer/optima.hpp>
+#include <grasp/optimizer.hpp>
+
+namespace grasp {
+
+// What is written of each problem, one row each.
+struct BatchForces {
+    double* force;  // (N, 3) [N], the frame of the positions
+    double* torsion;  // (N,) [N m]
+    double* multipliers;  // (6,) nu
+    double* facts;  // (4,) a `Code`, relative certified gap (inf: none), missed balance [N] in the unit frame, iterations
+    double* state;  // (4N + 7,) for the gradients
+};
+constexpr int layer_state_size(int contacts) { return 4 * contacts + 7; }
+inline constexpr int LAYER_FACTS = 4;
+
+class LayerSolver {
+public:
+    LayerSolver(const ForceBatch& batch, const Stop& options) : batch_(batch), options_(options), smooth_(batch) {
+        for (Posed& each : posed_) each = Posed(batch.contacts);
+    }
+    void solve(const BatchForces& to) {
+        for (std::ptrdiff_t from = 0; from < batch_.size; from += W)
+            solve(from, int(std::min<std::ptrdiff_t>(W, batch_.size - from)), to);
+    }
+
+private:
+    static constexpr int W = REGISTER;
+    static constexpr int USUAL = 60, MOST = 300;  // steps of an ordinary descent; of one to an elastic force
+    using Mask = typename SmoothLanes<W>::Mask;
+    struct Front {
+        std::optional<ForceOptimizer> solver;
+        std::vector<double> constants;  // what a call cannot change
+    };
+    struct Answer {
+        Code code = REFUSED;
+        Regime regime = Regime::none;
+        double gap = infinity, iterations = 0.0;
+    };
+    const ForceBatch& batch_;
+    Stop options_;
+    SmoothLanes<W> smooth_;
+    Posed posed_[W];
+    Front within_, free_;  // with the limits, and without
+    std::vector<double> row_;  // a solution of theirs
+
+    int count() const { return batch_.contacts; }
+
+    // Problems `from` on, side by side. What is not ordinary there is solved by the front; then its force, or an elastic one, is made exact.
+    void solve(std::ptrdiff_t from, int many, const BatchForces& to) {
+        Answer answers[W];
+        Mask sound{};
+        int filler = -1;
+        for (int lane = 0; lane < many; ++lane) {
+            clear(from + lane, to);
+            if (posed_[lane].take(batch_, from + lane)) sound[lane] = -1, filler = lane;
+        }
+        if (filler < 0) return;
+        const double* starts[W] = {};
+        for (int lane = 0; lane < W; ++lane) {
+            const int shown = sound[lane] ? lane : filler;  // something must stand there
+            smooth_.load(lane, from + shown, posed_[shown], Regime::optimum);
+            if (sound[lane] && posed_[lane].take_start(batch_, from + lane)) starts[lane] = posed_[lane].start.data();
+        }
+        const Mask ordinary = sound & smooth_.place() & smooth_.begin();
+        smooth_.take_starts(starts);
+        const Mask close = smooth_.descend(ordinary, std::min(USUAL, options_.limit));
+        smooth_.polish(close);
+        const auto gaps = smooth_.gap();
+        const Mask balanced = smooth_.balanced();
+        Mask elastic{}, late{};
+        for (int lane = 0; lane < many; ++lane) {
+            if (!sound[lane]) continue;
+            Answer& answer = answers[lane];
+            answer = {CONVERGED, Regime::optimum, get(gaps, lane), get(smooth_.iterations, lane)};
+            if (close[lane] && answer.gap <= options_.tolerance && balanced[lane]) continue;
+            answer = alone(from + lane, lane);
+            (answer.regime == Regime::optimum ? late : elastic)[lane] = -1;
+        }
+        if (any(elastic)) {
+            smooth_.descend(elastic, MOST);
+            for (int lane = 0; lane < many; ++lane)
+                if (elastic[lane]) answers[lane].iterations += get(smooth_.iterations, lane);
+        }
+        if (any(elastic | late)) smooth_.polish(elastic | late);
+        for (int lane = 0; lane < many; ++lane)
+            if (sound[lane]) write(lane, from + lane, answers[lane], to);
+    }
+    // The front's answer, which is where the lane goes on from.
+    Answer alone(std::ptrdiff_t k, int lane) {
+        Answer answer{.code = solve_alone(k, posed_[lane])};
+        const bool force = has_force(answer.code);
+        if (!row_.empty()) answer.iterations = Record(row_.data()).summary().iterations;
+        if (force && answer.code != LIMITS_EXCEEDED) answer.gap = Record(row_.data()).gap();
+        answer.regime = answer.code == LIMITS_EXCEEDED ? Regime::exceeding : force ? Regime::optimum : Regime::unbalanced;
+        smooth_.choose(lane, answer.regime);
+        if (force) {
+            const Record record(row_.data());
+            smooth_.begin(lane, record.force(), record.torsion(), record.summary().multipliers);
+        } else {
+            smooth_.begin(lane);
+        }
+        return answer;
+    }
+    void write(int lane, std::ptrdiff_t k, const Answer& answer, const BatchForces& to) const {
+        smooth_.write(lane, to.force + 3 * count() * k, to.torsion + count() * k, to.multipliers + 6 * k);
+        double* state = to.state + layer_state_size(count()) * k;
+        smooth_.save(lane, state), state[layer_state_size(count()) - 1] = double(answer.regime);
+        double* facts = to.facts + LAYER_FACTS * k;
+        facts[0] = answer.code, facts[1] = answer.gap, facts[2] = get(smooth_.residual, lane), facts[3] = answer.iterations;
+        const auto finite = [](const double* from, int many) {
+            return std::all_of(from, from + many, [](double v) { return std::abs(v) < infinity; });
+        };
+        if (finite(to.force + 3 * count() * k, 3 * count()) && finite(to.torsion + count() * k, count()) &&
+            finite(to.multipliers + 6 * k, 6) && finite(state, layer_state_size(count())) && finite(facts + 2, 1))
+            return;
+        clear(k, to);  // numbers that no double can bear
+        facts[0] = UNDECIDED;
+    }
+    void clear(std::ptrdiff_t k, const BatchForces& to) const {
+        std::fill_n(to.force + 3 * count() * k, 3 * count(), 0.0), std::fill_n(to.torsion + count() * k, count(), 0.0);
+        std::fill_n(to.multipliers + 6 * k, 6, 0.0);
+        std::fill_n(to.state + layer_state_size(count()) * k, layer_state_size(count()), 0.0);
+        double* facts = to.facts + LAYER_FACTS * k;
+        facts[0] = REFUSED, facts[1] = infinity, facts[2] = facts[3] = 0.0;
+    }
+    static bool has_force(Code code) { return code == CONVERGED || code == LIMIT || code == STALLED || code == LIMITS_EXCEEDED; }
+
+    // By the front, into row_: the optimum, or where no force keeps the limits that without them, LIMITS_EXCEEDED.
+    Code solve_alone(std::ptrdiff_t k, Posed& posed) {
+        Code code = made(within_, k, posed, batch_.limited());
+        if (code == CONVERGED) code = call(*within_.solver, k, posed, batch_.limited());
+        if (!batch_.limited() || (code != INFEASIBLE && code != UNDECIDED)) return code;
+        Code free = made(free_, k, posed, false);
+        if (free == CONVERGED) free = call(*free_.solver, k, posed, false);
+        return has_force(free) ? LIMITS_EXCEEDED : free;
+    }
+    // The front of a problem; it is made again where what a call cannot change is different. CONVERGED: there is one.
+    Code made(Front& front, std::ptrdiff_t k, const Posed& posed, bool limited) {
+        row_.clear();
+        std::vector<double> constants = this->constants(k, posed);
+        if (front.solver && constants == front.constants) return CONVERGED;
+        front.solver.reset();
+        Contacts contacts(count(), posed.scale.data(), posed.weights.data(), posed.tangents.data(), batch_.torsion[k]);
+        const Placing placed = contacts.place(batch_.positions[k], posed.normals.data());
+        if (placed == Placing::refused) return REFUSED;
+        if (placed == Placing::rank_lost) return RANK_LOST;
+        ForceLimits limits;
+        if (limited) {
+            limits = {some(batch_.min_normal, k, count()), some(batch_.max_normal, k, count()), jacobian(k),
+                      some(batch_.torque_limit, k, batch_.joints), some(batch_.torque_bias, k, batch_.joints)};
+        }
+        front.solver.emplace(Problem{contacts, limits}, Options{.tolerance = options_.tolerance, .limit = options_.limit});
+        front.constants = std::move(constants);
+        return CONVERGED;
+    }
+    Code call(ForceOptimizer& solver, std::ptrdiff_t k, Posed& posed, bool limited) {
+        row_.assign(solver.size(), 0.0);
+        Now now{.positions = some(batch_.positions, k, 3 * count()),
+                .normals = posed.normals,
+                .friction = some(batch_.friction, k, 2 * count())};
+        if (limited) now.jacobian = jacobian(k), now.torque_bias = some(batch_.torque_bias, k, batch_.joints);
+        Ask ask{.wrench = batch_.wrench[k], .now = now};
+        if (posed.take_start(batch_, k)) ask.start = Start::previous, ask.force = posed.start;
+        return solver.solve(ask, row_.data());
+    }
+    static Doubles some(const Slices& from, std::ptrdiff_t k, int size) { return from ? Doubles(from[k], size) : Doubles{}; }
+    Doubles jacobian(std::ptrdiff_t k) const { return some(batch_.jacobian, k, count() * batch_.jacobian_rows * batch_.joints); }
+    // What the front is made of and a call cannot change.
+    std::vector<double> constants(std::ptrdiff_t k, const Posed& posed) const {
+        std::vector<double> made(posed.weights);
+        const auto add = [&](const double* from, int size) {
+            if (from) made.insert(made.end(), from, from + size);
+        };
+        add(posed.tangents.data(), 3 * count());
+        add(batch_.torsion[k], count()), add(batch_.min_normal[k], count()), add(batch_.max_normal[k], count());
+        add(batch_.torque_limit[k], batch_.joints);
+        for (int i = 0; i < count(); ++i) made.push_back(posed.scale[3 * i + 1] > 0.0);
+        return made;
+    }
+};
+
+inline void optimal_forces(const ForceBatch& batch, const Stop& options, const BatchForces& to) {
+    LayerSolver(batch, options).solve(to);
+}
+
+// Gradients of a loss by everything that the forces were made of, from its derivatives by force (N, 3), torsion (N,) and multipliers
+// (6,) (null: zero), one row per problem. elastic: also of problems that have no optimum. The rows of others are zero.
+inline void optimal_forces_gradients(const ForceBatch& batch, const double* state, const double* by_force,
+                                     const double* by_torsion, const double* by_multipliers, bool elastic,
+                                     const BatchGradients& to) {
+    constexpr int W = REGISTER;
+    const int size = layer_state_size(batch.contacts);
+    SmoothLanes<W> smooth(batch);
+    Posed posed[W];
+    for (Posed& each : posed) each = Posed(batch.contacts);
+    std::ptrdiff_t waiting[W];
+    int filled = 0;
+    const auto finish = [&] {
+        typename SmoothLanes<W>::Mask wanted{};
+        for (int lane = 0; lane < W; ++lane) {
+            const std::ptrdiff_t k = waiting[lane < filled ? lane : 0];
+            posed[lane].take(batch, k);
+            smooth.load(lane, k, posed[lane], Regime(int(state[size * k + size - 1]))), smooth.restore(lane, state + size * k);
+            if (lane < filled) wanted[lane] = -1;
+        }
+        smooth.place();
+        smooth.gradients(wanted, by_force, by_torsion, by_multipliers, to);
+        filled = 0;
+    };
+    for (std::ptrdiff_t k = 0; k < batch.size; ++k) {
+        const Regime regime = Regime(int(state[size * k + size - 1]));
+        if (regime == Regime::none || (!elastic && regime != Regime::optimum)) continue;
+        waiting[filled++] = k;
+        if (filled == W) finish();
+    }
+    if (filled > 0) finish();
+}
+
+}  // namespace grasp

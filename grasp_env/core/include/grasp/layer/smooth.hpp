@@ -1,0 +1,396 @@
+// The optimum of Phi as a smooth function of everything that a problem is made of, W problems side by side: Newton's system with torsion
+// and limits, the last step of a solve, the elastic force where no force exists, and gradients by the adjoint system.
+//
+// Variables of a contact are z = (u, o, t, v) in cone coordinates, v the torsion of a soft contact in units of its limit. The optimum has
+//     grad E(z) + A^T y = 0,    A z + w - softness y = 0,
+// E = Phi with the barriers of torsion and limits, A the wrenches of z in the unit frame, softness 0 unless balance is a penalty. For a loss
+// with derivatives g by z and h by y, the adjoint system
+//     H p + A^T q = g,    A p - softness q = h
+// has the matrix of Newton's step, and d loss / d theta = -(p . d_theta (grad E + A^T y) + q . d_theta (A z + w - softness y)).
+#pragma once
+#include <grasp/layer/batch.hpp>
+#include <grasp/many/grasps.hpp>
+#include <grasp/math/any_ldl.hpp>
+
+namespace grasp {
+
+// Which problem a force is the optimum of: the problem itself; with limits that may be exceeded; with balance that may be missed, too.
+enum class Regime { none, optimum, exceeding, unbalanced };
+
+inline constexpr double ELASTIC_EDGE =
+    0.1;  // slack in parts of sqrt(lambda / omega): below it the barrier of a limit is a parabola
+inline constexpr double ELASTIC_SOFTNESS = 1e-2;  // [N^2] per unit of Phi: what missed balance costs is |missed|^2 / (2 softness)
+
+// Gradients by every array of a batch, one row per problem; null: not wanted.
+struct BatchGradients {
+    double *positions, *normals, *friction, *tangents, *torsion, *wrench, *jacobian, *torque_limit, *torque_bias, *min_normal,
+        *max_normal, *force_weight, *barrier_weight;
+};
+
+template <int W> class SmoothLanes {
+public:
+    using V = Each<W>;
+    using Mask = typename V::Mask;
+    using Vec = Vec3<V>;
+    V residual{}, iterations{};  // of the last `polish` what balance misses [N]; of the last descent
+
+    explicit SmoothLanes(const ForceBatch& batch)
+        : x_(batch.contacts), v_(batch.contacts), batch_(batch), joints_(batch.torque_limit ? batch.joints : 0),
+          cones_(batch.contacts), placed_(batch.contacts), rest_(batch.contacts), at_(batch.contacts), rows_(joints_),
+          columns_(std::size_t(joints_ * batch.contacts)), scaled_(columns_.size()), step_(batch.contacts), back_(batch.contacts),
+          pull_(batch.contacts), step_v_(batch.contacts), back_v_(batch.contacts), pull_v_(batch.contacts), along_(joints_) {}
+
+    // Problem k into a lane, before `place`. posed is read until then.
+    void load(int lane, std::ptrdiff_t k, const Posed& posed, Regime regime) {
+        problems_[lane] = {
+            {batch_.positions[k], posed.normals.data(), posed.scale.data(), posed.tangents.data(), posed.weights.data()}, k};
+        for (int r = 0; r < 6; ++r) set(wrench_[r], lane, batch_.wrench[k][r]);
+        for (int i = 0; i < count(); ++i) {
+            Contact& c = at_[i];
+            const double omega = posed.weights[2 * i], lambda = posed.weights[2 * i + 1], mu = posed.scale[3 * i];
+            for (int a = 0; a < 3; ++a) {
+                set(c.arm[a], lane, batch_.positions[k][3 * i + a]), set(c.frame[0][a], lane, posed.normals[3 * i + a]);
+                set(c.along[a], lane, posed.tangents[3 * i + a]);
+            }
+            const double gamma = batch_.torsion ? batch_.torsion[k][i] : 0.0;
+            set(c.divisor_v, lane, gamma > 0.0 ? mu / gamma : infinity), set(c.lambda_v, lane, gamma > 0.0 ? lambda : 0.0);
+            const double low = batch_.min_normal ? batch_.min_normal[k][i] : 0.0;
+            const double high = batch_.max_normal ? batch_.max_normal[k][i] : infinity;
+            load_side(c.low, lane, low > 0.0, -mu * low, lambda), load_side(c.high, lane, high < infinity, mu * high, lambda);
+            set(c.unit, lane, std::sqrt(lambda / omega));
+        }
+        choose(lane, regime);
+    }
+    // Which optimum of its problem a lane is about.
+    void choose(int lane, Regime regime) {
+        set(softness_, lane, regime == Regime::unbalanced ? ELASTIC_SOFTNESS : 0.0);
+        set(last_, lane, regime == Regime::optimum ? 0.0 : ELASTIC_EDGE);
+    }
+    // Frames, columns and rows of what is loaded; which problems are ordinary.
+    Mask place() {
+        const Mask good = placed_.place(problems_, cones_);
+        w_ = cones_.unit.of(wrench_);
+        for (int i = 0; i < count(); ++i) {
+            Contact& c = at_[i];
+            const FrameOf<V> frame(c.frame[0], c.along);
+            for (int a = 0; a < 3; ++a) c.frame[a] = frame[a];
+            c.arm = c.arm - cones_.unit.centre;
+            for (int r = 0; r < 6; ++r) c.gv[r] = r < 3 ? V{} : cones_.unit.scale() * c.frame[0][r - 3] / c.divisor_v;
+        }
+        shared_ = false;
+        for (int j = 0; j < joints_; ++j) place_row(j);
+        edge_ = last_, place_edges();
+        return good;
+    }
+
+    // --- where a descent begins
+
+    // From an internal force; which problems have one.
+    Mask begin() {
+        const Mask found = placed_.internal_force(cones_, rest_);
+        const V scale = squeeze(cones_, rest_);
+        for (auto& each : rest_) each = scale * each;
+        grasp::begin(cones_, rest_, w_, x_);
+        std::fill(v_.begin(), v_.end(), V{});
+        return found & (cones_.phi(x_) < infinity);
+    }
+    // From forces (N, 3) [N] in contact frames where they have less Phi than the start that is there, once they are balanced; null: none.
+    void take_starts(const double* const (&starts)[W]) {
+        if (std::none_of(starts, starts + W, [](const double* each) { return each; })) return;
+        rest_ = x_;
+        for (int lane = 0; lane < W; ++lane)
+            if (starts[lane]) cones_.load_force(starts[lane], rest_, lane);
+        cones_.balance(rest_, w_);
+        keep(cones_.phi(rest_) < cones_.phi(x_), rest_, x_);
+    }
+    // From a force (N, 3) [N] in contact frames with its torsion (N,) [N m] and multipliers (6,) nu of the given wrench.
+    void begin(int lane, const double* force, const double* torsion, const Vec6& nu) {
+        for (int i = 0; i < count(); ++i) {
+            const double per = get(at_[i].divisor_v, lane);
+            for (int a = 0; a < 3; ++a) set(x_[i][a], lane, force[3 * i + a] * get(cones_.blocks[i].scale[a], lane));
+            set(v_[i], lane, per < infinity ? per * torsion[i] : 0.0);
+        }
+        const auto& unit = cones_.unit;
+        const Point turn{nu[3], nu[4], nu[5]},
+            centre{get(unit.centre.u, lane), get(unit.centre.o, lane), get(unit.centre.t, lane)};
+        const Point move = Point{nu[0], nu[1], nu[2]} + cross(turn, centre);
+        for (int a = 0; a < 3; ++a) set(y_[a], lane, -move[a]), set(y_[3 + a], lane, -turn[a] * get(unit.length, lane));
+    }
+    // Along the axes of the cones.
+    void begin(int lane) {
+        for (int i = 0; i < count(); ++i) {
+            set(x_[i].u, lane, get(at_[i].unit, lane)), set(x_[i].o, lane, 0.0), set(x_[i].t, lane, 0.0), set(v_[i], lane, 0.0);
+        }
+    }
+    // The state of a problem: (N, 4) z and the multipliers of the unit frame.
+    void save(int lane, double* state) const {
+        for (int i = 0; i < count(); ++i) {
+            for (int a = 0; a < 3; ++a) state[4 * i + a] = get(x_[i][a], lane);
+            state[4 * i + 3] = get(v_[i], lane);
+        }
+        for (int r = 0; r < 6; ++r) state[4 * count() + r] = get(y_[r], lane);
+    }
+    void restore(int lane, const double* state) {
+        for (int i = 0; i < count(); ++i) {
+            for (int a = 0; a < 3; ++a) set(x_[i][a], lane, state[4 * i + a]);
+            set(v_[i], lane, state[4 * i + 3]);
+        }
+        for (int r = 0; r < 6; ++r) set(y_[r], lane, state[4 * count() + r]);
+    }
+
+    // --- optima
+
+    // Damped Newton of those that are live, from any force inside the cones, in at most so many steps; which of them are close to their
+    // optimum, or their elastic force, then.
+    Mask descend(Mask live, int most);
+    // Whole Newton steps from close to an optimum to its last digits, where they do not raise E.
+    void polish(const Mask& which);
+    // (E - bound) / bound, bound the dual value at the multipliers and the limits' prices: no balanced force has less; inf: it says nothing.
+    V gap() const;
+    // Whether the last `polish` left them balanced.
+    Mask balanced() const { return cones_.balanced(x_, w_, residual); }
+
+    // Forces (N, 3) [N] in the frame of the positions, torsion (N,) [N m], multipliers (6,) nu = -y of the given wrench.
+    void write(int lane, double* force, double* torsion, double* multipliers) const {
+        const Six<V> y = cones_.unit.pull_back(y_);
+        for (int r = 0; r < 6; ++r) multipliers[r] = -get(y[r], lane);
+        for (int i = 0; i < count(); ++i) {
+            const Vec made = object_force(i, x_[i]);
+            for (int a = 0; a < 3; ++a) force[3 * i + a] = get(made[a], lane);
+            torsion[i] = get(v_[i] / at_[i].divisor_v, lane);
+        }
+    }
+
+    // Gradients of a loss at what is restored and placed; wanted: the problems whose rows are written.
+    void gradients(Mask wanted, const double* by_force, const double* by_torsion, const double* by_multipliers,
+                   const BatchGradients& to);
+
+private:
+    // One limit a . z <= bound: the barrier weight / slack of its normalised slack, below `edge` as its parabola; weight 0: there is none.
+    struct Limit {
+        V bound, weight, price, bend;
+
+        V barrier(const V& along, const V& edge) const {
+            const V slack = bound - along, c = max(slack, edge), i = 1.0 / c, e = (slack - c) * i;
+            return weight * i * (1.0 - e + e * e);
+        }
+        V room(const V& along, const V& edge) const { return select(edge > 0.0, V(infinity), bound - along); }
+        void bind(const V& along, const V& edge) {
+            const V slack = bound - along, c = max(slack, edge), i = 1.0 / c, first = weight * i * i;
+            bend = 2.0 * first * i, price = first - bend * (slack - c);
+        }
+        // d price / d edge at a fixed slack
+        V by_edge(const V& along, const V& edge) const {
+            const V below = min(bound - along - edge, V(0.0)), i = 1.0 / max(edge, V(1e-100));
+            return select((edge > 0.0) & (below < 0.0), 6.0 * weight * below * i * i * i * i, V(0.0));
+        }
+    };
+    struct Contact {
+        Vec along, frame[3], arm;  // the direction of o that is given; (n, o, t); from the contacts' centre [m]
+        V gv[6], divisor_v, lambda_v;  // of torsion: its column, v / torsion (inf: hard), lambda (0: hard)
+        Limit low, high;  // of u
+        V unit, edge;  // sqrt(lambda / omega); the slack below which the barrier of a limit is its parabola
+        // at z: its inverse Hessian with the rows that are its own, (inverse, across; across, turn), and the gradient of all terms
+        Sym3<V> inverse;
+        Vec across, gradient;
+        V turn, gradient_v;
+    };
+    struct Row {
+        Limit low, high;
+        V size, unit, edge, along, price;
+        V touches, lambda, omega;  // how many contacts it touches, and their means
+        V empty, own;  // 1: no force changes it; it touches one contact at most
+        V bend, root;  // of an own row; the square root of that of a shared one
+    };
+    struct Column {
+        Vec c;
+        V cv, touched;
+        bool any;  // whether it touches in any lane; what touches nowhere changes nothing
+    };
+    static constexpr double ROUNDED = 1e-13;  // part of E that what a step misses of balance may be worth
+    static constexpr double RAISED = 1e-11;  // the same, by which a whole step back to balance may raise it
+    static constexpr double SOFTEST = 8.0, HARDENING = 1.0 / 16.0;  // the first edge of a descent, and what each is multiplied by
+    static constexpr double HARDEST = 1e-6;  // nearly infeasible: another solver's
+    static constexpr double CLOSE = 0.03;  // squared decrement, part of E, from which the edge is lowered
+    static constexpr double SETTLED = 1e-9;  // the same, from which `polish` ends
+    static constexpr double MISSES =
+        1e-13;  // part of an adjoint force and of its right side, by which the one may miss the other
+    static constexpr double LONG = 0.95;  // part of the way to the boundary
+    static constexpr int HALVINGS = 40, REFINEMENTS = 2, WHOLE_STEPS = 3;
+
+    typename Cones<V, 0>::Field x_;  // (u, o, t)
+    std::vector<V> v_;
+    Six<V> y_{};  // multipliers of balance, unit frame
+    const ForceBatch& batch_;
+    int joints_;
+    Cones<V, 0> cones_;
+    PlacedLanes<W> placed_;
+    typename Cones<V, 0>::Field rest_;
+    std::vector<Contact> at_;
+    std::vector<Row> rows_;
+    std::vector<Column> columns_, scaled_;  // of rows in parts of their length; of shared rows, times their roots
+    bool shared_ = false;  // whether any row is
+    typename Cones<V, 0>::Field step_, back_, pull_;
+    std::vector<V> step_v_, back_v_, pull_v_, both_;
+    mutable std::vector<V> along_;
+    AnyLdl<V> schur_;
+    Six<V> wrench_{}, w_{};
+    V softness_{}, last_{}, edge_{}, tightest_{};  // edges: in the units of the limits; tightest_: least slack at the last system
+    Case problems_[W] = {};
+
+    int count() const { return batch_.contacts; }
+    std::ptrdiff_t number(int lane) const { return problems_[lane].number; }
+    int shared_rows() const { return shared_ ? joints_ : 0; }
+    Column& column(int i, int j) { return columns_[std::size_t(joints_ * i + j)]; }
+    const Column& column(int i, int j) const { return columns_[std::size_t(joints_ * i + j)]; }
+    V along(int i, int j, const Vec& x, const V& v) const { return dot(column(i, j).c, x) + column(i, j).cv * v; }
+    static void load_side(Limit& side, int lane, bool there, double bound, double weight) {
+        set(side.bound, lane, there ? bound : UNBOUNDED), set(side.weight, lane, there ? weight : 0.0);
+    }
+    Vec object_force(int i, const Vec& z) const {
+        const Contact& c = at_[i];
+        const Vec& divisor = cones_.blocks[i].divisor;
+        return (z.u / divisor.u) * c.frame[0] + (z.o / divisor.o) * c.frame[1] + (z.t / divisor.t) * c.frame[2];
+    }
+    // A motion (3,) of contact i by joint j of every lane, from row `from` of the Jacobian on.
+    Vec motion(int i, int j, int from) const {
+        Vec made{};
+        for (int lane = 0; lane < W; ++lane)
+            for (int a = 0; a < 3; ++a)
+                set(made[a], lane, batch_.jacobian[number(lane)][(i * batch_.jacobian_rows + from + a) * batch_.joints + j]);
+        return made;
+    }
+
+    void place_row(int j);
+    void place_edges() {
+        for (Contact& c : at_) c.edge = edge_ * c.unit;
+        for (Row& row : rows_) row.edge = edge_ * row.unit;
+    }
+
+    // E with the penalty of what is missed of balance; +inf unless strictly inside. at(i, v): (u, o, t) of contact i, and v.
+    template <class F> V energy_at(F&& at) const {
+        V total{}, room = infinity;
+        Six<V> missed = w_;
+        std::fill(along_.begin(), along_.end(), V{});
+        for (int i = 0; i < count(); ++i) {
+            const Contact& c = at_[i];
+            V turn;
+            const Vec here = at(i, turn);
+            total += phi(here, cones_.blocks[i].weights);
+            room = min(room, min(here.u, lorentz(here, here)));
+            if (batch_.torsion) {
+                const V p = here.u - turn, q = here.u + turn;
+                total += c.lambda_v * (1.0 / p + 1.0 / q);
+                room = min(room, select(c.lambda_v > 0.0, min(p, q), V(infinity)));
+            }
+            if (batch_.min_normal || batch_.max_normal) {
+                total += c.low.barrier(-here.u, c.edge) + c.high.barrier(here.u, c.edge);
+                room = min(room, min(c.low.room(-here.u, c.edge), c.high.room(here.u, c.edge)));
+            }
+            for (int r = 0; r < 6; ++r) missed[r] += dot(cones_.blocks[i].g[r], here) + c.gv[r] * turn;
+            for (int j = 0; j < joints_; ++j) along_[j] += along(i, j, here, turn);
+        }
+        for (int j = 0; j < joints_; ++j) {
+            const Row& row = rows_[j];
+            total += row.high.barrier(along_[j], row.edge) + row.low.barrier(-along_[j], row.edge);
+            room = min(room, min(row.high.room(along_[j], row.edge), row.low.room(-along_[j], row.edge)));
+        }
+        total += select(softness_ > 0.0, 0.5 * dot(missed, missed) / softness_, V(0.0));
+        return select((room > 0.0) & (total == total), total, V(infinity));
+    }
+    V energy() const {
+        return energy_at([&](int i, V& turn) { return turn = v_[i], x_[i]; });
+    }
+    V energy_along(const V& alpha) const {
+        return energy_at([&](int i, V& turn) { return turn = v_[i] + alpha * step_v_[i], x_[i] + alpha * step_[i]; });
+    }
+    Six<V> missed() const {  // A z + w
+        Six<V> made = w_;
+        for (int i = 0; i < count(); ++i)
+            for (int r = 0; r < 6; ++r) made[r] += dot(cones_.blocks[i].g[r], x_[i]) + at_[i].gv[r] * v_[i];
+        return made;
+    }
+
+    void assemble();
+    void bind(int i);
+    const Column& scaled(int i, int r) const { return scaled_[joints_ * i + r - 6]; }
+
+    // (inverse^-1 + bend a a^T)^-1 with h = inverse a, square = a . h
+    static void soften(Contact& c, const V& bend, const Vec& h, const V& hv, const V& square) {
+        const V part = bend / (1.0 + bend * square);
+        const Vec f = part * h;
+        Sym3<V>& m = c.inverse;
+        m.uu -= f.u * h.u, m.uo -= f.u * h.o, m.ut -= f.u * h.t, m.oo -= f.o * h.o, m.ot -= f.o * h.t, m.tt -= f.t * h.t;
+        c.across -= hv * f, c.turn -= part * hv * hv;
+    }
+    [[gnu::always_inline]] void applied(int i, const Vec& g, const V& gv, Vec& out, V& out_v) const {
+        const Contact& c = at_[i];
+        out = c.inverse * g, out_v = V{};
+        if (batch_.torsion) out += gv * c.across, out_v = dot(c.across, g) + c.turn * gv;
+    }
+
+    // H p + A^T q = g, A p - softness q = h, with H of all terms; g is overwritten. The barriers of limits may be far stiffer than the rest, so
+    // that the system loses digits: what p then misses of h is taken off by the same system.
+    // allowed(q): how much of h may be missed
+    template <class F> Six<V> solve(typename Cones<V, 0>::Field& g, std::vector<V>& gv, const Six<V>& h,
+                                    typename Cones<V, 0>::Field& p, std::vector<V>& pv, F&& allowed) {
+        Six<V> q = solve_once(g, gv, h, p, pv);
+        for (int round = 0; round < REFINEMENTS; ++round) {
+            Six<V> left = h + softness_ * q;
+            for (int i = 0; i < count(); ++i)
+                for (int r = 0; r < 6; ++r) left[r] -= dot(cones_.blocks[i].g[r], p[i]) + at_[i].gv[r] * pv[i];
+            const Mask rough = size(left) > allowed(q);
+            if (!any(rough)) break;
+            for (int i = 0; i < count(); ++i) g[i] = Vec{}, gv[i] = V{};
+            q = q + solve_once(g, gv, select(rough, left, Six<V>{}), back_, back_v_);
+            for (int i = 0; i < count(); ++i) p[i] += back_[i], pv[i] += back_v_[i];
+        }
+        return q;
+    }
+    Six<V> solve_once(typename Cones<V, 0>::Field& g, std::vector<V>& gv, const Six<V>& h, typename Cones<V, 0>::Field& p,
+                      std::vector<V>& pv) {
+        for (int r = 0; r < 6 + shared_rows(); ++r) both_[r] = r < 6 ? -h[r] : V{};
+        for (int i = 0; i < count(); ++i) {
+            applied(i, g[i], gv[i], p[i], pv[i]);
+            for (int r = 0; r < 6; ++r) both_[r] += dot(cones_.blocks[i].g[r], p[i]) + at_[i].gv[r] * pv[i];
+            for (int r = 6; r < 6 + shared_rows(); ++r) both_[r] += dot(scaled(i, r).c, p[i]) + scaled(i, r).cv * pv[i];
+        }
+        schur_.solve(both_);
+        for (int i = 0; i < count(); ++i) {
+            for (int r = 0; r < 6; ++r) g[i] -= both_[r] * cones_.blocks[i].g[r], gv[i] -= both_[r] * at_[i].gv[r];
+            for (int r = 6; r < 6 + shared_rows(); ++r) g[i] -= both_[r] * scaled(i, r).c, gv[i] -= both_[r] * scaled(i, r).cv;
+            applied(i, g[i], gv[i], p[i], pv[i]);
+        }
+        Six<V> q;
+        for (int r = 0; r < 6; ++r) q[r] = both_[r];
+        return q;
+    }
+    // Into step_ and step_v_, where E is `value`; returns the new multipliers.
+    Six<V> newton_step(const V& value) {
+        assemble();
+        for (int i = 0; i < count(); ++i) pull_[i] = -at_[i].gradient, pull_v_[i] = -at_[i].gradient_v;
+        Six<V> left = missed();
+        for (V& each : left) each = -each;
+        return solve(pull_, pull_v_, left, step_, step_v_, [&](const Six<V>& y) { return ROUNDED * value / size(y); });
+    }
+    // The squared decrement of the step, and 1 / (the largest step inside the cones).
+    struct Judged { V decrement, reach; };
+    Judged judged_step() const {
+        Judged made{V{}, V(1e-300)};
+        const Six<V> pull = (1.0 / select(softness_ > 0.0, softness_, V(infinity))) * missed();
+        for (int i = 0; i < count(); ++i) {
+            const Contact& c = at_[i];
+            const Vec push = c.gradient + Block<V>::combined(cones_.blocks[i].g, pull);
+            V push_v = c.gradient_v;
+            for (int r = 0; r < 6; ++r) push_v += c.gv[r] * pull[r];
+            made.decrement -= dot(push, step_[i]) + push_v * step_v_[i];
+            made.reach = max(made.reach, Boundary<V>(x_[i]).per(step_[i]));
+            if (!batch_.torsion) continue;
+            const V turned = max((step_v_[i] - step_[i].u) / (x_[i].u - v_[i]), -(step_v_[i] + step_[i].u) / (x_[i].u + v_[i]));
+            made.reach = max(made.reach, select(c.lambda_v > 0.0, turned, V(0.0)));
+        }
+        return made;
+    }
+};
+
+}  // namespace grasp

@@ -1,0 +1,245 @@
+"""Batches of problems for layers of learning programs: optima of the front, exact gradients, answers that hang on no neighbour, no NaN."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from grasp_env.core import _core
+from grasp_env.force import ForceLimits, optimize_force
+from grasp_env.grasp import Grasp, presets
+
+NAMES = (
+    "positions", "normals", "friction", "tangents", "torsion", "wrench", "jacobian", "torque_limit", "torque_bias", "min_normal",
+    "max_normal", "force_weight", "barrier_weight",
+)  # fmt: skip
+KINDS = (
+    "hard",
+    "elliptic",
+    "soft",
+    "own",
+    "shared",
+    "normal",
+    "soft shared normal",
+    "own tight",
+    "soft own tight",
+    "adrift",
+    "adrift own soft",
+)
+"""own, shared: torque limits of one finger or of several; tight: that no force keeps; adrift: contacts that cannot balance the wrench."""
+OPTIMAL, REFUSED = 0, _core.codes()["refused"]
+Batch = dict[str, np.ndarray | None]
+
+
+@cache
+def batch(kind: str, size: int = 19) -> Batch:
+    """Problems near the paper's grasp, each with its own contacts."""
+    rng, near = np.random.default_rng([size, *kind.encode()]), presets.paper_cuboid()
+    made: Batch = dict.fromkeys(NAMES)
+    made["positions"] = near.positions + rng.normal(size=(size, 4, 3)) * 5e-3
+    made["normals"] = near.normals + rng.normal(size=(size, 4, 3)) * 0.05
+    made["friction"] = np.repeat(rng.uniform(0.3, 0.7, (size, 4, 1)), 2, -1)
+    made["wrench"] = rng.normal(size=(size, 6)) * [1, 1, 1, 0.03, 0.03, 0.03]
+    made["force_weight"], made["barrier_weight"] = np.full((size, 4), 1.3), np.full((size, 4), 0.01)
+    if "elliptic" in kind:
+        made["friction"], made["tangents"] = rng.uniform(0.3, 0.7, (size, 4, 2)), rng.normal(size=(size, 4, 3))
+    if "soft" in kind:
+        made["torsion"] = rng.uniform(0.002, 0.01, (size, 4))
+    if "own" in kind or "shared" in kind:
+        jacobian = np.zeros((size, 4, 6 if "soft" in kind else 3, 12))
+        for i in range(4):
+            jacobian[:, i, :, 3 * i : 3 * i + 3] = rng.normal(size=(*jacobian.shape[:1], jacobian.shape[2], 3)) * 0.05
+        if "shared" in kind:
+            jacobian += rng.normal(size=jacobian.shape) * 0.01
+        made["jacobian"], made["torque_bias"] = jacobian, rng.normal(size=(size, 12)) * 0.01
+        made["torque_limit"] = np.full((size, 12), 0.03 if "tight" in kind else 1.5)
+    if "normal" in kind:
+        made["min_normal"], made["max_normal"] = np.full((size, 4), 0.2), np.full((size, 4), 6.0)
+    if "adrift" in kind:  # all of them push up, and so does the load
+        made["normals"] = np.tile([0.1, 0.0, 1.0], (size, 4, 1)) + rng.normal(size=(size, 4, 3)) * 0.05
+        made["wrench"][:, 2] = 1.0 + np.abs(made["wrench"][:, 2])
+    return made
+
+
+def rows(given: Batch, chosen: slice | list[int]) -> Batch:
+    return {name: None if each is None else np.ascontiguousarray(each[chosen]) for name, each in given.items()}
+
+
+def solved(
+    given: Batch, start: np.ndarray | None = None, tolerance: float = 1e-10, limit: int = 300
+) -> tuple[np.ndarray, ...]:
+    """State, force, torsion, multipliers, facts."""
+    positions = given["positions"]
+    assert positions is not None
+    size, count = positions.shape[:2]
+    shapes = ((_core.layer_state_size(count),), (count, 3), (count,), (6,), (_core.LAYER_FACTS,))
+    made = tuple(np.full((size, *shape), np.nan) for shape in shapes)
+    _core.optimal_forces((*(given[name] for name in NAMES), start), tolerance, limit, *made)
+    return made
+
+
+def differentiated(given: Batch, state: np.ndarray, by: tuple[np.ndarray, ...], elastic: bool = True) -> Batch:
+    made: Batch = {name: None if given[name] is None else np.full(given[name].shape, np.nan) for name in NAMES}
+    _core.optimal_forces_gradients(tuple(given[name] for name in NAMES), state, *by, elastic, tuple(made.values()))
+    return made
+
+
+def loss(kind: str, answer: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """Derivatives by force, torsion and multipliers of a random linear loss of each problem."""
+    rng = np.random.default_rng([7, len(kind)])
+    return tuple(rng.normal(size=each.shape) * per for each, per in zip(answer[1:4], (1.0, 100.0, 1.0), strict=True))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_gradients_are_central_differences_of_the_answers(kind: str) -> None:
+    given, rng = rows(batch(kind), slice(0, 8)), np.random.default_rng(3)
+    answer = solved(given)
+    assert (answer[4][:, 0] == OPTIMAL).all() == (kind.split()[0] != "adrift" and "tight" not in kind)
+    by = loss(kind, answer)
+    made = differentiated(given, answer[0], by)
+    size = sum(np.abs(b * a).sum() for b, a in zip(by, answer[1:4], strict=True))
+
+    def value(moved: Batch) -> np.ndarray:
+        again = solved(moved)
+        return sum((b * a).reshape(len(a), -1).sum(1) for b, a in zip(by, again[1:4], strict=True))
+
+    for name, each in given.items():
+        if each is None:
+            continue
+        found, step = made[name], 1e-5 * np.abs(each).max()
+        assert found is not None
+        assert np.isfinite(found).all()
+        # an entry of a Jacobian that is zero is none of its row: with it the row would touch another contact
+        direction = rng.normal(size=each.shape) * (each != 0.0)
+        ahead, back, twice, far = (value(given | {name: each + k * step * direction}) for k in (1.0, -1.0, 2.0, -2.0))
+        expected = (8.0 * (ahead - back) - (twice - far)) / (12.0 * step)
+        flat = (found * direction).reshape(len(found), -1)
+        # differences lose the last digits of the answers over the step; elastic forces, beside very stiff limits, have fewer
+        rounding = 1e-12 if "tight" in kind else 1e-13
+        np.testing.assert_allclose(
+            flat.sum(1), expected, rtol=2e-6, atol=rounding * size / step + 1e-6 * np.abs(flat).sum(1).max()
+        )
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if "tight" not in kind and "adrift" not in kind])
+def test_an_optimum_is_that_of_the_front(kind: str) -> None:
+    given = batch(kind)
+    _, force, torsion, multipliers, facts = solved(given)
+    assert (facts[:, 0] == OPTIMAL).all()
+    assert (facts[:, 1] <= 1e-10).all()
+    assert (facts[:, 2] < 1e-13 * np.abs(force).max()).all()
+    for k in range(0, len(force), 4):
+        one = {name: None if each is None else each[k] for name, each in given.items()}
+        soft = {} if one["torsion"] is None else {"contact_model": "soft", "torsional_friction": one["torsion"]}
+        normals = one["normals"] / np.linalg.norm(one["normals"], axis=1, keepdims=True)
+        grasp = Grasp.from_contacts(one["positions"], normals, one["friction"], tangents=one["tangents"], **soft)
+        limits = {
+            name: one[name]
+            for name in ("jacobian", "torque_limit", "torque_bias", "min_normal", "max_normal")
+            if one[name] is not None
+        }
+        found = optimize_force(
+            grasp, one["wrench"], tolerance=1e-13, force_weight=1.3, limits=ForceLimits(**limits) if limits else None
+        )
+        # the square root of a gap of 1e-13
+        np.testing.assert_allclose(force[k], found.object_force, atol=1e-6 * np.abs(force[k]).max())
+        np.testing.assert_allclose(torsion[k], found.torsion, atol=1e-6 * np.abs(force[k]).max() * 0.01)
+        np.testing.assert_allclose(
+            multipliers[k], found.multipliers, rtol=1e-4, atol=1e-5 * np.abs(multipliers[k]).max()
+        )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_answer_and_its_gradient_hang_on_no_neighbour(kind: str) -> None:
+    given, other = batch(kind), batch(kind, 3)
+    mixed = {
+        name: None if each is None else np.concatenate([each, other[name]])  # type: ignore[list-item]
+        for name, each in given.items()
+    }
+    bad, wrench = np.array(mixed["positions"]), np.array(mixed["wrench"])
+    bad[5], wrench[11] = np.nan, 1e11
+    mixed |= {"positions": bad, "wrench": wrench}
+    answer = solved(mixed)
+    by = loss(kind, answer)
+    gradients = differentiated(mixed, answer[0], by)
+    assert all(np.isfinite(each).all() for each in (*answer[:4], *(g for g in gradients.values() if g is not None)))
+    assert answer[4][5, 0] == REFUSED
+    assert not answer[1][5].any()
+    for k in range(len(wrench)):
+        one = rows(mixed, [k])
+        alone = solved(one)
+        for a, b in zip(answer, alone, strict=True):
+            assert (a[k : k + 1] == b).all()
+        found = differentiated(one, alone[0], tuple(each[k : k + 1] for each in by))
+        assert all((gradients[name][k] == each[0]).all() for name, each in found.items() if each is not None)
+
+
+@pytest.mark.parametrize("kind", ["own tight", "adrift", "adrift own soft"])
+def test_masked_problems_have_no_gradient_and_their_forces_stay_inside(kind: str) -> None:
+    given = batch(kind)
+    state, force, _, _, facts = answer = solved(given)
+    assert (facts[:, 0] != OPTIMAL).all()
+    assert (state[:, -1] > 1.0).all()
+    assert np.isinf(facts[:, 1]).all()
+    assert not any(
+        each.any()
+        for each in differentiated(given, state, loss(kind, answer), elastic=False).values()
+        if each is not None
+    )
+    unit = given["normals"] / np.linalg.norm(given["normals"], axis=2, keepdims=True)
+    normal = (force * unit).sum(2)
+    assert (np.linalg.norm(force - normal[:, :, None] * unit, axis=2) < given["friction"][:, :, 0] * normal).all()
+    if kind == "own tight":
+        made = np.concatenate([force.sum(1), np.cross(given["positions"], force).sum(1)], 1)
+        assert np.abs(made + given["wrench"]).max() < 1e-12 * np.abs(force).max()
+
+
+def test_a_start_saves_steps_and_changes_no_answer() -> None:
+    given = batch("hard")
+    cold = solved(given)
+    warm = solved(given, start=cold[1])
+    assert (warm[4][:, 3] < cold[4][:, 3]).all()
+    np.testing.assert_allclose(warm[1], cold[1], rtol=1e-12, atol=1e-13)
+    nonsense = solved(given, start=np.full_like(cold[1], np.nan))
+    assert all((a == b).all() for a, b in zip(nonsense, cold, strict=True))
+
+
+def test_one_row_serves_all_problems_and_other_layouts_are_refused() -> None:
+    given = batch("hard")
+    one = given | {
+        name: np.ascontiguousarray(each[:1]) for name, each in given.items() if each is not None and name != "wrench"
+    }
+    size = len(given["wrench"])
+    spread = {
+        name: None if each is None else np.broadcast_to(each, (size, *each.shape[1:])) for name, each in one.items()
+    }
+    copied = {name: None if each is None else np.ascontiguousarray(each) for name, each in spread.items()}
+    assert all((a == b).all() for a, b in zip(solved(spread), solved(copied), strict=True))
+    for wrong in (
+        given | {"wrench": given["wrench"][:, :5]},
+        given | {"friction": given["friction"].astype(np.float32)},
+        given | {"wrench": None},
+    ):
+        with pytest.raises(TypeError):
+            solved(wrong)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 9])
+def test_any_number_of_contacts(count: int) -> None:
+    """One and two hard contacts balance no wrench of every direction; their elastic forces are finite."""
+    rng = np.random.default_rng(count)
+    given: Batch = dict.fromkeys(NAMES)
+    directions = rng.normal(size=(5, count, 3))
+    given |= {"positions": -directions * 0.03, "normals": directions, "friction": np.full((5, count, 2), 0.8)}
+    given |= {
+        "wrench": rng.normal(size=(5, 6)) * 0.1,
+        "force_weight": np.ones((5, count)),
+        "barrier_weight": np.full((5, count), 0.01),
+    }
+    answer = solved(given)
+    assert np.isfinite(answer[1]).all()
+    assert ((answer[4][:, 0] == OPTIMAL) <= (count > 2)).all()
+    gradients = differentiated(given, answer[0], loss("hard", answer))
+    assert all(np.isfinite(each).all() for each in gradients.values() if each is not None)
