@@ -1,0 +1,691 @@
+"""The optimum of Phi for many grasps at once, and its gradient, written in torch: any device, float64.
+
+`GraspForceLayer` uses it for tensors that are not on the CPU, where the compiled core serves. Both solve the same problem: minimize
+
+    E(z) = sum_i [3 omega u + lambda (1/u + 2u / (u^2 - o^2 - t^2))] + sum_soft lambda (1/(u - v) + 1/(u + v)) + sum_rows weight / slack
+
+under balance, in cone coordinates z = (u, o, t, v) = scale * (force along normal, o, t; torsion). The limits are rows a . z <= bound of
+length one. Wrenches are taken about the contacts' centre, in units of the contacts' spread, so that their components are of one size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from grasp_env._extras import need
+from grasp_env.core import LARGEST, TANGENT_SWITCH
+
+with need("layer"):
+    import torch
+    from torch import Tensor
+
+OPTIMAL, LIMIT, STALLED, INFEASIBLE, REFUSED, LIMITS_EXCEEDED, RANK_LOST, UNDECIDED = range(8)
+"""`grasp::Code`."""
+BALANCED, EXCEEDING, UNBALANCED, NOTHING = range(4)
+"""Which problem an element's state solves: the problem itself; limits may be exceeded; balance may be missed besides; none."""
+EDGE = 0.1
+"""Slack, in units of sqrt(lambda / omega), below which the elastic problems extend a limit's barrier quadratically."""
+SOFTNESS = 1e-2
+"""[N^2] per unit of Phi: where balance may be missed, it costs |G f + w|^2 / (2 SOFTNESS)."""
+
+_FIRST_EDGE, _LAST_EDGE = 8.0, 1e-6  # where a limit is still exceeded at the last one, no force keeps it
+_SOFTNESSES = (1e-3, 1e-6, 1e-9, 1e-12)  # the optimum of a small one is one step from a balanced force, if there is one
+_SETTLED, _LOWER = 0.03, 0.25  # squared decrement, part of Phi, at which edge and softness are lowered; their factor
+_REACH = 0.95  # part of the way to the boundary that a step goes at most
+_HALVINGS = 60
+_POLISH_STEPS = 2  # whole steps after convergence; each squares the error
+_RANK = 1e-8  # least ratio of singular values of G that counts as rank 6
+
+
+class Inputs(NamedTuple):
+    """B problems of N contacts and J joints, float64, in one frame of the caller's choice; None where left out.
+
+    Attributes:
+        positions, normals, tangents: (B, N, 3) [m, -, -].
+        friction: (B, N, 2) along o and t.
+        torsional_friction: (B, N) [m].
+        wrench: (B, 6) on the object [N, N m].
+        jacobian: (B, N, 3 or 6, J).
+        torque_limit, torque_bias: (B, J) [N m].
+        min_normal, max_normal: (B, N) [N].
+        force_weight, barrier_weight: (B, N).
+    """
+
+    positions: Tensor
+    normals: Tensor
+    friction: Tensor
+    tangents: Tensor | None
+    torsional_friction: Tensor | None
+    wrench: Tensor
+    jacobian: Tensor | None
+    torque_limit: Tensor | None
+    torque_bias: Tensor | None
+    min_normal: Tensor | None
+    max_normal: Tensor | None
+    force_weight: Tensor
+    barrier_weight: Tensor
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> Inputs:
+        """`change` of each tensor that is given."""
+        return Inputs(*(None if a is None else change(a) for a in self))  # type: ignore[arg-type]
+
+
+class Solved(NamedTuple):
+    """Optima of B problems.
+
+    Attributes:
+        state: (B, 4N + 7) z (N, 4), multipliers of balance in the unit frame, which problem was solved; for `gradients`.
+        force: (B, N, 3) in the caller's frame [N].
+        torsion: (B, N) [N m].
+        multipliers: (B, 6) nu of balance: grad Phi = G^T nu.
+        facts: (B, 4) status (`grasp::Code`), certified gap, residual [N], iterations.
+    """
+
+    state: Tensor
+    force: Tensor
+    torsion: Tensor
+    multipliers: Tensor
+    facts: Tensor
+
+
+# --- the problem: differentiable in the inputs
+
+
+def _dot(a: Tensor, b: Tensor) -> Tensor:
+    return (a * b).sum(-1)
+
+
+def _unit(a: Tensor) -> Tensor:
+    return a / _dot(a, a).sqrt().unsqueeze(-1)
+
+
+def _pick(where: Tensor, a: Tensor, b: Tensor | float) -> Tensor:
+    """`a` for the elements (B,) where it holds, else `b`."""
+    return torch.where(where.view(-1, *(1,) * (a.ndim - 1)), a, b)
+
+
+def _finite(*tensors: Tensor) -> Tensor:
+    """(B,) whether all numbers of an element are finite."""
+    return torch.stack([a.flatten(1).isfinite().all(1) for a in tensors]).all(0)
+
+
+class _Problem(NamedTuple):
+    """Placed contacts and limits, and how far limits and balance are softened at present.
+
+    A limit is a pair of rows a . z <= bounds[0], -a . z <= bounds[1]. Below the edge, its barrier is extended quadratically.
+    """
+
+    frames: Tensor  # (B, N, 3, 3) rows n, o, t
+    per: Tensor  # (B, N, 4) force and torsion per z; 0 where none is transmitted
+    centre: Tensor  # (B, 3)
+    shrink: Tensor  # (B,) 1 / the contacts' spread
+    balance: Tensor  # (B, 6, N, 4) of z, unit frame
+    load: Tensor  # (B, 6) the wrench, unit frame
+    omega: Tensor  # (B, N)
+    lam: Tensor  # (B, N)
+    soft: Tensor  # (B, N) bool
+    rows: Tensor  # (B, M, N, 4) a of each limit
+    bounds: Tensor  # (B, M, 2)
+    weights: Tensor  # (B, M, 2) 0: there is no such limit, and its bound is 1e100
+    scales: Tensor  # (B, M) sqrt(lambda / omega) of the contacts that a limit touches
+    edge: Tensor  # (B,) in units of the scales; 0: the barriers themselves
+    softness: Tensor  # (B,) missing balance costs |G f + w|^2 / (2 softness); 0: balance is exact
+
+    def take(self, where: Tensor) -> _Problem:
+        """The problems at these places."""
+        return _Problem(*(part[where] for part in self))
+
+    def without_limits(self) -> _Problem:
+        """The same problems, of cones and balance only."""
+        parts = {name: getattr(self, name)[:, :0] for name in ("rows", "bounds", "weights", "scales")}
+        return self._replace(**parts)
+
+    @property
+    def floor(self) -> Tensor:
+        """(B, M, 1) slack below which a barrier is extended."""
+        return (self.edge.unsqueeze(-1) * self.scales).unsqueeze(-1)
+
+    def along(self, z: Tensor) -> Tensor:
+        """(B, M, 2) a . z and -a . z."""
+        made = torch.einsum("bmna,bna->bm", self.rows, z)
+        return torch.stack([made, -made], -1)
+
+    def slack(self, z: Tensor) -> Tensor:
+        """(B, M, 2) of the limits."""
+        return self.bounds - self.along(z)
+
+    def pulled(self, prices: Tensor) -> Tensor:
+        """(B, N, 4) sum of prices * rows, the prices (B, M, 2)."""
+        return torch.einsum("bmna,bm->bna", self.rows, prices[..., 0] - prices[..., 1])
+
+    def missed(self, z: Tensor) -> Tensor:
+        """(B, 6) G f + w, unit frame."""
+        return torch.einsum("brna,bna->br", self.balance, z) + self.load
+
+    def cost_of_missing(self, missed: Tensor) -> Tensor:
+        """(B,) of balance (B, 6), 0 where the softness is 0."""
+        exact = self.softness == 0.0
+        return torch.where(exact, 0.0, _dot(missed, missed) / (2.0 * torch.where(exact, 1.0, self.softness)))
+
+    def softened(self, z: Tensor, edge: float, softness: float) -> Tensor:
+        """(B,) whether a limit at z or balance is still softer than with these."""
+        limits = (self.slack(z) < self.floor).flatten(1).any(1) & (self.edge > edge)
+        return limits | (self.softness > softness)
+
+    def value(self, z: Tensor) -> Tensor:
+        """(B,) the objective, with the cost of missing balance; inf unless strictly inside the cones."""
+        u, o, t, v = z.unbind(-1)
+        d, p, q = u * u - o * o - t * t, u - v, u + v
+        inside = ((u > 0.0) & (d > 0.0) & (p > 0.0) & (q > 0.0)).all(1)
+        total = 3.0 * self.omega * u + self.lam * (1.0 / u + 2.0 * u / d)
+        total = total + torch.where(self.soft, self.lam * 2.0 * u / (p * q), 0.0)
+        slack = self.slack(z)
+        c = torch.maximum(slack, self.floor)
+        e = (slack - c) / c
+        limits = self.weights / c * (1.0 - e + e * e)
+        total = total.sum(1) + limits.sum((1, 2)) + self.cost_of_missing(self.missed(z))
+        return torch.where(inside, total, math.inf)
+
+    def axes(self) -> Tensor:
+        """(B, N, 4) forces along the axes of the cones."""
+        u = (self.lam / self.omega).sqrt()
+        return torch.stack([u, *(torch.zeros_like(u),) * 3], -1)
+
+    def answers(self, z: Tensor, nu: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Force, torsion and multipliers as the caller sees them."""
+        made, moment = self.per * z, self.shrink.unsqueeze(-1) * nu[:, 3:]
+        multipliers = torch.cat([nu[:, :3] - torch.linalg.cross(moment, self.centre), moment], -1)
+        return torch.einsum("bna,bnax->bnx", made[..., :3], self.frames), made[..., 3], multipliers
+
+
+def _sane(given: Inputs) -> Tensor:
+    """(B,) whether the numbers make a problem: finite, within range, directions that are some."""
+    good = []
+    for name, a in given._asdict().items():
+        if a is None:
+            continue
+        fits = a.abs() <= LARGEST
+        if name in ("normals", "tangents"):
+            square = _dot(a, a)
+            fits = (square > 1e-200) & (square < 1e200)
+        elif name in ("friction", "torsional_friction"):
+            fits &= a >= 0.0
+        elif name in ("force_weight", "barrier_weight"):
+            fits &= a > 0.0
+        elif name in ("torque_limit", "min_normal", "max_normal"):
+            fits |= a == math.inf
+        good.append(fits.flatten(1).all(1))
+    if given.tangents is not None:
+        across = torch.linalg.cross(_unit(given.normals), _unit(given.tangents))
+        good.append((_dot(across, across) > 1e-24).all(1))
+    return torch.stack(good).all(0)
+
+
+def _frames(given: Inputs) -> Tensor:
+    n = _unit(given.normals)
+    if given.tangents is None:
+        axes = torch.eye(3, dtype=n.dtype, device=n.device)
+        along = torch.where(n[..., :1].abs() > TANGENT_SWITCH, axes[1], axes[0])
+    else:
+        along = _unit(given.tangents)
+    for _ in range(2):  # the second pass takes what rounding left for a tangent close to n
+        along = _unit(along - _dot(along, n).unsqueeze(-1) * n)
+    return torch.stack([n, along, torch.linalg.cross(n, along)], -2)
+
+
+def _place(given: Inputs) -> _Problem:
+    """Contacts, wrench and limits in cone coordinates and in the unit frame."""
+    frames = _frames(given)
+    rough = (given.friction > 0.0).all(-1, keepdim=True)
+    mu = torch.where(rough, given.friction, 1.0)
+    mean = (mu[..., :1] * mu[..., 1:]).sqrt()
+    gamma = torch.zeros_like(mean) if given.torsional_friction is None else given.torsional_friction.unsqueeze(-1)
+    per = torch.cat([1.0 / mean, torch.where(rough, mu / mean, 0.0), gamma / mean], -1)
+
+    centre = given.positions.mean(1)
+    arms = given.positions - centre.unsqueeze(1)
+    square = (arms * arms).sum(-1).mean(1)
+    shrink = torch.where(square > 0.0, torch.where(square > 0.0, square, 1.0).rsqrt(), 1.0)
+    normal = frames[:, :, :1]
+    pushes = torch.cat([frames, torch.zeros_like(normal)], 2)
+    moments = torch.cat([torch.linalg.cross(arms.unsqueeze(2).expand_as(frames), frames), normal], 2)
+    balance = torch.cat([pushes, shrink.view(-1, 1, 1, 1) * moments], -1) * per.unsqueeze(-1)
+    push, twist = given.wrench[:, :3], given.wrench[:, 3:]
+    load = torch.cat([push, shrink.unsqueeze(-1) * (twist - torch.linalg.cross(centre, push))], -1)
+    none = torch.zeros_like(shrink)
+    return _Problem(
+        frames, per, centre, shrink, balance.permute(0, 3, 1, 2), load, given.force_weight, given.barrier_weight,
+        gamma.squeeze(-1) > 0.0, *_limits(given, frames, per), none + _FIRST_EDGE, none,
+    )  # fmt: skip
+
+
+def _limits(given: Inputs, frames: Tensor, per: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Rows of length one, bounds, weights and scales of the limits of joints and normal forces; see `_Problem`."""
+    rows, no_bounds = [per.new_zeros(len(per), 0, *per.shape[1:])], per.new_zeros(len(per), 0)
+    high, low = [no_bounds], [no_bounds]
+    if given.jacobian is not None and given.torque_limit is not None:
+        push = torch.einsum("bnax,bnxj->bjna", frames, given.jacobian[:, :, :3])
+        turn = torch.zeros_like(push[..., :1])
+        if given.jacobian.shape[2] == 6:
+            turn = torch.einsum("bnax,bnxj->bjna", frames[:, :, :1], given.jacobian[:, :, 3:])
+        rows.append(torch.cat([push, turn], -1) * per.unsqueeze(1))
+        bias = 0.0 if given.torque_bias is None else given.torque_bias
+        high.append(given.torque_limit - bias)
+        low.append(given.torque_limit + bias)
+    if given.min_normal is not None or given.max_normal is not None:
+        most, least = given.max_normal, given.min_normal
+        none = torch.full_like(given.force_weight, math.inf)
+        rows.append(torch.nn.functional.pad(torch.diag_embed(per[..., 0]).unsqueeze(-1), (0, 3)))
+        high.append(none if most is None else most)
+        low.append(none if least is None else torch.where(least > 0.0, -least, math.inf))
+    row, bound = torch.cat(rows, 1), torch.stack([torch.cat(high, 1), torch.cat(low, 1)], -1)
+    there = bound < math.inf
+    # the length is that in (u, o, t, u - v), where opposite sides of a soft contact's cone are alike
+    skewed = torch.stack([row[..., 0] + row[..., 3], *row[..., 1:].unbind(-1)], -1)
+    parts = _dot(skewed, skewed)
+    square = parts.sum(-1, keepdim=True)
+    size = torch.where(square > 0.0, square, 1.0).sqrt()
+    touched = ((parts > 0.0) | (square == 0.0)).to(row.dtype)
+    share = touched / touched.sum(-1, keepdim=True)
+    lam, omega = (torch.einsum("bmn,bn->bm", share, a) for a in (given.barrier_weight, given.force_weight))
+    weights = torch.where(there, lam.unsqueeze(-1), 0.0)
+    bounds = torch.where(there, torch.where(there, bound, 1.0) / size, 1e100)
+    return row / size.unsqueeze(-1), bounds, weights, (lam / omega).sqrt()
+
+
+# --- Newton
+
+
+class _NewtonSystem:
+    """The Newton system at z, factored.
+
+    With H^-1 = L L^T contact by contact, and the rows of balance and of limits M = [A; sqrt(bend) R] L, the step L s solves
+    s + M^T mu = -L^T gradient, M s - D mu = -(missed, 0), where D is the softness for balance and 1 for limits: one system
+    (M M^T + D) mu of 6 + M unknowns.
+    """
+
+    def __init__(self, problem: _Problem, z: Tensor) -> None:
+        u, o, t, v = z.unbind(-1)
+        lam, soft = problem.lam, problem.soft
+        slack = problem.slack(z)
+        c = torch.maximum(slack, problem.floor)
+        self.bend = 2.0 * problem.weights / c**3
+        self.price = problem.weights / (c * c) - self.bend * (slack - c)
+
+        # the cone's barrier is lambda (1/p + 1/q + 2/(p + q)), p = u - s, q = u + s; torsion's lambda (1/m + 1/n), m = u - v, n = u + v
+        s = (o * o + t * t).sqrt()
+        straight = s < 1e-140
+        eo, et = torch.where(straight, 1.0, o / s), torch.where(straight, 0.0, t / s)
+        p, q = u - s, u + s
+        m, n = torch.where(soft, u - v, 1.0), torch.where(soft, u + v, 1.0)
+        lam_v = torch.where(soft, lam, 0.0)
+        across = 4.0 * lam * u / (p * q) ** 2
+        squeeze = lam * (p**-2 + q**-2 + u**-2) + lam_v * (m**-2 + n**-2)
+        gradient = [3.0 * problem.omega - squeeze, across * o, across * t, lam_v * (m**-2 - n**-2)]
+        self.gradient = torch.stack(gradient, -1) + problem.pulled(self.price)
+
+        # torsion v = lever * u + rest: the rest is an axis of its own, and u gains curvature
+        cubes = m**3 + n**3
+        lever = torch.where(soft, (n**3 - m**3) / cubes, 0.0)
+        rest = torch.where(soft, ((m * n) ** 3 / (2.0 * lam * cubes)).sqrt(), 0.0)
+        # in (p, q) the Hessian is diag(hp, hq) + k: two axes, and one across both
+        hp, hq, k = 2.0 * lam / p**3, 2.0 * lam / q**3, 0.5 * lam / u**3 + 2.0 * lam_v / cubes
+        a = hp + k
+        b = (hq + k * (hp / a)).sqrt()
+        zero = torch.zeros_like(u)
+        normal = torch.stack([0.5 / a.sqrt(), 0.5 * (hp / a) / b, zero, zero], -1)
+        outward = torch.stack([-0.5 / a.sqrt(), 0.5 * (1.0 + k / a) / b, zero, zero], -1)
+        around = torch.stack([zero, zero, across.rsqrt(), zero], -1)
+        turn = torch.stack([zero, zero, zero, rest], -1)
+        eo, et, lever = eo.unsqueeze(-1), et.unsqueeze(-1), lever.unsqueeze(-1)
+        axes = [normal, eo * outward - et * around, et * outward + eo * around, lever * normal + turn]
+        self.axes = torch.stack(axes, -2)  # (B, N, 4 coordinates, 4 axes)
+
+        stiff = self.bend.sum(-1).sqrt()
+        both = torch.cat([problem.balance, stiff.view(*stiff.shape, 1, 1) * problem.rows], 1)
+        self.rows = torch.einsum("brna,bnak->brnk", both, self.axes).flatten(2)
+        self.diagonal = torch.cat([problem.softness.unsqueeze(-1).expand(-1, 6), torch.ones_like(stiff)], -1)
+        system = self.rows @ self.rows.mT + torch.diag_embed(self.diagonal)
+        lower, failed = torch.linalg.cholesky_ex(system)
+        self.sound = (failed == 0) & _finite(system)
+        self.lower = _pick(self.sound, lower, torch.eye(system.shape[-1], dtype=z.dtype, device=z.device))
+
+    def solve(self, pull: Tensor, push: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(x, nu) of [H -A^T; A softness] (x; nu) = (pull (B, N, 4); push (B, 6)), and whether they are numbers (B,)."""
+        right = torch.cat([push, torch.zeros_like(self.diagonal[:, 6:])], -1)
+        s = torch.einsum("bnak,bna->bnk", self.axes, pull).flatten(1)
+        mu = torch.zeros_like(self.diagonal)
+        for _ in range(3):  # the latter two refine
+            left = (self.rows @ s.unsqueeze(-1)).squeeze(-1) - self.diagonal * mu - right
+            more = torch.cholesky_solve(left.unsqueeze(-1), self.lower)
+            mu = mu + more.squeeze(-1)
+            s = s - (self.rows.mT @ more).squeeze(-1)
+        x = torch.einsum("bnak,bnk->bna", self.axes, s.view(pull.shape))
+        return x, -mu[:, :6], self.sound & _finite(x, mu)
+
+
+def _inverse_reach(problem: _Problem, z: Tensor, step: Tensor) -> Tensor:
+    """(B,) 1 / (largest multiple of the step inside the cones)."""
+    u, o, t, v = z.unbind(-1)
+    du, do, dt, dv = step.unbind(-1)
+    inverse = 1.0 / (u * u - o * o - t * t).sqrt()
+    along = (u * du - o * do - t * dt) * inverse * inverse
+    k = (du * inverse + along) / (1.0 + u * inverse)
+    most = inverse * ((do - k * o) ** 2 + (dt - k * t) ** 2).sqrt() - along
+    turn = torch.maximum((dv - du) / (u - v), -(dv + du) / (u + v))
+    return torch.maximum(most, torch.where(problem.soft, turn, -math.inf)).amax(1)
+
+
+def _lower_bound(problem: _Problem, at: _NewtonSystem, z: Tensor, step: Tensor, nu: Tensor) -> Tensor:
+    """(B,) a lower bound of the objective by duality, at multipliers and prices of Newton's model after the step; -inf: none.
+
+    A barrier weight / x is at least 2 sqrt(weight * price) - price * x for every price >= 0. What is linear in z then cancels.
+    """
+    lam = problem.lam
+    (u, _, _, v), (du, _, _, dv) = z.unbind(-1), step.unbind(-1)
+
+    def price(x: Tensor, dx: Tensor) -> Tensor:
+        return lam * ((1.0 - 2.0 * dx / x) / (x * x)).clamp(min=0.0)
+
+    prices = (at.price + at.bend * problem.along(step)).clamp(min=0.0)
+    y = torch.einsum("brna,br->bna", problem.balance, nu) - problem.pulled(prices)
+    turn = y[..., 3]
+    squeeze = torch.maximum(price(u - v, du - dv) + price(u + v, du + dv), turn.abs())
+    torsion = (2.0 * lam).sqrt() * ((squeeze + turn).sqrt() + (squeeze - turn).sqrt())
+    left = 3.0 * problem.omega - y[..., 0] - torch.where(problem.soft, squeeze, 0.0)
+    across = (y[..., 1] ** 2 + y[..., 2] ** 2).sqrt()
+    room = left - across
+    some = room > 0.0
+    room = torch.where(some, room, 1.0)
+    height = torch.minimum(price(u, du), room / 1.5)  # at an optimum it is no more, since q <= 2 u
+    low = 0.5 * (room - height)
+    cone = 2.0 * lam.sqrt() * (height.sqrt() + low.sqrt() + (low + across).sqrt())
+
+    there, floor = problem.weights > 0.0, problem.floor
+    weight = torch.where(there, problem.weights, 1.0)
+    inside = torch.minimum(prices, torch.where(floor > 0.0, weight / (floor * floor), math.inf))
+    over = prices - inside
+    limits = (
+        2.0 * (weight * inside).sqrt() + over * floor - 0.25 * floor**3 / weight * over * over - prices * problem.bounds
+    )
+    total = (cone + torch.where(problem.soft, torsion, 0.0)).sum(1) + torch.where(there, limits, 0.0).sum((1, 2))
+    total = total - _dot(nu, problem.load) - 0.5 * problem.softness * _dot(nu, nu)
+    return torch.where(some.all(1) & total.isfinite(), total, -math.inf)
+
+
+class _Descent(NamedTuple):
+    """How a descent ended, each (B, ...): `status` as `Solved` has it."""
+
+    z: Tensor
+    nu: Tensor
+    value: Tensor
+    bound: Tensor
+    iterations: Tensor
+    status: Tensor
+
+
+def _descend(problem: _Problem, z: Tensor, edge: float, softness: float, tolerance: float, limit: int) -> _Descent:
+    """Damped Newton from z strictly inside the cones and, where `softness` is 0, balanced; elements that end leave the batch.
+
+    The problem's edge is lowered to the one given, or until every slack is above it. If `edge` is 0 and no force keeps the limits, the
+    element ends with LIMITS_EXCEEDED. The softness begins where missing balance costs no more than all else, and is lowered, too.
+    """
+    none = torch.zeros_like(z[:, 0, 0])
+    if softness > 0.0:
+        missed = problem.missed(z)
+        begin = _dot(missed, missed) / (1.0 + problem.value(z))
+        problem = problem._replace(softness=begin.clamp(min=softness))
+    done = _Descent(z.clone(), torch.zeros_like(problem.load), none.clone(), none.clone(), none.clone(), none.clone())
+    active, now = torch.arange(len(z), device=z.device), problem
+    value, bound, steps = now.value(z), none - math.inf, none.clone()
+    for taken in range(limit + 65):
+        at = _NewtonSystem(now, z)
+        missed = now.missed(z)
+        step, nu, good = at.solve(-at.gradient, -missed)
+        decrement = 2.0 * now.cost_of_missing(missed) + _dot(missed, nu) - (at.gradient * step).sum((1, 2))
+        softened = now.softened(z, edge, softness)
+        settled = good & softened & (decrement < _SETTLED * now.without_limits().value(z))
+        going = good & ~settled
+
+        alpha = torch.where(going, (_REACH / _inverse_reach(now, z, step).clamp(min=1e-300)).clamp(max=1.0), 0.0)
+        flat = decrement < 1e-9 * value
+        held, found, trial = going, value, z
+        for _ in range(_HALVINGS):
+            trial = z + _pick(good, alpha.view(-1, 1, 1) * step, 0.0)
+            found = now.value(trial)
+            fits = (found < value - 1e-4 * alpha * decrement) | (flat & (found <= value * (1.0 + 1e-13)))
+            held = going & ~fits
+            if not bool(held.any()):
+                break
+            alpha = torch.where(held, 0.5 * alpha, alpha)
+        moved = going & ~held
+        harder = settled | (held & softened)  # or where only rounding is left
+        lost = softened & (~good | (harder & (now.edge < _LAST_EDGE))) & (edge + softness == 0.0)
+        steps = steps + moved
+        bound = torch.where(good, torch.maximum(bound, _lower_bound(now, at, z, step, nu)), bound)
+        z, value = _pick(moved, trial, z), torch.where(moved, found, value)
+
+        closed = ~now.softened(z, edge, softness) & ~lost & (bound > 0.0) & (value - bound <= tolerance * bound)
+        closed = closed & (flat | (decrement < math.sqrt(tolerance) * value))
+        status = torch.where((steps >= limit) | (taken == limit + 64), LIMIT, none[active] - 1.0)
+        status = torch.where(~moved & ~harder, STALLED, status)
+        status = torch.where(closed, OPTIMAL, status)
+        status = torch.where(lost, LIMITS_EXCEEDED, status)
+        ended = status >= 0.0
+        if bool(ended.any()):
+            for whole, part in zip(done, (z, nu, value, bound, steps, status), strict=True):
+                whole[active[ended]] = part[ended]
+            if bool(ended.all()):
+                break
+        left = ~ended
+        now = now._replace(
+            edge=torch.where(harder, (_LOWER * now.edge).clamp(min=edge), now.edge),
+            softness=torch.where(harder, (_LOWER * now.softness).clamp(min=softness), now.softness),
+        ).take(left)
+        active, z, value, bound, steps = (a[left] for a in (active, z, value, bound, steps))
+        value = torch.where(harder[left], now.value(z), value)
+
+    # whole steps, each of which squares the error
+    now = problem._replace(edge=none + edge, softness=none + softness)
+    z, nu = done.z, done.nu
+    for _ in range(_POLISH_STEPS):
+        at = _NewtonSystem(now, z)
+        step, more, good = at.solve(-at.gradient, -now.missed(z))
+        good = good & (_inverse_reach(now, z, step) < 0.5) & (done.status == OPTIMAL)
+        z, nu = _pick(good, z + step, z), _pick(good, more, nu)
+    return done._replace(z=z, nu=nu)
+
+
+# --- starts
+
+
+def _internal(problem: _Problem) -> tuple[Tensor, Tensor]:
+    """An internal force strictly inside the cones, by infeasible-start Newton from their axes, and whether there is one."""
+    free = problem.without_limits()._replace(load=torch.zeros_like(problem.load))
+    z = free.axes()
+    found = torch.zeros_like(z[:, 0, 0], dtype=torch.bool)
+    going = ~found
+    for _ in range(40):
+        at, missed, size = _NewtonSystem(free, z), free.missed(z), z[..., 0].amax(1)
+        step, _, good = at.solve(-at.gradient, -missed)
+        going = going & good & (size < LARGEST)
+        close = (missed.abs().amax(1) < 1e-9 * size) & (step[..., 0].abs().amax(1) < 1e-2 * size)
+        found, going = found | (going & close), going & ~close
+        if not bool(going.any()):
+            break
+        alpha = (0.9 / _inverse_reach(free, z, step).clamp(min=1e-300)).clamp(max=1.0)
+        z = _pick(going, z + alpha.view(-1, 1, 1) * step, z)
+    return z, found
+
+
+def _from_internal(problem: _Problem) -> tuple[Tensor, Tensor]:
+    """The least force that balances the wrench, and as much of an internal force as takes it inside the cones; whether it is there."""
+    internal, found = _internal(problem)
+    rows = problem.balance.flatten(2)
+    lower, _ = torch.linalg.cholesky_ex(rows @ rows.mT)
+    least = -(rows.mT @ torch.cholesky_solve(problem.load.unsqueeze(-1), lower)).view(internal.shape)
+    needed = 1.1 * _inverse_reach(problem, internal, least) + 0.5
+    z = least + needed.clamp(min=1.0).view(-1, 1, 1) * internal
+    return z, found & (problem.value(z) < math.inf)
+
+
+def _from_penalty(problem: _Problem) -> tuple[Tensor, Tensor, Tensor]:
+    """A balanced force inside the cones where there is no internal one; whether it was found, or a bound shows that there is none."""
+    free = problem.without_limits()
+    # a thousand times the objective that load and barriers explain
+    impossible = 3e3 * (free.omega.amax(1) * free.load.abs().amax(1) + (free.omega * free.lam).sqrt().sum(1))
+    z = best = free.axes()
+    found = hopeless = impossible < 0.0
+    for softness in _SOFTNESSES:
+        near = _descend(free, z, 0.0, softness, 1e-6, 100)
+        z, (balanced, good) = near.z, _balanced(free, near.z)
+        best, found = _pick(good & ~found, balanced, best), found | good
+        hopeless = ~found & (near.bound > impossible)
+        if bool((found | hopeless).all()):
+            break
+    return best, found, hopeless
+
+
+def _from_force(problem: _Problem, start: Tensor) -> tuple[Tensor, Tensor]:
+    """The balanced force nearest to an earlier one (B, N, 3) of the caller's frame, and whether both are inside the cones."""
+    free, per = problem.without_limits(), problem.per[..., :3]
+    z = torch.einsum("bnx,bnax->bna", start.nan_to_num(), problem.frames) / torch.where(per > 0.0, per, math.inf)
+    z = torch.cat([z, torch.zeros_like(z[..., :1])], -1)
+    inside = free.value(z) < math.inf
+    z, found = _balanced(free, _pick(inside, z, free.axes()))
+    return z, found & inside
+
+
+def _balanced(free: _Problem, z: Tensor) -> tuple[Tensor, Tensor]:
+    """The force with balance restored by the change that is least in the Hessian, and whether that is strictly inside the cones."""
+    good = torch.ones_like(z[:, 0, 0], dtype=torch.bool)
+    for _ in range(2):  # the second takes off rounding
+        step, _, sound = _NewtonSystem(free, z).solve(torch.zeros_like(z), -free.missed(z))
+        good = good & sound & (free.value(z + step) < math.inf)
+        z = _pick(good, z + step, z)
+    size = free.load.abs().amax(1) + z[..., 0].amax(1)
+    return z, good & (free.missed(z).abs().amax(1) <= 1e-9 * size)
+
+
+def _full_rank(problem: _Problem) -> Tensor:
+    """(B,) whether the contacts make wrenches of every direction."""
+    columns = problem.balance / torch.where(problem.per > 0.0, problem.per, 1.0).unsqueeze(1)
+    sizes = torch.linalg.svdvals(columns.flatten(2))
+    return (sizes[:, -1] > 0.0) & (sizes[:, -1] >= _RANK * sizes[:, 0]) & (sizes.shape[1] == 6)
+
+
+# --- the two calls
+
+
+@torch.no_grad()
+def solve(given: Inputs, tolerance: float = 1e-10, max_iterations: int = 200, start: Tensor | None = None) -> Solved:
+    """Optimal forces of all problems.
+
+    An element whose numbers are not finite or not possible never disturbs its neighbours: its answers are zeros. Elements without a
+    force inside the cones and limits have the elastic answer, see `GraspForces`.
+
+    Args:
+        given: the problems.
+        tolerance: relative certified gap.
+        max_iterations: most accepted steps.
+        start: (B, N, 3) earlier forces in the caller's frame [N]: used where a balanced force inside the cones is near.
+    """
+    batch, count = given.positions.shape[:2]
+    tails = (4 * count + 7,), (count, 3), (count,), (6,), (4,)
+    whole = Solved(*(given.positions.new_zeros(batch, *tail) for tail in tails))
+    whole.state[:, -1], whole.facts[:, 0], whole.facts[:, 1] = NOTHING, REFUSED, math.inf
+    sane = _sane(given).nonzero().flatten()
+    if len(sane):
+        part = _solve_sane(
+            given.map(lambda a: a[sane]), tolerance, max_iterations, None if start is None else start[sane]
+        )
+        # numbers so far apart that the answer overflows are refused, too
+        finite = _finite(*part[:4], part.facts[:, 2:])
+        for to, a in zip(whole, part, strict=True):
+            to[sane[finite]] = a[finite]
+    return whole
+
+
+def _solve_sane(given: Inputs, tolerance: float, max_iterations: int, start: Tensor | None) -> Solved:
+    problem = _place(given)
+    none, full_rank = torch.zeros_like(problem.shrink), _full_rank(problem)
+    z, begun = _from_internal(problem)
+    if start is not None:
+        warm, near = _from_force(problem, start)
+        room = (problem.slack(warm) / problem.scales.unsqueeze(-1)).flatten(1)
+        room = torch.cat([room, problem.edge.unsqueeze(-1)], 1).amin(1)
+        problem = problem._replace(edge=torch.where(near & (room > _LAST_EDGE), room, problem.edge))
+        z, begun = _pick(near, warm, z), begun | near
+    begun &= full_rank
+    lacking, hopeless = full_rank & ~begun, none > 0.0
+    if bool(lacking.any()):
+        z[lacking], begun[lacking], hopeless[lacking] = _from_penalty(problem.take(lacking))
+
+    status = torch.where(hopeless, INFEASIBLE, torch.where(full_rank, UNDECIDED, none + RANK_LOST))
+    z = _pick(begun, z, problem.axes())
+    whole = _Descent(z.clone(), torch.zeros_like(problem.load), none.clone(), none.clone(), none.clone(), status)
+    mode = none.clone()
+
+    def descend(kind: int, where: Tensor) -> None:
+        if not bool(where.any()):
+            return
+        edge, softness = 0.0 if kind == BALANCED else EDGE, SOFTNESS if kind == UNBALANCED else 0.0
+        found = _descend(problem.take(where), z[where], edge, softness, tolerance, max_iterations)
+        steps = whole.iterations[where] + found.iterations
+        found = found._replace(iterations=steps, status=found.status if kind == BALANCED else whole.status[where])
+        mode[where] = kind
+        for to, a in zip(whole, found, strict=True):
+            to[where] = a
+
+    descend(BALANCED, begun)
+    descend(EXCEEDING, whole.status == LIMITS_EXCEEDED)
+    descend(UNBALANCED, ~begun)
+    gap = torch.where(whole.bound > 0.0, (whole.value - whole.bound).clamp(min=0.0) / whole.bound, math.inf)
+    gap = torch.where(mode == BALANCED, gap, math.inf)
+    residual = problem.missed(whole.z).abs().amax(1)
+    facts = torch.stack([whole.status, gap, residual, whole.iterations], -1)
+    state = torch.cat([whole.z.flatten(1), whole.nu, mode.unsqueeze(-1)], -1)
+    return Solved(state, *problem.answers(whole.z, whole.nu), facts)
+
+
+def gradients(
+    given: Inputs, state: Tensor, d_force: Tensor, d_torsion: Tensor, d_multipliers: Tensor, elastic: bool = False
+) -> Inputs:
+    """Gradients of a loss with respect to all inputs, from those with respect to the answers, by one adjoint solve.
+
+    At the optimum R(x, nu; inputs) = (grad E - A^T nu, A x + w + softness nu) = 0. With the adjoint (p, q) of its Jacobian,
+    [H -A^T; A softness] (p; q) = (dL/dx; -dL/dnu), the gradient is dL/dinputs = direct part - d ((p, -q) . R) / d inputs.
+
+    Args:
+        given, state: of `solve`.
+        d_force, d_torsion, d_multipliers: the loss's gradients, (B, N, 3), (B, N), (B, 6).
+        elastic: whether elements without an optimum have the gradient of their elastic answer; else zero.
+    """
+    made, mode = given.map(torch.zeros_like), state[:, -1]
+    where = ((mode == BALANCED) | ((mode != NOTHING) & elastic)).nonzero().flatten()
+    if not len(where):
+        return made
+    mode, count = mode[where], given.positions.shape[1]
+    with torch.enable_grad():
+        inputs = given.map(lambda a: a[where].detach().requires_grad_())
+        leaves = [a for a in inputs if a is not None]
+        z = state[where, : 4 * count].view(-1, count, 4).detach().requires_grad_()
+        nu = state[where, 4 * count : -1].detach().requires_grad_()
+        problem = _place(inputs)
+        problem = problem._replace(edge=EDGE * (mode != BALANCED).to(z.dtype))
+        losses = (a[where] for a in (d_force, d_torsion, d_multipliers))
+        direct = sum(((d * a).sum() for d, a in zip(losses, problem.answers(z, nu), strict=True)), z.new_zeros(()))
+        pull, push = torch.autograd.grad(direct, (z, nu), retain_graph=True)
+        with torch.no_grad():
+            at = _NewtonSystem(problem._replace(softness=SOFTNESS * (mode == UNBALANCED).to(z.dtype)), z)
+            p, q, good = at.solve(pull, -push)
+            p, q = _pick(good, p, 0.0), _pick(good, q, 0.0)
+        missed = problem.missed(z)
+        (left,) = torch.autograd.grad(problem.value(z).sum() - (nu.detach() * missed).sum(), z, create_graph=True)
+        found: Any = torch.autograd.grad(direct - (p * left).sum() + (q * missed).sum(), leaves, materialize_grads=True)
+    good = good & _finite(*found)
+    for to, a in zip((a for a in made if a is not None), found, strict=True):
+        to[where] = _pick(good, a, 0.0)
+    return made
