@@ -16,6 +16,7 @@ EXTRAS = {
     "sim": ("PIL", "gymnasium", _ENGINE, "trimesh"),
     "mujoco": ("mujoco",),
     "live": ("viser",),
+    "layer": ("torch",),
     "train": ("stable_baselines3", "tensorboard", "torch"),
     "report": ("PIL", "imageio", "jinja2", "matplotlib", "pandas", "pyarrow"),
     "ray": ("ray",),

@@ -1,5 +1,6 @@
-"""Learned initial forces, controllers and agents. torch is imported only where a network is trained."""
+"""Learned initial forces, controllers and agents, and the optimum as a layer of torch. torch is imported only where it is needed."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from policies.controllers import Policy, ZeroPolicy
@@ -7,18 +8,33 @@ from policies.learned import LearnedInitialForce
 
 if TYPE_CHECKING:
     from policies.agent import TrainedAgent
+    from policies.layer import GraspForceLayer, GraspForces, grasp_force
+
+_LATER = {
+    "TrainedAgent": "policies.agent",  # asks the environment what it shows, which needs the extra "sim"
+    "GraspForceLayer": "policies.layer",
+    "GraspForces": "policies.layer",
+    "grasp_force": "policies.layer",
+}
+"""What is imported when it is asked for, since it needs an extra."""
 
 
 def __getattr__(name: str) -> Any:
-    if name != "TrainedAgent":
+    if name not in _LATER:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from policies.agent import TrainedAgent  # asks the environment what it shows, which needs the extra "sim"
-
-    return TrainedAgent
+    return getattr(import_module(_LATER[name]), name)
 
 
 def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-__all__ = ["LearnedInitialForce", "Policy", "TrainedAgent", "ZeroPolicy"]
+__all__ = [
+    "GraspForceLayer",
+    "GraspForces",
+    "LearnedInitialForce",
+    "Policy",
+    "TrainedAgent",
+    "ZeroPolicy",
+    "grasp_force",
+]

@@ -47,6 +47,7 @@ SHOWN_BY = {
     "grasp_env.quality.GraspQuality": "grasp_env.quality.quality",
     "grasp_env.force.Status": "grasp_env.force.optimize_force",
     "grasp_env.quality.WorstCase": "grasp_env.quality.worst_case",
+    "policies.GraspForces": "policies.grasp_force",
     **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.Task" for kind in TASKS.values()},
     **{f"grasp_env.task.{kind.__name__}": "grasp_env.task.DisturbanceSettings" for kind in DISTURBANCES.values()},
 }

@@ -1,0 +1,554 @@
+"""Optimal grasp forces as a layer of a torch model, with gradients with respect to everything that is given.
+
+The optimum of Phi is smooth in contacts, friction, wrench, limits and weights. Its gradient is one linear solve with the matrix of the last
+Newton step. Tensors on the CPU are solved by the compiled core, in the vector registers and on `torch.get_num_threads()` threads;
+tensors elsewhere by `policies.batched_newton`. Inside all numbers are float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, NoReturn, TypeAlias
+
+import numpy as np
+
+from grasp_env import core
+from grasp_env._check import choice, positive, whole
+from grasp_env._extras import need
+from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, UnsupportedProblemError, shown
+from grasp_env.force.many import over_parts
+from grasp_env.ranges import CONTACTS, ITERATIONS, JOINTS, TOLERANCE
+
+with need("layer"):
+    import torch
+    from torch import Tensor, nn
+
+from policies import batched_newton
+from policies.batched_newton import Inputs
+
+MODES = ("mask", "elastic", "raise")
+"""What `infeasible` may be."""
+PART = 512
+"""Elements that a thread solves at a time on the CPU."""
+STATUS = {
+    3: "no force inside the friction cones balances the wrench",
+    4: "its numbers are not finite, out of range, or no directions",
+    5: "no force keeps the limits",
+    6: "its contacts cannot balance a wrench of every direction",
+    7: "no force inside the friction cones was found",
+}
+"""Why an element has no optimum, by its status."""
+
+Given: TypeAlias = "Tensor | float"
+_TENSOR_RANKS = {
+    "positions": 2, "normals": 2, "friction": 2, "tangents": 2, "torsional_friction": 1, "wrench": 1, "jacobian": 3, "torque_limit": 1,
+    "torque_bias": 1, "min_normal": 1, "max_normal": 1, "force_weight": 1, "barrier_weight": 1, "start": 2,
+}  # fmt: skip
+"""The operator's tensors, and how many of their last dimensions are not leading ones."""
+_NAMES, _RANKS = tuple(_TENSOR_RANKS), tuple(_TENSOR_RANKS.values())
+_TENSORS = len(_NAMES)
+_INPUTS = len(Inputs._fields)  # all but the start
+_ANSWER_RANKS = (1, 2, 1, 1)  # ranks of the state and of the gradients by force, torsion and multipliers
+_NEEDED = ("positions", "normals", "friction", "wrench", "force_weight", "barrier_weight")
+_SCALARS = (
+    "friction", "torsional_friction", "torque_limit", "torque_bias", "min_normal", "max_normal", "force_weight", "barrier_weight",
+)  # fmt: skip
+_FLOATS = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
+
+
+class GraspForces(NamedTuple):
+    """Optimal forces of a batch. `force`, `torsion` and `multipliers` carry gradients.
+
+    An element without an optimum still has a finite force strictly inside the friction cones. Where only the limits cannot be kept
+    (status 5), it is balanced and exceeds them least, by the sum of squares. Where nothing balances the wrench (3, 6, 7), it misses
+    balance least against Phi, by |G f + w|^2 / (2 * 0.01 N^2) with moments in units of the contacts' spread. Where the numbers make no
+    problem (4), it is zero.
+
+    Attributes:
+        force: (..., N, 3) in the frame of the positions [N].
+        torsion: (..., N) moment about each normal [N m]; 0 where a contact is not soft.
+        multipliers: (..., 6) nu of balance: grad Phi = G^T nu, and d (min Phi) / d wrench = -nu.
+        status: (...) int64: 0 optimal, 1 iteration limit, 2 stalled, 3 infeasible, 4 numbers refused, 5 limits exceeded, 6 rank lost,
+            7 undecided.
+        gap: (...) certified relative distance of Phi to its minimum.
+        residual: (...) largest component of G f + w, with moments in units of the contacts' spread [N].
+        iterations: (...) int64, accepted Newton steps.
+        feasible: (...) bool, whether the force balances the wrench within cones and limits: status 0, 1 or 2.
+    """
+
+    force: Tensor
+    torsion: Tensor
+    multipliers: Tensor
+    status: Tensor
+    gap: Tensor
+    residual: Tensor
+    iterations: Tensor
+    feasible: Tensor
+
+
+def grasp_force(
+    positions: Tensor,
+    normals: Tensor,
+    friction: Given,
+    wrench: Tensor,
+    *,
+    tangents: Tensor | None = None,
+    torsional_friction: Given | None = None,
+    jacobian: Tensor | None = None,
+    torque_limit: Given | None = None,
+    torque_bias: Given | None = None,
+    min_normal: Given | None = None,
+    max_normal: Given | None = None,
+    force_weight: Given = 1.0,
+    barrier_weight: Given = 0.01,
+    start: Tensor | None = None,
+    infeasible: str = "mask",
+    tolerance: float = 1e-10,
+    max_iterations: int = 200,
+    chunk: int | None = None,
+) -> GraspForces:
+    """The force of least Phi that balances each wrench, differentiable with respect to all tensors but `start`.
+
+    Leading dimensions broadcast. All vectors are given in one frame of the caller's choice, and forces are returned in it. An element's
+    answer does not depend on its neighbours: on the CPU it is the same bit for bit as in a batch of one.
+
+    Outputs have the promoted type of the tensors with dimensions, at least float32; float16 and bfloat16 become float32. A number, or a
+    tensor without dimensions, holds for all contacts or joints.
+
+    Args:
+        positions: (..., N, 3) contact points [m].
+        normals: (..., N, 3) inward normals of any length.
+        friction: coefficients >= 0, (..., N), or (..., N, 2) along o and t; 0 is a frictionless contact. A shape that ends in (N, 2) holds
+            two coefficients.
+        wrench: (..., 6) external wrench ON the object [N, N m], moments about the origin: G f + w = 0.
+        tangents: (..., N, 3) directions whose projection on the tangent plane is o; None: the default frames.
+        torsional_friction: (..., N) gamma [m], abs(torsion) <= gamma * normal force; 0 is a hard contact.
+        jacobian: (..., N, 3, J) joint speeds to velocities of the contact points, or (..., N, 6, J) with angular velocities besides.
+        torque_limit: (..., J) [N m]: abs(J^T f + torque_bias) <= torque_limit; inf: no limit.
+        torque_bias: (..., J) torques that act besides the grasp's [N m].
+        min_normal, max_normal: (..., N) limits of normal forces [N]; 0 and inf: none.
+        force_weight, barrier_weight: (..., N) omega [-] and lambda [N^2] of Phi.
+        start: (..., N, 3) force of an earlier result, to begin from where it is near; its gradient is zero.
+        infeasible: what elements without an optimum get: "mask" the elastic force, see `GraspForces`, with zero gradient; "elastic" its
+            gradient, too; "raise" an error that names them.
+        tolerance: relative certified gap at which the solver stops.
+        max_iterations: most Newton steps.
+        chunk: elements that are solved at a time; the results do not depend on it. None: all on a GPU, else 512 per thread.
+
+    Raises:
+        InvalidInputError: shapes, types or devices that do not fit.
+        UnknownNameError: another `infeasible`.
+        InfeasibleWrenchError: with `infeasible="raise"`, if elements have no optimum.
+
+    Example:
+        >>> import torch
+        >>> from grasp_env.grasp import presets
+        >>> grasp = presets.paper_cuboid()
+        >>> positions, normals = torch.tensor(grasp.positions), torch.tensor(grasp.normals)
+        >>> friction = torch.tensor(0.4, requires_grad=True)
+        >>> wrench = torch.tensor([[1, 0.5, -0.6, -0.1, 0.2, 0], [0, 0, -2, 0, 0, 0]])    # two loads on one grasp
+        >>> result = grasp_force(positions, normals, friction, wrench)
+        >>> result.force.shape, result.feasible.tolist()
+        (torch.Size([2, 4, 3]), [True, True])
+        >>> result.force.norm(dim=-1).sum().backward()
+        >>> friction.grad < 0                                                            # more friction, less force
+        tensor(True)
+    """
+    if infeasible not in MODES:
+        choice(infeasible, "infeasible", MODES)
+    tolerance = positive(tolerance, "tolerance", TOLERANCE)
+    if not (type(max_iterations) is int and 0 <= max_iterations <= ITERATIONS):
+        max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
+    if chunk is not None:
+        chunk = whole(chunk, "chunk", 1)
+    given, dtype = _checked_tensors(
+        (positions, normals, friction, tangents, torsional_friction, wrench, jacobian, torque_limit, torque_bias,
+         min_normal, max_normal, force_weight, barrier_weight, start)
+    )  # fmt: skip
+    settings = infeasible, tolerance, max_iterations, chunk
+    force, torsion, multipliers, facts, _ = _call(_solve, _Solve, *given, *settings)
+    status, gap, residual, iterations = facts.unbind(-1)
+    if dtype is not torch.float64:
+        force, torsion, multipliers, gap, residual = (a.to(dtype) for a in (force, torsion, multipliers, gap, residual))
+    feasible = status <= float(batched_newton.STALLED)
+    return GraspForces(force, torsion, multipliers, status.long(), gap, residual, iterations.long(), feasible)
+
+
+class GraspForceLayer(nn.Module):
+    """`grasp_force` as a module: its settings are kept, its `forward` takes the tensors by the same names.
+
+    It has no parameters. Copies, pickles and processes of a DataLoader carry the settings only.
+
+    Args:
+        infeasible, tolerance, max_iterations, chunk: see `grasp_force`.
+
+    Example:
+        >>> import torch
+        >>> from grasp_env.grasp import presets
+        >>> layer, grasp = GraspForceLayer(), presets.tripod()
+        >>> positions = torch.tensor(grasp.positions, requires_grad=True)
+        >>> result = layer(positions, torch.tensor(grasp.normals), 0.5, torch.tensor([0.0, 0, -2, 0, 0, 0]), max_normal=10.0)
+        >>> result.force.square().sum().backward()
+        >>> positions.grad.shape
+        torch.Size([3, 3])
+    """
+
+    def __init__(
+        self, infeasible: str = "mask", tolerance: float = 1e-10, max_iterations: int = 200, chunk: int | None = None
+    ) -> None:
+        super().__init__()
+        self.infeasible = choice(infeasible, "infeasible", MODES)
+        self.tolerance = positive(tolerance, "tolerance", TOLERANCE)
+        self.max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
+        self.chunk = chunk if chunk is None else whole(chunk, "chunk", 1)
+
+    def extra_repr(self) -> str:
+        """The settings, for the module's repr."""
+        return f"infeasible={self.infeasible!r}, tolerance={self.tolerance:g}, max_iterations={self.max_iterations}, chunk={self.chunk}"
+
+    def forward(
+        self, positions: Tensor, normals: Tensor, friction: Given, wrench: Tensor, **others: Any
+    ) -> GraspForces:
+        """The optimal forces.
+
+        Args:
+            positions, normals, friction, wrench: see `grasp_force`.
+            others: its keywords for tensors: tangents, limits, weights, start.
+        """
+        return grasp_force(
+            positions, normals, friction, wrench, **others, infeasible=self.infeasible, tolerance=self.tolerance,
+            max_iterations=self.max_iterations, chunk=self.chunk,
+        )  # fmt: skip
+
+
+# --- arguments
+
+
+def _refuse(name: str, given: Any, wanted: str) -> NoReturn:
+    shape = f" of shape {tuple(given.shape)}" if isinstance(given, Tensor) and given.numel() <= 36 else ""
+    raise InvalidInputError(f"{name} must be {wanted}, got {shown(given)}{shape}")
+
+
+def _checked_tensors(given: tuple[Any, ...]) -> tuple[list[Tensor | None], torch.dtype]:
+    """The operator's tensors, whose last dimensions are now those that it asks for, and the type of the results."""
+    positions, jacobian = given[0], given[6]
+    if not isinstance(positions, Tensor) or positions.ndim < 2 or not 1 <= positions.shape[-2] <= CONTACTS:
+        _refuse("positions", positions, f"a tensor (..., N, 3) of 1 to {CONTACTS} contacts")
+    rows, joints = 3, 0
+    if jacobian is not None:
+        if not isinstance(jacobian, Tensor) or jacobian.ndim < 3 or not 1 <= jacobian.shape[-1] <= JOINTS:
+            _refuse("jacobian", jacobian, f"a tensor (..., N, 3 or 6, J) of 1 to {JOINTS} joints")
+        rows, joints = (6 if jacobian.shape[-2] == 6 else 3), jacobian.shape[-1]
+    if (jacobian is None) != (given[7] is None) or (jacobian is None and given[8] is not None):
+        raise InvalidInputError("torque limits need jacobian and torque_limit together; torque_bias belongs to them")
+    count, device, dtype = positions.shape[-2], positions.device, torch.float32
+    n, n2, n3, j = (count,), (count, 2), (count, 3), (joints,)
+    tails = (n3, n3, n2, n3, n, (6,), (count, rows, joints), j, j, n, n, n, n, n3)
+    out: list[Tensor | None] = []
+    for a, tail, name in zip(given, tails, _NAMES, strict=True):
+        if a is None:
+            if name in _NEEDED:
+                _refuse(name, a, "given")
+        elif not isinstance(a, Tensor):
+            if name not in _SCALARS or type(a) not in (float, int):
+                _refuse(name, a, "a tensor or a number" if name in _SCALARS else "a tensor")
+            a = torch.full(tail, float(a), dtype=torch.float64, device=device)
+        else:
+            if a.device != device:
+                told = f"positions on {device} and {name} on {a.device}"
+                raise InvalidInputError(f"all tensors must be on one device, got {told}")
+            if a.dtype is not dtype:
+                if a.dtype not in _FLOATS:
+                    _refuse(name, a, "of a floating-point type")
+                if a.ndim:
+                    dtype = torch.promote_types(dtype, a.dtype)
+            if a.shape[-len(tail) :] != tail:
+                if a.ndim == 0 and name in _SCALARS:
+                    a = a.expand(tail)
+                elif name == "friction" and a.shape[-1:] == n:
+                    a = a.unsqueeze(-1).expand(*a.shape, 2)
+                else:
+                    _refuse(name, a, f"of shape (..., {', '.join(map(str, tail))})")
+        out.append(a)
+    return out, dtype
+
+
+# --- the operators: what is given has any leading dimensions that broadcast, gradients have the shapes of what was given
+
+
+def _lead(tensors: Sequence[Tensor | None]) -> torch.Size:
+    """The common leading dimensions of tensors in the order of the operators' arguments."""
+    leads = [a.shape[: a.ndim - rank] for a, rank in zip(tensors, _RANKS, strict=False) if a is not None]
+    first, *others = [lead for lead in leads if len(lead)] or [torch.Size()]
+    try:
+        return first if all(lead == first for lead in others) else torch.broadcast_shapes(*leads)
+    except RuntimeError:
+        told = ", ".join(f"{name} {tuple(a.shape)}" for name, a in zip(_NAMES, tensors, strict=False) if a is not None)
+        raise InvalidInputError(f"leading dimensions must broadcast, got {told}") from None
+
+
+def _flattened(tensors: Sequence[Any], ranks: Sequence[int], lead: torch.Size) -> list[Any]:
+    """(batch, ...) float64 with contiguous rows; what all elements share is not copied, and None stays None."""
+    batch, made = lead.numel(), []
+    for a, rank in zip(tensors, ranks, strict=True):
+        if a is not None:
+            if a.requires_grad:
+                a = a.detach()
+            if a.dtype is not torch.float64:
+                a = a.to(torch.float64)
+            own, tail = a.shape[: a.ndim - rank], a.shape[a.ndim - rank :]
+            if own == lead:
+                a = a.contiguous() if len(own) == 1 else a.reshape(batch, *tail).contiguous()
+            elif own.numel() == 1:
+                a = a.reshape(1, *tail).contiguous().expand(batch, *tail)
+            else:
+                a = a.expand(*lead, *tail).reshape(batch, *tail)
+        made.append(a)
+    return made
+
+
+def _in_core(a: Tensor) -> bool:
+    return a.device.type == "cpu" and _CORE
+
+
+def _parts(batch: int, chunk: int | None) -> list[slice]:
+    size = chunk or max(batch, 1)
+    return [slice(k, k + size) for k in range(0, batch, size)]
+
+
+def _rows(group: Sequence[Any], part: slice) -> tuple[Any, ...]:
+    """Elements of arrays or tensors; None stays None."""
+    return tuple([a if a is None else a[part] for a in group])
+
+
+def _as_numpy(group: Sequence[Tensor | None]) -> list[Any]:
+    return [a if a is None else a.numpy() for a in group]
+
+
+def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    tensors, (infeasible, tolerance, max_iterations, chunk) = args[:_TENSORS], args[_TENSORS:]
+    lead, count = _lead(tensors), tensors[0].shape[-2]
+    batch = lead.numel()
+    given = _flattened(tensors, _RANKS, lead)
+    if _in_core(tensors[0]):
+        arrays, to = _as_numpy(given), [np.empty((batch, *tail)) for tail in _tails(count)]
+
+        def work(part: slice) -> None:
+            force, torsion, multipliers, facts, state = _rows(to, part)
+            core.optimal_forces(
+                _rows(arrays, part), tolerance, max_iterations, state, force, torsion, multipliers, facts
+            )
+
+        over_parts(work, batch, chunk or PART, torch.get_num_threads())
+        out: Any = [torch.from_numpy(a) for a in to]
+    else:
+        out = _empty(tensors[0], (batch,), count)
+        for part in _parts(batch, chunk):
+            *mine, start = _rows(given, part)
+            found = batched_newton.solve(Inputs(*mine), tolerance, max_iterations, start)
+            for a, b in zip(out, (*found[1:], found.state), strict=True):
+                a[part] = b
+    if infeasible == "raise":
+        _raise_for(out[3][:, 0], lead)
+    return tuple(a if len(lead) == 1 else a.reshape(*lead, *a.shape[1:]) for a in out)  # type: ignore[return-value]
+
+
+def _tails(count: int) -> tuple[tuple[int, ...], ...]:
+    """Of force, torsion, multipliers, facts and state."""
+    return (count, 3), (count,), (6,), (4,), (4 * count + 7,)
+
+
+def _empty(like: Tensor, lead: Sequence[int], count: int) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    return tuple(like.new_empty((*lead, *tail), dtype=torch.float64) for tail in _tails(count))  # type: ignore[return-value]
+
+
+def _raise_for(status: Tensor, lead: Sequence[int]) -> None:
+    lost = status > batched_newton.STALLED
+    places = lost.reshape(lead).nonzero().tolist()
+    if not places:
+        return
+    told = [
+        f"{k[0] if len(k) == 1 else tuple(k) or 'the only one'}: {STATUS[int(code)]}"
+        for k, code in zip(places[:5], status[lost][:5], strict=True)
+    ]
+    if len(places) > 5:
+        told.append(f"and {len(places) - 5} more")
+    raise InfeasibleWrenchError(
+        f"{len(places)} of {len(status)} elements have no optimal force ({', '.join(told)}): infeasible='mask' gives them the nearest "
+        "force without a gradient, 'elastic' with one"
+    )
+
+
+def _gradients_impl(*args: Any) -> list[Tensor]:
+    tensors, answers, (wanted, elastic, chunk) = args[:_INPUTS], args[_INPUTS:-3], args[-3:]
+    lead = answers[0].shape[:-1]  # that of all tensors
+    batch = lead.numel()
+    given = _flattened(tensors, _RANKS[:_INPUTS], lead)
+    made: Any = _flattened(answers, _ANSWER_RANKS, lead)
+    if _in_core(made[0]):
+        arrays, known = _as_numpy(given), _as_numpy(made)
+        to = [np.empty(a.shape) if w else None for a, w in zip(arrays, wanted, strict=True)]
+
+        def work(part: slice) -> None:
+            state, force, torsion, multipliers = _rows(known, part)
+            inputs, out = _rows(arrays, part), _rows(to, part)
+            core.optimal_forces_gradients(inputs, state, force, torsion, multipliers, elastic, out)
+
+        over_parts(work, batch, chunk or PART, torch.get_num_threads())
+        found: Any = [a if a is None else torch.from_numpy(a) for a in to]
+    else:
+        found = [a.new_empty(a.shape) if a is not None and w else None for a, w in zip(given, wanted, strict=True)]
+        like = _empty(made[0], (batch,), tensors[0].shape[-2])
+        made[1:] = [torch.zeros_like(a) if d is None else d for d, a in zip(made[1:], like, strict=False)]
+        for part in _parts(batch, chunk):
+            by = _differentiate(Inputs(*_rows(given, part)), *_rows(made, part), elastic)
+            for a, b in zip(found, by, strict=True):
+                if a is not None:
+                    a[part] = b
+    return [_shaped(g, a, lead).to(a.dtype) for g, a in zip(found, tensors, strict=True) if g is not None]
+
+
+def _shaped(gradient: Tensor, like: Tensor, lead: torch.Size) -> Tensor:
+    """The gradient (batch, ...) in the shape of what was given: summed over what it was broadcast to."""
+    shape = like.shape
+    if gradient.shape == shape:
+        return gradient
+    gradient = gradient.reshape(*lead, *gradient.shape[1:])
+    return gradient if gradient.shape == shape else gradient.sum_to_size(shape)
+
+
+def _differentiate(given: Inputs, *args: Any) -> Inputs:
+    """`batched_newton.gradients` on a thread of its own: within an operator autograd records nothing on the calling one."""
+    module = torch.get_device_module(given.positions.device)
+    stream = module.current_stream(given.positions.device)
+
+    def work() -> Inputs:
+        with module.stream(stream):
+            return batched_newton.gradients(given, *args)
+
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(work).result()
+
+
+def _solve_fake(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    return _empty(args[0], _lead(args[:_TENSORS]), args[0].shape[-2])
+
+
+def _gradients_fake(*args: Any) -> list[Tensor]:
+    wanted = [a for a, w in zip(args, args[_INPUTS + 4], strict=False) if w]
+    return [torch.empty_like(a, memory_format=torch.contiguous_format) for a in wanted]
+
+
+def _in_front(args: Sequence[Any], dims: Sequence[Any], ranks: Sequence[int], size: int) -> list[Any]:
+    """Tensors with the dimension of `vmap` in front of leading dimensions of one length."""
+    rank = max(a.ndim - (d is not None) - r for a, d, r in zip(args, dims, ranks, strict=True) if a is not None)
+    out: list[Any] = []
+    for a, d, r in zip(args, dims, ranks, strict=True):
+        if a is not None:
+            a = a.unsqueeze(0).expand(size, *a.shape) if d is None else a.movedim(d, 0)
+            a = a.reshape(size, *(1,) * (rank - (a.ndim - 1 - r)), *a.shape[1:])
+        out.append(a)
+    return out
+
+
+def _solve_vmap(info: Any, in_dims: Any, *args: Any) -> tuple[Any, Any]:
+    tensors = _in_front(args[:_TENSORS], in_dims[:_TENSORS], _RANKS, info.batch_size)
+    return _call(_solve, _Solve, *tensors, *args[_TENSORS:]), (0,) * 5
+
+
+def _gradients_vmap(info: Any, in_dims: Any, *args: Any) -> tuple[Any, Any]:
+    last = _INPUTS + 4
+    tensors = _in_front(args[:last], in_dims[:last], (*_RANKS[:_INPUTS], *_ANSWER_RANKS), info.batch_size)
+    found = _call(_gradients, _Gradients, *tensors, *args[last:])
+    asked = [(a, d) for a, d, w in zip(args, in_dims, args[last], strict=False) if w]
+    shapes = [a.shape if d is None else a.movedim(d, 0).shape[1:] for a, d in asked]
+    made = [g.reshape(info.batch_size, *shape) for g, shape in zip(found, shapes, strict=True)]
+    return (tuple(made), (0,) * len(made)) if isinstance(found, tuple) else (made, [0] * len(made))
+
+
+def _setup(ctx: Any, inputs: Any, output: Any) -> None:
+    ctx.save_for_backward(*inputs[:_INPUTS], output[4])
+    ctx.elastic, ctx.chunk = inputs[_TENSORS] == "elastic", inputs[_TENSORS + 3]
+    ctx.set_materialize_grads(False)
+    ctx.mark_non_differentiable(output[3], output[4])
+
+
+def _backward(ctx: Any, *losses: Any) -> tuple[Any, ...]:
+    *tensors, state = ctx.saved_tensors
+    wanted = [a is not None and needed for a, needed in zip(tensors, ctx.needs_input_grad, strict=False)]
+    found = iter(_call(_gradients, _Gradients, *tensors, state, *losses[:3], wanted, ctx.elastic, ctx.chunk))
+    return (*(next(found) if w else None for w in wanted), None, None, None, None, None)
+
+
+def _no_second(ctx: Any, *_: Any) -> NoReturn:
+    raise UnsupportedProblemError(
+        "grasp_force has first derivatives only: take second ones by differences of its gradients"
+    )
+
+
+_CORE = hasattr(core, "optimal_forces")
+"""Whether tensors on the CPU go to the core; tests set it."""
+
+_ARGUMENTS = ", ".join(f"Tensor{'' if name in _NEEDED else '?'} {name}" for name in _NAMES[:_INPUTS])
+_solve = torch.library.custom_op(
+    "policies::grasp_force", _solve_impl, mutates_args=(),
+    schema=f"({_ARGUMENTS}, Tensor? start, str infeasible, float tolerance, int max_iterations, int? chunk) -> (Tensor, Tensor, Tensor, Tensor, Tensor)",
+)  # fmt: skip
+_gradients = torch.library.custom_op(
+    "policies::grasp_force_gradients", _gradients_impl, mutates_args=(),
+    schema=f"({_ARGUMENTS}, Tensor state, Tensor? d_force, Tensor? d_torsion, Tensor? d_multipliers, bool[] wanted, bool elastic, int? chunk) -> Tensor[]",
+)  # fmt: skip
+_solve.register_fake(_solve_fake)
+_solve.register_vmap(_solve_vmap)
+_solve.register_autograd(_backward, setup_context=_setup)
+_gradients.register_fake(_gradients_fake)
+_gradients.register_vmap(_gradients_vmap)
+_gradients.register_autograd(_no_second)
+
+
+def _call(operator: Any, function: Any, *args: Any) -> Any:
+    """An operator; from eager code that differentiates it as a function of autograd with the same rules.
+
+    That costs a fifth of the operator's own autograd kernel, which does not know `torch.func.grad`.
+    """
+    if torch.is_grad_enabled() and not torch.compiler.is_compiling():
+        if torch._C._are_functorch_transforms_active():
+            return function.apply(*args)
+        if any(isinstance(a, Tensor) and a.requires_grad for a in args):
+            return function.apply(*args)
+    return _run(operator, *args)
+
+
+def _run(operator: Any, *args: Any) -> Any:
+    """An operator; from eager code on plain tensors its implementation itself, which saves the dispatch."""
+    eager = not torch.compiler.is_compiling() and not torch._C._are_functorch_transforms_active()
+    if eager and torch._C._len_torch_dispatch_stack() == 0 and type(args[0]) in (Tensor, nn.Parameter):
+        return _IMPLEMENTATIONS[operator](*args)
+    return operator(*args)
+
+
+_IMPLEMENTATIONS = {_solve: _solve_impl, _gradients: _gradients_impl}
+
+
+class _Solve(torch.autograd.Function):
+    @staticmethod
+    def forward(*args: Any) -> Any:
+        return _run(_solve, *args)
+
+    setup_context = staticmethod(_setup)
+    backward = staticmethod(_backward)
+    vmap = staticmethod(_solve_vmap)
+
+
+class _Gradients(torch.autograd.Function):
+    @staticmethod
+    def forward(*args: Any) -> Any:
+        return tuple(_run(_gradients, *args))
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
+        """Keeps nothing."""
+
+    backward = staticmethod(_no_second)
+    vmap = staticmethod(_gradients_vmap)
