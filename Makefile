@@ -13,7 +13,7 @@ ZIG := echo "taking a C++ compiler from PyPI" && $(PIP) ziglang
 
 help:
 	@echo "make evaluate   compare all starts on every set of cases, roll out the hand: runs/<name>/report.html (about a minute)"
-	@echo "make bench      timings: ARGS=\"solver|scaling|batch|env|hand_loop|ros2|core [OPTIONS]\", runs/<name>/rows.csv"
+	@echo "make bench      timings: ARGS=\"solver|scaling|batch|env|hand_loop|ros2|layer|core [OPTIONS]\", runs/<name>/rows.csv"
 	@echo "make test       the tests (about six minutes)"
 	@echo "make slow       the long trials"
 	@echo "make docs       these pages as a site: build/docs/html (about a minute)"

@@ -1,0 +1,298 @@
+"""The force layer beside other differentiable layers, forward and backward on one core: microseconds a problem, and how far answers differ.
+
+Every problem has contacts, friction and a wrench of its own. Our layer takes those and gives gradients with respect to all of them; the time of
+the others (`layer_peers.py`) begins at the matrices that they ask for.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.layer_peers import CONTACTS, PEERS, Call, Contestant, Tensors, cone_form
+from benchmarks.settings import Benchmark, tick
+from grasp_env._check import Array
+from grasp_env._extras import need
+from grasp_env.force import ForceLimits, optimize_forces
+from grasp_env.grasp import Grasp
+from grasp_env.grasp.wrench import sample_ball
+from training.data.grasps import BENCH
+from training.results.claims import Claim
+from training.results.table import join, pd
+
+with need("train"):
+    import torch
+
+JOINTS = 3
+"""Joints of each finger."""
+LEVER = 0.05
+"""How far a finger's joints move its contact [m/rad]."""
+ROOM = (0.8, 1.6)
+"""Range of a torque limit over the largest torque of the optimum without limits. Below 1, for a quarter of the problems, it binds."""
+PATCH = (0.002, 0.01)
+"""Range of torsional friction [m]."""
+BALANCED = 1e-3
+"""Most of A x + w over the largest component of w: above it, an answer counts as failed."""
+BASE = ("positions", "normals", "friction", "wrench")
+CASES = {"hard": BASE, "limits": (*BASE, "jacobian", "torque_limit"), "soft": (*BASE, "torsional_friction")}
+"""Inputs of the layer in each case."""
+ANSWERS = "hard, answers"
+"""The case in which answers are compared."""
+
+
+def draw(seed: int, count: int) -> tuple[list[Grasp], Tensors]:
+    """Random grasps with force closure, and `count` problems: all inputs of all `CASES`, wrenches in the standard ball.
+
+    A finger's joints move its own contact only. Limits are drawn around the largest torque of the optimum without
+    limits, and raised until a force within them exists.
+    """
+    rng = np.random.default_rng([seed, CONTACTS])
+    grasps = [BENCH.closed(rng, CONTACTS) for _ in range(count)]
+    wrenches = sample_ball(rng, count)
+    joints = np.zeros((count, CONTACTS, 3, CONTACTS * JOINTS))
+    for finger in range(CONTACTS):
+        turned = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
+        joints[:, finger, :, finger * JOINTS : (finger + 1) * JOINTS] = LEVER * turned
+    forces = optimize_forces(grasps, wrenches, method="newton", workers=1)
+    limits = rng.uniform(*ROOM, count)
+    for k, grasp in enumerate(grasps):
+        needed = np.abs(np.einsum("nij,ni->j", joints[k], forces[k].object_force)).max()
+        limits[k] *= needed
+        while not _within(grasp, wrenches[k], joints[k], limits[k]):
+            limits[k] *= 1.1
+    made = {
+        "positions": [grasp.positions for grasp in grasps],
+        "normals": [grasp.normals for grasp in grasps],
+        "friction": [grasp.friction for grasp in grasps],
+        "wrench": wrenches,
+        "jacobian": joints,
+        "torque_limit": np.repeat(limits[:, None], CONTACTS * JOINTS, axis=1),
+        "torsional_friction": rng.uniform(*PATCH, (count, CONTACTS)),
+    }
+    return grasps, {name: torch.from_numpy(np.array(values, dtype=float)) for name, values in made.items()}
+
+
+def _within(grasp: Grasp, wrench: Array, joints: Array, limit: float) -> bool:
+    limits = ForceLimits(jacobian=joints, torque_limit=np.full(joints.shape[2], limit))
+    return bool(optimize_forces(grasp, wrench[None], method="newton", limits=limits, workers=1).optimal[0])
+
+
+def ours(batch: int) -> Call:
+    """The layer with its defaults."""
+    from policies import grasp_force
+
+    return lambda **given: grasp_force(**given).force
+
+
+FORWARD, LAYER = "layer_forward", "layer"
+OURS = {
+    LAYER: Contestant("ours, to 1e-10, gradients with respect to all inputs", ours),
+    FORWARD: Contestant("ours, to 1e-10, without gradients", ours),
+}
+CONTESTANTS = OURS | PEERS
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How much is timed.
+
+    Attributes:
+        batches: problems of a call.
+        calls: most calls of a pass; a pass takes new problems for each of them, as far as there are any.
+        rounds: in which the contestants take turns.
+        passes: of a round; the time of a call is the best of them.
+        seed: of the problems.
+    """
+
+    batches: tuple[int, ...] = (1, 32, 1000)
+    calls: int = 50
+    rounds: int = 5
+    passes: int = 2
+    seed: int = 0
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Torch with one thread, on one core, as some layers start threads of their own."""
+    threads, cores = torch.get_num_threads(), os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else None
+    torch.set_num_threads(1)
+    try:
+        if cores:
+            os.sched_setaffinity(0, {max(cores)})
+        yield
+    finally:
+        torch.set_num_threads(threads)
+        if cores:
+            os.sched_setaffinity(0, cores)
+
+
+def run(settings: Settings) -> pd.DataFrame:
+    """Times all layers in rounds, one after the other, and checks the answers for as many problems as the largest batch has.
+
+    Returns:
+        A row for each case, batch, layer, round and call: `ratio` is its time over that of ours in the same round. A row for each layer and
+        problem, with the differences from ours where it minimizes Phi, and from the least sum of normal forces where it is Moreau's.
+    """
+    most = max(settings.batches)
+    tick(f"drawing {most} problems")
+    grasps, problems = draw(settings.seed, most)
+    rows: list[dict[str, Any]] = []
+    missing: dict[str, str] = {}
+    with one_thread():
+        for batch in settings.batches:
+            for case, names in CASES.items():
+                data = {name: problems[name] for name in names}
+                built = _built(CONTESTANTS if case == "hard" else OURS, batch, missing)
+                rows += timed(settings, case, batch, built, data)
+        built = _built(CONTESTANTS, most, missing)
+        parts = list(compared(grasps, {name: problems[name] for name in BASE}, built))
+    rows += [{"method": name, "reason": reason} for name, reason in missing.items()]
+    return join([pd.DataFrame(rows), *parts])
+
+
+def _built(contestants: dict[str, Contestant], batch: int, missing: dict[str, str]) -> dict[str, Call]:
+    built: dict[str, Call] = {}
+    for name, contestant in contestants.items():
+        try:
+            built[name] = contestant.build(batch)
+        except ImportError as error:
+            if name in OURS:
+                raise
+            missing[name] = f"{error}: pip install {contestant.packages}"
+    return built
+
+
+def timed(settings: Settings, case: str, batch: int, built: dict[str, Call], data: Tensors) -> Iterator[dict[str, Any]]:
+    """Rows of a case and a batch size."""
+    parts = [
+        {name: values[k : k + batch] for name, values in data.items()} for k in range(0, len(data["wrench"]), batch)
+    ]
+    parts = [part for part in parts if len(part["wrench"]) == batch][: settings.calls]
+    given = {True: [leaves(part) for part in parts], False: parts}
+    cones = [leaves(cone_form(**part)[0]) for part in parts] if case == "hard" else []
+    for turn in range(settings.rounds):
+        reference = np.empty(0)
+        for name, call in built.items():
+            tick(f"{case}, batch of {batch}, round {turn + 1} of {settings.rounds}: {name}")
+            took = seconds(call, cones if name in PEERS else given[name != FORWARD], name != FORWARD, settings.passes)
+            reference = took if name == LAYER else reference
+            for k, each in enumerate(took):
+                ratio = each / reference[k] if name in PEERS else None
+                yield {
+                    "case": case, "batch": batch, "method": name, "problem": k, "microseconds": 1e6 * each / batch, "ratio": ratio,
+                }  # fmt: skip
+
+
+def leaves(given: Tensors) -> Tensors:
+    """The same numbers, which gradients are asked for."""
+    return {name: values.detach().clone().requires_grad_() for name, values in given.items()}
+
+
+def seconds(call: Call, given: list[Tensors], backward: bool, passes: int) -> Array:
+    """(calls,) seconds of one call each, the best of the passes; the first call is not timed."""
+    best = np.full(len(given), np.inf)
+    step(call, given[0], backward)
+    for _ in range(passes):
+        for k, each in enumerate(given):
+            begin = time.perf_counter()
+            step(call, each, backward)
+            best[k] = min(best[k], time.perf_counter() - begin)
+    return best
+
+
+def step(call: Call, given: Tensors, backward: bool) -> None:
+    """One call, with the gradient of the sum of squared forces where `backward`."""
+    if not backward:
+        with torch.no_grad():
+            call(**given)
+        return
+    force = call(**given)
+    torch.autograd.grad(force, list(given.values()), 2.0 * force.detach(), allow_unused=True)
+
+
+def compared(grasps: list[Grasp], data: Tensors, built: dict[str, Call]) -> Iterator[pd.DataFrame]:
+    """Rows of the answers to all problems, as one batch."""
+    cone, axes = cone_form(**data)
+    exact = optimize_forces(grasps, data["wrench"].numpy(), method="conic", tolerance=1e-10, workers=1)
+    least = np.array([solution.force[:, 0].sum() for solution in exact])
+    known, slopes = answers(built[LAYER], data, False)
+    for name, call in built.items():
+        if name == FORWARD:
+            continue
+        tick(f"checking {name}")
+        force, found = answers(call, data, name in PEERS)
+        parts = (force[..., None, :] * axes).sum(dim=-1) / axes.square().sum(dim=-1)
+        left = (cone["matrix"] @ parts.flatten(1)[..., None])[..., 0] + cone["load"]
+        balance = (left.abs().amax(dim=1) / cone["load"].abs().amax(dim=1)).numpy()
+        rows = pd.DataFrame({
+            "balance": balance, "failed": ~(balance <= BALANCED),
+            "force_excess": (parts[..., 0] * cone["cost"]).sum(dim=1).numpy() / least - 1.0,
+        })  # fmt: skip
+        if CONTESTANTS[name].phi and name != LAYER:
+            rows["force_difference"] = _apart(force, known).numpy()
+            rows["gradient_difference"] = torch.stack(list(map(_apart, found, slopes))).amax(dim=0).numpy()
+        yield rows.assign(case=ANSWERS, batch=len(grasps), method=name, problem=rows.index)
+
+
+def answers(call: Call, data: Tensors, cone: bool) -> tuple[Any, tuple[Any, ...]]:
+    """The forces (n, N, 3) [N] in the frame of the positions, and the gradients of the sum of their squares with respect to all of `data`.
+
+    Args:
+        call: a layer.
+        data: inputs of ours.
+        cone: whether the layer takes the problem in cone coordinates.
+    """
+    given = leaves(data)
+    if cone:
+        problem, axes = cone_form(**given)
+        force = (call(**problem).unflatten(1, (-1, 3))[..., None] * axes).sum(dim=-2)
+    else:
+        force = call(**given)
+    return force.detach(), torch.autograd.grad(force, list(given.values()), 2.0 * force.detach())
+
+
+def _apart(values: Any, known: Any) -> Any:
+    """(n,) largest difference from what is known, over its largest component."""
+    return (values - known).flatten(1).abs().amax(dim=1) / known.flatten(1).abs().amax(dim=1)
+
+
+def _takes(case: str, method: str, batch: int, most: float) -> Claim:
+    query = f"case == '{case}' and method == '{method}' and batch == {batch}"
+    return Claim(f"{method}, {case}, batch of {batch}", query, "microseconds_median", "<=", most, unit="us")
+
+
+def _faster(method: str, batch: int, least: float) -> Claim:
+    query = f"case == 'hard' and method == '{method}' and batch == {batch}"
+    return Claim(f"time of {method} over ours, batch of {batch}", query, "ratio_median", ">=", least)
+
+
+BENCHMARK = Benchmark(
+    run,
+    Settings(),
+    quick={"batches": (1, 32), "rounds": 2, "calls": 10},
+    shown=(
+        "microseconds_median", "microseconds_p99", "ratio_median", "ratio_low", "ratio_high", "failed_sum", "balance_max", "force_difference_max",
+        "gradient_difference_median", "gradient_difference_max", "force_excess_max",
+    ),
+    claims=(
+        *(_takes(case, LAYER, 1000, most) for case, most in {"hard": 4.0, "limits": 8.0, "soft": 10.0}.items()),
+        _takes("hard", FORWARD, 1, 60.0),
+        *(
+            _faster(name, batch, least)
+            for name, asked in {"cvxpylayers": (50.0, 100.0, 200.0), "cvxpylayers_clarabel": (50.0, 100.0, 200.0), "moreau": (1.5, 15.0, 30.0)}.items()
+            for batch, least in zip((1, 32, 1000), asked, strict=True)
+        ),
+        *(
+            Claim(f"{kind}s of cvxpylayers_clarabel: difference from ours", f"case == '{ANSWERS}' and method == 'cvxpylayers_clarabel'",
+                  f"{kind}_difference_max", "<=", most)
+            for kind, most in {"force": 1e-4, "gradient": 1e-3}.items()
+        ),
+    ),
+    words={name: contestant.setting for name, contestant in CONTESTANTS.items()},
+)  # fmt: skip
