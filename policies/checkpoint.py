@@ -19,7 +19,7 @@ from safetensors.numpy import load, save
 from grasp_env._files import as_path, digest, replacing
 from grasp_env.errors import ModelFileError, shown
 
-SCHEMA = "grasp-force/initial-force/4"
+SCHEMA = "grasp-force/initial-force/5"
 MOST_TEXT, MOST_WEIGHTS = 1 << 20, 1 << 26
 """Largest of either file, in bytes: the shipped ones have 6 and 63 thousand."""
 MOST_CONTACTS = 64

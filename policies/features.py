@@ -1,8 +1,12 @@
 """What the network reads: wrench and friction, normalised so that two decades of magnitude look alike.
 
-A grasp force is nearly proportional to its wrench, but Phi is not homogeneous: below about `floor` newtons the rest
-squeeze takes over. So the wrench is divided by m = sqrt(|(force, moment / length)|^2 + floor^2), its logarithm is one
-feature, and the network's output is multiplied by m.
+Wrenches are taken in the grasp's unit frame (`Grasp.unit_frame`): wherever the object's origin is and however large the object, force
+and moment are of one size. A grasp force is nearly proportional to its wrench, but Phi is not homogeneous: below about `floor` newtons
+the rest squeeze takes over. So the wrench is divided by m = sqrt(|w|^2 + floor^2), its logarithm is one feature, and the network's
+output is multiplied by m.
+
+Friction cones bound the length of the force along each surface, and a perceptron makes the length of a vector out of its components
+with difficulty. So lengths are features, too: of M vectors that are linear in the wrench, see `surface_pairs`.
 """
 
 from __future__ import annotations
@@ -12,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from grasp_env._check import Array
-
-N_FEATURES = 8
+from grasp_env.force import Objective, optimize_force
+from grasp_env.grasp import Grasp
 
 
 @dataclass(frozen=True)
@@ -21,29 +25,52 @@ class Features:
     """Normalisation, saved with the model.
 
     Attributes:
-        length: [m] divides moments.
         floor: [N] magnitude below which features stop growing in relative terms.
+        smoothing: makes lengths smooth at zero; a share of m.
         log_mean, log_scale: of log m.
         friction_mean, friction_scale: of the friction coefficient.
     """
 
-    length: float = 0.05
     floor: float = 0.2
+    smoothing: float = 0.05
     log_mean: float = 0.5
     log_scale: float = 1.3
     friction_mean: float = 0.4
     friction_scale: float = 0.12
 
-    def __call__(self, wrenches: Array, friction: Array) -> tuple[Array, Array]:
-        """(B, 6) wrenches and (B,) friction -> (B, 8) features and (B,) magnitudes m [N]."""
-        scaled = np.concatenate([wrenches[:, :3], wrenches[:, 3:] / self.length], axis=1)
-        m = np.sqrt((scaled**2).sum(axis=1) + self.floor**2)
-        log = (np.log(m) - self.log_mean) / self.log_scale
-        mu = (friction - self.friction_mean) / self.friction_scale
-        return np.concatenate([scaled / m[:, None], log[:, None], mu[:, None]], axis=1), m
+    def __call__(self, wrenches: Array, friction: Array, pairs: Array) -> tuple[Array, Array]:
+        """(B, 8 + M) features, the friction last, and (B,) magnitudes m [N].
 
-    def as_array(self) -> Array:
-        """(6,) for the core."""
-        return np.array(
-            [self.length, self.floor, self.log_mean, self.log_scale, self.friction_mean, self.friction_scale]
-        )
+        Args:
+            wrenches: (B, 6) [N], unit frame.
+            friction: (B,) mean coefficient of the contacts.
+            pairs: (2 M, 6) the M vectors of a wrench whose lengths are features, all first components first.
+        """
+        m = np.sqrt((wrenches**2).sum(axis=1) + self.floor**2)
+        direction = wrenches / m[:, None]
+        log = (np.log(m) - self.log_mean) / self.log_scale
+        along = (direction @ pairs.T).reshape(len(wrenches), 2, -1)
+        lengths = np.sqrt((along**2).sum(axis=1) + self.smoothing**2)
+        mu = (friction - self.friction_mean) / self.friction_scale
+        return np.concatenate([direction, log[:, None], lengths, mu[:, None]], axis=1), m
+
+
+def surface_pairs(grasp: Grasp, objective: Objective) -> Array:
+    """(4 N, 6) what two forces that balance a wrench (unit frame) have along the surfaces: first of all along o, then along t.
+
+    They are linear in the wrench: the least force, and the change of the optimum at no wrench to first order. Cone coordinates.
+
+    Args:
+        grasp: the contacts, with the friction of that optimum.
+        objective: Phi.
+    """
+    omega, lambda_ = objective.force_weight, objective.barrier_weight
+    optimum = optimize_force(grasp, np.zeros(6), force_weight=omega, barrier_weight=lambda_)
+    inverse = np.zeros((3 * grasp.n_contacts, 3 * grasp.n_contacts))
+    for i, block in enumerate(objective.hessian(grasp.to_cone(optimum.force))):
+        inverse[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = np.linalg.inv(block)
+    rows = grasp.unit_frame @ grasp.cone_matrix
+    least = grasp.models.cone_scale.reshape(-1, 1) * grasp.pseudoinverse @ np.linalg.inv(grasp.unit_frame)
+    change = inverse @ rows.T @ np.linalg.inv(rows @ inverse @ rows.T)
+    both = np.concatenate([least, change]).reshape(-1, 3, 6)
+    return np.concatenate([both[:, 1], both[:, 2]])

@@ -56,7 +56,7 @@ class LearnedInitialForce:
     Example:
         >>> from grasp_env.force import optimize_force
         >>> from grasp_env.grasp import presets
-        >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.1, 0.2, 0]
+        >>> grasp, wrench = presets.paper_cuboid(), [1, 0.5, -0.6, -0.01, 0.02, 0]
         >>> optimize_force(grasp, wrench, method="reduced_flow").iterations > 10
         True
         >>> optimize_force(grasp, wrench, method="reduced_flow", initial=LearnedInitialForce.pretrained()).iterations < 10
@@ -76,11 +76,12 @@ class LearnedInitialForce:
             self._degree = whole(numbers["friction_degree"], "friction_degree", 0, MOST_DEGREE)
             self._ranges = checkpoint.ranges["magnitude"], checkpoint.ranges["friction"]
             outputs = 3 * self.n_contacts - 6
-            if (self.sizes[0], self.sizes[-1]) != (core.NETWORK_FEATURES, outputs):
+            lengths = self.sizes[0] - core.PLAIN_FEATURES
+            if lengths < 1 or self.sizes[-1] != outputs:
                 raise ValueError(f"sizes {self.sizes} for {self.n_contacts} contacts")
         except FAULTS as error:
             raise malformed("of an initial force", error) from None
-        shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs)}
+        shapes: dict[str, tuple[int, ...]] = {"reference": (3 * self.n_contacts, outputs), "pairs": (2 * lengths, 6)}
         for layer, (a, b) in enumerate(pairwise(self.sizes)):
             powers = self._degree + 1
             shapes |= {f"layers.{layer}.weight": (powers, b, a), f"layers.{layer}.bias": (powers, b)}
@@ -89,6 +90,8 @@ class LearnedInitialForce:
         self.objective = self._trained if objective is None else as_objective(objective)
         self.remembers = flag(remembers, "remembers")
         self._reference = checkpoint.tensors["reference"].astype(np.float64)
+        pairs = checkpoint.tensors["pairs"].astype(np.float64).T
+        self._pairs = core.Network.make(pairs.shape, np.append(pairs, np.zeros(2 * lengths)))
         self._made: tuple[float, core.Network] | None = None
         self._prepared: _Prepared | None = None
 
@@ -172,7 +175,7 @@ class LearnedInitialForce:
 
     def covers(self, grasp: Grasp, wrench: Wrench) -> bool:
         """Whether grasp and wrench lie in the training range; elsewhere the start is still safe, and solutions say so."""
-        return self._prepare(grasp).model.covers(read_load(wrench))
+        return self._prepare(grasp).model.covers(grasp.unit_frame @ read_load(wrench))
 
     def raw(self, grasp: Grasp, wrench: Wrench) -> ContactForces:
         """The network's own force (N, 3) [N] for a `grasp` and a `wrench` (6,): balanced, perhaps outside the cones.
@@ -184,7 +187,7 @@ class LearnedInitialForce:
         if not (np.abs(load) <= core.LARGEST).all():
             raise _not_finite(load)
         coordinates = np.empty(on.internal.shape[1])
-        on.model.predict(load, coordinates)
+        on.model.predict(grasp.unit_frame @ load, coordinates)
         return (on.internal @ coordinates - grasp.pseudoinverse @ load).reshape(-1, 3)
 
     def _prepare(self, grasp: Grasp) -> _Prepared:
@@ -210,7 +213,7 @@ class LearnedInitialForce:
         friction, scale = float(grasp.friction.mean()), self._scale(grasp.n_contacts)
         known = low <= friction <= high  # of a grasp only the friction is looked at
         nearest = min(max(friction, low), high) if self._degree else friction  # beyond, polynomials know nothing
-        model = core.Model.make(self._network(nearest))
+        model = core.Model.make(self._network(nearest), self._pairs)
         model.normalise(**asdict(self.features))
         internal = np.ascontiguousarray(null_space_basis(grasp, self._reference))
         model.place(internal, nearest, scale, most * scale if known else -1.0)

@@ -82,7 +82,8 @@ IMPORTS = {
     "from grasp_env.control.loop import ForceLoop": "sim",
     "import gymnasium; gymnasium.make('grasp_env:FourFingerGrasp-v0')": "sim",
     "import policies.network": "train",
-    "import training.fit.four_finger": "train",
+    "from policies import GraspForceLayer": "layer",
+    "import training.fit.one_grasp": "train",
 }
 
 
@@ -94,7 +95,7 @@ for statement, extra in {IMPORTS}.items():
         exec(statement)
         print(statement, "works")
     except ImportError as error:
-        name = "{ENGINE}, trimesh" if extra == "sim" else "stable_baselines3, tensorboard, torch"
+        name = {{"sim": "{ENGINE}, trimesh", "layer": "torch"}}.get(extra, "stable_baselines3, tensorboard, torch")
         wanted = f'this needs {{name}}: pip install "grasp-force[{{extra}}]"'
         if (type(error).__name__, str(error)) != ("MissingExtraError", wanted):
             print(statement, repr(error))

@@ -327,7 +327,7 @@ def limit_rows(least: object, most: object, jacobian: object, torques: object, b
     torsion: fills A (R, N, 4), b (R,) and what each limit is (R,), R = 2 (N + J), up to the number that it returns.
     """
 
-NETWORK_FEATURES: int = 8
+PLAIN_FEATURES: int = 8
 
 MOST_STAGES: int = 8
 
@@ -346,9 +346,12 @@ class Model:
     """A trained model on contacts as they are now."""
 
     @staticmethod
-    def make(network: Network) -> Model: ...
+    def make(network: Network, pairs: Network) -> Model:
+        """
+        pairs: of one stage, makes of a wrench's direction the vectors whose lengths the network reads, too.
+        """
 
-    def normalise(self, length: float, floor: float, log_mean: float, log_scale: float, friction_mean: float, friction_scale: float) -> None:
+    def normalise(self, floor: float, smoothing: float, log_mean: float, log_scale: float, friction_mean: float, friction_scale: float) -> None:
         """Of the network's features, see policies/features.py."""
 
     def place(self, null_space: object, friction: float, scale: float, largest: float) -> None:
@@ -365,11 +368,13 @@ class Model:
         """The model that `save` wrote; None: it is not whole."""
 
     def covers(self, wrench: object) -> bool:
-        """Whether wrench, contacts and friction lie in the training range."""
+        """
+        Whether wrench (unit frame), contacts and friction lie in the training range.
+        """
 
     def predict(self, wrench: object, coordinates: object) -> None:
         """
-        The internal force that the network predicts, in coordinates (3N - 6,) [N] of the null space.
+        The internal force that the network predicts for a wrench (unit frame), in coordinates (3N - 6,) [N] of the null space.
         """
 
 def phi(x: object, weights: object) -> float:

@@ -26,7 +26,7 @@ RULE = np.array([2.0, 0.3, 1.5, 0.5, 0.0])
 STOP = {"tolerance": 1e-6, "limit": 100}
 PLACE = {"positions": SAMPLE.positions, "normals": SAMPLE.normals}
 NORMALISATION = {
-    "length": 0.05, "floor": 0.2, "log_mean": 0.5, "log_scale": 1.3, "friction_mean": 0.4, "friction_scale": 0.12,
+    "floor": 0.2, "smoothing": 0.05, "log_mean": 0.5, "log_scale": 1.3, "friction_mean": 0.4, "friction_scale": 0.12,
 }  # fmt: skip
 LIMITS = {
     "min_normal": np.full(COUNT, 0.1), "max_normal": np.full(COUNT, 9.0), "jacobian": np.full((COUNT, 6, 3), 0.05),
@@ -46,7 +46,12 @@ def optimizer(**given: Any) -> _core.ForceOptimizer:
 
 def model(placed: bool = True, **given: float) -> _core.Model:
     """A network of these contacts."""
-    made = _core.Model.make(_core.Network.make([8, 6], 0.1 * np.random.default_rng(0).standard_normal(54)))
+    rng = np.random.default_rng(0)
+    network, pairs = (
+        _core.Network.make([a, b], 0.1 * rng.standard_normal((a + 1) * b))
+        for a, b in ((_core.PLAIN_FEATURES + 2, 6), (6, 4))
+    )
+    made = _core.Model.make(network, pairs)
     made.normalise(**(NORMALISATION | given))
     if placed:
         made.place(INTERNAL, 0.5, 1.0, 20.0)
@@ -150,11 +155,11 @@ def calls() -> dict[str, Call]:
 
 def others() -> dict[str, Call]:
     """Those that take numbers, words and objects, and arrays in ways of their own."""
-    network = _core.Network.make([8, 6], np.zeros(54))
+    network, pairs = _core.Network.make([9, 6], np.zeros(60)), _core.Network.make([6, 2], np.zeros(14))
     bounds = {"least_friction": 1e-4, "most_friction": 1e4, "least_length": 1e-9, "most_length": 1e6, "distance": 1e5}
-    fresh, reader = _core.Model.make(network), _core.ContactReader(**bounds, most=1000)
+    fresh, reader = _core.Model.make(network, pairs), _core.ContactReader(**bounds, most=1000)
     return {
-        "Model.make": Call(_core.Model.make, {"network": network}, {}),
+        "Model.make": Call(_core.Model.make, {"network": network, "pairs": pairs}, {}),
         "Model.normalise": Call(fresh.normalise, NORMALISATION, {}),
         "Model.place": Call(fresh.place, {"null_space": np.ones((12, 6)), "friction": 0.4, "scale": 1.0, "largest": 20.0}, {}),
         "Model.load": Call(_core.Model.load, {"bytes": model().save()}, {}),

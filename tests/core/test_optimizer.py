@@ -540,12 +540,16 @@ def null_space(s: Sample) -> np.ndarray:
     return np.ascontiguousarray(np.linalg.svd(s.rows * s.scale.reshape(-1))[2][6:].T)
 
 
+PAIRS = single(np.random.default_rng(9).standard_normal((6, 6)))
+"""Three vectors of a wrench, whose lengths are features."""
+
+
 def model(s: Sample, seed: int, size: float) -> tuple[list[int], np.ndarray, insides.Model]:
     """A network of random weights of that size."""
-    shape = [8, 16, 3 * s.count - 6]
+    shape = [8 + 3, 16, 3 * s.count - 6]
     weights = size * np.random.default_rng(seed).standard_normal(insides.network_numbers(shape))
     weights = single(np.clip(weights, -3.4e38, 3.4e38))
-    return shape, weights, insides.Model.make(shape, weights, null_space(s))
+    return shape, weights, insides.Model.make(shape, weights, PAIRS, null_space(s))
 
 
 @pytest.mark.parametrize("size", [0.1, 0.3, 3.0, 1e4, 1e20, 3e38])
@@ -561,7 +565,7 @@ def test_a_learned_start_is_the_networks_force_and_never_worse_than_the_methods_
             previous = None
             for scale in (1e-6, 1e-2, 1.0, 30.0, 1e4):
                 load = wrenches(np.random.default_rng(seed), 1, scale)[0]
-                w, parts = s.unit @ load, load / np.array([1.0, 1.0, 1.0, 0.05, 0.05, 0.05])
+                w = s.unit @ load
                 safe = c.z(made.start(load, START["internal_force"]), "initial")
                 for before in (None, previous):
                     row, (solved, _) = made.start(load, previous=before), made.solve(load, previous=before)
@@ -572,12 +576,15 @@ def test_a_learned_start_is_the_networks_force_and_never_worse_than_the_methods_
                     assert at(row, "code") == LIMIT
                     assert at(row, "margin") > 0.0
                     outside.add(at(row, "outside"))
-                    assert at(row, "outside") == (np.linalg.norm(parts) > 20.0)
+                    assert at(row, "outside") == (np.linalg.norm(w) > 20.0)
                     if scale < 1e3:  # beyond, 1e-8 is more than Newton's last digits give
                         check(c, load, solved, 1e-8)
                     if before is None and size < 1.0:
-                        length = np.sqrt(parts @ parts + 0.2**2)
-                        features = np.array([*(parts / length), (np.log(length) - 0.5) / 1.3, (0.5 - 0.4) / 0.12])
+                        length = np.sqrt(w @ w + 0.2**2)
+                        o, t = (PAIRS @ w / length).reshape(2, 3)
+                        lengths = np.sqrt(o * o + t * t + 0.05**2)
+                        log, friction = (np.log(length) - 0.5) / 1.3, (0.5 - 0.4) / 0.12
+                        features = np.array([*(w / length), log, *lengths, friction])
                         made_up = network_oracle.network(shape, weights, features)
                         force = null_space(s) @ (length * made_up) * s.scale.reshape(-1) - s.inverse @ w
                         x, near = c.z(row, "initial"), 1e-5 * np.abs(force).max()

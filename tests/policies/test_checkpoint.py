@@ -84,7 +84,7 @@ def test_foreign_and_malformed_descriptions(stem, changes, match):
 
 
 def test_numbers_that_do_not_fit_the_weights(stem):
-    edit(stem, numbers={**of(stem)["numbers"], "sizes": [8, 7, 6]})
+    edit(stem, numbers={**of(stem)["numbers"], "sizes": [16, 7, 6]})
     with pytest.raises(ModelFileError, match="do not fit"):
         LearnedInitialForce.load(stem)
 

@@ -7,15 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from never_worse import OWN, trial, violations
 
 from grasp_env.errors import InfeasibleStartError, InvalidInputError
-from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, optimize_force, optimize_forces, start_replaced
+from grasp_env.force import BarzilaiBorweinStep, ForceOptimizer, Objective, OfflineBasis, optimize_force, start_replaced
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from policies.learned import PRETRAINED
-
-OWN = {"reduced_flow": "linear_combination", "newton": "internal_force"}
-"""Where a method starts that is told nothing."""
 
 
 @pytest.fixture(scope="module")
@@ -54,23 +52,26 @@ def test_balanced_strictly_feasible_never_worse_than_the_basis(rule, shift, fric
         assert objective.value(grasp.to_cone(force)) <= paper * (1 + 1e-12)
 
 
-def steps(grasp, wrenches, rule) -> np.ndarray:
-    newton, flow = ForceOptimizer(grasp, method="newton", tolerance=1e-10), ForceOptimizer(grasp, method="reduced_flow")
-    return np.array([flow.solve(w, initial=rule, optimum=newton.solve(w).objective).iterations for w in wrenches])
-
-
 def test_scores_of_the_shipped_model_hold_on_the_standard_ball(rule):
-    """Steps of the flow at the median and p99, against 45 and 136 of the basis."""
-    learned = steps(presets.paper_cuboid(), wrench.sample_ball(np.random.default_rng(77), 500), rule)
-    assert np.median(learned) <= 8
-    assert np.percentile(learned, 99) <= 60
+    """Iterations of the flow with its best steps, friction varied: 24 / 47 from the basis (median / p99). Newton takes one step mostly."""
+    rng, counts, newton = np.random.default_rng(77), list[int](), list[int]()
+    for friction in np.linspace(0.25, 0.6, 10):
+        grasp = presets.paper_cuboid(float(friction))
+        flow = ForceOptimizer(grasp, method="reduced_flow", step_rule=BarzilaiBorweinStep(), initial=rule)
+        second = ForceOptimizer(grasp, initial=rule)
+        for w in wrench.sample_ball(rng, 100):
+            counts.append(flow.solve(w).iterations)
+            newton.append(second.solve(w).iterations)
+    assert np.median(counts) <= 3
+    assert np.percentile(counts, 99) <= 20  # the ends of the range count more here than in the comparison
+    assert np.mean(np.array(newton) <= 1) > 0.85
 
 
 def test_one_compiled_call_gives_what_start_and_solve_give(rule):
     grasp = presets.paper_cuboid()
     for method in ("reduced_flow", "newton"):
         optimizer = ForceOptimizer(grasp, initial=rule, method=method)
-        for w in wrench.sample_magnitudes(np.random.default_rng(5), 50):
+        for w in wrench.sample_magnitudes(np.random.default_rng(5), 50, 0.1, 10.0):
             solution, general = optimizer.solve(w), optimizer.solve(w, initial=rule)
             assert solution.status.name == "OPTIMAL"
             assert solution.optimality_gap <= 1e-4
@@ -254,18 +255,6 @@ def test_model_card_and_size_of_the_shipped_model(rule):
     assert sum(file.stat().st_size for file in PRETRAINED.glob("four_finger.*")) < 2_000_000
 
 
-def worse(rule: LearnedInitialForce, grasp: Grasp, wrenches: np.ndarray) -> int:
-    """How many starts have more Phi than the 12-basis' combination."""
-    starts = optimize_forces(grasp, wrenches, method="reduced_flow", initial=rule, max_iterations=0, tolerance=1e-13)
-    basis = OfflineBasis.of(grasp, rule.objective).cone_forces
-    shares = np.concatenate([np.maximum(wrenches, 0), np.maximum(-wrenches, 0)], axis=1)
-    rest = np.maximum(0, 1 - shares.sum(axis=1, keepdims=True))
-    paper = np.concatenate([shares, rest], axis=1) @ basis
-    u, o, t = np.moveaxis(paper.reshape(len(wrenches), -1, 3), 2, 0)
-    limit = (3 * u + 0.01 * (1 / u + 2 * u / (u * u - o * o - t * t))).sum(axis=1)
-    return int((~(starts.objective <= limit * (1 + 1e-12))).sum())
-
-
 @pytest.mark.parametrize("size", [1.0, 30.0, 1e5, 1e20, 3e38])
 def test_never_worse_whatever_the_weights_say(rule, size):
     """Wild networks: nothing that they were trained on, up to the largest numbers of float32."""
@@ -277,14 +266,15 @@ def test_never_worse_whatever_the_weights_say(rule, size):
             for name, value in rule.checkpoint.tensors.items()
         }
         wild = LearnedInitialForce(replace(rule.checkpoint, tensors=tensors))
-        assert worse(wild, presets.paper_cuboid(), wrenches) == 0
+        for method in OWN:
+            assert not violations(wild, presets.paper_cuboid(), wrenches, method).any()
         optimizer = ForceOptimizer(presets.paper_cuboid(), method="newton", initial=wild)
         for w in wrenches[:50]:
             assert optimizer.solve(w).status.name == "OPTIMAL"
 
 
-@pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
-def test_never_worse(rule, count):
-    assert rule.objective == Objective()
-    wrenches = wrench.sample_magnitudes(np.random.default_rng(9), count, 1e-3, 1000.0)
-    assert worse(rule, presets.paper_cuboid(), wrenches) == 0
+@pytest.mark.parametrize("count", [20_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", OWN)
+def test_never_worse(rule, method, count):
+    """Wrenches of 1e-4 to 1e4 N, frictions inside and outside the trained range."""
+    assert trial(rule, count, 9, method) == 0

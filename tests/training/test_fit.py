@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 import torch
 
+from grasp_env import core
 from grasp_env.errors import InvalidInputError, ModelFileError
-from grasp_env.force import Objective, optimize_force
-from grasp_env.grasp import null_space_basis, presets, reference_basis
-from grasp_env.grasp.wrench import magnitude, sample_ball
+from grasp_env.force import ForceOptimizer, Objective, optimize_force
+from grasp_env.grasp import load_grasp, null_space_basis, presets, reference_basis
+from grasp_env.grasp.wrench import sample_ball
 from policies import LearnedInitialForce
-from policies.features import N_FEATURES, Features
 from policies.network import Network, activation
 from training.cli import main
-from training.data.one_grasp import label, sample
-from training.fit.four_finger import NetworkTask, fit
+from training.data.one_grasp import Source, label
+from training.fit.one_grasp import NetworkTask, fit
 from training.fit.settings import FitConfig
 from training.fit.soap import Soap
 from training.fit.state import Progress, StateFile
@@ -35,12 +35,12 @@ FIXED: dict[str, Any] = {"steps": 40, "samples": 4096, "hidden": (16,), "batch_s
 @pytest.fixture
 def small_scores(monkeypatch):
     """Scores on fewer wrenches."""
-    monkeypatch.setattr("training.fit.four_finger.HELD_OUT", 100)
+    monkeypatch.setattr("training.fit.one_grasp.HELD_OUT", 100)
 
 
 def test_labels_are_optima_and_the_metric_is_the_gap():
     grasp, objective = presets.paper_cuboid(), Objective()
-    samples = sample(np.random.default_rng(0), 50, (0.1, 20.0), (0.25, 0.6), 10)
+    samples = Source(grasp, (0.1, 20.0), (0.25, 0.6), True).draw(np.random.default_rng(0), 50, 10)
     data = label(grasp, reference_basis(grasp), objective, *samples)
     rng = np.random.default_rng(1)
     for k in range(50):
@@ -60,7 +60,8 @@ def test_labels_are_optima_and_the_metric_is_the_gap():
 
 
 def test_samples_share_the_frictions_and_the_ball():
-    wrenches, friction = sample(np.random.default_rng(0), 6000, (10.0, 20.0), (0.25, 0.6), 20)
+    source = Source(presets.paper_cuboid(), (10.0, 20.0), (0.25, 0.6), True)
+    wrenches, friction = source.draw(np.random.default_rng(0), 6000, 20)
     parts = np.linspace(0.25, 0.6, 21)
     for group, (low, high) in zip(friction.reshape(20, -1), pairwise(parts), strict=True):
         assert low <= group[0] <= high
@@ -68,7 +69,8 @@ def test_samples_share_the_frictions_and_the_ball():
     inside = (np.linalg.norm(wrenches[:, :3], axis=1) <= 2.0) & (np.linalg.norm(wrenches[:, 3:], axis=1) <= 0.05)
     # all others are of 10 N and more; three standard deviations of a fair coin
     assert abs(inside.mean() - 0.5) < 3 * 0.5 / np.sqrt(6000)
-    assert (magnitude(wrenches[~inside]) >= 10.0).all()
+    sizes = np.linalg.norm(wrenches[~inside] @ source.grasp.unit_frame.T, axis=1)
+    assert ((sizes >= 10.0) & (sizes <= 20.0)).all()
 
 
 def test_a_short_fit_learns(small_scores):
@@ -84,16 +86,17 @@ def test_a_short_fit_learns(small_scores):
 def test_the_file_holds_the_network_of_every_friction(small_scores):
     """What inference folds for a grasp's friction is what torch trained."""
     checkpoint = fit(FitConfig(**FIXED)).checkpoint
-    network = Network(N_FEATURES, (16,), 6, 2)
+    pairs = checkpoint.tensors["pairs"]
+    network = Network(checkpoint.numbers["sizes"][0], (16,), 6, 2)
     for layer, parameter in enumerate(network.layers):
         weight, bias = (torch.from_numpy(checkpoint.tensors[f"layers.{layer}.{name}"]) for name in ("weight", "bias"))
         with torch.no_grad():
             parameter.copy_(torch.cat([weight.mT, bias[:, None]], 1).reshape(parameter.shape))
-    model, features = LearnedInitialForce(checkpoint), Features()
+    model = LearnedInitialForce(checkpoint)
     wrenches = sample_ball(np.random.default_rng(3), 20)
     for friction in (0.25, 0.4, 0.57):
         grasp = presets.paper_cuboid().with_friction(friction)
-        inputs, size = features(wrenches, np.full(20, friction))
+        inputs, size = model.features(wrenches @ grasp.unit_frame.T, np.full(20, friction), pairs)
         with torch.no_grad():
             outputs = network(torch.from_numpy(inputs[None].astype(np.float32)))[0].double().numpy()
         internal = outputs * size[:, None] @ null_space_basis(grasp, reference_basis(grasp)).T
@@ -109,10 +112,10 @@ def test_the_activation_has_its_derivative():
     torch.testing.assert_close(activation(x), 0.5 * x * (1 + x / torch.sqrt(1 + x * x)))
 
 
-def test_the_same_bits_also_after_an_interrupt(tmp_path, monkeypatch, small_scores):
+def test_the_same_bits_with_one_thread_or_two_also_after_an_interrupt(tmp_path, monkeypatch, small_scores):
     settings, out = FitConfig(**FIXED), tmp_path / "model"
-    whole = fit(settings).checkpoint
-    real, calls = NetworkTask.loss, []
+    whole, single = (fit(made).checkpoint.tensors for made in (settings, FitConfig(**FIXED, threads=1)))
+    real, calls = NetworkTask.batch, []
 
     def interrupted(self, rng):
         calls.append(1)
@@ -120,7 +123,7 @@ def test_the_same_bits_also_after_an_interrupt(tmp_path, monkeypatch, small_scor
             os.kill(os.getpid(), signal.SIGTERM)
         return real(self, rng)
 
-    monkeypatch.setattr(NetworkTask, "loss", interrupted)
+    monkeypatch.setattr(NetworkTask, "batch", interrupted)
     with pytest.raises(KeyboardInterrupt):
         fit(settings, out=out)
     assert len(calls) == 4
@@ -128,14 +131,97 @@ def test_the_same_bits_also_after_an_interrupt(tmp_path, monkeypatch, small_scor
         fit(settings, out=out)
     with pytest.raises(InvalidInputError, match=r"other settings \(seed was 0, is 1\)"):
         fit(FitConfig(**FIXED, seed=1), out=out, resume=True)
-    again = fit(settings, out=out, resume=True).checkpoint
-    assert whole.tensors.keys() == again.tensors.keys()
-    for key, value in whole.tensors.items():
-        np.testing.assert_array_equal(value, again.tensors[key])
+    again = fit(settings, out=out, resume=True).checkpoint.tensors
+    assert whole.keys() == again.keys() == single.keys()
+    for key, value in whole.items():
+        np.testing.assert_array_equal(value, again[key])
+        np.testing.assert_array_equal(value, single[key])
+
+
+TRIPOD = {
+    "positions": [[0.34, 0.1, 0], [0.28, 0.13, 0], [0.28, 0.07, 0.01]],
+    "normals": [[-1, 0, 0], [0.6, -0.8, 0], [0.6, 0.8, 0]],
+}
+"""Contacts far from the origin of their frame."""
+FIVE = presets.five_finger_cuboid()
+
+
+@pytest.mark.parametrize(
+    ("contacts", "low"),
+    [
+        ({**TRIPOD, "friction": 0.6}, 0.375),
+        # elliptic cones, some rougher than others; with less grip the tripod would not close
+        ({**TRIPOD, "friction": [[0.5, 0.7], [0.6, 0.6], [0.8, 0.5]]}, 0.375),
+        ({"positions": FIVE.positions.tolist(), "normals": FIVE.normals.tolist(), "friction": 0.5}, 0.3125),
+    ],
+)
+def test_a_grasp_of_a_file_becomes_a_model_that_python_and_the_core_load(contacts, low, tmp_path, capsys, small_scores):
+    """Near its optima after a second, never worse at any wrench, and the core has the bits of Python."""
+    file, out = tmp_path / "mine.json", tmp_path / "model"
+    file.write_text(json.dumps(contacts))
+    assert (
+        main(
+            [
+                "fit",
+                "--grasp",
+                str(file),
+                "--out",
+                str(out),
+                "--steps",
+                "400",
+                "--samples",
+                "20000",
+                "--hidden",
+                "32",
+                "32",
+            ]
+        )
+        == 0
+    )
+    assert "certified" in capsys.readouterr().out
+    rule, grasp = LearnedInitialForce.load(out), load_grasp(file)
+    card = rule.checkpoint.card
+    assert (card["grasp"]["file"], card["grasp"]["positions"]) == ("mine.json", contacts["positions"])
+    assert card["config"]["friction_low"] == pytest.approx(low, rel=0.1)
+    source = Source(grasp, (0.1, 20.0), (0.3, 0.6), False)
+    optimizer, own = (ForceOptimizer(grasp, initial=initial) for initial in (rule, "internal_force"))
+    gaps = []
+    for w in source.ball(np.random.default_rng(5), 100):
+        solution = optimizer.solve(w)
+        assert (solution.status.value, solution.initial) == ("optimal", rule.name)
+        gaps.append(rule.objective.value(grasp.to_cone(solution.initial_force)) / own.solve(w).objective - 1.0)
+    assert np.median(gaps) < 0.1
+    for w in source.draw(np.random.default_rng(6), 200, 1, 0.0)[0] * 100.0:
+        there = [rule.objective.value(grasp.to_cone(solver.start(w))) for solver in (optimizer, own)]
+        assert there[0] <= there[1] * (1 + 1e-12)
+    w = np.array([1.0, -0.5, 0.3, 0.01, 0.02, -0.01])
+    exported = core.Model.load(rule.export(tmp_path / "mine.model", grasp).read_bytes())
+    assert exported is not None
+    found = np.empty(grasp.null_dimension)
+    exported.predict(grasp.unit_frame @ w, found)
+    internal = null_space_basis(grasp, rule.checkpoint.tensors["reference"].astype(float)) @ found
+    np.testing.assert_array_equal((internal - grasp.pseudoinverse @ w).reshape(-1, 3), rule.raw(grasp, w))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"contact_model": "soft", "torsional_friction": 0.01}, "three and more hard contacts"),
+        ({"friction": 0.05}, "no force closure at its friction"),
+        ({"friction": -1.0}, "friction must be > 0"),
+        ({"normals": None}, "normals"),
+    ],
+)
+def test_a_grasp_that_no_model_knows_is_told_before_work(changes, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("training.fit.one_grasp.label", _no_work)
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps({**TRIPOD, "friction": 0.6, **changes}))
+    assert main(["fit", "--grasp", str(file), "--out", str(tmp_path / "model")]) == 2
+    assert message in capsys.readouterr().err
 
 
 def test_a_state_is_refused_if_truncated_or_changed(tmp_path):
-    network, settings, out = Network(N_FEATURES, (4,), 6, 0), {"seed": 0}, tmp_path / "model"
+    network, settings, out = Network(9, (4,), 6, 0), {"seed": 0}, tmp_path / "model"
     file, rng, now = StateFile(out, settings), np.random.default_rng(0), Progress(3, 1.0, 1.0, [[0.0, 0.0]])
     file.save(network, Soap(network.parameters(), 0.1), rng, now)
     assert file.restore(network, Soap(network.parameters(), 0.1), rng) == now
@@ -152,7 +238,7 @@ def test_a_state_is_refused_if_truncated_or_changed(tmp_path):
 
 def test_no_room_and_no_permission_are_said_before_work(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr("training.fit.four_finger.label", _no_work)
+    monkeypatch.setattr("training.fit.one_grasp.label", _no_work)
     assert main(["fit", "--out", str(tmp_path / "file" / "model")]) == 2
     assert "choose another --out" in capsys.readouterr().err
     usage = namedtuple("usage", "total used free")
@@ -178,17 +264,18 @@ def test_quick_says_so_and_the_command_saves_both_files(tmp_path, capsys, small_
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"seconds": 0.0},
+        {"seconds": -1.0},
         {"seconds": float("nan")},
         {"seconds": float("inf")},
         {"samples": 10},
         {"batch_size": 0},
         {"seed": -1},
-        {"steps": -1},
+        {"steps": 0},
         {"learning_rate": float("nan")},
         {"tail": 0.0},
         {"low": 0.0},
-        {"friction_low": 0.9},
+        {"friction_low": 0.9, "friction_high": 0.8},
+        {"friction_high": float("nan")},
         {"hidden": (0,)},
         {"hidden": ()},
         {"threads": 0},
@@ -198,6 +285,13 @@ def test_quick_says_so_and_the_command_saves_both_files(tmp_path, capsys, small_
 def test_wrong_settings(wrong):
     with pytest.raises(InvalidInputError, match=next(iter(wrong))):
         FitConfig(**wrong)
+
+
+def test_a_range_in_which_the_grasp_does_not_close_is_told(tmp_path):
+    file = tmp_path / "mine.json"
+    file.write_text(json.dumps({**TRIPOD, "friction": 0.6}))
+    with pytest.raises(InvalidInputError, match=r"friction_low must close the grasp, 0\.1 does not"):
+        FitConfig(grasp=str(file), friction_low=0.1).resolved()
 
 
 def test_an_unknown_preset_is_told(tmp_path, capsys):

@@ -10,7 +10,7 @@ from typing import Annotated
 from rich.console import Console
 
 from grasp_env.grasp.presets import PRESETS
-from training.commands.options import one_of
+from training.commands.options import left_out, one_of
 from training.fit.settings import FitConfig
 from training.results.interrupts import interruptible
 
@@ -21,20 +21,28 @@ class Fit(FitConfig):
 
     Two files are saved, one of them with the model card.
 
+    To learn your own contacts, write a file to start from:
+    `grasp solve --save-grasp mine.json`
+
+    Change positions [m], normals (INTO the object) and friction in it. Then:
+    `grasp fit --grasp mine.json --out runs/fit/mine`
+
     Attributes:
         preset: the named grasp to learn.
+        grasp: a grasp's JSON file instead: three and more hard contacts, round or elliptic.
         out: their common stem.
         resume: go on with the interrupted training that lies beside it, same settings.
     """
 
     preset: Annotated[str, one_of(PRESETS)] = "paper_cuboid"
+    grasp: Annotated[str | None, left_out("the preset", "FILE")] = None
     out: Path = Path("runs/fit/four_finger")
     resume: bool = False
 
     def execute(self) -> None:
         """Runs it; raises the errors of the project."""
         with interruptible(orderly=False):  # until the training itself takes them
-            from training.fit.four_finger import fit
+            from training.fit.one_grasp import fit
             from training.fit.state import StateFile
 
             settings = FitConfig(**{name: getattr(self, name) for name in FitConfig.__dataclass_fields__})

@@ -12,38 +12,61 @@ from grasp_env._check import Array
 from grasp_env.errors import NotConvergedError
 from grasp_env.force import Objective, optimize_forces
 from grasp_env.grasp import Grasp, null_space_basis
-from grasp_env.grasp.wrench import sample_ball, sample_magnitudes
+from grasp_env.grasp.wrench import MAGNITUDE_LENGTH, sample_ball, sample_magnitudes
 
 LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
 BALL = 0.5
-"""Share of the wrenches from the standard ball, where starts are compared; the others are from the whole range."""
+"""Share of the wrenches from the ball, where starts are compared; the others are from the whole range."""
 CHUNK = 4096
 """Samples whose metric is made at once."""
 
 
-def sample(
-    rng: np.random.Generator,
-    count: int,
-    magnitudes: tuple[float, float],
-    frictions: tuple[float, float],
-    groups: int,
-    ball: float = BALL,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(groups * per, 6) wrenches and their friction (groups * per,), one number per group; about `count` of them.
+@dataclass(frozen=True)
+class Source:
+    """Where the wrenches of a grasp are drawn.
 
-    Args:
-        rng: source of every sample.
-        count: how many, at least one per group.
-        magnitudes: [N] range of |(force, moment / 0.05 m)|, log-uniform.
-        frictions: range, of which every group has its own part.
-        groups: different frictions.
-        ball: share of the wrenches that are drawn from the standard ball.
+    Attributes:
+        grasp: the contacts; its mean friction is replaced.
+        magnitudes: [N] range of the size of wrenches in the grasp's unit frame, log-uniform.
+        frictions: range of the mean friction coefficient.
+        paper: whether the ball is the paper's, about the object's origin; otherwise it is as large in the grasp's unit frame.
     """
-    per, (low, high) = max(1, count // groups), frictions
-    friction = low + (high - low) * (np.arange(groups) + rng.random(groups)) / groups
-    wrenches = sample_magnitudes(rng, groups * per, *magnitudes)
-    inside = sample_ball(rng, groups * per)
-    return np.where(rng.random(groups * per)[:, None] < ball, inside, wrenches), friction.repeat(per)
+
+    grasp: Grasp
+    magnitudes: tuple[float, float]
+    frictions: tuple[float, float]
+    paper: bool
+
+    def ball(self, rng: np.random.Generator, count: int) -> Array:
+        """(count, 6) wrenches of the ball."""
+        drawn = sample_ball(rng, count)
+        return drawn if self.paper else self._from_unit(drawn)
+
+    def draw(
+        self, rng: np.random.Generator, count: int, groups: int, ball: float = BALL
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(groups * per, 6) wrenches and their friction (groups * per,), one number per group; about `count` of them.
+
+        Args:
+            rng: source of every sample.
+            count: how many, at least one per group.
+            groups: different frictions, each of its own part of the range.
+            ball: share of the wrenches that are drawn from the ball.
+        """
+        per, (low, high) = max(1, count // groups), self.frictions
+        friction = low + (high - low) * (np.arange(groups) + rng.random(groups)) / groups
+        wrenches = self._from_unit(sample_magnitudes(rng, groups * per, *self.magnitudes))
+        inside = self.ball(rng, groups * per)
+        return np.where(rng.random(groups * per)[:, None] < ball, inside, wrenches), friction.repeat(per)
+
+    def _from_unit(self, drawn: Array) -> Array:
+        """Wrenches (B, 6) about some point, of moments over 0.05 m, as if they were of the unit frame."""
+        return (drawn / np.repeat([1.0, MAGNITUDE_LENGTH], 3)) @ np.linalg.inv(self.grasp.unit_frame).T
+
+
+def with_mean_friction(grasp: Grasp, friction: float) -> Grasp:
+    """The grasp with all coefficients changed by one factor, so that their mean is `friction`."""
+    return grasp.with_friction(grasp.models.friction * (friction / float(grasp.friction.mean())))
 
 
 @dataclass(frozen=True)
@@ -79,7 +102,7 @@ def label(
     """Labels wrenches (B, 6) on a grasp with frictions (B,) by Newton (relative gap 1e-10).
 
     Args:
-        grasp: the contacts; its friction is replaced.
+        grasp: the contacts; its mean friction is replaced.
         reference: see `null_space_basis`.
         objective: Phi.
         wrenches: (B, 6) [N, N m].
@@ -90,7 +113,7 @@ def label(
         NotConvergedError: a label missed 1e-6, which would train on a wrong answer.
     """
     count = len(wrenches)
-    grasps = {mu: grasp.with_friction(mu) for mu in np.unique(friction).tolist()}
+    grasps = {mu: with_mean_friction(grasp, mu) for mu in np.unique(friction).tolist()}
     phi = {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight}
     solutions = optimize_forces(
         [grasps[mu] for mu in friction.tolist()],
@@ -114,8 +137,7 @@ def label(
     def work(part: slice) -> None:
         for begin in range(part.start, part.stop, CHUNK):
             few = slice(begin, min(begin + CHUNK, part.stop))
-            scales = np.ones((few.stop - few.start, grasp.n_contacts, 3))
-            scales[:, :, 0] = friction[few, None]
+            scales = np.array([grasps[mu].models.cone_scale for mu in friction[few].tolist()])
             metric[few] = _metric(force[few], scales, null_space, objective, least[few])
 
     edges = np.linspace(0, count, workers + 1).astype(int)

@@ -6,11 +6,13 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+import torch
 from rich.console import Console
 from torch import Tensor, nn
 
@@ -25,6 +27,11 @@ WARM = 0.03
 """Share of the training over which the learning rate rises."""
 CLIP = 5.0
 """Largest norm of a gradient."""
+PARTS = 2
+"""Of a batch: their gradients are made by a thread each and added in this order, so that the sum has the same bits on any machine's
+number of cores."""
+Part = Any
+"""What a task makes of a part of a batch."""
 
 
 class Task(Protocol):
@@ -35,8 +42,12 @@ class Task(Protocol):
         """Its weights are optimised."""
         ...
 
-    def loss(self, rng: np.random.Generator) -> Tensor:
-        """Of a batch drawn with `rng`."""
+    def batch(self, rng: np.random.Generator) -> list[Part]:
+        """A batch drawn with `rng`, in `PARTS` parts."""
+        ...
+
+    def loss(self, part: Part) -> Tensor:
+        """Of a part; called by several threads at once."""
         ...
 
     def score(self) -> list[float]:
@@ -53,10 +64,11 @@ class Plan:
     """How long and how.
 
     Attributes:
-        seconds: processor time for the optimisation steps: fair where other programs share the cores.
-        steps: a number of steps instead; 0: time decides.
+        seconds: processor time for the optimisation steps; 0: their number decides.
+        steps: how many.
         learning_rate: peak.
         seed: of the batches.
+        threads: that share the parts of a batch.
         state: where the training is saved; None: nowhere.
         resume: go on from there.
         words: what it is called where its scores are told on stderr (a bar on terminals, else lines); empty: nowhere.
@@ -66,19 +78,18 @@ class Plan:
     steps: int
     learning_rate: float
     seed: int
+    threads: int = 1
     state: StateFile | None = None
     resume: bool = False
     words: str = ""
 
     def done(self, now: Progress) -> float:
         """0 to 1 (and beyond)."""
-        if self.steps:
-            return now.step / self.steps
-        return now.cpu_seconds / self.seconds
+        return now.cpu_seconds / self.seconds if self.seconds else now.step / self.steps
 
 
 def optimise(task: Task, plan: Plan) -> Progress:
-    """Trains `task.module`; with `plan.steps` the result is the same bit by bit, also after an interrupt and resume.
+    """Trains `task.module`; unless time decides the result is the same bit by bit, also with other threads, an interrupt and resume.
 
     Returns:
         Steps, seconds and the curve: rows (step, seconds, *score).
@@ -93,7 +104,12 @@ def optimise(task: Task, plan: Plan) -> Progress:
         now = plan.state.restore(task.module, optimiser, rng)
         mark = _next_mark(plan.done(now))
     since = now.seconds - time.perf_counter(), now.cpu_seconds - time.process_time()
-    with interruptible() as interrupted, _telling(task, plan) as tell:
+    parameters = list(task.module.parameters())
+
+    def gradients(part: Part) -> tuple[Tensor, ...]:
+        return torch.autograd.grad(task.loss(part), parameters)
+
+    with interruptible() as interrupted, _telling(task, plan) as tell, ThreadPoolExecutor(plan.threads) as pool:
         while True:
             done = plan.done(now)
             if done >= min(mark, 1.0):
@@ -112,10 +128,9 @@ def optimise(task: Task, plan: Plan) -> Progress:
                 raise KeyboardInterrupt
             for group in optimiser.param_groups:
                 group["lr"] = plan.learning_rate * _schedule(done)
-            loss = task.loss(rng)
-            optimiser.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(task.module.parameters(), CLIP)
+            for parameter, *found in zip(parameters, *pool.map(gradients, task.batch(rng)), strict=True):
+                parameter.grad = torch.stack(found).mean(dim=0)
+            nn.utils.clip_grad_norm_(parameters, CLIP)
             optimiser.step()
             now.step += 1
             now.seconds, now.cpu_seconds = since[0] + time.perf_counter(), since[1] + time.process_time()
@@ -133,9 +148,9 @@ def _next_mark(done: float) -> float:
 @contextmanager
 def _telling(task: Task, plan: Plan) -> Iterator[Callable[[Progress, list[float]], None]]:
     console = Console(stderr=True, quiet=not plan.words)
-    total = plan.steps or round(plan.seconds)
+    total = round(plan.seconds) or plan.steps
     with progress(console) as bar:
-        shown = bar.add_task(f"{plan.words}, {'steps' if plan.steps else 'seconds'}", total=total)
+        shown = bar.add_task(f"{plan.words}, {'seconds' if plan.seconds else 'steps'}", total=total)
 
         def tell(now: Progress, row: list[float]) -> None:
             bar.update(shown, completed=round(total * min(1.0, plan.done(now))), note=task.note(row))

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env.force import ForceOptimizer
 from grasp_env.grasp import Grasp
 from policies import LearnedInitialForce
-from training.compare.starts import NetworkAlone, newton_optimizer, phi_options
+from training.compare.methods import FLOW, optimizer
+from training.compare.starts import NetworkAlone
 from training.compare.trial import TOLERANCE
+from training.data.one_grasp import with_mean_friction
 
 MOST = 4
 """Newton steps that are counted one by one; more are counted together."""
@@ -26,10 +27,10 @@ def scores(
 
     Args:
         model: whose network is looked at alone.
-        grasp: its friction is replaced.
+        grasp: its mean friction is replaced.
         wrenches: (B, 6) [N, N m].
         frictions: (B,).
-        flow: run the reduced flow, too.
+        flow: run the flow, too.
 
     Returns:
         "gap" of the force before any step; "outside the cones": share, before the repair; "newton steps" to a certified 1e-4: shares
@@ -38,9 +39,9 @@ def scores(
     alone = NetworkAlone(model)
     rows: list[tuple[float, bool, int, int]] = []
     for friction, chosen in groupby(range(len(wrenches)), key=lambda k: float(frictions[k])):
-        here = grasp.with_friction(friction)
-        exact, newton = (newton_optimizer(here, model.objective, gap) for gap in (EXACT, TOLERANCE))
-        reduced = ForceOptimizer(here, method="reduced_flow", tolerance=TOLERANCE, **phi_options(model.objective))
+        here = with_mean_friction(grasp, friction)
+        exact, newton = (optimizer(here, "newton", model.objective, gap) for gap in (EXACT, TOLERANCE))
+        reduced = optimizer(here, FLOW, model.objective, TOLERANCE) if flow else newton
         for wrench in wrenches[list(chosen)]:
             raw, start = model.raw(here, wrench), alone(here, wrench)
             gap = model.objective.value(here.to_cone(start)) / exact.solve(wrench).objective - 1.0

@@ -24,15 +24,16 @@ Network make_network(const std::vector<int>& sizes, nb::handle weights) {
     return Network(sizes, singles(in(weights, count), count).data());
 }
 
-Model make_model(const Network& network) {
+Model make_model(const Network& network, const Network& pairs) {
     Model model;
-    model.network = network;
+    model.network = network, model.pairs = pairs;
+    if (!model.whole()) throw nb::value_error("pairs has one stage, 6 to 2 M numbers, and the network reads PLAIN_FEATURES + M");
     return model;
 }
 
-void normalise(Model& model, double length, double floor, double log_mean, double log_scale, double friction_mean,
+void normalise(Model& model, double floor, double smoothing, double log_mean, double log_scale, double friction_mean,
                double friction_scale) {
-    model.normalisation = {length, floor, log_mean, log_scale, friction_mean, friction_scale};
+    model.normalisation = {floor, smoothing, log_mean, log_scale, friction_mean, friction_scale};
     if (!model.normalisation.good()) throw nb::value_error("means must be finite, lengths and scales also > 0");
 }
 
@@ -47,24 +48,31 @@ nb::bytes save(const Model& model) {
     return nb::bytes(bytes.data(), bytes.size());
 }
 
-bool covers(const Model& model, nb::handle wrench) { return model.covers(in(wrench, 6).data()); }
+Vec6 vector(nb::handle wrench) {
+    Vec6 w;
+    std::copy_n(in(wrench, 6).data(), 6, w.begin());
+    return w;
+}
+
+bool covers(const Model& model, nb::handle wrench) { return model.covers(vector(wrench)); }
 
 void predict(Model& model, nb::handle wrench, nb::handle coordinates) {
     const Numbers to = out(coordinates, model.network.outputs());
-    model.predict(in(wrench, 6).data(), std::span(to.data(), std::size_t(to.length(0))));
+    model.predict(vector(wrench), std::span(to.data(), std::size_t(to.length(0))));
 }
 
 }  // namespace
 
 void bind_learned(nb::module_& m) {
-    m.attr("NETWORK_FEATURES") = NETWORK_FEATURES, m.attr("MOST_STAGES") = MOST_STAGES, m.attr("WIDEST") = WIDEST;
+    m.attr("PLAIN_FEATURES") = PLAIN_FEATURES, m.attr("MOST_STAGES") = MOST_STAGES, m.attr("WIDEST") = WIDEST;
     nb::class_<Network>(m, "Network", "A float32 perceptron with activation v/2 (1 + v / sqrt(1 + v^2)).")
         .def_static("make", &make_network, "sizes"_a, "weights"_a,
                     "sizes: inputs, hidden ..., outputs; weights: of each stage (inputs x outputs), then its bias, flat.");
     nb::class_<Model>(m, "Model", "A trained model on contacts as they are now.")
-        .def_static("make", &make_model, "network"_a)
-        .def("normalise", &normalise, "length"_a, "floor"_a, "log_mean"_a, "log_scale"_a, "friction_mean"_a, "friction_scale"_a,
-             "Of the network's features, see policies/features.py.")
+        .def_static("make", &make_model, "network"_a, "pairs"_a,
+                    "pairs: of one stage, makes of a wrench's direction the vectors whose lengths the network reads, too.")
+        .def("normalise", &normalise, "floor"_a, "smoothing"_a, "log_mean"_a, "log_scale"_a, "friction_mean"_a,
+             "friction_scale"_a, "Of the network's features, see policies/features.py.")
         .def("place", &place, "null_space"_a, "friction"_a, "scale"_a, "largest"_a,
              "null_space: (3N, 3N - 6) internal forces that the network's outputs stand for; scale: sqrt(lambda / omega) over "
              "that of\n"
@@ -73,7 +81,8 @@ void bind_learned(nb::module_& m) {
         .def_static(
             "load", [](nb::bytes bytes) { return ModelFile::read({bytes.c_str(), bytes.size()}); }, "bytes"_a,
             "The model that `save` wrote; None: it is not whole.")
-        .def("covers", &covers, "wrench"_a, "Whether wrench, contacts and friction lie in the training range.")
+        .def("covers", &covers, "wrench"_a, "Whether wrench (unit frame), contacts and friction lie in the training range.")
         .def("predict", &predict, "wrench"_a, "coordinates"_a,
-             "The internal force that the network predicts, in coordinates (3N - 6,) [N] of the null space.");
+             "The internal force that the network predicts for a wrench (unit frame), in coordinates (3N - 6,) [N] of the null "
+             "space.");
 }

@@ -30,10 +30,15 @@ nb::object network(const std::vector<int>& sizes, const In& weights, const In& f
     return array(std::vector<double>(out, out + sizes.back()));
 }
 
-// sizes, weights: of the network; null_space in forces; it covers wrenches up to 20 N
-std::shared_ptr<const Model> model(const std::vector<int>& sizes, const In& weights, const In& null_space) {
+// sizes, weights: of the network; pairs (2 M, 6); null_space in forces; it covers wrenches up to 20 N
+std::shared_ptr<const Model> model(const std::vector<int>& sizes, const In& weights, const In& pairs, const In& null_space) {
     auto made = std::make_shared<Model>();
-    made->network = network_of(sizes, weights), made->normalisation = {0.05, 0.2, 0.5, 1.3, 0.4, 0.12};
+    made->network = network_of(sizes, weights), made->normalisation = {0.2, 0.05, 0.5, 1.3, 0.4, 0.12};
+    const int rows = int(pairs.size() / 6);
+    std::vector<float> flat(7 * rows);  // inputs x outputs, then no bias
+    for (int k = 0; k < rows; ++k)
+        for (int r = 0; r < 6; ++r) flat[rows * r + k] = float(pairs.data()[6 * k + r]);
+    made->pairs = Network(std::vector{6, rows}, flat.data());
     made->friction = 0.5, made->largest = 20.0;
     made->null_space.assign(null_space.data(), null_space.data() + null_space.size());
     return made;
@@ -126,8 +131,8 @@ void bind_optimizer(nb::module_& m) {
     m.def("network", &network);
     m.def("network_numbers", [](const std::vector<int>& sizes) { return Network::numbers(sizes); });
     nb::class_<Predicts>(m, "Model")
-        .def_static("make", [](const std::vector<int>& sizes, const In& weights, const In& null_space) {
-            return Predicts{model(sizes, weights, null_space)};
+        .def_static("make", [](const std::vector<int>& sizes, const In& weights, const In& pairs, const In& null_space) {
+            return Predicts{model(sizes, weights, pairs, null_space)};
         });
     nb::class_<A>(m, "AnyOptimizer")
         .def_static("make", &A::make, "lanes"_a, "blocks"_a, "placement"_a, "method"_a = 0, "criterion"_a = 0, "start"_a = 0,

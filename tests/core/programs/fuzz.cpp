@@ -392,14 +392,15 @@ private:
 
 Model small_model(Bytes& from, int count) {
     Model model;
-    const int outputs = std::max(3 * count - 6, 1), sizes[] = {8, 3, outputs};
+    const int outputs = std::max(3 * count - 6, 1), sizes[] = {PLAIN_FEATURES + 2, 3, outputs}, pairs[] = {6, 4};
     const auto floats = [&](std::size_t many) {
         std::vector<float> out(many);
         for (float& v : out) v = from.left() ? float(from.signed_fraction()) : 0.1f;
         return out;
     };
-    model.network = Network(sizes, floats(Network::numbers(sizes)).data());
-    model.normalisation = {0.05, 0.2, 0.5, 1.3, 0.4, 0.12};
+    model.network = Network(sizes, floats(Network::numbers(sizes)).data()),
+    model.pairs = Network(pairs, floats(Network::numbers(pairs)).data());
+    model.normalisation = {0.2, 0.05, 0.5, 1.3, 0.4, 0.12};
     model.friction = 0.4;
     for (int k = 0; k < 3 * count * outputs; ++k) model.null_space.push_back(k % 7 == 0 ? 0.5 : 0.0);
     return model;

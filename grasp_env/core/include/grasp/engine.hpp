@@ -525,13 +525,16 @@ private:
         return missed <= General::BALANCE_TOLERANCE * (most + grasp::size(newton_.cones.unit.of(ask.wrench)));
     }
 
-    // What is in newton_.x is balanced by the least change, and where it has more Phi than the method's own start, in spare_, the least on
-    // the way to that is taken; of a guess in any case.
+    // Where what is in newton_.x, balanced, has more Phi than the method's own start, in spare_, the least on the way to that is taken; of
+    // a guess in any case.
     void bring_inside(const Vec6& w, Start start) {
         const auto& cones = newton_.cones;
-        cones.balance(newton_.x, w);
-        const bool good = start == Start::learned && cones.phi(newton_.x) <= cones.phi(spare_);  // a few comparisons less
-        const double share = good ? 1.0 : newton_.starter.segment(cones, spare_, newton_.x);
+        const double own = cones.phi(spare_);
+        double share = 1.0;
+        if (start == Start::guess || !(cones.phi(newton_.x) <= own)) {
+            share = newton_.starter.segment(cones, spare_, newton_.x);
+            if (!(cones.phi(newton_.x) <= own)) newton_.x = spare_, share = 0.0;  // rounding: not a digit more
+        }
         replaced_ = !(share > 0.0) && dot(w, w) > 0.0;
         if (!replaced_) used_ = start;
     }
@@ -539,6 +542,7 @@ private:
     bool guess(const Ask& ask, const Vec6& w) {
         spare_ = newton_.x;
         load_force(ask.force);
+        newton_.cones.balance(newton_.x, w);
         bring_inside(w, Start::guess);
         return newton_.cones.phi(newton_.x) < infinity;
     }
@@ -548,17 +552,19 @@ private:
         if (at_.now.count != at_.home.count) return false;
         const auto& cones = newton_.cones;
         auto& starter = newton_.starter;
-        outside_ = !predicted_->covers(ask.wrench);
+        outside_ = !predicted_->covers(w);
         if (standard(ask, w) != CONVERGED) return false;
         spare_ = newton_.x;
         Field& x = newton_.x;
         if (home_now_) {
-            predicted_->force(cones, ask.wrench, w, x);
+            for (int b = 0; b < int(x.size()); ++b) x[b] = -cones.blocks[b].least(w);
+            predicted_->add(w, x);
         } else {  // the internal force that it predicts turns with the contacts
             for (auto& v : origin_) v = {V{}, V{}, V{}};
-            predicted_->add(ask.wrench, origin_);
+            predicted_->add(w, origin_);
             starter.turn(cones, origin_, home_tangents_, x);
         }
+        cones.balance(x, w);  // whatever the model's null space is
         const Start from = used_;
         bring_inside(w, Start::learned);
         if (ask.previous) {

@@ -6,58 +6,54 @@
 
 namespace grasp {
 
-inline constexpr int NETWORK_FEATURES = 8;  // numbers that a network reads: the wrench's direction, its logarithm, the friction
+// Numbers that a network reads besides lengths: the wrench's direction, its logarithm, the friction.
+inline constexpr int PLAIN_FEATURES = 8;
 
 // How a network's features are made, as policies/features.py says.
 struct Normalisation {
-    double length, floor, log_mean, log_scale, friction_mean, friction_scale;
+    double floor, smoothing, log_mean, log_scale, friction_mean, friction_scale;
 
     // Whether what is divided by may be.
     bool good() const {
-        for (const double positive : {length, floor, log_scale, friction_scale})
+        for (const double positive : {floor, log_scale, friction_scale})
             if (!(positive > 0.0 && positive < infinity)) return false;
-        return std::abs(log_mean) < infinity && std::abs(friction_mean) < infinity;
+        return smoothing >= 0.0 && smoothing < infinity && std::abs(log_mean) < infinity && std::abs(friction_mean) < infinity;
     }
 };
 
 // A trained model on contacts as they are now: a network from the wrench to internal forces.
 struct Model {
     Network network;
+    Network
+        pairs;  // one stage, 6 to 2 M numbers: of the wrench's direction M vectors along the surfaces, whose lengths are features
     Normalisation normalisation{};
     double friction = 0.0;  // of the contacts
     double scale = 1.0;  // sqrt(lambda / omega) over that of training: Phi knows forces in that unit only
     std::vector<double> null_space;  // (3N, 3N - 6) the internal forces [N] that the network's outputs stand for
-    double largest =
-        -1.0;  // size of the training's wrenches [N], moments over the normalisation's length; negative: none is covered
+    double largest = -1.0;  // size of the training's wrenches [N], unit frame; negative: none is covered
 
     // Whether the parts belong together, and to so many contacts.
     bool fits(int count) const {
         const std::size_t size = 3 * count, outputs = network.outputs();
-        return network.inputs() == NETWORK_FEATURES && size >= 6 && outputs == size - 6 && null_space.size() == size * outputs &&
-               scale > 0.0;
+        return whole() && size >= 6 && outputs == size - 6 && null_space.size() == size * outputs && scale > 0.0;
     }
-    // Whether a wrench is no larger than those of training, and contacts and friction are like them.
-    bool covers(const double* wrench) const {
-        double square = 0.0;
-        for (int r = 0; r < 6; ++r) {
-            const double part = r < 3 ? wrench[r] : wrench[r] / normalisation.length;
-            square += part * part;
-        }
-        return square <= largest * std::abs(largest);
+    bool whole() const {
+        return pairs.sizes().size() == 2 && pairs.inputs() == 6 && 2 * (network.inputs() - PLAIN_FEATURES) == pairs.outputs();
     }
-    // The internal force that the network predicts, as coordinates (3N - 6,) [N] of `null_space`.
-    template <class Out> void predict(const double* wrench, Out&& coordinates) {
+    // Whether a wrench (unit frame) is no larger than those of training, and contacts and friction are like them.
+    bool covers(const Vec6& w) const { return dot(w, w) <= largest * std::abs(largest); }
+    // The internal force that the network predicts for a wrench (unit frame), as coordinates (3N - 6,) [N] of `null_space`.
+    template <class Out> void predict(const Vec6& w, Out&& coordinates) {
         const Normalisation& by = normalisation;
-        double parts[6], square = by.floor * by.floor;
-        for (int r = 0; r < 6; ++r) {
-            parts[r] = (r < 3 ? wrench[r] : wrench[r] / by.length) / scale;
-            square += parts[r] * parts[r];
-        }
-        const double size = std::sqrt(square);
-        float features[NETWORK_FEATURES];
-        for (int r = 0; r < 6; ++r) features[r] = float(parts[r] / size);
-        features[6] = float((std::log(size) - by.log_mean) / by.log_scale);
-        features[7] = float((friction - by.friction_mean) / by.friction_scale);
+        const double unit = 1.0 / scale, square = unit * unit * dot(w, w) + by.floor * by.floor, size = std::sqrt(square);
+        const int lengths = pairs.outputs() / 2;
+        const float smooth = float(by.smoothing * by.smoothing);
+        float features[WIDEST];
+        for (int r = 0; r < 6; ++r) features[r] = float(w[r] * (unit / size));
+        features[6] = float((0.5 * std::log(square) - by.log_mean) / by.log_scale);
+        const float *o = pairs(features), *t = o + lengths;
+        for (int k = 0; k < lengths; ++k) features[7 + k] = __builtin_sqrtf(o[k] * o[k] + t[k] * t[k] + smooth);
+        features[7 + lengths] = float((friction - by.friction_mean) / by.friction_scale);
         const float* said = network(features);
         for (std::size_t k = 0; k < std::size(coordinates); ++k) coordinates[k] = size * scale * said[k];
     }
@@ -79,11 +75,11 @@ public:
         }
     }
 
-    bool covers(const double* wrench) const { return model_.covers(wrench); }
+    bool covers(const Vec6& w) const { return model_.covers(w); }
 
-    // x += the internal force that the network predicts
-    void add(const double* wrench, Field& x) {
-        model_.predict(wrench, weights_);
+    // x += the internal force that the network predicts for w (unit frame)
+    void add(const Vec6& w, Field& x) {
+        model_.predict(w, weights_);
         for (int b = 0; b < int(x.size()); ++b) {
             Vec3<V> even = x[b], odd{V{}, V{}, V{}};
             int k = 0;
@@ -92,11 +88,6 @@ public:
             if (k < int(space_.size())) even += all<V>(weights_[k]) * space_[k][b];
             x[b] = even + odd;
         }
-    }
-    // x = the whole force: the least that balances the wrench (w: unit frame) and what `add` adds; perhaps outside the cones
-    void force(const Cones<V, B>& cones, const double* wrench, const Vec6& w, Field& x) {
-        for (int b = 0; b < int(x.size()); ++b) x[b] = -cones.blocks[b].least(w);
-        add(wrench, x);
     }
 
 private:

@@ -1,7 +1,7 @@
 // A trained model for the contacts of one grasp as one file, written by Python (`LearnedInitialForce.export`), read without it.
 //
-// A file of numbers of the kind "GRASPM2\n": how many sizes and the sizes of the network, the other numbers of `Model`, the null space's
-// length and its numbers; then the weights of the network as floats.
+// A file of numbers of the kind "GRASPM3\n": how many sizes and the sizes of the network, the other numbers of `Model`, the null space's
+// length and its numbers; then the weights of the network and of `pairs` as floats.
 #pragma once
 #include <stdexcept>
 #include <grasp/learned/learned.hpp>
@@ -20,7 +20,7 @@ public:
         file.put(int(model.null_space.size()));
         for (const double value : model.null_space) file.put(value);
         std::vector<float> weights;
-        model.network.write(weights);
+        model.network.write(weights), model.pairs.write(weights);
         for (const float value : weights) file.put(value);
         return file.file(KIND);
     }
@@ -37,18 +37,22 @@ public:
         std::vector<int> sizes(std::size_t(file.whole(MOST_STAGES + 1)));
         for (int& size : sizes) size = file.whole(WIDEST);
         const std::size_t network = Network::numbers(sizes);
+        const int pair_sizes[] = {6, network ? 2 * (sizes.front() - PLAIN_FEATURES) : 0};
+        const std::size_t pairs = Network::numbers(pair_sizes);
         Model model;
         auto numbers = packed(model);
         for (double& value : numbers) value = file.number();
         unpack(numbers, model);
         const int inside = file.whole(int(MOST_NULL));
-        if (!file.good() || !network || file.bytes_left() != sizeof(double) * inside + sizeof(float) * network) return {};
+        if (!file.good() || !network || !pairs ||
+            file.bytes_left() != sizeof(double) * inside + sizeof(float) * (network + pairs))
+            return {};
         model.null_space.resize(inside);
         for (double& value : model.null_space) value = file.number();
-        std::vector<float> weights(network);
+        std::vector<float> weights(network + pairs);
         for (float& value : weights) value = file.take<float>();
         if (!file.good() || !(model.scale > 0.0) || !model.normalisation.good()) return {};
-        model.network = Network(sizes, weights.data());
+        model.network = Network(sizes, weights.data()), model.pairs = Network(pair_sizes, weights.data() + network);
         return model;
     }
 
@@ -60,14 +64,14 @@ public:
     }
 
 private:
-    static constexpr std::string_view KIND = "GRASPM2\n";
+    static constexpr std::string_view KIND = "GRASPM3\n";
     static constexpr std::size_t MOST_NULL = LARGEST_FILE / sizeof(double);
 
     // The numbers of a model besides its weights, in their order.
     static std::array<double, 9> packed(const Model& m) {
         const Normalisation& by = m.normalisation;
-        return {by.length,         by.floor,   by.log_mean, by.log_scale, by.friction_mean,
-                by.friction_scale, m.friction, m.scale,     m.largest};
+        return {by.floor,          by.smoothing, by.log_mean, by.log_scale, by.friction_mean,
+                by.friction_scale, m.friction,   m.scale,     m.largest};
     }
     static void unpack(const std::array<double, 9>& n, Model& m) {
         m.normalisation = {n[0], n[1], n[2], n[3], n[4], n[5]};
