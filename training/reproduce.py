@@ -16,12 +16,13 @@ from scipy.linalg import block_diag, null_space
 
 from grasp_env import core
 from grasp_env._check import Array
-from grasp_env.force import ForceOptimizer, Objective, OfflineBasis, initial_rule
+from grasp_env.force import ForceOptimizer, InitialForceRule, Objective, OfflineBasis, initial_rule
 from grasp_env.force.basis import core_contacts
 from grasp_env.force.description import METRIC
 from grasp_env.force.record import CODE, CONVERGED, ITERATIONS, LIMIT, TRIALS, record_size
 from grasp_env.force.step_size import AdaptiveStep, ArmijoStep, BarzilaiBorweinStep, ExactStep, FixedStep, StepRule
 from grasp_env.grasp import Grasp, presets, wrench
+from policies import LearnedInitialForce
 from training.pyramids import pyramid_forces
 from training.results.bars import progress
 from training.results.table import pd, table
@@ -157,13 +158,13 @@ class Cases:
         record = self.run(rule, 0, best, 1e-12, limit, trace)
         return trace[: int(record[ITERATIONS]) + 1] / best - 1.0
 
-    def microseconds(self, rule: StepRule, repeats: int = 5) -> Array:
-        """(n,) shortest of `repeats` certified compiled calls per wrench."""
+    def certified(self, rule: StepRule, initial: str | InitialForceRule, repeats: int = 5) -> tuple[Array, Array]:
+        """(n,) shortest of `repeats` certified compiled calls per wrench [us], and (n,) their iterations."""
         weights = {"force_weight": self.omega, "barrier_weight": self.objective.barrier_weight}
-        flow = ForceOptimizer(self.grasp, method="reduced_flow", step_rule=rule, **weights)
-        best = np.empty(len(self.wrenches))
-        flow.core.times(self.wrenches, repeats, np.empty((len(best), flow.core.size)), best)
-        return 1e6 * best
+        flow = ForceOptimizer(self.grasp, method="reduced_flow", step_rule=rule, initial=initial, **weights)
+        best, rows = np.empty(len(self.wrenches)), np.empty((len(self.wrenches), flow.core.size))
+        flow.core.times(self.wrenches, repeats, rows, best)
+        return 1e6 * best, rows[:, ITERATIONS]
 
     def tuned_step(self, count: int = 20) -> float:
         """The longest constant step that never has to be halved on the first wrenches: their fastest, up to rounding."""
@@ -191,11 +192,14 @@ def weights(grasp: Grasp, wrenches: Array, omega: float, barrier: float) -> Rows
 
 
 def times(grasp: Grasp, wrenches: Array) -> Rows:
-    """Microseconds of a compiled call from the 12-basis to a certified gap of 1e-4, per rule, lambda 0.01."""
+    """Microseconds and iterations of a compiled call to a certified gap of 1e-4, lambda 0.01, per rule and start: the 12-basis, the network."""
     cases = Cases(grasp, wrenches)
+    starts = {"linear_combination": "linear_combination", "learned_fixed": LearnedInitialForce.pretrained()}
     for name, rule in step_rules(cases.tuned_step()).items():
-        for k, value in enumerate(cases.microseconds(rule)):
-            yield {"case": "times", "rule": name, "barrier_weight": LAMBDA, "problem": k, "microseconds": value}
+        for start, initial in starts.items():
+            for k, (value, steps) in enumerate(zip(*cases.certified(rule, initial), strict=True)):
+                yield {"case": "times", "rule": name, "start": start, "barrier_weight": LAMBDA, "problem": k, "microseconds": value,
+                       "iterations": int(steps)}  # fmt: skip
 
 
 def spectrum(cases: Cases) -> tuple[float, float]:

@@ -14,7 +14,8 @@ from grasp_env.grasp import presets, wrench
 from training.compare import trial
 from training.compare.case import Case
 from training.compare.cases import make_cases
-from training.compare.given import METHODS, Problem
+from training.compare.given import Problem
+from training.compare.methods import METHODS, optimizer
 from training.compare.starts import GIVEN_COLOURS, STARTS, DoesNotApply, Made, Row, Workshop
 from training.compare.trial import FINE, LIMIT, TOLERANCE, trials
 from training.results.table import chosen, numbers, table
@@ -59,7 +60,7 @@ def test_rows_agree_with_single_runs(ball, starts):
                 row = of(rows, key, method).set_index("problem").loc[k]
                 assert row["start_gap"] == pytest.approx(max(0.0, gap), abs=1e-12)
                 for column, level in (("iterations", TOLERANCE), ("iterations_fine", FINE)):
-                    run = ForceOptimizer(grasp, method=method, tolerance=level)
+                    run = optimizer(grasp, method, PHI, level)
                     solution = run.solve(load, initial=force, optimum=optimum.objective)
                     assert row[column] == solution.iterations
                     assert row["status"] == solution.status.value == "optimal"

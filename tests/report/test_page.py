@@ -137,7 +137,7 @@ def test_claims_are_told_missed_ones_first_and_can_be_met_and_missed(made):
     assert [row.met for row in claims] == sorted((row.met for row in claims), key=[False, None, True].index)
     means = summary(folder.load()[0])
     worse = means.assign(iterations_median=means["iterations_median"].where(means["start"] != "network", 99.0))
-    name = "network alone: median of the flow's iterations, held-out ball"
+    name = "network alone: median of the flow's iterations, friction varied"
     for found, met in ((means, True), (worse, False)):
         (row,) = [row for row in page_module.judge(starts.CLAIMS, found) if row.claim.name == name]
         assert row.met is met

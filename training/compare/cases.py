@@ -22,8 +22,10 @@ HELD_OUT = 0x5EED
 MAGNITUDES = (1e-3, 1e3)
 """[N] least and largest |(force, moment / 0.05 m)| of the set "six_decades", log-uniform."""
 DIRECTION_SIZES = (0.5, 1.0, 2.0)
+TRAINED, _LEVELS = (0.25, 0.6), 20
+"""Range of friction on which the model of the fixed grasp is trained, and how many frictions of it are compared."""
 FRICTIONS = (0.2, 0.7, 0.8)
-"""Outside the range on which the model of the fixed grasp is trained, 0.25 to 0.6."""
+"""Outside that range."""
 DISPLACEMENT = 0.010
 """[m] by which contacts are moved on their faces, at most."""
 _PER_GRASP = 4
@@ -164,6 +166,17 @@ def _frictions(rng: np.random.Generator, count: int) -> list[Case]:
     return cases
 
 
+def _ball_frictions(rng: np.random.Generator, count: int) -> list[Case]:
+    """Cold starts on the ball; the frictions, each of its own part of the trained range, take turns."""
+    low, high = TRAINED
+    drawn = low + (high - low) * (np.arange(_LEVELS) + rng.random(_LEVELS)) / _LEVELS
+    grasps = [presets.paper_cuboid().with_friction(mu) for mu in drawn.tolist()]
+    return [
+        Case(grasps[k % _LEVELS], load, None, k % _LEVELS, f"{drawn[k % _LEVELS]:.3f}")
+        for k, load in enumerate(wrench.sample_ball(rng, count))
+    ]
+
+
 def _positions(rng: np.random.Generator, count: int) -> list[Case]:
     cases, fixed = list[Case](), presets.paper_cuboid()
     for group in range(max(1, count // _PER_GRASP)):
@@ -244,5 +257,8 @@ SETS: dict[str, CaseSet] = {
         10.0, solved=False, starts=("linear_combination", "learned_fixed"), cost=0.02,
     ),
     "lines": CaseSet("straight lines through the ball in 401 points, the starts alone", _STEP, _paths(_lines), 2.0, solved=False, cost=0.4),
+    "ball_frictions": CaseSet(
+        "the ball, friction 0.25 to 0.6", _COLD, _ball_frictions, starts=("internal_force", "linear_combination", "network", "learned_fixed")
+    ),
 }  # fmt: skip
 """All sets, in the order of the tables. A new set stands at the end: its place is a part of its seed."""

@@ -14,14 +14,15 @@ import numpy as np
 from rich.console import Console
 
 from grasp_env._check import ContactForces
-from grasp_env.force import ForceOptimizer, InitialForceRule, Objective
-from grasp_env.grasp import presets
+from grasp_env.force import InitialForceRule, Objective
+from grasp_env.grasp import Grasp
 from policies.learned import PRETRAINED
 from training.compare.cases import SETS, make_cases
-from training.compare.given import METHODS, Given
+from training.compare.given import Given
 from training.compare.holds import HOLDS_OF_STARTS, hold_of_start
-from training.compare.starts import Made, Workshop, phi_options
-from training.compare.trial import problem_of, trials
+from training.compare.methods import FLOW, METHODS, optimizer
+from training.compare.starts import Made, Workshop
+from training.compare.trial import TOLERANCE, problem_of, trials
 from training.results.bars import progress
 from training.results.run import Run, check_counts
 from training.results.shards import map_shards
@@ -29,7 +30,7 @@ from training.results.table import join, pd, table
 
 WARM_UP = 20
 """Calls of every kind that are not counted."""
-TIMED_SET = "ball"
+TIMED_SETS = ("ball", "ball_frictions")
 MODEL = "model"
 """Case of the row about the shipped model."""
 HELD_WITH = {"single_value": "single_value", "linear_combination": "linear_combination", "previous_tangent": "previous"}
@@ -102,7 +103,7 @@ def run(
     shards = {name: Shard(name, config, given, objective) for name in plan(given)}
     keep = folder and folder.folder / "shards"
     mapped = map_shards(work, shards, on=on, workers=workers, keep=keep, label="comparing starts", console=console)
-    timed = time_calls(config, given, objective, console)
+    timed = join([time_calls(name, config, given, objective, console) for name in TIMED_SETS])
     rows = join([mapped.rows.merge(timed, "left", ["case", "problem", "start", "method"]), _shipped()])
     rows = rows.sort_values("case", kind="stable", key=lambda cases: cases.map(_place), ignore_index=True)
     about = {
@@ -148,8 +149,7 @@ def work(shard: Shard) -> pd.DataFrame:
         _, scenario, start = shard.name.split("/")
         rule = HELD_WITH.get(start) or rules.get(start) or Workshop(shard.objective).model
         return table(hold_of_start(scenario, start, rule, config.episodes, config.seed, config.steps))
-    which = SETS[shard.name]
-    starts = {key: one for key, one in made.items() if not which.starts or key in which.starts or key in rules}
+    which, starts = SETS[shard.name], _looked_at(shard.name, made, rules)
     cases = make_cases(shard.name, config.wrenches, config.seed)
     rows = trials(shard.name, cases, starts, solvers if which.solved else {}, shard.objective, which.solved)
     return table({**row, "seed": config.seed} for row in rows)
@@ -163,37 +163,63 @@ def _made(
     return rules, solvers, Workshop(objective, rules).made()
 
 
-def time_calls(config: StartsConfig, given: Given, objective: Objective, console: Console | None) -> pd.DataFrame:
-    """Microseconds of every start and solver on wrenches of the ball: best of the repeats, the starts taking turns.
+def _looked_at(name: str, made: Mapping[str, Made], given: Mapping[str, InitialForceRule]) -> dict[str, Made]:
+    """The starts that a set looks at."""
+    only = SETS[name].starts
+    return {key: one for key, one in made.items() if not only or key in only or key in given}
 
-    A block of one start's calls in a row is what a control loop that does nothing else pays: its code and data are in the cache.
-    The previous solution is that of the wrench before, as in a loop. A call that raises has no time.
+
+def time_calls(
+    name: str, config: StartsConfig, given: Given, objective: Objective, console: Console | None
+) -> pd.DataFrame:
+    """Microseconds of every start and solver on wrenches of a set: best of the repeats, the starts taking turns.
+
+    A block of one start's calls on one grasp in a row is what a control loop that does nothing else pays: its code and data are in the
+    cache. The previous solution is that of the wrench before, as in a loop. A call that raises has no time.
 
     Returns:
-        Columns case, problem, start, method, microseconds (the whole public call), start_microseconds (the start alone).
+        Columns case, problem, start, method, microseconds (the whole public call), start_microseconds (the start alone) and, of starts
+        that the core makes from the wrench alone, compiled_microseconds (the call without Python).
     """
-    _, solvers, made = _made(given, objective)
-    cases = make_cases(TIMED_SET, config.wrenches, config.seed)[: config.timed]
-    grasp, phi = presets.paper_cuboid(), phi_options(objective)
-    newton = ForceOptimizer(grasp, method="newton", **phi)
-    optima = [newton.solve(case.wrench).force for case in cases]
+    rules, solvers, every = _made(given, objective)
+    made = _looked_at(name, every, rules)
+    cases = make_cases(name, config.wrenches, config.seed)[: config.timed]
+    blocks: dict[Grasp, list[int]] = {}
+    for k, case in enumerate(cases):
+        blocks.setdefault(case.grasp, []).append(k)
+    optima: list[ContactForces] = [np.empty(0)] * len(cases)
+    for grasp, block in blocks.items():
+        newton = optimizer(grasp, "newton", objective, TOLERANCE)
+        for k in block:
+            optima[k] = newton.solve(cases[k].wrench).force
+    before = {k: block[place - 1] for block in blocks.values() for place, k in enumerate(block)}
     calls: dict[tuple[str | None, str], tuple[Callable[[int], object], Callable[[int], object] | None]] = {}
+    compiled = dict[tuple[str | None, str], np.ndarray]()
     for key, start in made.items():
 
         def alone(k: int, start: Made = start) -> ContactForces:
-            return start.start(grasp, cases[k].wrench, optima[k - 1])
+            return start.start(cases[k].grasp, cases[k].wrench, optima[before[k]])
 
         for method in METHODS:
-            loop = ForceOptimizer(grasp, method=method, **start.options, **phi)
+            loops = {grasp: optimizer(grasp, method, objective, TOLERANCE, **start.options) for grasp in blocks}
             force = None if start.options else alone
             calls[key, method] = (
-                lambda k, loop=loop, force=force: loop.solve(cases[k].wrench, initial=force and force(k)),
-                alone if method == METHODS[0] else None,
+                lambda k, loops=loops, force=force: loops[cases[k].grasp].solve(
+                    cases[k].wrench, initial=force and force(k)
+                ),
+                alone if method == FLOW else None,
             )
+            if start.compiled:
+                compiled[key, method] = best = np.empty(len(cases))
+                for grasp, block in blocks.items():
+                    core, found = loops[grasp].core, np.empty(len(block))
+                    loads = np.array([cases[k].wrench for k in block])
+                    core.times(loads, 2 + config.repeats, np.empty((len(block), core.size)), found)
+                    best[block] = 1e6 * found
     for key, solver in solvers.items():
-        problems = [problem_of(grasp, case.wrench, objective) for case in cases]
+        problems = [problem_of(case.grasp, case.wrench, objective) for case in cases]
         calls[None, key] = lambda k, solver=solver, problems=problems: solver.solve(problems[k]), None
-    best = {who: np.full((2, len(cases)), np.inf) for who in calls}
+    best_of = {who: np.full((2, len(cases)), np.inf) for who in calls}
     collecting = gc.isenabled()
     try:
         with progress(console) as bar:
@@ -202,26 +228,28 @@ def time_calls(config: StartsConfig, given: Given, objective: Objective, console
                 gc.disable()
                 for who, both in calls.items():
                     for place, call in enumerate(both):
-                        if call is not None:
-                            _time(call, best[who][place], len(cases) if turn >= 0 else 0)
+                        for block in blocks.values():
+                            if call is not None:
+                                _time(call, best_of[who][place], block, counted=turn >= 0)
     finally:
         if collecting:
             gc.enable()
     return table(
         {
-            "case": TIMED_SET, "problem": k, "start": start, "method": method, "microseconds": total[k],
-            "start_microseconds": best[start, METHODS[0]][1][k] if start is not None else np.nan,
+            "case": name, "problem": k, "start": start, "method": method, "microseconds": total[k],
+            "start_microseconds": best_of[start, FLOW][1][k] if start is not None else np.nan,
+            "compiled_microseconds": compiled[start, method][k] if (start, method) in compiled else np.nan,
         }
-        for (start, method), (total, _) in ((who, best[who]) for who in calls) for k in range(len(cases))
+        for (start, method), (total, _) in best_of.items() for k in range(len(cases))
     ).replace(np.inf, np.nan)  # fmt: skip
 
 
-def _time(call: Callable[[int], object], best: np.ndarray, count: int) -> None:
-    """Warms up, then calls on the first `count` problems; `best` (n,) keeps the shortest time [us]."""
+def _time(call: Callable[[int], object], best: np.ndarray, block: list[int], counted: bool) -> None:
+    """Warms up on the problems of a block, then calls on each where `counted`; `best` (n,) keeps the shortest time [us]."""
     for k in range(WARM_UP):
         with suppress(Exception):  # a user's rule: its errors are counted in the trials
-            call(k % len(best))
-    for k in range(count):
+            call(block[k % len(block)])
+    for k in block if counted else ():
         begin = time.perf_counter_ns()
         try:
             call(k)

@@ -22,12 +22,11 @@ from grasp_env._check import Array, together
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.force import InitialForceRule
 from policies import LearnedInitialForce
+from training.compare.methods import METHODS
 from training.compare.starts import GIVEN_COLOURS, STARTS
 
 START = "--start NAME=module:rule, NAME=file.py:rule or NAME=saved model's path"
 SOLVER = "--solver NAME=module:Class or NAME=file.py:Class"
-METHODS = ("reduced_flow", "newton")
-"""The methods that every start is compared with; a user's solver is one more."""
 _NAME = re.compile("[A-Za-z][A-Za-z0-9_-]{0,39}")
 
 

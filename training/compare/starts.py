@@ -25,9 +25,11 @@ from grasp_env.force import (
 from grasp_env.force.initial import LearnedRule, call_rule, is_rule
 from grasp_env.force.record import CONTACTS, FORCE, record_size
 from grasp_env.force.repair import Correction, carry_over
+from grasp_env.force.rules import CoreStart
 from grasp_env.grasp import Grasp, presets, wrench
 from policies import LearnedInitialForce
 from training.compare.cases import HELD_OUT, scaled
+from training.compare.methods import phi_options
 
 Start = Callable[[Grasp, Wrench, "ContactForces | None"], ContactForces]
 """(grasp, wrench, previous optimum in the grasp's contact frames or None) -> force (N, 3) [N]."""
@@ -55,15 +57,17 @@ class Made:
     Attributes:
         start: for the trials.
         options: of a `ForceOptimizer` that has it, for the clock; none: it is given the force.
+        compiled: whether the core makes it, from the wrench alone.
     """
 
     start: Start
     options: dict[str, Any]
+    compiled: bool = False
 
     @classmethod
     def of(cls, rule: InitialForceRule, timed: str | InitialForceRule | None = None) -> Made:
         """A rule that does not look at the previous solution; a control loop may have it by a name."""
-        return cls(lambda grasp, load, before: rule(grasp, load), {"initial": timed or rule})
+        return cls(lambda grasp, load, before: rule(grasp, load), {"initial": timed or rule}, timed is not None)
 
 
 class Workshop:
@@ -94,8 +98,9 @@ class Workshop:
         return {**named, **own, **{key: self.rule(rule) for key, rule in self.given.items()}}
 
     def named(self, name: str) -> Made:
-        """A start rule of `grasp_env.force`."""
-        return Made.of(initial_rule(name, self.objective), name)
+        """A start of optimizers by name."""
+        rule = initial_rule(name, self.objective) if name in RULES else CoreStart(name, self.objective)
+        return Made.of(rule, name)
 
     def previous(self, correction: Correction) -> Made:
         """The previous solution, corrected to the new balance: as optimizers do it, or by the least change."""
@@ -158,7 +163,7 @@ class Workshop:
                 return call_rule(rule, rule, grasp, load.copy())
             return self._after(grasp, load, before, rule)
 
-        return Made(start, {"initial": rule})
+        return Made(start, {"initial": rule}, is_rule(rule, LearnedRule) and not remembers)
 
 
 @dataclass(frozen=True)
@@ -190,6 +195,9 @@ STARTS: dict[str, Row] = {
     "lagrange": Row("Lagrange", "Lagrange", "#b3852d", lambda shop: shop.named("lagrange")),
     "linear_combination_printed": Row(
         "12-basis, as printed", "12-basis, printed", "#5fa7e9", lambda shop: shop.named("linear_combination_printed"), dashed=True
+    ),
+    "internal_force": Row(
+        "one internal force (Newton's own)", "internal force", "#6b6b3f", lambda shop: shop.named("internal_force"), main=True
     ),
     BASIS: Row("12-basis (the paper, fixed at w = 0)", "12-basis", "#2f7fd8", lambda shop: shop.named(BASIS), main=True),
     "basis_tangent": Row(
@@ -335,13 +343,3 @@ def carried(old: Grasp, force: ContactForces, new: Grasp, objective: Objective) 
         out[here] = new.frames[here].T @ vectors[there]
         apart[here], apart[:, there] = np.inf, np.inf
     return out
-
-
-def newton_optimizer(grasp: Grasp, objective: Objective, tolerance: float) -> ForceOptimizer:
-    """Newton on Phi to a relative gap."""
-    return ForceOptimizer(grasp, method="newton", tolerance=tolerance, **phi_options(objective))
-
-
-def phi_options(objective: Objective) -> dict[str, Any]:
-    """Phi as keywords of `ForceOptimizer`."""
-    return {"force_weight": objective.force_weight, "barrier_weight": objective.barrier_weight}

@@ -15,8 +15,9 @@ from grasp_env.force import RULES, ForceOptimizer, Objective, start_replaced
 from grasp_env.grasp import Grasp
 from training.compare.case import Case
 from training.compare.cases import scaled
-from training.compare.given import METHODS, Problem, Solver
-from training.compare.starts import BASIS, DoesNotApply, Made, carried, newton_optimizer, phi_options
+from training.compare.given import Problem, Solver
+from training.compare.methods import METHODS, optimizer
+from training.compare.starts import BASIS, DoesNotApply, Made, carried
 from training.results.words import shortened
 
 TOLERANCE = 1e-4
@@ -102,14 +103,8 @@ class Optimizers:
         if grasp not in self._made:
             while len(self._made) > 3:
                 del self._made[next(iter(self._made))]
-            self._made[grasp] = {"optimum": newton_optimizer(grasp, self.objective, OPTIMUM)} | {
-                method: ForceOptimizer(
-                    grasp,
-                    method=method,
-                    tolerance=LAST[method],
-                    max_iterations=LIMIT,
-                    **phi_options(self.objective),
-                )
+            self._made[grasp] = {"optimum": optimizer(grasp, "newton", self.objective, OPTIMUM)} | {
+                method: optimizer(grasp, method, self.objective, LAST[method], max_iterations=LIMIT)
                 for method in METHODS
             }
         return self._made[grasp]

@@ -20,15 +20,16 @@ TITLE = "Starts of the grasp-force optimisation"
 INTRO = (
     "Every start of the optimisation is compared with the paper's combination of twelve offline solutions (the 12-basis), by the "
     "paper's reduced gradient flow and by Newton's method. "
-    f"All starts get the same held-out problems and the same step rule; iterations are accepted steps to a relative gap of "
+    f"All starts get the same held-out problems, and the flow the step rule that is best from each of them; iterations are accepted steps to a relative gap of "
     f"{small(TOLERANCE)}, failures are counted, and times are those of the whole call from Python, measured alone in one process. "
     "The words are defined at the end of this page, the columns of the table in run.json."
 )
 WORDS = (
     ("Phi", "The objective omega tr P + lambda tr P^-1: squeeze, and a barrier at the friction cones."),
     ("gap", "How far Phi is above its least value, relative to it."),
-    ("flow", "The paper's reduced gradient flow on Phi."),
+    ("flow", "The paper's reduced gradient flow on Phi, with Barzilai-Borwein steps: `grasp reproduce` compares step rules, the constant one included."),
     ("start", "The force from which a method begins: it balances the wrench strictly inside the friction cones."),
+    ("internal force", "One internal force, and as much of it as brings the least force inside the cones: where Newton begins by itself."),
     ("12-basis", "The paper's start: a non-negative combination of the optimal forces of twelve unit wrenches."),
     ("network alone", "The output of the network without any step; where it lies outside the cones it is put back towards the 12-basis."),
     ("learned, fixed", "The shipped model: the network, its repair, and for Newton the steps that follow in the same compiled call."),
@@ -43,24 +44,29 @@ WORDS = (
 
 FLOW, NEWTON = "method == 'reduced_flow'", "method == 'newton'"
 _BALL = "case == 'ball'"
+_VARIED = "case == 'ball_frictions'"
 _PAPER = f"start == '{BASIS}'"
+_OWN = "start == 'internal_force'"
 _LEARNED = "start in ['learned_fixed', 'learned_previous']"
 _STEADY = "case in ['hold_gravity', 'hold_constant', 'hold_paper_path']"
 CLAIMS = (
-    Claim("network alone: median of the flow's iterations, held-out ball", f"{_BALL} and start == 'network' and {FLOW}", "iterations_median", "<=", 8),
-    Claim("network alone: p99 of the flow's iterations, held-out ball", f"{_BALL} and start == 'network' and {FLOW}", "iterations_p99", "<=", 60),
-    Claim("network alone: every start is inside the cones, held-out ball (least margin)", f"{_BALL} and start == 'network' and {FLOW}", "start_margin_min", ">", 0),
-    Claim("learned, fixed, and the flow: median time over that of the 12-basis and the flow", f"{_BALL} and start == 'learned_fixed' and {FLOW}", "microseconds_median", "<=", 0.5, f"{_BALL} and {_PAPER} and {FLOW}"),
-    Claim("learned, fixed, and the flow: p99 of the time over that of the 12-basis and the flow", f"{_BALL} and start == 'learned_fixed' and {FLOW}", "microseconds_p99", "<", 1, f"{_BALL} and {_PAPER} and {FLOW}"),
-    Claim("learned, fixed, and Newton: median time over that of the 12-basis and Newton", f"{_BALL} and start == 'learned_fixed' and {NEWTON}", "microseconds_median", "<=", 0.85, f"{_BALL} and {_PAPER} and {NEWTON}"),
-    Claim("learned, fixed, and Newton: p99 of the time over that of the 12-basis and Newton", f"{_BALL} and start == 'learned_fixed' and {NEWTON}", "microseconds_p99", "<=", 0.95, f"{_BALL} and {_PAPER} and {NEWTON}"),
+    Claim("network alone: median of the flow's iterations, friction varied", f"{_VARIED} and start == 'network' and {FLOW}", "iterations_median", "<=", 3),
+    Claim("network alone: p99 of the flow's iterations, friction varied", f"{_VARIED} and start == 'network' and {FLOW}", "iterations_p99", "<=", 15),
+    Claim("network alone: every start is inside the cones, friction varied (least margin)", f"{_VARIED} and start == 'network' and {FLOW}", "start_margin_min", ">", 0),
+    *(Claim(f"network and {which}: {told} time over that {of}, {where}", f"{_VARIED} and start == 'learned_fixed' and {method}",
+            f"{column}_{stat}", "<=", limit, f"{_VARIED} and {beside} and {method}")
+      for which, method, of, beside, where, column, limits in (
+          ("flow", FLOW, "from the 12-basis", _PAPER, "compiled", "compiled_microseconds", (0.6, 1.0)),
+          ("Newton", NEWTON, "from its internal force", _OWN, "compiled", "compiled_microseconds", (0.55, 0.75)),
+          ("Newton", NEWTON, "from its internal force", _OWN, "from Python", "microseconds", (0.75, 0.9)))
+      for told, stat, limit in zip(("median", "p99"), ("median", "p99"), limits, strict=True)),
     Claim("learned starts: Phi never above the 12-basis's, wrenches of 0.001 to 1000 N (largest excess)", f"case == 'six_decades' and {_LEARNED}", "start_excess_max", "<=", ROUNDING),
     Claim("learned starts: Phi never above the 12-basis's, all sets (largest excess)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_excess_max", "<=", ROUNDING),
     Claim("learned starts: inside the cones, all sets (least margin)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_margin_min", ">", 0),
     Claim("learned starts: balanced, all sets (largest residual over the largest force)", f"{_LEARNED} and start_margin_min == start_margin_min", "start_residual_max", "<=", 1e-9),
     Claim("learned, with the previous solution: median of the flow's iterations on smooth paths", f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}", "iterations_median", "<=", 0),
     Claim("learned, with the previous solution: p99 of the flow's iterations on smooth paths", f"case in ['smooth', 'trajectories'] and start == 'learned_previous' and {FLOW}", "iterations_p99", "<=", 7),
-    Claim("processor time that trained the shipped model", "case == 'model'", "cpu_seconds_max", "<=", 900, unit="s"),
+    Claim("processor time that trained the shipped model", "case == 'model'", "cpu_seconds_max", "<=", 1800, unit="s"),
     Claim("size of the shipped model", "case == 'model'", "bytes_max", "<=", 2_000_000, unit="B"),
     Claim("the paper's pipeline holds the cuboid: share of the episodes", f"{_STEADY} and {_PAPER}", "held_mean", ">=", 1),
     Claim("the paper's pipeline holds the cuboid: largest drift", f"{_STEADY} and {_PAPER}", "drift_max", "<", 1, unit="mm"),
@@ -241,7 +247,23 @@ def hardest_problems(rows: Rows, means: Rows) -> Rows:
 
 
 def learned_steps(rows: Rows, means: Rows) -> Rows:
-    """The network alone and the 12-basis, each after no, one and two plain Newton steps."""
+    """The network alone and the 12-basis, friction varied: the flow from both, then Newton, beside where that begins by itself."""
+    found = {(row["start"], row["method"]): row for row in chosen(means, _VARIED).to_dict("records")}
+    flow, newton = "reduced_flow", "newton"
+    made = [
+        {"start": row_of(alone).short, "method": told, "start gap": pair(found.get((alone, flow), {}), "start_gap"),
+         "iterations": pair(found.get((alone, method), {}), "iterations"),
+         "compiled call, us": pair(found.get((timed, method), {}), "compiled_microseconds"),
+         "from Python, us": pair(found.get((timed, method), {}), "microseconds")}
+        for told, method, starts in (("flow", flow, ((BASIS, BASIS), ("network", "learned_fixed"))),
+                                     ("Newton", newton, (("internal_force", "internal_force"), (BASIS, BASIS), ("network", "learned_fixed"))))
+        for alone, timed in starts
+    ]  # fmt: skip
+    return pd.DataFrame(made if (BASIS, flow) in found else [])
+
+
+def newton_first(rows: Rows, means: Rows) -> Rows:
+    """Iterations of the flow that the 12-basis and the network leave, each after no, one and two plain Newton steps."""
     ball = {row["start"]: row for row in chosen(means, f"{_BALL} and {FLOW}").to_dict("records")}
     made = [
         {"plain Newton steps first": steps, "12-basis": pair(ball.get(a, {}), "iterations"),
@@ -306,8 +328,9 @@ def failures(rows: Rows, means: Rows) -> Rows:
 TABLES = (
     ("The hardest sets first", "Iterations of the flow, median / p99. A dash: the start does not apply.", hardest_sets),
     ("The hardest problems", "The main start that needs the most iterations of the flow on each; case, problem and seed make it again.", hardest_problems),
-    ("The network alone against the paper's 12-basis", "Iterations of the flow and gap of the start on the held-out ball, median / p99.", learned_steps),
-    ("Every start on the ball", "Iterations and microseconds, median / p99; the flow uses the adaptive step rule.", all_starts),
+    ("The network alone against the paper's 12-basis", f"{SETS['ball_frictions'].label}, held out; median / p99. Times are those of the network with its repair.", learned_steps),
+    ("After plain Newton steps", "Iterations of the flow and gap of the start on the held-out ball, median / p99.", newton_first),
+    ("Every start on the ball", "Iterations and microseconds, median / p99.", all_starts),
     ("Solvers of your own", "Their gap is that of Phi, whatever they minimise.", solvers),
     ("Hold rates", "Episodes held, and the mean of the measured normal force.", grid),
     ("Failures", "Every case without a start, without an answer, or not held.", failures),
