@@ -301,7 +301,9 @@ def _flattened(tensors: Sequence[Any], ranks: Sequence[int], lead: torch.Size) -
             if own == lead:
                 a = a.contiguous() if len(own) == 1 else a.reshape(batch, *tail).contiguous()
             elif own.numel() == 1:
-                a = a.reshape(1, *tail).contiguous().expand(batch, *tail)
+                a = a.reshape(1, *tail).contiguous()
+                if batch != 1:
+                    a = a.expand(batch, *tail)
             else:
                 a = a.expand(*lead, *tail).reshape(batch, *tail)
         made.append(a)
@@ -515,8 +517,8 @@ def _call(operator: Any, function: Any, *args: Any) -> Any:
     if torch.is_grad_enabled() and not torch.compiler.is_compiling():
         if torch._C._are_functorch_transforms_active():
             return function.apply(*args)
-        if any(isinstance(a, Tensor) and a.requires_grad for a in args):
-            return function.apply(*args)
+        if any(a.requires_grad for a in args if isinstance(a, Tensor)):
+            return (_SolveEager if function is _Solve else function).apply(*args)
     return _run(operator, *args)
 
 
@@ -539,6 +541,18 @@ class _Solve(torch.autograd.Function):
     setup_context = staticmethod(_setup)
     backward = staticmethod(_backward)
     vmap = staticmethod(_solve_vmap)
+
+
+class _SolveEager(torch.autograd.Function):
+    """The same without `setup_context`, for which torch reads the signature of `forward` in every call. `torch.func` needs that."""
+
+    @staticmethod
+    def forward(ctx: Any, *args: Any) -> Any:
+        output = _run(_solve, *args)
+        _setup(ctx, args, output)
+        return output
+
+    backward = staticmethod(_backward)
 
 
 class _Gradients(torch.autograd.Function):
