@@ -563,8 +563,8 @@ private:
             for (auto& v : origin_) v = {V{}, V{}, V{}};
             predicted_->add(w, origin_);
             starter.turn(cones, origin_, home_tangents_, x);
+            cones.balance(x, w);
         }
-        cones.balance(x, w);  // whatever the model's null space is
         const Start from = used_;
         bring_inside(w, Start::learned);
         if (ask.previous) {

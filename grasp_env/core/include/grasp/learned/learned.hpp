@@ -72,6 +72,7 @@ public:
             for (int j = 0; j < size; ++j) column[j] = model.null_space[columns * j + k];
             for (auto& v : space_[k] = cones.field()) v = {V{}, V{}, V{}};
             cones.load_force(column.data(), space_[k]);
+            cones.balance(space_[k], Vec6{});  // nothing at all where the model's are internal forces
         }
     }
 
