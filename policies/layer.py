@@ -23,6 +23,7 @@ from grasp_env.ranges import CONTACTS, ITERATIONS, JOINTS, TOLERANCE
 with need("layer"):
     import torch
     from torch import Tensor, nn
+    from torch.autograd import forward_ad
 
 from policies import batched_newton
 from policies.batched_newton import Inputs
@@ -162,12 +163,21 @@ def grasp_force(
         max_iterations = whole(max_iterations, "max_iterations", 0, ITERATIONS)
     if chunk is not None:
         chunk = whole(chunk, "chunk", 1)
-    given, dtype = _checked_tensors(
-        (positions, normals, friction, tangents, torsional_friction, wrench, jacobian, torque_limit, torque_bias,
-         min_normal, max_normal, force_weight, barrier_weight, start)
+    given = (
+        positions, normals, friction, tangents, torsional_friction, wrench, jacobian, torque_limit, torque_bias,
+        min_normal, max_normal, force_weight, barrier_weight, start,
     )  # fmt: skip
     settings = infeasible, tolerance, max_iterations, chunk
-    force, torsion, multipliers, facts, _ = _call(_solve, _Solve, *given, *settings)
+    problems, differentiable = _as_they_are(given)
+    if problems is None:
+        tensors, dtype = _checked_tensors(given)
+        force, torsion, multipliers, facts, _ = _call(_solve, _Solve, *tensors, *settings)
+    else:
+        dtype = torch.float32 if problems.singles else torch.float64
+        made = _Eager.apply(problems, settings, *given) if differentiable else _optima(problems, *settings[1:])
+        force, torsion, multipliers, facts = made[:4]
+        if infeasible == "raise":
+            _raise_for(facts[..., 0], problems.lead)
     status, gap, residual, iterations = facts.unbind(-1)
     if dtype is not torch.float64:
         force, torsion, multipliers, gap, residual = (a.to(dtype) for a in (force, torsion, multipliers, gap, residual))
@@ -242,11 +252,9 @@ def _checked_tensors(given: tuple[Any, ...]) -> tuple[list[Tensor | None], torch
         rows, joints = (6 if jacobian.shape[-2] == 6 else 3), jacobian.shape[-1]
     if (jacobian is None) != (given[7] is None) or (jacobian is None and given[8] is not None):
         raise InvalidInputError("torque limits need jacobian and torque_limit together; torque_bias belongs to them")
-    count, device, dtype = positions.shape[-2], positions.device, torch.float32
-    n, n2, n3, j = (count,), (count, 2), (count, 3), (joints,)
-    tails = (n3, n3, n2, n3, n, (6,), (count, rows, joints), j, j, n, n, n, n, n3)
+    n, device, dtype = positions.shape[-2:-1], positions.device, torch.float32
     out: list[Tensor | None] = []
-    for a, tail, name in zip(given, tails, _NAMES, strict=True):
+    for a, tail, name in zip(given, _input_tails(n[0], rows, joints), _NAMES, strict=True):
         if a is None:
             if name in _NEEDED:
                 _refuse(name, a, "given")
@@ -272,6 +280,82 @@ def _checked_tensors(given: tuple[Any, ...]) -> tuple[list[Tensor | None], torch
                     _refuse(name, a, f"of shape (..., {', '.join(map(str, tail))})")
         out.append(a)
     return out, dtype
+
+
+def _input_tails(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], ...]:
+    """The last dimensions of the operator's tensors."""
+    n, n3, j = (count,), (count, 3), (joints,)
+    return n3, n3, (count, 2), n3, n, (6,), (count, rows, joints), j, j, n, n, n, n, n3
+
+
+# --- the core
+
+
+def _as_they_are(given: Sequence[Any]) -> tuple[core.ForceProblems | None, bool]:
+    """The problems, if the core can read all that is given where it lies, and whether gradients are asked for."""
+    if not _CORE or torch.compiler.is_compiling():
+        return None, False
+    if (
+        torch._C._are_functorch_transforms_active()
+        or torch._C._len_torch_dispatch_stack()
+        or forward_ad._current_level >= 0
+    ):
+        return None, False
+    differentiable = False
+    for a in given:
+        if type(a) in (Tensor, nn.Parameter):
+            if a.is_neg():
+                return None, False
+            differentiable = differentiable or a.requires_grad
+        elif a is not None and type(a) not in (float, int):
+            return None, False
+    return _of(given), differentiable and torch.is_grad_enabled()
+
+
+def _read(tensors: Sequence[Tensor | None]) -> core.ForceProblems:
+    """Tensors on the CPU for the core; those of torch before 2.10 are read as arrays."""
+    return _of([a if a is None else a.resolve_neg() for a in tensors]) or _of(
+        [a if a is None else a.numpy() for a in tensors]
+    )
+
+
+def _of(given: Sequence[Any]) -> Any:
+    """`ForceProblems`, None where the core cannot read them."""
+    return core.ForceProblems.of(tuple(given), CONTACTS, JOINTS)
+
+
+def _optima(
+    problems: core.ForceProblems, tolerance: float, max_iterations: int, chunk: int | None
+) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """Force, torsion, multipliers, facts and state of all problems."""
+    arrays = [np.empty((*problems.lead, *tail)) for tail in _tails(problems.contacts)]
+    force, torsion, multipliers, facts, state = arrays
+
+    def work(part: slice) -> None:
+        problems.solve(part.start, part.stop, tolerance, max_iterations, force, torsion, multipliers, facts, state)
+
+    over_parts(work, problems.size, chunk or PART, torch.get_num_threads())
+    return tuple([torch.from_numpy(a) for a in arrays])  # type: ignore[return-value]
+
+
+def _slopes(
+    problems: core.ForceProblems,
+    state: Tensor,
+    losses: Sequence[Tensor | None],
+    wanted: Sequence[bool],
+    elastic: bool,
+    chunk: int | None,
+) -> list[Tensor | None]:
+    """Gradients by the inputs, with the leading dimensions of all."""
+    tails = _input_tails(problems.contacts, problems.jacobian_rows, problems.joints)
+    arrays = tuple([np.empty((*problems.lead, *tail)) if w else None for w, tail in zip(wanted, tails, strict=False)])
+    at, by_force, by_torsion, by_multipliers = [a if a is None else a.contiguous().numpy() for a in (state, *losses)]
+
+    def work(part: slice) -> None:
+        problems.differentiate(part.start, part.stop, at, by_force, by_torsion, by_multipliers, elastic, arrays)
+
+    over_parts(work, problems.size, chunk or PART, torch.get_num_threads())
+    return [a if a is None else torch.from_numpy(a) for a in arrays]
 
 
 # --- the operators: what is given has any leading dimensions that broadcast, gradients have the shapes of what was given
@@ -324,26 +408,13 @@ def _rows(group: Sequence[Any], part: slice) -> tuple[Any, ...]:
     return tuple([a if a is None else a[part] for a in group])
 
 
-def _as_numpy(group: Sequence[Tensor | None]) -> list[Any]:
-    return [a if a is None else a.numpy() for a in group]
-
-
 def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     tensors, (infeasible, tolerance, max_iterations, chunk) = args[:_TENSORS], args[_TENSORS:]
     lead, count = _lead(tensors), tensors[0].shape[-2]
     batch = lead.numel()
     given = _flattened(tensors, _RANKS, lead)
-    if _in_core(tensors[0]):
-        arrays, to = _as_numpy(given), [np.empty((batch, *tail)) for tail in _tails(count)]
-
-        def work(part: slice) -> None:
-            force, torsion, multipliers, facts, state = _rows(to, part)
-            core.optimal_forces(
-                _rows(arrays, part), tolerance, max_iterations, state, force, torsion, multipliers, facts
-            )
-
-        over_parts(work, batch, chunk or PART, torch.get_num_threads())
-        out: Any = [torch.from_numpy(a) for a in to]
+    if batch and _in_core(tensors[0]):
+        out: Any = _optima(_read(given), tolerance, max_iterations, chunk)
     else:
         out = _empty(tensors[0], (batch,), count)
         for part in _parts(batch, chunk):
@@ -366,6 +437,7 @@ def _empty(like: Tensor, lead: Sequence[int], count: int) -> tuple[Tensor, Tenso
 
 
 def _raise_for(status: Tensor, lead: Sequence[int]) -> None:
+    status = status.reshape(-1)
     lost = status > batched_newton.STALLED
     places = lost.reshape(lead).nonzero().tolist()
     if not places:
@@ -388,17 +460,8 @@ def _gradients_impl(*args: Any) -> list[Tensor]:
     batch = lead.numel()
     given = _flattened(tensors, _RANKS[:_INPUTS], lead)
     made: Any = _flattened(answers, _ANSWER_RANKS, lead)
-    if _in_core(made[0]):
-        arrays, known = _as_numpy(given), _as_numpy(made)
-        to = [np.empty(a.shape) if w else None for a, w in zip(arrays, wanted, strict=True)]
-
-        def work(part: slice) -> None:
-            state, force, torsion, multipliers = _rows(known, part)
-            inputs, out = _rows(arrays, part), _rows(to, part)
-            core.optimal_forces_gradients(inputs, state, force, torsion, multipliers, elastic, out)
-
-        over_parts(work, batch, chunk or PART, torch.get_num_threads())
-        found: Any = [a if a is None else torch.from_numpy(a) for a in to]
+    if batch and _in_core(made[0]):
+        found: Any = _slopes(_read(given), made[0], made[1:], wanted, elastic, chunk)
     else:
         found = [a.new_empty(a.shape) if a is not None and w else None for a, w in zip(given, wanted, strict=True)]
         like = _empty(made[0], (batch,), tensors[0].shape[-2])
@@ -408,16 +471,17 @@ def _gradients_impl(*args: Any) -> list[Tensor]:
             for a, b in zip(found, by, strict=True):
                 if a is not None:
                     a[part] = b
-    return [_shaped(g, a, lead).to(a.dtype) for g, a in zip(found, tensors, strict=True) if g is not None]
+    wide = (g if g is None else g.reshape(*lead, *g.shape[1:]) for g in found)
+    return [_as_given(g, a) for g, a in zip(wide, tensors, strict=True) if g is not None]
 
 
-def _shaped(gradient: Tensor, like: Tensor, lead: torch.Size) -> Tensor:
-    """The gradient (batch, ...) in the shape of what was given: summed over what it was broadcast to."""
-    shape = like.shape
-    if gradient.shape == shape:
-        return gradient
-    gradient = gradient.reshape(*lead, *gradient.shape[1:])
-    return gradient if gradient.shape == shape else gradient.sum_to_size(shape)
+def _as_given(gradient: Tensor, like: Tensor) -> Tensor:
+    """The gradient (lead, ...) in the shape and type of what was given: summed over what it was broadcast to."""
+    if gradient.shape != like.shape:
+        gradient = gradient.sum_to_size(like.shape)
+    return (
+        gradient if gradient.dtype is like.dtype else gradient.to(like.dtype)
+    )  # a conversion to the same type takes 0.7 us
 
 
 def _differentiate(given: Inputs, *args: Any) -> Inputs:
@@ -489,7 +553,7 @@ def _no_second(ctx: Any, *_: Any) -> NoReturn:
     )
 
 
-_CORE = hasattr(core, "optimal_forces")
+_CORE = True
 """Whether tensors on the CPU go to the core; tests set it."""
 
 _ARGUMENTS = ", ".join(f"Tensor{'' if name in _NEEDED else '?'} {name}" for name in _NAMES[:_INPUTS])
@@ -515,50 +579,24 @@ def _call(operator: Any, function: Any, *args: Any) -> Any:
     That costs a fifth of the operator's own autograd kernel, which does not know `torch.func.grad`.
     """
     if torch.is_grad_enabled() and not torch.compiler.is_compiling():
-        if torch._C._are_functorch_transforms_active():
-            return function.apply(*args)
-        if any(a.requires_grad for a in args if isinstance(a, Tensor)):
-            return (_SolveEager if function is _Solve else function).apply(*args)
-    return _run(operator, *args)
-
-
-def _run(operator: Any, *args: Any) -> Any:
-    """An operator; from eager code on plain tensors its implementation itself, which saves the dispatch."""
-    eager = not torch.compiler.is_compiling() and not torch._C._are_functorch_transforms_active()
-    if eager and torch._C._len_torch_dispatch_stack() == 0 and type(args[0]) in (Tensor, nn.Parameter):
-        return _IMPLEMENTATIONS[operator](*args)
+        return function.apply(*args)
     return operator(*args)
-
-
-_IMPLEMENTATIONS = {_solve: _solve_impl, _gradients: _gradients_impl}
 
 
 class _Solve(torch.autograd.Function):
     @staticmethod
     def forward(*args: Any) -> Any:
-        return _run(_solve, *args)
+        return _solve(*args)
 
     setup_context = staticmethod(_setup)
     backward = staticmethod(_backward)
     vmap = staticmethod(_solve_vmap)
 
 
-class _SolveEager(torch.autograd.Function):
-    """The same without `setup_context`, for which torch reads the signature of `forward` in every call. `torch.func` needs that."""
-
-    @staticmethod
-    def forward(ctx: Any, *args: Any) -> Any:
-        output = _run(_solve, *args)
-        _setup(ctx, args, output)
-        return output
-
-    backward = staticmethod(_backward)
-
-
 class _Gradients(torch.autograd.Function):
     @staticmethod
     def forward(*args: Any) -> Any:
-        return tuple(_run(_gradients, *args))
+        return tuple(_gradients(*args))
 
     @staticmethod
     def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
@@ -566,3 +604,34 @@ class _Gradients(torch.autograd.Function):
 
     backward = staticmethod(_no_second)
     vmap = staticmethod(_gradients_vmap)
+
+
+class _Eager(torch.autograd.Function):
+    """The forces of eager code, read where they lie: without operators, and without what `torch.func` needs, which read a signature."""
+
+    @staticmethod
+    def forward(ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *given: Any) -> Any:
+        *answers, state = _optima(problems, *settings[1:])
+        tensors = [a if isinstance(a, Tensor) else None for a in given[:_INPUTS]]
+        ctx.save_for_backward(*tensors, state)
+        ctx.numbers = [None if isinstance(a, Tensor) else a for a in given[:_INPUTS]]
+        ctx.elastic, ctx.chunk = settings[0] == "elastic", settings[3]
+        ctx.set_materialize_grads(False)
+        ctx.mark_non_differentiable(answers[3])
+        return tuple(answers)
+
+    @staticmethod
+    def backward(ctx: Any, *losses: Any) -> Any:
+        *tensors, state = ctx.saved_tensors
+        given = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
+        wanted = ctx.needs_input_grad[2 : 2 + _INPUTS]
+        if torch.is_grad_enabled():  # these refuse to be differentiated once more
+            known, _ = _checked_tensors((*given, None))
+            parts = iter(_Gradients.apply(*known[:-1], state, *losses[:3], list(wanted), ctx.elastic, ctx.chunk))
+            found = [next(parts) if w else None for w in wanted]
+        else:
+            problems = _of(given)
+            found = _slopes(problems, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
+        if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:  # one coefficient a contact
+            found[2] = found[2].sum(-1)
+        return (None, None, *[g if g is None else _as_given(g, a) for g, a in zip(found, given, strict=True)], None)

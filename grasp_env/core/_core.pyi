@@ -295,17 +295,48 @@ LAYER_FACTS: int = 4
 def layer_state_size(contacts: int) -> int:
     """Numbers of a problem's state."""
 
-def optimal_forces(inputs: tuple, tolerance: float, limit: int, state: object, force: object, torsion: object, multipliers: object, facts: object) -> None:
+class ForceProblems:
     """
-    Optimal forces of M problems, see `ForceBatch` and `BatchForces`. inputs: positions, normals, friction (M, N, 2), tangents,
-    torsional friction, wrench, jacobian, torque limit, torque bias, least and largest normal force, omega, lambda (M, N), start;
-    each None or an array whose rows are C-contiguous; the first axis may have any step. Releases the GIL.
+    Problems with any leading dimensions, read where their numbers lie: positions, normals, friction, tangents,
+    torsional friction, wrench, jacobian, torque limit, torque bias, least and largest normal force, omega, lambda,
+    start. Each is a tensor or an array on the CPU with the leading dimensions of the batch or without any,
+    float64 or float32, a number for all contacts or joints, or None.
     """
 
-def optimal_forces_gradients(inputs: tuple, state: object, by_force: object | None, by_torsion: object | None, by_multipliers: object | None, elastic: bool, gradients: tuple) -> None:
-    """
-    Gradients of a loss by the inputs, without the start, into arrays or None in their order. Releases the GIL.
-    """
+    @staticmethod
+    def of(given: tuple, most_contacts: int, most_joints: int) -> ForceProblems | None:
+        """None where they lie otherwise: convert them, or say what is wrong."""
+
+    @property
+    def lead(self) -> tuple:
+        """Leading dimensions."""
+
+    @property
+    def size(self) -> int:
+        """Their product."""
+
+    @property
+    def contacts(self) -> int: ...
+
+    @property
+    def joints(self) -> int: ...
+
+    @property
+    def jacobian_rows(self) -> int: ...
+
+    @property
+    def singles(self) -> bool:
+        """Whether no tensor is float64."""
+
+    def solve(self, start: int, stop: int, tolerance: float, limit: int, force: object, torsion: object, multipliers: object, facts: object, state: object) -> None:
+        """
+        Optimal forces of the problems from start to stop into arrays of all of them, see `BatchForces`. Releases the GIL.
+        """
+
+    def differentiate(self, start: int, stop: int, state: object, by_force: object | None, by_torsion: object | None, by_multipliers: object | None, elastic: bool, gradients: tuple) -> None:
+        """
+        Gradients of a loss by the inputs, into arrays or None in their order. Releases the GIL.
+        """
 
 FULL_CONTACTS: int = 8
 

@@ -203,6 +203,10 @@ CHUNK = 4096
 
 def over_parts(work: Callable[[slice], None], count: int, size: int, threads: int) -> None:
     """work(part) for all of `count`, `size` at a time, on so many threads; an error or an interrupt ends all after their part."""
+    if count <= size:
+        if count:
+            work(slice(0, count))
+        return
     parts = iter([slice(k, min(k + size, count)) for k in range(0, count, size)])
 
     def take() -> None:

@@ -71,18 +71,23 @@ def solved(
     given: Batch, start: np.ndarray | None = None, tolerance: float = 1e-10, limit: int = 300
 ) -> tuple[np.ndarray, ...]:
     """State, force, torsion, multipliers, facts."""
-    positions = given["positions"]
-    assert positions is not None
-    size, count = positions.shape[:2]
-    shapes = ((_core.layer_state_size(count),), (count, 3), (count,), (6,), (_core.LAYER_FACTS,))
-    made = tuple(np.full((size, *shape), np.nan) for shape in shapes)
-    _core.optimal_forces((*(given[name] for name in NAMES), start), tolerance, limit, *made)
-    return made
+    problems = read(given, start)
+    count = problems.contacts
+    shapes = ((count, 3), (count,), (6,), (_core.LAYER_FACTS,), (_core.layer_state_size(count),))
+    *answers, state = (np.full((*problems.lead, *shape), np.nan) for shape in shapes)
+    problems.solve(0, problems.size, tolerance, limit, *answers, state)
+    return (state, *answers)
+
+
+def read(given: Batch, *start: np.ndarray | None) -> _core.ForceProblems:
+    problems = _core.ForceProblems.of((*(given[name] for name in NAMES), *start), 1000, 1000)
+    assert problems is not None
+    return problems
 
 
 def differentiated(given: Batch, state: np.ndarray, by: tuple[np.ndarray, ...], elastic: bool = True) -> Batch:
     made: Batch = {name: None if given[name] is None else np.full(given[name].shape, np.nan) for name in NAMES}
-    _core.optimal_forces_gradients(tuple(given[name] for name in NAMES), state, *by, elastic, tuple(made.values()))
+    read(given).differentiate(0, len(state), state, *by, elastic, tuple(made.values()))
     return made
 
 
@@ -206,24 +211,70 @@ def test_a_start_saves_steps_and_changes_no_answer() -> None:
     assert all((a == b).all() for a, b in zip(nonsense, cold, strict=True))
 
 
-def test_one_row_serves_all_problems_and_other_layouts_are_refused() -> None:
-    given = batch("hard")
-    one = given | {
-        name: np.ascontiguousarray(each[:1]) for name, each in given.items() if each is not None and name != "wrench"
-    }
-    size = len(given["wrench"])
-    spread = {
-        name: None if each is None else np.broadcast_to(each, (size, *each.shape[1:])) for name, each in one.items()
-    }
-    copied = {name: None if each is None else np.ascontiguousarray(each) for name, each in spread.items()}
-    assert all((a == b).all() for a, b in zip(solved(spread), solved(copied), strict=True))
-    for wrong in (
-        given | {"wrench": given["wrench"][:, :5]},
-        given | {"friction": given["friction"].astype(np.float32)},
-        given | {"wrench": None},
-    ):
+def test_problems_are_read_in_any_layout() -> None:
+    """Rows that all problems share, numbers, one coefficient a contact, float32, other strides, several leading dimensions."""
+    given = batch("hard", 20)
+    plain = solved(given)
+    assert read(given).lead == (20,)
+    assert not read(given).singles
+    shared = given | {name: None if given[name] is None else given[name][0] for name in NAMES if name != "wrench"}
+    shared |= {"friction": shared["friction"][:, 0], "force_weight": 1.3, "barrier_weight": 0.01}
+    spread = {name: None if each is None else np.stack([given[name][0]] * 20) for name, each in shared.items()}
+    spread["wrench"] = given["wrench"]
+    for a, b in zip(solved(shared), solved(spread), strict=True):
+        assert (a == b).all()
+    turned = given | {name: np.asfortranarray(given[name]) for name in ("positions", "friction", "wrench")}
+    turned["normals"] = np.repeat(given["normals"], 2, axis=0)[::2]
+    for a, b in zip(solved(turned), plain, strict=True):
+        assert (a == b).all()
+    single = {name: None if each is None else each.astype(np.float32) for name, each in given.items()}
+    assert read(single).singles
+    double = {name: None if each is None else each.astype(np.float64) for name, each in single.items()}
+    for a, b in zip(solved(single), solved(double), strict=True):
+        assert (a == b).all()
+    folded = {name: None if each is None else each.reshape(4, 5, *each.shape[1:]) for name, each in given.items()}
+    assert read(folded).lead == (4, 5)
+    for a, b in zip(solved(folded), plain, strict=True):
+        assert (a.reshape(b.shape) == b).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"wrench": np.ones((19, 5))},
+        {"wrench": None},
+        {"wrench": 1.0},
+        {"wrench": np.ones((18, 6))},
+        {"friction": np.ones((19, 4, 2), dtype=np.float16)},
+        {"friction": 10**400},
+        {"positions": "x"},
+        {"positions": np.ones(3)},
+        {"positions": np.ones((19, 2000, 3))},
+        {"jacobian": np.ones((19, 4, 3, 2))},
+        {"torque_bias": np.ones((19, 2))},
+        {"jacobian": np.ones((19, 4, 5, 2)), "torque_limit": 1.0},
+    ],
+    ids=lambda wrong: "-".join(wrong),
+)
+def test_what_is_no_problem_is_not_read(wrong: dict[str, object]) -> None:
+    given = batch("hard") | wrong
+    assert _core.ForceProblems.of(tuple(given[name] for name in NAMES), 1000, 1000) is None
+
+
+def test_arrays_to_write_are_checked() -> None:
+    problems, count = read(batch("hard", 2)), 4
+    shapes = ((2, count, 3), (2, count), (2, 6), (2, _core.LAYER_FACTS), (2, _core.layer_state_size(count)))
+    for k in range(len(shapes)):
+        arrays = [np.zeros(shape) for shape in shapes]
+        for bad in (arrays[k][:1], arrays[k].astype(np.float32), np.broadcast_to(arrays[k][:1], shapes[k]), None):
+            with pytest.raises(TypeError):
+                problems.solve(0, 2, 1e-10, 300, *arrays[:k], bad, *arrays[k + 1 :])
+        arrays[k].flags.writeable = False
         with pytest.raises(TypeError):
-            solved(wrong)
+            problems.solve(0, 2, 1e-10, 300, *arrays)
+    for start, stop in ((-1, 1), (0, 3), (2, 1)):
+        with pytest.raises(ValueError, match="no part of the problems"):
+            problems.solve(start, stop, 1e-10, 300, *(np.zeros(shape) for shape in shapes))
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 9])

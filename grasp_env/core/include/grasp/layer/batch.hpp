@@ -32,6 +32,15 @@ struct ForceBatch {
     Slices start;  // (N, 3) forces to begin with [N]
 
     bool limited() const { return torque_limit || min_normal || max_normal; }
+    ForceBatch part(std::ptrdiff_t from, std::ptrdiff_t to) const {
+        ForceBatch made = *this;
+        made.size = to - from;
+        for (Slices* each : {&made.positions, &made.normals, &made.friction, &made.tangents, &made.torsion, &made.wrench,
+                             &made.jacobian, &made.torque_limit, &made.torque_bias, &made.min_normal, &made.max_normal,
+                             &made.force_weight, &made.barrier_weight, &made.start})
+            if (*each) each->data += each->step * from;
+        return made;
+    }
 };
 
 // The contacts of one problem of a batch: directions of unit length, scales and weights.
