@@ -16,6 +16,7 @@ import numpy as np
 from grasp_env import core
 from grasp_env._check import choice, positive, whole
 from grasp_env._extras import need
+from grasp_env.core import LARGEST
 from grasp_env.errors import InfeasibleWrenchError, InvalidInputError, UnsupportedProblemError, shown
 from grasp_env.force.many import over_parts
 from grasp_env.ranges import CONTACTS, ITERATIONS, JOINTS, TOLERANCE
@@ -55,6 +56,7 @@ _NEEDED = ("positions", "normals", "friction", "wrench", "force_weight", "barrie
 _SCALARS = (
     "friction", "torsional_friction", "torque_limit", "torque_bias", "min_normal", "max_normal", "force_weight", "barrier_weight",
 )  # fmt: skip
+_PLAIN = (Tensor, nn.Parameter)  # no class derived from them
 _FLOATS = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
 
 
@@ -168,13 +170,16 @@ def grasp_force(
         min_normal, max_normal, force_weight, barrier_weight, start,
     )  # fmt: skip
     settings = infeasible, tolerance, max_iterations, chunk
-    problems, differentiable = _as_they_are(given)
+    problems = _as_they_are(given)
     if problems is None:
         tensors, dtype = _checked_tensors(given)
         force, torsion, multipliers, facts, _ = _call(_solve, _Solve, *tensors, *settings)
     else:
-        dtype = torch.float32 if problems.singles else torch.float64
-        made = _Eager.apply(problems, settings, *given) if differentiable else _optima(problems, *settings[1:])
+        dtype = torch.float32 if problems.float32 else torch.float64
+        if torch.is_grad_enabled() and any(a.requires_grad for a in given if isinstance(a, Tensor)):
+            made = _Eager.apply(problems, settings, *given)
+        else:
+            made = _optima(problems, problems.lead, *settings[1:])
         force, torsion, multipliers, facts = made[:4]
         if infeasible == "raise":
             _raise_for(facts[..., 0], problems.lead)
@@ -261,6 +266,8 @@ def _checked_tensors(given: tuple[Any, ...]) -> tuple[list[Tensor | None], torch
         elif not isinstance(a, Tensor):
             if name not in _SCALARS or type(a) not in (float, int):
                 _refuse(name, a, "a tensor or a number" if name in _SCALARS else "a tensor")
+            if type(a) is int and abs(a) > LARGEST:
+                _refuse(name, a, f"at most {LARGEST:g}")
             a = torch.full(tail, float(a), dtype=torch.float64, device=device)
         else:
             if a.device != device:
@@ -291,32 +298,28 @@ def _input_tails(count: int, rows: int, joints: int) -> tuple[tuple[int, ...], .
 # --- the core
 
 
-def _as_they_are(given: Sequence[Any]) -> tuple[core.ForceProblems | None, bool]:
-    """The problems, if the core can read all that is given where it lies, and whether gradients are asked for."""
-    if not _CORE or torch.compiler.is_compiling():
-        return None, False
+def _as_they_are(given: Sequence[Any]) -> core.ForceProblems | None:
+    """The problems, where eager code gives what the core can read as it lies; None where torch's operators must convert it."""
     if (
-        torch._C._are_functorch_transforms_active()
+        not _CORE
+        or torch.compiler.is_compiling()
+        or torch._C._are_functorch_transforms_active()
         or torch._C._len_torch_dispatch_stack()
         or forward_ad._current_level >= 0
     ):
-        return None, False
-    differentiable = False
+        return None
     for a in given:
-        if type(a) in (Tensor, nn.Parameter):
+        if type(a) in _PLAIN:
             if a.is_neg():
-                return None, False
-            differentiable = differentiable or a.requires_grad
+                return None
         elif a is not None and type(a) not in (float, int):
-            return None, False
-    return _of(given), differentiable and torch.is_grad_enabled()
+            return None
+    return _of(given)
 
 
 def _read(tensors: Sequence[Tensor | None]) -> core.ForceProblems:
     """Tensors on the CPU for the core; those of torch before 2.10 are read as arrays."""
-    return _of([a if a is None else a.resolve_neg() for a in tensors]) or _of(
-        [a if a is None else a.numpy() for a in tensors]
-    )
+    return _of(tensors) or _of([a if a is None else a.numpy() for a in tensors])
 
 
 def _of(given: Sequence[Any]) -> Any:
@@ -325,10 +328,10 @@ def _of(given: Sequence[Any]) -> Any:
 
 
 def _optima(
-    problems: core.ForceProblems, tolerance: float, max_iterations: int, chunk: int | None
+    problems: core.ForceProblems, lead: Sequence[int], tolerance: float, max_iterations: int, chunk: int | None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Force, torsion, multipliers, facts and state of all problems."""
-    arrays = [np.empty((*problems.lead, *tail)) for tail in _tails(problems.contacts)]
+    """Force, torsion, multipliers, facts and state of all problems, with these leading dimensions."""
+    arrays = [np.empty((*lead, *tail)) for tail in _tails(problems.contacts)]
     force, torsion, multipliers, facts, state = arrays
 
     def work(part: slice) -> None:
@@ -340,22 +343,28 @@ def _optima(
 
 def _slopes(
     problems: core.ForceProblems,
+    lead: Sequence[int],
     state: Tensor,
     losses: Sequence[Tensor | None],
     wanted: Sequence[bool],
     elastic: bool,
     chunk: int | None,
 ) -> list[Tensor | None]:
-    """Gradients by the inputs, with the leading dimensions of all."""
+    """Gradients by the inputs, with these leading dimensions."""
     tails = _input_tails(problems.contacts, problems.jacobian_rows, problems.joints)
-    arrays = tuple([np.empty((*problems.lead, *tail)) if w else None for w, tail in zip(wanted, tails, strict=False)])
-    at, by_force, by_torsion, by_multipliers = [a if a is None else a.contiguous().numpy() for a in (state, *losses)]
+    arrays = tuple([np.empty((*lead, *tail)) if w else None for w, tail in zip(wanted, tails, strict=False)])
+    at, by_force, by_torsion, by_multipliers = [a if a is None else _array(a) for a in (state, *losses)]
 
     def work(part: slice) -> None:
         problems.differentiate(part.start, part.stop, at, by_force, by_torsion, by_multipliers, elastic, arrays)
 
     over_parts(work, problems.size, chunk or PART, torch.get_num_threads())
     return [a if a is None else torch.from_numpy(a) for a in arrays]
+
+
+def _array(a: Tensor) -> Any:
+    """A contiguous array; a conversion that changes nothing takes 0.7 us."""
+    return (a if a.dtype is torch.float64 else a.to(torch.float64)).contiguous().resolve_neg().numpy()
 
 
 # --- the operators: what is given has any leading dimensions that broadcast, gradients have the shapes of what was given
@@ -373,23 +382,12 @@ def _lead(tensors: Sequence[Tensor | None]) -> torch.Size:
 
 
 def _flattened(tensors: Sequence[Any], ranks: Sequence[int], lead: torch.Size) -> list[Any]:
-    """(batch, ...) float64 with contiguous rows; what all elements share is not copied, and None stays None."""
-    batch, made = lead.numel(), []
+    """(batch, ...) float64; what all elements share is not copied where one leading dimension is enough, and None stays None."""
+    made = []
     for a, rank in zip(tensors, ranks, strict=True):
         if a is not None:
-            if a.requires_grad:
-                a = a.detach()
-            if a.dtype is not torch.float64:
-                a = a.to(torch.float64)
-            own, tail = a.shape[: a.ndim - rank], a.shape[a.ndim - rank :]
-            if own == lead:
-                a = a.contiguous() if len(own) == 1 else a.reshape(batch, *tail).contiguous()
-            elif own.numel() == 1:
-                a = a.reshape(1, *tail).contiguous()
-                if batch != 1:
-                    a = a.expand(batch, *tail)
-            else:
-                a = a.expand(*lead, *tail).reshape(batch, *tail)
+            tail = a.shape[a.ndim - rank :]
+            a = a.detach().to(torch.float64).expand(*lead, *tail).reshape(lead.numel(), *tail)
         made.append(a)
     return made
 
@@ -414,7 +412,7 @@ def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     batch = lead.numel()
     given = _flattened(tensors, _RANKS, lead)
     if batch and _in_core(tensors[0]):
-        out: Any = _optima(_read(given), tolerance, max_iterations, chunk)
+        out: Any = _optima(_read(given), lead, tolerance, max_iterations, chunk)
     else:
         out = _empty(tensors[0], (batch,), count)
         for part in _parts(batch, chunk):
@@ -422,13 +420,14 @@ def _solve_impl(*args: Any) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
             found = batched_newton.solve(Inputs(*mine), tolerance, max_iterations, start)
             for a, b in zip(out, (*found[1:], found.state), strict=True):
                 a[part] = b
+        out = tuple([a if len(lead) == 1 else a.reshape(*lead, *a.shape[1:]) for a in out])
     if infeasible == "raise":
-        _raise_for(out[3][:, 0], lead)
-    return tuple(a if len(lead) == 1 else a.reshape(*lead, *a.shape[1:]) for a in out)  # type: ignore[return-value]
+        _raise_for(out[3][..., 0], lead)
+    return out
 
 
 def _tails(count: int) -> tuple[tuple[int, ...], ...]:
-    """Of force, torsion, multipliers, facts and state."""
+    """The last dimensions of force, torsion, multipliers, facts and state."""
     return (count, 3), (count,), (6,), (4,), (4 * count + 7,)
 
 
@@ -461,7 +460,7 @@ def _gradients_impl(*args: Any) -> list[Tensor]:
     given = _flattened(tensors, _RANKS[:_INPUTS], lead)
     made: Any = _flattened(answers, _ANSWER_RANKS, lead)
     if batch and _in_core(made[0]):
-        found: Any = _slopes(_read(given), made[0], made[1:], wanted, elastic, chunk)
+        found: Any = _slopes(_read(given), lead, made[0], made[1:], wanted, elastic, chunk)
     else:
         found = [a.new_empty(a.shape) if a is not None and w else None for a, w in zip(given, wanted, strict=True)]
         like = _empty(made[0], (batch,), tensors[0].shape[-2])
@@ -471,17 +470,15 @@ def _gradients_impl(*args: Any) -> list[Tensor]:
             for a, b in zip(found, by, strict=True):
                 if a is not None:
                     a[part] = b
-    wide = (g if g is None else g.reshape(*lead, *g.shape[1:]) for g in found)
-    return [_as_given(g, a) for g, a in zip(wide, tensors, strict=True) if g is not None]
+        found = [a if a is None else a.reshape(*lead, *a.shape[1:]) for a in found]
+    return [_as_given(g, a) for g, a in zip(found, tensors, strict=True) if g is not None]
 
 
 def _as_given(gradient: Tensor, like: Tensor) -> Tensor:
     """The gradient (lead, ...) in the shape and type of what was given: summed over what it was broadcast to."""
     if gradient.shape != like.shape:
         gradient = gradient.sum_to_size(like.shape)
-    return (
-        gradient if gradient.dtype is like.dtype else gradient.to(like.dtype)
-    )  # a conversion to the same type takes 0.7 us
+    return gradient if gradient.dtype is like.dtype else gradient.to(like.dtype)
 
 
 def _differentiate(given: Inputs, *args: Any) -> Inputs:
@@ -578,7 +575,8 @@ def _call(operator: Any, function: Any, *args: Any) -> Any:
 
     That costs a fifth of the operator's own autograd kernel, which does not know `torch.func.grad`.
     """
-    if torch.is_grad_enabled() and not torch.compiler.is_compiling():
+    differentiated = torch.is_grad_enabled() or forward_ad._current_level >= 0  # a function refuses the latter
+    if differentiated and not torch.compiler.is_compiling():
         return function.apply(*args)
     return operator(*args)
 
@@ -611,7 +609,7 @@ class _Eager(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, problems: core.ForceProblems, settings: tuple[Any, ...], *given: Any) -> Any:
-        *answers, state = _optima(problems, *settings[1:])
+        *answers, state = _optima(problems, problems.lead, *settings[1:])
         tensors = [a if isinstance(a, Tensor) else None for a in given[:_INPUTS]]
         ctx.save_for_backward(*tensors, state)
         ctx.numbers = [None if isinstance(a, Tensor) else a for a in given[:_INPUTS]]
@@ -625,13 +623,14 @@ class _Eager(torch.autograd.Function):
         *tensors, state = ctx.saved_tensors
         given = tuple([b if a is None else a for a, b in zip(tensors, ctx.numbers, strict=True)])
         wanted = ctx.needs_input_grad[2 : 2 + _INPUTS]
-        if torch.is_grad_enabled():  # these refuse to be differentiated once more
+        problems = None if torch.is_grad_enabled() else _as_they_are(given)
+        if problems is None:  # an operator's gradients refuse to be differentiated once more
             known, _ = _checked_tensors((*given, None))
-            parts = iter(_Gradients.apply(*known[:-1], state, *losses[:3], list(wanted), ctx.elastic, ctx.chunk))
-            found = [next(parts) if w else None for w in wanted]
+            parts = _call(_gradients, _Gradients, *known[:-1], state, *losses[:3], list(wanted), ctx.elastic, ctx.chunk)
+            each = iter(parts)
+            found = [next(each) if w else None for w in wanted]
         else:
-            problems = _of(given)
-            found = _slopes(problems, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
+            found = _slopes(problems, problems.lead, state, losses[:3], wanted, ctx.elastic, ctx.chunk)
         if found[2] is not None and found[2].shape[-2:] != given[2].shape[-2:]:  # one coefficient a contact
             found[2] = found[2].sum(-1)
         return (None, None, *[g if g is None else _as_given(g, a) for g, a in zip(found, given, strict=True)], None)

@@ -297,15 +297,19 @@ def layer_state_size(contacts: int) -> int:
 
 class ForceProblems:
     """
-    Problems with any leading dimensions, read where their numbers lie: positions, normals, friction, tangents,
-    torsional friction, wrench, jacobian, torque limit, torque bias, least and largest normal force, omega, lambda,
-    start. Each is a tensor or an array on the CPU with the leading dimensions of the batch or without any,
-    float64 or float32, a number for all contacts or joints, or None.
+    Problems with any leading dimensions, read where their numbers lie.
+
+    Given are positions, normals, friction, tangents, torsional friction, wrench, jacobian, torque limit,
+    torque bias, least and largest normal force, omega, lambda, and a start or none. Each is a tensor or an
+    array on the CPU, float64 or float32, whose leading dimensions broadcast; a number for all contacts or
+    joints; or None.
     """
 
     @staticmethod
     def of(given: tuple, most_contacts: int, most_joints: int) -> ForceProblems | None:
-        """None where they lie otherwise: convert them, or say what is wrong."""
+        """
+        None: a type or a layout that is not read here; convert it, or say what is wrong.
+        """
 
     @property
     def lead(self) -> tuple:
@@ -325,8 +329,8 @@ class ForceProblems:
     def jacobian_rows(self) -> int: ...
 
     @property
-    def singles(self) -> bool:
-        """Whether no tensor is float64."""
+    def float32(self) -> bool:
+        """Whether no tensor with dimensions is float64."""
 
     def solve(self, start: int, stop: int, tolerance: float, limit: int, force: object, torsion: object, multipliers: object, facts: object, state: object) -> None:
         """

@@ -216,7 +216,7 @@ def test_problems_are_read_in_any_layout() -> None:
     given = batch("hard", 20)
     plain = solved(given)
     assert read(given).lead == (20,)
-    assert not read(given).singles
+    assert not read(given).float32
     shared = given | {name: None if given[name] is None else given[name][0] for name in NAMES if name != "wrench"}
     shared |= {"friction": shared["friction"][:, 0], "force_weight": 1.3, "barrier_weight": 0.01}
     spread = {name: None if each is None else np.stack([given[name][0]] * 20) for name, each in shared.items()}
@@ -228,13 +228,22 @@ def test_problems_are_read_in_any_layout() -> None:
     for a, b in zip(solved(turned), plain, strict=True):
         assert (a == b).all()
     single = {name: None if each is None else each.astype(np.float32) for name, each in given.items()}
-    assert read(single).singles
+    assert read(single).float32
     double = {name: None if each is None else each.astype(np.float64) for name, each in single.items()}
     for a, b in zip(solved(single), solved(double), strict=True):
         assert (a == b).all()
     folded = {name: None if each is None else each.reshape(4, 5, *each.shape[1:]) for name, each in given.items()}
     assert read(folded).lead == (4, 5)
     for a, b in zip(solved(folded), plain, strict=True):
+        assert (a.reshape(b.shape) == b).all()
+    crossed = shared | {
+        "wrench": given["wrench"].reshape(4, 5, 6),
+        "normals": given["normals"][:5],
+        "friction": shared["friction"][None],
+    }
+    every = spread | {"normals": np.tile(given["normals"][:5], (4, 1, 1))}
+    assert read(crossed).lead == (4, 5)
+    for a, b in zip(solved(crossed), solved(every), strict=True):
         assert (a.reshape(b.shape) == b).all()
 
 

@@ -1,7 +1,9 @@
 // Tensors and arrays of any leading dimensions, read where their numbers lie.
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cstring>
 #include <vector>
 
 #include <grasp/layer/batch.hpp>
@@ -9,14 +11,14 @@
 
 #include "buffers.hpp"
 
-// DLPack's table of functions, which torch has from 2.10 on: the type's attribute `__dlpack_c_exchange_api__`. Without it Python gives arrays.
+// `DLPackExchangeAPI` of DLPack 1 (dlpack.h): functions of a type of tensors, which torch has from 2.10 on.
 struct ExchangeApi {
     std::uint32_t major, minor;
-    void* before;
-    void* others[3];
-    int (*view)(void* object, nb::dlpack::dltensor* to);  // 0: done; the object keeps what is viewed
-    void* stream;
+    void *previous_api, *allocator, *from_object, *to_object;
+    int (*dltensor_from_object)(void* object, nb::dlpack::dltensor* to);  // 0: done; the object owns what is viewed
+    void* current_stream;
 
+    // Null: the object's type has none.
     static const ExchangeApi* of(nb::handle object) {
         PyObject* const capsule =
             PyObject_GetAttrString(reinterpret_cast<PyObject*>(Py_TYPE(object.ptr())), "__dlpack_c_exchange_api__");
@@ -24,23 +26,31 @@ struct ExchangeApi {
         Py_XDECREF(capsule);
         if (!found) PyErr_Clear();
         const auto* const api = static_cast<const ExchangeApi*>(found);
-        return api && api->major == 1 && api->view ? api : nullptr;
+        return api && api->major == 1 && api->dltensor_from_object ? api : nullptr;
     }
 };
 
-// A tensor or an array on the CPU, float64 or float32, or a number.
+// A tensor or an array on the CPU, float64 or float32, or a number: a Python number, or a tensor without dimensions.
 class Tensor {
 public:
-    struct Row {  // the shape of a problem's own numbers, without the zeros
-        Py_ssize_t sizes[3];
-        int axes() const { return 1 + (sizes[1] > 0) + (sizes[2] > 0); }
-        Py_ssize_t count() const { return sizes[0] * std::max<Py_ssize_t>(sizes[1], 1) * std::max<Py_ssize_t>(sizes[2], 1); }
-    };
-    static constexpr int MOST_AXES = 24;
+    static constexpr int MOST_DIMENSIONS = 24;
+    using Lengths = std::array<Py_ssize_t, MOST_DIMENSIONS>;
+    struct Row {  // the shape of what belongs to one problem: up to three lengths
+        Py_ssize_t lengths[3];
+        int dimensions;
 
-    bool given = false, number = false, single = false;  // single: float32
-    int axes = 0;
-    std::array<Py_ssize_t, MOST_AXES> shape{};
+        Row(Py_ssize_t first = 0, Py_ssize_t second = -1, Py_ssize_t third = -1)
+            : lengths{first, second, third}, dimensions(1 + (second >= 0) + (third >= 0)) {}
+        Py_ssize_t count() const {
+            Py_ssize_t made = 1;
+            for (int a = 0; a < dimensions; ++a) made *= lengths[a];
+            return made;
+        }
+    };
+
+    bool given = false, number = false, float32 = false;
+    int dimensions = 0;
+    Lengths shape{};
 
     Tensor() = default;
     Tensor(const Tensor&) = delete;
@@ -49,7 +59,7 @@ public:
         if (held_) PyBuffer_Release(&buffer_);
     }
 
-    // False: it cannot be read. None is nothing given. The object must outlive what is read.
+    // False: it cannot be read. None is not given. The object must outlive what is read.
     bool view(nb::handle object) {
         if (object.is_none()) return true;
         given = true;
@@ -59,32 +69,46 @@ public:
             if (!good) PyErr_Clear();
             return good;
         }
-        return PyObject_CheckBuffer(object.ptr()) ? view_buffer(object) : view_tensor(object);
-    }
-    Py_ssize_t from_last(int axis) const { return shape[axes - axis]; }
-    int leading(Row row) const { return number ? 0 : axes - row.axes(); }
-    bool ends_in(Row row) const {
-        return number || (leading(row) >= 0 && std::equal(row.sizes, row.sizes + row.axes(), shape.begin() + leading(row)));
-    }
-    // One more axis, along which all numbers are the same.
-    bool repeat(Py_ssize_t times) {
-        if (axes == MOST_AXES) return false;
-        shape[axes] = times, strides_[axes++] = 0;
+        if (!(PyObject_CheckBuffer(object.ptr()) ? view_buffer(object) : view_tensor(object))) return false;
+        aligned_ = reinterpret_cast<std::uintptr_t>(data_) % (float32 ? sizeof(float) : sizeof(double)) == 0;
+        if (dimensions == 0) number = true, value_ = at(0);
         return true;
+    }
+    Py_ssize_t from_last(int dimension) const { return shape[dimensions - dimension]; }
+    int leading(const Row& row) const { return number ? 0 : dimensions - row.dimensions; }
+    bool ends_in(const Row& row) const {
+        return number || (leading(row) >= 0 && std::equal(row.lengths, row.lengths + row.dimensions, &shape[leading(row)]));
+    }
+    // One more dimension, along which all numbers are the same.
+    bool repeat(Py_ssize_t times) {
+        if (dimensions == MOST_DIMENSIONS) return false;
+        shape[dimensions] = times, strides_[dimensions++] = 0;
+        return true;
+    }
+    // `leading` dimensions in front of the row, of these lengths, to which those that are there broadcast.
+    void expand(const Row& row, const Lengths& lead, int leading) {
+        Lengths strides{};
+        const int own = this->leading(row), added = leading - own;
+        for (int a = 0; a < leading; ++a)
+            strides[a] = a < added || (shape[a - added] == 1 && lead[a] != 1) ? 0 : strides_[a - added];
+        std::copy_n(&strides_[own], row.dimensions, &strides[leading]);
+        strides_ = strides, dimensions = leading + row.dimensions;
+        std::copy_n(lead.begin(), leading, shape.begin());
+        std::copy_n(row.lengths, row.dimensions, &shape[leading]);
     }
 
     // `size` problems with a row each, or with one row for all; copied where they do not lie as the core reads them.
-    grasp::Slices slices(Row row, Py_ssize_t size) {
+    grasp::Slices slices(const Row& row, Py_ssize_t size) {
         const int first = leading(row);
         const Py_ssize_t per = row.count();
         if (number) {
             own_.assign(per, value_);
             return {own_.data(), 0};
         }
-        if (!single && lies_along(first, axes)) {
+        if (!float32 && aligned_ && is_run(first, dimensions)) {
             if (first == 0 || size == 1) return {static_cast<const double*>(data_), 0};
             const Py_ssize_t step = strides_[first - 1];
-            if (lies_along(0, first, step)) return {static_cast<const double*>(data_), step};
+            if (is_run(0, first, step)) return {static_cast<const double*>(data_), step};
         }
         own_.resize(first ? size * per : per);
         double* to = own_.data();
@@ -94,20 +118,20 @@ public:
     // Float64 one after the other, so many; null: they do not lie so.
     double* run(Py_ssize_t count, bool writable) const {
         Py_ssize_t all = 1;
-        for (int a = 0; a < axes; ++a) all *= shape[a];
-        const bool good = !number && !single && all == count && lies_along(0, axes) && !(writable && held_ && buffer_.readonly);
-        return good ? static_cast<double*>(const_cast<void*>(data_)) : nullptr;
+        for (int a = 0; a < dimensions; ++a) all *= shape[a];
+        const bool good = given && data_ && !float32 && aligned_ && all == count && is_run(0, dimensions);
+        return good && !(writable && held_ && buffer_.readonly) ? static_cast<double*>(const_cast<void*>(data_)) : nullptr;
     }
 
 private:
     bool view_buffer(nb::handle object) {
         held_ = PyObject_GetBuffer(object.ptr(), &buffer_, PyBUF_STRIDES | PyBUF_FORMAT) == 0;
         if (!held_) PyErr_Clear();
-        if (!held_ || buffer_.ndim >= MOST_AXES) return false;
-        single = std::strcmp(buffer_.format, "f") == 0;
-        if (!single && std::strcmp(buffer_.format, "d") != 0) return false;
-        axes = buffer_.ndim, data_ = buffer_.buf;
-        for (int a = 0; a < axes; ++a) {
+        if (!held_ || buffer_.ndim >= MOST_DIMENSIONS) return false;
+        float32 = std::strcmp(buffer_.format, "f") == 0;
+        if (!float32 && std::strcmp(buffer_.format, "d") != 0) return false;
+        dimensions = buffer_.ndim, data_ = buffer_.buf;
+        for (int a = 0; a < dimensions; ++a) {
             if (buffer_.strides[a] % buffer_.itemsize != 0) return false;
             shape[a] = buffer_.shape[a], strides_[a] = buffer_.strides[a] / buffer_.itemsize;
         }
@@ -116,37 +140,45 @@ private:
     bool view_tensor(nb::handle object) {
         const ExchangeApi* const api = ExchangeApi::of(object);
         nb::dlpack::dltensor seen;
-        if (!api || api->view(object.ptr(), &seen) != 0) {
+        if (!api || api->dltensor_from_object(object.ptr(), &seen) != 0) {
             PyErr_Clear();
             return false;
         }
         constexpr int CPU = 1;
-        const auto code = seen.dtype.code;
-        single = seen.dtype.bits == 32;
-        if (seen.device.device_type != CPU || code != std::uint8_t(nb::dlpack::dtype_code::Float) || seen.dtype.lanes != 1 ||
-            (!single && seen.dtype.bits != 64) || !seen.data || seen.ndim >= MOST_AXES || (seen.ndim > 0 && !seen.strides))
+        float32 = seen.dtype.bits == 32;
+        if (seen.device.device_type != CPU || seen.dtype.code != std::uint8_t(nb::dlpack::dtype_code::Float) ||
+            seen.dtype.lanes != 1 || (!float32 && seen.dtype.bits != 64) || !seen.data || seen.ndim >= MOST_DIMENSIONS ||
+            (seen.ndim > 0 && !seen.strides))
             return false;
-        axes = seen.ndim, data_ = static_cast<const char*>(seen.data) + seen.byte_offset;
-        std::copy_n(seen.shape, axes, shape.begin()), std::copy_n(seen.strides, axes, strides_.begin());
+        dimensions = seen.ndim, data_ = static_cast<const char*>(seen.data) + seen.byte_offset;
+        std::copy_n(seen.shape, dimensions, shape.begin()), std::copy_n(seen.strides, dimensions, strides_.begin());
         return true;
     }
-    // Whether these axes are one run, whose last one has the stride `step`; the stride of an axis of length 1 is without meaning.
-    bool lies_along(int from, int to, Py_ssize_t step = 1) const {
+    // Whether these dimensions are one run, whose last one has the stride `step`; the stride of a length of 1 is without meaning.
+    bool is_run(int from, int to, Py_ssize_t step = 1) const {
         for (int a = to - 1; a >= from; --a) {
             if (shape[a] != 1 && strides_[a] != step) return false;
             step *= shape[a];
         }
         return true;
     }
-    void copy(int axis, Py_ssize_t at, double*& to) const {
-        for (Py_ssize_t k = 0; k < shape[axis]; ++k, at += strides_[axis]) {
-            if (axis + 1 < axes) copy(axis + 1, at, to);
-            else *to++ = single ? double(static_cast<const float*>(data_)[at]) : static_cast<const double*>(data_)[at];
+    double at(Py_ssize_t place) const {
+        const auto read = [&](auto made) {
+            std::memcpy(&made, static_cast<const char*>(data_) + place * Py_ssize_t(sizeof(made)), sizeof(made));
+            return double(made);
+        };
+        return float32 ? read(float()) : read(double());
+    }
+    void copy(int dimension, Py_ssize_t place, double*& to) const {
+        for (Py_ssize_t k = 0; k < shape[dimension]; ++k, place += strides_[dimension]) {
+            if (dimension + 1 < dimensions) copy(dimension + 1, place, to);
+            else *to++ = at(place);
         }
     }
 
-    std::array<Py_ssize_t, MOST_AXES> strides_{};  // in numbers
+    Lengths strides_{};  // in numbers
     const void* data_ = nullptr;
+    bool aligned_ = true;
     double value_ = 0.0;
     Py_buffer buffer_{};
     bool held_ = false;
@@ -155,10 +187,10 @@ private:
 
 // Rows that the core reads or writes, one after the other: float64 of any leading dimensions, or a TypeError (a mistake of the package's own
 // code).
-template <class Number> class Run {
+template <class Number> class RowsOf {
 public:
     // optional: None is null
-    Run(nb::handle object, Py_ssize_t count, Py_ssize_t row, bool optional = false) : row_(row) {
+    RowsOf(nb::handle object, Py_ssize_t count, Py_ssize_t row, bool optional = false) : row_(row) {
         if (optional && object.is_none()) return;
         Tensor tensor;
         if (tensor.view(object)) data_ = tensor.run(count * row, !std::is_const_v<Number>);

@@ -32,16 +32,23 @@ struct ForceBatch {
     Slices start;  // (N, 3) forces to begin with [N]
 
     bool limited() const { return torque_limit || min_normal || max_normal; }
-    ForceBatch part(std::ptrdiff_t from, std::ptrdiff_t to) const {
-        ForceBatch made = *this;
-        made.size = to - from;
-        for (Slices* each : {&made.positions, &made.normals, &made.friction, &made.tangents, &made.torsion, &made.wrench,
-                             &made.jacobian, &made.torque_limit, &made.torque_bias, &made.min_normal, &made.max_normal,
-                             &made.force_weight, &made.barrier_weight, &made.start})
-            if (*each) each->data += each->step * from;
-        return made;
-    }
+    ForceBatch part(std::ptrdiff_t from, std::ptrdiff_t to) const;
 };
+
+// The arrays in the order in which programs give them.
+inline constexpr Slices ForceBatch::* FORCE_INPUTS[] = {
+    &ForceBatch::positions,      &ForceBatch::normals,    &ForceBatch::friction,   &ForceBatch::tangents,
+    &ForceBatch::torsion,        &ForceBatch::wrench,     &ForceBatch::jacobian,   &ForceBatch::torque_limit,
+    &ForceBatch::torque_bias,    &ForceBatch::min_normal, &ForceBatch::max_normal, &ForceBatch::force_weight,
+    &ForceBatch::barrier_weight, &ForceBatch::start};
+
+inline ForceBatch ForceBatch::part(std::ptrdiff_t from, std::ptrdiff_t to) const {
+    ForceBatch made = *this;
+    made.size = to - from;
+    for (const auto input : FORCE_INPUTS)
+        if (made.*input) (made.*input).data += (made.*input).step * from;
+    return made;
+}
 
 // The contacts of one problem of a batch: directions of unit length, scales and weights.
 struct Posed {

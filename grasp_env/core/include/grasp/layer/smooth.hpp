@@ -26,6 +26,12 @@ struct BatchGradients {
     double *positions, *normals, *friction, *tangents, *torsion, *wrench, *jacobian, *torque_limit, *torque_bias, *min_normal,
         *max_normal, *force_weight, *barrier_weight;
 };
+// In the order of `FORCE_INPUTS`; a start has no gradient.
+inline constexpr double* BatchGradients::* FORCE_GRADIENTS[] = {
+    &BatchGradients::positions,     &BatchGradients::normals,    &BatchGradients::friction,   &BatchGradients::tangents,
+    &BatchGradients::torsion,       &BatchGradients::wrench,     &BatchGradients::jacobian,   &BatchGradients::torque_limit,
+    &BatchGradients::torque_bias,   &BatchGradients::min_normal, &BatchGradients::max_normal, &BatchGradients::force_weight,
+    &BatchGradients::barrier_weight};
 
 template <int W> class SmoothLanes {
 public:
