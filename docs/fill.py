@@ -280,16 +280,26 @@ def overview() -> str:
     steps = "; ".join(pair(varied[start, "reduced_flow"], "iterations") for start in ("linear_combination", "network"))
     times = chosen(saved("reproduce")[0], "case == 'times' and rule == 'fixed' and start == 'linear_combination'")
     constant = pair(times.to_dict("records")[0], "iterations")
+    many, one = (
+        of("layer", f"case == 'hard' and method == 'layer' and batch == {size}")["microseconds_median"]
+        for size in (1000, 1)
+    )
+    slower = [
+        of("layer", f"case == 'hard' and method == 'cvxpylayers_clarabel' and batch == {size}")["ratio_median"]
+        for size in (1000, 1)
+    ]
     rows = [
         ["exact optimum with its proof, 4 contacts: compiled; from Python", f"{mine}; {python} us", f"fastest peer (generated C): {other} us"],
         ["optimum of Phi from cold, Newton, from Python: internal force; 12-basis; network", f"{newton} us",
          f"the paper's flow, from Python: 12-basis; network: {flow} us"],
         ["steps of the paper's flow, its best step rule: 12-basis; network", steps,
          f"network: median <= 3, p99 <= 15; 12-basis with a constant step: {constant}"],
+        ["optimum of Phi and its gradient with respect to all inputs, in torch, a problem: batch of 1000; of 1 (medians)",
+         f"{number(many)}; {number(one)} us", "cvxpylayers with Clarabel: {:.0f} and {:.0f} times as long".format(*slower)],
         ["random objects held 4 s against a random wrench", holds.held_cell(of("env", "case == 'objects' and controller == 'paper'")), "at least 99 %"],
         *([row.claim.name, row.found, row.asked] for row in judged("transfer")),
         *(["**missed**: " + row.claim.name, row.found, row.asked]
-          for kind in ("starts", "env", "env_speed") for row in judged(kind) if row.met is False),
+          for kind in ("starts", "layer", "env", "env_speed") for row in judged(kind) if row.met is False),
     ]  # fmt: skip
     return markdown("starts", pd.DataFrame(rows, columns=["median / p99", "measured", "asked, or for comparison"]))
 

@@ -15,8 +15,10 @@ from grasp_env.grasp import Grasp, null_space_basis
 from grasp_env.grasp.wrench import MAGNITUDE_LENGTH, sample_ball, sample_magnitudes
 
 LABEL_GAP, LABEL_ITERATIONS = 1e-10, 200
-BALL = 0.5
+BALL = 0.7
 """Share of the wrenches from the ball, where starts are compared; the others are from the whole range."""
+LEAN = 0.3
+"""Frictions are drawn with a density from 1 - LEAN at the least to 1 + LEAN at the largest, where the flow takes more steps."""
 CHUNK = 4096
 """Samples whose metric is made at once."""
 
@@ -54,7 +56,8 @@ class Source:
             ball: share of the wrenches that are drawn from the ball.
         """
         per, (low, high) = max(1, count // groups), self.frictions
-        friction = low + (high - low) * (np.arange(groups) + rng.random(groups)) / groups
+        part = (np.arange(groups) + rng.random(groups)) / groups
+        friction = low + (high - low) * (np.sqrt((1.0 - LEAN) ** 2 + 4.0 * LEAN * part) - (1.0 - LEAN)) / (2.0 * LEAN)
         wrenches = self._from_unit(sample_magnitudes(rng, groups * per, *self.magnitudes))
         inside = self.ball(rng, groups * per)
         return np.where(rng.random(groups * per)[:, None] < ball, inside, wrenches), friction.repeat(per)
