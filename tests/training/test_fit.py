@@ -62,13 +62,13 @@ def test_labels_are_optima_and_the_metric_is_the_gap():
 def test_samples_share_the_frictions_and_the_ball():
     source = Source(presets.paper_cuboid(), (10.0, 20.0), (0.25, 0.6), True)
     wrenches, friction = source.draw(np.random.default_rng(0), 6000, 20)
-    parts = np.linspace(0.25, 0.6, 21)
-    for group, (low, high) in zip(friction.reshape(20, -1), pairwise(parts), strict=True):
-        assert low <= group[0] <= high
+    for group, (low, high) in zip(friction.reshape(20, -1), pairwise(np.linspace(0.0, 1.0, 21)), strict=True):
+        place = (group[0] - 0.25) / (0.6 - 0.25)
+        assert low <= 0.7 * place + 0.3 * place**2 <= high  # the density grows from 0.7 to 1.3
         assert (group == group[0]).all()
     inside = (np.linalg.norm(wrenches[:, :3], axis=1) <= 2.0) & (np.linalg.norm(wrenches[:, 3:], axis=1) <= 0.05)
-    # all others are of 10 N and more; three standard deviations of a fair coin
-    assert abs(inside.mean() - 0.5) < 3 * 0.5 / np.sqrt(6000)
+    # all others are of 10 N and more; three standard deviations
+    assert abs(inside.mean() - 0.7) < 3 * np.sqrt(0.7 * 0.3 / 6000)
     sizes = np.linalg.norm(wrenches[~inside] @ source.grasp.unit_frame.T, axis=1)
     assert ((sizes >= 10.0) & (sizes <= 20.0)).all()
 
