@@ -240,8 +240,9 @@ def test_problems_are_read_in_any_layout() -> None:
         "wrench": given["wrench"].reshape(4, 5, 6),
         "normals": given["normals"][:5],
         "friction": shared["friction"][None],
+        "barrier_weight": np.full((5, 4), 0.01),
     }
-    every = spread | {"normals": np.tile(given["normals"][:5], (4, 1, 1))}
+    every = spread | {"normals": np.tile(given["normals"][:5], (4, 1, 1)), "barrier_weight": np.full((20, 4), 0.01)}
     assert read(crossed).lead == (4, 5)
     for a, b in zip(solved(crossed), solved(every), strict=True):
         assert (a.reshape(b.shape) == b).all()
@@ -258,7 +259,6 @@ def test_problems_are_read_in_any_layout() -> None:
         {"friction": 10**400},
         {"positions": "x"},
         {"positions": np.ones(3)},
-        {"positions": np.ones((19, 2000, 3))},
         {"jacobian": np.ones((19, 4, 3, 2))},
         {"torque_bias": np.ones((19, 2))},
         {"jacobian": np.ones((19, 4, 5, 2)), "torque_limit": 1.0},
@@ -268,6 +268,13 @@ def test_problems_are_read_in_any_layout() -> None:
 def test_what_is_no_problem_is_not_read(wrong: dict[str, object]) -> None:
     given = batch("hard") | wrong
     assert _core.ForceProblems.of(tuple(given[name] for name in NAMES), 1000, 1000) is None
+
+
+def test_contacts_and_joints_are_limited() -> None:
+    given = tuple(batch("own")[name] for name in NAMES)
+    assert _core.ForceProblems.of(given, 4, 12) is not None
+    assert _core.ForceProblems.of(given, 3, 12) is None
+    assert _core.ForceProblems.of(given, 4, 11) is None
 
 
 def test_arrays_to_write_are_checked() -> None:
