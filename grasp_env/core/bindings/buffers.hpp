@@ -28,6 +28,10 @@ public:
             if (wanted[a] >= 0 && view_.shape[a] != wanted[a]) return false;
         return true;
     }
+    // Whether these are so many float64, in whatever shape.
+    bool holds(Py_ssize_t count) const {
+        return held_ && std::strcmp(view_.format, "d") == 0 && view_.len == count * Py_ssize_t(sizeof(double));
+    }
     int axes() const { return view_.ndim; }
     Py_ssize_t length(int axis) const { return view_.shape[axis]; }
     double* data() const { return static_cast<double*>(view_.buf); }
@@ -46,3 +50,18 @@ public:
 };
 template <class... Sizes> inline Numbers in(nb::handle object, Sizes... sizes) { return {object, false, sizes...}; }
 template <class... Sizes> inline Numbers out(nb::handle object, Sizes... sizes) { return {object, true, sizes...}; }
+
+// Rows of numbers with whatever dimensions in front, or a TypeError as above.
+class NumberRows : public Buffer {
+public:
+    // optional: None has no rows, which are null
+    NumberRows(nb::handle object, bool writable, Py_ssize_t count, Py_ssize_t row, bool optional = false)
+        : Buffer(object, writable), row_(row), none_(optional && object.is_none()) {
+        if (!none_ && !holds(count * row)) throw nb::type_error("C-contiguous float64 numbers of another shape are needed");
+    }
+    double* operator[](Py_ssize_t k) const { return none_ ? nullptr : data() + k * row_; }
+
+private:
+    Py_ssize_t row_;
+    bool none_;
+};

@@ -1,6 +1,7 @@
 // Batches of problems for layers of learning programs.
 #include <grasp/layer/layer.hpp>
 
+#include "buffers.hpp"
 #include "tensors.hpp"
 
 using namespace grasp;
@@ -49,8 +50,9 @@ public:
     void solve(Py_ssize_t from, Py_ssize_t to, double tolerance, int limit, nb::handle force, nb::handle torsion,
                nb::handle multipliers, nb::handle facts, nb::handle state) const {
         const Py_ssize_t n = contacts();
-        const RowsOf<double> forces(force, size(), 3 * n), turns(torsion, size(), n), prices(multipliers, size(), 6),
-            told(facts, size(), LAYER_FACTS), states(state, size(), layer_state_size(contacts()));
+        const NumberRows forces(force, true, size(), 3 * n), turns(torsion, true, size(), n),
+            prices(multipliers, true, size(), 6), told(facts, true, size(), LAYER_FACTS),
+            states(state, true, size(), layer_state_size(contacts()));
         const ForceBatch chosen = part(from, to);
         nb::gil_scoped_release free;
         optimal_forces(chosen, {tolerance, limit}, {forces[from], turns[from], prices[from], told[from], states[from]});
@@ -61,14 +63,14 @@ public:
         const ForceBatch chosen = part(from, to);
         const Py_ssize_t n = contacts();
         if (gradients.size() != INPUTS) throw nb::type_error("13 arrays of gradients");
-        const RowsOf<const double> states(state, size(), layer_state_size(contacts())), forces(by_force, size(), 3 * n, true),
-            turns(by_torsion, size(), n, true), prices(by_multipliers, size(), 6, true);
+        const NumberRows states(state, false, size(), layer_state_size(contacts())), forces(by_force, false, size(), 3 * n, true),
+            turns(by_torsion, false, size(), n, true), prices(by_multipliers, false, size(), 6, true);
         BatchGradients made{};
         for (int k = 0; k < INPUTS; ++k) {
             if (gradients[k].is_none()) continue;
             if (!(batch.*FORCE_INPUTS[k])) throw nb::type_error("a gradient by an input that is not given");
             const Py_ssize_t row = rows_[k].count();
-            double* const data = made.*FORCE_GRADIENTS[k] = RowsOf<double>(gradients[k], size(), row)[from];
+            double* const data = made.*FORCE_GRADIENTS[k] = NumberRows(gradients[k], true, size(), row)[from];
             std::fill_n(data, row * (to - from), 0.0);  // the tuple holds the array
         }
         nb::gil_scoped_release free;

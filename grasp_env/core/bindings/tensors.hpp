@@ -9,7 +9,7 @@
 #include <grasp/layer/batch.hpp>
 #include <nanobind/ndarray.h>
 
-#include "buffers.hpp"
+#include "module.hpp"
 
 // `DLPackExchangeAPI` of DLPack 1 (dlpack.h): functions of a type of tensors, which torch has from 2.10 on.
 struct ExchangeApi {
@@ -115,13 +115,6 @@ public:
         copy(0, 0, to);
         return {own_.data(), first ? per : 0};
     }
-    // Float64 one after the other, so many; null: they do not lie so.
-    double* run(Py_ssize_t count, bool writable) const {
-        Py_ssize_t all = 1;
-        for (int a = 0; a < dimensions; ++a) all *= shape[a];
-        const bool good = given && data_ && !float32 && aligned_ && all == count && is_run(0, dimensions);
-        return good && !(writable && held_ && buffer_.readonly) ? static_cast<double*>(const_cast<void*>(data_)) : nullptr;
-    }
 
 private:
     bool view_buffer(nb::handle object) {
@@ -183,22 +176,4 @@ private:
     Py_buffer buffer_{};
     bool held_ = false;
     std::vector<double> own_;
-};
-
-// Rows that the core reads or writes, one after the other: float64 of any leading dimensions, or a TypeError (a mistake of the package's own
-// code).
-template <class Number> class RowsOf {
-public:
-    // optional: None is null
-    RowsOf(nb::handle object, Py_ssize_t count, Py_ssize_t row, bool optional = false) : row_(row) {
-        if (optional && object.is_none()) return;
-        Tensor tensor;
-        if (tensor.view(object)) data_ = tensor.run(count * row, !std::is_const_v<Number>);
-        if (!data_) throw nb::type_error("contiguous float64 numbers of another shape are needed");
-    }
-    Number* operator[](Py_ssize_t k) const { return data_ ? data_ + k * row_ : nullptr; }
-
-private:
-    Number* data_ = nullptr;
-    Py_ssize_t row_;
 };
