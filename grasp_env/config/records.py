@@ -206,7 +206,7 @@ class Reward(Settings):
 
 @dataclass(frozen=True)
 class EpisodeLimits(Settings):
-    """When an episode ends.
+    """When an episode ends, and what counts as held: an episode that breaks one of the last three goes on, but is no success.
 
     Example:
         >>> EpisodeLimits(duration=1.0).max_contact_gap
@@ -224,6 +224,18 @@ class EpisodeLimits(Settings):
     max_contact_gap: float = setting(
         0.1, real(POSITIVE), "Time without force closure before the grasp counts as lost.", unit="s"
     )
+    max_slide: float = setting(
+        3e-3,
+        real(NOT_NEGATIVE),
+        "Way that a touching fingertip may have slid from where it was on the object.",
+        unit="m",
+    )
+    max_overlap: float = setting(5e-4, real(NOT_NEGATIVE), "Depth that a fingertip may reach in the object.", unit="m")
+    max_stray: float = setting(
+        0.1, real(NOT_NEGATIVE),
+        "Force on the object by parts that are no fingertips, as a share of the load: the force that is balanced, the object's weight "
+        "at least.",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

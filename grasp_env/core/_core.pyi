@@ -963,6 +963,23 @@ class Outcome:
     def stray(self) -> float:
         """force of links on the object [N]"""
 
+    @property
+    def slide(self) -> float:
+        """
+        the furthest since `reset` that a touching tip has slid from where it was on the object [m]
+        """
+
+    @property
+    def overlap(self) -> float:
+        """the deepest since `reset` of a tip and the object [m]"""
+
+    @property
+    def stray_share(self) -> float:
+        """
+        the largest force of links on the object since `reset`, as a share of the load: the force that is balanced, the
+        object's weight at least
+        """
+
 class Controller:
     """The control loop of a hand: what it sees, and the torques that hold."""
 

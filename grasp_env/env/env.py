@@ -115,15 +115,20 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     "force_optimisation" (a start rule that does not fit) or "simulation_diverged"). Truncated after `limits.duration`, by default the task's
     own (hold 2 s, move and payload 4 s, six_directions 12 s).
 
+    Held is more than not lost: `is_success` asks that up to this step no fingertip has slid on the object by more than `limits.max_slide`,
+    none has been deeper in it than `limits.max_overlap`, and other parts of the hand have never pushed it by more than `limits.max_stray` of
+    the load. `info["fault"]` says what is wrong: `failure`, "drifted" (beyond the task's own limits), "slid", "overlap" or "stray_force".
+
     ## Info
     The same keys at every reset and step: `iterations`, `trials`, `status` (a `Status`; "none" at reset and where nothing was optimised; "failed"), `objective`, `optimality_gap`,
     `cone_margin` of the optimisation; `force_closure`, `contacts` (fingers), `contact_changes`; `wrench` (6,), `commanded_force` (N, 3),
-    `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of links on the object) [N], `slip` [m/s],
-    `slip_distance` [m], `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `followed` (iterations at
+    `measured_force` (N, 3), `force_error` [N], `touching` (N,), `stray_force` (of links on the object) [N], `slip` [m/s]; the worst since
+    reset: `slip_distance` (of a fingertip from where it was on the object, by sliding) [m], `overlap` (of a fingertip and the object) [m],
+    `stray_share` (of `stray_force`, as a share of the load); `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `followed` (iterations at
     the control ticks after the step's first), `limited` (iterations of Newton within the torque limits, where a force exceeds them), `torque_margin` (least of limit - |torque| in the step;
     [N m]), `torque_share` (largest torque of the step as a share of its limit), `saturated` (torques were cut: no force within the limits balances the wrench),
     `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
-    the hand could not hold), `failure`, `is_success`, and the reward terms. `agent={"info": "numbers"}` leaves the words out and makes
+    the hand could not hold), `failure`, `fault`, `is_success`, and the reward terms. `agent={"info": "numbers"}` leaves the words out and makes
     arrays of all numbers, which readers of tensors such as torchrl's take.
 
     Without optimisation (`controller.kind`, "contact_force") `force_closure` stays True; "pd" commands no forces: its `commanded_force` and the
@@ -187,7 +192,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self.observation_space = gym.spaces.Dict(parts) if self._named else vector
         self._action_shape = (action_size(config.agent.action_mode, tips),)
         self.action_space = gym.spaces.Box(-1.0, 1.0, self._action_shape, dtype=np.float32)
-        self._rate, self._ticks_per_step = config.agent.rate, config.controller.rate // config.agent.rate
+        self._ticks_per_step = config.controller.rate // config.agent.rate
         limits = config.limits
         assert limits.duration is not None
         assert limits.max_drift is not None
@@ -250,7 +255,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._motor_noise = NoiseRows(
             np.random.default_rng(int(self.np_random.integers(2**63))), len(self._torque_limits)
         )
-        self._tick, self._open, self._slip_distance = 0, 0.0, 0.0
+        self._tick, self._open = 0, 0.0
         self._failure, self._ended, self._started = "", False, True
         self._acts = self._falling or self._growing or self._world_pushes is not None
         self._weakened = self._noise or self._strength != 1.0
@@ -391,6 +396,17 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             return "dropped"
         return "closure_lost" if self._open > self._most_open else ""
 
+    def _fault(self) -> str:
+        """Why an object that was not lost does not count as held; empty where it does."""
+        outcome, limits = self._outcome, self.config.limits
+        if not self.config.task.in_place(outcome.drift, outcome.tilt):
+            return "drifted"
+        if outcome.slide > limits.max_slide:
+            return "slid"
+        if outcome.overlap > limits.max_overlap:
+            return "overlap"
+        return "stray_force" if outcome.stray_share > limits.max_stray else ""
+
     def _checked(self, action: NDArray[np.float32]) -> list[float]:
         values, plain, fault = action, type(action) is np.ndarray and action.dtype.kind == "f", ""
         if not (plain and action.itemsize <= 8):
@@ -429,16 +445,16 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         if failure == "simulation_diverged":  # what was read last, but no forces
             told |= {name: np.zeros_like(told[name]) for name in ("measured_force", "touching")}
             told |= dict.fromkeys(("force_error", "stray_force", "slip"), 0.0)
-        self._slip_distance += told["slip"] / self._rate
+        fault = failure or self._fault()
         info = {
             "status": self._loop.status or ("failed" if failure else "none"),
             **told,
-            "slip_distance": self._slip_distance,
             "time": self._tick * self._loop.dt,
             "object_mass": scene.config.object.mass,
             **self._object_info,
             "failure": failure,
-            "is_success": self.config.task.succeeded(outcome.drift, outcome.tilt, bool(failure)),
+            "fault": fault,
+            "is_success": not fault,
             **terms,
         }
         if self.config.agent.info == "all":

@@ -26,10 +26,8 @@ class Task(Settings):
     Example:
         >>> Hold().duration, SixDirections(push_time=1.0).duration
         (2.0, 6.0)
-        >>> SixDirections().succeeded(drift=0.04, tilt=0.2, failed=False)
-        True
-        >>> SixDirections().succeeded(drift=0.04, tilt=0.3, failed=False)
-        False
+        >>> SixDirections().in_place(drift=0.04, tilt=0.2), SixDirections().in_place(drift=0.04, tilt=0.3)
+        (True, False)
     """
 
     disturbance: ClassVar[DisturbanceSettings] = NoDisturbance()
@@ -67,15 +65,14 @@ class Task(Settings):
         """(T,) by which the object's mass has grown at the times (T,)."""
         return np.ones(len(times))
 
-    def succeeded(self, drift: float, tilt: float, failed: bool) -> bool:
-        """Returns True if an episode that ends here is a success.
+    def in_place(self, drift: float, tilt: float) -> bool:
+        """Returns True if an object there is near enough to its place for success.
 
         Args:
             drift: [m] of the object from where it should be.
             tilt: [rad] of the object from how it should stand.
-            failed: whether the object was lost.
         """
-        return not failed and bool(drift < self.drift_limit) and bool(tilt < self.tilt_limit)
+        return bool(drift < self.drift_limit) and bool(tilt < self.tilt_limit)
 
 
 @dataclass(frozen=True)

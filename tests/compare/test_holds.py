@@ -50,7 +50,7 @@ def info(**changes):
     """What a step of the environment reports."""
     force = np.array([[2.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     return {
-        "failure": "", "is_success": True, "saturated": 0.0, "drift": 1e-4, "tilt": 0.01, "slip_distance": 2e-4, "force_error": 0.1,
+        "fault": "", "is_success": True, "overlap": 2e-5, "stray_share": 0.01, "saturated": 0.0, "drift": 1e-4, "tilt": 0.01, "slip_distance": 2e-4, "force_error": 0.1,
         "stray_force": 0.0, "torque_margin": 0.3, "limited": 1, "iterations": 40, "status": "optimal", "time": 0.1,
         "measured_force": force, "commanded_force": 2.0 * force, "peak_torque": 0.5, "touching": np.array([True, True]),
         "contact_changes": 0, **changes,
@@ -64,7 +64,8 @@ def test_an_episode_comes_to_what_its_steps_say():
     assert (row["held"], row["failure"]) == (True, None)
     assert row["drift"] == row["end_drift"] == pytest.approx(0.3)  # millimetres
     assert row["tilt"] == pytest.approx(np.degrees(0.02))
-    assert row["slip"] == pytest.approx(0.2)
+    assert row["slip"] == row["end_slip"] == pytest.approx(0.2)
+    assert (row["overlap"], row["stray_share"]) == (pytest.approx(0.02), 0.01)
     assert (row["iterations"], row["limited"], row["time"], row["stray_force"]) == (30, 2, 0.2, 0.7)
     assert (row["normal_force"], row["commanded_force"]) == (3.0, 6.0)
     assert row["torque_margin"] == 0.1
@@ -75,10 +76,10 @@ def test_an_episode_comes_to_what_its_steps_say():
 @pytest.mark.parametrize(
     ("last", "failure"),
     [
-        ({"failure": "dropped", "is_success": False}, "dropped"),
-        ({"is_success": False}, "drifted"),
-        ({"failure": "dropped", "is_success": False, "saturated": 0.5}, "torque"),
-        ({"failure": "dropped", "is_success": False, "saturated": 0.5, "drift": 2e-3}, "dropped"),
+        ({"fault": "dropped", "is_success": False}, "dropped"),
+        ({"fault": "slid", "is_success": False}, "slid"),
+        ({"fault": "dropped", "is_success": False, "saturated": 0.5}, "torque"),
+        ({"fault": "dropped", "is_success": False, "saturated": 0.5, "drift": 2e-3}, "dropped"),
     ],
 )
 def test_a_failure_has_its_cause_and_no_drift_of_what_was_held(last, failure):

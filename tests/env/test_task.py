@@ -105,14 +105,13 @@ def test_what_is_not_given_is_the_own_of_the_task_and_of_the_motion():
     assert (usual.max_drift, usual.max_tilt) == (0.02, 0.35)
 
 
-def test_success():
+def test_how_near_to_its_place_success_asks_the_object_to_be():
     for task in (Hold(), Move(), Payload()):
-        assert task.succeeded(0.019, 0.3, False)
-        assert not task.succeeded(0.0, 0.0, True)
-    limits = {"drift": 0.049, "tilt": np.radians(14.9), "failed": False}
-    assert SixDirections().succeeded(**limits) is True
-    for broken in ({"drift": 0.05}, {"tilt": np.radians(15.1)}, {"failed": True}, {"drift": np.nan}, {"tilt": np.nan}):
-        assert SixDirections().succeeded(**(limits | broken)) is False
+        assert task.in_place(0.019, 0.3)
+    limits = {"drift": 0.049, "tilt": np.radians(14.9)}
+    assert SixDirections().in_place(**limits) is True
+    for broken in ({"drift": 0.05}, {"tilt": np.radians(15.1)}, {"drift": np.nan}, {"tilt": np.nan}):
+        assert SixDirections().in_place(**(limits | broken)) is False
 
 
 @pytest.mark.parametrize("record", [*DISTURBANCES.values(), *TASKS.values()])

@@ -144,16 +144,15 @@ def test_an_episode_is_held_only_where_it_ends_well():
         "commanded_force": np.full((4, 3), 2.0),
         "torque_share": 0.25,
         "drift": 0.004,
-        "failure": "",
+        "fault": "",
         "is_success": True,
     }
     first, last = step(0.5, {**info, "drift": 0.01, "iterations": 5}, False), step(0.25, info, True)
     told = outcome([first, last])
     assert told == {"held": True, "failure": None, "return": 0.75, "mean_iterations": 4.0, "commanded_force": 8.0,
                     "torque_share": 0.25, "drift": pytest.approx(10.0), "end_drift": pytest.approx(4.0)}  # fmt: skip
-    for change in ({"failure": "dropped"}, {"is_success": False}):
-        told = outcome([first, step(0.25, {**info, **change}, True)])
-        assert (told["held"], told["drift"], told["return"]) == (False, None, 0.75)
+    told = outcome([first, step(0.25, {**info, "is_success": False, "fault": "slid"}, True)])
+    assert (told["held"], told["failure"], told["drift"], told["return"]) == (False, "slid", None, 0.75)
 
 
 def events(folder):

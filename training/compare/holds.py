@@ -230,8 +230,8 @@ def settings_of(settings: dict[str, Any]) -> EnvConfig:
 
 def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The columns of an episode, from the `info` of its steps. Drift, tilt and slip count where the object was held."""
-    last, failure = infos[-1], str(infos[-1]["failure"])
-    held = bool(last["is_success"]) and not failure
+    last = infos[-1]
+    held = bool(last["is_success"])
     cut = any(info["saturated"] and info["drift"] < _IN_PLACE for info in infos[-_BEFORE:])
     kept = {
         "drift": 1e3 * max(info["drift"] for info in infos),
@@ -245,10 +245,11 @@ def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
     numbers = {name: float(how([info[key] for info in infos])) for name, (how, key) in columns.items()}
     return {
         "held": held,
-        "failure": None if held else "torque" if cut else failure or "drifted",
+        "failure": None if held else "torque" if cut else str(last["fault"]),
         "status": str(last["status"]),
         **(kept if held else {}), **numbers,
         "iterations": round(numbers["iterations"]), "limited": round(numbers["limited"]),
+        "overlap": 1e3 * last["overlap"], "stray_share": float(last["stray_share"]), "end_slip": 1e3 * last["slip_distance"],
         "time": float(last["time"]), "end_drift": 1e3 * last["drift"], "end_tilt": float(np.degrees(last["tilt"])),
         "normal_force": float(np.mean([info["measured_force"][:, 0].sum() for info in infos])),
         "commanded_force": float(np.mean([info["commanded_force"][:, 0].sum() for info in infos])),

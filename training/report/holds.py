@@ -21,7 +21,7 @@ INTRO = (
     "The words are defined at the end of this page, the columns of the table in run.json."
 )
 WORDS = (
-    ("held", "The object was neither dropped nor moved by more than the task allows, to the end of the episode."),
+    ("held", "The object was neither dropped nor moved by more than the task allows, to the end of the episode. No fingertip slid on it by more than 3 mm or was more than 0.5 mm in it, and links that are no fingertips never pushed it by more than 10 % of the load."),
     ("drift", "Distance of the object from where it was grasped; the largest of an episode, of the episodes that were held."),
     ("squeeze", "Sum of the normal forces."),
     ("friction margin", "Part of the friction that the solver is allowed to use: a reserve against friction estimated too high."),

@@ -51,10 +51,10 @@ def score(
 def outcome(steps: list[Step], solver: bool = True) -> dict[str, Any]:
     """The outcome of an episode: its return, whether the object was held to the end within the task's limits, and means."""
     infos = [step.info for step in steps]
-    held = bool(infos[-1]["is_success"]) and not infos[-1]["failure"]
+    held = bool(infos[-1]["is_success"])
     return {
         "held": held,
-        "failure": infos[-1]["failure"] or None,
+        "failure": infos[-1]["fault"] or None,
         "return": sum(step.reward for step in steps),
         "mean_iterations": sum(int(info["iterations"]) for info in infos) / len(infos) if solver else None,
         "commanded_force": sum(float(info["commanded_force"][:, 0].sum()) for info in infos) / len(infos),

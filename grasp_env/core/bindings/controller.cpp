@@ -149,6 +149,9 @@ constexpr struct { const char* name; PyObject* (*make)(const Telling&); } TOLD[]
     {"touching", [](const Telling& t) { return touching(t.c); }},
     {"stray_force", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.stray); }},
     {"slip", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.slip); }},
+    {"slip_distance", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.worst.slide); }},
+    {"overlap", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.worst.overlap); }},
+    {"stray_share", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.worst.stray); }},
     {"drift", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.drift); }},
     {"tilt", [](const Telling& t) { return PyFloat_FromDouble(t.outcome.tilt); }},
     {"peak_torque", [](const Telling& t) { return PyFloat_FromDouble(t.c.peak); }},
@@ -306,7 +309,16 @@ void bind_controller(nb::module_& m) {
         .def_ro("tilt", &Outcome::tilt, "[rad] from how it should stand")
         .def_ro("force_error", &Outcome::force_error, "largest component of measured - commanded force [N]")
         .def_ro("slip", &Outcome::slip, "fastest touching tip on the object [m/s]")
-        .def_ro("stray", &Outcome::stray, "force of links on the object [N]");
+        .def_ro("stray", &Outcome::stray, "force of links on the object [N]")
+        .def_prop_ro(
+            "slide", [](const Outcome& o) { return o.worst.slide; },
+            "the furthest since `reset` that a touching tip has slid from where it was on the object [m]")
+        .def_prop_ro(
+            "overlap", [](const Outcome& o) { return o.worst.overlap; }, "the deepest since `reset` of a tip and the object [m]")
+        .def_prop_ro(
+            "stray_share", [](const Outcome& o) { return o.worst.stray; },
+            "the largest force of links on the object since `reset`, as a share of the load: the force that is balanced, the\n"
+            "object's weight at least");
     nb::class_<Controller>(m, "Controller", "The control loop of a hand: what it sees, and the torques that hold.")
         .def_static(
             "make",

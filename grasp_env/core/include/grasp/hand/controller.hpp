@@ -80,7 +80,7 @@ public:
           inwards(goals), solution(method.size()), method_(method), motors_(*tree), follow_({method.contacts()}, settings.follow),
           within_(within(method.contacts())), least_({method.contacts()}, {.method = Method::conic, .tolerance = 1e-4}),
           elastic_(tree->fingers()), followed_(follow_.size()), found_(within_.size()), cheapest_(least_.size()), last_(found_),
-          apart_(tree->fingers()), before_(force), began_(force), given_(force), squeezed_(force), adjustment_(force),
+          slid_(goals), apart_(tree->fingers()), before_(force), began_(force), given_(force), squeezed_(force), adjustment_(force),
           torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
           posture_(force.size() * torques.size()), normal_(int(force.size())), redundant_(is_redundant(*tree)) {
         if (method.contacts().count != tree->fingers())
@@ -98,6 +98,7 @@ public:
         wrench = {}, peak = 0.0, mask = squeezing_ = 0, changes = 0, closure = true;
         begin_step();
         missing_ = known_ = limited_ = false;
+        worst_ = {}, std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});
         sensors.reset();
     }
 
@@ -129,6 +130,11 @@ public:
         target_ = known.target;
         wrench = sensors.external + settings.body.wrench(seen(), target_, known.gravity);
         count_contacts();
+        for (int i = 0; i < tree->fingers(); ++i) {
+            if (scene->now.touching[i] > 0.0) slid_[i] += sensors.settings.tick * scene->now.sliding[i];
+            worst_.slide = std::max(worst_.slide, length(slid_[i]));
+        }
+        worst_ = worst();
         return true;
     }
     void act(const Step* step = nullptr) {
@@ -175,10 +181,17 @@ public:
     // Frames, and measured forces as the commanded ones: what the hand does at rest, before the first command.
     void rest() {
         write_frames();
+        worst_.slide = 0.0, std::fill(slid_.begin(), slid_.end(), Point{0.0, 0.0, 0.0});  // the first tick sees the same again
         for (int i = 0; i < tree->fingers(); ++i)
             for (int a = 0; a < 3; ++a) force[3 * i + a] = dot(axis(i, a), seen().forces[i]);
     }
 
+    // What was worst since `reset`, by the truth.
+    struct Worst {
+        double slide = 0.0;  // [m] of a touching tip from where it was on the object, by sliding
+        double overlap = 0.0;  // [m] of a tip and the object
+        double stray = 0.0;  // force of links on the object, as a share of the load
+    };
     // How the object is held, by the truth: its error against the wanted pose, and what the fingers do.
     struct Outcome {
         PoseError error;
@@ -186,12 +199,13 @@ public:
         double force_error = 0.0;  // largest component of measured - commanded force [N]
         double slip = 0.0;  // fastest touching tip on the object [m/s]
         double stray = 0.0;  // force of links on the object [N]
+        Worst worst;
     };
     // measured: (N, 3) receives the measured forces in the commanded contact frames [N]
     Outcome outcome(const Target& target, double* measured) const {
         const Snapshot& now = scene->now;
         const PoseError error(now, target);
-        Outcome out{.error = error, .drift = length(error.position), .tilt = length(error.orientation), .stray = now.stray};
+        Outcome out{.error = error, .drift = length(error.position), .tilt = length(error.orientation), .stray = now.stray, .worst = worst()};
         for (int i = 0; i < tree->fingers(); ++i) {
             for (int a = 0; a < 3; ++a) {
                 const int j = 3 * i + a;
@@ -204,6 +218,7 @@ public:
     }
 
 private:
+    static constexpr double STANDARD_GRAVITY = 9.81;  // [m/s^2]
     static constexpr double NEAR = 0.9;  // of a torque limit: below, limits are left out of the next tick
     static constexpr double LIGHT = 1e-2;  // [N] of a finger that lands, times the friction
     static constexpr double ROUNDED = 1e-9;  // of a torque limit: rounding by which it may be passed
@@ -229,6 +244,8 @@ private:
     bool limited_ = false,
          exceeding_ = false;  // whether it was made within the limits and is near them; whether it exceeds them least
     std::uint64_t squeezing_ = 0;  // the fingers that `squeezed_` is for
+    Worst worst_;
+    std::vector<Point> slid_;  // (N,) the way of each tip on the object by sliding [m], object frame
     bool missing_ = false;  // a finger that counts has no force
     std::vector<int> apart_;  // (N,) ticks since a finger had force
     Target target_{};
@@ -254,6 +271,15 @@ private:
         for (int i = 0; i < tree.fingers(); ++i) free = free || tree.movers(i).size() > 3;
         for (int j = 0; j < tree.joints(); ++j) free = free || !(users[j] || tree.links[j].coupled());
         return free;
+    }
+
+    // Of all that was and what is. The load is what the forces balance, the object's weight at least: pushes may cancel that.
+    Worst worst() const {
+        const double load = std::max(length(point(wrench.data())), STANDARD_GRAVITY * settings.body.mass);
+        Worst out = worst_;
+        for (double gap : scene->now.gaps) out.overlap = std::max(out.overlap, -gap);
+        out.stray = std::max(out.stray, scene->now.stray / load);
+        return out;
     }
 
     // --- contacts

@@ -56,6 +56,7 @@ public:
     std::vector<Point> points, normals;  // (N,) surface point nearest to each tip [m], inward unit normal there, object frame
     std::vector<Point> touch, tips;  // (N,) point of the tip nearest to the object, centre of the tip [m], world
     std::vector<double> gaps, slip;  // (N,) distance of tip and object [m], tangential speed of the tip on the object [m/s]
+    std::vector<Point> sliding;  // (N,) that velocity [m/s], object frame
     std::vector<double> touching;  // (N,) 1 where the tip carried force in the last step
     std::vector<Point> forces;  // (N,) measured force of each tip ON the object [N], object frame
     std::vector<double> gravity_torques;  // (M,) that carry the hand's links [N m]
@@ -63,7 +64,7 @@ public:
 
     explicit Snapshot(const std::shared_ptr<const Tree>& tree)
         : angles(tree->joints()), rates(angles), points(tree->fingers()), normals(points), touch(points), tips(points),
-          gaps(tree->fingers()), slip(gaps), touching(gaps), forces(points), gravity_torques(angles), posture(tree) {}
+          gaps(tree->fingers()), slip(gaps), sliding(points), touching(gaps), forces(points), gravity_torques(angles), posture(tree) {}
 
     // gravity: [m/s^2], world. False where a number is not finite or the object far: what was seen before then stays.
     bool read(const Tree& tree, const Surface& surface, const Point& gravity, const Reading& reading) {
@@ -121,7 +122,7 @@ private:
             const Point inward = rotation * found.inward;
             touch[i] = tips[i] + tip.radius * inward;
             const Point slides = posture.velocity(tip.link, touch[i], rates.data()) - object_velocity(touch[i]);
-            slip[i] = length(slides - dot(slides, inward) * inward);
+            sliding[i] = to_object(slides - dot(slides, inward) * inward), slip[i] = length(sliding[i]);
         }
     }
 
