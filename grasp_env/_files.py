@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import hashlib
 import io
 import json
+import math
 import os
 import select
 import stat
@@ -13,7 +15,8 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, NoReturn
+from xml.etree.ElementTree import Element, TreeBuilder, XMLParser
 
 import numpy as np
 
@@ -30,6 +33,7 @@ PATIENCE = 10.0
 LONGEST = 60.0
 """[s] that a pipe may take in all."""
 _BLOCK = 1 << 16
+_MOST_TAGS = 600_000  # and attributes of an XML file: 1 s, 200 MB
 
 
 def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
@@ -75,20 +79,52 @@ def read_bytes(path: str | os.PathLike[str], most: int = TEXT) -> bytes:
     return blob
 
 
-def read_json(path: str | os.PathLike[str], error: type[GraspError], what: str, **options: Any) -> Any:
+def read_json(
+    path: str | os.PathLike[str], error: type[GraspError], what: str, most: int = TEXT, **options: Any
+) -> Any:
     """What a JSON file holds, in UTF-8 with or without a mark.
 
     Args:
         path: of the file.
         error: raised for whatever is wrong with it.
         what: the file is, for the message.
+        most: bytes it may have.
         options: of `json.loads`.
     """
 
     def read(blob: bytes) -> Any:
         return json.loads(blob.decode("utf-8-sig"), **options)
 
-    return parsed(path, read, error, f"{what} {shown_path(path)}", "a JSON object of this format")
+    return parsed(path, read, error, f"{what} {shown_path(path)}", "a JSON object of this format", most=most)
+
+
+class _Builder(TreeBuilder):
+    """A tree of XML without entities of its own: a few lines of them can mean gigabytes."""
+
+    def doctype(self, *_: Any) -> NoReturn:
+        raise ValueError("it holds a DOCTYPE; leave it out")
+
+
+def read_xml(blob: bytes) -> Element:
+    """The first element of an XML file.
+
+    Raises:
+        ValueError: it holds a DOCTYPE, or so many elements and attributes that they take seconds and gigabytes.
+        ParseError: it is not XML.
+    """
+    if blob.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        blob = blob.decode("utf-16").encode()
+    if (tags := blob.count(b"<") + blob.count(b"=")) > _MOST_TAGS:
+        raise ValueError(f"it has {tags} tags and attributes, allowed are up to {_MOST_TAGS}")
+    try:
+        blob.decode()
+        encoding = "utf-8"
+    except UnicodeDecodeError:  # of names and comments only
+        encoding = "iso-8859-1"
+    # given here: in one that the file names "<" may be another byte, and is not counted
+    parser = XMLParser(target=_Builder(), encoding=encoding)
+    parser.feed(blob)
+    return parser.close()
 
 
 def parsed(
@@ -115,6 +151,13 @@ def parsed(
         blob = read_bytes(path, most)
     except OSError as problem:
         raise error(f"cannot read {name}: {problem.strerror}; check the path") from problem
+    return understood(blob, read, error, name, form, hint)
+
+
+def understood(
+    blob: bytes, read: Callable[[bytes], Any], error: type[GraspError], name: str, form: str, hint: str = ""
+) -> Any:
+    """`read` of bytes; the same of bytes that are read already."""
     try:
         return read(blob)
     except GraspError:
@@ -133,9 +176,25 @@ def unpacked(blob: bytes, most: int = WEIGHTS) -> dict[str, np.ndarray]:
     with zipfile.ZipFile(io.BytesIO(blob)) as packed:
         if sum(entry.file_size for entry in packed.infolist()) > most:
             raise ValueError(f"its arrays have more than {most // MEGABYTE} MB")
-    # what an entry says of its size it cannot exceed; what its array says of its own size is read against that
+        for entry in packed.infolist():  # what an entry says of its size it cannot exceed
+            with packed.open(entry) as file:
+                _check_length(file, entry)
     with np.load(io.BytesIO(blob), allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
+
+
+def _check_length(file: IO[bytes], entry: zipfile.ZipInfo) -> None:
+    """Whether an array has the bytes that its own header claims: they are allocated before they are read."""
+    version = np.lib.format.read_magic(file)
+    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
+    if read is None:
+        raise ValueError(
+            f"its entry {entry.filename[:50]!r} is of version {version} of the format, read are 1.0 and 2.0"
+        )
+    shape, _, kind = read(file)
+    claimed = math.prod(shape) * kind.itemsize
+    if not kind.hasobject and claimed > entry.file_size:
+        raise ValueError(f"its array {entry.filename[:50]!r} claims {claimed} bytes of {entry.file_size}")
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._files import as_path, read_json, replacing
+from grasp_env._files import MEGABYTE, as_path, read_json, replacing
 from grasp_env.errors import GraspError, GraspFileError, shown
 from grasp_env.grasp.grasp import Grasp, as_grasp
 
@@ -25,6 +25,7 @@ UNITS = {"positions": "m", "normals": "1", "friction": "1", "torsional_friction"
 """The only units that a file may state."""
 _REQUIRED = ("positions", "normals", "friction")
 _OPTIONAL = ("contact_model", "torsional_friction", "tangents")
+_MOST_BYTES = 2 * MEGABYTE  # the most contacts, with all their numbers in full, take less than half
 _HEADER = ("schema", "units")
 
 
@@ -128,7 +129,7 @@ def _described(grasp: Grasp) -> dict[str, Any]:
 
 def _read(file: Path) -> dict[str, Any]:
     """The file's keys and values, the header checked; integers become floats, so that huge ones are infinite."""
-    given = read_json(file, GraspFileError, "grasp file", parse_int=float, object_pairs_hook=_unique)
+    given = read_json(file, GraspFileError, "grasp file", _MOST_BYTES, parse_int=float, object_pairs_hook=_unique)
     if not isinstance(given, dict):
         raise GraspFileError(f"grasp file {file} must be one JSON object {{...}}, got {shown(given)}")
     if given.get("schema", SCHEMA) != SCHEMA:
@@ -152,8 +153,9 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(f"key {next(key for key in keys if keys.count(key) > 1)!r} is given twice: keep one")
+    found = dict[str, Any]()
+    for key, value in pairs:
+        if key in found:
+            raise ValueError(f"key {shown(key)} is given twice: keep one")
+        found[key] = value
     return found

@@ -10,13 +10,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from grasp_env._check import Array, together
-from grasp_env._files import parsed, shown_path
+from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
 from grasp_env.sim.hand.frames import Frame
@@ -81,7 +80,7 @@ class Reader:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         hint = "; a URDF is plain XML, so run xacro files through xacro first"
-        robot = parsed(path, ElementTree.fromstring, InvalidInputError, f"the URDF {shown_path(path)}", "XML", hint)
+        robot = parsed(path, read_xml, InvalidInputError, f"the URDF {shown_path(path)}", "XML", hint)
         self.path = Path(os.fsdecode(path))
         if robot.tag != "robot":
             raise InvalidInputError(f"the first element is <{robot.tag[:40]}>, a URDF starts with <robot name=...>")
