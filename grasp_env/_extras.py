@@ -13,7 +13,7 @@ _ENGINE = "pybullet" if sys.version_info < (3, 12) or find_spec("pybullet") else
 
 EXTRAS = {
     "cli": ("rich", "tyro"),
-    "sim": ("PIL", "gymnasium", _ENGINE, "trimesh"),
+    "sim": ("PIL", "collada", "gymnasium", _ENGINE, "trimesh"),
     "mujoco": ("mujoco",),
     "live": ("viser",),
     "layer": ("torch",),

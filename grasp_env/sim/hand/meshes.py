@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import re
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -11,18 +9,17 @@ from urllib.parse import unquote
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env._extras import need
-from grasp_env._files import MEGABYTE, parsed, read_bytes
+from grasp_env._files import MEGABYTE, read_bytes
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim import mesh_files
 from grasp_env.sim.hand.solids import few_corners, hull_of, principal_axes
+from grasp_env.sim.mesh_files import key_lines, key_places, one_newline
 
 DRAWN = (".obj", ".stl", ".dae")
 """Kinds of meshes that Bullet draws."""
-MOST_BYTES = 20 * MEGABYTE
-"""Of a mesh that touches."""
-MOST_FACES = 200_000
-"""Of a mesh that touches."""
 
+_MOST_LOOKS = 20 * MEGABYTE  # bytes of a mesh that is drawn
+_MOST_BLOCKS = 10_000
 _PARENTS = 5  # folders above the URDF in which its meshes may be
 _FULL = 0.9  # of its hull's volume, from which on a mesh counts as convex
 _MOST_PIECES = 8
@@ -66,33 +63,7 @@ def read_mesh(path: str | Path) -> tuple[Array, Any]:
     Raises:
         InvalidInputError: Not a mesh, or one too large; what is in the file is never run.
     """
-    need("sim")
-    import trimesh  # slow to import, and only meshes need it
-
-    kind = Path(path).suffix[1:].lower()
-
-    def read(blob: bytes) -> tuple[Array, Any]:
-        loaded: Any = trimesh.load(io.BytesIO(blob), file_type=kind, force="mesh", process=False, skip_materials=True)
-        return np.array(loaded.vertices, dtype=float), np.array(loaded.faces, dtype=np.int64)
-
-    if kind not in ("obj", "stl", "dae", "ply", "off", "glb"):
-        raise InvalidInputError(f"the mesh {path} is of no kind that is read: .obj, .stl, .dae")
-    hint = "; export it again as .obj or .stl"
-    corners, faces = parsed(path, read, InvalidInputError, f"the mesh {path}", "a mesh", hint, MOST_BYTES)
-    if len(faces) > MOST_FACES:
-        raise InvalidInputError(f"the mesh {path} has {len(faces)} faces, allowed are up to {MOST_FACES}; simplify it")
-    if (
-        corners.ndim != 2
-        or corners.shape[1:] != (3,)
-        or faces.ndim != 2
-        or faces.shape[1:] != (3,)
-        or len(faces) == 0
-        or faces.min() < 0
-        or faces.max() >= len(corners)
-    ):
-        raise InvalidInputError(f"the mesh {path} holds no triangles, or some whose corners do not exist{hint}")
-    if not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:
-        raise InvalidInputError(f"the mesh {path} has coordinates that are not finite or above 1e6{hint}")
+    corners, faces, _ = mesh_files.read_mesh(path, f"the mesh {path}")
     _, kept, numbers = np.unique(corners.round(9), axis=0, return_index=True, return_inverse=True)
     return corners[kept], numbers.reshape(-1)[faces]
 
@@ -103,7 +74,7 @@ def why_not_drawn(path: Path) -> str:
     if kind not in DRAWN:
         return f"are none of {', '.join(DRAWN)}"
     try:
-        blob = read_bytes(path, MOST_BYTES)
+        blob = read_bytes(path, _MOST_LOOKS)
     except OSError as error:
         return f"cannot be read ({error.strerror})"
     if kind != ".obj":
@@ -116,21 +87,22 @@ def why_not_drawn(path: Path) -> str:
 
 def _corners_exist(blob: bytes) -> bool:
     """Whether the faces of an .obj name corners, and textures and normals if any, that stand before them."""
-    # blocks of faces, each with what stands before it; most files have one
-    known, faces = [0, 0, 0], 0
-    for block in re.finditer(
-        rb"((?:^(?![ \t]*f[ \t]).*(?:\n|\Z))*)((?:^[ \t]*f[ \t].*(?:\n|\Z))*)", blob, re.MULTILINE
-    ):
-        for k, name in enumerate((b"v", b"vt", b"vn")):
-            known[k] += len(re.findall(rb"^[ \t]*%s[ \t]" % name, block[1], re.MULTILINE))
-        for word in set(block[2].split()) - {b"f"}:
+    text = one_newline(blob)
+    faces, *others = (np.fromiter(key_places(text, key), np.int64) for key in (b"f", b"v", b"vt", b"vn"))
+    known = np.stack([np.searchsorted(other, faces) for other in others], axis=1)
+    # blocks of faces that stand behind the same; most files have one
+    cuts = (np.flatnonzero((np.diff(known, axis=0) != 0).any(axis=1)) + 1).tolist()
+    if len(faces) == 0 or len(cuts) > _MOST_BLOCKS:
+        return False
+    rows = key_lines(text, b"f")
+    for begin, end in zip([0, *cuts], [*cuts, len(rows)], strict=True):
+        for word in set(b" ".join(rows[begin:end]).split()):
             numbers = word.split(b"/")
             if len(numbers) > 3 or any(
-                number and not 1 <= int(number) <= most for number, most in zip(numbers, known, strict=False)
+                number and not 1 <= int(number) <= most for number, most in zip(numbers, known[begin], strict=False)
             ):
                 return False
-            faces += 1
-    return faces > 0
+    return True
 
 
 def convex_pieces(corners: Array, faces: Any) -> list[Array]:

@@ -10,15 +10,15 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim.mesh_files import KINDS, read_mesh
 
-FILE_TYPES = (".obj", ".stl", ".ply", ".off")
+FILE_TYPES = tuple(KINDS)
 MOST_FACES = 400
 """Of a mesh: the nearest point is sought on all of them, for every fingertip at every control step."""
 
 _MOST_BYTES = 5_000_000
 _CONVEX = 1e-5  # of the extent, by which a corner may stand out of the plane of a face
 _ROUND = 1e-6  # relative difference of moments, or product of inertia, that tells no axis from another
-_RAW = 1_000_000.0  # [file units]; beyond it squares lose their digits
 
 
 class Mesh(NamedTuple):
@@ -47,7 +47,7 @@ def load_mesh(path: str, scale: float) -> Mesh:
     """Read a mesh; the last few are remembered until their files change.
 
     Args:
-        path: Of an .obj, .stl, .ply or .off file.
+        path: Of a file of one of `FILE_TYPES`.
         scale: What its coordinates are multiplied by to give metres.
 
     Raises:
@@ -71,9 +71,7 @@ def load_mesh(path: str, scale: float) -> Mesh:
 @lru_cache(maxsize=16)
 def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mesh:
     """`_changed` and `_bytes` tell one state of the file from another."""
-    corners, faces = _read(path, name)
-    if not np.isfinite(corners).all() or np.abs(corners).max() > _RAW:
-        raise InvalidInputError(f"mesh={name!r} has coordinates that are not finite or above {_RAW:g}; repair the file")
+    corners, faces, _ = read_mesh(path, f"mesh={name!r}")
     if len(faces) > MOST_FACES:
         raise InvalidInputError(
             f"mesh={name!r} has {len(faces)} faces, allowed are up to {MOST_FACES}; simplify it, for example with "
@@ -86,27 +84,6 @@ def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mes
     faces = _outward(corners, faces, extent, name)
     corners, faces = _check_convex(corners, faces, extent, name)
     return _centred(corners, faces)
-
-
-def _read(path: str, name: str) -> tuple[Array, Any]:
-    """Corners (V, 3) and faces (F, 3) as the file has them."""
-    import trimesh  # slow to import, and only meshes need it
-
-    try:
-        loaded = trimesh.load(
-            path, file_type=os.path.splitext(path)[1][1:].lower(), force="mesh", process=False, skip_materials=True
-        )
-        corners = np.array(loaded.vertices, dtype=float)  # pyright: ignore
-        faces = np.array(loaded.faces, dtype=np.int64)  # pyright: ignore
-    except Exception as error:  # every format's reader has its own
-        raise InvalidInputError(
-            f"mesh={name!r} cannot be read as a mesh: {type(error).__name__}: {error}; export it again as .obj or .stl"
-        ) from None
-    if corners.ndim != 2 or faces.ndim != 2 or len(faces) == 0 or faces.shape[1] != 3:
-        raise InvalidInputError(f"mesh={name!r} holds no triangles; export it as a triangle mesh")
-    if faces.min() < 0 or faces.max() >= len(corners):
-        raise InvalidInputError(f"mesh={name!r} has faces whose corners do not exist; export it again")
-    return corners, faces
 
 
 def _weld(corners: Array, faces: Any, extent: float) -> tuple[Array, Any]:
