@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 
 from grasp_env import _files
-from grasp_env._files import read_bytes
+from grasp_env._files import read_bytes, unpacked
 from grasp_env.errors import GraspError
 from grasp_env.grasp import load_grasp, presets, save_grasp
 from grasp_env.sim import HandDescription
@@ -83,6 +84,17 @@ def boaster(path: Path) -> None:
         np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": (10**15, 10**3)})
 
 
+@cache
+def equal() -> bytes:
+    """A table of 150 million equal numbers in half a megabyte."""
+    blob = io.BytesIO()
+    rows = pyarrow.table({"iterations": np.zeros(5_000_000, np.int64)})
+    with pyarrow.parquet.ParquetWriter(blob, rows.schema, compression="zstd") as writer:
+        for _ in range(30):
+            writer.write_table(rows)
+    return blob.getvalue()
+
+
 FILES: dict[str, Callable[[Path], Any]] = {
     "missing": lambda path: None,
     "empty": lambda path: path.write_bytes(b""),
@@ -116,7 +128,20 @@ FILES: dict[str, Callable[[Path], Any]] = {
     "a list": lambda path: path.write_text("[1, 2]"),
     "arrays that unpack to gigabytes": lambda path: path.write_bytes(bomb()),
     "arrays that claim to be large": boaster,
+    "a key twice among a hundred thousand": lambda path: path.write_text("{" + "".join(f'"{k}":1,' for k in range(100_000)) + '"0":1}'),
+    "equal values without end": lambda path: path.write_bytes(equal()),
 }  # fmt: skip
+
+
+def test_arrays_have_the_bytes_that_they_claim() -> None:
+    blob = io.BytesIO()
+    np.savez(blob, a=np.arange(6.0).reshape(2, 3), b=np.array("text"), c=np.zeros(0))
+    assert {name: array.shape for name, array in unpacked(blob.getvalue()).items()} == {"a": (2, 3), "b": (), "c": (0,)}
+    with zipfile.ZipFile(blob, "w") as packed, packed.open("a.npy", "w") as entry:
+        np.lib.format.write_array_header_1_0(entry, {"descr": "<f8", "fortran_order": False, "shape": (10**9,)})
+        entry.write(bytes(80))
+    with pytest.raises(ValueError, match=r"'a.npy' claims 8000000000 bytes of 208"):
+        unpacked(blob.getvalue())
 
 
 @pytest.mark.parametrize("kind", FILES)
@@ -126,7 +151,7 @@ def test_every_reader_refuses_in_words_and_soon(reader: str, kind: str, tmp_path
     FILES[kind](path)
     begin = time.process_time()
     # JSON is what it is: a run's file may be any
-    if reader == "run" and kind in ("not a number", "wrong kinds", "a list", "surrogate", "nested within the parser's depth"):  # fmt: skip
+    if reader == "run" and kind in ("not a number", "wrong kinds", "a list", "surrogate", "nested within the parser's depth", "a key twice among a hundred thousand"):  # fmt: skip
         READERS[reader](path)
         return
     with pytest.raises(GraspError) as caught:

@@ -118,7 +118,7 @@ BOX, BALL = trimesh.creation.box((0.1, 0.1, 0.1)), trimesh.creation.icosphere(2,
 FLAT = trimesh.Trimesh(
     [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]], process=False
 )
-UNREAD = "cannot be read|no triangles"
+UNREAD = "is not a mesh of kind|no triangles"
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ UNREAD = "cannot be read|no triangles"
         ("object.obj", BALL.copy().apply_scale(1000.0), "millimetres"),
         ("object.obj", FLAT, "encloses no volume"),
         ("object.pkl", b"", "file of type"),
-        ("object.glb", b"", "file of type"),
+        ("object.glb", b"", UNREAD),
         ("object.obj", b"", UNREAD),
         ("object.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "not finite"),
         ("object.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", f"do not exist|{UNREAD}"),
