@@ -2,7 +2,7 @@
 
 A guard holds what a file claims of its size against its bytes, counts its triangles, and writes a file of the same kind anew that
 has its corners and triangles only: trimesh sees no materials, pictures, scripts or names of other files. What is too large or of a
-feature that is not read is refused before; no file takes more than 3 s or 1 GiB. Coordinates stay in the file's units and axes, in a
+feature that is not read is refused before; no file takes more than 2 s or 1 GiB. Coordinates stay in the file's units and axes, in a
 .dae too, whose <unit> and <up_axis> are not applied.
 """
 
@@ -31,6 +31,7 @@ __all__ = ["KINDS", "MOST_FACES", "MeshFile", "key_lines", "key_places", "one_ne
 MOST_FACES = 200_000
 """Triangles of a mesh."""
 _MOST_CORNERS = 3 * MOST_FACES  # those that no face names among them
+_MOST_IN_WORDS = 2 * MOST_FACES  # of an .off and a .ply of words, whose numbers trimesh reads in 3 us a corner
 _MOST_PARTS = 4000  # of meshes that a scene places: 0.3 ms each
 _MOST_NODES = 10_000
 _MOST_LINES = 3_000_000
@@ -221,7 +222,7 @@ def _guard_off(blob: bytes) -> tuple[bytes, int]:
     head = re.match(rb"\s*(?:ST)?C?N?OFF\s+([0-9]{1,12})[ \t]+([0-9]{1,12})(?:[ \t]+[0-9]{1,12})?[ \t]*(?:\n|\Z)", text)
     if head is None:
         raise ValueError("it does not begin with OFF, the number of corners and that of faces")
-    corners, faces = _few(int(head[1]), _MOST_CORNERS, "corners"), _few_faces(int(head[2]))
+    corners, faces = _few(int(head[1]), _MOST_IN_WORDS, "corners"), _few_faces(int(head[2]))
     rows = _lines(text[head.end() :], corners + faces)
     polygons, count = _polygons(rows[corners:])
     return b"OFF\n%d %d 0\n" % (corners, faces) + b"\n".join([*rows[:corners], polygons]), count
@@ -245,7 +246,8 @@ def _guard_ply(blob: bytes) -> tuple[bytes, int]:
         raise ValueError(
             f"it has no header within {_LONGEST_HEAD} bytes with a format, element vertex and element face"
         )
-    corners, faces = _few(int(parts[2]), _MOST_CORNERS, "corners"), _few_faces(int(parts[5]))
+    most = _MOST_IN_WORDS if form[1] == "ascii" else _MOST_CORNERS
+    corners, faces = _few(int(parts[2]), most, "corners"), _few_faces(int(parts[5]))
     of_corner, of_face = ([line.split() for line in re.findall(r"\nproperty\s+(.*)", parts[k])] for k in (3, 6))
     _few(len(of_corner) + len(of_face), 100, "properties")
     listed = next((number for number, words in enumerate(of_face) if words[0] == "list"), None)
