@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import sys
 from contextlib import nullcontext
 from importlib.util import find_spec
@@ -11,9 +12,24 @@ from grasp_env.errors import MissingExtraError
 _ENGINE = "pybullet" if sys.version_info < (3, 12) or find_spec("pybullet") else "mujoco"
 """The engine that `sim` brings: pip finds PyBullet for CPython 3.10 and 3.11 only."""
 
+_CUTTER = "vhacdx" if platform.machine() == "aarch64" and not find_spec("coacd") else "coacd"
+"""What cuts meshes into convex pieces: CoACD has no wheel for ARM and Linux."""
+
 EXTRAS = {
     "cli": ("rich", "tyro"),
-    "sim": ("PIL", "collada", "gymnasium", _ENGINE, "trimesh"),
+    "sim": (
+        "PIL",
+        "collada",
+        "fast_simplification",
+        "gymnasium",
+        "manifold3d",
+        "networkx",
+        "platformdirs",
+        "pymeshfix",
+        "trimesh",
+        _CUTTER,
+        _ENGINE,
+    ),
     "mujoco": ("mujoco",),
     "live": ("viser",),
     "layer": ("torch",),

@@ -50,6 +50,7 @@ sys.meta_path[sys.meta_path.index(PathFinder)] = Finder
 
 ENGINE, OTHER_PYTHONS = ("pybullet", ">= '3.12'") if sys.version_info < (3, 12) else ("mujoco", "< '3.12'")
 """What the extra `sim` simulates with on this CPython, and the marker of what it takes on others."""
+OTHER_MACHINES = f"platform_machine {'!=' if EXTRAS['sim'].count('vhacdx') else '=='} 'aarch64'"
 HEAVY = tuple(name for extra in ("sim", "train", "report", "video") for name in EXTRAS[extra])
 
 
@@ -57,8 +58,9 @@ def test_the_table_is_what_pip_installs() -> None:
     assert _names(PROJECT["dependencies"]) == {"numpy", "scipy", "safetensors"}
     homes = packages_distributions() | {"ray": ["ray"]}  # which only clusters need
     for extra, modules in EXTRAS.items():
-        asked = _names([one for one in OPTIONAL[extra] if not re.search(OTHER_PYTHONS, one)])
-        found = [{home.lower().replace("_", "-") for home in homes[name]} for name in modules]
+        asked = _names([one for one in OPTIONAL[extra] if not re.search(f"{OTHER_PYTHONS}|{OTHER_MACHINES}", one)])
+        # one that is a single compiled file is in no list of packages: it bears its distribution's name
+        found = [{home.lower().replace("_", "-") for home in homes.get(name, [name])} for name in modules]
         assert all(some & asked for some in found)  # MuJoCo is one module of several distributions
         assert asked <= set().union(*found)
     assert _brought("all") == {"all", *EXTRAS} - {"ray"}
@@ -95,7 +97,7 @@ for statement, extra in {IMPORTS}.items():
         exec(statement)
         print(statement, "works")
     except ImportError as error:
-        name = {{"sim": "{ENGINE}, trimesh", "layer": "torch"}}.get(extra, "stable_baselines3, tensorboard, torch")
+        name = {{"sim": "trimesh, {ENGINE}", "layer": "torch"}}.get(extra, "stable_baselines3, tensorboard, torch")
         wanted = f'this needs {{name}}: pip install "grasp-force[{{extra}}]"'
         if (type(error).__name__, str(error)) != ("MissingExtraError", wanted):
             print(statement, repr(error))

@@ -427,13 +427,20 @@ def phi_lower_bound(y: object, weights: object) -> float:
     """Least of phi(x) - y . x, contact by contact, y (N, 3); -inf: none."""
 
 class Surface:
-    """A convex surface, body frame; the axis of cylinders and capsules is y."""
+    """A surface, body frame; the axis of cylinders and capsules is y."""
 
     @staticmethod
-    def make(kind: str, numbers: object, triangles: object, normals: object) -> Surface:
+    def make(kind: str, numbers: object) -> Surface:
         """
-        numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius; capsule, radius
-        and half its axis. Of a mesh (F, 3, 3) corners [m], from outside counterclockwise, and (F, 3) OUTWARD normals.
+        numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius; capsule,
+        radius and half its axis.
+        """
+
+    @staticmethod
+    def mesh(corners: object, faces: object, pieces: Sequence[object]) -> Surface:
+        """
+        corners (V, 3) [m] and their numbers (F, 3) as float64, from outside counterclockwise, of a closed mesh; corners
+        (K, 3) [m] of convex pieces that together hold it.
         """
 
     def nearest(self, center: object) -> tuple[NDArray, NDArray, float]:
@@ -600,7 +607,7 @@ class GraspSearch:
         Makes the pool of places of a finger anew, and returns their number.
         draws: (S, 6) in [0, 1); less 1/2, times spread (6,): where to begin inside the object [m], and what to add to the
         direction towards the finger.
-        margins: [m] of flat surface, [rad] from joint limits, [m] of clearance.
+        margins: [m] of flat surface, [rad] from joint limits, [m] of clearance, [m] of a mesh's pieces over it at most.
         """
 
     def choose(self, picks: Sequence[Sequence[int]], forces: object, points: object, normals: object, choices: object) -> int:

@@ -20,7 +20,7 @@ from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.limbs import touching_pairs
-from grasp_env.sim.hand.urdf import HULL_MARGIN, hand_files
+from grasp_env.sim.hand.urdf import HULL_MARGIN, hand_files, hull_faces
 from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 from grasp_env.sim.simulator import Simulator
 
@@ -205,7 +205,7 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
     for pair in touching_pairs(config.hand):
         one, other = (-1 if link < 0 else joints[link] for link in pair)
         bullet.setCollisionFilterPair(hand, hand, one, other, 0, physicsClientId=client)
-    return World(hand, create_body(client, config.object, OBJECT_COLOR), joints)
+    return World(hand, create_body(client, config.object, OBJECT_COLOR, engine.mesh_contacts == "faces"), joints)
 
 
 def couple(client: int, body: int, joints: Sequence[int], hand: HandDescription) -> None:
@@ -270,22 +270,23 @@ def joint_indices(client: int, body: int, hand: HandDescription) -> list[int]:
     return [names.index(name) for name in hand.joint_names]
 
 
-def create_body(client: int, item: ObjectDescription, color: tuple[float, float, float]) -> int:
+def create_body(client: int, item: ObjectDescription, color: tuple[float, float, float], exact: bool = False) -> int:
     """Make an object at the origin and return its body number; the hand must be there already.
 
-    Bullet's surface is that of `item.surface`. For cuboid, sphere and capsule its contacts are exact; its search for
-    the nearest point takes corners within a centimetre for one, though: the normal and the distance are off by up to
-    0.04 and 40 um on the round side of a cylinder, 0.006 and 16 um on a mesh of 320 faces.
+    Bullet's surface is that of `item.surface`. For cuboid, sphere, capsule and the faces of a mesh its contacts are exact; its
+    search for the nearest point takes corners within a centimetre for one, though: the normal and the distance are off by up to
+    0.04 and 40 um on the round side of a cylinder.
 
     Args:
         client: Number of the PyBullet connection.
         item: The object.
         color: Red, green and blue in [0, 1].
     """
-    solid, look = _shapes(item)
-    shape = bullet.createCollisionShape(**solid, physicsClientId=client)
-    seen = bullet.createVisualShape(**look, rgbaColor=(*color, 1.0), physicsClientId=client)
-    body = bullet.createMultiBody(item.mass, shape, seen, physicsClientId=client)
+    with tempfile.TemporaryDirectory() as folder:
+        solid, look = _shapes(item, folder, exact)
+        shape = bullet.createCollisionShape(**solid, physicsClientId=client)
+        seen = bullet.createVisualShape(**look, rgbaColor=(*color, 1.0), physicsClientId=client)
+        body = bullet.createMultiBody(item.mass, shape, seen, physicsClientId=client)  # reads the file once more
     set_dynamics(client, body, item)
     return body
 
@@ -306,23 +307,31 @@ def _margin(item: ObjectDescription) -> float:
     return 0.5 * item.size[0] if item.shape in ("sphere", "capsule") else 0.0
 
 
-def _shapes(item: ObjectDescription) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Arguments of createCollisionShape and createVisualShape."""
+def _write(folder: str, name: str, parts: Sequence[tuple[Array, Any]]) -> str:
+    """The path of an .obj with corners and faces of each part; Bullet draws each face flat, as it has no normals."""
+    path, before = os.path.join(folder, name), 1
+    with open(path, "w", encoding="ascii") as file:
+        for number, (corners, faces) in enumerate(parts):
+            file.write(f"o part{number}\n")
+            file.write("".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in corners.tolist()))
+            file.write("".join(f"f {i} {j} {k}\n" for i, j, k in (faces + before).tolist()))
+            before += len(corners)
+    return path
+
+
+def _shapes(item: ObjectDescription, folder: str, exact: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Arguments of createCollisionShape and createVisualShape; a folder for the file of a mesh."""
     if item.shape == "cuboid":
         sides = {"shapeType": bullet.GEOM_BOX, "halfExtents": [0.5 * side for side in item.size]}
         return sides, sides
     if item.shape == "mesh":
-        corners, faces = item.faces
-        # three corners of its own for every face, so that it is drawn flat
-        drawn, normals = corners[faces].reshape(-1, 3), np.repeat(item.face_normals, 3, axis=0)
-        hull = {"shapeType": bullet.GEOM_MESH, "vertices": corners.tolist()}
-        look = {
-            "shapeType": bullet.GEOM_MESH,
-            "vertices": drawn.tolist(),
-            "indices": list(range(3 * len(faces))),
-            "normals": normals.tolist(),
-        }
-        return hull, look
+        look = {"shapeType": bullet.GEOM_MESH, "fileName": _write(folder, "mesh.obj", [item.faces])}
+        if exact:
+            return {**look, "flags": bullet.GEOM_FORCE_CONCAVE_TRIMESH}, look
+        if len(item.pieces) == 1:
+            return {"shapeType": bullet.GEOM_MESH, "vertices": item.pieces[0].tolist()}, look
+        hulls = [hull_faces(piece) for piece in item.pieces]
+        return {"shapeType": bullet.GEOM_MESH, "fileName": _write(folder, "pieces.obj", hulls)}, look
     radius = 0.5 * item.size[0]
     if item.shape == "sphere":
         ball = {"shapeType": bullet.GEOM_SPHERE, "radius": radius}

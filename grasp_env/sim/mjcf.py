@@ -43,7 +43,9 @@ def scene_mjcf(
     sliding, turning = (part * hand.tip_friction for part in (item.friction, item.torsional_friction))
     meshes: list[str] = []
     tree = _tree(hand, lambda body: _shapes(body.collision, meshes))
-    shape = f'<geom name="{OBJECT}" {_object_shape(item, meshes)} priority="1" friction="{sliding!r} {turning!r} 0"/>'
+    shape = "".join(
+        f'<geom {each} priority="1" friction="{sliding!r} {turning!r} 0"/>' for each in _object_shapes(item, meshes)
+    )
     return f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <option timestep="{timestep!r}" gravity="{_text(gravity)}" cone="{engine.cone}" impratio="{engine.impratio!r}"
  integrator="{engine.integrator}" solver="Newton" iterations="{engine.solver_iterations}" tolerance="{engine.tolerance!r}"
@@ -78,7 +80,7 @@ def looks_mjcf(hand: HandDescription, item: ObjectDescription | None = None) -> 
     tree, held = _tree(hand, looks), ""
     if item is not None:
         color = f'rgba="{_text((*OBJECT_COLOR, 1.0))}" group="{OBJECT_GROUP}"'
-        held = _free_body(item, f"<geom {_object_shape(item, meshes)} {color}/>")
+        held = _free_body(item, f"<geom {_object_look(item, meshes)} {color}/>")
     text = f"""<mujoco><compiler angle="radian" eulerseq="XYZ" inertiafromgeom="false" autolimits="false"/>
 <statistic extent="1" center="0 0 0"/>
 <visual><headlight ambient="0.62 0.62 0.62" diffuse="0 0 0" specular="0 0 0"/><quality shadowsize="4096" offsamples="0"/></visual>
@@ -140,10 +142,18 @@ def _shape(shape: Geometry, meshes: list[str], look: str = "", files: dict[str, 
     return f'<geom type="{kind}" {given} pos="{_text(shape.origin)}" euler="{_text(shape.rotation)}" {look}/>'
 
 
-def _object_shape(item: ObjectDescription, meshes: list[str]) -> str:
-    """Type, size and orientation of the object's shape."""
+def _object_shapes(item: ObjectDescription, meshes: list[str]) -> list[str]:
+    """Type, size and orientation of the shapes with which an object touches: the pieces of a mesh."""
     if item.shape == "mesh":
-        return f'type="mesh" {_mesh(item.faces[0], meshes)} euler="0 0 0"'
+        return [f'type="mesh" {_mesh(piece, meshes)} euler="0 0 0"' for piece in item.pieces]
+    return [_object_look(item, meshes)]
+
+
+def _object_look(item: ObjectDescription, meshes: list[str]) -> str:
+    """The same of the shape as which it is drawn."""
+    if item.shape == "mesh":
+        corners, faces = item.faces
+        return f'type="mesh" {_mesh(corners, meshes, faces)} euler="0 0 0"'
     half = [0.5 * side for side in item.size]
     if item.shape == "cuboid":
         return f'type="box" size="{_text(half)}" euler="0 0 0"'
@@ -152,10 +162,11 @@ def _object_shape(item: ObjectDescription, meshes: list[str]) -> str:
     return f'type="{item.shape}" size="{_text(half)}" euler="{_Z_TO_Y}"'
 
 
-def _mesh(corners: Any, meshes: list[str]) -> str:
-    """Adds the convex hull of corners (K, 3) [m] to the meshes; how a shape names it."""
+def _mesh(corners: Any, meshes: list[str], faces: Any = None) -> str:
+    """Adds corners (K, 3) [m] with faces (F, 3), or their convex hull, to the meshes; how a shape names it."""
     name = f"mesh{len(meshes)}"
-    meshes.append(f'<mesh name="{name}" vertex="{_text(np.ravel(corners))}"/>')
+    drawn = "" if faces is None else f' face="{" ".join(map(str, np.ravel(faces).tolist()))}" inertia="shell"'
+    meshes.append(f'<mesh name="{name}" vertex="{_text(np.ravel(corners))}"{drawn}/>')
     return f'mesh="{name}"'
 
 

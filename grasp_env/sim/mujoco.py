@@ -64,7 +64,8 @@ class Mujoco(Simulator):
         joints = [model.joint(link_name(index)) for index in range(self._hand.joint_count)]
         self._angles = np.array([joint.qposadr[0] for joint in joints])
         self._rates = np.array([joint.dofadr[0] for joint in joints])
-        self._body, self._shape = model.body(OBJECT).id, model.geom(OBJECT).id
+        self._body = model.body(OBJECT).id
+        self._shapes = np.flatnonzero(model.geom_bodyid == self._body)
         free = model.body_jntadr[self._body]
         place, speed = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
         self._place, self._turn = slice(place, place + 3), slice(place + 3, place + 7)
@@ -109,7 +110,7 @@ class Mujoco(Simulator):
         if not self._noted:
             return []
         shapes, _, _, pushes = self._noted[-1]
-        mine = shapes[(pushes[:, 0] > _LEAST_FORCE) & (shapes != self._shape).all(axis=1)]
+        mine = shapes[(pushes[:, 0] > _LEAST_FORCE) & ~np.isin(shapes, self._shapes).any(axis=1)]
         links: Array = self._links[mine.astype(int)]
         pairs = np.sort(links, axis=1).astype(int).tolist()
         return sorted({(first, second) for first, second in pairs})
@@ -124,7 +125,7 @@ class Mujoco(Simulator):
         self._open()
         model = self.model
         model.body_mass[self._body], model.body_inertia[self._body] = item.mass, item.moments
-        model.geom_friction[self._shape, :2] = np.multiply(
+        model.geom_friction[self._shapes, :2] = np.multiply(
             (item.friction, item.torsional_friction), self._hand.tip_friction
         )
         mujoco.mj_setConst(model, mujoco.MjData(model))  # what follows from masses; it moves the data that it is given
@@ -170,8 +171,9 @@ class Mujoco(Simulator):
         """Link, place and share of the force on the object of every contact with it in the last `advance`, (7n,)."""
         if self._contacts is None:
             shapes, places, frames, pushes = (np.concatenate(parts) for parts in zip(*self._noted, strict=True))
-            second = shapes[:, 1] == self._shape  # the frame is that of the first, the force is on the second
-            mine = (second | (shapes[:, 0] == self._shape)) & (pushes[:, 0] > _LEAST_FORCE)
+            held = np.isin(shapes, self._shapes)
+            second = held[:, 1]  # the frame is that of the first, the force is on the second
+            mine = held.any(axis=1) & (pushes[:, 0] > _LEAST_FORCE)
             shares = np.where(second, 1.0, -1.0)[:, None] / len(self._noted) * pushes[:, :3]
             forces = np.einsum("ni,nij->nj", shares, frames.reshape(-1, 3, 3))
             links = self._links[np.where(second, shapes[:, 0], shapes[:, 1])]

@@ -16,7 +16,7 @@ from grasp_env.quality import force_closure
 def test_gaps() -> None:
     rng = np.random.default_rng(3)
     part = np.linspace(0.0, 1.0, 201)[:, None]
-    cylinder = core.Surface.make("cylinder", np.array([0.04, 0.05, 0.0]), np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    cylinder = core.Surface.make("cylinder", np.array([0.04, 0.05, 0.0]))
     for _ in range(40):
         a, b, c, d = rng.normal(size=(4, 3)) * 0.1
         one, two = a + part * (b - a), c + part * (d - c)
@@ -108,15 +108,30 @@ def test_soft_contacts_turn_two_fingers() -> None:
     assert least_force(points, normals, 0.5, 0.05, load, torsion=0.005) == pytest.approx(10.0, rel=0.02)
 
 
-@pytest.mark.parametrize("kind", ["cuboid", "sphere", "capsule", "cylinder", "mesh"])
+@pytest.mark.parametrize("kind", ["cuboid", "sphere", "capsule", "cylinder"])
 def test_a_surface_needs_its_numbers(kind: str) -> None:
-    none = np.zeros((0, 3, 3)), np.zeros((0, 3))
     with pytest.raises(TypeError):
-        core.Surface.make(kind, np.zeros(4), *none)
-    with pytest.raises(TypeError):
-        core.Surface.make(kind, np.zeros(3), np.zeros((1, 3, 3)), np.zeros((2, 3)))
-    if kind == "mesh":
-        with pytest.raises(ValueError, match="a mesh with faces"):
-            core.Surface.make(kind, np.zeros(3), *none)
+        core.Surface.make(kind, np.zeros(4))
     with pytest.raises(ValueError, match="cuboid"):
-        core.Surface.make(kind + "s", np.zeros(3), *none)
+        core.Surface.make(kind + "s", np.zeros(3))
+
+
+TETRAHEDRON = (
+    np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.1,
+    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+)
+
+
+@pytest.mark.parametrize(
+    ("corners", "faces", "pieces", "message"),
+    [
+        (TETRAHEDRON[0], TETRAHEDRON[1][:0], [TETRAHEDRON[0]], "faces and pieces"),
+        (TETRAHEDRON[0], TETRAHEDRON[1], [], "faces and pieces"),
+        (TETRAHEDRON[0], TETRAHEDRON[1] + 1, [TETRAHEDRON[0]], "does not exist"),
+        (TETRAHEDRON[0], TETRAHEDRON[1] - 1, [TETRAHEDRON[0]], "does not exist"),
+        (0.0 * TETRAHEDRON[0], TETRAHEDRON[1], [TETRAHEDRON[0]], "area"),
+    ],
+)
+def test_a_mesh_needs_faces_and_pieces(corners, faces, pieces, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        core.Surface.mesh(corners, faces.astype(float), pieces)

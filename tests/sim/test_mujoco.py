@@ -196,7 +196,7 @@ def test_shapes_and_hulls_touch_where_they_are(shape: str, tmp_path: Path) -> No
 def test_mass_friction_and_gravity_change_where_they_are_told() -> None:
     simulator = alone(crooked_hand())
     simulator.set_object(ObjectDescription(mass=0.4, friction=0.9))
-    assert simulator.model.geom("object").friction[0] == 0.9
+    assert simulator.model.geom_friction[-1, 0] == 0.9  # the object comes last
     simulator.set_gravity(np.array([2.0, 0.0, 0.0]))
     simulator.advance([0.0] * 5, [0.0, 0.4, 0.0, 0.0, 0.0, 0.002])
     np.testing.assert_allclose(place(simulator)[7:10], [2e-3, 1e-3, 0.0], rtol=1e-12)

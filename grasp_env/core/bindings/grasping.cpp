@@ -96,7 +96,8 @@ GraspSearch make(const std::shared_ptr<HandLimbs>& hand, const Surface& surface,
     return {hand, surface, {friction, length, sixes(loads), space, torsion, start, point(gravity.data())}, sixes(directions)};
 }
 
-int fill(GraspSearch& search, int finger, nb::handle draws, const Row& spread, const Three& margins, int most) {
+int fill(GraspSearch& search, int finger, nb::handle draws, const Row& spread, const std::array<double, 4>& margins,
+         int most) {
     if (finger < 0 || finger >= int(search.pools.size())) throw nb::value_error("no such finger");
     std::vector<Ray> from;
     for (const Vec6& draw : sixes(draws)) {
@@ -104,7 +105,7 @@ int fill(GraspSearch& search, int finger, nb::handle draws, const Row& spread, c
         for (int k = 0; k < 6; ++k) ray[k] = (draw[k] - 0.5) * spread[k];
         from.push_back({point(ray), point(ray + 3), draw});
     }
-    return search.fill(finger, from, {margins[0], margins[1], margins[2]}, most);
+    return search.fill(finger, from, {margins[0], margins[1], margins[2], margins[3]}, most);
 }
 
 int choose(GraspSearch& search, const std::vector<std::vector<int>>& picks, nb::handle forces, nb::handle points,
@@ -202,7 +203,7 @@ void bind_grasping(nb::module_& m) {
             "Makes the pool of places of a finger anew, and returns their number.\n"
             "draws: (S, 6) in [0, 1); less 1/2, times spread (6,): where to begin inside the object [m], and what to add to the\n"
             "direction towards the finger.\n"
-            "margins: [m] of flat surface, [rad] from joint limits, [m] of clearance.")
+            "margins: [m] of flat surface, [rad] from joint limits, [m] of clearance, [m] of a mesh's pieces over it at most.")
         .def("choose", &choose, "picks"_a, "forces"_a, "points"_a, "normals"_a, "choices"_a,
              "The best choice of each round: the total normal force [N] that it needs in the worst case into (R,), points and\n"
              "normals into (R, N, 3), places into (R, N); returns how many. picks: random numbers >= 0 per finger, of the "

@@ -1,5 +1,6 @@
 // Surfaces of objects.
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
 
 #include <grasp/hand/surface.hpp>
 
@@ -10,27 +11,42 @@ using namespace grasp;
 
 namespace {
 
-Surface make(const std::string& kind, nb::handle numbers, nb::handle triangles, nb::handle normals) {
-    const Numbers size = in(numbers, 3), corners = in(triangles, -1, 3, 3), outward = in(normals, corners.length(0), 3);
+Surface make(const std::string& kind, nb::handle numbers) {
+    const Numbers size = in(numbers, 3);
     const double* n = size.data();
     if (kind == "cuboid") return {Cuboid{point(n)}};
     if (kind == "cylinder") return {Cylinder{n[0], n[1]}};
     if (kind == "sphere") return {Capsule{n[0], 0.0}};
     if (kind == "capsule") return {Capsule{n[0], n[1]}};
-    if (kind != "mesh" || corners.length(0) == 0)
-        throw nb::value_error("cuboid, cylinder, sphere, capsule or mesh; a mesh with faces");
-    Mesh mesh;
-    for (Py_ssize_t f = 0; f < corners.length(0); ++f) {
-        const double* at = corners.data() + 9 * f;
-        mesh.faces.push_back({point(at), point(at + 3) - point(at), point(at + 6) - point(at), point(outward.data() + 3 * f)});
+    throw nb::value_error("cuboid, cylinder, sphere or capsule");
+}
+
+std::vector<Point> points(nb::handle rows) {
+    const Numbers given = in(rows, -1, 3);
+    std::vector<Point> out(given.length(0));
+    for (std::size_t k = 0; k < out.size(); ++k) out[k] = point(given.data() + 3 * k);
+    return out;
+}
+
+Surface mesh(nb::handle corners, nb::handle faces, const std::vector<nb::object>& pieces) {
+    const Numbers numbers = in(faces, -1, 3);
+    std::vector<Mesh::Corners> each(numbers.length(0));
+    for (std::size_t f = 0; f < each.size(); ++f)
+        for (int k = 0; k < 3; ++k) each[f][k] = int(numbers.data()[3 * f + k]);
+    std::vector<Piece> parts;
+    for (const nb::object& piece : pieces) {
+        std::vector<Point> around = points(piece);
+        Point middle{0.0, 0.0, 0.0};
+        for (const Point& corner : around) middle += corner;
+        middle = middle / double(std::max<std::size_t>(around.size(), 1));
+        for (Point& corner : around) corner -= middle;
+        parts.push_back({middle, std::make_shared<const std::vector<Point>>(std::move(around))});
     }
-    auto each = std::make_shared<std::vector<Point>>();
-    for (const Face& face : mesh.faces)
-        for (const Point& corner : {face.corner, face.corner + face.b, face.corner + face.c})
-            if (std::none_of(each->begin(), each->end(), [&](const Point& known) { return length(known - corner) < 1e-12; }))
-                each->push_back(corner);
-    mesh.corners = std::move(each);
-    return {mesh};
+    try {
+        return {std::make_shared<const Mesh>(points(corners), std::move(each), std::move(parts))};
+    } catch (const std::invalid_argument& error) {
+        throw nb::value_error(error.what());
+    }
 }
 
 nb::typed<nb::tuple, nb::ndarray<>, nb::ndarray<>, double> nearest(const Surface& surface, nb::handle center) {
@@ -41,11 +57,13 @@ nb::typed<nb::tuple, nb::ndarray<>, nb::ndarray<>, double> nearest(const Surface
 }  // namespace
 
 void bind_surface(nb::module_& m) {
-    nb::class_<Surface>(m, "Surface", "A convex surface, body frame; the axis of cylinders and capsules is y.")
-        .def_static(
-            "make", &make, "kind"_a, "numbers"_a, "triangles"_a, "normals"_a,
-            "numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius; capsule, radius\n"
-            "and half its axis. Of a mesh (F, 3, 3) corners [m], from outside counterclockwise, and (F, 3) OUTWARD normals.")
+    nb::class_<Surface>(m, "Surface", "A surface, body frame; the axis of cylinders and capsules is y.")
+        .def_static("make", &make, "kind"_a, "numbers"_a,
+                    "numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius; capsule,\n"
+                    "radius and half its axis.")
+        .def_static("mesh", &mesh, "corners"_a, "faces"_a, "pieces"_a,
+                    "corners (V, 3) [m] and their numbers (F, 3) as float64, from outside counterclockwise, of a closed mesh; corners\n"
+                    "(K, 3) [m] of convex pieces that together hold it.")
         .def("nearest", &nearest, "center"_a,
              "The nearest point [m], (3,), the INWARD unit normal there and the distance [m], below 0 inside. Where several\n"
              "points are as near, one of them; on edges the normal is the direction to them.");

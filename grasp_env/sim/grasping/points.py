@@ -32,10 +32,10 @@ _SPACE = 0.003  # [m] between fingers
 _PLACES, _RAYS, _STARTS, _ROUNDS = 20, 140, 20, 8
 _SPREAD = 0.7  # of the directions in which places are sought
 _MARGINS = (
-    (0.005, 0.1, 0.003),
-    (0.003, 0.02, 0.0015),
-    (0.001, 0.0, 0.0005),
-)  # [m] of flat surface, [rad] from joint limits, [m] of clearance that a place keeps; easier each time
+    (0.005, 0.1, 0.003, 0.0003),
+    (0.003, 0.02, 0.0015, 0.0006),
+    (0.001, 0.0, 0.0005, 0.0015),
+)  # [m] of flat surface, [rad] from joint limits, [m] of clearance that a place keeps, [m] to a mesh's pieces; easier each time
 _DIRECTIONS = 120
 _TRIES = 3  # of the easier margins
 _NO_CLOSURE = "without force closure"

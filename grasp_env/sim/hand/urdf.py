@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import lru_cache
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from grasp_env._check import Array
 from grasp_env._files import digest
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.tree import Geometry, Link, Palm, Vector3
@@ -126,15 +128,19 @@ def _hull_name(role: str, corners: tuple[Vector3, ...]) -> str:
 @lru_cache(maxsize=512)
 def _hull_obj(corners: tuple[Vector3, ...], margin: float) -> str:
     """A hull as a Wavefront file, smaller by a margin [m], its faces counterclockwise from outside."""
-    from scipy.spatial import ConvexHull  # slow to import, and only hulls need it
-
     from grasp_env.sim.hand.solids import inset
 
-    points = inset(np.array(corners), margin) if margin > 0.0 else np.array(corners)
+    points, faces = hull_faces(inset(np.array(corners), margin) if margin > 0.0 else np.array(corners))
+    lines = [f"v {_text(corner)}" for corner in points] + [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in faces.tolist()]
+    return "\n".join(lines) + "\n"
+
+
+def hull_faces(points: Array) -> tuple[Array, Any]:
+    """The points (K, 3), and faces (F, 3) of their hull, from outside counterclockwise."""
+    from scipy.spatial import ConvexHull  # slow to import, and only hulls need it
+
     hull = ConvexHull(points)
     faces = hull.simplices
     a, b, c = (points[faces[:, k]] for k in range(3))
     inward = np.einsum("fk,fk->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
-    faces = np.where(inward[:, None], faces[:, ::-1], faces)
-    lines = [f"v {_text(corner)}" for corner in points] + [f"f {i + 1} {j + 1} {k + 1}" for i, j, k in faces.tolist()]
-    return "\n".join(lines) + "\n"
+    return points, np.where(inward[:, None], faces[:, ::-1], faces)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +16,7 @@ from grasp_env._check import Array, as_array, as_text
 from grasp_env._files import as_path
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.ranges import Range
-from grasp_env.settings import Kind, Settings, one_of, placed, real, setting
+from grasp_env.settings import POSITIVE, Kind, Settings, one_of, placed, real, setting
 from grasp_env.sim.hand.check import numbers
 from grasp_env.sim.objects.mesh import Mesh, load_mesh
 
@@ -66,7 +67,7 @@ def _moments(value: Any, name: str) -> tuple[float, ...] | None:
 
 @dataclass(frozen=True)
 class ObjectDescription(Settings):
-    """A rigid, convex object. The body frame has its origin in the centre of mass.
+    """A rigid object. The body frame has its origin in the centre of mass.
 
     Raises:
         UnknownNameError: No such shape.
@@ -99,8 +100,8 @@ class ObjectDescription(Settings):
     )  # fmt: skip
     mesh: str | None = setting(
         None, Kind(lambda value, name: str(as_path(value, InvalidInputError, name)), "path"),
-        "Path of a closed convex mesh (.obj, .stl, .ply, .off) in shape \"mesh\"; its axes become the principal axes of inertia nearest "
-        "to those of the file, its origin the centre of mass.", none="the other shapes have none",
+        "Path of a mesh (.obj, .stl, .ply, .off, .glb, .dae) of up to 200,000 faces in shape \"mesh\", convex or not; its axes become the "
+        "principal axes of inertia nearest to those of the file, its origin the centre of mass.", none="the other shapes have none",
     )  # fmt: skip
     torsional_friction: float = setting(
         0.0, real(Range(0.0, LARGEST)),
@@ -108,6 +109,42 @@ class ObjectDescription(Settings):
         "with soft fingertips, with which two fingers can hold. Forces are then solved by Newton within all limits, whatever the method.",
         unit="m",
     )  # fmt: skip
+
+    @classmethod
+    def from_mesh(
+        cls, path: str | os.PathLike[str], scale: float = 1.0, *, density: float | None = None, **settings: Any
+    ) -> ObjectDescription:
+        """The solid in a mesh file, convex or not.
+
+        Contacts, normals, mass and inertia are those of the mesh itself. It is also cut into convex pieces, once for its content (up
+        to 30 s): distances to links are measured to them, and MuJoCo touches them; in Bullet the mesh itself touches. The pieces are kept
+        in the user's cache folder; `grasp object list` and `grasp object clear` show and empty it. A mesh that is not closed is repaired
+        where that can be done, and a warning says what changed.
+
+        Args:
+            path: Of an .obj, .stl, .ply, .off, .glb or .dae of up to 200,000 faces.
+            scale: What its coordinates are multiplied by to give metres, 0.001 for a file in millimetres.
+            density: [kg/m^3], from which the mass follows; None: `mass` is given, or is that of any object.
+            settings: The other fields, such as `friction`.
+
+        Raises:
+            InvalidInputError: No mesh, one that cannot be closed, or too large or small; the message says what to do.
+
+        Example:
+            >>> import tempfile, trimesh
+            >>> with tempfile.TemporaryDirectory() as folder:
+            ...     path = trimesh.creation.box((60, 40, 20)).export(f"{folder}/box.stl") and f"{folder}/box.stl"
+            ...     box = ObjectDescription.from_mesh(path, scale=0.001, density=1000.0)
+            >>> round(box.mass, 6), [round(side, 6) for side in box.extent]
+            (0.048, [0.06, 0.04, 0.02])
+        """
+        given = {"shape": "mesh", "mesh": os.fspath(path), "size": (scale,), **settings}
+        if density is not None:
+            if "mass" in settings:
+                raise InvalidInputError("give mass or density, not both: each follows from the other")
+            mesh = load_mesh(given["mesh"], real(POSITIVE).take(scale, "scale"))
+            given["mass"] = real(POSITIVE).take(density, "density") * mesh.volume
+        return cls(**given)
 
     def agree(self) -> None:
         """Shape, size and mesh belong together."""
@@ -148,8 +185,7 @@ class ObjectDescription(Settings):
     def extent(self) -> tuple[float, float, float]:
         """Sides of the bounding box along the body's axes [m]."""
         if self._mesh is not None:
-            x, y, z = np.ptp(self._mesh.vertices, axis=0).tolist()
-            return x, y, z
+            return self._mesh.extent
         if self.shape == "cuboid":
             x, y, z = self.size
             return x, y, z
@@ -160,11 +196,11 @@ class ObjectDescription(Settings):
         """The nearest points of it."""
         numbers = np.zeros(3)
         if self._mesh is not None:
-            return core.Surface.make(self.shape, numbers, self._mesh.triangles, self._mesh.normals)
+            return core.Surface.mesh(self._mesh.vertices, self._mesh.faces.astype(float), list(self._mesh.pieces))
         numbers[: len(self.size)] = 0.5 * np.array(self.size)
         if self.shape == "capsule":
             numbers[1] -= numbers[0]
-        return core.Surface.make(self.shape, numbers, np.zeros((0, 3, 3)), np.zeros((0, 3)))
+        return core.Surface.make(self.shape, numbers)
 
     @cached_property
     def moments(self) -> tuple[float, float, float]:
@@ -197,9 +233,9 @@ class ObjectDescription(Settings):
         return self._of_mesh.vertices, self._of_mesh.faces
 
     @property
-    def face_normals(self) -> Array:
-        """Outward unit normals of a mesh's faces, (F, 3); raises as `faces`."""
-        return self._of_mesh.normals
+    def pieces(self) -> tuple[Array, ...]:
+        """Corners (K, 3) [m] of convex pieces that together hold a mesh, body frame; raises as `faces`."""
+        return self._of_mesh.pieces
 
     @property
     def _of_mesh(self) -> Mesh:
@@ -208,8 +244,8 @@ class ObjectDescription(Settings):
         return self._mesh
 
     def __getstate__(self) -> dict[str, object]:
-        """All but the surface, which cannot be pickled and is made anew."""
-        return {name: value for name, value in self.__dict__.items() if name != "surface"}
+        """All but the surface and the mesh, which are made anew."""
+        return {name: value for name, value in self.__dict__.items() if name not in ("surface", "_mesh")}
 
 
 def _solid_gyration(shape: str, size: tuple[float, ...]) -> tuple[float, float, float]:

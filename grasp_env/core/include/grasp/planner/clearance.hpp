@@ -5,19 +5,27 @@
 
 namespace grasp {
 
-// An object, in the world frame.
+// An object, in the world frame: its surface, and the convex solids that together hold it.
 struct Obstacle {
     Surface surface;
-    Solid solid;
+    std::vector<Solid> solids;
 
-    explicit Obstacle(Surface given) : surface(std::move(given)), solid(Solid::of(surface)) {}
+    explicit Obstacle(Surface given) : surface(std::move(given)), solids(Solid::of(surface)) {}
 };
 
 // Of a placed limb from the object; a lower bound where it is above `enough` [m].
 inline double gap(const Obstacle& object, const Placed& limb, double enough = infinity) {
     const double radius = limb.solid->radius;
-    if (limb.solid->is_line()) return gap(object.surface, limb.axis, enough + radius) - radius;
-    return gap(Placed(object.solid), limb, enough);
+    if (limb.solid->is_line() && !object.surface.mesh()) return gap(object.surface, limb.axis, enough + radius) - radius;
+    double least = infinity;
+    for (const Solid& solid : object.solids) least = std::min(least, gap(Placed(solid), limb, std::min(enough, least)));
+    return least;
+}
+// Whether a limb is nearer to the object than that [m].
+inline bool nearer(const Obstacle& object, const Placed& limb, double distance) {
+    if (limb.solid->is_line() && !object.surface.mesh()) return gap(object, limb, distance) < distance;
+    return std::any_of(object.solids.begin(), object.solids.end(),
+                       [&](const Solid& solid) { return nearer(Placed(solid), limb, distance); });
 }
 
 // A solid that is fixed to a link.

@@ -47,16 +47,18 @@ struct Solid {
         out.size = out.half[2];
         return out;
     }
-    // Its axis is along z where it has one, that of objects along y.
-    static Solid of(const Surface& surface) {
+    // Convex solids that together hold an object. Its axis is along z where it has one, that of objects along y.
+    static std::vector<Solid> of(const Surface& surface) {
         static constexpr double FROM_Z[9] = {1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0};
         const Point middle{0.0, 0.0, 0.0};
-        if (const auto* box = std::get_if<Cuboid>(&surface.shape)) return of(Core::box, box->half, 0.0, middle, {});
+        if (const auto* box = std::get_if<Cuboid>(&surface.shape)) return {of(Core::box, box->half, 0.0, middle, {})};
         if (const auto* can = std::get_if<Cylinder>(&surface.shape))
-            return of(Core::cylinder, {can->radius, can->radius, can->half}, 0.0, middle, Rotation::from(FROM_Z));
+            return {of(Core::cylinder, {can->radius, can->radius, can->half}, 0.0, middle, Rotation::from(FROM_Z))};
         if (const auto* rod = std::get_if<Capsule>(&surface.shape))
-            return of({{0.0, -rod->half, 0.0}, {0.0, rod->half, 0.0}}, rod->radius);
-        return hull(std::get<Mesh>(surface.shape).corners, middle, {});
+            return {of({{0.0, -rod->half, 0.0}, {0.0, rod->half, 0.0}}, rod->radius)};
+        std::vector<Solid> out;
+        for (const Piece& piece : surface.mesh()->pieces) out.push_back(hull(piece.corners, piece.center, {}));
+        return out;
     }
 
     // Turned about the origin, then shifted [m].
@@ -124,7 +126,7 @@ inline double gap(const Segment& a, const Segment& b) {
     return length(r + s * u - t * v);
 }
 
-// The least signed distance of a segment from a convex surface [m], by golden sections; stops where it is surely `enough`.
+// The least signed distance of a segment from the surface of a simple shape [m], by golden sections; stops where it is surely `enough`.
 inline double gap(const Surface& surface, const Segment& a, double enough = infinity) {
     constexpr double GOLDEN = 0.6180339887498949;
     constexpr int SECTIONS = 14;  // leave a thousandth of the segment

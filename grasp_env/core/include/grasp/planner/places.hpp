@@ -4,6 +4,7 @@
 // where it does: from a posture of its joints one of them closes until the tip touches. Joints that move several fingers stay
 // where they are.
 #pragma once
+#include <utility>
 #include <grasp/planner/clearance.hpp>
 #include <grasp/hand/reach.hpp>
 
@@ -14,6 +15,7 @@ struct Margins {
     double flat;  // [m] of flat surface around it
     double joints;  // [rad] from the joints' limits
     double clearance;  // [m] of the links from the object
+    double pieces;  // [m] of a mesh's convex pieces over it where the tip touches, at most
 };
 
 // What a grasp must do. Wrenches are (force, moment / length) [N].
@@ -32,8 +34,8 @@ inline constexpr double BEHIND =
 inline constexpr double PI = 3.14159265358979323846;
 inline constexpr double FULL = 30.0;  // [N] that weigh as much as a joint at its torque limit
 
-// Where to begin inside the object [m], and what to add to the direction towards the finger; for fingers that only close the six
-// numbers in [0, 1) of which these were made.
+// Where to begin inside the object [m], and what to add to the direction towards the finger; on meshes, and for fingers that only
+// close, the six numbers in [0, 1) of which these were made count.
 struct Ray {
     Point start, aside;
     Vec6 draws;
@@ -97,7 +99,8 @@ public:
             Nearest place;
             Place made;
             if (free) {
-                if (!walk(object.surface, ray, place)) continue;
+                const Mesh* mesh = object.surface.mesh();
+                if (!(mesh ? land(*mesh, ray, place) : walk(object.surface, ray, place))) continue;
                 if (!flat(object.surface, place, margins.flat)) {
                     ++misses.edge;
                     continue;
@@ -105,6 +108,10 @@ public:
                 if (!reaches(place, margins.joints, misses)) continue;
             } else if (!closes(object.surface, demand, ray.draws, r % 2 == 0 ? AROUND : 1.0, margins, place, made.start,
                                misses)) {
+                continue;
+            }
+            if (!agrees(object, place, margins.pieces)) {
+                ++misses.edge;
                 continue;
             }
             if (!clear(object, margins.clearance, made.limbs)) {
@@ -117,13 +124,17 @@ public:
         }
     }
 
-    // Angles of the finger's joints where its tip is `away` from a place [m]; false where it cannot be there.
-    bool stand_off(const Place& place, double away, std::vector<double>& angles) {
+    // Angles of the finger's joints where its tip is `away` from a place [m]; false where it cannot be there, as where the object is
+    // on the other side, too.
+    bool stand_off(const Surface& surface, const Place& place, double away, std::vector<double>& angles) {
         if (!free) {
             angles = place.start;
             return true;
         }
-        const Point tip = place.point - (tree_->tips[0].radius + away) * place.normal;
+        const double radius = tree_->tips[0].radius;
+        const Point tip = place.point - (radius + away) * place.normal;
+        angles = place.angles;
+        if (surface.mesh() && surface.nearest(tip).distance < radius + 0.5 * away) return false;
         double missed;
         for (const std::vector<double>* from : {&std::as_const(home_), &place.angles}) {
             reach_.solve(&tip, from->data(), 1, angles_.data(), &missed);
@@ -200,17 +211,54 @@ private:
         return true;
     }
 
-    // Whether the normal turns by less than 20 degrees up to `size` away.
-    static bool flat(const Surface& surface, const Nearest& place, double size) {
-        const Point& n = place.inward;
+    // Where the tip touches a mesh near a point of it that is drawn and faces the finger; false where the tip finds no place there.
+    bool land(const Mesh& mesh, const Ray& ray, Nearest& place) const {
+        constexpr double FACING = 0.1, FITS = 1e-6;  // least cosine; [m] of the tip in the object
+        constexpr int STEPS = 6;
+        const auto [from, outward] = mesh.sample(ray.draws[0], ray.draws[1], ray.draws[2]);
+        const Point way = direction_ + ray.aside;
+        if (!(dot(outward, way) > FACING * length(way))) return false;
+        const double radius = tree_->tips[0].radius;
+        place = {from, -outward, 0.0};
+        for (int step = 0; step < STEPS; ++step) {
+            place = mesh.nearest(place.point - radius * place.inward);
+            if (place.distance > radius - FITS) return true;
+        }
+        return false;
+    }
+
+    // Whether the pieces of a mesh are as near to the tip at a place as the mesh, and face it alike.
+    bool agrees(const Obstacle& object, const Nearest& place, double most) const {
+        constexpr double ASIDE = 3e-3;  // [m] over which their slope is measured; it may be `most` over this way
+        if (!object.surface.mesh() || object.solids.size() == 1) return true;
+        const double radius = tree_->tips[0].radius;
+        const auto above = [&](const Point& aside) {
+            const Point center = place.point - radius * place.inward + aside;
+            return gap(object, Placed(Solid::of(Segment{center, center}, radius)), ASIDE + most);
+        };
+        const auto [side, other] = tangents(place.inward);
+        return std::abs(above({0.0, 0.0, 0.0})) < most && std::abs(above(ASIDE * side) - above(-ASIDE * side)) < 2.0 * most &&
+               std::abs(above(ASIDE * other) - above(-ASIDE * other)) < 2.0 * most;
+    }
+
+    // Two unit vectors across a unit normal.
+    static std::pair<Point, Point> tangents(const Point& n) {
         int least = 0;
         for (int k = 1; k < 3; ++k)
             if (std::abs(n[k]) < std::abs(n[least])) least = k;
         Point side = -n[least] * n;
         side[least] += 1.0;
-        side = (size / length(side)) * side;
-        for (const Point& step : {side, cross(n, side), -side, -cross(n, side)})
-            if (dot(surface.nearest(place.point + step - 0.1 * size * n).inward, n) < 0.94) return false;
+        side = side / length(side);
+        return {side, cross(n, side)};
+    }
+
+    // Whether the normal turns by less than 20 degrees up to `size` away. On a mesh it is that of a ball of this size, as faces are rough.
+    static bool flat(const Surface& surface, const Nearest& place, double size) {
+        const double above = (surface.mesh() ? 1.0 : 0.1) * size;
+        const Point& n = place.inward;
+        const auto [side, other] = tangents(n);
+        for (const Point& step : {size * side, size * other, -size * side, -size * other})
+            if (dot(surface.nearest(place.point + step - above * n).inward, n) < 0.94) return false;
         return true;
     }
 
@@ -314,14 +362,9 @@ private:
     bool clear(const Obstacle& object, double margin, std::vector<Placed>& there) {
         posture_.trace(angles_.data());
         for (const Limb& limb : limbs) {
-            const double enough = limb.solid.radius + margin;
             there.push_back(limb.at(posture_));
-            const Placed& placed = there.back();
-            if (limb.solid.is_line()) {
-                if (!limb.tip && gap(object.surface, placed.axis, enough) < enough) return false;
-            } else if (nearer(Placed(object.solid), placed, limb.tip ? std::min(margin, BEHIND) : margin)) {
-                return false;
-            }
+            if (limb.is_sphere_of_tip()) continue;
+            if (nearer(object, there.back(), limb.tip ? std::min(margin, BEHIND) : margin)) return false;
         }
         return true;
     }

@@ -121,7 +121,7 @@ public:
         for (std::size_t i = 0; i < choice.size(); ++i) {
             Finger& finger = hand_->fingers[i];
             const Place& place = pools[i][choice[i]];
-            starts = finger.stand_off(place, demand_.start, there) && starts;
+            starts = finger.stand_off(object_.surface, place, demand_.start, there) && starts;
             for (std::size_t k = 0; k < finger.joints.size(); ++k)
                 angles[finger.joints[k]] = place.angles[k], start[finger.joints[k]] = there[k];
         }

@@ -1,0 +1,112 @@
+"""What is made of an object's mesh once and kept in the user's cache folder, by content: safe between processes."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from grasp_env._files import WEIGHTS as MOST_BYTES
+from grasp_env._files import read_bytes, replacing, unpacked
+
+LONGEST_WAIT = 120.0
+"""[s] that a process waits for another that makes the same entry, before it makes the entry itself."""
+_NAME = "name"  # of an entry, among its arrays
+
+try:
+    import fcntl
+except ImportError:  # not on Windows: two processes may make the same entry, and the later one stays
+    fcntl = None
+
+
+class Entry(NamedTuple):
+    """What is kept of one mesh: its file, the name of the mesh it was made of, its size in bytes, and when it was made [s]."""
+
+    path: Path
+    name: str
+    size: int
+    time: float
+
+
+def folder() -> Path:
+    """Where entries are kept."""
+    from platformdirs import user_cache_path
+
+    return user_cache_path("grasp-force", appauthor=False) / "objects"
+
+
+def kept(key: str, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """The arrays that `make` returns: from the cache, or made and kept there.
+
+    A folder that cannot be written, and an entry that cannot be read, only cost time.
+
+    Args:
+        key: Of the content, letters and digits.
+        name: Of the mesh, for the list of entries.
+        make: Makes the arrays.
+    """
+    path = folder() / f"{key}.npz"
+    if (found := _read(path)) is not None:
+        return found
+    with _alone(path):
+        if (found := _read(path)) is not None:  # made by the process that was waited for
+            return found
+        made = make()
+        with suppress(OSError), replacing(path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, allow_pickle=False, **made, **{_NAME: np.array(name)})
+    return made
+
+
+def entries() -> list[Entry]:
+    """What is kept, the newest first."""
+    out: list[Entry] = []
+    for path in folder().glob("*.npz"):
+        with suppress(OSError):
+            status = path.stat()
+            arrays = _read(path) or {}
+            out.append(Entry(path, str(arrays.get(_NAME, "(not readable)")), status.st_size, status.st_mtime))
+    return sorted(out, key=lambda entry: -entry.time)
+
+
+def clear() -> int:
+    """Removes all that is kept; the number of meshes."""
+    count = 0
+    for path in [*folder().glob("*.npz"), *folder().glob("*.lock")]:
+        with suppress(OSError):
+            path.unlink()
+            count += path.suffix == ".npz"
+    return count
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        return unpacked(read_bytes(path, MOST_BYTES), MOST_BYTES)
+    except Exception:  # not there, cut short, or somebody else's
+        return None
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """No other process makes the entry meanwhile, unless that takes too long."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = os.open(path.with_suffix(".lock"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+    except OSError:
+        yield
+        return
+    try:
+        end = time.monotonic() + LONGEST_WAIT
+        while fcntl is not None and time.monotonic() < end:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except OSError:
+                time.sleep(0.05)
+        yield
+    finally:
+        os.close(handle)
