@@ -19,6 +19,7 @@ _BESIDE, _GONE = 1e-3, 5e-3  # [m] of the object: still in its place if it stays
 _NEARLY = 1.0 - 1e-6  # of a torque limit
 _END, _STRAY = 5e-3, 0.05  # [rad] from a joint's limit; [N] of links on the object
 _JIG = 100.0  # [rad/s], critically damped: what holds the object until the hand does
+_LIGHT, _LOADED = 0.1, 0.3  # [kg] of an object that fingers would push about in the jig, and with what the jig loads it
 
 
 def close_hand(scene: Scene, loop: ForceLoop) -> None:
@@ -28,6 +29,17 @@ def close_hand(scene: Scene, loop: ForceLoop) -> None:
         SimulationError: a finger did not arrive in `CLOSING_TIME`.
     """
     loop.begin(scene)
+    mass = scene.config.object.mass
+    if mass < _LIGHT:
+        scene.change_object(_LOADED)
+    try:
+        _close(scene, loop)
+    finally:
+        if mass < _LIGHT:
+            scene.change_object(mass)
+
+
+def _close(scene: Scene, loop: ForceLoop) -> None:
     target, quiet = resting_target(1)[0], 0
     jig = critically_damped(scene.config.object, _JIG, _JIG)
     for _ in range(round(CLOSING_TIME / loop.dt)):

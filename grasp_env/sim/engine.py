@@ -48,7 +48,11 @@ class BulletEngine(Engine):
     simulator: ClassVar[tuple[str, str]] = ("grasp_env.sim.bullet", "Bullet")
     painter: ClassVar[tuple[str, str]] = ("grasp_env.sim.picture.bullet", "BulletPainter")
 
-    solver_iterations: int = setting(20, integer(1, _MOST_SWEEPS), "Sweeps of the contact solver in one step.")
+    solver_iterations: int = setting(
+        20,
+        integer(1, _MOST_SWEEPS),
+        "Sweeps of the contact solver in one step; at least 40 where a finger has more than three joints.",
+    )
     mesh_contacts: str = setting(
         "pieces", one_of(("pieces", "faces")),
         "What of an object's mesh touches: its convex pieces, or its faces, which is exact and makes a step 2 to 20 times as long.",
