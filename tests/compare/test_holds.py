@@ -205,7 +205,7 @@ def test_plans_of_hands_and_engines(tmp_path):
     pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
     for name, settings in ENGINES.items():
         rate = settings_of({"hand": "four_finger", **settings}).engine.rate
-        assert rate == (250 if name == "bullet" else 1000)
+        assert rate == (250 if name in ("bullet", "faces") else 1000)
 
 
 def test_hands_and_engines_must_exist_and_differ(tmp_path):

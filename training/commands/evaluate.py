@@ -15,7 +15,7 @@ from training.compare.scenarios import BOTH, ENGINES
 
 OWN = {
     "starts": ("wrenches", "timed", "repeats", "episodes", "steps", "start", "solver"),
-    "env": ("hands", "engines", "episodes"),
+    "env": ("hands", "objects", "engines", "episodes"),
     "transfer": ("hands", "episodes"),
 }
 """Options that belong to some of the comparisons only."""
@@ -41,12 +41,14 @@ class Evaluate:
         wrenches: of starts: number of cases of a full set; the other sets have their share of it.
         timed: of starts: number of wrenches whose calls are timed.
         repeats: of starts: how often each of those calls is timed.
-        episodes: of each random scenario, or of each main scenario; 0: 10 of starts, 500 of env, 100 of env --hands, 300 of transfer.
+        episodes: of each random scenario, or of each main scenario; 0: 10 of starts, 500 of env, 100 of env --hands, 10 with --objects,
+            300 of transfer.
         steps: of starts: of each roll-out, at 50 per second.
         start: of starts: starts of your own that are compared with the others, each NAME=module:rule, NAME=file.py:rule or NAME=saved
             model's path; a rule takes (grasp, wrench) and returns an (N, 3) force.
         solver: of starts: solvers of your own, each NAME=module:Class or NAME=file.py:Class; solve(problem) returns the (N, 3) forces.
         hands: of env and transfer: names, or paths of URDFs; none: the four-finger hand, of transfer also allegro and leap.
+        objects: of env --hands: mesh files to be held instead of our objects, each FILE or FILE=SCALE; 150 g, friction 0.7.
         engines: of env --hands, the engines in which they hold; none: the default one.
     """
 
@@ -65,6 +67,7 @@ class Evaluate:
     start: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     solver: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     hands: tuple[str, ...] = ()
+    objects: tuple[str, ...] = ()
     engines: tuple[Annotated[str, one_of(ENGINES)], ...] = ()
 
     def execute(self) -> None:
@@ -79,7 +82,9 @@ class Evaluate:
         if self.what == "transfer":
             for name in BOTH:
                 class_of(engine_of(name), "simulator")  # says what is not installed before there is a folder
-        kind = "hands" if self.what == "env" and self.hands else self.what
+        kind = self.what
+        if kind == "env" and self.hands:
+            kind = "objects" if self.objects else "hands"
         folder = Run.create(self.out, self.name or default_name(kind))
         rows, about = self._measure(kind, folder)
         folder.save(rows, about)
@@ -93,11 +98,11 @@ class Evaluate:
         """Refuses options that belong to another comparison."""
         unused = {name for names in OWN.values() for name in names} - {*OWN[self.what]}
         if self.what == "env" and not self.hands:
-            unused |= {"engines"}
+            unused |= {"engines", "objects"}
         given = [item.name for item in fields(self) if item.name in unused and getattr(self, item.name) != item.default]
         if given:
             where = [what for what, names in OWN.items() if given[0] in names]
-            hands = " --hands ..." if given[0] == "engines" else ""
+            hands = " --hands ..." if given[0] in ("engines", "objects") else ""
             raise InvalidInputError(
                 f"--{given[0]} belongs to `grasp evaluate {where[0]}{hands}`, got `grasp evaluate {self.what}`: leave it out, or name "
                 "that comparison"
@@ -118,6 +123,6 @@ class Evaluate:
         from training.compare.holds import HoldsConfig
         from training.compare.holds import run as hold
 
-        config = HoldsConfig(kind, self.hands, self.engines, self.episodes, self.seed, self.quick)
+        config = HoldsConfig(kind, self.hands, self.engines, self.episodes, self.seed, self.quick, self.objects)
         folder.begin(vars(config))
         return hold(config, folder, **shared)

@@ -34,6 +34,7 @@ from training.compare.scenarios import (
     Scenario,
     controllers_plan,
     hands_plan,
+    mesh_settings,
     short_name,
     transfer_plan,
     usual_engines,
@@ -45,7 +46,7 @@ from training.results.table import pd, table
 
 NO_START, NOT_PLACED = "no_start", "not_placed"
 """Failures of an episode whose grasp did not close or settle, and of one for which no place of hand or fingers was found."""
-QUICK_EPISODES = {"env": 4, "hands": 2, "transfer": 2}
+QUICK_EPISODES = {"env": 4, "hands": 2, "objects": 2, "transfer": 2}
 _CHUNK = 4
 """Seeds of a shard."""
 _REDRAWS = 100
@@ -60,11 +61,13 @@ class HoldsConfig:
     """How well hands hold.
 
     Attributes:
-        kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances) or "transfer" (the same
-            hands in both engines).
+        kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances), "objects" (the same with
+            objects from mesh files) or "transfer" (the same hands in both engines).
         hands: names, or paths of URDFs; none: for "transfer" four_finger, allegro and leap.
-        engines: of "hands", in which they hold: keys of `scenarios.ENGINES`; none: the default one.
-        episodes: of each main scenario; 0: 500 of "env", 100 of "hands", 300 of "transfer". The other scenarios have fewer.
+        engines: of "hands" and "objects", in which they hold: keys of `scenarios.ENGINES`; none: the default one.
+        episodes: of each main scenario; 0: 500 of "env", 100 of "hands", 10 of "objects", 300 of "transfer". The other scenarios have
+            fewer.
+        objects: of "objects", mesh files, see `scenarios.mesh_settings`.
         seed: of the first episode; the next ones follow.
         quick: a small version that says that it is quick.
     """
@@ -75,6 +78,7 @@ class HoldsConfig:
     episodes: int = 0
     seed: int = 0
     quick: bool = False
+    objects: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         def hand(name: str) -> None:
@@ -86,20 +90,23 @@ class HoldsConfig:
             *(lambda name=name: hand(name) for name in self.hands),
             *(lambda name=name: choice(name, "engine", ENGINES) for name in self.engines),
         )
-        names = [short_name(name) for name in self.hands]
-        if len(set(names)) < len(names):
-            raise InvalidInputError(f"hands need different names, got {', '.join(names)}: rename a file")
-        if self.kind == "hands" and not self.hands:
+        for what, names in (
+            ("hands", [short_name(name) for name in self.hands]),
+            ("objects", [mesh_settings(text)[0] for text in self.objects]),
+        ):
+            if len(set(names)) < len(names):
+                raise InvalidInputError(f"{what} need different names, got {', '.join(names)}: rename a file")
+        if self.kind in ("hands", "objects") and not self.hands:
             raise InvalidInputError("name at least one hand, got none")
 
     def plan(self) -> list[Scenario]:
         """The scenarios."""
-        usual = {"env": 500, "hands": 100, "transfer": 300}[self.kind]
+        usual = {"env": 500, "hands": 100, "objects": 10, "transfer": 300}[self.kind]
         episodes = QUICK_EPISODES[self.kind] if self.quick else self.episodes or usual
         if self.kind == "env":
             return controllers_plan(episodes, self.quick)
-        if self.kind == "hands":
-            return hands_plan(self.hands, self.engines or usual_engines(), episodes)
+        if self.kind in ("hands", "objects"):
+            return hands_plan(self.hands, self.engines or usual_engines(), episodes, self.objects)
         return transfer_plan(self.hands or PRESETS, episodes)
 
 
@@ -134,7 +141,10 @@ def run(
     for name in {ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines}:
         class_of(engine_of(name), "simulator")  # says here, not in the workers, what is not installed
     for name in config.hands:
-        _print_repairs(name, console)
+        if name.endswith(".urdf"):
+            _print_repairs(lambda name=name: HandDescription.from_urdf(name), console)
+    for text in config.objects:  # cut into pieces once, here
+        _print_repairs(lambda text=text: ObjectDescription(**mesh_settings(text)[1]["object"]), console)
     shards: dict[str, Shard] = {}
     for scenario in plan:
         seeds = range(config.seed, config.seed + scenario.episodes)
@@ -225,7 +235,9 @@ def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.nda
 def settings_of(settings: dict[str, Any]) -> EnvConfig:
     """The environment's settings of a scenario; "hand" may be a URDF's path."""
     hand = {"hand": _hand(settings["hand"])} if "hand" in settings else {}
-    return EnvConfig().override(**{**settings, **hand})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what was repaired was printed when the run began
+        return EnvConfig().override(**{**settings, **hand})
 
 
 def episode_columns(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -269,17 +281,15 @@ def _object(config: EnvConfig, info: dict[str, Any] | None = None) -> dict[str, 
     }
 
 
-def _print_repairs(name: str, console: Console) -> None:
-    """Prints once what reading a URDF repairs; the workers read it silently.
+def _print_repairs(read: Callable[[], Any], console: Console) -> None:
+    """Prints once what reading a file repairs; the workers read it silently.
 
     Raises:
         InvalidInputError: it cannot be read.
     """
-    if not name.endswith(".urdf"):
-        return
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        HandDescription.from_urdf(name)
+        read()
     for warning in caught:
         console.print(f"repaired: {warning.message}", highlight=False, soft_wrap=True)
 
@@ -316,9 +326,5 @@ def _kinematics(hand: str | HandDescription) -> HandKinematics:
 
 @cache
 def _hand(name: str) -> str | HandDescription:
-    """A hand's name, or the description of one in a file; its repairs were printed when the run began."""
-    if not name.endswith(".urdf"):
-        return name
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return HandDescription.from_urdf(name)
+    """A hand's name, or the description of one in a file."""
+    return HandDescription.from_urdf(name) if name.endswith(".urdf") else name

@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from grasp_env.errors import InvalidInputError
+
 
 def usual_engines() -> tuple[str, ...]:
     """The default engine alone."""
@@ -45,6 +47,7 @@ class Scenario:
 ENGINES: dict[str, dict[str, Any]] = {
     "bullet": {"engine": {"name": "bullet"}},
     "mujoco": {"engine": {"name": "mujoco"}},
+    "faces": {"engine": {"name": "bullet", "mesh_contacts": "faces"}},
     "bullet_1000": {"engine": {"name": "bullet", "rate": 1000}},
     "pyramidal": {"engine": {"name": "mujoco", "cone": "pyramidal"}},
     "soft": {"engine": {"name": "mujoco", "time_constant": 0.02, "impedance": (0.9, 0.95, 1e-3, 0.5, 2.0), "impratio": 1.0}},
@@ -135,6 +138,7 @@ LABELS: dict[str, str] = {
     "squeeze": "constant squeeze",
     "pd": "PD only",
     **{f"{item}_{push}": f"{_OBJECT_LABELS[item]}, {_PUSH_LABELS[push]}" for item in OBJECTS for push in PUSHES},
+    **{f"mesh_{push}": label for push, label in _PUSH_LABELS.items()},
     "hold_gravity": "gravity alone",
     "hold_constant": "gravity + the paper's constant wrench",
     "hold_paper_path": f"gravity + W_ext(t) x {PATH_SCALE:g}",
@@ -219,14 +223,42 @@ def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
     return plan
 
 
-def hands_plan(hands: Iterable[str], engines: Sequence[str], episodes: int) -> list[Scenario]:
+def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
+    """Name and settings of an object from a mesh file, FILE or FILE=SCALE.
+
+    Example:
+        >>> mesh_settings("parts/duck.obj=0.06")
+        ('duck', {'object': {'shape': 'mesh', 'mesh': 'parts/duck.obj', 'size': (0.06,), 'mass': 0.15, 'friction': 0.7}})
+    """
+    path, _, scale = text.partition("=")
+    name = path.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    try:
+        size = (float(scale or 1.0),)
+    except ValueError:
+        raise InvalidInputError(f"object {text!r} must be FILE or FILE=SCALE, such as duck.obj=0.001") from None
+    alike = {name: OBJECTS["cube"][name] for name in ("mass", "friction")}
+    return name, {"object": {"shape": "mesh", "mesh": path, "size": size, **alike}}
+
+
+def hands_plan(
+    hands: Iterable[str], engines: Sequence[str], episodes: int, objects: Sequence[str] = ()
+) -> list[Scenario]:
     """Hands x objects x disturbances.
 
     Args:
         hands: names or paths of URDFs.
         engines: keys of `ENGINES`.
         episodes: of each scenario in which something is random; where nothing is, one says it all.
+        objects: mesh files, see `mesh_settings`, instead of those of `OBJECTS`.
     """
+    if objects:
+        return [
+            Scenario(
+                f"mesh_{push}", {"hand": short_name(hand), "object": name}, episodes if push == "random" else 1,
+                {"hand": hand, **item, **PUSHES[push]}, tuple(engines), False,
+            )
+            for hand in hands for name, item in map(mesh_settings, objects) for push in PUSHES
+        ]  # fmt: skip
     return [
         Scenario(
             f"{item}_{push}", {"hand": short_name(hand)}, 1 if item != "random" and push != "random" else episodes,

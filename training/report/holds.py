@@ -80,7 +80,7 @@ def held_cell(row: dict[str, Any]) -> str:
 
 def names_of(row: dict[str, Any]) -> str:
     """The keys of a row besides its case, in words."""
-    keys = ("hand", "engine", "controller", "start", "friction_margin", "squeeze")
+    keys = ("hand", "object", "engine", "controller", "start", "friction_margin", "squeeze")
     said = [row[key] for key in keys if key in row and not pd.isna(row[key])]
     return ", ".join(
         CONTROLLER_LABELS.get(str(value), f"{value:g}" if isinstance(value, float) else str(value)) for value in said
@@ -95,7 +95,7 @@ def arranged(means: Rows) -> tuple[Rows, str, list[str]]:
     across = [
         key for key in ("controller", "start", "engine", "hand") if key in found.columns and found[key].nunique() > 1
     ]
-    down = [key for key in ("hand", "case") if key not in across[:1] and key in found.columns]
+    down = [key for key in ("hand", "object", "case") if key not in across[:1] and key in found.columns]
     return found, next(iter(across), "engine"), [key for key in down if key == "case" or found[key].nunique() > 1]
 
 
@@ -174,7 +174,9 @@ def failures(rows: Rows, means: Rows) -> Rows:
     """Every cause of an episode that was not held, with how often it came about and the first seed."""
     found = chosen(rows, "held == False")
     keys = [
-        key for key in ("case", "hand", "engine", "controller", "friction_margin", "squeeze") if key in found.columns
+        key
+        for key in ("case", "hand", "object", "engine", "controller", "friction_margin", "squeeze")
+        if key in found.columns
     ]
     if found.empty:
         return found

@@ -22,7 +22,7 @@ from training.results.table import Rows, described, pd, summary, write_csv
 from training.results.words import number
 
 KINDS = {
-    "starts": "starts", "env": "holds", "hands": "holds", "transfer": "holds", "rl": "rl", "reproduce": "reproduce",
+    "starts": "starts", "env": "holds", "hands": "holds", "objects": "holds", "transfer": "holds", "rl": "rl", "reproduce": "reproduce",
 }  # fmt: skip
 """The module of this room that says what a kind of run shows; other kinds show their summary."""
 WIDTH = 4.6

@@ -44,6 +44,7 @@ COLUMNS: dict[str, Column] = {
     # what was done: rows of equal keys are repetitions of one experiment
     "case": _key("set of problems, scenario or experiment"),
     "hand": _key("name of the hand"),
+    "object": _key("name of the object's mesh file"),
     "engine": _key("physics engine and its settings"),
     "controller": _key("what commands the fingers"),
     "environment": _key("settings of the agents' environment as JSON; {} is the default cuboid under a random wrench"),
