@@ -150,7 +150,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     Raises:
         UnknownNameError: a task, shape, ... of no such name; the message lists those that exist.
         UnknownSettingError: a keyword that is no setting; also a TypeError.
-        InvalidInputError: a value out of range, contacts off the surface or out of reach, a mesh that is not closed and convex.
+        InvalidInputError: a value out of range, contacts off the surface or out of reach, a mesh that cannot be closed.
         SimulationError: the hand cannot hold the object, or a window without a display.
 
     Example:

@@ -15,7 +15,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
@@ -23,10 +23,10 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env._extras import need
-from grasp_env._files import MEGABYTE, digest, parsed, read_xml, understood
+from grasp_env._files import MEGABYTE, parsed, read_xml, understood
 from grasp_env.errors import InvalidInputError
 
-__all__ = ["KINDS", "MOST_FACES", "MeshFile", "key_lines", "key_places", "one_newline", "read_mesh", "read_mesh_bytes"]
+__all__ = ["KINDS", "MOST_FACES", "key_lines", "key_places", "one_newline", "read_mesh", "read_mesh_bytes"]
 
 MOST_FACES = 200_000
 """Triangles of a mesh."""
@@ -46,26 +46,12 @@ _SIMPLER = (
 _POINT = rb"(?:([-+.\w]{1,50}[ \t]+[-+.\w]{1,50}[ \t]+[-+.\w]{1,50})(?!\S))?"  # "" where there is none
 
 
-class MeshFile(NamedTuple):
-    """What a mesh file holds.
-
-    Attributes:
-        corners: (V, 3) float64 in the file's units, those that a face names.
-        faces: Numbers of their corners, (F, 3) int64.
-        digest: Of the file's bytes, the same for the same content wherever it lies.
-    """
-
-    corners: Array
-    faces: Any
-    digest: str
-
-
 class _TooManyFacesError(Exception):
     """A mesh of more than `MOST_FACES` triangles; `args` is how many."""
 
 
-def read_mesh(path: str | Path, name: str, hint: str = _HINT) -> MeshFile:
-    """Corners and faces of a mesh file, regular or a pipe.
+def read_mesh(path: str | Path, name: str, hint: str = _HINT) -> tuple[Array, Any]:
+    """Corners (V, 3) float64 in the file's units, those that a face names, and faces (F, 3) int64 of a mesh file, regular or a pipe.
 
     Args:
         path: Of an .obj, .stl, .ply, .off, .glb or .dae.
@@ -80,13 +66,13 @@ def read_mesh(path: str | Path, name: str, hint: str = _HINT) -> MeshFile:
     if kind not in KINDS:
         raise InvalidInputError(f"{name} is of no kind that is read: {', '.join(KINDS)}; export it as one of them")
 
-    def read(blob: bytes) -> MeshFile:
+    def read(blob: bytes) -> tuple[Array, Any]:
         return read_mesh_bytes(blob, kind, name, hint)
 
     return parsed(path, read, InvalidInputError, name, f"a mesh of kind {kind}", hint, KINDS[kind][1])
 
 
-def read_mesh_bytes(blob: bytes, kind: str, name: str, hint: str = _HINT) -> MeshFile:
+def read_mesh_bytes(blob: bytes, kind: str, name: str, hint: str = _HINT) -> tuple[Array, Any]:
     """The same of a file's bytes, of a kind such as ".obj"."""
     need("sim")
 
@@ -107,7 +93,7 @@ def read_mesh_bytes(blob: bytes, kind: str, name: str, hint: str = _HINT) -> Mes
         raise InvalidInputError(f"{name} holds no triangles{hint}")
     if not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:  # squares lose their digits
         raise InvalidInputError(f"{name} has coordinates that are not finite or above 1e6{hint}")
-    return MeshFile(corners, faces, digest(blob))
+    return corners, faces
 
 
 def _by_trimesh(blob: bytes, kind: str, count: int) -> tuple[Array, Any]:

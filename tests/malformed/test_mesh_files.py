@@ -48,14 +48,14 @@ def triangles(corners: Any, faces: Any) -> list[Any]:
 def test_whole_files_are_read(name: str) -> None:
     kind, blob = VALID[name]
     found = read_mesh_bytes(blob, kind, "it")
-    assert (found.corners.dtype, found.faces.dtype) == (np.float64, np.int64)
+    assert (found[0].dtype, found[1].dtype) == (np.float64, np.int64)
     expected = triangles(CORNERS, FACES)
     if "placed" in name:
         doubled = np.multiply(CORNERS, (-2.0, -2.0, 2.0))
         shifted = np.add(CORNERS, (5.0, 0.0, 0.0))
         numbers = np.vstack([FACES, np.array(FACES) + 4])[: 4 if name.startswith("dae") else 8]
         expected = triangles(np.vstack([doubled, shifted]), numbers)
-    assert triangles(found.corners, found.faces) == expected
+    assert triangles(*found) == expected
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -66,9 +66,8 @@ def test_files_are_read_as_trimesh_reads_them(kind: str, tmp_path: Path) -> None
     blob = (tmp_path / f"a{kind}").read_bytes()
     found = read_mesh(tmp_path / f"a{kind}", "it")
     other: Any = trimesh.load(io.BytesIO(blob), file_type=kind[1:], force="mesh", process=False)
-    assert len(found.faces) == len(whole.faces)
-    assert triangles(found.corners, found.faces) == triangles(other.vertices, other.faces)
-    assert found.digest == read_mesh_bytes(blob, kind, "another").digest
+    assert len(found[1]) == len(whole.faces)
+    assert triangles(*found) == triangles(other.vertices, other.faces)
 
 
 @pytest.mark.parametrize("name", VALID)
@@ -83,7 +82,7 @@ def test_spoiled_files_are_meshes_or_refused_in_words(name: str) -> None:
             )
         cut = bytes(spoiled[: rng.integers(0, len(blob))] if rng.random() < 0.1 else spoiled)
         try:
-            corners, faces, _ = read_mesh_bytes(cut, kind, "it")
+            corners, faces = read_mesh_bytes(cut, kind, "it")
         except InvalidInputError:
             continue
         assert corners.shape == (len(corners), 3)

@@ -63,7 +63,7 @@ def read_mesh(path: str | Path) -> tuple[Array, Any]:
     Raises:
         InvalidInputError: Not a mesh, or one too large; what is in the file is never run.
     """
-    corners, faces, _ = mesh_files.read_mesh(path, f"the mesh {path}")
+    corners, faces = mesh_files.read_mesh(path, f"the mesh {path}")
     _, kept, numbers = np.unique(corners.round(9), axis=0, return_index=True, return_inverse=True)
     return corners[kept], numbers.reshape(-1)[faces]
 

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env._check import Array, warn
-from grasp_env._files import digest
+from grasp_env._files import digest, parsed
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.mesh_files import KINDS, read_mesh
+from grasp_env.sim.mesh_files import KINDS, read_mesh_bytes
 from grasp_env.sim.objects.cache import kept
 
 _MADE = "5"
@@ -72,9 +72,13 @@ def load_mesh(path: str, scale: float) -> Mesh:
 @lru_cache(maxsize=16)
 def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mesh:
     """`_changed` and `_bytes` tell one state of the file from another."""
-    file = read_mesh(path, name)
-    key = digest(_MADE.encode(), Path(path).suffix.lower().encode(), file.digest.encode())
-    made = kept(key, os.path.basename(path), lambda: _made(file.corners, file.faces, name))
+    kind = Path(path).suffix.lower()
+
+    def read(blob: bytes) -> dict[str, Any]:
+        key = digest(_MADE.encode(), kind.encode(), blob)
+        return kept(key, os.path.basename(path), lambda: _made(*read_mesh_bytes(blob, kind, name), name))
+
+    made = parsed(path, read, InvalidInputError, name, f"a mesh of kind {kind}", most=KINDS[kind][1])
     ends = np.cumsum(made["counts"])[:-1]
     vertices = np.ascontiguousarray(scale * made["vertices"])
     x, y, z = np.ptp(vertices, axis=0).tolist()
