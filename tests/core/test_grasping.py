@@ -130,6 +130,10 @@ TETRAHEDRON = (
         (TETRAHEDRON[0], TETRAHEDRON[1] + 1, [TETRAHEDRON[0]], "does not exist"),
         (TETRAHEDRON[0], TETRAHEDRON[1] - 1, [TETRAHEDRON[0]], "does not exist"),
         (0.0 * TETRAHEDRON[0], TETRAHEDRON[1], [TETRAHEDRON[0]], "area"),
+        (np.nan * TETRAHEDRON[0], TETRAHEDRON[1], [TETRAHEDRON[0]], "finite"),
+        (TETRAHEDRON[0], TETRAHEDRON[1], [TETRAHEDRON[0], TETRAHEDRON[0][:0]], "piece has corners"),
+        (TETRAHEDRON[0], TETRAHEDRON[1] + 1e12, [TETRAHEDRON[0]], "does not exist"),
+        (TETRAHEDRON[0], TETRAHEDRON[1] * np.nan, [TETRAHEDRON[0]], "does not exist"),
     ],
 )
 def test_a_mesh_needs_faces_and_pieces(corners, faces, pieces, message) -> None:

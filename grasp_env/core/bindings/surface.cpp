@@ -24,7 +24,10 @@ Surface make(const std::string& kind, nb::handle numbers) {
 std::vector<Point> points(nb::handle rows) {
     const Numbers given = in(rows, -1, 3);
     std::vector<Point> out(given.length(0));
-    for (std::size_t k = 0; k < out.size(); ++k) out[k] = point(given.data() + 3 * k);
+    for (std::size_t k = 0; k < out.size(); ++k) {
+        out[k] = point(given.data() + 3 * k);
+        if (!(dot(out[k], out[k]) < infinity)) throw nb::value_error("corners are finite");
+    }
     return out;
 }
 
@@ -32,18 +35,22 @@ Surface mesh(nb::handle corners, nb::handle faces, const std::vector<nb::object>
     const Numbers numbers = in(faces, -1, 3);
     std::vector<Mesh::Corners> each(numbers.length(0));
     for (std::size_t f = 0; f < each.size(); ++f)
-        for (int k = 0; k < 3; ++k) each[f][k] = int(numbers.data()[3 * f + k]);
+        for (int k = 0; k < 3; ++k) {
+            const double number = numbers.data()[3 * f + k];
+            each[f][k] = number >= 0.0 && number < 1e9 ? int(number) : -1;
+        }
     std::vector<Piece> parts;
     for (const nb::object& piece : pieces) {
         std::vector<Point> around = points(piece);
         Point middle{0.0, 0.0, 0.0};
         for (const Point& corner : around) middle += corner;
-        middle = middle / double(std::max<std::size_t>(around.size(), 1));
+        if (around.empty()) throw nb::value_error("a piece has corners");
+        middle = middle / double(around.size());
         for (Point& corner : around) corner -= middle;
         parts.push_back({middle, std::make_shared<const std::vector<Point>>(std::move(around))});
     }
     try {
-        return {std::make_shared<const Mesh>(points(corners), std::move(each), std::move(parts))};
+        return {Faces{std::make_shared<const Mesh>(points(corners), std::move(each), std::move(parts))}};
     } catch (const std::invalid_argument& error) {
         throw nb::value_error(error.what());
     }

@@ -60,23 +60,24 @@ struct Capsule {
     }
 };
 
+// A mesh that copies of a surface share.
+struct Faces {
+    std::shared_ptr<const Mesh> mesh;
+
+    Nearest nearest(const Point& center) const { return mesh->nearest(center); }
+};
+
 struct Surface {
-    std::variant<Cuboid, Cylinder, Capsule, std::shared_ptr<const Mesh>> shape;
+    std::variant<Cuboid, Cylinder, Capsule, Faces> shape;
 
     // The centre must be finite.
     Nearest nearest(const Point& center) const {
-        if (const Mesh* faces = mesh()) return faces->nearest(center);
-        return std::visit(
-            [&](const auto& kind) {
-                if constexpr (requires { kind.nearest(center); }) return kind.nearest(center);
-                else return Nearest{};
-            },
-            shape);
+        return std::visit([&](const auto& kind) { return kind.nearest(center); }, shape);
     }
     // None of the simple shapes.
     const Mesh* mesh() const {
-        const auto* faces = std::get_if<std::shared_ptr<const Mesh>>(&shape);
-        return faces ? faces->get() : nullptr;
+        const Faces* faces = std::get_if<Faces>(&shape);
+        return faces ? faces->mesh.get() : nullptr;
     }
 };
 
