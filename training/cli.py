@@ -26,6 +26,7 @@ from grasp_env.errors import (
 COMMANDS = {
     "solve": ("Solve", "Optimise one grasp force and print it."),
     "hand": ("Hand", "Read a hand's URDF, and say what was repaired in it."),
+    "object": ("Object", "Show what an object's mesh becomes, mend it, list what is kept."),
     "live": ("Live", "Show a grasp in the browser, to be pulled at."),
     "demo": ("Demo", "Save a picture or a video of the simulated hand."),
     "evaluate": ("Evaluate", "Compare starts, controllers, hands or engines."),

@@ -1,25 +1,32 @@
-"""A picture of a hand by itself: its looks, beside the shapes it touches with and its fingertips."""
+"""Pictures of a hand or a mesh by itself: its looks, beside the shapes it touches with."""
 
 from __future__ import annotations
 
+import tempfile
+from colorsys import hsv_to_rgb
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.sim.engine import class_of, engine_of
-from grasp_env.sim.hand.description import Geometry, HandDescription, Link, Palm, Vector3
+from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription, Link, Palm, Vector3
 from grasp_env.sim.hand.frames import roll_pitch_yaw
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.solids import outline
+from grasp_env.sim.objects.description import OBJECT_COLOR
+from grasp_env.sim.objects.mesh import Mesh
 from grasp_env.sim.picture.view import View
 
 _TIP = (0.90, 0.25, 0.15)
 _SOLID = (0.62, 0.70, 0.80)
 _PALM = (0.45, 0.50, 0.58)
 _FINE = 2  # pixels rendered per delivered pixel along each side
-_ROOM = 0.04  # part of the picture left free around the hand
+_ROOM = 0.04  # part of the picture left free around what is drawn
+_DRAWN = 0.2  # [m] that a mesh is made large for its picture: a camera comes no nearer to small ones
+_NOWHERE = (0.0, 0.0, 0.0)
 
 
 def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None) -> np.ndarray:
@@ -42,6 +49,53 @@ def portrait(hand: HandDescription, size: int = 640, angles: Array | None = None
     points = np.vstack([*points, kinematics.tips(posture), origins])
     view = View((0.45, 0.35, 1.0), (0.0, 0.0, 0.0), 20.0, size, size).fitted(points, _ROOM, _ROOM)
     return np.hstack([_shot(each, posture, view) for each in (upright, _solid(upright))])
+
+
+def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
+    """A picture (size, 2 size, 3) uint8: a mesh, and the convex pieces that it is cut into, each in a colour of its own.
+
+    Its body axes are those of the world: y is up.
+
+    Args:
+        mesh: The mesh to draw.
+        size: Height, and width of each half [pixels].
+    """
+    scale = _DRAWN / max(mesh.extent)
+    pieces = [
+        Geometry("hull", (), color=_color(index), corners=tuple(map(tuple, (scale * piece).tolist())))
+        for index, piece in enumerate(mesh.pieces)
+    ]
+    points = scale * np.vstack([mesh.vertices, *mesh.pieces])
+    view = View((0.45, 0.35, 1.0), _NOWHERE, 20.0, size, size).fitted(points, _ROOM, _ROOM)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "mesh.obj")
+        rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in (scale * mesh.vertices).tolist()]
+        file.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()), ""]))
+        whole = Geometry("mesh", (1.0, 1.0, 1.0), color=OBJECT_COLOR, file=str(file))
+        return np.hstack([_shot(_lookalike(shapes), np.zeros(1), view) for shapes in ((whole,), tuple(pieces))])
+
+
+def _color(index: int) -> Vector3:
+    """Hues a golden section apart: any few in a row differ, and so do neighbours."""
+    return hsv_to_rgb(0.08 + 0.618034 * index, (0.55, 0.35, 0.7)[index % 3], (0.9, 0.95, 0.75)[index % 3])
+
+
+def _lookalike(shapes: tuple[Geometry, ...]) -> HandDescription:
+    """A hand, as painters draw hands, of which nothing but these shapes is seen."""
+    link = Link(
+        "unseen",
+        "palm",
+        _NOWHERE,
+        _NOWHERE,
+        (0.0, 0.0, 1.0),
+        -1.0,
+        1.0,
+        1.0,
+        1.0,
+        _NOWHERE,
+        (1.0, 0.0, 0.0, 1.0, 0.0, 1.0),
+    )
+    return HandDescription("mesh", Palm(visual=shapes), (link,), (Fingertip("tip", "unseen", _NOWHERE, 1.0),))
 
 
 def _shot(hand: HandDescription, angles: Array, view: View) -> np.ndarray:

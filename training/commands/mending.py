@@ -1,0 +1,189 @@
+"""A closed mesh of a torn one, by MeshFix (Attene 2010), for `grasp object mend`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from grasp_env._check import Array
+from grasp_env.errors import InvalidInputError
+
+LONGEST = 180.0
+"""[s] that MeshFix may take: 80,000 faces with a twentieth of them missing take 8, and some heaps of faces for ever."""
+_GRAIN = 1e-5  # of the extent: corners this near are one
+_FEWEST = 3  # faces, of a part that may have been a solid
+_LEFT = 0.5  # of the volume with its holes filled, that must be left where MeshFix has taken away faces that cross
+_REMESH = (
+    "remesh it in Blender (modifier Remesh, mode Voxel) or in MeshLab (filter Surface Reconstruction: Screened Poisson), and export it "
+    "as .obj"
+)
+
+
+class Mended(NamedTuple):
+    """A closed mesh, in the units and axes of its file.
+
+    Attributes:
+        corners: (V, 3).
+        faces: Numbers of their corners, counterclockwise from outside, (F, 3) int64.
+        parts: How many it has.
+        left_out: How many parts of the file are not in it, as they enclose nothing.
+        changes: What else had to be changed to make one solid of it, in words.
+    """
+
+    corners: Array
+    faces: Any
+    parts: int
+    left_out: int
+    changes: list[str]
+
+
+def mended(corners: Array, faces: Any, name: str) -> Mended:
+    """All parts of a mesh, each closed, as one solid that an object can be.
+
+    MeshFix runs in a process of its own: it can run for ever, and nothing else runs beside it in its process.
+
+    Args:
+        corners: (V, 3).
+        faces: (F, 3).
+        name: Of the mesh, for messages.
+
+    Raises:
+        InvalidInputError: Nothing closed comes of it; the message says what to do.
+    """
+    from grasp_env.sim.objects.closing import closed
+    from grasp_env.sim.objects.pieces import watched
+
+    corners, faces, parts, left_out = watched(lambda: _apart(corners, faces, name), f"{name}: mending it")
+    if parts == 0:
+        raise InvalidInputError(f"{name} cannot be mended: no part of it encloses a volume; {_REMESH}")
+    try:
+        corners, faces, changes = closed(corners, faces, name)
+    except InvalidInputError:
+        raise InvalidInputError(f"{name} cannot be mended: what MeshFix makes of it is no solid; {_REMESH}") from None
+    return Mended(corners, faces, parts, left_out, changes)
+
+
+def as_obj(mesh: Mended, name: str) -> bytes:
+    """The text of an .obj with all digits, which has been read again.
+
+    Raises:
+        InvalidInputError: It is too large to be read, or is no solid once it is read.
+    """
+    from grasp_env.sim.mesh_files import read_mesh_bytes
+    from grasp_env.sim.objects.closing import closed
+
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.corners.tolist()]
+    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
+    text = ("\n".join(lines) + "\n").encode()
+    name = f"what MeshFix makes of {name}"
+    closed(*read_mesh_bytes(text, ".obj", name, f"; {_REMESH}"), name)
+    return text
+
+
+def _apart(corners: Array, faces: Any, name: str) -> tuple[Array, Any, int, int]:
+    """What `_closed_parts` returns, from a process that is ended after `LONGEST`."""
+    command = [sys.executable, "-c", f"from {__name__} import work; work()"]
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(Path(folder, "torn.npz"), corners=corners, faces=faces)
+        paths = os.pathsep.join([str(Path(entry).absolute()) for entry in sys.path])
+        try:
+            subprocess.run([*command, folder], env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL, capture_output=True, check=True, timeout=LONGEST)  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise InvalidInputError(
+                f"{name} cannot be mended: MeshFix did not end within {LONGEST:.0f} s; simplify it, or {_REMESH}"
+            ) from None
+        except subprocess.CalledProcessError as error:
+            raise InvalidInputError(f"{name} cannot be mended: MeshFix broke off; {_REMESH}") from error
+        with np.load(Path(folder, "closed.npz")) as made:
+            return made["corners"], made["faces"], int(made["parts"]), int(made["left_out"])
+
+
+def work() -> None:
+    """What that process does in the folder that its words name; ctrl-C and the clock end it even within MeshFix."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if hasattr(signal, "alarm"):  # not on Windows
+        signal.alarm(int(LONGEST) + 1)
+    folder = Path(sys.argv[1])
+    with np.load(folder / "torn.npz") as torn:
+        corners, faces, parts, left_out = _closed_parts(torn["corners"], torn["faces"])
+    np.savez(folder / "closed.npz", corners=corners, faces=faces, parts=parts, left_out=left_out)
+
+
+def _closed_parts(corners: Array, faces: Any) -> tuple[Array, Any, int, int]:
+    """Corners and faces of all parts, closed, their number, and the number of those that enclose nothing and are left out.
+
+    Closed parts stay as they are, unless all are closed: then MeshFix looks at each for faces that cross.
+    """
+    from grasp_env.sim.objects.closing import open_edges, welded
+
+    corners, faces = welded(corners, faces, _GRAIN * (float(np.ptp(corners, axis=0).max()) or 1.0))
+    faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]  # double ones once
+    parts = list(_parts(corners, faces))
+    whole = [not open_edges(numbers) for _, numbers in parts]
+    points, made, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    for part, good in zip(parts, whole, strict=True):
+        own, numbers = part if good and not all(whole) else _closed_part(*part)
+        if len(numbers) > _FEWEST and not open_edges(numbers):
+            made.append(numbers + sum(map(len, points)))
+            points.append(own)
+            count += 1
+    return np.concatenate(points), np.concatenate(made), count, len(parts) - count
+
+
+def _parts(corners: Array, faces: Any) -> Iterator[tuple[Array, Any]]:
+    """Corners and faces of each part; parts share no corner."""
+    from trimesh.graph import connected_component_labels
+
+    if len(faces) == 0:
+        return
+    labels = connected_component_labels(faces[:, [0, 1, 1, 2]].reshape(-1, 2), node_count=len(corners))[faces[:, 0]]
+    order = np.argsort(labels, kind="stable")
+    for chosen in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
+        used, numbers = np.unique(faces[chosen], return_inverse=True)
+        yield corners[used], numbers.reshape(-1, 3)
+
+
+def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
+    """A part whose holes are filled and whose faces do not cross, as far as MeshFix can; its faces look in or out as they did.
+
+    MeshFix cuts a part where holes meet in a corner; what it has cut is joined again.
+    """
+    from pymeshfix import PyTMesh
+
+    from grasp_env.sim.objects.closing import open_edges
+    from grasp_env.sim.objects.pieces import volume
+
+    if len(faces) < _FEWEST:
+        return corners, faces
+    fix = PyTMesh()
+    fix.set_quiet(1)
+    fix.load_array(np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int32))
+    fix.join_closest_components()
+    fix.fill_small_boundaries(0, True)
+    filled = _arrays(fix)
+    fix.clean(10, 3)
+    cleaned = _arrays(fix)
+    if open_edges(cleaned[1]) or _size(cleaned) < _LEFT * _size(filled):  # of rough ones it may leave a crumb
+        cleaned = filled
+    if len(cleaned[1]) and volume(corners, faces) * volume(*cleaned) < 0.0:
+        return cleaned[0], cleaned[1][:, ::-1]
+    return cleaned
+
+
+def _arrays(fix: Any) -> tuple[Array, Any]:
+    points, numbers = (np.asarray(array) for array in fix.return_arrays())
+    return points, numbers.astype(np.int64).reshape(-1, 3)
+
+
+def _size(part: tuple[Array, Any]) -> float:
+    from grasp_env.sim.objects.pieces import volume
+
+    return abs(volume(*part)) if len(part[1]) else 0.0

@@ -1,0 +1,230 @@
+"""`grasp object`: what becomes of a mesh file, a closed mesh of a torn one, and what is kept of meshes."""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from grasp_env._extras import need
+from grasp_env._files import replacing
+from grasp_env.errors import InvalidInputError
+from training.commands.answers import write_json
+from training.commands.options import left_out
+
+if TYPE_CHECKING:
+    from grasp_env._check import Array
+    from grasp_env.sim.objects.mesh import Mesh
+
+OWN = {"show": ("file", "scale", "draw", "size"), "mend": ("file", "out"), "list": (), "clear": ()}
+"""What belongs to some of the actions only."""
+_NEAR = 1e-5  # of the extent: triangles whose centres are this near are the same
+
+
+@dataclass(frozen=True)
+class Object:
+    """Show what an object's mesh becomes, mend it, list what is kept.
+
+    `grasp object show mug.obj --draw mug.png`
+    `grasp object mend torn.obj`
+    `grasp object list`
+    `grasp object clear`
+
+    Attributes:
+        what: show (what a mesh file becomes), mend (write a closed mesh made of a torn one by MeshFix), list (what is kept of the meshes read
+            so far) or clear (remove that).
+        file: of show and mend: a mesh, .obj, .stl, .ply, .off, .glb or .dae.
+        scale: of show: what its coordinates are multiplied by to give metres, 0.001 for a file in millimetres.
+        draw: of show: .png for a picture of the mesh beside its convex pieces, each in a colour.
+        size: of show: of the picture's height [pixels].
+        out: of mend: an .obj; it may exist and is then overwritten, as no other file is.
+        json: print one JSON object, errors too.
+    """
+
+    what: tyro.conf.Positional[Literal["show", "mend", "list", "clear"]]
+    file: Annotated[Path | None, tyro.conf.Positional, left_out("list and clear need none", "FILE")] = None
+    scale: float = 1.0
+    draw: Annotated[Path | None, left_out("no picture", "PICTURE.png")] = None
+    size: int = 640
+    out: Annotated[Path | None, left_out("beside FILE, its name with _mended.obj", "FILE")] = None
+    json: bool = False
+
+    def execute(self) -> None:
+        """Runs it; raises the errors of the project."""
+        self._check()
+        need("sim")
+        action = {"show": self._show, "mend": self._mend, "list": _list, "clear": _clear}[self.what]
+        told, page = action()
+        if self.json:
+            write_json(told)
+            return
+        console = Console()
+        for part in page:
+            style = "yellow" if isinstance(part, str) and part.startswith("repaired") else None
+            console.print(part, style=style, highlight=False, soft_wrap=isinstance(part, str))
+
+    def _check(self) -> None:
+        """Refuses a missing file, and options of another action."""
+        if self.file is None and "file" in OWN[self.what]:
+            raise InvalidInputError(f"`grasp object {self.what}` needs a FILE: `grasp object {self.what} mug.obj`")
+        others = {name for names in OWN.values() for name in names} - {*OWN[self.what]}
+        given = [item.name for item in fields(self) if item.name in others and getattr(self, item.name) != item.default]
+        if given:
+            name = f"FILE {self.file}" if given[0] == "file" else f"--{given[0]}"
+            where = " and ".join(f"`grasp object {what}`" for what, names in OWN.items() if given[0] in names)
+            raise InvalidInputError(f"{name} belongs to {where}, got `grasp object {self.what}`: leave it out")
+
+    def _show(self) -> tuple[dict[str, Any], list[Any]]:
+        from grasp_env._check import whole
+        from grasp_env.settings import POSITIVE, real
+        from grasp_env.sim.objects.cache import folder
+        from grasp_env.sim.objects.mesh import load_mesh
+
+        whole(self.size, "size", 16, 4096)
+        _check_suffix(self.draw, "--draw", ".png")
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"))
+        _check_size(mesh.extent)
+        if self.draw is not None:
+            _save_picture(mesh, self.size, self.draw)
+        told = {
+            "file": self.file, "faces": len(mesh.faces), "extent": mesh.extent, "volume": mesh.volume,
+            "center": mesh.center, "pieces": len(mesh.pieces), "repaired": [str(warning.message) for warning in warned],
+            "kept_in": folder() if os.access(folder(), os.W_OK) else None, "picture": self.draw,
+        }  # fmt: skip
+        return told, _shown(told)
+
+    def _mend(self) -> tuple[dict[str, Any], list[Any]]:
+        from grasp_env.sim.mesh_files import read_mesh
+        from grasp_env.sim.objects.pieces import volume
+        from training.commands.mending import as_obj, mended
+
+        assert self.file is not None
+        out, name = self._out(self.file), f"the mesh {self.file}"
+        before = read_mesh(self.file, name)
+        made = mended(*before, name)
+        with replacing(out) as path:
+            path.write_bytes(as_obj(made, name))
+        told = {
+            "file": self.file, "out": out, "faces_before": len(before[1]), "faces_after": len(made.faces),
+            "faces_kept": _common(before[0][before[1]], made.corners[made.faces]), "parts": made.parts,
+            "parts_left_out": made.left_out, "volume": volume(made.corners, made.faces), "changes": made.changes,
+        }  # fmt: skip
+        return told, _mended_page(told)
+
+    def _out(self, file: Path) -> Path:
+        """Where the mended mesh goes."""
+        _check_suffix(self.out, "--out", ".obj")
+        out = file.with_name(f"{file.stem}_mended.obj") if self.out is None else self.out
+        if self.out is None and os.path.lexists(out):
+            raise InvalidInputError(
+                f"{out} exists and is not overwritten unasked: name it by --out {out}, or name another file"
+            )
+        return out
+
+
+def _check_suffix(path: Path | None, option: str, suffix: str) -> None:
+    if path is not None and path.suffix.lower() != suffix:
+        raise InvalidInputError(f"{option} {path} must end in {suffix}, the only kind that is written")
+
+
+def _check_size(extent: tuple[float, float, float]) -> None:
+    """Refuses what no hand holds; in most files it comes of the unit."""
+    from grasp_env.sim.objects.description import LARGEST, SMALLEST
+
+    if not (min(extent) >= SMALLEST and max(extent) <= LARGEST):
+        raise InvalidInputError(
+            f"the mesh measures {' x '.join(f'{side:.3g}' for side in extent)} m, allowed are {SMALLEST:g} to {LARGEST:g} m each way; "
+            "give --scale 0.001 if the file is in millimetres"
+        )
+
+
+def _save_picture(mesh: Mesh, size: int, draw: Path) -> None:
+    from PIL import Image
+
+    from grasp_env.sim.picture.portrait import mesh_portrait
+
+    picture = Image.fromarray(mesh_portrait(mesh, size))
+    with replacing(draw) as path:
+        picture.save(path, format="PNG")
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", show_header=bool(columns))
+    for index, column in enumerate(columns or ("", "")):
+        table.add_column(column, justify="left" if index == 0 else "right", overflow="fold")
+    return table
+
+
+def _shown(told: dict[str, Any]) -> list[Any]:
+    table = _table(told["file"].name)
+    table.add_row("faces", str(told["faces"]))
+    table.add_row("size, mm", " x ".join(f"{1e3 * side:.1f}" for side in told["extent"]))
+    table.add_row("volume, cm^3", f"{1e6 * told['volume']:.4g}")
+    table.add_row(
+        "centre of mass in the file, mm", " ".join(f"{round(1e3 * value, 1) + 0.0:.1f}" for value in told["center"])
+    )
+    table.add_row("convex pieces", str(told["pieces"]))
+    repaired = [f"repaired: {text}" for text in told["repaired"]]
+    kept = f"kept in {told['kept_in']}" if told["kept_in"] else "not kept: the cache folder cannot be written"
+    return [table, *repaired, kept, *([] if told["picture"] is None else [str(told["picture"])])]
+
+
+def _mended_page(told: dict[str, Any]) -> list[Any]:
+    table = _table(told["out"].name)
+    table.add_row("faces in the file", str(told["faces_before"]))
+    table.add_row("faces now", f"{told['faces_after']}, {told['faces_kept']} of them as in the file")
+    table.add_row("parts", str(told["parts"]))
+    if told["parts_left_out"]:
+        table.add_row("parts left out, as they enclose nothing", str(told["parts_left_out"]))
+    table.add_row("volume, in the file's unit", f"{told['volume']:.6g}")
+    changes = [f"repaired: {text}" for text in told["changes"]]
+    out = told["out"]
+    return [table, *changes, str(out), f"look at it: grasp object show {out} --draw {out.with_suffix('.png')}"]
+
+
+def _list() -> tuple[dict[str, Any], list[Any]]:
+    from grasp_env.sim.objects.cache import entries, folder
+
+    found = [
+        {"name": entry.name, "bytes": entry.size, "time": entry.time, "pieces": _pieces(entry.path)}
+        for entry in entries()
+    ]
+    table = _table(f"{len(found)} meshes, {sum(each['bytes'] for each in found) / 1e6:.1f} MB", "mesh", "kB", "made", "convex pieces")  # fmt: skip
+    for each in found:
+        when = time.strftime("%Y-%m-%d %H:%M", time.localtime(each["time"]))
+        table.add_row(each["name"], f"{each['bytes'] / 1e3:.0f}", when, str(each["pieces"] or ""))
+    return {"folder": folder(), "meshes": found}, [table, f"in {folder()}"]
+
+
+def _pieces(path: Path) -> int | None:
+    """How many convex pieces an entry has; only that array of it is read."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return len(arrays["counts"])
+    except Exception:  # cut short, or somebody else's
+        return None
+
+
+def _clear() -> tuple[dict[str, Any], list[Any]]:
+    from grasp_env.sim.objects.cache import clear, folder
+
+    count = clear()
+    return {"folder": folder(), "removed": count}, [f"removed {count} {'mesh' if count == 1 else 'meshes'} from {folder()}"]  # fmt: skip
+
+
+def _common(before: Array, after: Array) -> int:
+    """How many of the triangles (F, 3, 3) `after` are among those `before`, by their centres."""
+    grain = _NEAR * float(np.ptp(before.reshape(-1, 3), axis=0).max())
+    cells = (np.round(each.mean(axis=1) / grain).astype(np.int64).tolist() for each in (before, after))
+    known, found = ([tuple(cell) for cell in rows] for rows in cells)
+    return len(set(known) & set(found))
