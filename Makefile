@@ -50,7 +50,7 @@ $(STAMP): pyproject.toml constraints.txt
 	$(PIP) pip setuptools scikit-build-core nanobind numpy cmake ninja
 	@for compiler in $(CXX) c++ g++ clang++; do command -v "$$compiler" >/dev/null && exit 0; done; $(ZIG)
 	$(PIP) torch==2.13.0
-	$(EDITABLE) ".[all,bench,dev,docs,ray]"
+	$(EDITABLE) ".[all,bench,dev,docs,mend,ray]"
 	@touch $(STAMP)
 
 # The core in the tree is the one pip built; ninja knows what has changed since. Any other leaves the tree alone.

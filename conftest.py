@@ -27,6 +27,9 @@ class OtherBuild:
         return spec
 
 
+# what is made of meshes is kept here, not in the cache of who runs the tests
+os.environ["XDG_CACHE_HOME"] = str(Path(__file__).parent / "build" / "cache")
+
 if "GRASP_CORE_BUILD" in os.environ:
     sys.meta_path.insert(0, OtherBuild(Path(__file__).parent / os.environ["GRASP_CORE_BUILD"]))
 

@@ -12,7 +12,7 @@ from grasp_env.errors import MissingExtraError
 _ENGINE = "pybullet" if sys.version_info < (3, 12) or find_spec("pybullet") else "mujoco"
 """The engine that `sim` brings: pip finds PyBullet for CPython 3.10 and 3.11 only."""
 
-_CUTTER = "vhacdx" if platform.machine() == "aarch64" and not find_spec("coacd") else "coacd"
+_CUTTERS = ("vhacdx",) if platform.machine() == "aarch64" and not find_spec("coacd") else ("coacd", "vhacdx")
 """What cuts meshes into convex pieces: CoACD has no wheel for ARM and Linux."""
 
 EXTRAS = {
@@ -25,12 +25,12 @@ EXTRAS = {
         "manifold3d",
         "networkx",
         "platformdirs",
-        "pymeshfix",
         "trimesh",
-        _CUTTER,
+        *_CUTTERS,
         _ENGINE,
     ),
     "mujoco": ("mujoco",),
+    "mend": ("pymeshfix",),
     "live": ("viser",),
     "layer": ("torch",),
     "train": ("stable_baselines3", "tensorboard", "torch"),

@@ -344,9 +344,6 @@ def test_every_mesh_is_closed() -> None:
         assert winding(corners[faces], outside[None])[0] == pytest.approx(0.0, abs=1e-9), name
 
 
-@pytest.mark.xfail(
-    strict=True, reason="by the distance, which is not the length of the rounded difference that it divides"
-)
 def test_normals_have_length_one_near_edges() -> None:
     corners, _, surface = mesh_of("ten metres")
     rng = np.random.default_rng(0)

@@ -14,6 +14,7 @@ from PIL import Image
 from grasp_env.errors import GraspWarning, InvalidInputError
 from grasp_env.sim import ObjectDescription
 from grasp_env.sim.mesh_files import read_mesh
+from grasp_env.sim.objects import apart
 from grasp_env.sim.objects.closing import closed
 from training.cli import main
 from training.commands import mending
@@ -171,7 +172,7 @@ def test_what_cannot_be_mended_says_what_to_do(tmp_path: Path, answer: Any, monk
     monkeypatch.setattr(mending, "LONGEST", 0.01)
     assert "did not end within" in answer("mend", torn)[1]["error"]["message"]
     monkeypatch.undo()
-    monkeypatch.setattr(mending.sys, "executable", "/bin/false")
+    monkeypatch.setattr(apart.sys, "executable", "/bin/false")
     assert "broke off" in answer("mend", torn)[1]["error"]["message"]
     assert not list(tmp_path.glob("*mended*"))
 

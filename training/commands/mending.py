@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from grasp_env._check import Array
+from grasp_env._extras import need
 from grasp_env.errors import InvalidInputError
 
 LONGEST = 180.0
@@ -58,10 +53,19 @@ def mended(corners: Array, faces: Any, name: str) -> Mended:
     Raises:
         InvalidInputError: Nothing closed comes of it; the message says what to do.
     """
+    need("mend")
+    from grasp_env.sim.objects.apart import apart
     from grasp_env.sim.objects.closing import closed
-    from grasp_env.sim.objects.pieces import watched
 
-    corners, faces, parts, left_out = watched(lambda: _apart(corners, faces, name), f"{name}: mending it")
+    try:
+        made = apart(f"{__name__}:closed_parts", f"{name}: mending it", LONGEST, corners=corners, faces=faces)
+    except TimeoutError:
+        raise InvalidInputError(
+            f"{name} cannot be mended: MeshFix did not end within {LONGEST:.0f} s; simplify it, or {_REMESH}"
+        ) from None
+    except ChildProcessError as error:
+        raise InvalidInputError(f"{name} cannot be mended: MeshFix broke off; {_REMESH}") from error
+    corners, faces, parts, left_out = made["corners"], made["faces"], int(made["parts"]), int(made["left_out"])
     if parts == 0:
         raise InvalidInputError(f"{name} cannot be mended: no part of it encloses a volume; {_REMESH}")
     try:
@@ -88,36 +92,7 @@ def as_obj(mesh: Mended, name: str) -> bytes:
     return text
 
 
-def _apart(corners: Array, faces: Any, name: str) -> tuple[Array, Any, int, int]:
-    """What `_closed_parts` returns, from a process that is ended after `LONGEST`."""
-    command = [sys.executable, "-c", f"from {__name__} import work; work()"]
-    with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder, "torn.npz"), corners=corners, faces=faces)
-        paths = os.pathsep.join([str(Path(entry).absolute()) for entry in sys.path])
-        try:
-            subprocess.run([*command, folder], env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL, capture_output=True, check=True, timeout=LONGEST)  # fmt: skip
-        except subprocess.TimeoutExpired:
-            raise InvalidInputError(
-                f"{name} cannot be mended: MeshFix did not end within {LONGEST:.0f} s; simplify it, or {_REMESH}"
-            ) from None
-        except subprocess.CalledProcessError as error:
-            raise InvalidInputError(f"{name} cannot be mended: MeshFix broke off; {_REMESH}") from error
-        with np.load(Path(folder, "closed.npz")) as made:
-            return made["corners"], made["faces"], int(made["parts"]), int(made["left_out"])
-
-
-def work() -> None:
-    """What that process does in the folder that its words name; ctrl-C and the clock end it even within MeshFix."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    if hasattr(signal, "alarm"):  # not on Windows
-        signal.alarm(int(LONGEST) + 1)
-    folder = Path(sys.argv[1])
-    with np.load(folder / "torn.npz") as torn:
-        corners, faces, parts, left_out = _closed_parts(torn["corners"], torn["faces"])
-    np.savez(folder / "closed.npz", corners=corners, faces=faces, parts=parts, left_out=left_out)
-
-
-def _closed_parts(corners: Array, faces: Any) -> tuple[Array, Any, int, int]:
+def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
     """Corners and faces of all parts, closed, their number, and the number of those that enclose nothing and are left out.
 
     Closed parts stay as they are, unless all are closed: then MeshFix looks at each for faces that cross.
@@ -135,7 +110,12 @@ def _closed_parts(corners: Array, faces: Any) -> tuple[Array, Any, int, int]:
             made.append(numbers + sum(map(len, points)))
             points.append(own)
             count += 1
-    return np.concatenate(points), np.concatenate(made), count, len(parts) - count
+    return {
+        "corners": np.concatenate(points),
+        "faces": np.concatenate(made),
+        "parts": count,
+        "left_out": len(parts) - count,
+    }
 
 
 def _parts(corners: Array, faces: Any) -> Iterator[tuple[Array, Any]]:

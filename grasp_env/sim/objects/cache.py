@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Set
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +17,7 @@ from grasp_env._files import read_bytes, replacing, unpacked
 LONGEST_WAIT = 120.0
 """[s] that a process waits for another that makes the same entry, before it makes the entry itself."""
 _NAME = "name"  # of an entry, among its arrays
+_ENTRIES = "[!.]*.npz"  # not those that another process is writing
 
 try:
     import fcntl
@@ -40,7 +41,7 @@ def folder() -> Path:
     return user_cache_path("grasp-force", appauthor=False) / "objects"
 
 
-def kept(key: str, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+def kept(key: str, name: str, arrays: Set[str], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """The arrays that `make` returns: from the cache, or made and kept there.
 
     A folder that cannot be written, and an entry that cannot be read, only cost time.
@@ -48,13 +49,14 @@ def kept(key: str, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, A
     Args:
         key: Of the content, letters and digits.
         name: Of the mesh, for the list of entries.
+        arrays: Names of all that `make` returns; an entry without one of them is made anew.
         make: Makes the arrays.
     """
     path = folder() / f"{key}.npz"
-    if (found := _read(path)) is not None:
+    if (found := _read(path)).keys() >= arrays:
         return found
     with _alone(path):
-        if (found := _read(path)) is not None:  # made by the process that was waited for
+        if (found := _read(path)).keys() >= arrays:  # made by the process that was waited for
             return found
         made = make()
         with suppress(OSError), replacing(path) as temporary, open(temporary, "wb") as file:
@@ -65,29 +67,30 @@ def kept(key: str, name: str, make: Callable[[], dict[str, Any]]) -> dict[str, A
 def entries() -> list[Entry]:
     """What is kept, the newest first."""
     out: list[Entry] = []
-    for path in folder().glob("*.npz"):
+    for path in folder().glob(_ENTRIES):
         with suppress(OSError):
-            status = path.stat()
-            arrays = _read(path) or {}
-            out.append(Entry(path, str(arrays.get(_NAME, "(not readable)")), status.st_size, status.st_mtime))
+            status, name = path.stat(), "(not readable)"
+            with suppress(Exception), open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
+                name = str(arrays[_NAME])
+            out.append(Entry(path, name, status.st_size, status.st_mtime))
     return sorted(out, key=lambda entry: -entry.time)
 
 
 def clear() -> int:
     """Removes all that is kept; the number of meshes."""
     count = 0
-    for path in [*folder().glob("*.npz"), *folder().glob("*.lock")]:
+    for path in [*folder().glob(_ENTRIES), *folder().glob("*.lock")]:
         with suppress(OSError):
             path.unlink()
             count += path.suffix == ".npz"
     return count
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def _read(path: Path) -> dict[str, Any]:
     try:
         return unpacked(read_bytes(path, MOST_BYTES), MOST_BYTES)
     except Exception:  # not there, cut short, or somebody else's
-        return None
+        return {}
 
 
 @contextmanager

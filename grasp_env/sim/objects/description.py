@@ -142,7 +142,7 @@ class ObjectDescription(Settings):
         if density is not None:
             if "mass" in settings:
                 raise InvalidInputError("give mass or density, not both: each follows from the other")
-            mesh = load_mesh(given["mesh"], real(POSITIVE).take(scale, "scale"))
+            mesh = load_mesh(given["mesh"], real(POSITIVE).take(scale, "scale"), tell=False)
             given["mass"] = real(POSITIVE).take(density, "density") * mesh.volume
         return cls(**given)
 

@@ -15,8 +15,9 @@ from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.mesh_files import KINDS, read_mesh_bytes
 from grasp_env.sim.objects.cache import kept
 
-_MADE = "5"
+_MADE = "6"
 """Of what is made of a mesh; another one where that changes, so that nothing older is taken from the cache."""
+_ARRAYS = frozenset(("vertices", "faces", "pieces", "counts", "gyration", "rotation", "center", "volume", "changes"))
 _ROUND = 1e-6  # relative difference of moments, or product of inertia, that tells no axis from another
 
 
@@ -46,12 +47,13 @@ class Mesh(NamedTuple):
     changes: tuple[str, ...]
 
 
-def load_mesh(path: str, scale: float) -> Mesh:
+def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
     """Read a mesh; what is made of it is kept in the user's cache folder, and the last few in this process until their files change.
 
     Args:
         path: Of a file of one of the kinds of `KINDS`.
         scale: What its coordinates are multiplied by to give metres.
+        tell: Warn of what was repaired.
 
     Raises:
         InvalidInputError: No such file, not a mesh, too many faces, or one that cannot be closed.
@@ -64,8 +66,10 @@ def load_mesh(path: str, scale: float) -> Mesh:
         reason = getattr(error, "strerror", None) or error
         raise InvalidInputError(f"mesh={path!r} cannot be read: {reason}; give the path of a mesh file") from None
     mesh = _load(os.path.abspath(path), scale, status.st_mtime_ns, status.st_size, f"mesh={path!r}")
-    if mesh.changes:
-        warn(f"mesh={path!r} was not closed: {'; '.join(mesh.changes)}. `grasp object show` shows the result")
+    if mesh.changes and tell:
+        warn(
+            f"mesh={path!r} was repaired: {'; '.join(mesh.changes)}. `grasp object show FILE --draw PICTURE` shows the result"
+        )
     return mesh
 
 
@@ -73,12 +77,9 @@ def load_mesh(path: str, scale: float) -> Mesh:
 def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mesh:
     """`_changed` and `_bytes` tell one state of the file from another."""
     kind = Path(path).suffix.lower()
-
-    def read(blob: bytes) -> dict[str, Any]:
-        key = digest(_MADE.encode(), kind.encode(), blob)
-        return kept(key, os.path.basename(path), lambda: _made(*read_mesh_bytes(blob, kind, name), name))
-
-    made = parsed(path, read, InvalidInputError, name, f"a mesh of kind {kind}", most=KINDS[kind][1])
+    blob = parsed(path, lambda blob: blob, InvalidInputError, name, f"a mesh of kind {kind}", most=KINDS[kind][1])
+    key = digest(_MADE.encode(), kind.encode(), blob)
+    made = kept(key, os.path.basename(path), _ARRAYS, lambda: _made(*read_mesh_bytes(blob, kind, name), name))
     ends = np.cumsum(made["counts"])[:-1]
     vertices = np.ascontiguousarray(scale * made["vertices"])
     x, y, z = np.ptp(vertices, axis=0).tolist()
@@ -95,6 +96,11 @@ def _made(corners: Array, faces: Any, name: str) -> dict[str, Any]:
 
     corners, faces, changes = closed(corners, faces, name)
     body = _centred(corners, faces)
+    x, y, z = np.sort(body["gyration"]).tolist()
+    if not (x > 0.0 and z < (x + y) * (1.0 + 1e-9)):
+        raise InvalidInputError(
+            f"{name} encloses what no body can be, as its faces cross; mend it with `grasp object mend FILE`, or remesh it"
+        )
     pieces = convex_pieces(body["vertices"], faces, name)
     return {
         **body, "faces": faces, "pieces": np.concatenate(pieces), "counts": np.array([len(piece) for piece in pieces]),

@@ -2,47 +2,48 @@
 
 from __future__ import annotations
 
-import sys
-import threading
-import time
-from collections.abc import Callable
+from contextlib import suppress
 from importlib.util import find_spec
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.objects.apart import apart
 
 CONVEX = 1e-3
 """Part of its hull's volume that a mesh may lack and count as convex."""
 CONCAVITY = 0.03
 """Of a piece, as CoACD measures it on a mesh from -1 to 1: about as far as it may stand out of the mesh, over half the mesh's size."""
 MOST_PIECES = 32
+"""Of a mesh in one part."""
 MOST_CORNERS = 256
-"""Of a piece: a ball of 66 mm has its faces within 0.3 mm."""
+"""Of a piece: a ball of 66 mm has its faces within 0.7 mm."""
 FINE = 2e-4
 """Of a piece's size, by which its hull may be smaller with fewer corners."""
+LONGEST = 90.0
+"""[s] that cutting a mesh may take; usual are 2 to 25."""
 
 _FINE = 5000  # faces, beyond which a mesh is taken coarser before it is cut
 _SEARCH = {"mcts_iterations": 60, "mcts_max_depth": 2, "resolution": 1000, "preprocess_mode": "off"}
 """A third of CoACD's own search, in a third of the time; its preprocessing puts a shell of a hundredth of the size around a mesh."""
-_PATIENCE = 1.0  # [s] after which long work is told of on a terminal
-
 _FIRST = np.array([(x, y, z) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) for z in (-1.0, 0.0, 1.0)])
-
-T = TypeVar("T")
 
 
 def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
-    """Corners (K, 3) of each piece: one of a convex mesh, else those of CoACD (Wei et al. 2022), on ARM and Linux of V-HACD, at most `MOST_PIECES`.
+    """Corners (K, 3) of each piece: one of a convex mesh, else those of CoACD (Wei et al. 2022), or of V-HACD where that has no answer.
 
-    Every corner of the mesh is in a piece, but for what the `MOST_CORNERS` of each leave out. Pieces stand out of the mesh where it is hollow, by a few hundredths of its size.
+    Every corner of the mesh is in a piece, but for what the `MOST_CORNERS` of each leave out. Pieces stand out of the mesh where it is
+    hollow, by a few hundredths of its size.
 
     Args:
         corners: (V, 3).
         faces: Of a closed mesh, from outside counterclockwise, (F, 3).
-        name: Of the mesh, for the line on a terminal.
+        name: Of the mesh, for messages.
+
+    Raises:
+        InvalidInputError: Neither cuts it.
     """
     from scipy.spatial import ConvexHull
 
@@ -50,11 +51,17 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     if volume(corners, faces) >= (1.0 - CONVEX) * hull.volume:
         return [_outermost(corners[hull.vertices])]
     coarse = _coarser(corners, faces)
-    found = watched(lambda: _cut(*coarse), f"{name}: cutting it into convex pieces, once for this content")
-    pieces = [np.asarray(points, dtype=float) for points, _ in found]
-    if not pieces:
-        raise InvalidInputError(f"{name} cannot be cut into convex pieces; mend it with `grasp object mend`")
-    return _holding(pieces, corners)
+    for task in ("by_coacd",) * (find_spec("coacd") is not None) + ("by_vhacd",):
+        try:
+            text = f"{name}: cutting it into convex pieces, once for this content"
+            made = apart(f"{__name__}:{task}", text, LONGEST, corners=coarse[0], faces=coarse[1])
+        except (TimeoutError, ChildProcessError):  # faces that cross make CoACD crash or run for ever
+            continue
+        if len(made["counts"]):
+            return _holding(np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners)
+    raise InvalidInputError(
+        f"{name} cannot be cut into convex pieces: its faces seem to cross; mend it with `grasp object mend FILE`, or remesh it"
+    )
 
 
 def volume(corners: Array, faces: Any) -> float:
@@ -63,43 +70,30 @@ def volume(corners: Array, faces: Any) -> float:
     return float(np.einsum("fk,fk->", a, np.cross(b, c))) / 6.0
 
 
-def watched(work: Callable[[], T], text: str) -> T:
-    """What `work` returns; on a terminal a line with its time, and Ctrl-C ends the wait for it."""
-    done: list[Any] = []
-
-    def run() -> None:
-        try:
-            done.append((True, work()))
-        except BaseException as error:  # told to who waits
-            done.append((False, error))
-
-    worker, begun, told = threading.Thread(target=run, daemon=True), time.monotonic(), False
-    worker.start()
-    while worker.is_alive():
-        worker.join(0.1)
-        if sys.stderr is not None and sys.stderr.isatty() and time.monotonic() - begun > _PATIENCE:
-            told = True
-            print(f"\r{text}, {time.monotonic() - begun:.0f} s", end="", file=sys.stderr, flush=True)
-    if told:
-        print(file=sys.stderr)
-    good, value = done[0]
-    if not good:
-        raise value
-    return value
-
-
-def _cut(corners: Array, faces: Any) -> list[Any]:
-    """Corners and faces of each piece."""
-    if find_spec("coacd") is None:  # ARM and Linux
-        import vhacdx
-
-        return vhacdx.compute_vhacd(
-            corners, faces.astype(np.uint32), maxConvexHulls=MOST_PIECES, maxNumVerticesPerCH=MOST_CORNERS
-        )
+def by_coacd(corners: Array, faces: Any) -> dict[str, Array]:
+    """Points (P, 3) of all pieces, and counts (N,) of those of each."""
     import coacd
 
     coacd.set_log_level("error")
-    return coacd.run_coacd(coacd.Mesh(corners, faces), threshold=CONCAVITY, max_convex_hull=MOST_PIECES, **_SEARCH)
+    mesh = coacd.Mesh(corners, faces)
+    return _packed(coacd.run_coacd(mesh, threshold=CONCAVITY, max_convex_hull=MOST_PIECES, **_SEARCH))
+
+
+def by_vhacd(corners: Array, faces: Any) -> dict[str, Array]:
+    """The same by V-HACD 4."""
+    import vhacdx
+
+    return _packed(
+        vhacdx.compute_vhacd(corners, faces.astype(np.uint32), maxConvexHulls=MOST_PIECES, maxNumVerticesPerCH=64)
+    )
+
+
+def _packed(found: list[Any]) -> dict[str, Array]:
+    pieces = [np.asarray(points, dtype=float) for points, _ in found]
+    return {
+        "points": np.concatenate([np.empty((0, 3)), *pieces]),
+        "counts": np.array([len(each) for each in pieces], dtype=int),
+    }
 
 
 def _coarser(corners: Array, faces: Any) -> tuple[Array, Any]:
@@ -115,9 +109,12 @@ def _coarser(corners: Array, faces: Any) -> tuple[Array, Any]:
 
 def _holding(pieces: list[Array], corners: Array) -> list[Array]:
     """The pieces, each with the corners of the mesh that lie in none and nearest to it."""
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
 
-    hulls = [ConvexHull(piece) for piece in pieces]
+    hulls: list[Any] = []
+    for piece in pieces:
+        with suppress(QhullError):  # flat: it holds nothing
+            hulls.append(ConvexHull(piece))
     heights = np.array([(corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls])
     nearest, outside = heights.argmin(axis=0), heights.min(axis=0) > 0.0
     out: list[Array] = []

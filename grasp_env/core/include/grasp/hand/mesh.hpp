@@ -50,7 +50,7 @@ public:
         constexpr double SHARP = 1e-9;  // [m]; nearer to an edge than this, rounding decides the direction
         const Hit hit = find(center);
         const Point way = hit.point - center;
-        const double distance = std::sqrt(hit.square);
+        const double distance = length(way);
         const Point& out = hit.feature == INNER ? normals_[hit.face]
                            : hit.feature < 3    ? around_[faces_[hit.face][hit.feature]]
                                                 : along_[3 * hit.face + hit.feature - 3];
@@ -231,7 +231,7 @@ private:
     static constexpr int DEEPEST = 6;  // faces without area side by side
 
     // The normal of a face as seen from one of its edges. One without area is a fold of what lies across its longest edge, and seen
-    // from there of what lies across the others.
+    // from there of what lies across the others, where an edge has two faces.
     Point seen(int face, int edge, int deep) const {
         if (!flat(face) || deep == 0) return normals_[face];
         Point sum{0.0, 0.0, 0.0};
@@ -239,7 +239,7 @@ private:
         for (int k = 0; k < 3; ++k) {
             if ((k == through) == (edge == through)) continue;
             const auto [first, last] = group_[3 * face + k];
-            for (int s = first; s < last; ++s)
+            for (int s = first; s < last && last - first == 2; ++s)
                 if (sides_[s].face != face) sum += seen(sides_[s].face, sides_[s].edge, deep - 1);
         }
         const double size = length(sum);
