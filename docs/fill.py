@@ -257,6 +257,27 @@ def latencies(row: dict[str, Any]) -> dict[str, str]:
     return {label: cell(row[f"latency_{name}"]) for name, label in names.items()}
 
 
+def objects() -> str:
+    """Real objects in hands: whether they were held under gravity, and how often under the random wrench."""
+    means = saved("objects")[0]
+    pairs = means.pivot(index=["object", "hand", "engine"], columns="case", values=["held_sum", "n"])
+    made: dict[str, dict[str, str]] = {}
+    for (name, hand, engine), row in pairs.iterrows():
+        if engine == "bullet":
+            gravity = "held" if row["held_sum", "mesh_gravity"] else "**lost**"
+            random = f"{row['held_sum', 'mesh_random']:.0f} of {row['n', 'mesh_random']:.0f}"
+            made.setdefault(name, {"gravity; random wrench, in Bullet": name})[hand] = f"{gravity}; {random}"
+    told = []
+    for engine, found in means.groupby("engine", sort=False):
+        sums = found.groupby("case")[["held_sum", "n"]].sum()
+        told.append(f"{engine}: " + ", ".join(
+            f"{label} {sums.loc[case, 'held_sum']:.0f} of {sums.loc[case, 'n']:.0f}"
+            for case, label in (("mesh_gravity", "gravity"), ("mesh_random", "random wrench"), ("mesh_six_directions", "six pushes"))
+        ))  # fmt: skip
+    note = f'All pairs, by engine (`faces`: Bullet with `mesh_contacts="faces"`). {"; ".join(told)}.'
+    return markdown("objects", pd.DataFrame(made.values()), note)
+
+
 def overview() -> str:
     """The table of README.md: the main numbers beside what was asked."""
 
@@ -312,7 +333,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "summary": overview, "hand_loop": hand_loop, "ros2": ros2, "solvers": solvers, "batch": batch, "starts": reported("starts", starts.hardest_sets),
     "calls": reported("starts", starts.all_starts), "network": reported("starts", starts.learned_steps), "newton_first": reported("starts", starts.newton_first),
     "starts_claims": asked("starts"), "hold": reported("env", holds.grid), "hands": reported("hands", holds.grid),
-    "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),
+    "objects": objects, "transfer": reported("transfer", holds.grid), "env_speed": asked("env_speed"),
     "step_rules": step_rules, "layer": layer, "table_one": table_one, "rl": rl, "rl_speed": rl_speed,
 }  # fmt: skip
 

@@ -96,8 +96,7 @@ GraspSearch make(const std::shared_ptr<HandLimbs>& hand, const Surface& surface,
     return {hand, surface, {friction, length, sixes(loads), space, torsion, start, point(gravity.data())}, sixes(directions)};
 }
 
-int fill(GraspSearch& search, int finger, nb::handle draws, const Row& spread, const std::array<double, 4>& margins,
-         int most) {
+int fill(GraspSearch& search, int finger, nb::handle draws, const Row& spread, const std::array<double, 4>& margins, int most) {
     if (finger < 0 || finger >= int(search.pools.size())) throw nb::value_error("no such finger");
     std::vector<Ray> from;
     for (const Vec6& draw : sixes(draws)) {

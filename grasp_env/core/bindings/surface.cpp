@@ -51,9 +51,7 @@ Surface mesh(nb::handle corners, nb::handle faces, const std::vector<nb::object>
     }
     try {
         return {Faces{std::make_shared<const Mesh>(points(corners), std::move(each), std::move(parts))}};
-    } catch (const std::invalid_argument& error) {
-        throw nb::value_error(error.what());
-    }
+    } catch (const std::invalid_argument& error) { throw nb::value_error(error.what()); }
 }
 
 nb::typed<nb::tuple, nb::ndarray<>, nb::ndarray<>, double> nearest(const Surface& surface, nb::handle center) {
@@ -68,9 +66,10 @@ void bind_surface(nb::module_& m) {
         .def_static("make", &make, "kind"_a, "numbers"_a,
                     "numbers (3,) [m]: cuboid, half its sides; cylinder, radius and half its height; sphere, radius; capsule,\n"
                     "radius and half its axis.")
-        .def_static("mesh", &mesh, "corners"_a, "faces"_a, "pieces"_a,
-                    "corners (V, 3) [m] and their numbers (F, 3) as float64, from outside counterclockwise, of a closed mesh; corners\n"
-                    "(K, 3) [m] of convex pieces that together hold it.")
+        .def_static(
+            "mesh", &mesh, "corners"_a, "faces"_a, "pieces"_a,
+            "corners (V, 3) [m] and their numbers (F, 3) as float64, from outside counterclockwise, of a closed mesh; corners\n"
+            "(K, 3) [m] of convex pieces that together hold it.")
         .def("nearest", &nearest, "center"_a,
              "The nearest point [m], (3,), the INWARD unit normal there and the distance [m], below 0 inside. Where several\n"
              "points are as near, one of them; on edges the normal is the direction to them.");

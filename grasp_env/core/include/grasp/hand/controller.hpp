@@ -80,8 +80,8 @@ public:
           inwards(goals), solution(method.size()), method_(method), motors_(*tree), follow_({method.contacts()}, settings.follow),
           within_(within(method.contacts())), least_({method.contacts()}, {.method = Method::conic, .tolerance = 1e-4}),
           elastic_(tree->fingers()), followed_(follow_.size()), found_(within_.size()), cheapest_(least_.size()), last_(found_),
-          slid_(goals), apart_(tree->fingers()), before_(force), began_(force), given_(force), squeezed_(force), adjustment_(force),
-          torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
+          slid_(goals), apart_(tree->fingers()), before_(force), began_(force), given_(force), squeezed_(force),
+          adjustment_(force), torsion_(tree->fingers()), pull_(torques), extra_(torques), trial_(torques), push_(force),
           posture_(force.size() * torques.size()), normal_(int(force.size())), redundant_(is_redundant(*tree)) {
         if (method.contacts().count != tree->fingers())
             throw std::invalid_argument("the method needs one contact of each finger");
@@ -205,7 +205,11 @@ public:
     Outcome outcome(const Target& target, double* measured) const {
         const Snapshot& now = scene->now;
         const PoseError error(now, target);
-        Outcome out{.error = error, .drift = length(error.position), .tilt = length(error.orientation), .stray = now.stray, .worst = worst()};
+        Outcome out{.error = error,
+                    .drift = length(error.position),
+                    .tilt = length(error.orientation),
+                    .stray = now.stray,
+                    .worst = worst()};
         for (int i = 0; i < tree->fingers(); ++i) {
             for (int a = 0; a < 3; ++a) {
                 const int j = 3 * i + a;

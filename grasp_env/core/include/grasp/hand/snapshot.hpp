@@ -64,7 +64,8 @@ public:
 
     explicit Snapshot(const std::shared_ptr<const Tree>& tree)
         : angles(tree->joints()), rates(angles), points(tree->fingers()), normals(points), touch(points), tips(points),
-          gaps(tree->fingers()), slip(gaps), sliding(points), touching(gaps), forces(points), gravity_torques(angles), posture(tree) {}
+          gaps(tree->fingers()), slip(gaps), sliding(points), touching(gaps), forces(points), gravity_torques(angles),
+          posture(tree) {}
 
     // gravity: [m/s^2], world. False where a number is not finite or the object far: what was seen before then stays.
     bool read(const Tree& tree, const Surface& surface, const Point& gravity, const Reading& reading) {
