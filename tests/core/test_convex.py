@@ -86,7 +86,7 @@ def test_random_pairs(first: str, second: str) -> None:
 def test_objects_have_the_same_surface(kind: str) -> None:
     rng = np.random.default_rng(7)
     numbers = np.array([0.02, 0.03, 0.025]) if kind == "cuboid" else np.array([0.02, 0.03, 0.0])
-    item = core.Surface.make(kind, numbers, np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    item = core.Surface.make(kind, numbers)
     tiny = np.full(3, 1e-9).tolist()
     none, eye = np.zeros((0, 3)), np.eye(3)
     speck = core.Limb.solid(
