@@ -22,8 +22,8 @@ MOST_CORNERS = 256
 """Of a piece: a ball of 66 mm has its faces within 0.7 mm."""
 FINE = 2e-4
 """Of a piece's size, by which its hull may be smaller with fewer corners."""
-LONGEST = 90.0
-"""[s] that cutting a mesh may take; usual are 2 to 25."""
+LONGEST = 60.0
+"""[s] that cutting a mesh may take; usual are 1 to 12."""
 
 _FINE = 5000  # faces, beyond which a mesh is taken coarser before it is cut
 _SEARCH = {"mcts_iterations": 60, "mcts_max_depth": 2, "resolution": 1000, "preprocess_mode": "off"}
