@@ -346,6 +346,8 @@ def _text(shape: Shape | None) -> str:
 def warn(message: str) -> None:
     """Issues a `GraspWarning` at the line that called this package, be it through Gymnasium."""
     level, frame = 2, sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("grasp_env.", "gymnasium.")):
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(
+        ("grasp_env.", "gymnasium.", "functools")
+    ):
         level, frame = level + 1, frame.f_back
     warnings.warn(message, GraspWarning, stacklevel=level)

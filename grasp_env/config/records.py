@@ -233,8 +233,7 @@ class EpisodeLimits(Settings):
     max_overlap: float = setting(5e-4, real(NOT_NEGATIVE), "Depth that a fingertip may reach in the object.", unit="m")
     max_stray: float = setting(
         0.1, real(NOT_NEGATIVE),
-        "Force on the object by parts that are no fingertips, as a share of the load: the force that is balanced, the object's weight "
-        "at least.",
+        "Force on the object by parts that are no fingertips, as a share of the load: external force and weight, the weight at least.",
     )  # fmt: skip
 
 

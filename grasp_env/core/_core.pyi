@@ -983,8 +983,8 @@ class Outcome:
     @property
     def stray_share(self) -> float:
         """
-        the largest force of links on the object since `reset`, as a share of the load: the force that is balanced, the
-        object's weight at least
+        the largest force of links on the object since `reset`, as a share of external force and weight,
+        the weight at least
         """
 
 class Controller:

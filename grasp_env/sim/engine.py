@@ -55,7 +55,7 @@ class BulletEngine(Engine):
     )
     mesh_contacts: str = setting(
         "pieces", one_of(("pieces", "faces")),
-        "What of an object's mesh touches: its convex pieces, or its faces, which is exact and makes a step 2 to 20 times as long.",
+        "What of an object's mesh touches: its convex pieces, or its faces, which is exact and makes a step 3 to 20 times as long.",
     )  # fmt: skip
 
 

@@ -33,6 +33,8 @@ def test_objects_have_names_and_scales_that_are_numbers(objects, message) -> Non
     with pytest.raises(InvalidInputError, match=message):
         HoldsConfig("objects", ("allegro",), objects=objects)
     assert mesh_settings("C:\\parts\\mug.stl=0.001")[0] == "mug"
+    for text in ("lr=2/mug.stl=1", "lr=2/mug.stl"):
+        assert mesh_settings(text)[1]["object"]["mesh"] == "lr=2/mug.stl"
 
 
 @needs_bullet

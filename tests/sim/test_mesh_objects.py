@@ -580,3 +580,51 @@ def test_ctrl_c_ends_the_process(tmp_path: Path) -> None:
         assert time.monotonic() - begun < 5.0
         assert "KeyboardInterrupt" in told
         assert process.returncode != 0
+
+
+# --- what a first user runs into
+
+
+def test_a_heap_of_crumbs_is_refused_at_once() -> None:
+    crumbs = together(*[box(0.001, 0.001, 0.001, at=(0.01 * k, 0.01 * j, 0.0)) for k in range(30) for j in range(20)])
+    begun = time.monotonic()
+    with pytest.raises(InvalidInputError, match="600 parts that are not connected, allowed are up to 500"):
+        closed(np.array(crumbs.vertices), np.array(crumbs.faces), "mesh")
+    assert time.monotonic() - begun < 5.0
+
+
+def test_arrays_of_a_mesh_are_not_written_to(tmp_path: Path) -> None:
+    item, _ = load(tmp_path, l_shape())
+    for array in (*item.faces, *item.pieces):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+def test_a_folder_without_locks_costs_no_wait(empty_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise OSError(38, "no locks here")
+
+    monkeypatch.setattr(cache.fcntl, "flock", refuse)
+    begun = time.monotonic()
+    assert kept("key", "name", {"value"}, lambda: {"value": np.array(3.0)})["value"] == 3.0
+    assert time.monotonic() - begun < 5.0
+
+
+def test_modules_in_the_users_folder_are_not_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "random.py").write_text("raise RuntimeError('the wrong module')")
+    monkeypatch.chdir(tmp_path)
+    assert apart(TASK, "work", 60.0, what=np.array(["fine"]))["twice"].tolist() == [0, 2, 4]
+
+
+@pytest.mark.parametrize(
+    ("path", "settings", "message"),
+    [
+        (None, {}, "path must be a path"),
+        ("ring.stl", {"scale": "big"}, "scale must"),
+        ("ring.stl", {"density": 1000.0, "mass": 0.1}, "not both"),
+        ("nowhere.stl", {}, "No such file"),
+    ],
+)
+def test_wrong_arguments_are_told(path: Any, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInputError, match=message):
+        ObjectDescription.from_mesh(path, **settings)

@@ -142,9 +142,10 @@ def _check_size(extent: tuple[float, float, float]) -> None:
     from grasp_env.sim.objects.description import LARGEST, SMALLEST
 
     if not (min(extent) >= SMALLEST and max(extent) <= LARGEST):
+        hint = "give --scale 0.001 if the file is in millimetres" if max(extent) > LARGEST else "give another --scale"
+        sides = " x ".join(f"{side:.3g}" for side in extent)
         raise InvalidInputError(
-            f"the mesh measures {' x '.join(f'{side:.3g}' for side in extent)} m, allowed are {SMALLEST:g} to {LARGEST:g} m each way; "
-            "give --scale 0.001 if the file is in millimetres"
+            f"the mesh measures {sides} m, allowed are {SMALLEST:g} to {LARGEST:g} m each way; {hint}"
         )
 
 

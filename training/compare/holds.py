@@ -20,7 +20,7 @@ from grasp_env._check import choice, together
 from grasp_env.config import EnvConfig
 from grasp_env.config.randomize import OBJECT as RANDOM_OBJECT
 from grasp_env.env.env import FourFingerGrasp
-from grasp_env.errors import GraspError, InvalidInputError, SimulationError
+from grasp_env.errors import GraspError, GraspWarning, InvalidInputError, SimulationError
 from grasp_env.force import InitialForceRule
 from grasp_env.sim import HandKinematics, ObjectDescription
 from grasp_env.sim.engine import class_of, engine_of
@@ -236,7 +236,7 @@ def settings_of(settings: dict[str, Any]) -> EnvConfig:
     """The environment's settings of a scenario; "hand" may be a URDF's path."""
     hand = {"hand": _hand(settings["hand"])} if "hand" in settings else {}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # what was repaired was printed when the run began
+        warnings.simplefilter("ignore", GraspWarning)  # what was repaired was printed when the run began
         return EnvConfig().override(**{**settings, **hand})
 
 

@@ -230,12 +230,14 @@ def mesh_settings(text: str) -> tuple[str, dict[str, Any]]:
         >>> mesh_settings("parts/duck.obj=0.06")
         ('duck', {'object': {'shape': 'mesh', 'mesh': 'parts/duck.obj', 'size': (0.06,), 'mass': 0.15, 'friction': 0.7}})
     """
-    path, _, scale = text.partition("=")
-    name = path.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    path, equals, scale = text.rpartition("=")
+    if not equals or "/" in scale or "\\" in scale:  # a folder's name may have one
+        path, scale = text, "1"
     try:
-        size = (float(scale or 1.0),)
+        size = (float(scale),)
     except ValueError:
         raise InvalidInputError(f"object {text!r} must be FILE or FILE=SCALE, such as duck.obj=0.001") from None
+    name = path.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
     alike = {name: OBJECTS["cube"][name] for name in ("mass", "friction")}
     return name, {"object": {"shape": "mesh", "mesh": path, "size": size, **alike}}
 

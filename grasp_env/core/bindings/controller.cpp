@@ -317,8 +317,8 @@ void bind_controller(nb::module_& m) {
             "overlap", [](const Outcome& o) { return o.worst.overlap; }, "the deepest since `reset` of a tip and the object [m]")
         .def_prop_ro(
             "stray_share", [](const Outcome& o) { return o.worst.stray; },
-            "the largest force of links on the object since `reset`, as a share of the load: the force that is balanced, the\n"
-            "object's weight at least");
+            "the largest force of links on the object since `reset`, as a share of external force and weight,\n"
+            "the weight at least");
     nb::class_<Controller>(m, "Controller", "The control loop of a hand: what it sees, and the torques that hold.")
         .def_static(
             "make",

@@ -38,8 +38,13 @@ def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Arr
         command = [sys.executable, "-c", f"from {__name__} import work; work()", task, folder, str(seconds)]
         with open(Path(folder, "said"), "w+b") as said:
             child = subprocess.Popen(
-                command, env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL, stdout=said, stderr=said
-            )
+                command,
+                env={**os.environ, "PYTHONPATH": paths},
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=said,
+            )  # not in the user's folder, whose files would be imported
             try:
                 _wait(child, text, seconds)
             finally:
@@ -57,19 +62,21 @@ def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
     """Until it ends, with a line on a terminal that counts its seconds."""
     begun, told = time.monotonic(), sys.stderr is not None and sys.stderr.isatty()
     shown = False
-    while True:
-        try:
-            child.wait(0.1)
-            break
-        except subprocess.TimeoutExpired:
-            passed = time.monotonic() - begun
-        if passed > seconds:
-            raise TimeoutError(f"it took more than {seconds:.0f} s")
-        if told and passed > _PATIENCE:
-            print(f"\r{text}, {passed:.0f} s", end="", file=sys.stderr, flush=True)
-            shown = True
-    if shown:
-        print(file=sys.stderr)
+    try:
+        while True:
+            try:
+                child.wait(0.1)
+                break
+            except subprocess.TimeoutExpired:
+                passed = time.monotonic() - begun
+            if passed > seconds:
+                raise TimeoutError(f"it took more than {seconds:.0f} s")
+            if told and passed > _PATIENCE:
+                print(f"\r{text}, {passed:.0f} s", end="", file=sys.stderr, flush=True)
+                shown = True
+    finally:
+        if shown:
+            print(file=sys.stderr)
 
 
 def work() -> None:

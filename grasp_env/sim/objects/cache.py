@@ -14,7 +14,7 @@ import numpy as np
 from grasp_env._files import WEIGHTS as MOST_BYTES
 from grasp_env._files import read_bytes, replacing, unpacked
 
-LONGEST_WAIT = 120.0
+LONGEST_WAIT = 150.0
 """[s] that a process waits for another that makes the same entry, before it makes the entry itself."""
 _NAME = "name"  # of an entry, among its arrays
 _ENTRIES = "[!.]*.npz"  # not those that another process is writing
@@ -98,7 +98,7 @@ def _alone(path: Path) -> Iterator[None]:
     """No other process makes the entry meanwhile, unless that takes too long."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle = os.open(path.with_suffix(".lock"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+        handle = os.open(path.with_suffix(".lock"), os.O_CREAT | os.O_RDWR | getattr(os, "O_CLOEXEC", 0), 0o600)
     except OSError:
         yield
         return
@@ -108,8 +108,10 @@ def _alone(path: Path) -> Iterator[None]:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
-            except OSError:
+            except BlockingIOError:
                 time.sleep(0.05)
+            except OSError:  # a file system without locks
+                break
         yield
     finally:
         os.close(handle)

@@ -16,6 +16,7 @@ _LEAST = 1e-6  # of the cube about it that a solid fills
 _WALLS = "faces that lay back to back or twice were dropped"
 _FLAT = 1e-12  # the same of a part that is nothing but walls back to back
 _ALIKE = 1e-6  # [rad] between faces that lie back to back
+_MOST_PARTS = 500  # which take a second
 _TRIED = 8  # corners of a part, to see whether it lies in another
 
 
@@ -117,6 +118,10 @@ def _without_walls(faces: Any) -> Any:
 def _solid(corners: Array, faces: Any, extent: float, name: str, changes: list[str]) -> tuple[Array, Any]:
     """One solid: parts turned outward, hollows taken away, the rest united where it overlaps."""
     parts = _parts(corners, faces)
+    if len(parts) > _MOST_PARTS:
+        raise InvalidInputError(
+            f"{name} has {len(parts)} parts that are not connected, allowed are up to {_MOST_PARTS}; delete the crumbs, or remesh it"
+        )
     volumes = [volume(corners, part) for part in parts]
     if sum(abs(each) for each in volumes) <= _LEAST * extent**3:
         raise InvalidInputError(f"{name} encloses no volume; it must be a solid, such as a plate with two sides")

@@ -116,10 +116,10 @@ class ObjectDescription(Settings):
     ) -> ObjectDescription:
         """The solid in a mesh file, convex or not.
 
-        Contacts, normals, mass and inertia are those of the mesh itself. It is also cut into convex pieces, once for its content (up
-        to 30 s): distances to links are measured to them, and MuJoCo touches them; in Bullet the mesh itself touches. The pieces are kept
-        in the user's cache folder; `grasp object list` and `grasp object clear` show and empty it. A mesh that is not closed is repaired
-        where that can be done, and a warning says what changed.
+        Contact points, normals, mass and inertia are those of the mesh. It is also cut into convex pieces, once for its content (seconds,
+        two minutes at most): distances to links are measured to them, and engines touch them, unless Bullet's `mesh_contacts` says "faces".
+        The pieces are kept in the user's cache folder; `grasp object list` and `grasp object clear` show and empty it. A mesh that is not
+        closed is repaired where that can be done, and a warning says what changed. The file is read again in other processes.
 
         Args:
             path: Of an .obj, .stl, .ply, .off, .glb or .dae of up to 200,000 faces.
@@ -138,11 +138,12 @@ class ObjectDescription(Settings):
             >>> round(box.mass, 6), [round(side, 6) for side in box.extent]
             (0.048, [0.06, 0.04, 0.02])
         """
-        given = {"shape": "mesh", "mesh": os.fspath(path), "size": (scale,), **settings}
+        times = real(POSITIVE).take(scale, "scale")
+        given = {"shape": "mesh", "mesh": str(as_path(path, InvalidInputError, "path")), "size": (times,), **settings}
         if density is not None:
             if "mass" in settings:
                 raise InvalidInputError("give mass or density, not both: each follows from the other")
-            mesh = load_mesh(given["mesh"], real(POSITIVE).take(scale, "scale"), tell=False)
+            mesh = load_mesh(given["mesh"], times, tell=False)
             given["mass"] = real(POSITIVE).take(density, "density") * mesh.volume
         return cls(**given)
 
@@ -164,7 +165,10 @@ class ObjectDescription(Settings):
                 "exchange them or use a cylinder"
             )
         if not (min(self.extent) >= SMALLEST and max(self.extent) <= LARGEST):
-            hint = "; give the scale of the file in size=(0.001,) if it is in millimetres" if self.mesh else ""
+            large = max(self.extent) > LARGEST
+            hint = (
+                "; give the scale of the file in size=(0.001,) if it is in millimetres" if self.mesh and large else ""
+            )
             raise InvalidInputError(
                 f"the {self.shape} measures {' x '.join(f'{side:.3g}' for side in self.extent)} m, allowed are "
                 f"{SMALLEST:g} to {LARGEST:g} m each way; sizes are in metres{hint}"

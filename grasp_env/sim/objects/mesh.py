@@ -81,10 +81,12 @@ def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mes
     key = digest(_MADE.encode(), kind.encode(), blob)
     made = kept(key, os.path.basename(path), _ARRAYS, lambda: _made(*read_mesh_bytes(blob, kind, name), name))
     ends = np.cumsum(made["counts"])[:-1]
-    vertices = np.ascontiguousarray(scale * made["vertices"])
+    vertices, pieces = np.ascontiguousarray(scale * made["vertices"]), scale * made["pieces"]
+    for array in (vertices, made["faces"], pieces):  # shared by all objects of this file
+        array.setflags(write=False)
     x, y, z = np.ptp(vertices, axis=0).tolist()
     return Mesh(
-        vertices, made["faces"], tuple(np.split(scale * made["pieces"], ends)), scale**2 * made["gyration"], made["rotation"],
+        vertices, made["faces"], tuple(np.split(pieces, ends)), scale**2 * made["gyration"], made["rotation"],
         scale * made["center"], scale**3 * float(made["volume"]), (x, y, z), tuple(made["changes"].tolist()),
     )  # fmt: skip
 

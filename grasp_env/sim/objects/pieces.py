@@ -50,17 +50,20 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     hull = ConvexHull(corners)
     if volume(corners, faces) >= (1.0 - CONVEX) * hull.volume:
         return [_outermost(corners[hull.vertices])]
-    coarse = _coarser(corners, faces)
+    coarse, said = _coarser(corners, faces), ""
     for task in ("by_coacd",) * (find_spec("coacd") is not None) + ("by_vhacd",):
         try:
             text = f"{name}: cutting it into convex pieces, once for this content"
             made = apart(f"{__name__}:{task}", text, LONGEST, corners=coarse[0], faces=coarse[1])
-        except (TimeoutError, ChildProcessError):  # faces that cross make CoACD crash or run for ever
+        except (TimeoutError, ChildProcessError) as error:  # faces that cross make CoACD crash or run for ever
+            said = str(error).strip().rsplit("\n", 1)[-1]
             continue
-        if len(made["counts"]):
-            return _holding(np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners)
+        found = _holding(np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners)
+        if found:
+            return found
     raise InvalidInputError(
-        f"{name} cannot be cut into convex pieces: its faces seem to cross; mend it with `grasp object mend FILE`, or remesh it"
+        f"{name} cannot be cut into convex pieces ({said or 'none was found'}). Where its faces cross, mend it with "
+        "`grasp object mend FILE`, or remesh it"
     )
 
 
@@ -115,6 +118,8 @@ def _holding(pieces: list[Array], corners: Array) -> list[Array]:
     for piece in pieces:
         with suppress(QhullError):  # flat: it holds nothing
             hulls.append(ConvexHull(piece))
+    if not hulls:
+        return []
     heights = np.array([(corners @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1) for hull in hulls])
     nearest, outside = heights.argmin(axis=0), heights.min(axis=0) > 0.0
     out: list[Array] = []

@@ -134,6 +134,8 @@ public:
             if (scene->now.touching[i] > 0.0) slid_[i] += sensors.settings.tick * scene->now.sliding[i];
             worst_.slide = std::max(worst_.slide, length(slid_[i]));
         }
+        const double mass = settings.body.mass;
+        load_ = std::max(length(point(known.external) + mass * scene->now.to_object(scene->gravity)), STANDARD_GRAVITY * mass);
         worst_ = worst();
         return true;
     }
@@ -190,7 +192,7 @@ public:
     struct Worst {
         double slide = 0.0;  // [m] of a touching tip from where it was on the object, by sliding
         double overlap = 0.0;  // [m] of a tip and the object
-        double stray = 0.0;  // force of links on the object, as a share of the load
+        double stray = 0.0;  // force of links on the object, as a share of external force and weight, the weight at least
     };
     // How the object is held, by the truth: its error against the wanted pose, and what the fingers do.
     struct Outcome {
@@ -249,6 +251,7 @@ private:
          exceeding_ = false;  // whether it was made within the limits and is near them; whether it exceeds them least
     std::uint64_t squeezing_ = 0;  // the fingers that `squeezed_` is for
     Worst worst_;
+    double load_ = 1.0;  // [N] external force and weight, the weight at least: pushes may cancel that
     std::vector<Point> slid_;  // (N,) the way of each tip on the object by sliding [m], object frame
     bool missing_ = false;  // a finger that counts has no force
     std::vector<int> apart_;  // (N,) ticks since a finger had force
@@ -277,12 +280,11 @@ private:
         return free;
     }
 
-    // Of all that was and what is. The load is what the forces balance, the object's weight at least: pushes may cancel that.
+    // Of all that was and what is.
     Worst worst() const {
-        const double load = std::max(length(point(wrench.data())), STANDARD_GRAVITY * settings.body.mass);
         Worst out = worst_;
         for (double gap : scene->now.gaps) out.overlap = std::max(out.overlap, -gap);
-        out.stray = std::max(out.stray, scene->now.stray / load);
+        out.stray = std::max(out.stray, scene->now.stray / load_);
         return out;
     }
 
