@@ -32,6 +32,7 @@ MOST_FACES = 200_000
 """Triangles of a mesh."""
 _MOST_CORNERS = 3 * MOST_FACES  # those that no face names among them
 _MOST_IN_WORDS = 2 * MOST_FACES  # of an .off and a .ply of words, whose numbers trimesh reads in 3 us a corner
+_WORDS = 20 * MEGABYTE  # of these two: 1.5 s
 _MOST_PARTS = 4000  # of meshes that a scene places: 0.3 ms each
 _MOST_NODES = 10_000
 _MOST_LINES = 3_000_000
@@ -232,6 +233,8 @@ def _guard_ply(blob: bytes) -> tuple[bytes, int]:
         raise ValueError(
             f"it has no header within {_LONGEST_HEAD} bytes with a format, element vertex and element face"
         )
+    if form[1] == "ascii" and len(blob) > _WORDS:
+        raise ValueError(f"it is larger than {_WORDS // MEGABYTE} MB; write it as bytes")
     most = _MOST_IN_WORDS if form[1] == "ascii" else _MOST_CORNERS
     corners, faces = _few(int(parts[2]), most, "corners"), _few_faces(int(parts[5]))
     of_corner, of_face = ([line.split() for line in re.findall(r"\nproperty\s+(.*)", parts[k])] for k in (3, 6))
@@ -486,7 +489,7 @@ KINDS: dict[str, tuple[Callable[[bytes], tuple[bytes, int]], int]] = {
     ".obj": (_guard_obj, 40 * MEGABYTE),
     ".stl": (_guard_stl, 80 * MEGABYTE),
     ".ply": (_guard_ply, 40 * MEGABYTE),
-    ".off": (_guard_off, 40 * MEGABYTE),
+    ".off": (_guard_off, _WORDS),
     ".glb": (_guard_glb, 100 * MEGABYTE),
     ".dae": (_guard_dae, 40 * MEGABYTE),
 }
