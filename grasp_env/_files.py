@@ -184,7 +184,7 @@ def unpacked(blob: bytes, most: int = WEIGHTS) -> dict[str, np.ndarray]:
 
 
 def _check_length(file: IO[bytes], entry: zipfile.ZipInfo) -> None:
-    """Whether an array has the bytes that its own header claims: they are allocated before they are read."""
+    """Raises ValueError if an array's header claims more bytes than its entry has: numpy allocates them before it reads."""
     version = np.lib.format.read_magic(file)
     read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
     if read is None:

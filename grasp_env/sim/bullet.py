@@ -21,6 +21,7 @@ from grasp_env.sim.engine import BulletEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.limbs import touching_pairs
 from grasp_env.sim.hand.urdf import HULL_MARGIN, hand_files, hull_faces
+from grasp_env.sim.mesh_files import obj_text
 from grasp_env.sim.objects.description import OBJECT_COLOR, ObjectDescription
 from grasp_env.sim.simulator import Simulator
 
@@ -211,7 +212,7 @@ def build_world(client: int, config: SceneConfig, urdf: str, angles: np.ndarray)
 
 
 def _long(hand: HandDescription) -> bool:
-    """Whether a finger has more than three joints."""
+    """True if a finger has more than three joints."""
     parents = {link.name: link.parent for link in hand.links}
     for tip in hand.fingertips:
         link, count = tip.link, 0
@@ -322,14 +323,10 @@ def _margin(item: ObjectDescription) -> float:
 
 
 def _write(folder: str, name: str, parts: Sequence[tuple[Array, Any]]) -> str:
-    """The path of an .obj with corners and faces of each part; Bullet draws each face flat, as it has no normals."""
-    path, before = os.path.join(folder, name), 1
+    """The path of an .obj of these parts; Bullet draws each face flat, as it has no normals."""
+    path = os.path.join(folder, name)
     with open(path, "w", encoding="ascii") as file:
-        for number, (corners, faces) in enumerate(parts):
-            file.write(f"o part{number}\n")
-            file.write("".join(f"v {x!r} {y!r} {z!r}\n" for x, y, z in corners.tolist()))
-            file.write("".join(f"f {i} {j} {k}\n" for i, j, k in (faces + before).tolist()))
-            before += len(corners)
+        file.write(obj_text(parts))
     return path
 
 

@@ -13,7 +13,7 @@ import json
 import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -26,7 +26,7 @@ from grasp_env._extras import need
 from grasp_env._files import MEGABYTE, parsed, read_xml, understood
 from grasp_env.errors import InvalidInputError
 
-__all__ = ["KINDS", "MOST_FACES", "key_lines", "key_places", "one_newline", "read_mesh", "read_mesh_bytes"]
+__all__ = ["KINDS", "MOST_FACES", "key_lines", "key_places", "obj_text", "one_newline", "read_mesh", "read_mesh_bytes"]
 
 MOST_FACES = 200_000
 """Triangles of a mesh."""
@@ -97,6 +97,27 @@ def read_mesh_bytes(blob: bytes, kind: str, name: str, hint: str = _HINT) -> tup
     return corners, faces
 
 
+def obj_text(parts: Iterable[tuple[Array, Any]]) -> str:
+    """An .obj of parts, each of corners (V, 3) and faces (F, 3), with all digits.
+
+    Example:
+        >>> print(obj_text([(np.eye(3), np.array([[0, 1, 2]]))]))
+        o part0
+        v 1.0 0.0 0.0
+        v 0.0 1.0 0.0
+        v 0.0 0.0 1.0
+        f 1 2 3
+        <BLANKLINE>
+    """
+    lines, before = list[str](), 1
+    for number, (corners, faces) in enumerate(parts):
+        lines.append(f"o part{number}")
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in corners.tolist()]
+        lines += [f"f {i} {j} {k}" for i, j, k in (faces + before).tolist()]
+        before += len(corners)
+    return "\n".join([*lines, ""])
+
+
 def _by_trimesh(blob: bytes, kind: str, count: int) -> tuple[Array, Any]:
     """Corners and faces of a file that a guard has written, which says how many triangles it has."""
     import trimesh  # slow to import, and only meshes need it
@@ -134,7 +155,7 @@ def one_newline(text: bytes) -> bytes:
 
 
 def key_places(text: bytes, key: bytes) -> Iterator[int]:
-    """Where the lines stand that begin with a word."""
+    """Offsets of the lines that begin with a word."""
     return (found.start() for found in re.finditer(rb"\n[ \t]*%s[ \t]" % key, text))
 
 

@@ -209,7 +209,7 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
 
 
 def outcome(kind: str, blob: bytes) -> tuple[str, float]:
-    """What is told of a file, "" for a mesh, and the seconds that it takes."""
+    """The error message of a file, "" for a mesh, and the seconds that reading takes."""
     from grasp_env.errors import InvalidInputError
     from grasp_env.sim.mesh_files import read_mesh_bytes
 

@@ -45,7 +45,7 @@ def save(path: Path, corners: Any, faces: Any) -> str:
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """What is kept, in a folder of the test's own."""
+    """A cache folder for the test alone."""
     monkeypatch.setattr("platformdirs.user_cache_path", lambda *_, **__: tmp_path / "cache")
     return tmp_path / "cache" / "objects"
 

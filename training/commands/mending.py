@@ -81,12 +81,10 @@ def as_obj(mesh: Mended, name: str) -> bytes:
     Raises:
         InvalidInputError: It is too large to be read, or is no solid once it is read.
     """
-    from grasp_env.sim.mesh_files import read_mesh_bytes
+    from grasp_env.sim.mesh_files import obj_text, read_mesh_bytes
     from grasp_env.sim.objects.closing import closed
 
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.corners.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-    text = ("\n".join(lines) + "\n").encode()
+    text = obj_text([(mesh.corners, mesh.faces)]).encode()
     name = f"what MeshFix makes of {name}"
     closed(*read_mesh_bytes(text, ".obj", name, f"; {_REMESH}"), name)
     return text

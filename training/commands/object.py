@@ -86,6 +86,7 @@ class Object:
         from grasp_env._check import whole
         from grasp_env.settings import POSITIVE, real
         from grasp_env.sim.objects.cache import folder
+        from grasp_env.sim.objects.description import check_extent
         from grasp_env.sim.objects.mesh import load_mesh
 
         whole(self.size, "size", 16, 4096)
@@ -93,7 +94,7 @@ class Object:
         with warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("always")
             mesh = load_mesh(str(self.file), real(POSITIVE).take(self.scale, "scale"))
-        _check_size(mesh.extent)
+        check_extent(mesh.extent, "mesh", "give --scale 0.001 if the file is in millimetres", "give another --scale")
         if self.draw is not None:
             _save_picture(mesh, self.size, self.draw)
         told = {
@@ -122,7 +123,7 @@ class Object:
         return told, _mended_page(told)
 
     def _out(self, file: Path) -> Path:
-        """Where the mended mesh goes."""
+        """The file that the mended mesh is written to."""
         _check_suffix(self.out, "--out", ".obj")
         out = file.with_name(f"{file.stem}_mended.obj") if self.out is None else self.out
         if self.out is None and os.path.lexists(out):
@@ -135,18 +136,6 @@ class Object:
 def _check_suffix(path: Path | None, option: str, suffix: str) -> None:
     if path is not None and path.suffix.lower() != suffix:
         raise InvalidInputError(f"{option} {path} must end in {suffix}, the only kind that is written")
-
-
-def _check_size(extent: tuple[float, float, float]) -> None:
-    """Refuses what no hand holds; in most files it comes of the unit."""
-    from grasp_env.sim.objects.description import LARGEST, SMALLEST
-
-    if not (min(extent) >= SMALLEST and max(extent) <= LARGEST):
-        hint = "give --scale 0.001 if the file is in millimetres" if max(extent) > LARGEST else "give another --scale"
-        sides = " x ".join(f"{side:.3g}" for side in extent)
-        raise InvalidInputError(
-            f"the mesh measures {sides} m, allowed are {SMALLEST:g} to {LARGEST:g} m each way; {hint}"
-        )
 
 
 def _save_picture(mesh: Mesh, size: int, draw: Path) -> None:

@@ -80,7 +80,7 @@ def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
 
 
 def work() -> None:
-    """What that process does; Ctrl-C and the clock end it even within other people's code."""
+    """Runs the task in the child process; Ctrl-C and the clock end it even within other people's code."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     (module, _, function), folder = sys.argv[1].partition(":"), Path(sys.argv[2])
     if hasattr(signal, "alarm"):  # not on Windows

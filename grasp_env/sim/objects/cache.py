@@ -1,4 +1,4 @@
-"""What is made of an object's mesh once and kept in the user's cache folder, by content: safe between processes."""
+"""A cache of processed meshes in the user's cache folder, keyed by content and safe between processes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ except ImportError:  # not on Windows: two processes may make the same entry, an
 
 
 class Entry(NamedTuple):
-    """What is kept of one mesh: its file, the name of the mesh it was made of, its size in bytes, and when it was made [s]."""
+    """An entry of the cache: its file, the name of its mesh, its size in bytes, and when it was made [s]."""
 
     path: Path
     name: str
@@ -35,7 +35,7 @@ class Entry(NamedTuple):
 
 
 def folder() -> Path:
-    """Where entries are kept."""
+    """The cache folder."""
     from platformdirs import user_cache_path
 
     return user_cache_path("grasp-force", appauthor=False) / "objects"
@@ -65,7 +65,7 @@ def kept(key: str, name: str, arrays: Set[str], make: Callable[[], dict[str, Any
 
 
 def entries() -> list[Entry]:
-    """What is kept, the newest first."""
+    """The entries of the cache, the newest first."""
     out: list[Entry] = []
     for path in folder().glob(_ENTRIES):
         with suppress(OSError):

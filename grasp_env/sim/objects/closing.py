@@ -23,8 +23,8 @@ _TRIED = 8  # corners of a part, to see whether it lies in another
 def closed(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]]:
     """A closed solid of corners (V, 3) and faces (F, 3), and what was changed, in words; nothing of that where it was closed.
 
-    Corners at one place become one. Then, until it is closed: double faces go, faces are turned alike, seams are welded, holes are
-    filled, all by trimesh. Parts that overlap become one solid, by Manifold; a part inside out within another is a hollow.
+    Corners at one place become one, and faces on the same corners. Then, until it is closed, faces are turned alike, seams are welded
+    and holes are filled, by trimesh. Parts that overlap become one solid, by Manifold; a part inside out within another is a hollow.
 
     Raises:
         InvalidInputError: It cannot be closed, or encloses no volume.
@@ -66,12 +66,6 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
     """After the first of trimesh's repairs that close it, or all of them."""
     import trimesh
 
-    def drop(mesh: Any) -> str:
-        before = len(mesh.faces)
-        mesh.update_faces(mesh.unique_faces())
-        gone = before - len(mesh.faces)
-        return f"{gone} double faces were dropped" if gone else ""
-
     def turn(mesh: Any) -> str:
         before = mesh.faces.copy()
         trimesh.repair.fix_winding(mesh)
@@ -91,7 +85,7 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
         return f"holes were filled with {len(mesh.faces) - before} faces" if len(mesh.faces) > before else ""
 
     mesh = trimesh.Trimesh(corners, faces, process=False)
-    for repair in (drop, turn, weld, fill, turn):
+    for repair in (turn, weld, fill, turn):
         if told := repair(mesh):
             changes.append(told)
         if not open_edges(np.asarray(mesh.faces)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -164,15 +164,8 @@ class ObjectDescription(Settings):
                 f"{placed('size')}={self.size} of a capsule: its total length must be at least its diameter; "
                 "exchange them or use a cylinder"
             )
-        if not (min(self.extent) >= SMALLEST and max(self.extent) <= LARGEST):
-            large = max(self.extent) > LARGEST
-            hint = (
-                "; give the scale of the file in size=(0.001,) if it is in millimetres" if self.mesh and large else ""
-            )
-            raise InvalidInputError(
-                f"the {self.shape} measures {' x '.join(f'{side:.3g}' for side in self.extent)} m, allowed are "
-                f"{SMALLEST:g} to {LARGEST:g} m each way; sizes are in metres{hint}"
-            )
+        scale = "; give the scale of the file in size=(0.001,) if it is in millimetres" if self.mesh else ""
+        check_extent(self.extent, self.shape, f"sizes are in metres{scale}", "sizes are in metres")
 
     def replaced(self, given: Mapping[str, Any], path: str = "") -> ObjectDescription:
         """A copy with some settings replaced; another shape has its own default size and no mesh, unless they are given.
@@ -250,6 +243,15 @@ class ObjectDescription(Settings):
     def __getstate__(self) -> dict[str, object]:
         """All but the surface and the mesh, which are made anew."""
         return {name: value for name, value in self.__dict__.items() if name not in ("surface", "_mesh")}
+
+
+def check_extent(extent: Sequence[float], shape: str, too_large: str, too_small: str) -> None:
+    """Refuses sides [m] that no object here has, with a hint for each case."""
+    if not (min(extent) >= SMALLEST and max(extent) <= LARGEST):
+        raise InvalidInputError(
+            f"the {shape} measures {' x '.join(f'{side:.3g}' for side in extent)} m, allowed are {SMALLEST:g} to {LARGEST:g} m each way; "
+            f"{too_large if max(extent) > LARGEST else too_small}"
+        )
 
 
 def _solid_gyration(shape: str, size: tuple[float, ...]) -> tuple[float, float, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -51,11 +50,14 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
     if volume(corners, faces) >= (1.0 - CONVEX) * hull.volume:
         return [_outermost(corners[hull.vertices])]
     coarse, said = _coarser(corners, faces), ""
-    for task in ("by_coacd",) * (find_spec("coacd") is not None) + ("by_vhacd",):
+    for task in ("by_coacd", "by_vhacd"):
         try:
             text = f"{name}: cutting it into convex pieces, once for this content"
             made = apart(f"{__name__}:{task}", text, LONGEST, corners=coarse[0], faces=coarse[1])
-        except (TimeoutError, ChildProcessError) as error:  # faces that cross make CoACD crash or run for ever
+        except (
+            TimeoutError,
+            ChildProcessError,
+        ) as error:  # CoACD crashes or runs for ever where faces cross, and is not on every machine
             said = str(error).strip().rsplit("\n", 1)[-1]
             continue
         found = _holding(np.split(made["points"], np.cumsum(made["counts"].astype(int))[:-1]), corners)
@@ -69,7 +71,8 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
 
 def volume(corners: Array, faces: Any) -> float:
     """Of a closed mesh."""
-    a, b, c = (corners[faces[:, k]] - corners.mean(axis=0) for k in range(3))
+    origin = corners[faces[:1, 0]].sum(axis=0)  # a corner of it, if it has any
+    a, b, c = (corners[faces[:, k]] - origin for k in range(3))
     return float(np.einsum("fk,fk->", a, np.cross(b, c))) / 6.0
 
 

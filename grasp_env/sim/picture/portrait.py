@@ -16,6 +16,7 @@ from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription,
 from grasp_env.sim.hand.frames import roll_pitch_yaw
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.solids import outline
+from grasp_env.sim.mesh_files import obj_text
 from grasp_env.sim.objects.description import OBJECT_COLOR
 from grasp_env.sim.objects.mesh import Mesh
 from grasp_env.sim.picture.view import View
@@ -69,8 +70,7 @@ def mesh_portrait(mesh: Mesh, size: int = 640) -> np.ndarray:
     view = View((0.45, 0.35, 1.0), _NOWHERE, 20.0, size, size).fitted(points, _ROOM, _ROOM)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "mesh.obj")
-        rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in (scale * mesh.vertices).tolist()]
-        file.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()), ""]))
+        file.write_text(obj_text([(scale * mesh.vertices, mesh.faces)]), encoding="ascii")
         whole = Geometry("mesh", (1.0, 1.0, 1.0), color=OBJECT_COLOR, file=str(file))
         return np.hstack([_shot(_lookalike(shapes), np.zeros(1), view) for shapes in ((whole,), tuple(pieces))])
 
