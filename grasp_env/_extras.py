@@ -31,6 +31,7 @@ EXTRAS = {
     ),
     "mujoco": ("mujoco",),
     "mend": ("pymeshfix",),
+    "xacro": ("xacrodoc",),
     "live": ("viser",),
     "layer": ("torch",),
     "train": ("stable_baselines3", "tensorboard", "torch"),

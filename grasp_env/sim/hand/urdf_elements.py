@@ -21,6 +21,7 @@ from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.meshes import convex_pieces, find_mesh, read_mesh, why_not_drawn
 from grasp_env.sim.hand.tree import Geometry, Mimic
+from grasp_env.sim.hand.xacro_files import expanded, is_xacro
 
 MOST = 500
 """Of links and of joints in a file."""
@@ -46,7 +47,10 @@ class UrdfLink:
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A <joint>: `origin` and `rotation` put the child at angle 0; `effort` is None where it names none."""
+    """A <joint>: `origin` and `rotation` put the child at angle 0; `effort` is None where it names none.
+
+    `rotor` is the inertia of its motor [kg m^2], which a URDF has no word for.
+    """
 
     name: str
     parent: str
@@ -60,6 +64,7 @@ class UrdfJoint:
     effort: float | None = None
     sliding: bool = False
     mimic: Mimic | None = None
+    rotor: float = 0.0
 
 
 class Reader:
@@ -79,11 +84,14 @@ class Reader:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        hint = "; a URDF is plain XML, so run xacro files through xacro first"
-        robot = parsed(path, read_xml, InvalidInputError, f"the URDF {shown_path(path)}", "XML", hint)
+        robot = parsed(path, read_xml, InvalidInputError, f"the URDF {shown_path(path)}", "XML")
         self.path = Path(os.fsdecode(path))
+        if robot.tag == "mujoco":
+            raise InvalidInputError("it is a MuJoCo model (MJCF), not a URDF; read it with HandDescription.from_mjcf")
         if robot.tag != "robot":
             raise InvalidInputError(f"the first element is <{robot.tag[:40]}>, a URDF starts with <robot name=...>")
+        if is_xacro(robot):
+            robot = expanded(path)
         self.name: str = robot.get("name") or "hand"
         self._links, self._joints = robot.findall("link"), robot.findall("joint")
         if not self._links:

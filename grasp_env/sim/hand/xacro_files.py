@@ -1,0 +1,66 @@
+"""Xacro files become URDFs: xacrodoc expands their macros, without ROS."""
+
+from __future__ import annotations
+
+import os
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from grasp_env._extras import need
+from grasp_env._files import parsed, read_xml
+from grasp_env.errors import GraspError, InvalidInputError
+
+_SPACE = "{http://www.ros.org/wiki/xacro}"
+_SHORT_SPACE = "{http://ros.org/wiki/xacro}"
+_PARENTS = 5
+"""Folders above a file in which the packages are that it finds."""
+
+
+def is_xacro(robot: Element) -> bool:
+    """True if an element of xacro is in a file."""
+    return any(element.tag.startswith((_SPACE, _SHORT_SPACE)) for element in robot.iter())
+
+
+def expanded(path: str | os.PathLike[str]) -> Element:
+    """The robot of a xacro file, its arguments at their defaults.
+
+    `$(find package)` is looked for in the folders above the file and in those beside them. Xacro evaluates expressions that are in
+    the file, so read files that you trust.
+
+    Raises:
+        InvalidInputError: Xacro refuses the file, or it only defines macros.
+        MissingExtraError: xacrodoc is not installed.
+    """
+    file = Path(os.fsdecode(path)).absolute()
+    with need("xacro"):
+        import xacrodoc
+    xacrodoc.packages.reset()
+    xacrodoc.packages.update_package_cache(_packages(file))
+    try:
+        with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
+            document = xacrodoc.XacroDoc.from_file(str(file), resolve_packages=False)
+            robot = read_xml(document.dom.toxml().encode())
+    except Exception as error:  # xacro lets errors of expressions through as they are
+        raise InvalidInputError(
+            f"xacro cannot expand {file}: {' '.join(str(error).split()) or type(error).__name__}"
+        ) from error
+    if robot.find("link") is None:
+        raise InvalidInputError(f"{file} only defines macros, it has no <link>; give the file that calls them")
+    return robot
+
+
+def _packages(file: Path) -> dict[str, str]:
+    """Folders of ROS packages by name, of those that hold the file and those beside them."""
+    found = dict[str, str]()
+    for folder in list(file.parents)[: _PARENTS + 1]:
+        for manifest in [folder / "package.xml", *sorted(folder.glob("*/package.xml"))]:
+            if not manifest.is_file():
+                continue
+            try:
+                name = parsed(manifest, read_xml, InvalidInputError, str(manifest), "XML").findtext("name", "").strip()
+            except GraspError:
+                continue
+            found.setdefault(name, str(manifest.parent))
+    return found
