@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,11 +94,11 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
 
     Closed parts stay as they are, unless all are closed: then MeshFix looks at each for faces that cross.
     """
-    from grasp_env.sim.objects.closing import open_edges, welded
+    from grasp_env.sim.mesh_shape import connected, extent_of, open_edges, welded
 
-    corners, faces = welded(corners, faces, _GRAIN * (float(np.ptp(corners, axis=0).max()) or 1.0))
+    corners, faces = welded(corners, faces, _GRAIN * extent_of(corners))
     faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]  # double ones once
-    parts = list(_parts(corners, faces))
+    parts = [_own_corners(corners, part) for part in connected(faces)]
     whole = [not open_edges(numbers) for _, numbers in parts]
     points, made, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
     for part, good in zip(parts, whole, strict=True):
@@ -116,17 +115,10 @@ def closed_parts(corners: Array, faces: Any) -> dict[str, Any]:
     }
 
 
-def _parts(corners: Array, faces: Any) -> Iterator[tuple[Array, Any]]:
-    """Corners and faces of each part; parts share no corner."""
-    from trimesh.graph import connected_component_labels
-
-    if len(faces) == 0:
-        return
-    labels = connected_component_labels(faces[:, [0, 1, 1, 2]].reshape(-1, 2), node_count=len(corners))[faces[:, 0]]
-    order = np.argsort(labels, kind="stable")
-    for chosen in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
-        used, numbers = np.unique(faces[chosen], return_inverse=True)
-        yield corners[used], numbers.reshape(-1, 3)
+def _own_corners(corners: Array, faces: Any) -> tuple[Array, Any]:
+    """Corners and faces of a part without the corners of others."""
+    used, numbers = np.unique(faces, return_inverse=True)
+    return corners[used], numbers.reshape(-1, 3)
 
 
 def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
@@ -136,8 +128,7 @@ def _closed_part(corners: Array, faces: Any) -> tuple[Array, Any]:
     """
     from pymeshfix import PyTMesh
 
-    from grasp_env.sim.objects.closing import open_edges
-    from grasp_env.sim.objects.pieces import volume
+    from grasp_env.sim.mesh_shape import open_edges, volume
 
     if len(faces) < _FEWEST:
         return corners, faces
@@ -162,6 +153,6 @@ def _arrays(fix: Any) -> tuple[Array, Any]:
 
 
 def _size(part: tuple[Array, Any]) -> float:
-    from grasp_env.sim.objects.pieces import volume
+    from grasp_env.sim.mesh_shape import volume
 
     return abs(volume(*part)) if len(part[1]) else 0.0

@@ -8,10 +8,9 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.objects.pieces import volume
+from grasp_env.sim.mesh_shape import WELD, extent_of, open_edges, volume, welded
 
-_GRAINS = 1e-7, 1e-5
-"""Of the extent: corners this near are one, as in every .stl; and where seams are open."""
+_SEAM = 1e-5  # of the extent: corners this near are one where seams are open
 _LEAST = 1e-6  # of the cube about it that a solid fills
 _WALLS = "faces that lay back to back or twice were dropped"
 _FLAT = 1e-12  # the same of a part that is nothing but walls back to back
@@ -29,8 +28,8 @@ def closed(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]
     Raises:
         InvalidInputError: It cannot be closed, or encloses no volume.
     """
-    extent = float(np.ptp(corners, axis=0).max()) or 1.0
-    corners, faces = welded(corners, faces, _GRAINS[0] * extent)
+    extent = extent_of(corners)
+    corners, faces = welded(corners, faces, WELD * extent)
     changes: list[str] = []
     count = len(faces)
     faces = _without_walls(faces)
@@ -45,23 +44,6 @@ def closed(corners: Array, faces: Any, name: str) -> tuple[Array, Any, list[str]
     return (*_solid(corners, faces, extent, name, changes), changes)
 
 
-def welded(corners: Array, faces: Any, grain: float) -> tuple[Array, Any]:
-    """One corner where several are within a cell of a grid; faces that become lines, and corners of no face, go."""
-    _, kept, numbers = np.unique(np.round(corners / grain), axis=0, return_index=True, return_inverse=True)
-    faces = numbers.reshape(-1)[faces]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    used, faces = np.unique(faces, return_inverse=True)
-    return corners[kept][used], faces.reshape(-1, 3).astype(np.int64)
-
-
-def open_edges(faces: Any) -> int:
-    """How many sides of faces have no other that runs the opposite way."""
-    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    forward = ends[:, 0] < ends[:, 1]
-    number = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
-    return int(np.abs(np.bincount(number, np.where(forward, 1.0, -1.0))).sum())
-
-
 def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> tuple[Array, Any]:
     """After the first of trimesh's repairs that close it, or all of them."""
     import trimesh
@@ -73,11 +55,11 @@ def _repaired(corners: Array, faces: Any, extent: float, changes: list[str]) -> 
         return f"{turned} faces were turned" if turned else ""
 
     def weld(mesh: Any) -> str:
-        points, again = welded(np.asarray(mesh.vertices), np.asarray(mesh.faces), _GRAINS[1] * extent)
+        points, again = welded(np.asarray(mesh.vertices), np.asarray(mesh.faces), _SEAM * extent)
         gone = len(mesh.vertices) - len(points)
         if gone:
             mesh.vertices, mesh.faces = points, again
-        return f"{gone} corners were joined with others within {_GRAINS[1]:g} of its size" if gone else ""
+        return f"{gone} corners were joined with others within {_SEAM:g} of its size" if gone else ""
 
     def fill(mesh: Any) -> str:
         before = len(mesh.faces)

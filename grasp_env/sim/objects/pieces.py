@@ -9,6 +9,7 @@ import numpy as np
 
 from grasp_env._check import Array
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.mesh_shape import outermost, volume
 from grasp_env.sim.objects.apart import apart
 
 CONVEX = 1e-3
@@ -27,7 +28,6 @@ LONGEST = 60.0
 _FINE = 5000  # faces, beyond which a mesh is taken coarser before it is cut
 _SEARCH = {"mcts_iterations": 60, "mcts_max_depth": 2, "resolution": 1000, "preprocess_mode": "off"}
 """A third of CoACD's own search, in a third of the time; its preprocessing puts a shell of a hundredth of the size around a mesh."""
-_FIRST = np.array([(x, y, z) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0) for z in (-1.0, 0.0, 1.0)])
 
 
 def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
@@ -48,7 +48,7 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
 
     hull = ConvexHull(corners)
     if volume(corners, faces) >= (1.0 - CONVEX) * hull.volume:
-        return [_outermost(corners[hull.vertices])]
+        return [outermost(corners[hull.vertices], MOST_CORNERS, FINE)]
     coarse, said = _coarser(corners, faces), ""
     for task in ("by_coacd", "by_vhacd"):
         try:
@@ -67,13 +67,6 @@ def convex_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
         f"{name} cannot be cut into convex pieces ({said or 'none was found'}). Where its faces cross, mend it with "
         "`grasp object mend FILE`, or remesh it"
     )
-
-
-def volume(corners: Array, faces: Any) -> float:
-    """Of a closed mesh."""
-    origin = corners[faces[:1, 0]].sum(axis=0)  # a corner of it, if it has any
-    a, b, c = (corners[faces[:, k]] - origin for k in range(3))
-    return float(np.einsum("fk,fk->", a, np.cross(b, c))) / 6.0
 
 
 def by_coacd(corners: Array, faces: Any) -> dict[str, Array]:
@@ -128,27 +121,5 @@ def _holding(pieces: list[Array], corners: Array) -> list[Array]:
     out: list[Array] = []
     for number, hull in enumerate(hulls):
         grown = ConvexHull(np.vstack([hull.points[hull.vertices], corners[outside & (nearest == number)]]))
-        out.append(_outermost(grown.points[grown.vertices]))
+        out.append(outermost(grown.points[grown.vertices], MOST_CORNERS, FINE))
     return out
-
-
-def _outermost(corners: Array) -> Array:
-    """Of many corners (K, 3) of a hull those without which it would lose most, until it loses less than `FINE` of its size."""
-    from scipy.spatial import ConvexHull
-
-    if len(corners) <= MOST_CORNERS:
-        return corners
-    chosen = np.unique((corners @ _FIRST.T).argmax(axis=0))
-    while len(chosen) < MOST_CORNERS:
-        planes = ConvexHull(corners[chosen]).equations
-        heights = corners @ planes[:, :3].T + planes[:, 3]
-        outside, face = heights.max(axis=1), heights.argmax(axis=1)
-        outside[chosen] = 0.0
-        order = np.argsort(-outside, kind="stable")
-        order = order[outside[order] > FINE * np.ptp(corners, axis=0).max()]
-        if len(order) == 0:
-            break
-        worst = order[np.unique(face[order], return_index=True)[1]]  # of each face the furthest
-        worst = worst[np.argsort(-outside[worst], kind="stable")][: MOST_CORNERS - len(chosen)]
-        chosen = np.append(chosen, worst)
-    return corners[chosen]
