@@ -23,7 +23,7 @@ from scipy.spatial import ConvexHull
 from trimesh import creation
 
 from grasp_env.errors import GraspWarning, InvalidInputError
-from grasp_env.sim.objects import apart as apart_module
+from grasp_env.sim import progress
 from grasp_env.sim.objects import cache, pieces
 from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.objects.cache import clear, entries, folder, kept
@@ -532,7 +532,7 @@ def test_work_apart_returns_crashes_raises_and_ends(capsys: pytest.CaptureFixtur
 def test_long_work_is_told_of_on_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(apart_module, "_PATIENCE", 0.05)
+    monkeypatch.setattr(progress, "PATIENCE", 0.05)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     apart(TASK, "cutting", 60.0, what=np.array(["fine"]))
     assert "\rcutting, 0 s" in capsys.readouterr().err

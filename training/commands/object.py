@@ -106,7 +106,7 @@ class Object:
 
     def _mend(self) -> tuple[dict[str, Any], list[Any]]:
         from grasp_env.sim.mesh_files import read_mesh
-        from grasp_env.sim.objects.pieces import volume
+        from grasp_env.sim.mesh_shape import volume
         from training.commands.mending import as_obj, mended
 
         assert self.file is not None
@@ -186,13 +186,13 @@ def _list() -> tuple[dict[str, Any], list[Any]]:
     from grasp_env.sim.objects.cache import entries, folder
 
     found = [
-        {"name": entry.name, "bytes": entry.size, "time": entry.time, "pieces": _pieces(entry.path)}
+        {"name": entry.name, "use": entry.use, "bytes": entry.size, "time": entry.time, "pieces": _pieces(entry.path)}
         for entry in entries()
     ]
-    table = _table(f"{len(found)} meshes, {sum(each['bytes'] for each in found) / 1e6:.1f} MB", "mesh", "kB", "made", "convex pieces")  # fmt: skip
+    table = _table(f"{len(found)} meshes, {sum(each['bytes'] for each in found) / 1e6:.1f} MB", "mesh", "use", "kB", "made", "convex pieces")  # fmt: skip
     for each in found:
         when = time.strftime("%Y-%m-%d %H:%M", time.localtime(each["time"]))
-        table.add_row(each["name"], f"{each['bytes'] / 1e3:.0f}", when, str(each["pieces"] or ""))
+        table.add_row(each["name"], each["use"], f"{each['bytes'] / 1e3:.0f}", when, str(each["pieces"] or ""))
     return {"folder": folder(), "meshes": found}, [table, f"in {folder()}"]
 
 

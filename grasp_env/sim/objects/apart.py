@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from grasp_env._check import Array
-
-_PATIENCE = 1.0  # [s] after which long work is told of on a terminal
+from grasp_env.sim.progress import Line
 
 
 def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Array]:
@@ -60,23 +59,16 @@ def apart(task: str, text: str, seconds: float, **given: Array) -> dict[str, Arr
 
 def _wait(child: subprocess.Popen[bytes], text: str, seconds: float) -> None:
     """Until it ends, with a line on a terminal that counts its seconds."""
-    begun, told = time.monotonic(), sys.stderr is not None and sys.stderr.isatty()
-    shown = False
-    try:
+    end = time.monotonic() + seconds
+    with Line() as line:
         while True:
             try:
                 child.wait(0.1)
-                break
+                return
             except subprocess.TimeoutExpired:
-                passed = time.monotonic() - begun
-            if passed > seconds:
+                line.write(text)
+            if time.monotonic() > end:
                 raise TimeoutError(f"it took more than {seconds:.0f} s")
-            if told and passed > _PATIENCE:
-                print(f"\r{text}, {passed:.0f} s", end="", file=sys.stderr, flush=True)
-                shown = True
-    finally:
-        if shown:
-            print(file=sys.stderr)
 
 
 def work() -> None:

@@ -1,4 +1,4 @@
-"""A cache of processed meshes in the user's cache folder, keyed by content and safe between processes."""
+"""A cache of processed meshes, of objects and of hands, in the user's cache folder, keyed by content and safe between processes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from grasp_env._files import read_bytes, replacing, unpacked
 
 LONGEST_WAIT = 150.0
 """[s] that a process waits for another that makes the same entry, before it makes the entry itself."""
-_NAME = "name"  # of an entry, among its arrays
+_NAME, _USE = "name", "use"  # of an entry, among its arrays
 _ENTRIES = "[!.]*.npz"  # not those that another process is writing
 
 try:
@@ -26,10 +26,11 @@ except ImportError:  # not on Windows: two processes may make the same entry, an
 
 
 class Entry(NamedTuple):
-    """An entry of the cache: its file, the name of its mesh, its size in bytes, and when it was made [s]."""
+    """An entry of the cache: its file, its mesh's name and use ("object" or "hand"), its size in bytes, and when it was made [s]."""
 
     path: Path
     name: str
+    use: str
     size: int
     time: float
 
@@ -41,7 +42,9 @@ def folder() -> Path:
     return user_cache_path("grasp-force", appauthor=False) / "objects"
 
 
-def kept(key: str, name: str, arrays: Set[str], make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+def kept(
+    key: str, name: str, arrays: Set[str], make: Callable[[], dict[str, Any]], use: str = "object"
+) -> dict[str, Any]:
     """The arrays that `make` returns: from the cache, or made and kept there.
 
     A folder that cannot be written, and an entry that cannot be read, only cost time.
@@ -51,6 +54,7 @@ def kept(key: str, name: str, arrays: Set[str], make: Callable[[], dict[str, Any
         name: Of the mesh, for the list of entries.
         arrays: Names of all that `make` returns; an entry without one of them is made anew.
         make: Makes the arrays.
+        use: What the mesh is, for the list of entries: "object" or "hand".
     """
     path = folder() / f"{key}.npz"
     if (found := _read(path)).keys() >= arrays:
@@ -60,7 +64,7 @@ def kept(key: str, name: str, arrays: Set[str], make: Callable[[], dict[str, Any
             return found
         made = make()
         with suppress(OSError), replacing(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, allow_pickle=False, **made, **{_NAME: np.array(name)})
+            np.savez(file, allow_pickle=False, **made, **{_NAME: np.array(name), _USE: np.array(use)})
     return made
 
 
@@ -69,10 +73,11 @@ def entries() -> list[Entry]:
     out: list[Entry] = []
     for path in folder().glob(_ENTRIES):
         with suppress(OSError):
-            status, name = path.stat(), "(not readable)"
+            status, name, use = path.stat(), "(not readable)", "object"
             with suppress(Exception), open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
                 name = str(arrays[_NAME])
-            out.append(Entry(path, name, status.st_size, status.st_mtime))
+                use = str(arrays[_USE]) if _USE in arrays else use  # entries of earlier versions do not say
+            out.append(Entry(path, name, use, status.st_size, status.st_mtime))
     return sorted(out, key=lambda entry: -entry.time)
 
 

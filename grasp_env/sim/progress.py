@@ -1,0 +1,54 @@
+"""One line on a terminal for work that takes long."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from types import TracebackType
+from typing import TypeVar
+
+Item = TypeVar("Item")
+
+PATIENCE = 1.0
+"""[s] after which long work is reported."""
+_WIDTH = 24  # characters of a bar
+
+
+class Line:
+    """A line on stderr that is written over and over; nothing where that is no terminal, and nothing within `PATIENCE`."""
+
+    def __init__(self) -> None:
+        self._begun, self._length = time.monotonic(), 0
+        self._terminal = sys.stderr is not None and sys.stderr.isatty()
+
+    def __enter__(self) -> Line:
+        return self
+
+    def write(self, text: str) -> None:
+        """Shows a text, and the seconds since the line was made."""
+        passed = time.monotonic() - self._begun
+        if self._terminal and passed > PATIENCE:
+            text = f"{text}, {passed:.0f} s"
+            print(f"\r{text:{self._length}}", end="", file=sys.stderr, flush=True)
+            self._length = len(text)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._length:
+            print(file=sys.stderr)
+
+
+def counted(items: Sequence[Item], text: str) -> Iterator[Item]:
+    """The items one after another, with a bar on a terminal that shows how many are done.
+
+    Example:
+        >>> list(counted([1, 2], "two numbers"))
+        [1, 2]
+    """
+    with Line() as line:
+        for done, item in enumerate(items):
+            line.write(f"{text} [{'#' * (_WIDTH * done // len(items)):{_WIDTH}}] {done} of {len(items)}")
+            yield item
+        line.write(f"{text} [{'#' * _WIDTH}] {len(items)} of {len(items)}")
