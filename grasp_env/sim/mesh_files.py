@@ -3,7 +3,7 @@
 A guard holds what a file claims of its size against its bytes, counts its triangles, and writes a file of the same kind anew that
 has its corners and triangles only: trimesh sees no materials, pictures, scripts or names of other files. What is too large or of a
 feature that is not read is refused before; no file takes more than 2 s or 1 GiB. Coordinates stay in the file's units and axes, in a
-.dae too, whose <unit> and <up_axis> are not applied.
+.dae too, whose <unit> and <up_axis> are not applied: a hand's factors hold the former, see `unit_of` of `hand.meshes`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,17 @@ from grasp_env._extras import need
 from grasp_env._files import MEGABYTE, parsed, read_xml, understood
 from grasp_env.errors import InvalidInputError
 
-__all__ = ["KINDS", "MOST_FACES", "key_lines", "key_places", "obj_text", "one_newline", "read_mesh", "read_mesh_bytes"]
+__all__ = [
+    "KINDS",
+    "MOST_FACES",
+    "key_lines",
+    "key_places",
+    "mesh_bytes",
+    "obj_text",
+    "one_newline",
+    "read_mesh",
+    "read_mesh_bytes",
+]
 
 MOST_FACES = 200_000
 """Triangles of a mesh."""
@@ -63,14 +73,15 @@ def read_mesh(path: str | Path, name: str, hint: str = _HINT) -> tuple[Array, An
         InvalidInputError: Not a mesh, or one too large.
         MissingExtraError: Without the extra `sim`.
     """
+    return read_mesh_bytes(mesh_bytes(path, name, hint), Path(path).suffix.lower(), name, hint)
+
+
+def mesh_bytes(path: str | Path, name: str, hint: str = _HINT) -> bytes:
+    """The bytes of a mesh file of one of the kinds that are read, and not larger than these may be."""
     kind = Path(path).suffix.lower()
     if kind not in KINDS:
         raise InvalidInputError(f"{name} is of no kind that is read: {', '.join(KINDS)}; export it as one of them")
-
-    def read(blob: bytes) -> tuple[Array, Any]:
-        return read_mesh_bytes(blob, kind, name, hint)
-
-    return parsed(path, read, InvalidInputError, name, f"a mesh of kind {kind}", hint, KINDS[kind][1])
+    return parsed(path, lambda blob: blob, InvalidInputError, name, f"a mesh of kind {kind}", hint, KINDS[kind][1])
 
 
 def read_mesh_bytes(blob: bytes, kind: str, name: str, hint: str = _HINT) -> tuple[Array, Any]:

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.meshes import convex_pieces
+from grasp_env.sim.hand.pieces import convex_pieces
 from grasp_env.sim.hand.solids import MOST_CORNERS, beneath, few_corners, inset, outline
 from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.hand.urdf import hand_files, hand_urdf
@@ -260,15 +260,15 @@ BAD: dict[str, tuple[str, Any, str]] = {
     "nan": ("a.obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n" + FACES.encode(), "not finite"),
     "far": ("a.obj", b"v 1e300 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n" + FACES.encode(), "above 1e6"),
     "millimetres": ("a.obj", b"v 60 0 0\nv 1 0 0\nv 0 50 0\nv 0 0 40\n" + FACES.encode(), 'are 1e-05 to 5; .* scale="0.001'),
-    "a point": ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nv 0 0 0\n" + FACES.encode(), "is 0 m large"),
+    "a point": ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nv 0 0 0\n" + FACES.encode(), "all its faces are lines or points"),
     "missing corners": ("a.obj", CORNERS + b"f 1 2 999999999\n", "a.obj"),
     "a pickle": ("a.obj", pickle.dumps(pytest.fail), "holds no triangles"),
     "another kind": ("a.txt", b"", "of no kind that is read"),
     "sparse": ("a.obj", 2**40, "larger than 40 MB"),
-    "a folder": (".", None, "there is no mesh"),
-    "a device": ("/dev/zero", None, "there is no mesh"),
+    "a folder": (".", None, "neither beside the URDF nor"),
+    "a device": ("/dev/zero", None, "neither beside the URDF nor"),
     "an address": ("http://example.org/a.obj", None, "only file://, package:// and plain paths"),
-    "a long name": ("a" * 5000 + ".obj", None, "there is no mesh"),
+    "a long name": ("a" * 5000 + ".obj", None, "neither beside the URDF nor"),
     "no name": ("", None, "lacks filename="),
 }  # fmt: skip
 

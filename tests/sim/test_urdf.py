@@ -284,7 +284,11 @@ END, MESH, DRIVE, RATIO = "</robot>", '<sphere radius="0.01"', '<mimic joint="dr
         ('mass value="0.1"', "mass", "lacks value="),
         ('izz="1e-5"', "", "lacks izz="),
         ("<sphere", "<mesh", "link 'finger', <collision>, <mesh> lacks filename="),
-        (MESH, '<mesh filename="no.stl"', "there is no mesh 'no.stl' beside the URDF or in the"),
+        (
+            MESH,
+            '<mesh filename="no.stl"',
+            r"neither beside the URDF nor in the 5 folders above it: 'no.stl' \(finger\)",
+        ),
         (SPHERE, "", "fingertip 'finger' has no shape to lie in; pass tip_radius="),
         ("<sphere", "<cone", "the shape <cone> is none of"),
         (f"{MESH}/>", "", "has no shape in its <geometry>"),

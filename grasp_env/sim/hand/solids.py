@@ -14,6 +14,7 @@ from grasp_env.sim.hand.tree import Geometry
 
 MOST_CORNERS = 40
 """Of a hull; one of more is replaced by one of as many that contains it: corners stick out by an eighth of a round end's radius."""
+_FLAT = 3e-8  # [m] of volume over area, about half of the thickness, up to which a shape is flat
 _THIN = 5e-4  # [m] to which a flat shape is thickened, either way
 
 
@@ -43,7 +44,7 @@ def hull_of(points: Array) -> ConvexHull:
     """
     try:
         hull = ConvexHull(points)
-        if hull.volume > 0.0 and np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > 1e-7:
+        if hull.volume > _FLAT * hull.area:
             return hull
     except (QhullError, ValueError):
         pass
@@ -89,9 +90,8 @@ def few_corners(points: Array, most: int = MOST_CORNERS) -> Array:
         if excess.max() <= grain:
             break
         moves, weights = np.zeros_like(corners), np.full(len(corners), 1e-300)
-        for face, normal, out in zip(small.simplices, small.equations[:, :3], excess.tolist(), strict=True):
-            moves[face] += out * out * normal
-            weights[face] += out
+        np.add.at(moves, small.simplices, (excess**2)[:, None, None] * small.equations[:, None, :3])
+        np.add.at(weights, small.simplices, excess[:, None])
         corners = corners + 0.7 * moves / weights[:, None]
     small = hull_of(corners)
     middle = corners.mean(axis=0)

@@ -6,10 +6,10 @@ import math
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -19,14 +19,17 @@ from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.meshes import convex_pieces, find_mesh, read_mesh, why_not_drawn
+from grasp_env.sim.hand.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
+from grasp_env.sim.hand.pieces import pieces_of_file
 from grasp_env.sim.hand.tree import Geometry, Mimic
 from grasp_env.sim.hand.xacro_files import expanded, is_xacro
+from grasp_env.sim.progress import counted
 
 MOST = 500
 """Of links and of joints in a file."""
 MOST_SHAPES = 2000
 """Of collision and visual shapes together."""
+_MOST_ABSENT = 40  # missing meshes that a message names
 
 _NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
@@ -34,7 +37,7 @@ _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
 
 @dataclass(frozen=True)
 class UrdfLink:
-    """A <link>: mass 0 where it has no <inertial>; `color` is that of its first visual."""
+    """A <link>: mass 0 where it has no <inertial>; `color` is that of its first visual; its shapes come by `Reader.shaped`."""
 
     name: str
     mass: float = 0.0
@@ -43,6 +46,18 @@ class UrdfLink:
     collision: tuple[Geometry, ...] = ()
     visual: tuple[Geometry, ...] = ()
     color: Vector3 | None = None
+
+
+@dataclass(frozen=True)
+class MeshUse:
+    """A mesh of a <collision> or <visual>: its name in the file, and what it is; it has not been read."""
+
+    name: str
+    path: Path
+    scale: Vector3
+    origin: Vector3
+    rotation: Vector3
+    color: Vector3 | None
 
 
 @dataclass(frozen=True)
@@ -106,7 +121,8 @@ class Reader:
         self._materials = list(robot.iter("material"))
         self._palette: dict[str, Vector3] = {}
         self._looks: dict[Path, str] = {}
-        self._pieces: dict[tuple[Path, Vector3], list[Array]] = {}
+        self._absent: dict[str, list[str]] = {}
+        self._shapes: dict[str, tuple[list[Geometry | MeshUse], list[Geometry | MeshUse]]] = {}
         self.names = [element.get("name", "") for element in self._links]
         self.ends = [
             (element.get("name", ""), _end(element, "parent"), _end(element, "child")) for element in self._joints
@@ -120,23 +136,28 @@ class Reader:
         self.unseen: dict[str, str] = {}
 
     def elements(self) -> tuple[dict[str, UrdfLink], list[UrdfJoint]]:
-        """Links by name, and joints in the order of the file.
+        """Links by name, and joints in the order of the file; meshes are found, and not read before `shaped`.
 
         Raises:
-            InvalidInputError: Elements that a hand cannot have, all of them.
+            InvalidInputError: Elements that a hand cannot have, and meshes that are missing, all of them.
         """
         self._palette = {
             material.get("name", ""): color
             for material in self._materials
             if (color := _color(material, f"material {material.get('name', '')!r}")) is not None
         }
-        links, joints, _ = together(
+        links, joints, *_ = together(
             lambda: together(*(partial(self._link, element) for element in self._links)),
             lambda: together(*(partial(_joint, element) for element in self._joints)),
             lambda: together(
-                *(partial(_twice, "links", name) for name, count in Counter(self.names).items() if count > 1),
-                *(partial(_twice, "joints", name) for name, count in _joint_names(self._joints) if count > 1),
+                *(
+                    partial(refuse, f"two {what} are called {shown(name)}; give each its own name")
+                    for what, names in (("links", self.names), ("joints", [joint for joint, *_ in self.ends]))
+                    for name, count in Counter(names).items()
+                    if count > 1
+                )
             ),
+            self._all_found,
         )
         return {link.name: link for link in links}, joints
 
@@ -151,13 +172,11 @@ class Reader:
             looks.append((shape, None if own == color else own))
         (mass, frame, inertia), collision, visual = together(
             lambda: _inertial(element.find("inertial"), where),
-            lambda: together(
-                *(partial(self._solid, shape, f"{where}, <collision>") for shape in element.findall("collision"))
-            ),
-            lambda: together(*(partial(self._seen, shape, f"{where}, <visual>", own) for shape, own in looks)),
+            lambda: together(*(partial(self._placed, shape, name) for shape in element.findall("collision"))),
+            lambda: together(*(partial(self._placed, shape, name, own) for shape, own in looks)),
         )
-        solids = tuple(part for parts in collision for part in parts)
-        return UrdfLink(name, mass, frame, inertia, solids, tuple(filter(None, visual)), color)
+        self._shapes[name] = list(filter(None, collision)), list(filter(None, visual))
+        return UrdfLink(name, mass, frame, inertia, color=color)
 
     def _look(self, element: Element, where: str) -> Vector3 | None:
         material = element.find("material")
@@ -165,54 +184,88 @@ class Reader:
             return None
         return _color(material, where) or self._palette.get(material.get("name", ""))
 
-    def _solid(self, element: Element, where: str) -> list[Geometry]:
-        """The shapes of a <collision>: of a mesh its convex pieces."""
-        shape = _shape(element, where)
-        if shape.tag != "mesh":
-            return [_primitive(element, shape, where, None)]
-        origin, rotation = _origin(element, where)
-        name, scale = _mesh(shape, where)
-        try:
-            path = find_mesh(name, self.path)
-            if (path, scale) not in self._pieces:
-                corners, faces = read_mesh(path)
-                self._pieces[path, scale] = convex_pieces(corners * scale, faces)
-        except InvalidInputError as error:
-            raise InvalidInputError(f"{where}, {shown(name)}: {error}") from None
-        return [
-            Geometry("hull", (), origin, rotation, corners=tuple((x, y, z) for x, y, z in piece.tolist()))
-            for piece in self._pieces[path, scale]
-        ]
+    def _all_found(self) -> None:
+        """Refuses collision meshes that are missing."""
+        if self._absent:
+            each = [f"{shown(name)} ({', '.join(dict.fromkeys(links))})" for name, links in self._absent.items()]
+            more = f" and {len(each) - _MOST_ABSENT} more" if len(each) > _MOST_ABSENT else ""
+            raise InvalidInputError(
+                f"these meshes (of links) are neither beside the URDF nor in the {PARENTS} folders above it: "
+                f"{', '.join(each[:_MOST_ABSENT])}{more}. Fetch the whole package, and keep its folders as they are"
+            )
 
-    def _seen(self, element: Element, where: str, color: Vector3 | None) -> Geometry | None:
-        """The shape of a <visual>; None where there is no picture of it, which is noted."""
+    def shaped(self, links: dict[str, UrdfLink]) -> dict[str, UrdfLink]:
+        """The links with their shapes: collision meshes as their convex pieces, and visual meshes that can be drawn.
+
+        Raises:
+            InvalidInputError: Files that are no mesh of a hand, all of them.
+        """
+        uses = [(name, use) for name in links for use in self._shapes[name][0] if isinstance(use, MeshUse)]
+        first = {(use.path, use.scale): (name, use) for name, use in reversed(uses)}
+        pieces, faults = dict[tuple[Path, Vector3], list[Array]](), list[str]()
+        text = f"{self.path.name}: convex pieces of its meshes, once for their content"
+        for key, (name, use) in counted(list(reversed(first.items())), text):
+            try:
+                pieces[key] = pieces_of_file(*key)
+            except InvalidInputError as error:
+                faults.append(f"link {name!r}, <collision>, {shown(use.name)}: {error}")
+        together(*(partial(refuse, fault) for fault in faults))
+        shaped = dict[str, UrdfLink]()
+        for name, link in links.items():
+            solids, looks = self._shapes[name]
+            collision = [part for solid in solids for part in _solids(solid, pieces)]
+            visual = [look if isinstance(look, Geometry) else self._seen(look) for look in looks]
+            shaped[name] = replace(link, collision=tuple(collision), visual=tuple(filter(None, visual)))
+        return shaped
+
+    def _placed(self, element: Element, link: str, color: Vector3 | None = None) -> Geometry | MeshUse | None:
+        """The shape of a <collision> or <visual>; None for a mesh whose file is missing, which is noted."""
+        where = f"link {link!r}, <{element.tag}>"
         shape = _shape(element, where)
         if shape.tag != "mesh":
             return _primitive(element, shape, where, color)
         origin, rotation = _origin(element, where)
         name, scale = _mesh(shape, where)
+        path, unit = None, 1.0
         try:
             path = find_mesh(name, self.path)
-        except InvalidInputError:
+            unit = 1.0 if path is None else unit_of(path)
+        except InvalidInputError as error:
+            if element.tag == "collision":
+                raise InvalidInputError(f"{where}: {error}") from None
+        if path is not None:
+            x, y, z = (unit * factor for factor in scale)
+            return MeshUse(name, path, (x, y, z), origin, rotation, color)
+        if element.tag == "collision":
+            self._absent.setdefault(name, []).append(link)
+        else:
             self.unseen[name] = "are missing"
+        return None
+
+    def _seen(self, use: MeshUse) -> Geometry | None:
+        """A mesh to look at; None where there is no picture of it, which is noted."""
+        if use.path not in self._looks:
+            self._looks[use.path] = why_not_drawn(use.path)
+        why = self._looks[use.path] or ("are mirrored by a scale below 0" if min(use.scale) < 0.0 else "")
+        if why:
+            self.unseen[use.name] = why
             return None
-        if path not in self._looks:
-            self._looks[path] = why_not_drawn(path)
-        if why := self._looks[path]:
-            self.unseen[name] = why
-            return None
-        if min(scale) < 0.0:
-            self.unseen[name] = "are mirrored by a scale below 0"
-            return None
-        return Geometry("mesh", scale, origin, rotation, color, file=str(path))
+        return Geometry("mesh", use.scale, use.origin, use.rotation, use.color, file=str(use.path))
 
 
-def _twice(what: str, name: str) -> None:
-    raise InvalidInputError(f"two {what} are called {shown(name)}; give each its own name")
+def _solids(shape: Geometry | MeshUse, pieces: dict[tuple[Path, Vector3], list[Array]]) -> list[Geometry]:
+    """A shape that touches, of a mesh its convex pieces."""
+    if isinstance(shape, Geometry):
+        return [shape]
+    return [
+        Geometry("hull", (), shape.origin, shape.rotation, corners=tuple((x, y, z) for x, y, z in piece.tolist()))
+        for piece in pieces[shape.path, shape.scale]
+    ]
 
 
-def _joint_names(joints: list[Element]) -> list[tuple[str, int]]:
-    return list(Counter(element.get("name", "") for element in joints).items())
+def refuse(fault: str) -> NoReturn:
+    """Raises a fault."""
+    raise InvalidInputError(fault)
 
 
 def _name(element: Element, where: str) -> str:

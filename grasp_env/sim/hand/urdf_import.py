@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -26,12 +27,12 @@ from grasp_env.sim.hand.check import (
     positive,
 )
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.meshes import read_mesh
+from grasp_env.sim.hand.pieces import hull_of_file
 from grasp_env.sim.hand.solids import hull_of, outline
 from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 from grasp_env.sim.hand.units import look_again
-from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, names_of
+from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, names_of, refuse
 
 Tips: TypeAlias = Sequence[str] | dict[str, tuple[Sequence[float], float]] | None
 """Names of links; points on them [m], link frame, with radii [m]; None: the last moving links."""
@@ -126,7 +127,7 @@ class _Importer:
         self, reader: Reader, asked: dict[str, Ball | None] | None, radius: float | None, torque_limit: Torques
     ) -> None:
         self.repairs: list[str] = []
-        (self.links, joints), root, *_ = together(
+        (links, joints), root, *_ = together(
             reader.elements,
             lambda: _root(reader.names, reader.ends),
             lambda: _known(asked or {}, reader.names),
@@ -137,6 +138,7 @@ class _Importer:
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
             raise InvalidInputError("no joint moves; a hand needs joints of type revolute, continuous or prismatic")
+        self.links = reader.shaped(links)  # takes seconds, once for the files' content
         places = {root: _Place(None, Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))}
         for joint in self.joints:
             here = places[joint.parent].carrier
@@ -310,7 +312,7 @@ class _Importer:
         for frame, shape in solids:
             if shape.kind == "mesh":
                 place = frame @ Frame.of(shape.origin, shape.rotation)
-                corners = read_mesh(os.fspath(shape.file))[0] * shape.size
+                corners = hull_of_file(Path(shape.file)) * shape.size
                 pieces.append(corners @ place.rotation.T + place.origin)
             else:
                 pieces.append(outline(_carried(frame, shape)))
@@ -444,12 +446,8 @@ def _root(links: list[str], ends: list[tuple[str, str, str]]) -> str:
         known, grew = known | reached, bool(reached)
     if not faults and (rest := [joint for joint, parent, _ in ends if parent not in known]):
         faults.append(f"the joints {names_of(rest)} form a cycle apart from {roots[0]!r}; cut it")
-    together(*(lambda fault=fault: _refuse(fault) for fault in faults))
+    together(*(lambda fault=fault: refuse(fault) for fault in faults))
     return roots[0]
-
-
-def _refuse(fault: str) -> None:
-    raise InvalidInputError(fault)
 
 
 def _ordered(root: str, joints: list[UrdfJoint]) -> list[UrdfJoint]:
@@ -482,7 +480,7 @@ def _mimicked(reader: Reader) -> None:
             seen.append(others[seen[-1]])
         if others.get(seen[-1]) == joint:
             faults.append(f"the joints {names_of(sorted(seen))} mimic each other in a loop; one of them needs a motor")
-    together(*(lambda fault=fault: _refuse(fault) for fault in faults))
+    together(*(lambda fault=fault: refuse(fault) for fault in faults))
 
 
 def _driven(joints: list[UrdfJoint]) -> list[UrdfJoint]:

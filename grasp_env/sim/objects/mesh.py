@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from grasp_env._check import Array, warn
-from grasp_env._files import digest, parsed
+from grasp_env._files import digest
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.mesh_files import KINDS, read_mesh_bytes
+from grasp_env.sim.mesh_files import KINDS, mesh_bytes, read_mesh_bytes
 from grasp_env.sim.objects.cache import kept
 
 _MADE = "6"
@@ -77,7 +77,7 @@ def load_mesh(path: str, scale: float, tell: bool = True) -> Mesh:
 def _load(path: str, scale: float, _changed: int, _bytes: int, name: str) -> Mesh:
     """`_changed` and `_bytes` tell one state of the file from another."""
     kind = Path(path).suffix.lower()
-    blob = parsed(path, lambda blob: blob, InvalidInputError, name, f"a mesh of kind {kind}", most=KINDS[kind][1])
+    blob = mesh_bytes(path, name)
     key = digest(_MADE.encode(), kind.encode(), blob)
     made = kept(key, os.path.basename(path), _ARRAYS, lambda: _made(*read_mesh_bytes(blob, kind, name), name))
     ends = np.cumsum(made["counts"])[:-1]

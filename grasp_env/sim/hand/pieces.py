@@ -1,0 +1,223 @@
+"""Convex pieces of a hand's meshes, which the hand touches with in their stead; they are kept by content in the user's cache."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasp_env._check import Array
+from grasp_env._files import digest
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim.hand.meshes import read_mesh_bytes
+from grasp_env.sim.hand.solids import few_corners, hull_of, principal_axes
+from grasp_env.sim.hand.tree import Vector3
+from grasp_env.sim.mesh_files import mesh_bytes
+from grasp_env.sim.mesh_shape import (
+    WELD,
+    connected,
+    edges_of,
+    extent_of,
+    farthest,
+    open_edges,
+    outermost,
+    volume,
+    welded,
+)
+from grasp_env.sim.objects.cache import kept
+
+_FULL = 0.9  # of its hull's volume, from which on a mesh counts as convex
+_MOST_PIECES = 8
+_WORTH = 0.03  # of the whole hull's volume that a cut must take away, or that joining two pieces may add
+_CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)  # of a piece's extent
+_DEEPEST = 4
+_FINE = 5000  # faces, beyond which a mesh that is not convex is taken coarser before it is cut
+_GRAINS = 150.0  # then, along its extent
+_SMALLEST, _LARGEST = 1e-5, 5.0  # [m] of a mesh
+_CRUMBS = 40
+MOST_SEEN = 256
+"""Corners of the hull of a mesh to look at, in which a fingertip is sought."""
+_FINE_SEEN = 2e-4  # of its size, by which it may be smaller with fewer corners
+
+_MADE = "1"
+"""Of the pieces; another one where they change, so that nothing older is taken from the cache."""
+_ARRAYS = frozenset(("pieces", "counts"))
+
+
+def pieces_of_file(path: Path, scale: Vector3) -> list[Array]:
+    """The `convex_pieces` of a mesh file, from the cache if they are there.
+
+    Args:
+        path: Of the file.
+        scale: What its coordinates are multiplied by to give metres.
+
+    Raises:
+        InvalidInputError: Not a mesh, or one too large; what is in the file is never run.
+    """
+    kind, name = path.suffix.lower(), f"the mesh {path}"
+    blob = mesh_bytes(path, name)
+
+    def make() -> list[Array]:
+        corners, faces = read_mesh_bytes(blob, kind, name)
+        return convex_pieces(corners * scale, faces)
+
+    return _kept(digest(_MADE.encode(), kind.encode(), np.array(scale).tobytes(), blob), path.name, make)
+
+
+def hull_of_file(path: Path) -> Array:
+    """Corners (K, 3) of the hull of a mesh file, in its units, `MOST_SEEN` at most, from the cache if they are there.
+
+    Raises:
+        InvalidInputError: Not a mesh, or one too large.
+    """
+    kind, name = path.suffix.lower(), f"the mesh {path}"
+    blob = mesh_bytes(path, name)
+
+    def make() -> list[Array]:
+        hull = hull_of(read_mesh_bytes(blob, kind, name)[0])
+        return [outermost(hull.points[hull.vertices], MOST_SEEN, _FINE_SEEN)]
+
+    return _kept(digest(_MADE.encode(), b"hull", kind.encode(), blob), path.name, make)[0]
+
+
+def kept_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
+    """The `convex_pieces` of a mesh that is in no file of its own, from the cache if they are there.
+
+    Args:
+        corners: (V, 3) [m].
+        faces: Their numbers, (F, 3).
+        name: Of the mesh, for the list of what is kept.
+    """
+    corners, faces = np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int64)
+    key = digest(_MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())
+    return _kept(key, name, lambda: convex_pieces(*welded(corners, faces, WELD * extent_of(corners))))
+
+
+def _kept(key: str, name: str, make: Callable[[], list[Array]]) -> list[Array]:
+    def arrays() -> dict[str, Array]:
+        pieces = make()
+        return {"pieces": np.concatenate(pieces), "counts": np.array([len(piece) for piece in pieces])}
+
+    made = kept(key, name, _ARRAYS, arrays, use="hand")
+    return np.split(made["pieces"], np.cumsum(made["counts"])[:-1])
+
+
+def convex_pieces(corners: Array, faces: Any) -> list[Array]:
+    """Convex pieces that together contain a mesh, each as at most `solids.MOST_CORNERS` corners (K, 3).
+
+    One, where the mesh fills nine tenths of its hull, or is too fine to be cut. Else its parts, cut by planes where that takes
+    away some of their hulls, and those joined whose common hull adds little: `_MOST_PIECES` at most.
+
+    Args:
+        corners: (V, 3) [m].
+        faces: Their numbers, (F, 3).
+
+    Raises:
+        InvalidInputError: It is no size for a part of a hand.
+    """
+    extent = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
+    if not _SMALLEST <= extent <= _LARGEST:
+        raise InvalidInputError(
+            f"the mesh is {extent:.3g} m large, allowed are {_SMALLEST:g} to {_LARGEST:g}; of one in millimetres give "
+            'scale="0.001 0.001 0.001"'
+        )
+    hull = hull_of(corners)
+    parts = _parts(faces)
+    if abs(volume(corners, faces)) >= _FULL * hull.volume and len(parts) == 1:
+        return [few_corners(corners)]
+    if len(faces) > _FINE:
+        corners, faces = welded(corners, faces, extent / _GRAINS)
+        corners, faces = (extent / _GRAINS) * np.round(corners * (_GRAINS / extent)), np.unique(faces, axis=0)
+        if len(faces) > 2 * _FINE:  # a soup: it would take minutes
+            return [few_corners(corners)]
+        parts = _parts(faces)
+    leaves: list[Array] = []
+    worth = _WORTH * hull.volume
+    for part in parts:
+        around, filled = hull_of(corners[np.unique(part)]), abs(volume(corners, part))
+        if around.volume - filled <= worth and not open_edges(part):  # no cut can take away more
+            leaves.append(around.points)
+        else:
+            leaves += _cut(corners, part, worth, 2 if filled < 0.85 * around.volume else 0, _DEEPEST)
+    return [few_corners(points) for points in _joined(leaves, worth)]
+
+
+def _cut(corners: Array, faces: Any, worth: float, blind: int, deepest: int) -> list[Array]:
+    """Points of the pieces of a surface; `blind` cuts may be made that are worth nothing by themselves, as of a ring."""
+    from trimesh.intersections import slice_faces_plane
+
+    points = corners[np.unique(faces)]
+    whole = hull_of(points)
+    if deepest == 0 or whole.volume <= worth:
+        return [points]
+    edges = edges_of(faces)
+    axes = principal_axes(points)
+    heights = points @ axes.T
+    low, extent = heights.min(axis=0), np.ptp(heights, axis=0)
+    tried = [(axis, start + part * size) for axis, start, size in zip(axes, low, extent, strict=True) for part in _CUTS]
+    few = [sum(_hull_volume(half[farthest(half)]) for half in _halves(corners, edges, *cut)) for cut in tried]
+    best, gain = None, worth
+    for k in np.argsort(few, kind="stable"):
+        if whole.volume - few[k] <= gain:  # no cut from here on gains more: hulls of all points are larger than of few
+            break
+        less = sum(_hull_volume(half) for half in _halves(corners, edges, *tried[k]))
+        if whole.volume - less > gain:
+            best, gain = tried[k], whole.volume - less
+    if best is None:
+        if blind == 0:
+            return [points]
+        blind -= 1
+        longest = int(extent.argmax())
+        best = axes[longest], low[longest] + 0.5 * extent[longest]
+    axis, at = best
+    leaves: list[Array] = []
+    for sign in (1.0, -1.0):
+        half: Any = slice_faces_plane(corners, faces, sign * axis, at * axis)
+        if len(half[1]):
+            leaves += _cut(np.asarray(half[0]), np.asarray(half[1]), worth, blind, deepest - 1)
+    return leaves or [points]
+
+
+def _halves(corners: Array, edges: Any, axis: Array, at: float) -> list[Array]:
+    """The ends of edges (E, 2) on either side of a plane, each with the points in which the edges cross it."""
+    heights = corners @ axis - at
+    a, b = heights[edges[:, 0]], heights[edges[:, 1]]
+    crossing = a * b < 0.0
+    part = (a[crossing] / (a[crossing] - b[crossing]))[:, None]
+    cut = corners[edges[crossing, 0]] * (1.0 - part) + corners[edges[crossing, 1]] * part
+    used = np.zeros(len(corners), bool)
+    used[edges] = True
+    return [np.vstack([corners[used & (sign * heights >= 0.0)], cut]) for sign in (1.0, -1.0)]
+
+
+def _hull_volume(points: Array) -> float:
+    return float(hull_of(points).volume) if len(points) else 0.0
+
+
+def _parts(faces: Any) -> list[Any]:
+    """The faces of each connected part; all of them where it falls into crumbs."""
+    parts = connected(faces)
+    return [faces] if len(parts) > _CRUMBS else parts
+
+
+def _joined(pieces: list[Array], worth: float) -> list[Array]:
+    """Pieces joined, the pair whose common hull adds least first, while that is little or there are too many."""
+    hulls = sorted(map(hull_of, pieces), key=lambda hull: hull.volume, reverse=True)
+    pieces = [hull.points[hull.vertices] for hull in hulls]
+    volumes = [float(hull.volume) for hull in hulls]
+    added: dict[tuple[int, int], float] = {}
+    alive = list(range(len(pieces)))
+    while len(alive) > 1:
+        for i, j in ((i, j) for i in alive for j in alive if i < j and (i, j) not in added):
+            added[i, j] = _hull_volume(np.vstack([pieces[i], pieces[j]])) - volumes[i] - volumes[j]
+        (i, j), least = min(((pair, more) for pair, more in added.items()), key=lambda entry: entry[1])
+        if least > worth and len(alive) <= _MOST_PIECES:
+            break
+        together = hull_of(np.vstack([pieces[i], pieces[j]]))
+        pieces.append(together.points[together.vertices])
+        volumes.append(float(together.volume))
+        alive = [k for k in alive if k not in (i, j)] + [len(pieces) - 1]
+        added = {pair: more for pair, more in added.items() if i not in pair and j not in pair}
+    return [pieces[k] for k in alive]
