@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -29,7 +30,7 @@ class Line:
         """Shows a text, and the seconds since the line was made."""
         passed = time.monotonic() - self._begun
         if self._terminal and passed > PATIENCE:
-            text = f"{text}, {passed:.0f} s"
+            text = f"{text}, {passed:.0f} s"[: shutil.get_terminal_size().columns - 1]
             print(f"\r{text:{self._length}}", end="", file=sys.stderr, flush=True)
             self._length = len(text)
 
@@ -49,6 +50,6 @@ def counted(items: Sequence[Item], text: str) -> Iterator[Item]:
     """
     with Line() as line:
         for done, item in enumerate(items):
-            line.write(f"{text} [{'#' * (_WIDTH * done // len(items)):{_WIDTH}}] {done} of {len(items)}")
+            line.write(f"[{'#' * (_WIDTH * done // len(items)):{_WIDTH}}] {done} of {len(items)} {text}")
             yield item
-        line.write(f"{text} [{'#' * _WIDTH}] {len(items)} of {len(items)}")
+        line.write(f"[{'#' * _WIDTH}] {len(items)} of {len(items)} {text}")

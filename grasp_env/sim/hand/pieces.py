@@ -89,6 +89,9 @@ def kept_pieces(corners: Array, faces: Any, name: str) -> list[Array]:
         corners: (V, 3) [m].
         faces: Their numbers, (F, 3).
         name: Of the mesh, for the list of what is kept.
+
+    Raises:
+        InvalidInputError: It is no size for a part of a hand.
     """
     corners, faces = np.ascontiguousarray(corners, dtype=float), np.ascontiguousarray(faces, dtype=np.int64)
     key = digest(_MADE.encode(), b"arrays", corners.tobytes(), faces.tobytes())

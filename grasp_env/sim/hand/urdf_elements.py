@@ -9,21 +9,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from grasp_env._check import Array, together
+from grasp_env._check import together
 from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
 from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.mesh_uses import MeshUse, refuse, solids_of
 from grasp_env.sim.hand.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
-from grasp_env.sim.hand.pieces import pieces_of_file
 from grasp_env.sim.hand.tree import Geometry, Mimic
 from grasp_env.sim.hand.xacro_files import expanded, is_xacro
-from grasp_env.sim.progress import counted
 
 MOST = 500
 """Of links and of joints in a file."""
@@ -46,18 +45,6 @@ class UrdfLink:
     collision: tuple[Geometry, ...] = ()
     visual: tuple[Geometry, ...] = ()
     color: Vector3 | None = None
-
-
-@dataclass(frozen=True)
-class MeshUse:
-    """A mesh of a <collision> or <visual>: its name in the file, and what it is; it has not been read."""
-
-    name: str
-    path: Path
-    scale: Vector3
-    origin: Vector3
-    rotation: Vector3
-    color: Vector3 | None
 
 
 @dataclass(frozen=True)
@@ -200,22 +187,11 @@ class Reader:
         Raises:
             InvalidInputError: Files that are no mesh of a hand, all of them.
         """
-        uses = [(name, use) for name in links for use in self._shapes[name][0] if isinstance(use, MeshUse)]
-        first = {(use.path, use.scale): (name, use) for name, use in reversed(uses)}
-        pieces, faults = dict[tuple[Path, Vector3], list[Array]](), list[str]()
-        text = f"{self.path.name}: convex pieces of its meshes, once for their content"
-        for key, (name, use) in counted(list(reversed(first.items())), text):
-            try:
-                pieces[key] = pieces_of_file(*key)
-            except InvalidInputError as error:
-                faults.append(f"link {name!r}, <collision>, {shown(use.name)}: {error}")
-        together(*(partial(refuse, fault) for fault in faults))
+        solids = solids_of({name: self._shapes[name][0] for name in links}, self.path.name)
         shaped = dict[str, UrdfLink]()
         for name, link in links.items():
-            solids, looks = self._shapes[name]
-            collision = [part for solid in solids for part in _solids(solid, pieces)]
-            visual = [look if isinstance(look, Geometry) else self._seen(look) for look in looks]
-            shaped[name] = replace(link, collision=tuple(collision), visual=tuple(filter(None, visual)))
+            visual = [look if isinstance(look, Geometry) else self._seen(look) for look in self._shapes[name][1]]
+            shaped[name] = replace(link, collision=tuple(solids[name]), visual=tuple(filter(None, visual)))
         return shaped
 
     def _placed(self, element: Element, link: str, color: Vector3 | None = None) -> Geometry | MeshUse | None:
@@ -233,6 +209,8 @@ class Reader:
         except InvalidInputError as error:
             if element.tag == "collision":
                 raise InvalidInputError(f"{where}: {error}") from None
+            self.unseen[name] = "are missing" if path is None else "name no unit"
+            return None
         if path is not None:
             x, y, z = (unit * factor for factor in scale)
             return MeshUse(name, path, (x, y, z), origin, rotation, color)
@@ -251,21 +229,6 @@ class Reader:
             self.unseen[use.name] = why
             return None
         return Geometry("mesh", use.scale, use.origin, use.rotation, use.color, file=str(use.path))
-
-
-def _solids(shape: Geometry | MeshUse, pieces: dict[tuple[Path, Vector3], list[Array]]) -> list[Geometry]:
-    """A shape that touches, of a mesh its convex pieces."""
-    if isinstance(shape, Geometry):
-        return [shape]
-    return [
-        Geometry("hull", (), shape.origin, shape.rotation, corners=tuple((x, y, z) for x, y, z in piece.tolist()))
-        for piece in pieces[shape.path, shape.scale]
-    ]
-
-
-def refuse(fault: str) -> NoReturn:
-    """Raises a fault."""
-    raise InvalidInputError(fault)
 
 
 def _name(element: Element, where: str) -> str:

@@ -27,12 +27,13 @@ from grasp_env.sim.hand.check import (
     positive,
 )
 from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.mesh_uses import refuse
 from grasp_env.sim.hand.pieces import hull_of_file
 from grasp_env.sim.hand.solids import hull_of, outline
 from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
 from grasp_env.sim.hand.units import look_again
-from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, names_of, refuse
+from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, names_of
 
 Tips: TypeAlias = Sequence[str] | dict[str, tuple[Sequence[float], float]] | None
 """Names of links; points on them [m], link frame, with radii [m]; None: the last moving links."""

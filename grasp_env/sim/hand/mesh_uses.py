@@ -1,0 +1,66 @@
+"""Meshes that a hand's file names, and the convex pieces that its links touch with in their stead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NoReturn
+
+from grasp_env._check import Array, together
+from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim.hand.pieces import pieces_of_file
+from grasp_env.sim.hand.tree import Geometry, Vector3
+from grasp_env.sim.progress import counted
+
+
+@dataclass(frozen=True)
+class MeshUse:
+    """A mesh of a <collision> or <visual>: its name in the hand's file, and where it is; it has not been read."""
+
+    name: str
+    path: Path
+    scale: Vector3
+    origin: Vector3
+    rotation: Vector3
+    color: Vector3 | None
+
+
+def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> dict[str, list[Geometry]]:
+    """The shapes that links touch with, of meshes their convex pieces; the pieces of a mesh are made once.
+
+    Args:
+        shapes: Of each link, by its name.
+        file: Name of the hand's file, for the progress on a terminal.
+
+    Raises:
+        InvalidInputError: Files that are no mesh of a hand, all of them.
+    """
+    first = dict[tuple[Path, Vector3], tuple[str, str]]()
+    for link, parts in shapes.items():
+        for part in parts:
+            if isinstance(part, MeshUse):
+                first.setdefault((part.path, part.scale), (link, part.name))
+    pieces, faults = dict[tuple[Path, Vector3], list[Array]](), list[str]()
+    for (path, scale), (link, name) in counted(list(first.items()), f"{file}: convex pieces of meshes"):
+        try:
+            pieces[path, scale] = pieces_of_file(path, scale)
+        except InvalidInputError as error:
+            faults.append(f"link {link!r}, <collision>, {shown(name)}: {error}")
+    together(*(partial(refuse, fault) for fault in faults))
+    return {link: [solid for part in parts for solid in _solids(part, pieces)] for link, parts in shapes.items()}
+
+
+def _solids(shape: Geometry | MeshUse, pieces: Mapping[tuple[Path, Vector3], list[Array]]) -> list[Geometry]:
+    if isinstance(shape, Geometry):
+        return [shape]
+    return [
+        Geometry("hull", (), shape.origin, shape.rotation, corners=tuple((x, y, z) for x, y, z in piece.tolist()))
+        for piece in pieces[shape.path, shape.scale]
+    ]
+
+
+def refuse(fault: str) -> NoReturn:
+    """Raises a fault."""
+    raise InvalidInputError(fault)
