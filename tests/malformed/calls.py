@@ -392,7 +392,7 @@ def calls(folder: Path) -> dict[str, Call]:
         "HandDescription.from_urdf": Call(
             HandDescription.from_urdf,
             {"path": str(Path(__file__).parents[1] / "sim" / "assets" / "crooked_hand.urdf"), "fingertips": ["pad_a", "finger_b_end", "finger_c_end"],
-             "tip_radius": None, "torque_limit": None, "home": (), "position": (0, 0, 0.0), "rotation": (0, 0, 0.0), "tip_friction": 1.0, "rotor_inertia": None},
+             "palm": "base", "tip_radius": None, "torque_limit": None, "joint_limits": {"b_root": (-1.0, 1.0)}, "inertials": {"fold": 0.05}, "home": (), "position": (0, 0, 0.0), "rotation": (0, 0, 0.0), "tip_friction": 1.0, "rotor_inertia": None},
         ),
         "null_space_basis": Call(null_space_basis, {"grasp": CUBOID, "reference": reference_basis(CUBOID)}),
         "reference_basis": Call(reference_basis, {"grasp": CUBOID}),

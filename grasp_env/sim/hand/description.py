@@ -225,8 +225,11 @@ class HandDescription:
         path: str | os.PathLike[str],
         fingertips: Sequence[str] | dict[str, tuple[Sequence[float], float]] | None = None,
         *,
+        palm: str | None = None,
         tip_radius: float | None = None,
         torque_limit: float | Sequence[float] | dict[str, float] | None = None,
+        joint_limits: dict[str, tuple[float, float]] | None = None,
+        inertials: dict[str, float | tuple[float, Sequence[float], Sequence[float]]] | None = None,
         home: Sequence[float] = (),
         position: Vector3 | None = None,
         rotation: Vector3 | None = None,
@@ -236,8 +239,13 @@ class HandDescription:
         """A user's own hand, from a URDF: joints that turn, slide, are fixed or mimic others.
 
         What a fixed joint carries becomes part of the link before it. Collision meshes become convex hulls, coarse pieces where
-        one hull would lie; visual meshes are drawn. What files often lack is made up and told in one warning: masses, possible
-        inertias, torques (1 N m where the file names no effort, 0, or more than 100 N m; 20 N for sliding joints).
+        one hull would lie; visual meshes are drawn. Values that files lack or that no hand has are replaced, and one warning tells
+        what was given, what is assumed and which argument takes the true value: masses, centres and inertias that links of this
+        size cannot have (`inertials`), efforts that no motor of such a finger has (`torque_limit`; assumed is what makes 10 N at
+        the tip of a straight finger, 20 N for sliding joints), ranges in degrees (`joint_limits`; other wide ranges are told only).
+
+        An arm or a whole robot is read by naming its `palm`: the palm is fixed, the joints that carry it hold still, and their
+        links as well as other limbs are left out.
 
         A finger touches with a sphere: the one at the end of the named link if its collision shapes have one, else one inscribed
         in its end. Its other collision shapes then end at the back of the sphere, so that it is what touches first.
@@ -246,11 +254,17 @@ class HandDescription:
             path: Of the URDF. Meshes are sought as it names them, beside it, and in the folders above it.
             fingertips: Names of links in the file, in the order of the contacts; they become the fingers' names. Or
                 {link: (point [m], (3,), in the link's frame, radius [m])}. None: every moving link that ends a branch.
+            palm: Name of the link that becomes the palm, with what is fixed to it; all that hangs on it is the hand. None: the link that
+                carries all others.
             tip_radius: [m], for named links without a sphere: one is put at the origin of each of them.
             torque_limit: [N m], of all joints, or of each in the order of `joint_names`, or of some by the joint's name. It counts
                 whatever the file says.
+            joint_limits: {joint: (lower, upper)} [rad], of sliding joints [m]. They count whatever the file says;
+                (-math.inf, math.inf) turns without end.
+            inertials: {moving link: mass [kg], or (mass, center [m], (3,), inertia ixx, ixy, ixz, iyy, iyz, izz about it [kg m^2])},
+                each with all that is fixed to the link, in its frame. With the mass alone, the file's inertia is scaled.
             home: Rest posture [rad], (M,), in the order of `joint_names`; () as in the class.
-            position: Of the root link [m], (3,), world frame. Where neither it nor `rotation` nor `home` is given, the hand
+            position: Of the palm's link [m], (3,), world frame. Where neither it nor `rotation` nor `home` is given, the hand
                 counts as not `placed`.
             rotation: Its roll, pitch and yaw [rad], (3,).
             tip_friction: See the class.
@@ -263,9 +277,10 @@ class HandDescription:
         Warns:
             UserWarning: What was repaired, assumed or left out.
         """
-        from grasp_env.sim.hand.urdf_import import read_urdf  # it needs the parts above
+        from grasp_env.sim.hand.told import Told  # these need the parts above
+        from grasp_env.sim.hand.urdf_import import read_urdf
 
-        read = read_urdf(path, fingertips, tip_radius, torque_limit)
+        read = read_urdf(path, Told(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm))
         angles = numbers(home, None, "home [rad]")
         hand = HandDescription(
             read.name, read.palm, read.links, read.fingertips, angles, tip_friction, placed=bool(angles)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -122,8 +122,13 @@ class Reader:
         self.fixed = {element.get("name", "") for element in self._joints if element.get("type") == _FIXED}
         self.unseen: dict[str, str] = {}
 
-    def elements(self) -> tuple[dict[str, UrdfLink], list[UrdfJoint]]:
-        """Links by name, and joints in the order of the file; meshes are found, and not read before `shaped`.
+    def elements(self, wanted: Collection[str]) -> tuple[dict[str, UrdfLink], list[UrdfJoint]]:
+        """Links by name, and the joints between them in the order of the file; others are not looked at.
+
+        Meshes are found, and not read before `shaped`.
+
+        Args:
+            wanted: Names of the links.
 
         Raises:
             InvalidInputError: Elements that a hand cannot have, and meshes that are missing, all of them.
@@ -134,8 +139,16 @@ class Reader:
             if (color := _color(material, f"material {material.get('name', '')!r}")) is not None
         }
         links, joints, *_ = together(
-            lambda: together(*(partial(self._link, element) for element in self._links)),
-            lambda: together(*(partial(_joint, element) for element in self._joints)),
+            lambda: together(
+                *(partial(self._link, element) for element in self._links if element.get("name", "") in wanted)
+            ),
+            lambda: together(
+                *(
+                    partial(_joint, element)
+                    for element, (_, parent, child) in zip(self._joints, self.ends, strict=True)
+                    if not {parent, child} - {"", *wanted}
+                )
+            ),
             lambda: together(
                 *(
                     partial(refuse, f"two {what} are called {shown(name)}; give each its own name")
@@ -374,6 +387,8 @@ def _limits(limit: Element | None, kind: str, where: str) -> tuple[float, float]
     if limit is None:
         raise InvalidInputError(f"{where} has no <limit>; write lower, upper [rad] and effort [N m]")
     lower, upper = (_number(limit, key, "0", f"{where}, <limit>") for key in ("lower", "upper"))
+    if lower == upper:
+        return lower, upper  # it holds still
     return limits(lower, upper, f"{where}, <limit> [{'m' if kind == _SLIDING else 'rad'}]")
 
 

@@ -1,4 +1,4 @@
-"""Reads a user's own hand from a URDF: what a fixed joint carries becomes part of the link before it.
+"""Reads a user's own hand from a file: what a fixed joint carries becomes part of the link before it.
 
 Public files have massless links, inertias that no body has, placeholders for torques, meshes. What can be repaired is, and is
 told; what cannot is told in one message.
@@ -8,47 +8,51 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 
-from grasp_env._check import Array, as_list, as_text, is_a, together
-from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.check import (
-    Inertia,
-    Vector3,
-    inertia_matrix,
-    inertia_numbers,
-    nearest_inertia,
-    numbers,
-    positive,
-)
+from grasp_env._check import Array, together
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, inertia_numbers
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.mesh_uses import refuse
+from grasp_env.sim.hand.part import Part, arrange, check_mimics, find_part, find_root
 from grasp_env.sim.hand.pieces import hull_of_file
-from grasp_env.sim.hand.solids import hull_of, outline
+from grasp_env.sim.hand.plausible import Body, Judge, judge_ranges
+from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
-from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
-from grasp_env.sim.hand.units import look_again
-from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, names_of
+from grasp_env.sim.hand.told import Inertial, Told
+from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
+from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, UrdfLink, names_of
 
-Tips: TypeAlias = Sequence[str] | dict[str, tuple[Sequence[float], float]] | None
-"""Names of links; points on them [m], link frame, with radii [m]; None: the last moving links."""
-Torques: TypeAlias = float | Sequence[float] | dict[str, float] | None
-
-UNKNOWN_TORQUE, UNKNOWN_FORCE = 1.0, 20.0
-"""[N m] and [N] of turning and sliding joints whose file says nothing of use: about what fingers of this size have."""
-_PLACEHOLDER = {False: 100.0, True: 1000.0}  # [N m], of sliding joints [N], beyond which no finger's motor is
 _NEAR = 1e-3  # [m] of a joint, where there is no direction away from it
-_DENSITY, _LEAST_MASS = 1000.0, 1e-3  # [kg/m^3] and [kg] of links without a mass
+
+
+class HandFile(Protocol):
+    """What a reader of any kind of file tells; see `urdf_elements.Reader`."""
+
+    name: str
+    names: list[str]
+    ends: list[tuple[str, str, str]]
+    mimics: dict[str, str]
+    fixed: set[str]
+    unseen: dict[str, str]
+
+    def elements(self, links: Collection[str], /) -> tuple[dict[str, UrdfLink], list[UrdfJoint]]:
+        """Some of the links by name, and the joints between them in the order of the file."""
+        ...
+
+    def shaped(self, links: dict[str, UrdfLink], /) -> dict[str, UrdfLink]:
+        """The links with the shapes that they touch with."""
+        ...
 
 
 @dataclass(frozen=True)
-class UrdfHand:
-    """What a URDF says of a hand.
+class ReadHand:
+    """What a file says of a hand.
 
     Attributes:
         repairs: What was assumed, left out or changed, a sentence each.
@@ -69,12 +73,7 @@ class _Place:
     frame: Frame
 
 
-def read_urdf(
-    path: str | os.PathLike[str],
-    fingertips: Tips = None,
-    tip_radius: float | None = None,
-    torque_limit: Torques = None,
-) -> UrdfHand:
+def read_urdf(path: str | os.PathLike[str], told: Told) -> ReadHand:
     """The parts of a hand from a URDF; `HandDescription.from_urdf` describes the arguments.
 
     Returns:
@@ -83,81 +82,85 @@ def read_urdf(
     Raises:
         InvalidInputError: The file is no hand that can be simulated.
     """
-    asked, radius = together(
-        lambda: _asked_tips(fingertips), lambda: None if tip_radius is None else positive(tip_radius, "tip_radius [m]")
-    )
+    together(told.checked_palm, told.tips, told.radius)
     try:
-        return _Importer(Reader(path), asked, radius, torque_limit).hand
+        return hand_of(Reader(path), told)
     except InvalidInputError as error:
         message = str(error)
         raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
 
 
-def _asked_tips(fingertips: Any) -> dict[str, Ball | None] | None:
-    """What is known of each asked tip; None: nothing asked."""
-    if fingertips is None:
-        return None
-    wrong = InvalidInputError(
-        f"fingertips={shown(fingertips)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
-    )
-    if is_a(fingertips, dict):
-        tips: dict[str, Ball | None] = {}
-        for key, value in dict.items(fingertips):
-            name, pair = as_text(key), as_list(value)
-            if name is None or pair is None or len(pair) != 2:
-                raise wrong
-            x, y, z = numbers(pair[0], 3, f"fingertips: point [m] of {name!r}")
-            tips[name] = Ball((x, y, z), positive(pair[1], f"fingertips: radius [m] of {name!r}"))
-        if not tips:
-            raise wrong
-        return tips
-    given = as_list(fingertips) or []
-    names = [text for tip in given if (text := as_text(tip)) is not None]
-    if not names or len(names) < len(given):
-        raise wrong
-    for name in names:
-        if names.count(name) > 1:
-            raise InvalidInputError(f"two fingertips are called {name!r}; give each its own link")
-    return dict.fromkeys(names)
+def hand_of(file: HandFile, told: Told) -> ReadHand:
+    """The hand in a file.
+
+    Raises:
+        InvalidInputError: The file is no hand that can be simulated.
+    """
+    return _Importer(file, told).hand
 
 
 class _Importer:
     """Puts a hand together."""
 
-    def __init__(
-        self, reader: Reader, asked: dict[str, Ball | None] | None, radius: float | None, torque_limit: Torques
-    ) -> None:
-        self.repairs: list[str] = []
-        (links, joints), root, *_ = together(
-            reader.elements,
-            lambda: _root(reader.names, reader.ends),
-            lambda: _known(asked or {}, reader.names),
-            lambda: _mimicked(reader),
+    def __init__(self, file: HandFile, told: Told) -> None:
+        root, fault = "", None
+        try:
+            root = find_root(file.names, file.ends)
+        except InvalidInputError as error:
+            fault = error
+        whole = Part(root, tuple(file.names))
+        part = whole if fault else find_part(root, file.ends, file.fixed, file.mimics, told.checked_palm())
+        kept = set(part.links)
+        inside = {joint for joint, parent, child in file.ends if parent in kept and child in kept}
+        mimics = {joint: other for joint, other in file.mimics.items() if joint in inside}
+        asked = told.tips()
+        (self.links, joints), *_ = together(
+            lambda: file.elements(kept),
+            lambda: _raise(fault),
+            lambda: _known(asked or {}, file.names, part),
+            lambda: check_mimics(file.ends, file.fixed, mimics),
         )
-        self.root: str = root
-        self.joints = _driven(_ordered(root, joints))
+        self.root = part.root
+        self.repairs = list(part.left)
+        ranges = told.ranges([joint.name for joint in joints if not joint.fixed])
+        given = [
+            replace(joint, lower=ranges[joint.name][0], upper=ranges[joint.name][1]) if joint.name in ranges else joint
+            for joint in joints
+        ]
+        joints, held = arrange(part, given)
+        self.joints, wide = judge_ranges(joints, ranges)
+        self.repairs += held + wide
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
             raise InvalidInputError("no joint moves; a hand needs joints of type revolute, continuous or prismatic")
-        self.links = reader.shaped(links)  # takes seconds, once for the files' content
-        places = {root: _Place(None, Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))}
+        self.links = file.shaped(self.links)  # takes seconds, once for the files' content
+        self.places = self._placed()
+        for why in dict.fromkeys(file.unseen.values()):
+            left = [name for name, reason in file.unseen.items() if reason == why]
+            self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
+        bodies = [self._body(joint) for joint in self.moving]
+        torques, inertials, fitted = together(
+            lambda: told.torques([joint.name for joint in self.moving]),
+            lambda: told.bodies([joint.child for joint in self.moving]),
+            lambda: self._tips(asked, told.radius()),
+        )
+        tips = [tip for tip, _ in fitted]
+        palm = Palm(self.root, *self._shapes(self.root, None), self.links[self.root].color or (0.17, 0.19, 0.23))
+        links = [
+            self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name])
+            for link in self._judged(bodies, torques, inertials)
+        ]
+        self.hand = ReadHand(file.name, palm, tuple(links), tuple(tips), tuple(self.repairs))
+
+    def _placed(self) -> dict[str, _Place]:
+        """Where each link is carried."""
+        places = {self.root: _Place(None, Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))}
         for joint in self.joints:
             here = places[joint.parent].carrier
             frame = places[joint.parent].frame @ Frame.of(joint.origin, joint.rotation)
             own = Frame(np.eye(3), np.zeros(3))
             places[joint.child] = _Place(here, frame) if joint.fixed else _Place(joint.child, own)
-        self.places = places
-        for why in dict.fromkeys(reader.unseen.values()):
-            left = [name for name, reason in reader.unseen.items() if reason == why]
-            self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
-        torques, fitted = together(lambda: self._torques(torque_limit), lambda: self._tips(asked, radius))
-        moving = self._moving(torques)
-        tips = [tip for tip, _ in fitted]
-        collision, visual = self._shapes(root, None)
-        palm = Palm(root, collision, visual, self.links[root].color or (0.17, 0.19, 0.23))
-        links = [self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name]) for link in moving]
-        self.repairs += look_again(links, tips)
-        self.hand = UrdfHand(reader.name, palm, tuple(links), tuple(tips), tuple(self.repairs))
+        return places
 
     def _shapes(self, name: str, carrier: str | None) -> tuple[tuple[Geometry, ...], tuple[Geometry, ...]]:
         """Collision and visual shapes of a link and of all that is fixed to it; what has no look shows its collisions."""
@@ -174,59 +177,23 @@ class _Importer:
                 visual.append(replace(_carried(place.frame, shape), color=shape.color or own))
         return tuple(collision), tuple(visual)
 
-    def _torques(self, given: Any) -> list[float]:
-        """The limit of each moving joint: as given, else as the file says where that can be."""
-        if given is not None and not is_a(given, dict) and as_list(given) is None and not is_a(given, np.ndarray):
-            return [positive(given, "torque_limit [N m]")] * len(self.moving)
-        names = [joint.name for joint in self.moving]
-        if given is not None and not is_a(given, dict):
-            each = numbers(given, len(names), f"torque_limit [N m], one per joint ({names_of(names)})")
-            return together(
-                *(
-                    lambda v=v, n=n: positive(v, f"torque_limit [N m] of {n!r}")
-                    for v, n in zip(each, names, strict=True)
-                )
-            )
-        known = {} if given is None else dict(dict.items(given))
-        unknown = [name for name in known if as_text(name) not in names]
-        if unknown:
-            raise InvalidInputError(
-                f"torque_limit: no joint is called {names_of(unknown)}; joints are {names_of(names)}"
-            )
-        limits, assumed = list[float](), dict[str, list[str]]()
-        for joint in self.moving:
-            said = joint.effort
-            if joint.name in known:
-                said = positive(known[joint.name], f"torque_limit [N m] of {joint.name!r}")
-            elif said is None or not 0.0 < said <= _PLACEHOLDER[joint.sliding]:
-                if joint.mimic is None:
-                    assumed.setdefault("no effort" if said is None else f"effort {said:g}", []).append(joint.name)
-                said = UNKNOWN_FORCE if joint.sliding else UNKNOWN_TORQUE
-            limits.append(said)
-        for what, joints in assumed.items():
-            self.repairs.append(
-                f"{what} of {names_of(joints)} is no motor's limit: {UNKNOWN_TORQUE:g} N m is assumed "
-                f"(sliding: {UNKNOWN_FORCE:g} N); give the true one as torque_limit="
-            )
-        return limits
+    def _body(self, joint: UrdfJoint) -> Body:
+        """What a joint moves, with all that is fixed to it."""
+        before = self.places[joint.parent]
+        place, _ = before.frame.carry(joint.origin, joint.rotation)
+        collision, _ = self._shapes(joint.child, joint.child)
+        return Body(joint, *self._inertial(joint.child), collision, before.carrier, place)
 
-    def _moving(self, torques: list[float]) -> list[Link]:
-        """The links that joints move, each with all that is fixed to it."""
-        links, light, bent, astray = list[Link](), list[str](), list[str](), list[str]()
-        for joint, torque in zip(self.moving, torques, strict=True):
+    def _judged(
+        self, bodies: list[Body], torques: Mapping[str, float], inertials: Mapping[str, float | Inertial]
+    ) -> list[Link]:
+        """The links that joints move, with numbers that can be."""
+        judge = Judge(bodies)
+        links = list[Link]()
+        for body, own, limit in zip(bodies, judge.inertials(inertials), judge.torques(torques), strict=True):
+            joint = body.joint
             before = self.places[joint.parent]
             origin, rotation = before.frame.carry(joint.origin, joint.rotation)
-            collision, visual = self._shapes(joint.child, joint.child)
-            mass, center, inertia = self._inertial(joint.child)
-            if mass <= 0.0:
-                mass, center, inertia = _made_up(collision)
-                light.append(f"{joint.child} ({1e3 * mass:.2g} g)")
-            elif _astray(center, collision):
-                mass, center, inertia = _made_up(collision, mass)
-                astray.append(joint.child)
-            possible = nearest_inertia(inertia, mass)
-            if possible is not None:
-                bent.append(joint.child)
             links.append(
                 Link(
                     name=joint.child,
@@ -236,28 +203,19 @@ class _Importer:
                     axis=joint.axis,
                     lower=joint.lower,
                     upper=joint.upper,
-                    torque_limit=torque,
-                    mass=mass,
-                    center=center,
-                    inertia=inertia if possible is None else possible,
-                    collision=collision,
-                    visual=visual,
+                    torque_limit=limit,
+                    mass=own.mass,
+                    center=own.center,
+                    inertia=own.inertia,
+                    collision=body.shapes,
+                    visual=self._shapes(joint.child, joint.child)[1],
                     color=self.links[joint.child].color or (0.5, 0.5, 0.5),
                     joint=joint.name,
                     sliding=joint.sliding,
                     mimic=joint.mimic,
                 )
             )
-        if light:
-            self.repairs.append(
-                f"moving links without mass get that of their shapes at 1 g/cm^3: {', '.join(light[:40])}"
-            )
-        if astray:
-            self.repairs.append(
-                f"centres of mass that lie outside their links by more than these measure are put inside: {names_of(astray)}"
-            )
-        if bent:
-            self.repairs.append(f"inertias that no body has are replaced by the nearest possible: {names_of(bent)}")
+        self.repairs += judge.said
         return links
 
     def _inertial(self, name: str) -> tuple[float, Vector3, Inertia]:
@@ -387,110 +345,18 @@ def _carried(frame: Frame, shape: Geometry) -> Geometry:
     return replace(shape, origin=origin, rotation=angles)
 
 
-def _astray(center: Vector3, shapes: Sequence[Geometry]) -> bool:
-    """Whether a centre of mass is farther outside the box around a link's shapes than that is large."""
-    if not shapes:
-        return False
-    points = np.vstack([outline(shape) for shape in shapes])
-    low, high = points.min(axis=0), points.max(axis=0)
-    away = np.linalg.norm(np.maximum(np.maximum(low - center, center - high), 0.0))
-    return bool(away > (high - low).max())
-
-
-def _made_up(shapes: Sequence[Geometry], known: float = 0.0) -> tuple[float, Vector3, Inertia]:
-    """Mass, centre and inertia of a link of which the file knows none, or the mass alone: of a box around its shapes, 1 g at least."""
-    points = np.vstack([outline(shape) for shape in shapes]) if shapes else np.zeros((1, 3))
-    volume = sum(float(hull_of(outline(shape)).volume) for shape in shapes)
-    mass = known or max(_LEAST_MASS, _DENSITY * volume)
-    x, y, z = (0.5 * (points.min(axis=0) + points.max(axis=0))).tolist()
-    a, b, c = (np.maximum(np.ptp(points, axis=0), 0.01) ** 2 * mass / 12.0).tolist()
-    return mass, (x, y, z), (b + c, 0.0, 0.0, a + c, 0.0, a + b)
-
-
-def _known(tips: Mapping[str, Any], links: list[str]) -> None:
+def _known(tips: Mapping[str, Any], links: Sequence[str], part: Part) -> None:
+    """Every fingertip is a link of the hand."""
     missing = [tip for tip in tips if tip not in links]
     if missing:
         raise InvalidInputError(f"no link is called {', '.join(map(repr, missing))}; links are {names_of(links)}")
-
-
-def _root(links: list[str], ends: list[tuple[str, str, str]]) -> str:
-    """The one link that no joint carries.
-
-    Raises:
-        InvalidInputError: All that keeps the links from being a tree.
-    """
-    children: dict[str, str] = {}
-    faults = list[str]()
-    for joint, *pair in ends:
-        faults += [
-            f"joint {joint!r} names the link {link!r}, which is not in the file; links are {names_of(links)}"
-            for link in pair
-            if link and link not in links
-        ]
-        child = pair[1]
-        if child and child in children:
-            faults.append(
-                f"link {child!r} hangs on two joints, {children[child]!r} and {joint!r}; a hand must be a tree, cut the loop"
-            )
-        children[child] = joint
-    roots = [link for link in dict.fromkeys(links) if link not in children]
-    if not roots:
-        faults.append("every link is carried by a joint, so the joints form a cycle; cut it")
-    elif len(roots) > 1 and not faults:
-        faults.append(
-            f"{len(roots)} links are carried by no joint, {names_of(roots)}; one of them is the palm, "
-            "fix the others to it with joints of type fixed"
+    left = [tip for tip in tips if tip not in part.links]
+    if left:
+        raise InvalidInputError(
+            f"the fingertips {names_of(left)} do not hang on the palm {part.root!r}; links that do are {names_of(part.links)}"
         )
-    known, grew = {*roots}, True
-    while grew and not faults:
-        reached = {child for _, parent, child in ends if parent in known} - known
-        known, grew = known | reached, bool(reached)
-    if not faults and (rest := [joint for joint, parent, _ in ends if parent not in known]):
-        faults.append(f"the joints {names_of(rest)} form a cycle apart from {roots[0]!r}; cut it")
-    together(*(lambda fault=fault: refuse(fault) for fault in faults))
-    return roots[0]
 
 
-def _ordered(root: str, joints: list[UrdfJoint]) -> list[UrdfJoint]:
-    """Joints of a tree with parents before children, else in the order of the file."""
-    ordered, known, rest = list[UrdfJoint](), {root}, list(joints)
-    while rest:
-        ready = next(joint for joint in rest if joint.parent in known)
-        rest.remove(ready)
-        ordered.append(ready)
-        known.add(ready.child)
-    return ordered
-
-
-def _mimicked(reader: Reader) -> None:
-    """Every mimicked joint moves, and none mimics itself in the end."""
-    others, fixed = reader.mimics, reader.fixed
-    faults = list[str]()
-    for joint, other in others.items():
-        known = [name for name, _, _ in reader.ends]
-        if other not in known:
-            faults.append(
-                f"joint {joint!r} mimics {other!r}, which is no joint of the file; joints are {names_of(known)}"
-            )
-        elif other in fixed:
-            faults.append(
-                f"joint {joint!r} mimics {other!r}, which does not move; make both of them fixed, or move {other!r}"
-            )
-        seen = [joint]
-        while seen[-1] in others and others[seen[-1]] not in seen:
-            seen.append(others[seen[-1]])
-        if others.get(seen[-1]) == joint:
-            faults.append(f"the joints {names_of(sorted(seen))} mimic each other in a loop; one of them needs a motor")
-    together(*(lambda fault=fault: refuse(fault) for fault in faults))
-
-
-def _driven(joints: list[UrdfJoint]) -> list[UrdfJoint]:
-    """The joints, those that mimic others coupled to the one with a motor at the end of the chain."""
-    by_name = {joint.name: joint for joint in joints}
-    driven = list[UrdfJoint]()
-    for joint in joints:
-        mimic = joint.mimic
-        while mimic is not None and (before := by_name[mimic.joint].mimic) is not None:
-            mimic = Mimic(before.joint, mimic.ratio * before.ratio, mimic.angle(before.offset))
-        driven.append(replace(joint, mimic=mimic))
-    return driven
+def _raise(fault: InvalidInputError | None) -> None:
+    if fault is not None:
+        raise fault

@@ -1,0 +1,134 @@
+"""What a caller says of a hand in a file: its palm, fingertips, torques, ranges and masses; each counts whatever the file says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+
+from grasp_env._check import as_list, as_text, is_a, together
+from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim.hand.check import Inertia, Vector3, inertia_of, limits, numbers, positive, word
+from grasp_env.sim.hand.tips import Ball
+from grasp_env.sim.hand.urdf_elements import names_of
+
+T = TypeVar("T")
+Tips: TypeAlias = Sequence[str] | dict[str, tuple[Sequence[float], float]] | None
+"""Names of links; points on them [m], link frame, with radii [m]; None: the last moving links."""
+Torques: TypeAlias = float | Sequence[float] | dict[str, float] | None
+Ranges: TypeAlias = dict[str, tuple[float, float]] | None
+Inertials: TypeAlias = dict[str, float | tuple[float, Sequence[float], Sequence[float]]] | None
+
+
+class Inertial(NamedTuple):
+    """Of a link with all that is fixed to it: mass [kg], its centre [m], link frame, and the inertia about it [kg m^2]."""
+
+    mass: float
+    center: Vector3
+    inertia: Inertia
+
+
+@dataclass(frozen=True)
+class Told:
+    """What a caller says of a hand; `HandDescription.from_urdf` describes each."""
+
+    fingertips: Tips = None
+    tip_radius: float | None = None
+    torque_limit: Torques = None
+    joint_limits: Ranges = None
+    inertials: Inertials = None
+    palm: str | None = None
+
+    def checked_palm(self) -> str | None:
+        """The name of the palm's link; None: not said."""
+        return None if self.palm is None else word(self.palm, "palm")
+
+    def radius(self) -> float | None:
+        """Radius of all tips that are not found otherwise [m]; None: not said."""
+        return None if self.tip_radius is None else positive(self.tip_radius, "tip_radius [m]")
+
+    def tips(self) -> dict[str, Ball | None] | None:
+        """What is said of each fingertip; None: nothing."""
+        given: Any = self.fingertips
+        if given is None:
+            return None
+        wrong = InvalidInputError(
+            f"fingertips={shown(given)} must be a list of one link name or more, or {{link: (point, radius)}} [m]"
+        )
+        if is_a(given, dict):
+            tips: dict[str, Ball | None] = {}
+            for key, value in dict.items(given):
+                name, pair = as_text(key), as_list(value)
+                if name is None or pair is None or len(pair) != 2:
+                    raise wrong
+                x, y, z = numbers(pair[0], 3, f"fingertips: point [m] of {name!r}")
+                tips[name] = Ball((x, y, z), positive(pair[1], f"fingertips: radius [m] of {name!r}"))
+            if not tips:
+                raise wrong
+            return tips
+        each = as_list(given) or []
+        names = [text for tip in each if (text := as_text(tip)) is not None]
+        if not names or len(names) < len(each):
+            raise wrong
+        for name in names:
+            if names.count(name) > 1:
+                raise InvalidInputError(f"two fingertips are called {name!r}; give each its own link")
+        return dict.fromkeys(names)
+
+    def torques(self, joints: Sequence[str]) -> dict[str, float]:
+        """The limits [N m] that are given, of some of the joints."""
+        given: Any = self.torque_limit
+        if given is None or is_a(given, dict):
+            return _by_name(given, joints, "torque_limit", "joint", lambda value, of: positive(value, f"{of} [N m]"))
+        if as_list(given) is None and not is_a(given, np.ndarray):
+            return dict.fromkeys(joints, positive(given, "torque_limit [N m]"))
+        each = numbers(given, len(joints), f"torque_limit [N m], one per joint ({names_of(joints)})")
+        pairs = zip(joints, each, strict=True)
+        return dict(
+            zip(
+                joints,
+                together(*(lambda n=n, v=v: positive(v, f"torque_limit [N m] of {n!r}") for n, v in pairs)),
+                strict=True,
+            )
+        )
+
+    def ranges(self, joints: Sequence[str]) -> dict[str, tuple[float, float]]:
+        """The ranges [rad], of sliding joints [m], that are given."""
+
+        def both(value: Any, of: str) -> tuple[float, float]:
+            pair = as_list(value)
+            if pair is None or len(pair) != 2:
+                raise InvalidInputError(f"{of}={shown(value)} must be (lower, upper)")
+            return limits(pair[0], pair[1], of)
+
+        return _by_name(self.joint_limits, joints, "joint_limits", "joint", both)
+
+    def bodies(self, links: Sequence[str]) -> dict[str, float | Inertial]:
+        """The masses [kg], or masses with centres and inertias, that are given."""
+
+        def body(value: Any, of: str) -> float | Inertial:
+            parts = as_list(value)
+            if parts is None:
+                return positive(value, f"{of}: mass [kg]")
+            if len(parts) != 3:
+                raise InvalidInputError(f"{of}={shown(value)} must be a mass [kg], or (mass, center, inertia)")
+            x, y, z = numbers(parts[1], 3, f"{of}: center [m]")
+            return Inertial(positive(parts[0], f"{of}: mass [kg]"), (x, y, z), inertia_of(parts[2], of))
+
+        return _by_name(self.inertials, links, "inertials", "moving link", body)
+
+
+def _by_name(given: Any, names: Sequence[str], what: str, kind: str, check: Callable[[Any, str], T]) -> dict[str, T]:
+    """Values by name, each checked by `check`, which gets the value and what to call it."""
+    if given is None:
+        return {}
+    if not is_a(given, dict):
+        raise InvalidInputError(f"{what}={shown(given)} must be a dict with names of {kind}s as keys")
+    known: dict[Any, Any] = dict(dict.items(given))
+    unknown = [name for name in known if as_text(name) not in names]
+    if unknown:
+        raise InvalidInputError(f"{what}: no {kind} is called {names_of(unknown)}; {kind}s are {names_of(names)}")
+    values = together(*(lambda n=n, v=v: check(v, f"{what} of {as_text(n)!r}") for n, v in known.items()))
+    return dict(zip([str(as_text(name)) for name in known], values, strict=True))
