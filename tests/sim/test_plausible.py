@@ -97,7 +97,8 @@ def test_links_without_mass_and_centres_outside_are_replaced(tmp_path: Path) -> 
     made, told = read(tmp_path, text)
     assert "without mass get that of their shapes at 1 g/cm^3: 'one' (1 g); give the true ones as inertials=" in told
     assert (
-        "centres of mass that lie outside their links by more than these measure are put inside: 'two' (0.26 m)" in told
+        "centres of mass that lie outside their links by more than these measure are put into the middle of their shapes: 'two' (0.26 m)"
+        in told
     )
     assert made.links[0].mass == 1e-3
     np.testing.assert_allclose(made.links[1].center, (0.02, 0.0, 0.0))
@@ -109,13 +110,11 @@ def test_links_without_mass_and_centres_outside_are_replaced(tmp_path: Path) -> 
 def test_efforts_that_no_finger_has_are_ten_newtons_at_its_tip(tmp_path: Path, effort: float | None) -> None:
     made, told = read(tmp_path, hand(effort=effort))
     last = math.sqrt(0.04**2 + 2.0 * 0.01**2)  # [m] to the corner of the box
-    np.testing.assert_allclose(made.torque_limits, 3 * (10.0 * (0.04 + last), 10.0 * last), rtol=0.02)
+    np.testing.assert_allclose(made.torque_limits, 10.0 * (0.04 + last), rtol=0.02)
     said = "no effort is given for" if effort is None else f"effort {effort:g} of"
     assert f"{said} 'ia', 'ib', 'ma', 'mb', 'ta', 'tb'" in told
     assert f"({(effort or 0.0) / (0.04 + last):.0f} N at a fingertip)" in told or not effort or effort < 0.0
-    assert (
-        "assumed is 0.42 to 0.82 N m, 10 N at the tip of a straight finger; give the true one as torque_limit=" in told
-    )
+    assert "assumed is 0.82 N m, 10 N at the tip of a straight finger; give the true one as torque_limit=" in told
     made, told = read(tmp_path, hand(effort=effort), torque_limit=0.7)
     assert (told, set(made.torque_limits)) == ("", {0.7})
 
@@ -140,6 +139,14 @@ def test_a_wrist_is_judged_by_all_fingers_that_it_carries(tmp_path: Path) -> Non
     assert made.torque_limits[0] == pytest.approx(
         3 * 10.0 * 0.144, rel=0.03
     )  # three fingers, the longest 63 mm + 81 mm away
+
+
+def test_a_motor_carries_the_joints_that_are_coupled_to_it(tmp_path: Path) -> None:
+    coupled = joint("ib", "i1", "i2", mimic="ia").replace("<mimic ", '<mimic multiplier="2" ')
+    made, _ = read(tmp_path, hand(effort=None).replace(joint("ib", "i1", "i2", effort=None), coupled))
+    limits = {each.joint: each.torque_limit for each in made.links}
+    assert limits["ia"] == pytest.approx(10.0 * (0.0824 + 2.0 * 0.0424), rel=0.03)
+    assert limits["ma"] == pytest.approx(10.0 * 0.0824, rel=0.03)
 
 
 def test_jaws_are_judged_by_their_force(tmp_path: Path) -> None:

@@ -21,13 +21,14 @@ from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.hand.urdf_elements import UrdfJoint, names_of
 
 TIP_FORCE = 10.0
-"""[N] at the tip of a straight finger, for which unknown motors are assumed. Makers' torques give 4 N (Allegro) to 20 N (Shadow)."""
+"""[N] that an unknown motor is assumed to make at the tip of a straight finger. Makers' files give 4 N (Allegro), 6 N (LEAP), 8 N
+(Inspire), 20 N (Shadow)."""
 JAW_FORCE = 20.0
 """[N] of a sliding joint whose force is unknown."""
 LARGEST_TIP_FORCE = 100.0
-"""[N] above which an effort is no motor's. The strongest finger among the files has 80 N, the Robotiq 3F 60 N, a human index 50 N."""
+"""[N] above which an effort is no motor's. The strongest finger of a maker's file has 59 N, a human index 50 N."""
 LARGEST_ROUND_TIP_FORCE = 30.0
-"""[N] above which 10, 100, ... N m for all joints of all fingers is no motor's. Makers who give all joints one effort: 2 N to 14 N."""
+"""[N] above which 10, 100, ... N m for all joints of all fingers is no motor's. Makers who give all joints one effort: 2 N to 9 N."""
 LARGEST_JAW_FORCE = 1000.0
 """[N] from which on the effort of a sliding joint is no motor's; grippers on arms have 20 N to 235 N."""
 SHORTEST_FINGER = 0.03
@@ -64,7 +65,9 @@ _MOST_LISTED = 20
 
 _NO_MASS = "moving links without mass get that of their shapes at 1 g/cm^3"
 _WRONG_MASS = "masses that links of this size cannot have are replaced by those of their shapes at 1 g/cm^3"
-_ASTRAY = "centres of mass that lie outside their links by more than these measure are put inside"
+_ASTRAY = (
+    "centres of mass that lie outside their links by more than these measure are put into the middle of their shapes"
+)
 _WRONG_INERTIA = "inertias that links of this size cannot have are replaced by those of boxes around them"
 _NO_INERTIA = "inertias that no body has are replaced by the nearest possible"
 
@@ -132,12 +135,30 @@ class Judge:
                 away = float(np.linalg.norm(bodies[number].place)) + self._reaches[number]
                 self._reaches[carrier] = max(self._reaches[carrier], away)
                 self._ends[carrier] += self._ends[number]
+        self._levers = self._motor_levers()
         large = [body.joint.child for body, size in zip(bodies, self._sizes, strict=True) if size > LARGEST_LINK]
         self._scaled = not large
         if large:
             self.said.append(
                 f"{names_of(large)} are larger than {LARGEST_LINK:g} m: a file has metres, not millimetres (sizes, scale of meshes); look again"
             )
+
+    def _motor_levers(self) -> list[float]:
+        """The torque of each joint's motor [N m] that makes 1 N at each fingertip that it moves, the fingers straight.
+
+        Each motor of a finger counts as the one at the palm: most makers give those near the tip as much. A motor also carries what
+        the joints that are coupled to it do.
+        """
+        levers = list[float]()
+        drivers = {body.joint.name: number for number, body in enumerate(self._bodies)}
+        own = [ends * max(SHORTEST_FINGER, reach) for ends, reach in zip(self._ends, self._reaches, strict=True)]
+        for number, carrier in enumerate(self._carrier):
+            levers.append(levers[carrier] if carrier >= 0 and self._ends[carrier] == 1 else own[number])
+        for number, body in enumerate(self._bodies):
+            if body.joint.mimic is not None:
+                lever = self._ends[number] if body.joint.sliding else own[number]
+                levers[drivers[body.joint.mimic.joint]] += abs(body.joint.mimic.ratio) * lever
+        return levers
 
     def inertials(self, given: Mapping[str, float | Inertial]) -> list[Inertial]:
         """Mass, centre and inertia of each body: as given, else as the file says where that can be."""
@@ -178,17 +199,14 @@ class Judge:
         if away := _astray(own.center, body.points):
             changed.setdefault(_ASTRAY, []).append(f"{body.joint.child!r} ({away:.2g} m)")
             own = self._box(number, own.mass)
-        if self._turns_wrong(number, own):
-            box = self._box(number, own.mass).inertia
-            changed.setdefault(_WRONG_INERTIA, []).append(
-                f"{body.joint.child!r} ({_largest(own.inertia):.2g} kg m^2, assumed {_largest(box):.2g} kg m^2)"
-            )
-            own = own._replace(inertia=box)
-        possible = nearest_inertia(own.inertia, own.mass)
-        if possible is None:
+        wrong = self._turns_wrong(number, own)
+        inertia = self._box(number, own.mass).inertia if wrong else nearest_inertia(own.inertia, own.mass)
+        if inertia is None:
             return own
-        changed.setdefault(_NO_INERTIA, []).append(repr(body.joint.child))
-        return own._replace(inertia=possible)
+        changed.setdefault(_WRONG_INERTIA if wrong else _NO_INERTIA, []).append(
+            f"{body.joint.child!r} ({_largest(own.inertia):.2g} kg m^2, assumed {_largest(inertia):.2g} kg m^2)"
+        )
+        return own._replace(inertia=inertia)
 
     def torques(self, given: Mapping[str, float]) -> list[float]:
         """The largest torque of each joint [N m], of sliding joints [N]: as given, else as the file says where that can be."""
@@ -202,7 +220,7 @@ class Judge:
                 continue
             fits = effort is not None and (effort < LARGEST_JAW_FORCE if joint.sliding else effort not in doubted)
             if effort is None or effort <= 0.0 or not fits:
-                known = JAW_FORCE if joint.sliding else TIP_FORCE * self._lever(number, self._reaches[number])
+                known = JAW_FORCE if joint.sliding else TIP_FORCE * self._levers[number]
                 limit = float(f"{known:.2g}")
                 if joint.mimic is None:
                     assumed.setdefault((effort, joint.sliding), {})[joint.name] = limit
@@ -221,17 +239,13 @@ class Judge:
 
     def _doubted(self, given: Mapping[str, float]) -> dict[float, float]:
         """Efforts of turning joints [N m] that no motor of this hand has, with the largest force [N] that each makes at a fingertip."""
-        lengths = list[float]()
         forces: dict[float, list[float]] = {}
         fingers = list[float]()
         for number, body in enumerate(self._bodies):
-            carrier = self._carrier[number]
-            # a motor is judged by the length of its finger: those near the tip may be as strong as those at the palm
-            lengths.append(lengths[carrier] if carrier >= 0 and self._ends[carrier] == 1 else self._reaches[number])
             joint, effort = body.joint, body.joint.effort
             if joint.sliding or joint.mimic is not None or effort is None or effort <= 0.0 or joint.name in given:
                 continue
-            forces.setdefault(effort, []).append(effort / self._lever(number, lengths[number]))
+            forces.setdefault(effort, []).append(effort / self._levers[number])
             if self._ends[number] == 1:
                 fingers.append(effort)
         alike = len(fingers) >= 3 and len(set(fingers)) == 1 and math.log10(fingers[0]).is_integer()
@@ -239,10 +253,6 @@ class Judge:
         if alike:
             most[fingers[0]] = LARGEST_ROUND_TIP_FORCE
         return {effort: max(each) for effort, each in forces.items() if max(each) > most[effort]}
-
-    def _lever(self, number: int, length: float) -> float:
-        """The torque [N m] that 1 N at each fingertip makes about a joint, the fingers straight."""
-        return self._ends[number] * max(SHORTEST_FINGER, length)
 
     def _weighs_wrong(self, number: int) -> bool:
         """Whether no link of this size has this mass."""

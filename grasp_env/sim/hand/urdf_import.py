@@ -103,33 +103,13 @@ class _Importer:
     """Puts a hand together."""
 
     def __init__(self, file: HandFile, told: Told) -> None:
-        root, fault = "", None
-        try:
-            root = find_root(file.names, file.ends)
-        except InvalidInputError as error:
-            fault = error
-        whole = Part(root, tuple(file.names))
-        part = whole if fault else find_part(root, file.ends, file.fixed, file.mimics, told.checked_palm())
-        kept = set(part.links)
-        inside = {joint for joint, parent, child in file.ends if parent in kept and child in kept}
-        mimics = {joint: other for joint, other in file.mimics.items() if joint in inside}
         asked = told.tips()
-        (self.links, joints), *_ = together(
-            lambda: file.elements(kept),
-            lambda: _raise(fault),
-            lambda: _known(asked or {}, file.names, part),
-            lambda: check_mimics(file.ends, file.fixed, mimics),
-        )
-        self.root = part.root
-        self.repairs = list(part.left)
+        part, self.links, joints = _read(file, told.checked_palm(), asked or {})
         ranges = told.ranges([joint.name for joint in joints if not joint.fixed])
-        given = [
-            replace(joint, lower=ranges[joint.name][0], upper=ranges[joint.name][1]) if joint.name in ranges else joint
-            for joint in joints
-        ]
-        joints, held = arrange(part, given)
+        joints, held = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
         self.joints, wide = judge_ranges(joints, ranges)
-        self.repairs += held + wide
+        self.root = part.root
+        self.repairs = [*part.left, *held, *wide]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
             raise InvalidInputError("no joint moves; a hand needs joints of type revolute, continuous or prismatic")
@@ -343,6 +323,38 @@ def _moved(frame: Frame, point: Vector3) -> Vector3:
 def _carried(frame: Frame, shape: Geometry) -> Geometry:
     origin, angles = frame.carry(shape.origin, shape.rotation)
     return replace(shape, origin=origin, rotation=angles)
+
+
+def _read(
+    file: HandFile, palm: str | None, tips: Mapping[str, Any]
+) -> tuple[Part, dict[str, UrdfLink], list[UrdfJoint]]:
+    """The part of a file that is the hand, its links by name and its joints.
+
+    Raises:
+        InvalidInputError: At once, where the file or the palm is no hand; else all that is wrong with the part.
+    """
+    root, fault = "", None
+    try:
+        root = find_root(file.names, file.ends)
+    except InvalidInputError as error:
+        fault = error
+    part = Part(root, tuple(file.names))
+    if fault is None:
+        part = find_part(root, file.ends, file.fixed, file.mimics, palm)
+    kept = set(part.links)
+    inside = {joint for joint, parent, child in file.ends if parent in kept and child in kept}
+    mimics = {joint: other for joint, other in file.mimics.items() if joint in inside}
+    (links, joints), *_ = together(
+        lambda: file.elements(kept),
+        lambda: _raise(fault),
+        lambda: _known(tips, file.names, part),
+        lambda: check_mimics(file.ends, file.fixed, mimics),
+    )
+    return part, links, joints
+
+
+def _ranged(joint: UrdfJoint, limits: tuple[float, float] | None) -> UrdfJoint:
+    return joint if limits is None else replace(joint, lower=limits[0], upper=limits[1])
 
 
 def _known(tips: Mapping[str, Any], links: Sequence[str], part: Part) -> None:
