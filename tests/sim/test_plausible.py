@@ -71,6 +71,18 @@ def test_inertias_of_another_size_than_the_link_are_those_of_its_box(tmp_path: P
     assert (made.links[0].mass, made.links[0].center, made.links[0].inertia) == true["i1"]
 
 
+def test_links_of_which_nothing_touches_are_judged_by_their_looks_or_the_finger(tmp_path: Path) -> None:
+    for new, assumed in (("visual", "5e-06"), ("nothing", "5e-07")):
+        text = (
+            hand(moment=0.2).replace("collision>", f"{new}>")
+            + link("tip", 0.01)
+            + joint("e", "i2", "tip", kind="fixed")
+        )
+        made, told = read(tmp_path, text, fingertips=["tip"])
+        assert f"'m2' (0.2 kg m^2, assumed {assumed} kg m^2)" in told
+        assert max(moments(made)) < 2e-5
+
+
 @pytest.mark.parametrize("mass", [30.0, 1.0, 3e-5])
 def test_masses_that_no_link_of_this_size_has_are_those_of_its_shapes(tmp_path: Path, mass: float) -> None:
     """Grams, a whole hand's mass for each link, tons."""

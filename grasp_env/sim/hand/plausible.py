@@ -82,6 +82,7 @@ class Body:
         center: Of mass [m], (3,), link frame.
         inertia: About it [kg m^2].
         shapes: That touch, link frame.
+        points: Whose hull holds these, or what is drawn where nothing touches [m], (K, 3), link frame.
         carrier: Name of the moving link that carries it; None: the palm.
         place: Of its joint [m], (3,), the carrier's frame.
     """
@@ -91,13 +92,9 @@ class Body:
     center: Vector3
     inertia: Inertia
     shapes: tuple[Geometry, ...]
+    points: Array
     carrier: str | None
     place: Vector3
-
-    @cached_property
-    def points(self) -> Array:
-        """(K, 3) [m] whose hull holds its shapes."""
-        return np.vstack([outline(shape) for shape in self.shapes]) if self.shapes else np.empty((0, 3))
 
     @cached_property
     def volume(self) -> float:
@@ -135,6 +132,7 @@ class Judge:
                 away = float(np.linalg.norm(bodies[number].place)) + self._reaches[number]
                 self._reaches[carrier] = max(self._reaches[carrier], away)
                 self._ends[carrier] += self._ends[number]
+        self._length = max(self._reaches)  # [m], of what nothing is known of
         self._levers = self._motor_levers()
         large = [body.joint.child for body, size in zip(bodies, self._sizes, strict=True) if size > LARGEST_LINK]
         self._scaled = not large
@@ -265,17 +263,19 @@ class Judge:
 
     def _turns_wrong(self, number: int, own: Inertial) -> bool:
         """Whether no link of this size and mass has this inertia."""
-        size = self._sizes[number] if self._bodies[number].shapes else max(self._sizes[number], self._reaches[number])
+        size = self._sizes[number] if len(self._bodies[number].points) else self._length
         if not self._scaled or size <= 0.0:
             return False
         moment = _largest(own.inertia)
         gyration = math.sqrt(max(moment, 0.0) / own.mass) / size
-        return gyration < LEAST_GYRATION or (gyration > LARGEST_GYRATION and moment > LEAST_MOMENT)
+        return (gyration < LEAST_GYRATION and len(self._bodies[number].points) > 0) or (
+            gyration > LARGEST_GYRATION and moment > LEAST_MOMENT
+        )
 
     def _box(self, number: int, mass: float | None = None) -> Inertial:
         """Of a box around a link; its mass is that of its shapes, where it is not known."""
         body = self._bodies[number]
-        points = body.points if body.shapes else self._extents[number]
+        points = body.points if len(body.points) else self._extents[number]
         mass = mass or max(LEAST_MASS, ASSUMED_DENSITY * body.volume)
         x, y, z = (0.5 * (points.min(axis=0) + points.max(axis=0))).tolist()
         a, b, c = (np.maximum(np.ptp(points, axis=0), LEAST_SIDE) ** 2 * mass / 12.0).tolist()

@@ -103,6 +103,7 @@ class _Importer:
     """Puts a hand together."""
 
     def __init__(self, file: HandFile, told: Told) -> None:
+        self._corners: dict[str, Array] = {}  # of meshes that are looked at
         asked = told.tips()
         part, self.links, joints = _read(file, told.checked_palm(), asked or {})
         ranges = told.ranges([joint.name for joint in joints if not joint.fixed])
@@ -162,7 +163,8 @@ class _Importer:
         before = self.places[joint.parent]
         place, _ = before.frame.carry(joint.origin, joint.rotation)
         collision, _ = self._shapes(joint.child, joint.child)
-        return Body(joint, *self._inertial(joint.child), collision, before.carrier, place)
+        points = np.vstack([*self._points(self._group(joint.child), True), np.empty((0, 3))])
+        return Body(joint, *self._inertial(joint.child), collision, points, before.carrier, place)
 
     def _judged(
         self, bodies: list[Body], torques: Mapping[str, float], inertials: Mapping[str, float | Inertial]
@@ -251,8 +253,9 @@ class _Importer:
         for frame, shape in solids:
             if shape.kind == "mesh":
                 place = frame @ Frame.of(shape.origin, shape.rotation)
-                corners = hull_of_file(Path(shape.file)) * shape.size
-                pieces.append(corners @ place.rotation.T + place.origin)
+                if shape.file not in self._corners:
+                    self._corners[shape.file] = hull_of_file(Path(shape.file))
+                pieces.append(self._corners[shape.file] * shape.size @ place.rotation.T + place.origin)
             else:
                 pieces.append(outline(_carried(frame, shape)))
         return pieces
