@@ -29,6 +29,13 @@ def rotation_matrix(angles: Vector3) -> np.ndarray:
     )
 
 
+def axis_rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+    """The rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+
+
 def roll_pitch_yaw(rotation: np.ndarray) -> Vector3:
     """The angles [rad] of a rotation matrix; all their digits hold beside the gimbal lock, too."""
     yaw = math.atan2(rotation[1, 0], rotation[0, 0])

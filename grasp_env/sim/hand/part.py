@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
-from grasp_env._check import Array, together
+from grasp_env._check import together
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.frames import Frame, axis_rotation
 from grasp_env.sim.hand.tree import Mimic
 from grasp_env.sim.hand.urdf_elements import UrdfJoint, names_of
 
@@ -287,13 +286,6 @@ def _upside_down(joint: UrdfJoint) -> UrdfJoint:
 def _held(joint: UrdfJoint, angle: float) -> UrdfJoint:
     """A joint that holds still at an angle [rad], a sliding one at a length [m]."""
     axis = np.array(joint.axis)
-    moved = Frame(np.eye(3), angle * axis) if joint.sliding else Frame(_turn(axis, angle), np.zeros(3))
+    moved = Frame(np.eye(3), angle * axis) if joint.sliding else Frame(axis_rotation(axis, angle), np.zeros(3))
     origin, rotation = (Frame.of(joint.origin, joint.rotation) @ moved).numbers()
     return UrdfJoint(joint.name, joint.parent, joint.child, True, origin, rotation)
-
-
-def _turn(axis: Array, angle: float) -> Array:
-    """The rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross

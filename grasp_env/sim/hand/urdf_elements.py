@@ -15,7 +15,6 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from grasp_env._check import together
-from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
 from grasp_env.sim.hand.frames import Frame
@@ -74,24 +73,22 @@ class Reader:
 
     Args:
         path: Of the URDF.
+        robot: Its first element.
 
     Attributes:
         name: Of the robot.
         names: Of its links; ends: name, parent and child of its joints: what else is wrong with them is told by `elements`.
         mimics: The joint that each coupled joint names; fixed: names of joints that do not move.
         unseen: Visual meshes that are left out, and why.
+        said: What was assumed or left out, a sentence each.
 
     Raises:
-        InvalidInputError: No such file, no XML, or no URDF.
+        InvalidInputError: No links, or too many; or xacro refuses the file.
     """
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        robot = parsed(path, read_xml, InvalidInputError, f"the URDF {shown_path(path)}", "XML")
+    def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
         self.path = Path(os.fsdecode(path))
-        if robot.tag == "mujoco":
-            raise InvalidInputError("it is a MuJoCo model (MJCF), not a URDF; read it with HandDescription.from_mjcf")
-        if robot.tag != "robot":
-            raise InvalidInputError(f"the first element is <{robot.tag[:40]}>, a URDF starts with <robot name=...>")
+        self.said: list[str] = []
         if is_xacro(robot):
             robot = expanded(path)
         self.name: str = robot.get("name") or "hand"

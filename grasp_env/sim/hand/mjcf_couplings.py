@@ -1,0 +1,251 @@
+"""How the motors of a MuJoCo model move its joints: found by moving each of them, with gravity and contacts off.
+
+Hands couple joints by equalities, tendons, springs and closed loops of links. All of these act in the simulation, so one method reads them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mujoco as compiled
+import numpy as np
+
+from grasp_env._check import Array
+
+mujoco: Any = compiled  # it has no types
+
+_STATIONS = 7
+"""Positions of a motor at which the joints are read."""
+_TRAVEL, _REST = 0.2, 0.8
+"""[s] from one position to the next, and there before the joints are read."""
+_MOST_STEPS = 4000
+"""Largest number of simulation steps for one motor; a smaller time step than this allows is raised."""
+_HELD = 1e6
+"""[kg m^2] of a joint that no constraint shall move."""
+_ROTOR, _SLIDER = 1e-3, 1.0
+"""[kg m^2] and [kg] added to every hinge and slide, so that joints on one tendon move alike."""
+_SETTLING = 0.05
+"""[s] in which a joint without springs comes to rest."""
+_MOVED = 0.02
+"""Part of its range, or [rad] without one, that a coupled joint moves at least."""
+_STRAIGHT = 0.1
+"""[rad] that a coupled joint may be away from its line before the coupling counts as curved."""
+_FREE_RANGE = np.pi
+"""[rad] to which a joint without limits is moved."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """A motor and the joints that it moves.
+
+    Attributes:
+        actuator: Its number; -1 for a joint that counts as a motor because the file has no actuators.
+        joint: The joint that moves farthest with it.
+        followers: The other joints that it moves: the angle of each is ratio * that of `joint` + offset.
+        arm: Force of the motor [N or N m] to torque of `joint` [N m], the followers' share included.
+        bend: Largest distance of a follower from its line [rad].
+    """
+
+    actuator: int
+    joint: int
+    followers: dict[int, tuple[float, float]]
+    arm: float
+    bend: float
+
+    @property
+    def curved(self) -> bool:
+        """True if a line describes the coupling badly."""
+        return self.bend > _STRAIGHT
+
+
+def find_motors(model: Any) -> list[Motor]:
+    """The motors of a compiled model, each with what follows it.
+
+    Hinges and slides count, free and ball joints hold still. A joint belongs to the motor that moves it farthest.
+    """
+    chosen, tied = _actuators(model), _tied(model)
+    if not chosen and model.nu == 0:
+        followers = {int(model.eq_obj1id[row]) for row in range(model.neq) if _is_joint_pair(model, row)}
+        chosen = [(-1, joint) for joint in _movable(model) if joint not in followers]
+    bench, own = _Bench(model, [joint for _, joint in chosen if joint >= 0]), {joint for _, joint in chosen}
+    found = list[tuple[Motor, dict[int, float]]]()
+    for actuator, joint in chosen:
+        arm = abs(float(model.actuator_gear[actuator, 0])) if actuator >= 0 else 1.0
+        if joint >= 0 and joint not in tied:
+            found.append((Motor(actuator, joint, {}, arm, 0.0), {}))
+        elif (moved := bench.moved_by(actuator, joint, arm)) is not None:
+            found.append(moved)
+    motors, taken = list[Motor](), set[int]()
+    for index, (motor, spans) in enumerate(found):
+        if motor.joint in taken:
+            continue
+        others = [far for number, (_, far) in enumerate(found) if number != index]
+        followers = {
+            joint: line
+            for joint, line in motor.followers.items()
+            if joint not in taken | own and all(far.get(joint, 0.0) <= spans[joint] for far in others)
+        }
+        taken |= {motor.joint, *followers}
+        motors.append(replace(motor, followers=followers))
+    return motors
+
+
+def _movable(model: Any) -> list[int]:
+    """Hinges and slides."""
+    kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    return [joint for joint in range(model.njnt) if int(model.jnt_type[joint]) in kinds]
+
+
+def _is_joint_pair(model: Any, row: int) -> bool:
+    return int(model.eq_type[row]) == int(mujoco.mjtEq.mjEQ_JOINT)
+
+
+def _tied(model: Any) -> set[int]:
+    """Joints that an equality or a tendon connects to others."""
+    joints = {int(model.dof_jntid[dof]) for dof in np.ravel(model.ten_J_colind).tolist()}
+    bodies = (int(mujoco.mjtObj.mjOBJ_BODY), int(mujoco.mjtObj.mjOBJ_SITE))
+    for row in range(model.neq):
+        ends = (int(model.eq_obj1id[row]), int(model.eq_obj2id[row]))
+        if _is_joint_pair(model, row):
+            joints |= {end for end in ends if end >= 0}
+        elif int(model.eq_objtype[row]) in bodies:
+            on_site = int(model.eq_objtype[row]) == bodies[1]
+            for end in ends:
+                body = int(model.site_bodyid[end]) if on_site else end
+                while body > 0:
+                    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+                    joints |= set(range(first, first + count)) if count else set()
+                    body = int(model.body_parentid[body])
+    return joints
+
+
+def _actuators(model: Any) -> list[tuple[int, int]]:
+    """The number of each actuator that acts on a hinge or slide, with it, or on a tendon, with -1: joints first."""
+    kind = mujoco.mjtTrn
+    on_joint = (int(kind.mjTRN_JOINT), int(kind.mjTRN_JOINTINPARENT))
+    movable, joints, tendons = set(_movable(model)), list[tuple[int, int]](), list[tuple[int, int]]()
+    for actuator in range(model.nu):
+        target, how = int(model.actuator_trnid[actuator, 0]), int(model.actuator_trntype[actuator])
+        if how in on_joint and target in movable:
+            joints.append((actuator, target))
+        elif how == int(kind.mjTRN_TENDON):
+            tendons.append((actuator, -1))
+    return [*joints, *tendons]
+
+
+class _Bench:
+    """A copy of the model without gravity and contacts, whose motors are moved one at a time.
+
+    Args:
+        model: The compiled model.
+        held: Joints with a motor of their own: each holds still while another motor moves.
+    """
+
+    def __init__(self, model: Any, held: list[int]) -> None:
+        self.model, self.held = model, held
+        self.movable = _movable(model)
+        self.addresses = model.jnt_qposadr[self.movable]
+        limited = model.jnt_limited[self.movable].astype(bool)
+        self.low = np.where(limited, model.jnt_range[self.movable, 0], -_FREE_RANGE)
+        self.high = np.where(limited, model.jnt_range[self.movable, 1], _FREE_RANGE)
+
+    def moved_by(self, actuator: int, joint: int, arm: float) -> tuple[Motor, dict[int, float]] | None:
+        """An actuator with all joints that it moves, and by which part of its range each; None: none moves, or the simulation fails.
+
+        Args:
+            actuator: Its number; -1 for none.
+            joint: On which it acts; -1: a tendon.
+            arm: Of the actuator at `joint`.
+        """
+        path = self._path(actuator, joint)
+        if path is None:
+            return None
+        angles, lengths = path
+        spans = np.ptp(angles, axis=0) / (self.high - self.low)
+        column = self.movable.index(joint) if joint >= 0 else int(spans.round(1).argmax())
+        driver = angles[:, column]
+        if np.ptp(driver) < 1e-6:
+            return None
+        followers, far, bend = dict[int, tuple[float, float]](), {self.movable[column]: float(spans[column])}, 0.0
+        for other, name in enumerate(self.movable):
+            if other == column or spans[other] < _MOVED or name in self.held:
+                continue
+            ratio, offset = np.polyfit(driver, angles[:, other], 1)
+            followers[name], far[name] = (round(float(ratio), 6), round(float(offset), 6)), float(spans[other])
+            bend = max(bend, float(np.abs(ratio * driver + offset - angles[:, other]).max()))
+        if joint < 0:
+            arm = abs(float(np.polyfit(driver, lengths, 1)[0]))
+        return Motor(actuator, self.movable[column], followers, arm, bend), far
+
+    def _path(self, actuator: int, joint: int) -> tuple[Array, Array] | None:
+        """Angles of the movable joints (K, J) and lengths of the actuator (K,) at the motor's stations."""
+        model = mujoco.MjModel.from_binary_path("bench.mjb", {"bench.mjb": _binary(self.model)})
+        model.opt.gravity[:] = 0.0
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        model.opt.timestep = max(float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MOST_STEPS)
+        model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
+        model.dof_frictionloss[:] = model.tendon_frictionloss[:] = model.tendon_damping[:] = 0.0
+        hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
+        for other in self.movable:
+            dof, heavier = int(model.jnt_dofadr[other]), _ROTOR if int(model.jnt_type[other]) == hinge else _SLIDER
+            model.dof_armature[dof], model.dof_damping[dof] = heavier, heavier / _SETTLING
+        still = [*self.held, joint] if joint >= 0 else self.held
+        still = [*still, *(other for other in range(model.njnt) if other not in self.movable and self._free(other))]
+        for other in still:
+            first = int(model.jnt_dofadr[other])
+            model.dof_armature[first : first + (6 if self._free(other) else 1)] = _HELD
+        data = mujoco.MjData(model)
+        mujoco.mj_setConst(model, data)
+        mujoco.mj_forward(model, data)
+        data.ctrl[:] = _idle(model, data)
+        travel, rest = (round(seconds / model.opt.timestep) for seconds in (_TRAVEL, _REST))
+        if joint >= 0:
+            column = self.movable.index(joint)
+            ends, address = (self.low[column], self.high[column]), int(model.jnt_qposadr[joint])
+            dof = int(model.jnt_dofadr[joint])
+        else:
+            ends = tuple(model.actuator_ctrlrange[actuator]) if model.actuator_ctrllimited[actuator] else (-1.0, 1.0)
+            address = dof = -1
+        model.jnt_limited[still] = False
+        stations = np.linspace(ends[0], ends[1], _STATIONS)
+        for _ in range(travel + rest):  # constraints that the model's first posture breaks are met
+            mujoco.mj_step(model, data)
+        before = float(data.qpos[address] if joint >= 0 else data.ctrl[actuator])
+        angles, lengths = np.empty((_STATIONS, len(self.movable))), np.empty(_STATIONS)
+        for row, target in enumerate(stations):
+            for step in range(travel + rest):
+                part = min(1.0, (step + 1) / travel)
+                now = before + part * (float(target) - before)
+                if joint >= 0:
+                    data.qpos[address] = now
+                    data.qvel[dof] = 0.0 if step >= travel else (float(target) - before) / _TRAVEL
+                else:
+                    data.ctrl[actuator] = now
+                mujoco.mj_step(model, data)
+            if joint >= 0:
+                data.qpos[address] = target
+            before = float(target)
+            mujoco.mj_forward(model, data)
+            angles[row], lengths[row] = (
+                data.qpos[self.addresses],
+                data.actuator_length[actuator] if actuator >= 0 else 0.0,
+            )
+        return (angles, lengths) if np.isfinite(angles).all() else None
+
+    def _free(self, joint: int) -> bool:
+        return int(self.model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE)
+
+
+def _idle(model: Any, data: Any) -> Array:
+    """Controls at which the actuators have no force: position servos stay where they are."""
+    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
+    force = bias[:, 0] + bias[:, 1] * data.actuator_length
+    return np.where(gain != 0.0, -force / np.where(gain != 0.0, gain, 1.0), 0.0)
+
+
+def _binary(model: Any) -> bytes:
+    """A compiled model as MuJoCo writes it."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
