@@ -106,7 +106,7 @@ class _Builder(TreeBuilder):
 
 
 def read_xml(blob: bytes) -> Element:
-    """The first element of an XML file; white space before it is left out.
+    """The first element of an XML file; comments before its declaration are left out.
 
     Raises:
         ValueError: it holds a DOCTYPE, or so many elements and attributes that they take seconds and gigabytes.
@@ -123,7 +123,7 @@ def read_xml(blob: bytes) -> Element:
         encoding = "iso-8859-1"
     # given here: in one that the file names "<" may be another byte, and is not counted
     parser = XMLParser(target=_Builder(), encoding=encoding)
-    parser.feed(blob.lstrip())
+    parser.feed(blob[max(0, blob.find(b"<?xml")) :] if blob.lstrip().startswith((b"<?xml", b"<!--")) else blob)
     return parser.close()
 
 

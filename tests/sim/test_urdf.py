@@ -52,6 +52,10 @@ def test_a_written_hand_reads_as_itself(tmp_path: Path, name: str) -> None:
     assert (pickle.loads(pickle.dumps(hand)), hash(hand)) == (hand, hash(replace(hand)))
 
 
+def test_a_comment_may_stand_before_the_declaration(tmp_path: Path) -> None:
+    assert read(tmp_path, f'<!-- a licence -->\n<?xml version="1.0"?>{SMALL}').name == "small"
+
+
 def test_a_users_hand_is_what_its_file_says() -> None:
     hand = HandDescription.from_urdf(CROOKED, CROOKED_TIPS, joint_limits=ENDLESS)
     assert hand.joint_names == (
@@ -308,7 +312,7 @@ def test_files_that_are_no_hand_are_refused(tmp_path: Path, old: str, new: str, 
 def test_fingertips_must_be_moving_links_of_the_file(tmp_path: Path, tips: Any, message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
         read(tmp_path, SMALL, tips)
-    with pytest.raises(InvalidInputError, match=r"cannot read the URDF .*check the path"):
+    with pytest.raises(InvalidInputError, match=r"cannot read the file .*check the path"):
         HandDescription.from_urdf(tmp_path / "none.urdf", ("finger",))
 
 

@@ -54,7 +54,7 @@ def test_presets_and_limits(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere.urdf"], "cannot read the URDF nowhere.urdf"),
+        (["nowhere.urdf"], "cannot read the file nowhere.urdf"),
         (["leap", "--torque-limit", "0.3"], "leap is no file"),
         (["leap", "--size", "1"], "size must be an integer >= 16"),
         (["leap", "--draw", "/nowhere/a.png", "--size", "16"], "/nowhere"),

@@ -221,7 +221,7 @@ class HandDescription:
         )
 
     @staticmethod
-    def from_urdf(
+    def from_file(
         path: str | os.PathLike[str],
         fingertips: Sequence[str] | dict[str, tuple[Sequence[float], float]] | None = None,
         *,
@@ -236,9 +236,9 @@ class HandDescription:
         tip_friction: float = 1.0,
         rotor_inertia: float | None = None,
     ) -> HandDescription:
-        """A user's own hand, from a URDF: joints that turn, slide, are fixed or mimic others.
+        """A user's own hand, from a URDF, a xacro file or a MuJoCo model (MJCF); `from_urdf` and `from_mjcf` are other names of it.
 
-        What a fixed joint carries becomes part of the link before it. Collision meshes become convex hulls, coarse pieces where
+        Joints may turn, slide, be fixed or mimic others. What a fixed joint carries becomes part of the link before it. Collision meshes become convex hulls, coarse pieces where
         one hull would lie; visual meshes are drawn. Values that files lack or that no hand has are replaced, and one warning tells
         what was given, what is assumed and which argument takes the true value: masses, centres and inertias that links of this
         size cannot have (`inertials`), efforts that no motor of such a finger has (`torque_limit`; assumed is what makes 10 N at
@@ -251,8 +251,8 @@ class HandDescription:
         in its end. Its other collision shapes then end at the back of the sphere, so that it is what touches first.
 
         Args:
-            path: Of the URDF. Meshes are sought as it names them, beside it, and in the folders above it.
-            fingertips: Names of links in the file, in the order of the contacts; they become the fingers' names. Or
+            path: Of the file. Meshes are sought as it names them, beside it, and in the folders above it.
+            fingertips: Names of links in the file, of a MuJoCo model also of sites and geometries, in the order of the contacts; they become the fingers' names. Or
                 {link: (point [m], (3,), in the link's frame, radius [m])}. None: every moving link that ends a branch.
             palm: Name of the link that becomes the palm, with what is fixed to it; all that hangs on it is the hand. None: the link that
                 carries all others.
@@ -268,7 +268,7 @@ class HandDescription:
                 counts as not `placed`.
             rotation: Its roll, pitch and yaw [rad], (3,).
             tip_friction: See the class.
-            rotor_inertia: [kg m^2] of all motors; None: the default of `with_rotors` for links at fingers' ends that turn more easily
+            rotor_inertia: [kg m^2] of all motors; None: the armature of a MuJoCo model, and the default of `with_rotors` for links at fingers' ends that turn more easily
                 than at 1e-5 kg m^2, none for the others.
 
         Raises:
@@ -278,9 +278,9 @@ class HandDescription:
             UserWarning: What was repaired, assumed or left out.
         """
         from grasp_env.sim.hand.told import Told  # these need the parts above
-        from grasp_env.sim.hand.urdf_import import read_urdf
+        from grasp_env.sim.hand.urdf_import import read_hand
 
-        read = read_urdf(path, Told(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm))
+        read = read_hand(path, Told(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia))
         angles = numbers(home, None, "home [rad]")
         hand = HandDescription(
             read.name, read.palm, read.links, read.fingertips, angles, tip_friction, placed=bool(angles)
@@ -300,6 +300,8 @@ class HandDescription:
         if repairs:
             warnings.warn(f"{path}: {'; '.join(repairs)}", stacklevel=2)
         return hand
+
+    from_urdf = from_mjcf = from_file
 
     @staticmethod
     def four_finger() -> HandDescription:

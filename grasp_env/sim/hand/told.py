@@ -40,6 +40,7 @@ class Told:
     joint_limits: Ranges = None
     inertials: Inertials = None
     palm: str | None = None
+    rotor_inertia: float | None = None
 
     def checked_palm(self) -> str | None:
         """The name of the palm's link; None: not said."""

@@ -12,13 +12,17 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from grasp_env._check import Array, together
+from grasp_env._extras import need
+from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, inertia_numbers
 from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.linkages import find_rods, free_ranges
 from grasp_env.sim.hand.part import Part, arrange, check_mimics, find_part, find_root
 from grasp_env.sim.hand.pieces import hull_of_file
 from grasp_env.sim.hand.plausible import Body, Judge, judge_ranges
@@ -40,6 +44,7 @@ class HandFile(Protocol):
     mimics: dict[str, str]
     fixed: set[str]
     unseen: dict[str, str]
+    said: list[str]
 
     def elements(self, links: Collection[str], /) -> tuple[dict[str, UrdfLink], list[UrdfJoint]]:
         """Some of the links by name, and the joints between them in the order of the file."""
@@ -73,8 +78,8 @@ class _Place:
     frame: Frame
 
 
-def read_urdf(path: str | os.PathLike[str], told: Told) -> ReadHand:
-    """The parts of a hand from a URDF; `HandDescription.from_urdf` describes the arguments.
+def read_hand(path: str | os.PathLike[str], told: Told) -> ReadHand:
+    """The parts of a hand from a file; `HandDescription.from_file` describes the arguments.
 
     Returns:
         Its links with parents before children, else in the order of the file's joints.
@@ -82,12 +87,26 @@ def read_urdf(path: str | os.PathLike[str], told: Told) -> ReadHand:
     Raises:
         InvalidInputError: The file is no hand that can be simulated.
     """
-    together(told.checked_palm, told.tips, told.radius)
+    _, tips, _ = together(told.checked_palm, told.tips, told.radius)
     try:
-        return hand_of(Reader(path), told)
+        return hand_of(_reader(path, tuple(tips or ())), told)
     except InvalidInputError as error:
         message = str(error)
         raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
+
+
+def _reader(path: str | os.PathLike[str], tips: tuple[str, ...]) -> HandFile:
+    """The reader of a file, by its first element."""
+    first: Element = parsed(path, read_xml, InvalidInputError, f"the file {shown_path(path)}", "XML")
+    if first.tag == "robot":
+        return Reader(path, first)
+    if first.tag == "mujoco":
+        with need("mujoco"):
+            from grasp_env.sim.hand.mjcf_elements import MjcfReader
+        return MjcfReader(path, tips)
+    raise InvalidInputError(
+        f"the first element is <{first.tag[:40]}>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"
+    )
 
 
 def hand_of(file: HandFile, told: Told) -> ReadHand:
@@ -108,9 +127,11 @@ class _Importer:
         part, self.links, joints = _read(file, told.checked_palm(), asked or {})
         ranges = told.ranges([joint.name for joint in joints if not joint.fixed])
         joints, held = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
-        self.joints, wide = judge_ranges(joints, ranges)
+        joints, wide = judge_ranges(joints, ranges)
+        self.joints, uncoupled = free_ranges(joints)
         self.root = part.root
-        self.repairs = [*part.left, *held, *wide]
+        self.rotors = 1.0 if told.rotor_inertia is None else 0.0
+        self.repairs = [*file.said, *part.left, *held, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
             raise InvalidInputError("no joint moves; a hand needs joints of type revolute, continuous or prismatic")
@@ -125,13 +146,14 @@ class _Importer:
             lambda: told.bodies([joint.child for joint in self.moving]),
             lambda: self._tips(asked, told.radius()),
         )
-        tips = [tip for tip, _ in fitted]
         palm = Palm(self.root, *self._shapes(self.root, None), self.links[self.root].color or (0.17, 0.19, 0.23))
-        links = [
-            self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name])
-            for link in self._judged(bodies, torques, inertials)
-        ]
-        self.hand = ReadHand(file.name, palm, tuple(links), tuple(tips), tuple(self.repairs))
+        links = self._judged(bodies, torques, inertials)
+        if asked is None and (rods := find_rods(links, [tip for tip, _ in fitted])):
+            self.repairs.append(f"rods that only move a finger are no fingertips: {names_of(sorted(rods))}")
+            fitted = [pair for pair in fitted if pair[0].name not in rods]
+        links = [self._with_tips(link, [pair for pair in fitted if pair[0].link == link.name]) for link in links]
+        tips = tuple(tip for tip, _ in fitted)
+        self.hand = ReadHand(file.name, palm, tuple(links), tips, tuple(self.repairs))
 
     def _placed(self) -> dict[str, _Place]:
         """Where each link is carried."""
@@ -188,7 +210,7 @@ class _Importer:
                     torque_limit=limit,
                     mass=own.mass,
                     center=own.center,
-                    inertia=own.inertia,
+                    inertia=own.inertia if joint.sliding else _with_rotor(own.inertia, self.rotors * joint.rotor),
                     collision=body.shapes,
                     visual=self._shapes(joint.child, joint.child)[1],
                     color=self.links[joint.child].color or (0.5, 0.5, 0.5),
@@ -316,6 +338,11 @@ class _Importer:
             if not there:
                 link = replace(link, collision=(*link.collision, sphere), visual=(*link.visual, sphere))
         return link
+
+
+def _with_rotor(inertia: Inertia, rotor: float) -> Inertia:
+    """An inertia with that of a motor [kg m^2] about all axes, see `HandDescription.with_rotors`."""
+    return inertia_numbers(inertia_matrix(inertia) + rotor * np.eye(3)) if rotor > 0.0 else inertia
 
 
 def _moved(frame: Frame, point: Vector3) -> Vector3:
