@@ -39,8 +39,8 @@ class Object:
     `grasp object clear`
 
     Attributes:
-        what: show (what a mesh file becomes), mend (write a closed mesh made of a torn one by MeshFix), list (what is kept of the meshes read
-            so far) or clear (remove that).
+        what: show (what a mesh file becomes), mend (write a closed mesh made of a torn one by MeshFix), list (what is kept of the
+            meshes of objects and hands) or clear (remove that).
         file: of show and mend: a mesh, .obj, .stl, .ply, .off, .glb or .dae.
         scale: of show: what its coordinates are multiplied by to give metres, 0.001 for a file in millimetres.
         draw: of show: .png for a picture of the mesh beside its convex pieces, each in a colour.
