@@ -51,6 +51,21 @@ def test_presets_and_limits(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
     assert "is no motor's limit" not in told
 
 
+def test_the_palm_of_an_arm_in_a_mujoco_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bodies = "<geom type='box' size='0.01 0.01 0.02' pos='0 0 0.02'/>"
+    for name in ("left", "right"):
+        bodies += f"<body name='{name}' pos='0 0 0.04'><joint name='{name}_joint' axis='0 1 0'/><geom size='0.01' pos='0 0 0.03'/></body>"
+    for number in range(4):
+        bodies = f"<body name='arm{number}' pos='0 0 0.1'><joint name='j{number}' axis='0 1 0'/><geom size='0.02'/>{bodies}</body>"
+    (tmp_path / "arm.xml").write_text(f"<mujoco model='arm'><worldbody>{bodies}</worldbody></mujoco>")
+    assert main(["hand", str(tmp_path / "arm.xml")]) == 2
+    assert "Name the hand's palm, palm='arm0'" in capsys.readouterr().err
+    assert main(["hand", str(tmp_path / "arm.xml"), "--palm", "arm0"]) == 0
+    told = capsys.readouterr().out
+    assert "arm: 2 joints" in told
+    assert "hold still" in told
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

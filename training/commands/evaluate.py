@@ -47,7 +47,7 @@ class Evaluate:
         start: of starts: starts of your own that are compared with the others, each NAME=module:rule, NAME=file.py:rule or NAME=saved
             model's path; a rule takes (grasp, wrench) and returns an (N, 3) force.
         solver: of starts: solvers of your own, each NAME=module:Class or NAME=file.py:Class; solve(problem) returns the (N, 3) forces.
-        hands: of env and transfer: names, or paths of URDFs; none: the four-finger hand, of transfer also allegro and leap.
+        hands: of env and transfer: names, or files (URDF, xacro, MJCF); none: the four-finger hand, of transfer also allegro and leap.
         objects: of env --hands: mesh files to be held instead of our objects, each FILE or FILE=SCALE; 150 g, friction 0.7.
         engines: of env --hands, the engines in which they hold; none: the default one.
     """

@@ -25,14 +25,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Hand:
-    """Read a hand's URDF, and say what was repaired in it.
+    """Read a hand's file, and say what was repaired in it.
 
-    Prints the joints, fingertips and links that `HandDescription.from_urdf` reads.
+    Prints the joints, fingertips and links that `HandDescription.from_file` reads.
 
     Attributes:
-        hand: path of a URDF, or the name of a hand: allegro, leap, four_finger, ...
+        hand: a file (URDF, xacro, MJCF), or the name of a hand: allegro, leap, four_finger, ...
         fingertips: links that the fingers touch with; none: every moving link that ends a branch.
         torque_limit: of all joints [N m]; 0: what the file says.
+        palm: link of an arm or a robot that is the hand's palm.
         draw: .png for a picture of its looks beside what of it touches, the fingertips red.
         size: of the picture's height [pixels].
     """
@@ -40,6 +41,7 @@ class Hand:
     hand: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME|FILE")]
     fingertips: tuple[str, ...] = ()
     torque_limit: float = 0.0
+    palm: Annotated[str, left_out("the link that carries all others", "LINK")] = ""
     draw: Annotated[Path | None, left_out("no picture", "FILE")] = None
     size: int = 640
 
@@ -53,14 +55,18 @@ class Hand:
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             if self.hand in HANDS:
-                if self.fingertips or self.torque_limit:
-                    raise InvalidInputError(f"{self.hand} is no file: it has its own fingertips and torque limits")
+                if self.fingertips or self.torque_limit or self.palm:
+                    raise InvalidInputError(
+                        f"{self.hand} is no file: it has its own palm, fingertips and torque limits"
+                    )
                 hand = HANDS[self.hand]()
             else:
                 if not os.path.lexists(self.hand) and not os.path.splitext(self.hand)[1]:
-                    choice(self.hand, "hand", HANDS, ", or give the path of a .urdf file")
+                    choice(self.hand, "hand", HANDS, ", or give the path of a URDF, xacro or MJCF file")
                 limit = self.torque_limit or None
-                hand = HandDescription.from_urdf(self.hand, self.fingertips or None, torque_limit=limit)
+                hand = HandDescription.from_file(
+                    self.hand, self.fingertips or None, torque_limit=limit, palm=self.palm or None
+                )
         console = Console()
         for table in (_joints(hand), _fingers(hand), _links(hand)):
             console.print(table)

@@ -34,9 +34,9 @@ class Live:
         preset: bare contacts of a named grasp.
         grasp: bare contacts of a grasp's JSON file instead.
         wrench: the first load on bare contacts: fx fy fz [N] mx my mz [N m].
-        hand: a simulated hand instead: four_finger, three_finger, five_finger, four_finger_4dof, allegro, leap, or the path of a URDF.
-        fingertips: of a URDF, links that the fingers touch with; none: every moving link that ends a branch.
-        torque_limit: of a URDF, of all joints [N m]; 0: what the file says.
+        hand: a simulated hand instead: four_finger, three_finger, five_finger, four_finger_4dof, allegro, leap, or a file (URDF, xacro, MJCF).
+        fingertips: of a file, links that the fingers touch with; none: every moving link that ends a branch.
+        torque_limit: of a file, of all joints [N m]; 0: what the file says.
         shape: of the object in the hand.
         method: that solves.
         port: of the page on 127.0.0.1, 1024 to 65000; if it is taken, the next free one, with a note; 0: any free one.
@@ -86,7 +86,7 @@ class Live:
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
             tips, limit = self.fingertips or None, self.torque_limit or None
-            hand = HANDS[name]() if name in HANDS else HandDescription.from_urdf(name, tips, torque_limit=limit)
+            hand = HANDS[name]() if name in HANDS else HandDescription.from_file(name, tips, torque_limit=limit)
         sys.stderr.writelines(f"grasp: repaired: {warning.message}\n" for warning in told)
         config = EnvConfig().override(hand=hand, shape=self.shape, method=self.method)
         return SimulatedHand(self.port, config, rule)

@@ -63,7 +63,7 @@ class HoldsConfig:
     Attributes:
         kind: "env" (controllers of the four-finger hand), "hands" (hands against objects and disturbances), "objects" (the same with
             objects from mesh files) or "transfer" (the same hands in both engines).
-        hands: names, or paths of URDFs; none: for "transfer" four_finger, allegro and leap.
+        hands: names, or files (URDF, xacro, MJCF); none: for "transfer" four_finger, allegro and leap.
         engines: of "hands" and "objects", in which they hold: keys of `scenarios.ENGINES`; none: the default one.
         episodes: of each main scenario; 0: 500 of "env", 100 of "hands", 10 of "objects", 300 of "transfer". The other scenarios have
             fewer.
@@ -82,8 +82,8 @@ class HoldsConfig:
 
     def __post_init__(self) -> None:
         def hand(name: str) -> None:
-            if not (name.endswith(".urdf") and os.path.isfile(name)):
-                choice(name, "hand", HANDS, ", or the path of a .urdf file that exists")
+            if not os.path.isfile(name):
+                choice(name, "hand", HANDS, ", or the path of a URDF, xacro or MJCF file that exists")
 
         together(
             lambda: check_counts(self, {"episodes": 0, "seed": 0}),
@@ -135,14 +135,14 @@ def run(
         plan: scenarios instead of the config's.
         on: where the shards run, see `map_shards`.
         workers: see `map_shards`.
-        console: for the progress bar and for what was repaired in URDFs.
+        console: for the progress bar and for what was repaired in files of hands.
     """
     console, plan = console or Console(stderr=True), config.plan() if plan is None else plan
     for name in {ENGINES[engine]["engine"]["name"] for scenario in plan for engine in scenario.engines}:
         class_of(engine_of(name), "simulator")  # says here, not in the workers, what is not installed
     for name in config.hands:
-        if name.endswith(".urdf"):
-            _print_repairs(lambda name=name: HandDescription.from_urdf(name), console)
+        if name not in HANDS:
+            _print_repairs(lambda name=name: HandDescription.from_file(name), console)
     for text in config.objects:  # cut into pieces once, here
         _print_repairs(lambda text=text: ObjectDescription(**mesh_settings(text)[1]["object"]), console)
     shards: dict[str, Shard] = {}
@@ -233,7 +233,7 @@ def draw_object(seed: int, config: EnvConfig) -> tuple[ObjectDescription, np.nda
 
 
 def settings_of(settings: dict[str, Any]) -> EnvConfig:
-    """The environment's settings of a scenario; "hand" may be a URDF's path."""
+    """The environment's settings of a scenario; "hand" may be a file's path."""
     hand = {"hand": _hand(settings["hand"])} if "hand" in settings else {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GraspWarning)  # what was repaired was printed when the run began
@@ -327,4 +327,4 @@ def _kinematics(hand: str | HandDescription) -> HandKinematics:
 @cache
 def _hand(name: str) -> str | HandDescription:
     """A hand's name, or the description of one in a file."""
-    return HandDescription.from_urdf(name) if name.endswith(".urdf") else name
+    return name if name in HANDS else HandDescription.from_file(name)

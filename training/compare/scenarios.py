@@ -197,7 +197,7 @@ def transfer_plan(hands: Sequence[str], episodes: int) -> list[Scenario]:
     """The same hand, object and controller in both engines; contact models are varied with the four-finger hand alone.
 
     Args:
-        hands: names or paths of URDFs.
+        hands: names or files of hands.
         episodes: of each hand's random objects under a random wrench; the other scenarios have a third.
     """
     plan: list[Scenario] = []
@@ -248,7 +248,7 @@ def hands_plan(
     """Hands x objects x disturbances.
 
     Args:
-        hands: names or paths of URDFs.
+        hands: names or files of hands.
         engines: keys of `ENGINES`.
         episodes: of each scenario in which something is random; where nothing is, one says it all.
         objects: mesh files, see `mesh_settings`, instead of those of `OBJECTS`.
@@ -271,10 +271,13 @@ def hands_plan(
 
 
 def short_name(hand: str) -> str:
-    """A hand's name in tables and files: that of a URDF's file.
+    """A hand's name in tables and files: that of its file, without what says of which kind that is.
 
     Example:
-        >>> short_name("/robots/leap/leap_right.urdf"), short_name("allegro")
-        ('leap_right', 'allegro')
+        >>> short_name("/robots/leap/leap_right.urdf.xacro"), short_name("hands/2f85.xml"), short_name("allegro")
+        ('leap_right', '2f85', 'allegro')
     """
-    return hand.replace("\\", "/").rsplit("/", 1)[-1].removesuffix(".urdf")
+    name = hand.replace("\\", "/").rsplit("/", 1)[-1]
+    for kind in (".xacro", ".xml", ".mjcf", ".urdf"):
+        name = name.removesuffix(kind)
+    return name

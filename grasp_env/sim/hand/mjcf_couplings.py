@@ -27,6 +27,8 @@ _ROTOR, _SLIDER = 1e-3, 1.0
 """[kg m^2] and [kg] added to every hinge and slide, so that joints on one tendon move alike."""
 _SETTLING = 0.05
 """[s] in which a joint without springs comes to rest."""
+_DIGITS = 3
+"""Decimals of a coupling; the readings are no more exact."""
 _MOVED = 0.02
 """Part of its range, or [rad] without one, that a coupled joint moves at least."""
 _STRAIGHT = 0.1
@@ -172,7 +174,10 @@ class _Bench:
             if other == column or spans[other] < _MOVED or name in self.held:
                 continue
             ratio, offset = np.polyfit(driver, angles[:, other], 1)
-            followers[name], far[name] = (round(float(ratio), 6), round(float(offset), 6)), float(spans[other])
+            followers[name], far[name] = (
+                (round(float(ratio), _DIGITS), round(float(offset), _DIGITS)),
+                float(spans[other]),
+            )
             bend = max(bend, float(np.abs(ratio * driver + offset - angles[:, other]).max()))
         if joint < 0:
             arm = abs(float(np.polyfit(driver, lengths, 1)[0]))

@@ -163,9 +163,10 @@ class MjcfReader:
         lines = list[str]()
         for motor in self.motors:
             for other, (ratio, offset) in motor.followers.items():
+                shift = f" {offset:+g}" if offset else ""
                 bend = f" (misses by up to {motor.bend:.2f} rad)" if motor.curved else ""
                 lines.append(
-                    f"{_name(model, 'joint', other)} = {ratio:.3g} * {_name(model, 'joint', motor.joint)} {offset:+.3g}{bend}"
+                    f"{_name(model, 'joint', other)} = {ratio:g} * {_name(model, 'joint', motor.joint)}{shift}{bend}"
                 )
         if lines:
             self.said.append(f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}")
