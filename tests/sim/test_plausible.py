@@ -14,6 +14,7 @@ from urdf_text import finger, hand, joint, link, robot
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import inertia_matrix
 from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.plausible import TIP_FORCE
 
 BOX = link("palm", 0.06, 0.2)
 SOLID = 1000.0 * 0.04 * 0.02 * 0.02  # [kg] of a finger's link at 1 g/cm^3
@@ -119,14 +120,14 @@ def test_links_without_mass_and_centres_outside_are_replaced(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("effort", [10.0, 9.0, 100.0, 1000.0, None, 0.0, -1.0])
-def test_efforts_that_no_finger_has_are_ten_newtons_at_its_tip(tmp_path: Path, effort: float | None) -> None:
+def test_efforts_that_no_finger_has_are_a_plain_force_at_its_tip(tmp_path: Path, effort: float | None) -> None:
     made, told = read(tmp_path, hand(effort=effort))
     last = math.sqrt(0.04**2 + 2.0 * 0.01**2)  # [m] to the corner of the box
-    np.testing.assert_allclose(made.torque_limits, 10.0 * (0.04 + last), rtol=0.02)
+    np.testing.assert_allclose(made.torque_limits, TIP_FORCE * (0.04 + last), rtol=0.05)  # two digits
     said = "no effort is given for" if effort is None else f"effort {effort:g} of"
     assert f"{said} 'ia', 'ib', 'ma', 'mb', 'ta', 'tb'" in told
     assert f"({(effort or 0.0) / (0.04 + last):.0f} N at a fingertip)" in told or not effort or effort < 0.0
-    assert "assumed is 0.82 N m, 10 N at the tip of a straight finger; give the true one as torque_limit=" in told
+    assert "assumed is 1.2 N m, 15 N at the tip of a straight finger; give the true one as torque_limit=" in told
     made, told = read(tmp_path, hand(effort=effort), torque_limit=0.7)
     assert (told, set(made.torque_limits)) == ("", {0.7})
 
@@ -149,7 +150,7 @@ def test_a_wrist_is_judged_by_all_fingers_that_it_carries(tmp_path: Path) -> Non
     assert told == ""
     made, told = read(tmp_path, (wrist + hand()).replace('effort="20.0"', 'effort="0"'))
     assert made.torque_limits[0] == pytest.approx(
-        3 * 10.0 * 0.144, rel=0.03
+        3 * TIP_FORCE * 0.144, rel=0.05
     )  # three fingers, the longest 63 mm + 81 mm away
 
 
@@ -157,8 +158,8 @@ def test_a_motor_carries_the_joints_that_are_coupled_to_it(tmp_path: Path) -> No
     coupled = joint("ib", "i1", "i2", mimic="ia").replace("<mimic ", '<mimic multiplier="2" ')
     made, _ = read(tmp_path, hand(effort=None).replace(joint("ib", "i1", "i2", effort=None), coupled))
     limits = {each.joint: each.torque_limit for each in made.links}
-    assert limits["ia"] == pytest.approx(10.0 * (0.0824 + 2.0 * 0.0424), rel=0.03)
-    assert limits["ma"] == pytest.approx(10.0 * 0.0824, rel=0.03)
+    assert limits["ia"] == pytest.approx(TIP_FORCE * (0.0824 + 2.0 * 0.0424), rel=0.05)
+    assert limits["ma"] == pytest.approx(TIP_FORCE * 0.0824, rel=0.05)
 
 
 def test_jaws_are_judged_by_their_force(tmp_path: Path) -> None:

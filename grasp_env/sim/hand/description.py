@@ -241,7 +241,7 @@ class HandDescription:
         Joints may turn, slide, be fixed or mimic others. What a fixed joint carries becomes part of the link before it. Collision meshes become convex hulls, coarse pieces where
         one hull would lie; visual meshes are drawn. Values that files lack or that no hand has are replaced, and one warning tells
         what was given, what is assumed and which argument takes the true value: masses, centres and inertias that links of this
-        size cannot have (`inertials`), efforts that no motor of such a finger has (`torque_limit`; assumed is what makes 10 N at
+        size cannot have (`inertials`), efforts that no motor of such a finger has (`torque_limit`; assumed is what makes 15 N at
         the tip of a straight finger, 20 N for sliding joints), ranges in degrees (`joint_limits`; other wide ranges are told only).
 
         An arm or a whole robot is read by naming its `palm`: the palm is fixed, the joints that carry it hold still, and their

@@ -20,9 +20,9 @@ from grasp_env.sim.hand.told import Inertial
 from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.hand.urdf_elements import UrdfJoint, names_of
 
-TIP_FORCE = 10.0
-"""[N] that an unknown motor is assumed to make at the tip of a straight finger. Makers' files give 4 N (Allegro), 6 N (LEAP), 8 N
-(Inspire), 20 N (Shadow)."""
+TIP_FORCE = 15.0
+"""[N] that an unknown motor is assumed to make at the tip of a straight finger. Makers' files give 4 N (Allegro), 6 N (LEAP), 9 N
+(Inspire), 20 N (Shadow, Dex3), 59 N (a prosthesis)."""
 JAW_FORCE = 20.0
 """[N] of a sliding joint whose force is unknown."""
 LARGEST_TIP_FORCE = 100.0
