@@ -1,4 +1,4 @@
-"""Judges what a file says of links and joints: masses, inertias, efforts and ranges that no hand has, and what is assumed instead.
+"""Judges masses, inertias, efforts and ranges in a file of a hand. Implausible values are replaced, and a sentence names both.
 
 The bounds are set by some 200 public files of hands and robots: what makers measured or took from CAD lies within them.
 """
@@ -32,14 +32,14 @@ LARGEST_ROUND_TIP_FORCE = 30.0
 LARGEST_JAW_FORCE = 1000.0
 """[N] from which on the effort of a sliding joint is no motor's; grippers on arms have 20 N to 235 N."""
 SHORTEST_FINGER = 0.03
-"""[m] that a joint is from its fingertip, at least; shorter ones have no shapes that tell."""
+"""[m] from a joint to its fingertip, at least. A smaller distance means that shapes are missing."""
 
 LARGEST_TURN = 3.3
 """[rad] of a joint's range: a hinge between two links folds by half a turn."""
 HALF_TURN = 3.1
-"""[rad] of a range that files write for all joints alike, 0 to pi, where nobody measured it."""
+"""[rad] of a range to one side, such as 0 to pi. It is a placeholder if three joints or more share it."""
 DEGREES = 4.0 * math.pi
-"""[rad] of the middle one among the ranges, above which they are degrees."""
+"""[rad] of the median range, above which all ranges are degrees."""
 LARGEST_STROKE = 0.5
 """[m] of a sliding joint's range."""
 
@@ -253,7 +253,7 @@ class Judge:
         return {effort: max(each) for effort, each in forces.items() if max(each) > most[effort]}
 
     def _weighs_wrong(self, number: int) -> bool:
-        """Whether no link of this size has this mass."""
+        """True if no link of this size has this mass."""
         body = self._bodies[number]
         if not self._scaled or body.volume <= 0.0:
             return False
@@ -262,7 +262,7 @@ class Judge:
         return light or body.mass > max(LEAST_HEAVY, 1e3 * LARGEST_DENSITY * box)
 
     def _turns_wrong(self, number: int, own: Inertial) -> bool:
-        """Whether no link of this size and mass has this inertia."""
+        """True if no link of this size and mass has this inertia."""
         size = self._sizes[number] if len(self._bodies[number].points) else self._length
         if not self._scaled or size <= 0.0:
             return False
@@ -308,7 +308,7 @@ def judge_ranges(
 
 
 def _is_wide(joint: UrdfJoint, others: Sequence[UrdfJoint]) -> bool:
-    """Whether a range is wider than a joint's, or half a turn to one side that several have alike."""
+    """True if a range is wider than a hinge allows, or if several joints share one of half a turn to one side."""
     span = joint.upper - joint.lower
     if joint.sliding:
         return span > LARGEST_STROKE

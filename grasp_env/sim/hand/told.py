@@ -1,4 +1,4 @@
-"""What a caller says of a hand in a file: its palm, fingertips, torques, ranges and masses; each counts whatever the file says."""
+"""Values that a caller gives for a hand in a file: palm, fingertips, torques, ranges and masses. Each overrides the file."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Inertial(NamedTuple):
 
 @dataclass(frozen=True)
 class Told:
-    """What a caller says of a hand; `HandDescription.from_urdf` describes each."""
+    """Values that a caller gives for a hand; `HandDescription.from_urdf` describes each."""
 
     fingertips: Tips = None
     tip_radius: float | None = None
@@ -43,15 +43,15 @@ class Told:
     rotor_inertia: float | None = None
 
     def checked_palm(self) -> str | None:
-        """The name of the palm's link; None: not said."""
+        """The name of the palm's link; None: not given."""
         return None if self.palm is None else word(self.palm, "palm")
 
     def radius(self) -> float | None:
-        """Radius of all tips that are not found otherwise [m]; None: not said."""
+        """Radius of all tips that are not found otherwise [m]; None: not given."""
         return None if self.tip_radius is None else positive(self.tip_radius, "tip_radius [m]")
 
     def tips(self) -> dict[str, Ball | None] | None:
-        """What is said of each fingertip; None: nothing."""
+        """The fingertips by the names of their links, each with its sphere if that is given; None: not given."""
         given: Any = self.fingertips
         if given is None:
             return None

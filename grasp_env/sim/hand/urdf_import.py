@@ -36,7 +36,7 @@ _NEAR = 1e-3  # [m] of a joint, where there is no direction away from it
 
 
 class HandFile(Protocol):
-    """What a reader of any kind of file tells; see `urdf_elements.Reader`."""
+    """A reader of any kind of file; see `urdf_elements.Reader`."""
 
     name: str
     names: list[str]
