@@ -221,5 +221,6 @@ void bind_grasping(nb::module_& m) {
              "Angles (M,) of the whole hand at a choice of places, and before it closes, as far as they are. Returns 0, or what "
              "is\n"
              "wrong: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at the "
-             "start.");
+             "start,\n"
+             "6 fingers of one motor do not touch together.");
 }

@@ -84,7 +84,8 @@ struct Tree {
         return -1;
     }
 
-    // What one finger needs: its joints alone, which `joints` tells. One that is coupled to a joint of another finger is free here.
+    // What one finger needs: its joints alone, which `joints` tells. Of those that are coupled to a joint of another finger the first
+    // is free here, with the limits and the motor of that joint, and the others follow it.
     Tree chain(int finger, std::vector<int>& joints) const {
         joints.clear();
         for (int j = tips[finger].link; j >= 0; j = links[j].parent) joints.insert(joints.begin(), j);
@@ -93,8 +94,21 @@ struct Tree {
             out.links.push_back(links[j]);
             Link& made = out.links.back();
             made.parent = int(out.links.size()) - 2;
+            if (!made.coupled()) continue;
             const auto driver = std::find(joints.begin(), joints.end(), made.driver);
-            made.driver = driver == joints.end() ? -1 : int(driver - joints.begin());
+            const auto first = std::find_if(joints.begin(), joints.end(), [&](int k) { return links[k].driver == made.driver; });
+            if (driver == joints.end() && *first == j) {
+                const Link& motor = links[made.driver];
+                const auto [low, high] = std::minmax({made.ratio * motor.lower, made.ratio * motor.upper});
+                made.lower = low + made.shift, made.upper = high + made.shift;
+                made.torque_limit = motor.torque_limit / std::abs(made.ratio);
+                made.driver = -1;
+            } else if (driver == joints.end()) {
+                made.driver = int(first - joints.begin()), made.ratio /= links[*first].ratio;
+                made.shift -= made.ratio * links[*first].shift;
+            } else {
+                made.driver = int(driver - joints.begin());
+            }
         }
         out.tips[0].link = int(joints.size()) - 1;
         return out;

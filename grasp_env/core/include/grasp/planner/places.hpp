@@ -2,7 +2,7 @@
 //
 // A finger whose tip goes anywhere reaches them by inverse kinematics. One with fewer joints, or in a plane, meets the object
 // where it does: from a posture of its joints one of them closes until the tip touches. Joints that move several fingers stay
-// where they are.
+// where they are, but for fingers that nothing else moves, such as jaws with one motor: the motor of their last joint closes them.
 #pragma once
 #include <utility>
 #include <grasp/planner/clearance.hpp>
@@ -67,6 +67,7 @@ public:
     std::vector<int> carried;  // numbers of its limbs in the hand
     std::vector<Limb> limbs;  // links as numbered in the finger
     bool free = false;  // its tip goes anywhere near
+    int closer = -1;  // the motor in the hand that closes it where none is its own; it may close others, too
 
     // home: (M,) [rad] of the hand, where the inverse kinematics starts; users: (M,) how many fingers each motor moves
     Finger(const Tree& hand, int number, const std::vector<Limb>& all, const double* home, const std::vector<int>& users)
@@ -86,6 +87,12 @@ public:
     }
 
     bool carries(int limb) const { return std::binary_search(carried.begin(), carried.end(), limb); }
+
+    // The angle of `closer` at angles of the finger's joints.
+    double closed(const std::vector<double>& angles) const {
+        const Link& link = tree_->links[own_[0]];
+        return (angles[own_[0]] - link.shift) / link.ratio;
+    }
 
     // Up to `most` places that it reaches with its links clear of the object.
     void find(const Obstacle& object, const Demand& demand, const std::vector<Ray>& rays, const Margins& margins,
@@ -146,7 +153,7 @@ public:
 
 private:
     static constexpr double AROUND = 0.15;  // of the joints' ranges, about the rest posture
-    std::vector<int> own_;  // joints with a motor that moves no other finger, as numbered in the finger
+    std::vector<int> own_;  // joints with a motor that moves no other finger, or of `closer`, as numbered in the finger
     std::shared_ptr<const Tree> tree_;
     Reach reach_;
     Posture posture_;
@@ -155,11 +162,17 @@ private:
 
     std::shared_ptr<const Tree> made(const Tree& hand, int number, const double* home, const std::vector<int>& users) {
         auto out = std::make_shared<Tree>(hand.chain(number, joints));
-        for (std::size_t k = 0; k < joints.size(); ++k) {
+        const auto motor = [&](int k) { return hand.mover(joints[k]); };
+        const auto alone = [&](int k) { return !hand.links[joints[k]].coupled() && users[motor(k)] == 1; };
+        const int count = int(joints.size());
+        for (int k = 0; k < count; ++k)
+            if (alone(k)) own_.push_back(k);
+        if (own_.empty()) closer = motor(count - 1);
+        for (int k = 0; k < count; ++k) {
             Link& link = out->links[k];
-            const bool follows = hand.links[joints[k]].coupled();
-            if (users[hand.mover(joints[k])] > 1 || (follows && !link.coupled())) link.lower = link.upper = home[joints[k]];
-            else if (!follows) own_.push_back(int(k));
+            if (link.coupled() || alone(k)) continue;
+            if (motor(k) == closer) own_.push_back(k), link.torque_limit /= users[closer];
+            else link.lower = link.upper = home[joints[k]];
         }
         for (Link& link : out->links)
             if (link.coupled() && out->links[link.driver].lower == out->links[link.driver].upper)

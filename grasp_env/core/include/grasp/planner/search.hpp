@@ -108,24 +108,41 @@ public:
         return int(pools[finger].size());
     }
 
-    enum Fault { none, near_object, near_itself, no_start, start_near_object, start_near_itself };
+    enum Fault { none, near_object, near_itself, no_start, start_near_object, start_near_itself, not_together };
 
     // Angles (M,) at which the whole hand is at its places, and before it closes, and what is wrong with them. clearance: of the
     // links from the object at the places [m].
     Fault assemble(const Choice& choice, double clearance, double* angles, double* start) {
+        constexpr double TOGETHER = 2e-5;  // [m] that fingers of one motor are off the object when the first touches
         constexpr double EASIER = 0.9,
                          OWN = 1.0 / 3.0;  // of the clearance: from the object, as the places have it; of links from links
         std::copy(hand_->home.begin(), hand_->home.end(), angles), std::copy(angles, angles + hand_->home.size(), start);
         std::vector<double> there;
         bool starts = true;
+        std::vector<int> shut;  // fingers before that motors of several close
         for (std::size_t i = 0; i < choice.size(); ++i) {
             Finger& finger = hand_->fingers[i];
             const Place& place = pools[i][choice[i]];
             starts = finger.stand_off(object_.surface, place, demand_.start, there) && starts;
+            const bool first = std::none_of(shut.begin(), shut.end(), [&](int f) { return hand_->fingers[f].closer == finger.closer; });
             for (std::size_t k = 0; k < finger.joints.size(); ++k)
-                angles[finger.joints[k]] = place.angles[k], start[finger.joints[k]] = there[k];
+                if (const int j = finger.joints[k]; j != finger.closer) angles[j] = place.angles[k], start[j] = there[k];
+            if (finger.closer < 0) continue;
+            double &at = angles[finger.closer], &begun = start[finger.closer];
+            const double open = finger.closed(there);
+            if (first) at = finger.closed(place.angles), begun = open;
+            else if (std::abs(open - at) > std::abs(begun - at)) begun = open;
+            shut.push_back(int(i));
         }
         hand_->tree->couple(angles), hand_->tree->couple(start);
+        if (!shut.empty()) {
+            Posture posture(hand_->tree);
+            posture.trace(angles);
+            for (int i : shut)
+                if (const Point tip = posture.tip(i);
+                    std::abs(object_.surface.nearest(tip).distance - hand_->tree->tips[i].radius) > TOGETHER)
+                    return not_together;
+        }
         const auto [away, apart] = hand_->clearance(object_, angles, 2.0 * clearance);
         if (away < EASIER * clearance) return near_object;
         if (!(apart > OWN * clearance)) return near_itself;
