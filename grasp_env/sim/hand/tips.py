@@ -28,9 +28,9 @@ class Ball(NamedTuple):
     radius: float
 
 
-def distal(points: Array, axis: Array | None) -> Array:
-    """Unit direction (3,) in which a link ends: where its points (K, 3) are farthest from its joint, whose axis it crosses."""
-    flat = points if axis is None else points - np.outer(points @ axis, axis)
+def distal(points: Array, axis: Array) -> Array:
+    """Unit direction (3,) in which a link ends: where its points (K, 3) are farthest from its joint, across the axis of that."""
+    flat = points - np.outer(points @ axis, axis)
     away = np.linalg.norm(flat, axis=1)
     ends = flat[away >= 0.8 * away.max()].mean(axis=0)
     length = float(np.linalg.norm(ends))

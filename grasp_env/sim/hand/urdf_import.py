@@ -299,7 +299,7 @@ class _Importer:
         )
         if np.linalg.norm(ends, axis=1).max() < _NEAR and pieces:
             ends = np.vstack(pieces)
-        direction = distal(ends, None if joint.sliding else axis)
+        direction = distal(ends, axis)
         if ball is None:
             ball = self._sphere(name, group, pieces, direction)
         if ball is None and radius is not None:
