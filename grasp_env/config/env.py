@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from grasp_env._check import as_array, as_text, is_a, together
+from grasp_env._check import as_array, as_text, is_a, together, warn
 from grasp_env.config.randomize import RANDOMIZE, draw
 from grasp_env.config.records import Agent, Controller, EpisodeLimits, Pictures, Reward, Sensors, Solver
 from grasp_env.errors import InvalidInputError, UnknownSettingError, shown
 from grasp_env.settings import ANY, About, Kind, Settings, described, numbers, one_of, record, setting, to_json
 from grasp_env.sim.engine import ENGINE, Engine, engine_of
+from grasp_env.sim.grasping.approach import DIRECTIONS, as_approach
+from grasp_env.sim.grasping.pads import PATCH_RADIUS, softened
 from grasp_env.sim.hand.description import HANDS, HandDescription
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.task.disturbance import DISTURBANCE, Disturbance, NoDisturbance
@@ -65,7 +67,15 @@ class EnvConfig(Settings):
         "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')", lambda value: is_a(value, HandDescription)),
         "The hand; one that is not `placed` is put around the object by `place_hand`.",
     )  # fmt: skip
-    object: ObjectDescription = setting(ObjectDescription(), record(ObjectDescription), "What it holds.")
+    object: ObjectDescription = setting(
+        ObjectDescription(), record(ObjectDescription),
+        "What it holds. Two fingers hold with soft contacts: without `torsional_friction` it gets that of pads of 12 mm radius, and a "
+        "warning says so.",
+    )  # fmt: skip
+    approach: str | tuple[float, float, float] | None = setting(
+        None, Kind(as_approach, f"{', '.join(f'`{name}`' for name in DIRECTIONS)}, or 3 numbers"),
+        "Direction from the palm to the object, world frame, of a hand that is put around it; it may differ by 30 degrees.", none="any",
+    )  # fmt: skip
     contact_points: tuple[tuple[float, float, float], ...] = setting(
         (), Kind(_points, "(N, 3)"),
         "Places of the tips on the object's surface, object frame, in the hand's order; (): chosen.", unit="m",
@@ -117,6 +127,11 @@ class EnvConfig(Settings):
             raise InvalidInputError(
                 "contact_points belong to one shape and size: leave them out where these are randomized"
             )
+        if self.approach is not None and (self.contact_points or self.hand_description.placed):
+            given = "contact_points are given" if self.contact_points else "the hand is placed already"
+            raise InvalidInputError(
+                f"approach={shown(self.approach)} is for a hand that is put around the object, and {given}: leave one of them out"
+            )
         if self.task.pushes and not is_a(self.disturbance, NoDisturbance | None):
             raise InvalidInputError(
                 f"task {self.task.name!r} pushes by itself, got disturbance={shown(self.disturbance)}: leave it out, or use task 'hold'"
@@ -160,13 +175,26 @@ class EnvConfig(Settings):
         return replace(self, **whole | dict(zip(parts, made, strict=True)))
 
     def resolved(self) -> EnvConfig:
-        """A copy in which what is None has its value: the task's own, and the default engine."""
+        """A copy in which what is None has its value: the task's own, and the default engine; and two fingers have soft contacts.
+
+        Warns:
+            GraspWarning: The torsional friction that is assumed for two fingers.
+        """
         task, limits = self.task, self.limits
         own = {
             name: getattr(task, name) for name in ("duration", "max_drift", "max_tilt") if getattr(limits, name) is None
         }
         disturbance = task.disturbance if self.disturbance is None else self.disturbance
-        return replace(self, engine=engine_of(self.engine), disturbance=disturbance, limits=replace(limits, **own))
+        item = softened(self.object, self.hand_description)
+        if item is not self.object:
+            warn(
+                f"two fingers hold with soft contacts: assumed is torsional_friction={item.torsional_friction:.3g} m, 2/3 of friction "
+                f"{item.friction:g} times the {1e3 * PATCH_RADIUS:g} mm radius of a soft pad; give the true one as "
+                "object={'torsional_friction': ...}"
+            )
+        return replace(
+            self, engine=engine_of(self.engine), object=item, disturbance=disturbance, limits=replace(limits, **own)
+        )
 
     def drawn(self, rng: np.random.Generator) -> EnvConfig:
         """The settings of an episode: a copy in which what is randomized has its value.

@@ -134,8 +134,9 @@ class Stage:
             hand, least = replace(hand, fingertips=tips), len(touching)
         elif self._fixed:
             yield lambda: HandKinematics(hand)
+        side = self.config.approach
         for seed in range(0 if self._fixed else PLACINGS):
-            yield lambda seed=seed: HandKinematics(place_hand(hand, item, seed=seed, least=least))
+            yield lambda seed=seed: HandKinematics(place_hand(hand, item, seed=seed, least=least, approach=side))
 
     def _grasp_of(self, item: ObjectDescription) -> SceneConfig:
         config, engine = self.config, engine_of(self.config.engine)

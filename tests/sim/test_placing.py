@@ -70,10 +70,11 @@ def test_two_fingers_pinch_with_soft_contacts() -> None:
     soft = replace(BALL, torsional_friction=0.004)
     plan = check(place_hand(hand, soft), soft)
     assert plan.normals[0] @ plan.normals[1] < -0.9
-    with pytest.raises(InvalidInputError, match="no palm pose was found"):
-        place_hand(hand, BALL)
-    with pytest.raises(InvalidInputError, match=r"no palm pose was found.* without force closure"):
-        place_hand(hand, BALL, least=2)
+    for least in (None, 2):
+        with pytest.raises(
+            InvalidInputError, match=r"no palm pose was found.* soft contacts only.* torsional_friction \[m\], 0.0056 "
+        ):
+            place_hand(hand, BALL, least=least)
 
 
 def test_seeds() -> None:
@@ -98,6 +99,44 @@ def test_fingers_that_find_no_place_are_left_out() -> None:
     check(placed, BALL)
     with pytest.raises(InvalidInputError, match="no palm pose was found"):
         place_hand(replace(hand, links=links, home=()), BALL, least=4)
+
+
+def widened(hand: HandDescription, lower: float, upper: float) -> HandDescription:
+    """The hand with other ranges of all joints."""
+    return replace(hand, home=(), links=tuple(replace(link, lower=lower, upper=upper) for link in hand.links))
+
+
+@pytest.mark.parametrize("item", [CUBE, BALL], ids=["cube", "ball"])
+@pytest.mark.parametrize(("lower", "upper"), [(0.0, np.pi), (-np.pi, np.pi)])
+def test_joints_that_turn_farther_than_fingers_do(lower: float, upper: float, item: ObjectDescription) -> None:
+    """Nearly all postures are folded ones: three joints of each finger turn by up to a turn."""
+    check(place_hand(widened(gripper(3, 3), lower, upper), item), item)
+
+
+def test_more_fingers_touch_where_they_hold_as_well() -> None:
+    hand = replace(HANDS["allegro"](), placed=False)
+    assert [place_hand(hand, item).finger_count for item in (CUBE, BALL)] == [4, 4]
+
+
+def test_fingers_that_never_face_each_other_are_named() -> None:
+    hand = gripper(3, 2)
+    aside = replace(hand, links=tuple(replace(link, lower=-0.6, upper=-0.5) for link in hand.links), home=())
+    with pytest.raises(InvalidInputError, match=r"No two of its fingers \(f0, f1, f2\) face each other"):
+        place_hand(aside, BALL)
+    # the third one bends outwards
+    away = replace(
+        hand, home=(), links=(*hand.links[:4], *(replace(link, lower=-0.6, upper=-0.5) for link in hand.links[4:]))
+    )
+    with pytest.raises(InvalidInputError, match=r"these fingers never face each other: f0 and f2; f1 and f2. Use"):
+        place_hand(away, BALL, least=3)
+
+
+def test_wide_ranges_are_named_where_nothing_is_found() -> None:
+    large = ObjectDescription("sphere", (0.4,))
+    with pytest.raises(
+        InvalidInputError, match=r"more than 2.5 rad .*: f0_0_joint, f0_1_joint, .*f2_1_joint; .* joint_limits={joint: "
+    ):
+        place_hand(widened(gripper(3, 2), -np.pi, np.pi), large)
 
 
 def test_weak_joints_are_asked_for_less() -> None:

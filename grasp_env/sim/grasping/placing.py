@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from grasp_env import core
 from grasp_env._check import Array, whole
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.grasping.approach import Approach, as_approach, palm_direction
+from grasp_env.sim.grasping.pads import PATCH_RADIUS, SOFT_PAIR, padded, torsion_of
 from grasp_env.sim.grasping.points import GraspPlan, GraspSearch, plan_grasp
-from grasp_env.sim.grasping.sites import Site, find_sites
+from grasp_env.sim.grasping.sites import Site, find_sites, one_motor
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import roll_pitch_yaw
 from grasp_env.sim.hand.kinematics import HandKinematics
@@ -24,28 +28,41 @@ _SITES, _TURNS = 60, 6  # that are tried each time, and turns of the object at e
 _RAYS = 60  # for each finger there
 _ENOUGH, _GOOD = 24, 30.0  # grasps to choose from; [N] of the best, beyond which easier margins are tried
 _ROOM = 0.003  # [m] of clearance that costs nothing
+_MEETINGS, _MET = 20, 1e-9  # steps of Newton; [m] from the object at which a tip touches
+_IDLE = 1.3  # of the force, for each finger that does not touch
+_NAMED = 6  # joints and pairs of fingers that a message names
+_WIDE = 2.5  # [rad] of range from which joints are named
 _EVEN, _PLANAR = 0.15, 1e-3  # least of a tip's levers over its largest that costs nothing; that is none
 
 
 def place_hand(
-    hand: HandDescription, item: ObjectDescription, *, seed: int = 0, least: int | None = None
+    hand: HandDescription,
+    item: ObjectDescription,
+    *,
+    seed: int = 0,
+    least: int | None = None,
+    approach: ArrayLike | str | None = None,
 ) -> HandDescription:
     """The hand where it holds the object well: palm, rest posture and fingertips are chosen.
 
     The object is at the origin of the world, gravity along -y, and the hand may come from any side. Fingers that find no place are
-    left out where at least three others, with soft contacts two, hold without them.
+    left out where at least three others, with soft contacts two, hold without them. A gripper of two fingers touches with pads that
+    stand at least 1.5 mm before the rest of its jaws: its tips are moved towards each other for that.
 
     Args:
         hand: Its own place and rest posture do not matter.
         item: The object.
         seed: Of the search, >= 0.
         least: Fingers that touch at least; None: three, with soft contacts two.
+        approach: Direction from the palm to the object, world frame: "down", "up", "side", or a vector (3,). It may differ by 30 degrees.
+            None: any.
 
     Returns:
         A hand with which `plan_grasp` finds a grasp; the same for the same arguments. Found once for each of them in a process.
 
     Raises:
-        InvalidInputError: No palm pose was found; the message says on how many candidates what failed.
+        InvalidInputError: No palm pose was found; the message says on how many candidates what failed. Or the hand has two fingers and
+            the object no `torsional_friction`.
 
     Example:
         >>> ball = ObjectDescription("sphere", (0.06,), mass=0.15, friction=0.7)
@@ -55,7 +72,13 @@ def place_hand(
     """
     fewest = 2 if item.torsional_friction > 0.0 else 3
     fingers = fewest if least is None else whole(least, "least", 1, hand.finger_count)
-    return _placed(hand, item, whole(seed, "seed", 0), fingers)
+    wanted = None if approach is None else as_approach(approach, "approach")
+    if hand.finger_count == SOFT_PAIR and item.torsional_friction == 0.0:
+        raise InvalidInputError(
+            f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape}: two fingers hold with soft contacts only. "
+            f"Give the object torsional_friction [m], {torsion_of(item.friction):.2g} with soft pads that touch within {1e3 * PATCH_RADIUS:g} mm"
+        )
+    return _placed(hand, item, whole(seed, "seed", 0), fingers, None if wanted is None else Approach(wanted))
 
 
 class _Candidate(NamedTuple):
@@ -68,18 +91,27 @@ class _Candidate(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _placed(hand: HandDescription, item: ObjectDescription, seed: int, least: int) -> HandDescription:
+def _placed(
+    hand: HandDescription, item: ObjectDescription, seed: int, least: int, approach: Approach | None
+) -> HandDescription:
     rng, trials = np.random.default_rng(seed), _Trials(hand, item)
-    places = 0
+    hand = trials.hand
+    places = astray = 0
+    faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
     for _ in range(_ATTEMPTS):
-        sites = find_sites(hand, item, rng, least, _SITES)
-        places += len(sites)
+        sites, facing = find_sites(hand, item, rng, least, _SITES)
+        places, faced = places + len(sites), faced | facing
+        palms = [None if approach is None else trials.palm(site) for site in sites]
         found: list[_Candidate] = []
         for tries in (0, 1):  # with the largest margins, then with easier ones
             enough = len(found) + _ENOUGH
-            for site in sites:
+            for site, palm in zip(sites, palms, strict=True):
                 for _ in range(_TURNS):
-                    candidate = trials.grasp(site, site.turned(rng, item), least, tries, rng)
+                    turn = site.turned(rng, item, palm, approach)
+                    if turn is None:
+                        astray += 1
+                        break
+                    candidate = trials.grasp(site, turn, least, tries, rng)
                     found += [] if candidate is None else [candidate]
                 if len(found) >= enough:
                     break
@@ -96,11 +128,38 @@ def _placed(hand: HandDescription, item: ObjectDescription, seed: int, least: in
     counts = ", ".join(
         f"{count} {what}" for what, count in sorted(trials.faults.items(), key=lambda pair: -pair[1]) if count
     )
+    aside = (
+        f", at {min(astray, places)} of which no side of the object comes from approach={approach}" if astray else ""
+    )
     raise InvalidInputError(
         f"no palm pose was found in which the hand {hand.name!r} grasps the {item.shape} of "
-        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places; of what was "
-        f"tried there {counts or 'nothing is left'}. Use an object of another size or more friction, another seed, or place the hand "
-        "by `HandDescription.moved` and `home`"
+        f"{' x '.join(f'{side:.3g}' for side in item.extent)} m: its fingers can surround it at {places} places{aside}; of what was "
+        f"tried there {counts or 'nothing is left'}. {'' if places else _apart(hand, faced)}{_wide(hand)}Use an object of another size or "
+        "more friction, another seed, or place the hand by `HandDescription.moved` and `home`"
+    )
+
+
+def _apart(hand: HandDescription, faced: NDArray[np.bool_]) -> str:
+    """A sentence about fingers that never face each other; none where all do."""
+    names = hand.finger_names
+    pairs = [f"{names[i]} and {names[j]}" for i, j in combinations(range(len(names)), 2) if not faced[i, j]]
+    if not pairs:
+        return ""
+    if not faced.any():
+        return f"No two of its fingers ({', '.join(names)}) face each other with room for the object between them. "
+    more = f" and {len(pairs) - _NAMED} more pairs" if len(pairs) > _NAMED else ""
+    return f"Within their ranges these fingers never face each other: {'; '.join(pairs[:_NAMED])}{more}. "
+
+
+def _wide(hand: HandDescription) -> str:
+    """A sentence about joints whose ranges are wider than those of fingers; none without any."""
+    wide = [link.joint for link in hand.links if not link.sliding and not link.upper - link.lower < _WIDE]
+    if not wide:
+        return ""
+    more = f" and {len(wide) - _NAMED} more" if len(wide) > _NAMED else ""
+    return (
+        f"Joints that turn by more than {_WIDE:g} rad are seldom those of a finger: {', '.join(wide[:_NAMED])}{more}; give the true ranges "
+        "as joint_limits={joint: (lower, upper)} to from_urdf. "
     )
 
 
@@ -112,7 +171,7 @@ class _Trials:
     """
 
     def __init__(self, hand: HandDescription, item: ObjectDescription) -> None:
-        self.hand, self.item = hand, item
+        self.hand, self.item = padded(hand), item
         self.faults: dict[str, int] = {}
         self._pairs = touching_pairs(hand, at_home=False)
         self._parts: dict[tuple[int, ...], tuple[HandKinematics, core.HandLimbs]] = {}
@@ -121,7 +180,7 @@ class _Trials:
         """With the fingers of the site, or with those of them that find places."""
         fingers, shift = site.fingers, -turn @ site.center
         while len(fingers) >= least:
-            candidate = _Candidate(fingers, site.posture, turn, shift)
+            candidate = self._met(_Candidate(fingers, site.posture, turn, shift))
             search = self._search(candidate)
             plan = search.run(rng, tries, _RAYS)
             for what, count in search.faults.items():
@@ -133,10 +192,36 @@ class _Trials:
             fingers = tuple(finger for finger, short in zip(fingers, search.short, strict=True) if not short)
         return None
 
+    def _met(self, candidate: _Candidate) -> _Candidate:
+        """Where no finger has a motor of its own: the hand shifted, and the motors turned, such that all tips touch at once."""
+        kinematics = self._part(candidate.fingers)[0]
+        if not one_motor(kinematics):
+            return candidate
+        angles, shift = candidate.home.copy(), candidate.shift.copy()
+        for _ in range(_MEETINGS):
+            tips = kinematics.tips(angles) @ candidate.turn.T + shift
+            found = [self.item.surface.nearest(tip) for tip in tips]
+            inward = np.array([each[1] for each in found])
+            missed = np.array([each[2] for each in found]) - kinematics.tip_radii
+            if np.abs(missed).max() < _MET:
+                break
+            turned = inward @ candidate.turn
+            moves = [turned[i] @ kinematics.jacobian(angles, i) for i in range(len(tips))]
+            step = np.linalg.pinv(np.hstack([inward, np.array(moves)])) @ missed
+            shift = shift + step[:3]
+            angles = kinematics.coupled(np.clip(angles + step[3:], kinematics.lower, kinematics.upper))
+        return candidate._replace(home=angles, shift=shift)
+
+    def palm(self, site: Site) -> Array:
+        """Direction from the palm to the object at a site, unit, (3,), hand frame."""
+        return palm_direction(*self._part(site.fingers), site.center)
+
     def rating(self, candidate: _Candidate) -> float:
         """The force that the grasp takes that is found there [N], inf without one.
 
-        Grasps count as more that leave little room, or whose tips some directions of motion hardly move: these are slow to close.
+        Grasps count as more that leave little room, or whose tips some directions of motion hardly move: these are slow to close. They
+        count as more for each finger that does not touch: of grasps that take nearly the same, the one with more fingers loses less when
+        a finger slips.
         """
         plan: GraspPlan | None = self._search(candidate).run(np.random.default_rng(0))
         if plan is None:
@@ -147,7 +232,10 @@ class _Trials:
             for finger in range(len(candidate.fingers))
         ]
         ratios = [values[-1] / values[0] for values in levers if values[-1] > _PLANAR * values[0]]
-        return plan.force * max(1.0, _EVEN / min(ratios, default=1.0)) ** 2 * (_ROOM / plan.clearance) ** 0.5
+        idle = self.hand.finger_count - len(candidate.fingers)
+        return (
+            plan.force * _IDLE**idle * max(1.0, _EVEN / min(ratios, default=1.0)) ** 2 * (_ROOM / plan.clearance) ** 0.5
+        )
 
     def placed(self, candidate: _Candidate) -> HandDescription:
         """The hand there."""

@@ -53,6 +53,7 @@ _FAULTS = (
     "without a start",
     "with a link at the object at the start",
     "with links that touch at the start",
+    "with fingers of one motor that do not touch together",
 )
 
 

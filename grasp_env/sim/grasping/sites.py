@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from grasp_env import core
 from grasp_env._check import Array, Indices
+from grasp_env.sim.grasping.approach import Approach
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.kinematics import HandKinematics
 from grasp_env.sim.hand.limbs import hand_limbs
 from grasp_env.sim.objects.description import ObjectDescription
 
 _ROUNDS, _POSTURES = 40, 200  # at most; postures in each, with one of the joints that move several fingers
+_LOCKED_ROUNDS = 4  # of hands with one motor, whose postures form one line
 _PAIRS, _ACROSS = 30_000, 0.7  # of tips in a round; the least they are apart, of the most that touch the same ball
 _CENTERS, _DRAWS = 1000, 6  # places of the object in a round; postures drawn of each further finger there
 _NEAR = 0.008  # [m] between a tip and the object's ball
@@ -27,6 +29,16 @@ _FLATTER = 1.6  # of a cuboid's ball, against which fingers are kept clear: its 
 _ALIGNED = 1.0, 3.0  # how much it counts that fingers push along one axis of a cuboid: where all tips go anywhere, else
 _OPPOSED = 0.45  # of the shortest sum of normals whose weights add to 1
 _APART = 0.004  # [m] between centres that are tried with the same fingers
+_LOOKS = 40  # rotations that are drawn until the palm has a wanted direction
+_PLAIN, _FEW = 2, 20  # rounds in which joints are anywhere in their ranges; sites with which these are too few
+_SPAN, _PARTS = (
+    0.8,
+    3,
+)  # [rad] at most, then: at the lower ends of the ranges, in their middles, at the upper ends, in turn
+_BESIDE, _END = (
+    0.1,
+    0.001,
+)  # [rad] that half of them lie beside postures of sites, once there are some; from the ends of the ranges
 _INSIDE = 0.05  # of a joint's range that postures keep from its ends
 
 
@@ -48,8 +60,35 @@ class Site:
     axis: Array
     score: float
 
-    def turned(self, rng: np.random.Generator, item: ObjectDescription) -> Array:
-        """A rotation from the hand's frame to the object's (3, 3): the axis becomes one of the object's, of round ones any."""
+    def turned(
+        self,
+        rng: np.random.Generator,
+        item: ObjectDescription,
+        palm: Array | None = None,
+        approach: Approach | None = None,
+    ) -> Array | None:
+        """A rotation from the hand's frame to the object's (3, 3): the axis becomes one of the object's, of round ones any.
+
+        Args:
+            rng: Draws.
+            item: The object.
+            palm: Direction from the palm to the object, unit, (3,), hand frame.
+            approach: What that must become; None: anything.
+
+        Returns:
+            None where no rotation that was drawn does.
+        """
+        if approach is None or palm is None:
+            return self._drawn(rng, item)
+        if item.shape in ("sphere", "mesh"):
+            return _frame(approach.draw(rng), _directions(rng, 1)[0]) @ _frame(palm, _directions(rng, 1)[0]).T
+        for _ in range(_LOOKS):
+            turn = self._drawn(rng, item)
+            if approach.allows(turn @ palm):
+                return turn
+        return None
+
+    def _drawn(self, rng: np.random.Generator, item: ObjectDescription) -> Array:
         to = np.zeros(3)
         to[rng.integers(3)] = 1.0 if rng.random() < 0.5 else -1.0
         if item.shape in ("sphere", "mesh"):
@@ -59,31 +98,56 @@ class Site:
 
 def find_sites(
     hand: HandDescription, item: ObjectDescription, rng: np.random.Generator, least: int, most: int
-) -> list[Site]:
-    """Up to `most` sites at which at least `least` fingers touch, those first at which the most fingers push against one another."""
+) -> tuple[list[Site], NDArray[np.bool_]]:
+    """Where the hand's fingers can surround an object.
+
+    Returns:
+        Up to `most` sites at which at least `least` fingers touch, those first at which the most fingers push against one another; and
+        which two fingers face each other with room for the object between them, in any posture that was drawn, (N, N).
+    """
     kinematics = HandKinematics(hand)
     low, high = np.maximum(kinematics.lower, -np.pi), np.minimum(kinematics.upper, np.pi)
+    end = np.minimum(_END, _INSIDE * (high - low))
+    wide = low + end, high - end
     low, high = low + _INSIDE * (high - low), high - _INSIDE * (high - low)
     shared = kinematics.carries.sum(axis=0) > 1
+    locked = one_motor(kinematics)
     found: list[Site] = []
     sites: list[Site] = []
-    for turn in range(_ROUNDS):
-        postures = low + rng.random((_POSTURES, hand.joint_count)) * (high - low)
-        postures[:, shared] = kinematics.home[shared] if turn % 2 == 0 else postures[0, shared]
+    faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
+    for turn in range(_LOCKED_ROUNDS if locked else _ROUNDS):
+        narrow = turn >= _PLAIN and len(sites) < _FEW and not locked
+        postures = rng.random((_POSTURES, hand.joint_count))
+        if narrow:
+            span = np.minimum(wide[1] - wide[0], _SPAN)
+            postures = wide[0] + turn % _PARTS * (wide[1] - wide[0] - span) / (_PARTS - 1) + postures * span
+        else:
+            postures = low + postures * (high - low)
+        if narrow and sites:
+            around = np.array([site.posture for site in sites])[rng.integers(len(sites), size=_POSTURES // 2)]
+            near = around + _BESIDE * rng.standard_normal(around.shape)
+            postures[: len(near)] = np.clip(near, *wide)
+        if not locked:
+            postures[:, shared] = kinematics.home[shared] if turn % 2 == 0 else postures[0, shared]
         for posture in postures:
             kinematics.tree.couple(posture)
         reach = _Reach(kinematics, item, postures, rng)
-        found += reach.around(least)
+        found += reach.around(least, faced)
         found.sort(key=lambda site: site.score)
         sites = []
         for site in found:
             if len(sites) == most:
-                return sites
+                return sites, faced
             if all(
                 np.linalg.norm(site.center - other.center) > _APART or site.fingers != other.fingers for other in sites
             ):
                 sites.append(site)
-    return sites
+    return sites, faced
+
+
+def one_motor(kinematics: HandKinematics) -> bool:
+    """True if no finger has a motor of its own, as in a gripper whose jaws close together."""
+    return bool((kinematics.carries.sum(axis=0) > 1)[kinematics.carries.any(axis=0)].all())
 
 
 class _Reach:
@@ -97,19 +161,25 @@ class _Reach:
         self.tips = np.array([kinematics.tips(posture) for posture in postures])
         self.radii, self.fingers = kinematics.tip_radii, kinematics.hand.finger_count
         self.aligned = _ALIGNED[0] if all(self.limbs.free) else _ALIGNED[1]
+        self.locked = one_motor(kinematics)
+        # two fingers hold what is narrow between them, more surround it
+        self.radius = 0.5 * float(np.min(item.extent) if kinematics.hand.finger_count == 2 else np.median(item.extent))
         self.flatter = _FLATTER if item.shape == "cuboid" else 1.0
 
-    def around(self, least: int) -> list[Site]:
-        """Centres of a ball that tips of several fingers touch."""
+    def around(self, least: int, faced: NDArray[np.bool_]) -> list[Site]:
+        """Centres of a ball that tips of several fingers touch. Two that face each other there are noted in `faced`."""
         tips, fingers, rng, item = self.tips, self.fingers, self.rng, self.item
-        radius = 0.5 * float(np.median(item.extent))
+        radius = self.radius
         centers, pairs, samples = self._between(radius + self.radii)
         for side in (0, 1):
             good = self._clear(pairs[:, side], samples[:, side], centers)
             centers, pairs, samples = centers[good], pairs[good], samples[good]
+        faced[pairs[:, 0], pairs[:, 1]] = faced[pairs[:, 1], pairs[:, 0]] = True
         centers, pairs, samples = centers[:_CENTERS], pairs[:_CENTERS], samples[:_CENTERS]
         away = np.linalg.norm(tips[None] - centers[:, None, None], axis=3) - radius - self.radii  # (C, K, N)
         near, rows = np.abs(away) < _NEAR, np.arange(len(centers))
+        if self.locked:  # all fingers are in the same sample
+            near &= (np.arange(len(tips)) == samples[:, :1])[:, :, None]
         members, chosen = np.zeros((len(centers), fingers), dtype=bool), np.zeros((len(centers), fingers), np.int64)
         for side in (0, 1):
             members[rows, pairs[:, side]], chosen[rows, pairs[:, side]] = True, samples[:, side]
@@ -137,6 +207,8 @@ class _Reach:
 
     def _posture(self, center: Array, fingers: Indices, samples: Indices) -> Array:
         """Of the hand (M,), with these fingers as in these samples; the others keep away from the object."""
+        if self.locked:
+            return self.postures[samples[0]]
         posture = self.kinematics.home.copy()
         away = np.linalg.norm(self.tips - center, axis=2).argmax(axis=0)
         away[fingers] = samples
@@ -163,6 +235,8 @@ class _Reach:
         """Centres (C, 3) that are `sizes` (N,) [m] from tips of two fingers on nearly opposite sides; these, and samples, (C, 2)."""
         rng, tips, fingers = self.rng, self.tips, self.fingers
         samples = rng.integers(len(tips), size=(_PAIRS, 2))
+        if self.locked:
+            samples[:, 1] = samples[:, 0]
         one = rng.integers(fingers, size=_PAIRS)
         other = (one + rng.integers(1, max(fingers, 2), size=_PAIRS)) % fingers
         start, way = tips[samples[:, 0], one], tips[samples[:, 1], other] - tips[samples[:, 0], one]

@@ -31,7 +31,7 @@ class HandKinematics:
         motors: The joints that have one, ascending.
         tip_links: The number of each fingertip's link, (N,); tip_radii: [m], (N,).
         carries: Whether a joint's motor moves a fingertip, (N, M) bool.
-        reach: Most that a tip can be away from the origin of its finger's first joint [m], (N,).
+        reach: Most that a tip can be away from the origin of its finger's first joint [m], (N,); roots: these origins, (N, 3).
 
     Example:
         >>> kinematics = HandKinematics(HandDescription.four_finger())
@@ -76,7 +76,7 @@ class HandKinematics:
         self.tip_links: Indices = np.array([numbers[tip.link] for tip in hand.fingertips], dtype=np.int64)
         self.tip_radii = np.array([tip.radius for tip in hand.fingertips])
         self.carries = np.zeros((hand.finger_count, hand.joint_count), dtype=bool)
-        self.reach, self._roots = np.zeros(hand.finger_count), np.zeros((hand.finger_count, 3))
+        self.reach, self.roots = np.zeros(hand.finger_count), np.zeros((hand.finger_count, 3))
         for finger, tip in enumerate(hand.fingertips):
             chain = [numbers[tip.link]]
             while parents[chain[-1]] >= 0:
@@ -85,7 +85,7 @@ class HandKinematics:
             arms = [tip.center, *(hand.links[link].origin for link in chain[:-1])]
             slides = [max(-self.lower[link], self.upper[link]) for link in chain if hand.links[link].sliding]
             self.reach[finger] = sum([*(float(np.linalg.norm(arm)) for arm in arms), *slides])
-            self._roots[finger] = hand.links[chain[-1]].origin
+            self.roots[finger] = hand.links[chain[-1]].origin
         self._within, self._beyond = core.Reach.make(self.tree), core.Reach.make(self.tree, limited=False)
         self._starts = _other_starts(self.lower, self.upper)
 
@@ -245,7 +245,7 @@ class HandKinematics:
     def reachable(self, tips: ArrayLike, start: ArrayLike | None = None) -> bool:
         """Whether `solve` would find angles for `tips` (N, 3) [m], world frame, from `start` (M,) [rad]; None: the rest posture."""
         targets = as_array(tips, (self.hand.finger_count, 3), "tips")
-        if (np.square(targets - self._roots).sum(axis=1) > self.reach**2).any():
+        if (np.square(targets - self.roots).sum(axis=1) > self.reach**2).any():
             return False
         first = self.home if start is None else as_array(start, self.home.shape, "start")
         return bool((self._search(self._within, targets, first)[1] <= core.REACHED).all())
@@ -271,7 +271,7 @@ class HandKinematics:
         away = np.linalg.norm(self.tips(angles) - targets, axis=1)
         finger = int(np.argmax(away))
         name, target = self.hand.finger_names[finger], np.round(targets[finger], 4).tolist()
-        distance = float(np.linalg.norm(targets[finger] - self._roots[finger]))
+        distance = float(np.linalg.norm(targets[finger] - self.roots[finger]))
         if distance > self.reach[finger]:
             return (
                 f"finger {name!r} cannot reach tip={target}: it is {distance:.4f} m from its first joint, allowed are "

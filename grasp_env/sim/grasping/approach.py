@@ -1,0 +1,88 @@
+"""The side from which a hand comes: the wanted direction from its palm to the object, and that of a palm at a place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from grasp_env import core
+from grasp_env._check import Array, as_array, as_text, choice
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim.hand.kinematics import HandKinematics
+from grasp_env.sim.objects.description import ObjectDescription
+
+DEVIATION = math.radians(30.0)
+"""[rad] that the direction from the palm to the object may differ from the wanted one."""
+SIDE = "side"
+"""Any horizontal direction."""
+DIRECTIONS = {"down": (0.0, -1.0, 0.0), "up": (0.0, 1.0, 0.0), SIDE: None}
+"""Directions by name, world frame; gravity is along -y, so with "down" the palm is above the object."""
+_PROBE, _STEP = 0.002, 1e-4  # [m]: diameter of the ball that looks for the palm, and its steps
+
+
+def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
+    """A wanted direction: one of the names of `DIRECTIONS`, or a vector (3,) as a unit vector, world frame.
+
+    Raises:
+        UnknownNameError: Another name.
+        InvalidInputError: No direction.
+    """
+    if as_text(value) is not None:
+        return choice(value, name, DIRECTIONS, ", or give the direction (3,) from the palm to the object, world frame")
+    given = as_array(value, (3,), name)
+    length = float(np.linalg.norm(given))
+    if length == 0.0:
+        raise InvalidInputError(f"{name}={given.tolist()} must have a direction; 'down' is (0, -1, 0)")
+    x, y, z = (given / length).tolist()
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class Approach:
+    """A wanted direction from the palm to the object.
+
+    Attributes:
+        wanted: See `as_approach`.
+    """
+
+    wanted: str | tuple[float, float, float]
+
+    def __str__(self) -> str:
+        return repr(self.wanted) if isinstance(self.wanted, str) else f"({', '.join(f'{x:.3g}' for x in self.wanted)})"
+
+    def allows(self, direction: Array) -> bool:
+        """Whether a direction (3,), unit, is near enough to the wanted one."""
+        wanted = self._vector
+        if wanted is None:
+            return bool(abs(direction[1]) <= math.sin(DEVIATION))
+        return bool(direction @ wanted >= math.cos(DEVIATION))
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """The wanted direction (3,), unit; drawn where any horizontal one is."""
+        wanted, turn = self._vector, rng.uniform(0.0, 2.0 * np.pi)
+        return np.array([np.cos(turn), 0.0, np.sin(turn)]) if wanted is None else np.array(wanted)
+
+    @property
+    def _vector(self) -> tuple[float, float, float] | None:
+        return DIRECTIONS[self.wanted] if isinstance(self.wanted, str) else self.wanted
+
+
+def palm_direction(kinematics: HandKinematics, limbs: core.HandLimbs, center: Array) -> Array:
+    """Unit direction (3,) from the palm to a place of the object [m], (3,), hand frame.
+
+    It leads from the nearest point of the palm; of palms without shapes from the middle of the fingers' first joints.
+    """
+    probe = ObjectDescription("sphere", (_PROBE,)).surface
+    still = np.eye(3).ravel().tolist()
+
+    def away(place: Array) -> float:
+        return limbs.moved(still, (-place).tolist(), kinematics.home).palm_gap(probe)
+
+    steps = _STEP * np.eye(3)
+    way = np.array([away(center + step) - away(center - step) for step in steps])
+    if not np.isfinite(way).all() or np.linalg.norm(way) < _STEP:
+        way = center - kinematics.roots.mean(axis=0)
+    return way / max(float(np.linalg.norm(way)), 1e-12)
