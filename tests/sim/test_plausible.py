@@ -173,6 +173,17 @@ def test_jaws_are_judged_by_their_force(tmp_path: Path) -> None:
         assert ("assumed is 20 N; give the true one as torque_limit=" in told) == (limit != effort)
 
 
+def test_a_motor_of_two_jaws_has_the_force_of_both(tmp_path: Path) -> None:
+    def jaw(name: str, y: float, mimic: str = "") -> str:
+        return joint(name, "palm", f"{name}1", f"0 {y} 0", (0.0, 0.04), 20.0, "prismatic", mimic) + link(f"{name}1")
+
+    text = BOX + jaw("l", 0.03) + jaw("r", -0.03, "l")
+    made, told = read(tmp_path, text)
+    assert made.torque_limits[0] == 40.0
+    assert "push with what the file says of each jaw together: 'l' (40 N); give the true ones as torque_limit=" in told
+    assert HandDescription.from_urdf(tmp_path / "hand.urdf", torque_limit=20.0).torque_limits[0] == 20.0
+
+
 def test_wide_ranges_are_told_and_left(tmp_path: Path) -> None:
     for limits, words in (
         ((0.0, 3.14159), "'ia' (0 to 3.14 rad)"),

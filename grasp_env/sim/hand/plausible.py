@@ -224,6 +224,7 @@ class Judge:
                     assumed.setdefault((effort, joint.sliding), {})[joint.name] = limit
                 effort = limit
             limits.append(effort)
+        self._add_jaws(limits, given, {name for joints in assumed.values() for name in joints})
         for (effort, sliding), joints in assumed.items():
             least, most, names = min(joints.values()), max(joints.values()), names_of(list(joints))
             force = f" ({doubted[effort]:.0f} N at a fingertip)" if effort in doubted and not sliding else ""
@@ -234,6 +235,26 @@ class Judge:
             unit = "N" if sliding else f"N m, {TIP_FORCE:g} N at the tip of a straight finger"
             self.said.append(f"{cause}: assumed is {span} {unit}; give the true one as torque_limit=")
         return limits
+
+    def _add_jaws(self, limits: list[float], given: Mapping[str, float], assumed: set[str]) -> None:
+        """A motor that moves several jaws gets the force of all: files say what each jaw pushes with."""
+        numbers = {body.joint.name: number for number, body in enumerate(self._bodies)}
+        shared = dict[str, float]()
+        for number, body in enumerate(self._bodies):
+            mimic, effort = body.joint.mimic, body.joint.effort
+            if mimic is None or not body.joint.sliding or effort is None or not 0.0 < effort < LARGEST_JAW_FORCE:
+                continue
+            driver = numbers.get(mimic.joint, -1)
+            if driver < 0 or not self._bodies[driver].joint.sliding or mimic.joint in given or mimic.joint in assumed:
+                continue
+            limits[driver] += abs(mimic.ratio) * limits[number]
+            shared[mimic.joint] = limits[driver]
+        if shared:
+            forces = ", ".join(f"{joint!r} ({force:g} N)" for joint, force in shared.items())
+            self.said.append(
+                f"motors that move several jaws push with what the file says of each jaw together: {forces}; give the true ones as "
+                "torque_limit="
+            )
 
     def _doubted(self, given: Mapping[str, float]) -> dict[float, float]:
         """Efforts of turning joints [N m] that no motor of this hand has, with the largest force [N] that each makes at a fingertip."""
