@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from engines import Bullet, bullet, needs_bullet
+from hands import gripper
 
 from grasp_env.sim import BulletEngine, HandKinematics, ObjectDescription, SceneConfig
 from grasp_env.sim.hand.description import Fingertip, Geometry, HandDescription, Link, Mimic, Palm
@@ -61,6 +62,22 @@ def loaded(hand: HandDescription) -> Bullet:
     made = Bullet(hand)
     made.load(SceneConfig(hand, item, points, engine=engine, gravity=STILL), np.array(hand.home))
     return made
+
+
+@pytest.mark.parametrize(
+    ("hand", "sweeps"),
+    [(HandDescription.four_finger(), 20), (HandDescription.allegro(), 40), (HandDescription.leap(), 40), (gripper(3, 2), 400),
+     (gripper(3, 3), 20), (gripper(3, 3, True), 400), (gripper(3, 5, True), 40)],
+)  # fmt: skip
+def test_fingers_with_fewer_than_three_motors_have_more_sweeps(hand: HandDescription, sweeps: int) -> None:
+    made = Bullet(hand)
+    points = ((0.0, 0.0, 0.03),) * hand.finger_count
+    made.load(
+        SceneConfig(hand, ObjectDescription("sphere", (0.06,)), points, engine=BulletEngine()), np.array(hand.home)
+    )
+    found = bullet.getPhysicsEngineParameters(physicsClientId=made.client.number)["numSolverIterations"]
+    assert found == max(sweeps, 100 if any(link.mimic for link in hand.links) else 0)
+    made.close()
 
 
 def states(simulator: Bullet) -> np.ndarray:
