@@ -20,9 +20,10 @@ from grasp_env._check import Array, as_array, as_wrench, choice, instance, warn,
 from grasp_env.config import EnvConfig, as_config
 from grasp_env.control.loop import ForceLoop
 from grasp_env.control.sensing import NoiseRows
+from grasp_env.control.structure import finger_structure
 from grasp_env.env.annotate import Annotator
 from grasp_env.env.observation import Observer, action_size
-from grasp_env.env.plan import make_plan
+from grasp_env.env.plan import Plan, make_plan
 from grasp_env.env.stage import Stage
 from grasp_env.errors import GraspError, InvalidInputError, SimulationError, shown
 from grasp_env.sim import Camera, CameraConfig, Scene
@@ -127,7 +128,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
     `stray_share` (of `stray_force`, as a share of the load); `drift` [m] and `tilt` [rad] from where the object should be, `peak_torque` [N m], `followed` (iterations at
     the control ticks after the step's first), `limited` (iterations of Newton within the torque limits, where a force exceeds them), `torque_margin` (least of limit - |torque| in the step;
     [N m]), `torque_share` (largest torque of the step as a share of its limit), `saturated` (torques were cut: no force within the limits balances the wrench),
-    `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
+    `structure_share` (N,) (part of each finger's force under the episode's loads that no motor makes, known at reset: above 0.65 the
+    environment warns once), `time` [s], `object_mass` [kg], `object_friction`, `object_shape`, `object_size` (largest) [m], `redrawn` (random objects that
     the hand could not hold), `failure`, `fault`, `is_success`, and the reward terms. `agent={"info": "numbers"}` leaves the words out and makes
     arrays of all numbers, which readers of tensors such as torchrl's take.
 
@@ -201,7 +203,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         self._step_limit = max(1, round(limits.duration * config.agent.rate))
         self._camera: Camera | None = None
         self._window: Painter | None = None
-        self._started = self._ended = False
+        self._started = self._ended = self._warned = False
         self._spec: EnvSpec | None = None
         self._failure = ""
 
@@ -262,6 +264,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         external, _ = self._act(scene, 0)
         self._observer.watch(scene.look(), self._loop)
         self._loop.rest(external, self._believed_gravity(scene), self._targets[0])
+        self._report_structure(scene, plan)
         terms = self.config.reward.terms(True, 0, NOTHING)
         self._observed = self._observe(scene)
         return self._seen(), self._info(scene, terms)
@@ -452,6 +455,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
             "time": self._tick * self._loop.dt,
             "object_mass": scene.config.object.mass,
             **self._object_info,
+            "structure_share": self._share.copy(),
             "failure": failure,
             "fault": fault,
             "is_success": not fault,
@@ -466,6 +470,18 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         if not self._started or self._failure == "simulation_diverged":
             return None
         return self._annotator(self._loop, scene, self._tick * self._loop.dt, self._outcome, self._failure)
+
+    def _report_structure(self, scene: Scene, plan: Plan) -> None:
+        """Notes what structure carries of the forces under the plan's loads; warns once where fingers press through it."""
+        snapshot = scene.look()
+        gravity = plan.gravity[:: self._ticks_per_step]
+        loads = plan.wrench[:: self._ticks_per_step].copy()
+        loads[:, :3] += self._mass * gravity @ snapshot.rotation
+        structure = finger_structure(snapshot, scene.kinematics, self._loop.friction, loads)
+        self._share = structure.share
+        if not self._warned and (said := structure.warning(scene.config.hand.finger_names)):
+            self._warned = True
+            warn(said)
 
     def _open_stage(self) -> Stage:
         if self._stage is None:
