@@ -3,7 +3,7 @@
 A guard holds what a file claims of its size against its bytes, counts its triangles, and writes a file of the same kind anew that
 has its corners and triangles only: trimesh sees no materials, pictures, scripts or names of other files. What is too large or of a
 feature that is not read is refused before; no file takes more than 2 s or 1 GiB. Coordinates stay in the file's units and axes, in a
-.dae too, whose <unit> and <up_axis> are not applied: a hand's factors hold the former, see `unit_of` of `hand.meshes`.
+.dae too, whose <unit> and <up_axis> are not applied: a hand's factors hold the former, see `unit_of` of `hand.files.meshes`.
 """
 
 from __future__ import annotations

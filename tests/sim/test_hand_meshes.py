@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.pieces import convex_pieces
+from grasp_env.sim.hand.files.pieces import convex_pieces
 from grasp_env.sim.hand.solids import MOST_CORNERS, beneath, few_corners, inset, outline
 from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.hand.urdf import hand_files, hand_urdf

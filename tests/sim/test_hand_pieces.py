@@ -13,8 +13,8 @@ import trimesh
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim import mesh_files, progress
-from grasp_env.sim.hand import meshes, pieces
 from grasp_env.sim.hand.description import HandDescription
+from grasp_env.sim.hand.files import meshes, pieces
 from grasp_env.sim.hand.tree import Geometry
 from grasp_env.sim.objects.cache import entries
 from training.cli import main

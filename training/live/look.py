@@ -12,8 +12,8 @@ import viser
 from trimesh import creation
 
 from grasp_env._check import Array
+from grasp_env.sim.hand.files.meshes import read_mesh
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.meshes import read_mesh
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tree import Geometry, Link, Palm
 

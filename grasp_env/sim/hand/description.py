@@ -277,10 +277,12 @@ class HandDescription:
         Warns:
             UserWarning: What was repaired, assumed or left out.
         """
-        from grasp_env.sim.hand.told import Told  # these need the parts above
-        from grasp_env.sim.hand.urdf_import import read_hand
+        from grasp_env.sim.hand.files.importing import read_hand
+        from grasp_env.sim.hand.files.options import HandOptions  # these need the parts above
 
-        read = read_hand(path, Told(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia))
+        read = read_hand(
+            path, HandOptions(fingertips, tip_radius, torque_limit, joint_limits, inertials, palm, rotor_inertia)
+        )
         angles = numbers(home, None, "home [rad]")
         hand = HandDescription(
             read.name, read.palm, read.links, read.fingertips, angles, tip_friction, placed=bool(angles)

@@ -19,7 +19,7 @@ from PIL import Image
 from grasp_env._check import Array
 from grasp_env.errors import SimulationError
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.meshes import read_mesh
+from grasp_env.sim.hand.files.meshes import read_mesh
 from grasp_env.sim.mjcf import OBJECT_GROUP, link_name, looks_mjcf
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.picture.painter import Painter, before_background

@@ -10,9 +10,9 @@ import numpy as np
 
 from grasp_env._check import together
 from grasp_env.errors import InvalidInputError, shown
+from grasp_env.sim.hand.files.elements import FileJoint, names_of
 from grasp_env.sim.hand.frames import Frame, axis_rotation
 from grasp_env.sim.hand.tree import Mimic
-from grasp_env.sim.hand.urdf_elements import UrdfJoint, names_of
 
 Ends: TypeAlias = Sequence[tuple[str, str, str]]
 """Name, parent and child of each joint."""
@@ -231,7 +231,7 @@ def check_mimics(ends: Ends, fixed: Collection[str], mimics: Mapping[str, str]) 
     together(*(lambda fault=fault: _refuse(fault) for fault in faults))
 
 
-def arrange(part: Part, joints: Sequence[UrdfJoint]) -> tuple[list[UrdfJoint], list[str]]:
+def arrange(part: Part, joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]]:
     """The joints of a hand with parents before children, else in the order of the file, and sentences about what was changed.
 
     Joints that mimic others are coupled to the one with a motor at the end of the chain. Those that mimic a joint that is left
@@ -239,7 +239,7 @@ def arrange(part: Part, joints: Sequence[UrdfJoint]) -> tuple[list[UrdfJoint], l
     """
     joints = [_upside_down(joint) if joint.name in part.turned else joint for joint in joints]
     by_name = {joint.name: joint for joint in joints}
-    driven, alone, stuck = list[UrdfJoint](), list[str](), list[str]()
+    driven, alone, stuck = list[FileJoint](), list[str](), list[str]()
     for joint in joints:
         mimic = joint.mimic
         while mimic is not None and mimic.joint in by_name and (before := by_name[mimic.joint].mimic) is not None:
@@ -265,9 +265,9 @@ def arrange(part: Part, joints: Sequence[UrdfJoint]) -> tuple[list[UrdfJoint], l
     return _ordered(part.root, driven), said
 
 
-def _ordered(root: str, joints: list[UrdfJoint]) -> list[UrdfJoint]:
+def _ordered(root: str, joints: list[FileJoint]) -> list[FileJoint]:
     """Joints of a tree with parents before children, else in the order of the file."""
-    ordered, known, rest = list[UrdfJoint](), {root}, list(joints)
+    ordered, known, rest = list[FileJoint](), {root}, list(joints)
     while rest:
         ready = next(joint for joint in rest if joint.parent in known)
         rest.remove(ready)
@@ -276,16 +276,16 @@ def _ordered(root: str, joints: list[UrdfJoint]) -> list[UrdfJoint]:
     return ordered
 
 
-def _upside_down(joint: UrdfJoint) -> UrdfJoint:
+def _upside_down(joint: FileJoint) -> FileJoint:
     """A fixed joint read from its child to its parent."""
     frame = Frame.of(joint.origin, joint.rotation)
     origin, rotation = Frame(frame.rotation.T, -frame.rotation.T @ frame.origin).numbers()
     return replace(joint, parent=joint.child, child=joint.parent, origin=origin, rotation=rotation)
 
 
-def _held(joint: UrdfJoint, angle: float) -> UrdfJoint:
+def _held(joint: FileJoint, angle: float) -> FileJoint:
     """A joint that holds still at an angle [rad], a sliding one at a length [m]."""
     axis = np.array(joint.axis)
     moved = Frame(np.eye(3), angle * axis) if joint.sliding else Frame(axis_rotation(axis, angle), np.zeros(3))
     origin, rotation = (Frame.of(joint.origin, joint.rotation) @ moved).numbers()
-    return UrdfJoint(joint.name, joint.parent, joint.child, True, origin, rotation)
+    return FileJoint(joint.name, joint.parent, joint.child, True, origin, rotation)

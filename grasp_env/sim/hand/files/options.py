@@ -11,8 +11,8 @@ import numpy as np
 from grasp_env._check import as_list, as_text, is_a, together
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Inertia, Vector3, inertia_of, limits, numbers, positive, word
+from grasp_env.sim.hand.files.elements import names_of
 from grasp_env.sim.hand.tips import Ball
-from grasp_env.sim.hand.urdf_elements import names_of
 
 T = TypeVar("T")
 Tips: TypeAlias = Sequence[str] | dict[str, tuple[Sequence[float], float]] | None
@@ -31,7 +31,7 @@ class Inertial(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Told:
+class HandOptions:
     """Values that a caller gives for a hand; `HandDescription.from_urdf` describes each."""
 
     fingertips: Tips = None

@@ -11,7 +11,7 @@ import numpy as np
 from grasp_env._check import Array
 from grasp_env._files import digest
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.meshes import read_mesh_bytes
+from grasp_env.sim.hand.files.meshes import read_mesh_bytes
 from grasp_env.sim.hand.solids import few_corners, hull_of, principal_axes
 from grasp_env.sim.hand.tree import Vector3
 from grasp_env.sim.mesh_files import mesh_bytes

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.optimize import linprog
 
 from grasp_env._check import Array
+from grasp_env.sim.hand.files.elements import FileJoint, names_of
 from grasp_env.sim.hand.frames import Frame, axis_rotation
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tree import Fingertip, Link
-from grasp_env.sim.hand.urdf_elements import UrdfJoint, names_of
 
 _LEAST_RANGE = 0.25
 """Part of a motor's range that coupled joints leave it at least; otherwise their own limits do not count."""
@@ -25,7 +25,7 @@ _SHORTER = 0.9
 """Reach of a rod over that of the finger that it moves, at most."""
 
 
-def free_ranges(joints: Sequence[UrdfJoint]) -> tuple[list[UrdfJoint], list[str]]:
+def free_ranges(joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]]:
     """The joints with ranges that fit their couplings, and a sentence on those that were changed.
 
     Other programs only keep the limits of the joint with the motor, so nobody notices wrong limits of coupled joints. Where these would
@@ -38,7 +38,7 @@ def free_ranges(joints: Sequence[UrdfJoint]) -> tuple[list[UrdfJoint], list[str]
             before = left[joint.mimic.joint]
             left[joint.mimic.joint] = max(before[0], low), min(before[1], high)
     drivers = {joint.name: joint for joint in joints}
-    changed, out = list[str](), list[UrdfJoint]()
+    changed, out = list[str](), list[FileJoint]()
     for joint in joints:
         fitting = joint
         if joint.mimic is not None:

@@ -17,14 +17,14 @@ from grasp_env._check import Array
 from grasp_env._files import shown_path
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3, inertia_numbers
+from grasp_env.sim.hand.files.couplings import Motor, find_motors
+from grasp_env.sim.hand.files.elements import FileJoint, FileLink, names_of
+from grasp_env.sim.hand.files.meshes import why_not_drawn
+from grasp_env.sim.hand.files.pieces import kept_pieces
 from grasp_env.sim.hand.frames import Frame, axis_rotation
-from grasp_env.sim.hand.meshes import why_not_drawn
-from grasp_env.sim.hand.mjcf_couplings import Motor, find_motors
-from grasp_env.sim.hand.pieces import kept_pieces
 from grasp_env.sim.hand.solids import few_corners, outline
 from grasp_env.sim.hand.tips import SMALLEST
 from grasp_env.sim.hand.tree import Geometry, Mimic
-from grasp_env.sim.hand.urdf_elements import UrdfJoint, UrdfLink, names_of
 from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.progress import counted
 
@@ -85,7 +85,7 @@ def _compiled(file: Path, folder: Path) -> Any:
 
 
 class MjcfReader:
-    """Reads one file; see `urdf_elements.Reader` for the attributes.
+    """Reads one file; see `urdf.UrdfReader` for the attributes.
 
     Bodies without joints are fixed to those that carry them. What has several joints becomes several links. Bodies whose joints no
     motor moves hold still. Free bodies that no motor moves, as objects of a scene, are left out.
@@ -128,15 +128,15 @@ class MjcfReader:
         self.mimics = {joint.name: joint.mimic.joint for joint in self._ends if joint.mimic is not None}
         self.fixed = {joint.name for joint in self._ends if joint.fixed}
 
-    def elements(self, wanted: Collection[str]) -> tuple[dict[str, UrdfLink], list[UrdfJoint]]:
-        """See `urdf_elements.Reader`."""
+    def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
+        """See `urdf.UrdfReader`."""
         links = {link.name: link for link in self._links if link.name in wanted}
         return links, [joint for joint in self._ends if not {joint.parent, joint.child} - set(wanted)]
 
-    def shaped(self, links: dict[str, UrdfLink]) -> dict[str, UrdfLink]:
-        """See `urdf_elements.Reader`."""
+    def shaped(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
+        """See `urdf.UrdfReader`."""
         bodies = {name: body for body, name in self._names.items()}
-        shaped = dict[str, UrdfLink]()
+        shaped = dict[str, FileLink]()
         for name, link in counted(list(links.items()), f"{self.path.name}: convex pieces of meshes"):
             if name in self._tips:
                 _, geom = self._tips[name]
@@ -229,9 +229,9 @@ class MjcfReader:
                     found[name] = int(self.model.geom_bodyid[geom]), geom
         return found
 
-    def _read(self) -> tuple[list[UrdfLink], list[UrdfJoint]]:
+    def _read(self) -> tuple[list[FileLink], list[FileJoint]]:
         model = self.model
-        links, joints = list[UrdfLink](), list[UrdfJoint]()
+        links, joints = list[FileLink](), list[FileJoint]()
         # the frame of a link lies on the axis of its joint: where the body's frame is in it
         shifts = {self._root: _IDENTITY}
         ends = {self._root: self._names[self._root]}
@@ -259,7 +259,7 @@ class MjcfReader:
                     motor, (ratio, offset) = followers[joint]
                     mimic = Mimic(_name(model, "joint", motor.joint), ratio, offset)
                 joints.append(
-                    UrdfJoint(
+                    FileJoint(
                         _name(model, "joint", joint),
                         parent,
                         child,
@@ -277,17 +277,17 @@ class MjcfReader:
                 )
                 parent, place = child, Frame(np.eye(3), -anchor)
                 if child != name:
-                    links.append(UrdfLink(child, _LIGHT, _IDENTITY, inertia_numbers(_LIGHT_INERTIA * np.eye(3))))
+                    links.append(FileLink(child, _LIGHT, _IDENTITY, inertia_numbers(_LIGHT_INERTIA * np.eye(3))))
             if not moved:
                 origin, rotation = place.numbers()
-                joints.append(UrdfJoint(f"{name}/fixed", parent, name, True, origin, rotation))
+                joints.append(FileJoint(f"{name}/fixed", parent, name, True, origin, rotation))
                 place = _IDENTITY
             shifts[body], ends[body] = place, name
             links.append(self._link(body, place))
         for name, (body, geom) in self._tips.items():
             frame = shifts[body] if geom is not None else shifts[body] @ self._site(name)
-            links.append(UrdfLink(name))
-            joints.append(UrdfJoint(f"{name}/fixed", ends[body], name, True, *frame.numbers()))
+            links.append(FileLink(name))
+            joints.append(FileJoint(f"{name}/fixed", ends[body], name, True, *frame.numbers()))
         self._shifts = shifts
         return links, joints
 
@@ -319,14 +319,14 @@ class MjcfReader:
             found.append(float(np.abs(model.jnt_actfrcrange[motor.joint]).max()))
         return min(found, default=None)
 
-    def _link(self, body: int, shift: Frame) -> UrdfLink:
+    def _link(self, body: int, shift: Frame) -> FileLink:
         """A body as a link without shapes, in the frame of its joint."""
         model = self.model
         inertial = shift @ _frame(model.body_ipos[body], model.body_iquat[body])
         inertia = inertia_numbers(np.diag(model.body_inertia[body]))
-        return UrdfLink(self._names[body], float(model.body_mass[body]), inertial, inertia)
+        return FileLink(self._names[body], float(model.body_mass[body]), inertial, inertia)
 
-    def _with_shapes(self, link: UrdfLink, body: int) -> UrdfLink:
+    def _with_shapes(self, link: FileLink, body: int) -> FileLink:
         model, shift = self.model, self._shifts[body]
         mine = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) == body]
         own = {geom for _, geom in self._tips.values() if geom is not None}

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from grasp_env._check import Array, together
 from grasp_env.errors import InvalidInputError, shown
-from grasp_env.sim.hand.pieces import pieces_of_file
+from grasp_env.sim.hand.files.pieces import pieces_of_file
 from grasp_env.sim.hand.tree import Geometry, Vector3
 from grasp_env.sim.progress import counted
 

@@ -15,10 +15,10 @@ import numpy as np
 
 from grasp_env._check import Array, is_a
 from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, nearest_inertia
+from grasp_env.sim.hand.files.elements import FileJoint, names_of
+from grasp_env.sim.hand.files.options import Inertial
 from grasp_env.sim.hand.solids import hull_of, outline
-from grasp_env.sim.hand.told import Inertial
 from grasp_env.sim.hand.tree import Geometry
-from grasp_env.sim.hand.urdf_elements import UrdfJoint, names_of
 
 TIP_FORCE = 15.0
 """[N] that an unknown motor is assumed to make at the tip of a straight finger. Makers' files give 4 N (Allegro), 6 N (LEAP), 9 N
@@ -87,7 +87,7 @@ class Body:
         place: Of its joint [m], (3,), the carrier's frame.
     """
 
-    joint: UrdfJoint
+    joint: FileJoint
     mass: float
     center: Vector3
     inertia: Inertia
@@ -304,8 +304,8 @@ class Judge:
 
 
 def judge_ranges(
-    joints: Sequence[UrdfJoint], given: Mapping[str, tuple[float, float]]
-) -> tuple[list[UrdfJoint], list[str]]:
+    joints: Sequence[FileJoint], given: Mapping[str, tuple[float, float]]
+) -> tuple[list[FileJoint], list[str]]:
     """The joints with ranges in radians, and sentences about ranges that no finger's joint has.
 
     Args:
@@ -328,7 +328,7 @@ def judge_ranges(
     return list(joints), said
 
 
-def _is_wide(joint: UrdfJoint, others: Sequence[UrdfJoint]) -> bool:
+def _is_wide(joint: FileJoint, others: Sequence[FileJoint]) -> bool:
     """True if a range is wider than a hinge allows, or if several joints share one of half a turn to one side."""
     span = joint.upper - joint.lower
     if joint.sliding:
@@ -338,13 +338,13 @@ def _is_wide(joint: UrdfJoint, others: Sequence[UrdfJoint]) -> bool:
     return span > LARGEST_TURN or (span > HALF_TURN and one_side and alike >= 3)
 
 
-def _range(joint: UrdfJoint) -> str:
+def _range(joint: FileJoint) -> str:
     if not math.isfinite(joint.lower):
         return f"{joint.name!r} (without end)"
     return f"{joint.name!r} ({joint.lower:.3g} to {joint.upper:.3g} {'m' if joint.sliding else 'rad'})"
 
 
-def _in_radians(joint: UrdfJoint) -> UrdfJoint:
+def _in_radians(joint: FileJoint) -> FileJoint:
     return replace(joint, lower=math.radians(joint.lower), upper=math.radians(joint.upper))
 
 

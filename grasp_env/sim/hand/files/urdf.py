@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -17,11 +16,12 @@ import numpy as np
 from grasp_env._check import together
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.check import Inertia, Vector3, limits, numbers
+from grasp_env.sim.hand.files.elements import NO_INERTIA, FileJoint, FileLink
+from grasp_env.sim.hand.files.mesh_uses import MeshUse, refuse, solids_of
+from grasp_env.sim.hand.files.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
+from grasp_env.sim.hand.files.xacro import expanded, is_xacro
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.mesh_uses import MeshUse, refuse, solids_of
-from grasp_env.sim.hand.meshes import PARENTS, find_mesh, unit_of, why_not_drawn
 from grasp_env.sim.hand.tree import Geometry, Mimic
-from grasp_env.sim.hand.xacro_files import expanded, is_xacro
 
 MOST = 500
 """Of links and of joints in a file."""
@@ -29,46 +29,10 @@ MOST_SHAPES = 2000
 """Of collision and visual shapes together."""
 _MOST_ABSENT = 40  # missing meshes that a message names
 
-_NO_INERTIA: Inertia = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _TURNING, _SLIDING, _FIXED = ("revolute", "continuous"), "prismatic", "fixed"
 
 
-@dataclass(frozen=True)
-class UrdfLink:
-    """A <link>: mass 0 where it has no <inertial>; `color` is that of its first visual; its shapes come by `Reader.shaped`."""
-
-    name: str
-    mass: float = 0.0
-    inertial_frame: Frame = field(default_factory=lambda: Frame(np.eye(3), np.zeros(3)))
-    inertia: Inertia = _NO_INERTIA
-    collision: tuple[Geometry, ...] = ()
-    visual: tuple[Geometry, ...] = ()
-    color: Vector3 | None = None
-
-
-@dataclass(frozen=True)
-class UrdfJoint:
-    """A <joint>: `origin` and `rotation` put the child at angle 0; `effort` is None where it names none.
-
-    `rotor` is the inertia of its motor [kg m^2], which a URDF has no word for.
-    """
-
-    name: str
-    parent: str
-    child: str
-    fixed: bool
-    origin: Vector3
-    rotation: Vector3
-    axis: Vector3 = (1.0, 0.0, 0.0)
-    lower: float = -math.inf
-    upper: float = math.inf
-    effort: float | None = None
-    sliding: bool = False
-    mimic: Mimic | None = None
-    rotor: float = 0.0
-
-
-class Reader:
+class UrdfReader:
     """Reads one file.
 
     Args:
@@ -119,7 +83,7 @@ class Reader:
         self.fixed = {element.get("name", "") for element in self._joints if element.get("type") == _FIXED}
         self.unseen: dict[str, str] = {}
 
-    def elements(self, wanted: Collection[str]) -> tuple[dict[str, UrdfLink], list[UrdfJoint]]:
+    def elements(self, wanted: Collection[str]) -> tuple[dict[str, FileLink], list[FileJoint]]:
         """Links by name, and the joints between them in the order of the file; others are not looked at.
 
         Meshes are found, and not read before `shaped`.
@@ -158,7 +122,7 @@ class Reader:
         )
         return {link.name: link for link in links}, joints
 
-    def _link(self, element: Element) -> UrdfLink:
+    def _link(self, element: Element) -> FileLink:
         name = _name(element, "<link>")
         where = f"link {name!r}"
         color: Vector3 | None = None
@@ -173,7 +137,7 @@ class Reader:
             lambda: together(*(partial(self._placed, shape, name, own) for shape, own in looks)),
         )
         self._shapes[name] = list(filter(None, collision)), list(filter(None, visual))
-        return UrdfLink(name, mass, frame, inertia, color=color)
+        return FileLink(name, mass, frame, inertia, color=color)
 
     def _look(self, element: Element, where: str) -> Vector3 | None:
         material = element.find("material")
@@ -191,14 +155,14 @@ class Reader:
                 f"{', '.join(each[:_MOST_ABSENT])}{more}. Fetch the whole package, and keep its folders as they are"
             )
 
-    def shaped(self, links: dict[str, UrdfLink]) -> dict[str, UrdfLink]:
+    def shaped(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
         """The links with their shapes: collision meshes as their convex pieces, and visual meshes that can be drawn.
 
         Raises:
             InvalidInputError: Files that are no mesh of a hand, all of them.
         """
         solids = solids_of({name: self._shapes[name][0] for name in links}, self.path.name)
-        shaped = dict[str, UrdfLink]()
+        shaped = dict[str, FileLink]()
         for name, link in links.items():
             visual = [look if isinstance(look, Geometry) else self._seen(look) for look in self._shapes[name][1]]
             shaped[name] = replace(link, collision=tuple(solids[name]), visual=tuple(filter(None, visual)))
@@ -290,13 +254,13 @@ def _inertial(inertial: Element | None, where: str) -> tuple[float, Frame, Inert
     """Mass, frame and inertia of an <inertial>, whether a body can have them or not."""
     frame = Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     if inertial is None:
-        return 0.0, frame, _NO_INERTIA
+        return 0.0, frame, NO_INERTIA
     mass = _number(inertial.find("mass"), "value", None, f"{where}, <inertial>, <mass>")
     if mass < 0.0:
         raise InvalidInputError(f"{where}: mass={mass} kg must be above 0")
     frame = Frame.of(*_origin(inertial, f"{where}, <inertial>"))
     if mass == 0.0:
-        return 0.0, frame, _NO_INERTIA
+        return 0.0, frame, NO_INERTIA
     element, required = inertial.find("inertia"), ("ixx", "iyy", "izz")
     inside = f"{where}, <inertial>, <inertia>"
     xx, xy, xz, yy, yz, zz = (
@@ -346,7 +310,7 @@ def _primitive(element: Element, shape: Element, where: str, color: Vector3 | No
         raise InvalidInputError(f"{where}: {error}") from None
 
 
-def _joint(element: Element) -> UrdfJoint:
+def _joint(element: Element) -> FileJoint:
     name = _name(element, "<joint>")
     where, kind = f"joint {name!r}", element.get("type")
     if kind not in (*_TURNING, _SLIDING, _FIXED):
@@ -359,14 +323,14 @@ def _joint(element: Element) -> UrdfJoint:
             raise InvalidInputError(f'{where} names no {role}; write <{role} link="..."/>')
     origin, rotation = _origin(element, where)
     if kind == _FIXED:
-        return UrdfJoint(name, parent, child, True, origin, rotation)
+        return FileJoint(name, parent, child, True, origin, rotation)
     axis, (lower, upper), effort, mimic = together(
         lambda: _axis(element, where),
         lambda: _limits(element.find("limit"), kind, where),
         lambda: _effort(element.find("limit"), where),
         lambda: _mimic(element.find("mimic"), where),
     )
-    return UrdfJoint(name, parent, child, False, origin, rotation, axis, lower, upper, effort, kind == _SLIDING, mimic)
+    return FileJoint(name, parent, child, False, origin, rotation, axis, lower, upper, effort, kind == _SLIDING, mimic)
 
 
 def _axis(element: Element, where: str) -> Vector3:
@@ -402,8 +366,3 @@ def _mimic(mimic: Element | None, where: str) -> Mimic | None:
         raise InvalidInputError(f"{inside} lacks joint=")
     ratio, offset = (_number(mimic, key, default, inside) for key, default in (("multiplier", "1"), ("offset", "0")))
     return Mimic(other, ratio, offset)
-
-
-def names_of(values: Sequence[Any]) -> str:
-    """Names for a message, not more than can be read."""
-    return ", ".join(map(shown, values[:60])) + (f" and {len(values) - 60} more" if len(values) > 60 else "")

@@ -1,17 +1,17 @@
-"""Reads a user's own hand from a file: what a fixed joint carries becomes part of the link before it.
+"""Puts a hand together from what a reader found in a file: what a fixed joint carries becomes part of the link before it.
 
-Public files have massless links, inertias that no body has, placeholders for torques, meshes. What can be repaired is, and is
-told; what cannot is told in one message.
+Public files have links without mass, inertias that no body has, placeholders for torques, meshes. One warning names what was repaired;
+one error names everything that cannot be.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -21,38 +21,19 @@ from grasp_env._extras import need
 from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, inertia_numbers
+from grasp_env.sim.hand.files.elements import FileJoint, FileLink, HandFile, names_of
+from grasp_env.sim.hand.files.linkages import find_rods, free_ranges
+from grasp_env.sim.hand.files.options import HandOptions, Inertial
+from grasp_env.sim.hand.files.part import Part, arrange, check_mimics, find_part, find_root
+from grasp_env.sim.hand.files.pieces import hull_of_file
+from grasp_env.sim.hand.files.plausible import Body, Judge, judge_ranges
+from grasp_env.sim.hand.files.urdf import UrdfReader
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.linkages import find_rods, free_ranges
-from grasp_env.sim.hand.part import Part, arrange, check_mimics, find_part, find_root
-from grasp_env.sim.hand.pieces import hull_of_file
-from grasp_env.sim.hand.plausible import Body, Judge, judge_ranges
 from grasp_env.sim.hand.solids import outline
 from grasp_env.sim.hand.tips import Ball, distal, freed, inscribed
-from grasp_env.sim.hand.told import Inertial, Told
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Palm
-from grasp_env.sim.hand.urdf_elements import Reader, UrdfJoint, UrdfLink, names_of
 
 _NEAR = 1e-3  # [m] of a joint, where there is no direction away from it
-
-
-class HandFile(Protocol):
-    """A reader of any kind of file; see `urdf_elements.Reader`."""
-
-    name: str
-    names: list[str]
-    ends: list[tuple[str, str, str]]
-    mimics: dict[str, str]
-    fixed: set[str]
-    unseen: dict[str, str]
-    said: list[str]
-
-    def elements(self, links: Collection[str], /) -> tuple[dict[str, UrdfLink], list[UrdfJoint]]:
-        """Some of the links by name, and the joints between them in the order of the file."""
-        ...
-
-    def shaped(self, links: dict[str, UrdfLink], /) -> dict[str, UrdfLink]:
-        """The links with the shapes that they touch with."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -78,7 +59,7 @@ class _Place:
     frame: Frame
 
 
-def read_hand(path: str | os.PathLike[str], told: Told) -> ReadHand:
+def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
     """The parts of a hand from a file; `HandDescription.from_file` describes the arguments.
 
     Returns:
@@ -87,9 +68,9 @@ def read_hand(path: str | os.PathLike[str], told: Told) -> ReadHand:
     Raises:
         InvalidInputError: The file is no hand that can be simulated.
     """
-    _, tips, _ = together(told.checked_palm, told.tips, told.radius)
+    _, tips, _ = together(options.checked_palm, options.tips, options.radius)
     try:
-        return hand_of(_reader(path, tuple(tips or ())), told)
+        return hand_of(_reader(path, tuple(tips or ())), options)
     except InvalidInputError as error:
         message = str(error)
         raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
@@ -99,38 +80,38 @@ def _reader(path: str | os.PathLike[str], tips: tuple[str, ...]) -> HandFile:
     """The reader of a file, by its first element."""
     first: Element = parsed(path, read_xml, InvalidInputError, f"the file {shown_path(path)}", "XML")
     if first.tag == "robot":
-        return Reader(path, first)
+        return UrdfReader(path, first)
     if first.tag == "mujoco":
         with need("mujoco"):
-            from grasp_env.sim.hand.mjcf_elements import MjcfReader
+            from grasp_env.sim.hand.files.mjcf import MjcfReader
         return MjcfReader(path, tips)
     raise InvalidInputError(
         f"the first element is <{first.tag[:40]}>; a URDF starts with <robot name=...>, a MuJoCo model with <mujoco>"
     )
 
 
-def hand_of(file: HandFile, told: Told) -> ReadHand:
+def hand_of(file: HandFile, options: HandOptions) -> ReadHand:
     """The hand in a file.
 
     Raises:
         InvalidInputError: The file is no hand that can be simulated.
     """
-    return _Importer(file, told).hand
+    return _Importer(file, options).hand
 
 
 class _Importer:
     """Puts a hand together."""
 
-    def __init__(self, file: HandFile, told: Told) -> None:
+    def __init__(self, file: HandFile, options: HandOptions) -> None:
         self._corners: dict[str, Array] = {}  # of meshes that are looked at
-        asked = told.tips()
-        part, self.links, joints = _read(file, told.checked_palm(), asked or {})
-        ranges = told.ranges([joint.name for joint in joints if not joint.fixed])
+        asked = options.tips()
+        part, self.links, joints = _read(file, options.checked_palm(), asked or {})
+        ranges = options.ranges([joint.name for joint in joints if not joint.fixed])
         joints, held = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
         joints, wide = judge_ranges(joints, ranges)
         self.joints, uncoupled = free_ranges(joints)
         self.root = part.root
-        self.rotors = 1.0 if told.rotor_inertia is None else 0.0
+        self.rotors = 1.0 if options.rotor_inertia is None else 0.0
         self.repairs = [*file.said, *part.left, *held, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
@@ -142,9 +123,9 @@ class _Importer:
             self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
         bodies = [self._body(joint) for joint in self.moving]
         torques, inertials, fitted = together(
-            lambda: told.torques([joint.name for joint in self.moving]),
-            lambda: told.bodies([joint.child for joint in self.moving]),
-            lambda: self._tips(asked, told.radius()),
+            lambda: options.torques([joint.name for joint in self.moving]),
+            lambda: options.bodies([joint.child for joint in self.moving]),
+            lambda: self._tips(asked, options.radius()),
         )
         palm = Palm(self.root, *self._shapes(self.root, None), self.links[self.root].color or (0.17, 0.19, 0.23))
         links = self._judged(bodies, torques, inertials)
@@ -180,7 +161,7 @@ class _Importer:
                 visual.append(replace(_carried(place.frame, shape), color=shape.color or own))
         return tuple(collision), tuple(visual)
 
-    def _body(self, joint: UrdfJoint) -> Body:
+    def _body(self, joint: FileJoint) -> Body:
         """What a joint moves, with all that is fixed to it."""
         before = self.places[joint.parent]
         place, _ = before.frame.carry(joint.origin, joint.rotation)
@@ -357,7 +338,7 @@ def _carried(frame: Frame, shape: Geometry) -> Geometry:
 
 def _read(
     file: HandFile, palm: str | None, tips: Mapping[str, Any]
-) -> tuple[Part, dict[str, UrdfLink], list[UrdfJoint]]:
+) -> tuple[Part, dict[str, FileLink], list[FileJoint]]:
     """The part of a file that is the hand, its links by name and its joints.
 
     Raises:
@@ -383,7 +364,7 @@ def _read(
     return part, links, joints
 
 
-def _ranged(joint: UrdfJoint, limits: tuple[float, float] | None) -> UrdfJoint:
+def _ranged(joint: FileJoint, limits: tuple[float, float] | None) -> FileJoint:
     return joint if limits is None else replace(joint, lower=limits[0], upper=limits[1])
 
 
