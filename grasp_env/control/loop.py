@@ -84,8 +84,7 @@ class ForceLoop:
         believed = hand.tip_friction * (1.0 + config.controller.friction_error) * config.controller.friction_margin
         self.friction, self.torsional_friction = item.friction * believed, item.torsional_friction * believed
         points, normals = np.array(scene.config.contact_points), scene.config.contact_normals
-        soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
-        grasp = Grasp.from_contacts(points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {})
+        grasp = self.grasp(points, normals)
         self.optimizer = make_optimizer(grasp, config, self.initial_force)
         settings = control_settings(config, item, scene.kinematics)
         settings.remembers = self.optimizer.remembers
@@ -103,6 +102,15 @@ class ForceLoop:
         arrays["depths"][:] = config.controller.squeeze / self.count / config.controller.pd_stiffness
         self._noise = None
         self.reset()
+
+    def grasp(self, points: Array, normals: Array) -> Grasp:
+        """Contacts (N, 3) [m] with inward unit normals (N, 3), object frame, with the friction that the solver believes in.
+
+        Raises:
+            RankDeficientGraspError: they cannot hold an object.
+        """
+        soft = {"contact_model": "soft", "torsional_friction": self.torsional_friction}
+        return Grasp.from_contacts(points, normals, self.friction, **soft if self.torsional_friction > 0.0 else {})
 
     def reset(self, rng: np.random.Generator | None = None) -> None:
         """Forgets the episode: the next solve starts as the first ever did.

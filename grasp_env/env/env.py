@@ -477,7 +477,8 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         gravity = plan.gravity[:: self._ticks_per_step]
         loads = plan.wrench[:: self._ticks_per_step].copy()
         loads[:, :3] += self._mass * gravity @ snapshot.rotation
-        structure = finger_structure(snapshot, scene.kinematics, self._loop.friction, loads)
+        grasp = self._loop.grasp(snapshot.points, snapshot.normals)
+        structure = finger_structure(snapshot, scene.kinematics, grasp, loads)
         self._share = structure.share
         if not self._warned and (said := structure.warning(scene.config.hand.finger_names)):
             self._warned = True

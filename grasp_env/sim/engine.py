@@ -51,7 +51,7 @@ class BulletEngine(Engine):
     solver_iterations: int = setting(
         20,
         integer(1, _MOST_SWEEPS),
-        "Sweeps of the contact solver in one step; at least 40 where a finger has more than three joints, 400 where one has fewer "
+        "Sweeps of the contact solver in one step; at least 40 where a finger has more than three joints, 800 where one has fewer "
         "than three motors.",
     )
     mesh_contacts: str = setting(

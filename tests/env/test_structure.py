@@ -40,6 +40,11 @@ def held(hand: HandDescription, engine: str, seeds: int) -> int:
     return successes
 
 
+def grasp_of(scene: Scene) -> Grasp:
+    """The contacts of a scene."""
+    return Grasp.from_contacts(scene.look().points, scene.look().normals, 0.4)
+
+
 def coupled_last_joint(scene: Scene, finger: int) -> HandKinematics:
     """The hand of a scene with the last joint of a finger coupled to the one before, in the posture of the scene."""
     hand, angles = scene.config.hand, scene.look().angles
@@ -57,7 +62,7 @@ def scene() -> Any:
 
 
 def test_three_motors_of_a_finger_make_all_of_its_force(scene: Scene) -> None:
-    found = finger_structure(scene.look(), scene.kinematics, 0.4, LOADS)
+    found = finger_structure(scene.look(), scene.kinematics, grasp_of(scene), LOADS)
     np.testing.assert_array_equal(found.components, 3)
     np.testing.assert_array_equal(found.share, 0.0)
     assert found.warning(scene.config.hand.finger_names) == ""
@@ -66,13 +71,13 @@ def test_three_motors_of_a_finger_make_all_of_its_force(scene: Scene) -> None:
 def test_the_structure_of_a_finger_carries_what_takes_no_torque(scene: Scene) -> None:
     """The direction in which two motors cannot push, found from their Jacobian alone, and forces that are optimized one by one."""
     kinematics, snapshot = coupled_last_joint(scene, 1), scene.look()
-    found = finger_structure(snapshot, kinematics, 0.4, LOADS)
+    found = finger_structure(snapshot, kinematics, grasp_of(scene), LOADS)
     np.testing.assert_array_equal(found.components, [3, 2, 3, 3])
     jacobian = kinematics.jacobian(snapshot.angles, 1, snapshot.touch[1])[:, kinematics.motors]
     moves = jacobian[:, np.linalg.norm(jacobian, axis=0) > 1e-9].T
     stiff = np.cross(moves[0], moves[1])
     stiff /= np.linalg.norm(stiff)
-    grasp = Grasp.from_contacts(snapshot.points, snapshot.normals, 0.4)
+    grasp = grasp_of(scene)
     forces = np.array([grasp.frames[1] @ optimize_force(grasp, load).force[1] for load in LOADS]) @ snapshot.rotation.T
     share = np.linalg.norm(forces @ stiff) / np.linalg.norm(forces)
     assert share > 0.05
@@ -108,6 +113,16 @@ def test_a_reset_reports_what_structure_carries_once(engine: str) -> None:
         warnings.simplefilter("error")
         _, info = env.reset(seed=0)
     assert 0.0 < info["structure_share"].max() < 0.65
+    env.close()
+
+
+@pytest.mark.filterwarnings("ignore::grasp_env.errors.GraspWarning")
+def test_two_soft_contacts_are_measured() -> None:
+    """Such as those of jaws: hard contacts at their places are no grasp."""
+    env = FourFingerGrasp(hand=gripper(2, 2), engine="mujoco", object={"torsional_friction": 0.004}, **BALL)
+    _, info = env.reset(seed=0)
+    assert info["structure_share"].shape == (2,)
+    assert ((info["structure_share"] > 0.0) & (info["structure_share"] < 1.0)).all()
     env.close()
 
 

@@ -66,8 +66,8 @@ def loaded(hand: HandDescription) -> Bullet:
 
 @pytest.mark.parametrize(
     ("hand", "sweeps"),
-    [(HandDescription.four_finger(), 20), (HandDescription.allegro(), 40), (HandDescription.leap(), 40), (gripper(3, 2), 400),
-     (gripper(3, 3), 20), (gripper(3, 3, True), 400), (gripper(3, 5, True), 40)],
+    [(HandDescription.four_finger(), 20), (HandDescription.allegro(), 40), (HandDescription.leap(), 40), (gripper(3, 2), 800),
+     (gripper(3, 3), 20), (gripper(3, 3, True), 800), (gripper(3, 5, True), 40)],
 )  # fmt: skip
 def test_fingers_with_fewer_than_three_motors_have_more_sweeps(hand: HandDescription, sweeps: int) -> None:
     made = Bullet(hand)
