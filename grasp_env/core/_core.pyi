@@ -625,7 +625,8 @@ class GraspSearch:
     def assemble(self, choice: Sequence[int], clearance: float, angles: object, start: object) -> int:
         """
         Angles (M,) of the whole hand at a choice of places, and before it closes, as far as they are. Returns 0, or what is
-        wrong: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at the start.
+        wrong: 1 a link nearer to the object than `clearance` [m], 2 links touch, 3 no start, 4 and 5 as 1 and 2 at the start,
+        6 fingers of one motor do not touch together.
         """
 
 class Answers:

@@ -358,7 +358,7 @@ class FourFingerGrasp(gym.Env[Any, NDArray[np.float32]], EzPickle):
         adjustment = given = None
         if agent.action_mode == "contact_force":
             given = self._forces(np.array(numbers))
-        elif agent.action_mode == "initial_force" and any(numbers):
+        elif agent.action_mode == "initial_force" and any(numbers) and loop.count > 2:  # two have none to adjust along
             adjustment = agent.action_scale * np.array(numbers)
         believed, acts = scene.gravity if self._measured_wrench else self._upright, self._acts
         for k in range(self._ticks_per_step):

@@ -124,7 +124,8 @@ public:
             Finger& finger = hand_->fingers[i];
             const Place& place = pools[i][choice[i]];
             starts = finger.stand_off(object_.surface, place, demand_.start, there) && starts;
-            const bool first = std::none_of(shut.begin(), shut.end(), [&](int f) { return hand_->fingers[f].closer == finger.closer; });
+            const bool first =
+                std::none_of(shut.begin(), shut.end(), [&](int f) { return hand_->fingers[f].closer == finger.closer; });
             for (std::size_t k = 0; k < finger.joints.size(); ++k)
                 if (const int j = finger.joints[k]; j != finger.closer) angles[j] = place.angles[k], start[j] = there[k];
             if (finger.closer < 0) continue;
