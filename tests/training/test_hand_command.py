@@ -27,7 +27,7 @@ def test_a_file_is_told_and_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[
         "bend",
         "0.5 x bend +0.1",
         "-1.000 rad",
-        "1 N m",
+        "1.7 N m",  # 15 N at 81 mm, and what the coupled joint adds
         "8.0",
         "effort 0 of 'bend'",
         "without mass",
