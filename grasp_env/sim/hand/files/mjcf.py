@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import tempfile
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,28 +13,19 @@ import mujoco as compiled
 import numpy as np
 
 from grasp_env._check import Array
-from grasp_env._files import shown_path
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import Vector3, inertia_numbers
 from grasp_env.sim.hand.files.couplings import Motor, find_motors
 from grasp_env.sim.hand.files.elements import FileJoint, FileLink, names_of
-from grasp_env.sim.hand.files.meshes import why_not_drawn
-from grasp_env.sim.hand.files.pieces import kept_pieces
+from grasp_env.sim.hand.files.mjcf_model import frame_of, load_model, model_name, name_of
+from grasp_env.sim.hand.files.mjcf_shapes import MjcfShapes
 from grasp_env.sim.hand.frames import Frame, axis_rotation
-from grasp_env.sim.hand.solids import few_corners, outline
 from grasp_env.sim.hand.tips import SMALLEST
 from grasp_env.sim.hand.tree import Geometry, Mimic
-from grasp_env.sim.objects.apart import apart
 from grasp_env.sim.progress import counted
 
 mujoco: Any = compiled  # it has no types
 
-_SECONDS = 30.0
-"""Longest time in which MuJoCo may compile a file."""
-_MOST_MEMORY = 8 << 30
-"""[bytes] that compiling may take."""
-_PARENTS = 5
-"""Folders above the file in which its meshes may be."""
 _MOST_BODIES = 500
 """Largest number of bodies in a file."""
 _LIGHT = 1e-3
@@ -43,45 +33,6 @@ _LIGHT = 1e-3
 _LIGHT_INERTIA = 1e-7
 """[kg m^2] of that link about each axis."""
 _IDENTITY = Frame(np.eye(3), np.zeros(3))
-
-
-def compile_mjcf(path: Any) -> dict[str, Any]:
-    """Compile a file in a process of its own, which `apart` makes.
-
-    Args:
-        path: Of the file, an array of one text.
-
-    Returns:
-        The "model" as MuJoCo writes it, uint8; or the "error" as text.
-    """
-    try:
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
-    except (ImportError, ValueError, OSError):  # not on Windows
-        pass
-    file = Path(str(path))
-    first = ""
-    for folder in list(file.parents)[: _PARENTS + 1]:
-        try:
-            model = _compiled(file, folder)
-        except (ValueError, RuntimeError, MemoryError) as error:
-            first = first or str(error) or type(error).__name__
-            continue
-        buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-        mujoco.mj_saveModel(model, None, buffer)
-        return {"model": buffer}
-    return {"error": np.array(first)}
-
-
-def _compiled(file: Path, folder: Path) -> Any:
-    """The model of a file whose meshes are named from a folder on."""
-    os.chdir(folder)
-    if folder == file.parent and file.suffix == ".xml":
-        return mujoco.MjModel.from_xml_path(str(file))
-    spec = mujoco.MjSpec.from_string(file.read_text())
-    spec.modelfiledir = str(folder)
-    return spec.compile()
 
 
 class MjcfReader:
@@ -103,9 +54,10 @@ class MjcfReader:
 
     def __init__(self, path: str | os.PathLike[str], tips: Sequence[str] = ()) -> None:
         self.path = Path(os.fsdecode(path))
-        self.model = model = _load(self.path)
-        self.name: str = _text(model, 0) or "hand"
-        self.unseen: dict[str, str] = {}
+        self.model = model = load_model(self.path)
+        self.name = model_name(model) or "hand"
+        self._shapes = MjcfShapes(model, self.path)
+        self.unseen = self._shapes.unseen
         self.said: list[str] = []
         if model.nbody - 1 > _MOST_BODIES:
             raise InvalidInputError(
@@ -119,7 +71,7 @@ class MjcfReader:
         self._note_motors()
         moving = {motor.joint for motor in self.motors} | {other for motor in self.motors for other in motor.followers}
         self._bodies, self._root = self._tree(moving)
-        self._names = {body: model.body(body).name or f"body{body}" for body in self._bodies}
+        self._names = {body: name_of(model, "body", body) for body in self._bodies}
         self._joints = {body: [joint for joint in self._joints_of(body) if joint in moving] for body in self._bodies}
         self._tips = self._named_tips(tips)
         self._links, self._ends = self._read()
@@ -136,16 +88,21 @@ class MjcfReader:
     def shaped(self, links: dict[str, FileLink]) -> dict[str, FileLink]:
         """See `urdf.UrdfReader`."""
         bodies = {name: body for body, name in self._names.items()}
+        own = {geom for _, geom in self._tips.values() if geom is not None}
         shaped = dict[str, FileLink]()
         for name, link in counted(list(links.items()), f"{self.path.name}: convex pieces of meshes"):
             if name in self._tips:
                 _, geom = self._tips[name]
                 solids = (
-                    self._solid(geom, _IDENTITY) if geom is not None else [Geometry("sphere", (self._radius(name),))]
+                    self._shapes.solids(geom, _IDENTITY)
+                    if geom is not None
+                    else [Geometry("sphere", (self._radius(name),))]
                 )
                 shaped[name] = replace(link, collision=tuple(solids))
             elif name in bodies:
-                shaped[name] = self._with_shapes(link, bodies[name])
+                body = bodies[name]
+                collision, visual, color = self._shapes.of_body(body, self._shifts[body], own)
+                shaped[name] = replace(link, collision=tuple(collision), visual=tuple(visual), color=color)
             else:
                 shaped[name] = link
         return shaped
@@ -157,7 +114,7 @@ class MjcfReader:
                 "no actuator moves a hinge or slide joint; add <position joint=.../> for each motor of the hand"
             )
         acting = {motor.actuator for motor in self.motors}
-        idle = [_name(model, "actuator", number) for number in range(model.nu) if number not in acting]
+        idle = [name_of(model, "actuator", number) for number in range(model.nu) if number not in acting]
         if idle:
             self.said.append(f"actuators that move no joint of their own are left out: {names_of(idle)}")
         lines = list[str]()
@@ -166,7 +123,7 @@ class MjcfReader:
                 shift = f" {offset:+g}" if offset else ""
                 bend = f" (misses by up to {motor.bend:.2f} rad)" if motor.curved else ""
                 lines.append(
-                    f"{_name(model, 'joint', other)} = {ratio:g} * {_name(model, 'joint', motor.joint)}{shift}{bend}"
+                    f"{name_of(model, 'joint', other)} = {ratio:g} * {name_of(model, 'joint', motor.joint)}{shift}{bend}"
                 )
         if lines:
             self.said.append(f"joints that share a motor are coupled as MuJoCo moves them: {', '.join(lines)}")
@@ -201,13 +158,13 @@ class MjcfReader:
             carries = carriers & {other for other in inside if body in above(other)}
             if ball in kinds and carries:
                 raise InvalidInputError(
-                    f"the ball joint {_name(model, 'joint', passive[0])!r} has no motor and carries joints that motors move: such parallel "
+                    f"the ball joint {name_of(model, 'joint', passive[0])!r} has no motor and carries joints that motors move: such parallel "
                     "mechanisms are not read; describe each finger by the hinges that they make of it"
                 )
             if body != root and not carries and kinds & {ball, free}:
-                left.append(model.body(body).name or f"body{body}")
+                left.append(name_of(model, "body", body))
                 continue
-            still += [_name(model, "joint", joint) for joint in passive]
+            still += [name_of(model, "joint", joint) for joint in passive]
             bodies.append(body)
         if left:
             self.said.append(f"bodies that move freely, and rods on ball joints, are left out: {names_of(left)}")
@@ -242,10 +199,10 @@ class MjcfReader:
                 links.append(self._link(body, _IDENTITY))
                 continue
             above = int(model.body_parentid[body])
-            parent, place = ends[above], shifts[above] @ _frame(model.body_pos[body], model.body_quat[body])
+            parent, place = ends[above], shifts[above] @ frame_of(model.body_pos[body], model.body_quat[body])
             name, moved = self._names[body], self._joints[body]
             for number, joint in enumerate(moved):
-                child = name if number == len(moved) - 1 else f"{name}/{_name(model, 'joint', joint)}"
+                child = name if number == len(moved) - 1 else f"{name}/{name_of(model, 'joint', joint)}"
                 axis, anchor = np.array(model.jnt_axis[joint]), np.array(model.jnt_pos[joint])
                 first = float(model.qpos0[model.jnt_qposadr[joint]])
                 sliding = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -257,10 +214,10 @@ class MjcfReader:
                 mimic = None
                 if joint in followers:
                     motor, (ratio, offset) = followers[joint]
-                    mimic = Mimic(_name(model, "joint", motor.joint), ratio, offset)
+                    mimic = Mimic(name_of(model, "joint", motor.joint), ratio, offset)
                 joints.append(
                     FileJoint(
-                        _name(model, "joint", joint),
+                        name_of(model, "joint", joint),
                         parent,
                         child,
                         False,
@@ -293,7 +250,7 @@ class MjcfReader:
 
     def _site(self, name: str) -> Frame:
         site = self.model.site(name)
-        return _frame(site.pos, site.quat)
+        return frame_of(site.pos, site.quat)
 
     def _radius(self, name: str) -> float:
         """Of the sphere that a site becomes [m]."""
@@ -322,121 +279,11 @@ class MjcfReader:
     def _link(self, body: int, shift: Frame) -> FileLink:
         """A body as a link without shapes, in the frame of its joint."""
         model = self.model
-        inertial = shift @ _frame(model.body_ipos[body], model.body_iquat[body])
+        inertial = shift @ frame_of(model.body_ipos[body], model.body_iquat[body])
         inertia = inertia_numbers(np.diag(model.body_inertia[body]))
         return FileLink(self._names[body], float(model.body_mass[body]), inertial, inertia)
-
-    def _with_shapes(self, link: FileLink, body: int) -> FileLink:
-        model, shift = self.model, self._shifts[body]
-        mine = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) == body]
-        own = {geom for _, geom in self._tips.values() if geom is not None}
-        touching = [geom for geom in mine if model.geom_contype[geom] or model.geom_conaffinity[geom]]
-        looks = [geom for geom in mine if geom not in touching] or touching
-        collision = [shape for geom in touching if geom not in own for shape in self._solid(geom, shift)]
-        visual = [shape for geom in looks for shape in self._look(geom, shift)]
-        color = _color(model, looks[0]) if looks else None
-        return replace(link, collision=tuple(collision), visual=tuple(visual), color=color)
-
-    def _place(self, geom: int, shift: Frame) -> Frame:
-        return shift @ _frame(self.model.geom_pos[geom], self.model.geom_quat[geom])
-
-    def _solid(self, geom: int, shift: Frame) -> list[Geometry]:
-        """Shapes that touch: of a mesh its convex pieces, where MuJoCo has its hull; none of a plane or height field."""
-        model, kind = self.model, int(self.model.geom_type[geom])
-        origin, rotation = self._place(geom, shift).numbers()
-        color = _color(model, geom)
-        kinds = mujoco.mjtGeom
-        a, b, c = model.geom_size[geom].tolist()
-        if kind == int(kinds.mjGEOM_SPHERE):
-            return [Geometry("sphere", (a,), origin, rotation, color)]
-        if kind in (int(kinds.mjGEOM_CAPSULE), int(kinds.mjGEOM_CYLINDER)):
-            name = "capsule" if kind == int(kinds.mjGEOM_CAPSULE) else "cylinder"
-            return [Geometry(name, (a, 2.0 * b), origin, rotation, color)]
-        if kind == int(kinds.mjGEOM_BOX):
-            return [Geometry("box", (2.0 * a, 2.0 * b, 2.0 * c), origin, rotation, color)]
-        if kind == int(kinds.mjGEOM_ELLIPSOID):
-            return [_hull(few_corners(outline(Geometry("sphere", (1.0,))) * (a, b, c)), origin, rotation, color)]
-        if kind == int(kinds.mjGEOM_MESH):
-            return [_hull(piece, origin, rotation, color) for piece in self._pieces(int(model.geom_dataid[geom]))]
-        return []
-
-    def _pieces(self, mesh: int) -> list[Array]:
-        model = self.model
-        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        begin, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-        name = f"{self.path.name}: {model.mesh(mesh).name or mesh}"
-        return kept_pieces(model.mesh_vert[first : first + count], model.mesh_face[begin : begin + faces], name)
-
-    def _look(self, geom: int, shift: Frame) -> list[Geometry]:
-        """A shape that is drawn: of a mesh its file where that can be drawn, else its hull."""
-        model = self.model
-        if int(model.geom_type[geom]) != int(mujoco.mjtGeom.mjGEOM_MESH):
-            return self._solid(geom, shift)
-        mesh = int(model.geom_dataid[geom])
-        file = _file(model, int(model.mesh_pathadr[mesh]), self.path)
-        scale = model.mesh_scale[mesh].tolist()
-        if file is None:
-            return self._solid(geom, shift)
-        if why := why_not_drawn(file) or ("are mirrored by a scale below 0" if min(scale) < 0.0 else ""):
-            self.unseen[file.name] = why
-            return self._solid(geom, shift)
-        # MuJoCo moved the mesh into its own axes
-        moved = _frame(model.mesh_pos[mesh], model.mesh_quat[mesh])
-        back = Frame(moved.rotation.T, -moved.rotation.T @ moved.origin)
-        origin, rotation = (self._place(geom, shift) @ back).numbers()
-        return [Geometry("mesh", tuple(scale), origin, rotation, _color(model, geom), file=str(file))]
-
-
-def _load(path: Path) -> Any:
-    """The compiled model of a file."""
-    where = f"cannot read the MuJoCo model {shown_path(path)}"
-    try:
-        made = apart(
-            f"{__name__}:compile_mjcf", f"compiling {path.name}", _SECONDS, path=np.array(str(path.absolute()))
-        )
-    except (TimeoutError, ChildProcessError) as error:
-        raise InvalidInputError(f"{where}: MuJoCo's compiler failed: {str(error).splitlines()[-1]}") from None
-    if "error" in made:
-        raise InvalidInputError(f"{where}: {' '.join(str(made['error']).split())}")
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "model.mjb")
-        file.write_bytes(made["model"].tobytes())
-        return mujoco.MjModel.from_binary_path(str(file))
-
-
-def _text(model: Any, address: int) -> str:
-    return bytes(model.names[address:]).split(b"\0", 1)[0].decode(errors="replace")
-
-
-def _name(model: Any, kind: str, number: int) -> str:
-    return getattr(model, kind)(number).name or f"{kind}{number}"
-
-
-def _file(model: Any, address: int, path: Path) -> Path | None:
-    """The file at an address of the model's paths; None: there is none."""
-    if address < 0:
-        return None
-    text = bytes(model.paths[address:]).split(b"\0", 1)[0].decode(errors="replace")
-    file = Path(text) if Path(text).is_absolute() else path.absolute().parent / text
-    return file if text and file.is_file() else None
-
-
-def _frame(position: Array, quaternion: Array) -> Frame:
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, dtype=float))
-    return Frame(matrix.reshape(3, 3), np.array(position, dtype=float))
 
 
 def _vector(row: Array) -> Vector3:
     x, y, z = row.tolist()
-    return x, y, z
-
-
-def _hull(corners: Array, origin: Vector3, rotation: Vector3, color: Vector3) -> Geometry:
-    return Geometry("hull", (), origin, rotation, color, tuple((x, y, z) for x, y, z in corners.tolist()))
-
-
-def _color(model: Any, geom: int) -> Vector3:
-    material = int(model.geom_matid[geom])
-    x, y, z, _ = (model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]).tolist()
     return x, y, z

@@ -1,0 +1,115 @@
+"""MuJoCo model files (MJCF) compiled by MuJoCo, in a process of its own, and what is read of a compiled model."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import mujoco as compiled
+import numpy as np
+
+from grasp_env._check import Array
+from grasp_env._files import shown_path
+from grasp_env.errors import InvalidInputError
+from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.objects.apart import apart
+
+mujoco: Any = compiled  # it has no types
+
+_SECONDS = 30.0
+"""Longest time in which MuJoCo may compile a file."""
+_MOST_MEMORY = 8 << 30
+"""[bytes] that compiling may take."""
+_PARENTS = 5
+"""Folders above the file in which its meshes may be."""
+
+
+def load_model(path: Path) -> Any:
+    """The compiled model of a file.
+
+    Raises:
+        InvalidInputError: MuJoCo refuses the file, or takes too long.
+    """
+    where = f"cannot read the MuJoCo model {shown_path(path)}"
+    try:
+        made = apart(
+            f"{__name__}:compile_mjcf", f"compiling {path.name}", _SECONDS, path=np.array(str(path.absolute()))
+        )
+    except (TimeoutError, ChildProcessError) as error:
+        raise InvalidInputError(f"{where}: MuJoCo's compiler failed: {str(error).splitlines()[-1]}") from None
+    if "error" in made:
+        raise InvalidInputError(f"{where}: {' '.join(str(made['error']).split())}")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "model.mjb")
+        file.write_bytes(made["model"].tobytes())
+        return mujoco.MjModel.from_binary_path(str(file))
+
+
+def compile_mjcf(path: Any) -> dict[str, Any]:
+    """Compile a file in a process of its own, which `apart` makes.
+
+    Args:
+        path: Of the file, an array of one text.
+
+    Returns:
+        The "model" as MuJoCo writes it, uint8; or the "error" as text.
+    """
+    try:
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (_MOST_MEMORY, _MOST_MEMORY))
+    except (ImportError, ValueError, OSError):  # not on Windows
+        pass
+    file = Path(str(path))
+    first = ""
+    for folder in list(file.parents)[: _PARENTS + 1]:
+        try:
+            model = _compiled(file, folder)
+        except (ValueError, RuntimeError, MemoryError) as error:
+            first = first or str(error) or type(error).__name__
+            continue
+        buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+        mujoco.mj_saveModel(model, None, buffer)
+        return {"model": buffer}
+    return {"error": np.array(first)}
+
+
+def _compiled(file: Path, folder: Path) -> Any:
+    """The model of a file whose meshes are named from a folder on."""
+    os.chdir(folder)
+    if folder == file.parent and file.suffix == ".xml":
+        return mujoco.MjModel.from_xml_path(str(file))
+    spec = mujoco.MjSpec.from_string(file.read_text())
+    spec.modelfiledir = str(folder)
+    return spec.compile()
+
+
+def model_name(model: Any) -> str:
+    """The name of a model; empty without one."""
+    return _text(model.names, 0)
+
+
+def name_of(model: Any, kind: str, number: int) -> str:
+    """The name of an element, "body" or "joint" for instance; of one without a name its kind and number."""
+    return getattr(model, kind)(number).name or f"{kind}{number}"
+
+
+def mesh_file(model: Any, mesh: int, path: Path) -> Path | None:
+    """The file of a mesh of a model from `path`; None: there is none."""
+    address = int(model.mesh_pathadr[mesh])
+    file = path.absolute().parent / _text(model.paths, address)  # of an absolute name, that
+    return file if address >= 0 and file.is_file() else None
+
+
+def frame_of(position: Array, quaternion: Array) -> Frame:
+    """A frame from a position [m], (3,), and a quaternion w, x, y, z."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(quaternion, dtype=float))
+    return Frame(matrix.reshape(3, 3), np.array(position, dtype=float))
+
+
+def _text(blob: Any, address: int) -> str:
+    """A text in a row of texts that end with 0."""
+    return bytes(blob[address:]).split(b"\0", 1)[0].decode(errors="replace")

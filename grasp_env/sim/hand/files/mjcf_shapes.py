@@ -1,0 +1,108 @@
+"""The geometries of a MuJoCo model as shapes of links."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco as compiled
+
+from grasp_env._check import Array
+from grasp_env.sim.hand.check import Vector3
+from grasp_env.sim.hand.files.meshes import why_not_drawn
+from grasp_env.sim.hand.files.mjcf_model import frame_of, mesh_file
+from grasp_env.sim.hand.files.pieces import kept_pieces
+from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.hand.solids import few_corners, outline
+from grasp_env.sim.hand.tree import Geometry
+
+mujoco: Any = compiled  # it has no types
+
+
+class MjcfShapes:
+    """The geometries of a model from the file `path`.
+
+    Attributes:
+        unseen: Meshes that are left out of pictures, and why.
+    """
+
+    def __init__(self, model: Any, path: Path) -> None:
+        self._model, self._path = model, path
+        self.unseen: dict[str, str] = {}
+
+    def of_body(
+        self, body: int, shift: Frame, without: set[int]
+    ) -> tuple[list[Geometry], list[Geometry], Vector3 | None]:
+        """Shapes of a body that touch, those that are drawn, and its color.
+
+        Args:
+            body: Its number.
+            shift: The body's frame in that of its link.
+            without: Geometries that touch as links of their own.
+        """
+        model = self._model
+        mine = [geom for geom in range(model.ngeom) if int(model.geom_bodyid[geom]) == body]
+        touching = [geom for geom in mine if model.geom_contype[geom] or model.geom_conaffinity[geom]]
+        drawn = [geom for geom in mine if geom not in touching] or touching
+        collision = [shape for geom in touching if geom not in without for shape in self.solids(geom, shift)]
+        visual = [shape for geom in drawn for shape in self.looks(geom, shift)]
+        return collision, visual, _color(model, drawn[0]) if drawn else None
+
+    def _place(self, geom: int, shift: Frame) -> Frame:
+        return shift @ frame_of(self._model.geom_pos[geom], self._model.geom_quat[geom])
+
+    def solids(self, geom: int, shift: Frame) -> list[Geometry]:
+        """Shapes that touch: of a mesh its convex pieces, where MuJoCo has its hull; none of a plane or height field."""
+        model, kind = self._model, int(self._model.geom_type[geom])
+        origin, rotation = self._place(geom, shift).numbers()
+        color = _color(model, geom)
+        kinds = mujoco.mjtGeom
+        a, b, c = model.geom_size[geom].tolist()
+        if kind == int(kinds.mjGEOM_SPHERE):
+            return [Geometry("sphere", (a,), origin, rotation, color)]
+        if kind in (int(kinds.mjGEOM_CAPSULE), int(kinds.mjGEOM_CYLINDER)):
+            name = "capsule" if kind == int(kinds.mjGEOM_CAPSULE) else "cylinder"
+            return [Geometry(name, (a, 2.0 * b), origin, rotation, color)]
+        if kind == int(kinds.mjGEOM_BOX):
+            return [Geometry("box", (2.0 * a, 2.0 * b, 2.0 * c), origin, rotation, color)]
+        if kind == int(kinds.mjGEOM_ELLIPSOID):
+            return [_hull(few_corners(outline(Geometry("sphere", (1.0,))) * (a, b, c)), origin, rotation, color)]
+        if kind == int(kinds.mjGEOM_MESH):
+            return [_hull(piece, origin, rotation, color) for piece in self._pieces(int(model.geom_dataid[geom]))]
+        return []
+
+    def _pieces(self, mesh: int) -> list[Array]:
+        model = self._model
+        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        begin, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+        name = f"{self._path.name}: {model.mesh(mesh).name or mesh}"
+        return kept_pieces(model.mesh_vert[first : first + count], model.mesh_face[begin : begin + faces], name)
+
+    def looks(self, geom: int, shift: Frame) -> list[Geometry]:
+        """A shape that is drawn: of a mesh its file where that can be drawn, else its hull."""
+        model = self._model
+        if int(model.geom_type[geom]) != int(mujoco.mjtGeom.mjGEOM_MESH):
+            return self.solids(geom, shift)
+        mesh = int(model.geom_dataid[geom])
+        file = mesh_file(model, mesh, self._path)
+        scale = model.mesh_scale[mesh].tolist()
+        if file is None:
+            return self.solids(geom, shift)
+        if why := why_not_drawn(file) or ("are mirrored by a scale below 0" if min(scale) < 0.0 else ""):
+            self.unseen[file.name] = why
+            return self.solids(geom, shift)
+        # MuJoCo moved the mesh into its own axes
+        moved = frame_of(model.mesh_pos[mesh], model.mesh_quat[mesh])
+        back = Frame(moved.rotation.T, -moved.rotation.T @ moved.origin)
+        origin, rotation = (self._place(geom, shift) @ back).numbers()
+        return [Geometry("mesh", tuple(scale), origin, rotation, _color(model, geom), file=str(file))]
+
+
+def _hull(corners: Array, origin: Vector3, rotation: Vector3, color: Vector3) -> Geometry:
+    return Geometry("hull", (), origin, rotation, color, tuple((x, y, z) for x, y, z in corners.tolist()))
+
+
+def _color(model: Any, geom: int) -> Vector3:
+    material = int(model.geom_matid[geom])
+    x, y, z, _ = (model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]).tolist()
+    return x, y, z
