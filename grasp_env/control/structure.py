@@ -10,11 +10,9 @@ import numpy as np
 from grasp_env._check import Array, Indices
 from grasp_env.force import optimize_forces
 from grasp_env.grasp.grasp import Grasp
-from grasp_env.sim.hand.kinematics import HandKinematics
+from grasp_env.sim.hand.kinematics import HandKinematics, motor_span
 from grasp_env.sim.snapshot import Snapshot
 
-NO_LEVER = 0.01
-"""Singular value of a Jacobian, as a part of its largest, up to which motors push nothing along its direction."""
 MOST_CARRIED = 0.65
 """Part of a finger's force that its structure may carry unreported. In 34 grasps by five hands (Dex3, Linker O7, Ability, BrainCo, iCub)
 the engines agreed below it: Bullet held 26 of 32 trials, MuJoCo 27. Above it Bullet held 30 of 104, MuJoCo 69."""
@@ -65,10 +63,10 @@ def finger_structure(snapshot: Snapshot, kinematics: HandKinematics, grasp: Gras
     """
     count, motors, turn = len(snapshot.points), kinematics.motors, snapshot.rotation
     jacobian = kinematics.statics(snapshot.angles, snapshot.touch)[0][:, :, motors]
-    span = _span(jacobian.reshape(3 * count, len(motors)))
+    span = motor_span(jacobian.reshape(3 * count, len(motors)))
     if span.shape[1] == 3 * count:
         return FingerStructure(np.full(count, 3), np.zeros(count))
-    components: Indices = np.array([_span(part).shape[1] for part in jacobian], dtype=np.int64)
+    components: Indices = np.array([motor_span(part).shape[1] for part in jacobian], dtype=np.int64)
     found = optimize_forces(grasp, wrenches, workers=1).force
     forces = np.einsum("nij,mnj->mni", turn @ grasp.frames, found[np.isfinite(found).all(axis=(1, 2))]).reshape(
         -1, 3 * count
@@ -76,9 +74,3 @@ def finger_structure(snapshot: Snapshot, kinematics: HandKinematics, grasp: Gras
     carried = forces - forces @ span @ span.T
     parts = [(part.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for part in (carried, forces)]
     return FingerStructure(components, np.sqrt(parts[0] / np.maximum(parts[1], np.finfo(float).tiny)))
-
-
-def _span(jacobian: Array) -> Array:
-    """Orthonormal columns that span the forces that motors make: (K, R) of motions (K, J) per motor's speed."""
-    ways, levers, _ = np.linalg.svd(jacobian, full_matrices=False)
-    return ways[:, levers > NO_LEVER * levers[0]]

@@ -19,7 +19,7 @@ from grasp_env.sim.grasping.points import GraspPlan, GraspSearch, plan_grasp
 from grasp_env.sim.grasping.sites import Site, find_sites, one_motor
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import roll_pitch_yaw
-from grasp_env.sim.hand.kinematics import HandKinematics
+from grasp_env.sim.hand.kinematics import HandKinematics, motor_span
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
@@ -32,7 +32,11 @@ _MEETINGS, _MET = 20, 1e-9  # steps of Newton; [m] from the object at which a ti
 _IDLE = 1.3  # of the force, for each finger that does not touch
 _NAMED = 6  # joints and pairs of fingers that a message names
 _WIDE = 2.5  # [rad] of range from which joints are named
-_EVEN, _PLANAR = 0.15, 1e-3  # least of a tip's levers over its largest that costs nothing; that is none
+_MADE, _LEAST_MADE = (
+    4.0,
+    0.1,
+)  # power of the part of a normal force that motors make, by which a grasp counts as more; least part
+_EVEN, _PLANAR = 0.25, 1e-3  # least of a tip's levers over its largest that costs nothing; that is none
 
 
 def place_hand(
@@ -227,14 +231,21 @@ class _Trials:
         if plan is None:
             return np.inf
         kinematics = self._part(candidate.fingers)[0]
-        levers = [
-            np.linalg.svd(kinematics.jacobian(plan.angles, finger), compute_uv=False)
-            for finger in range(len(candidate.fingers))
+        moves = [kinematics.jacobian(plan.angles, finger) for finger in range(len(candidate.fingers))]
+        levers = [np.linalg.svd(move, compute_uv=False) for move in moves]
+        made = [
+            float(np.linalg.norm(motor_span(move[:, own]).T @ candidate.turn.T @ normal))
+            for move, own, normal in zip(moves, kinematics.carries, plan.normals, strict=True)
         ]
         ratios = [values[-1] / values[0] for values in levers if values[-1] > _PLANAR * values[0]]
         idle = self.hand.finger_count - len(candidate.fingers)
+        uneven = max(1.0, _EVEN / min(ratios, default=1.0))
         return (
-            plan.force * _IDLE**idle * max(1.0, _EVEN / min(ratios, default=1.0)) ** 2 * (_ROOM / plan.clearance) ** 0.5
+            plan.force
+            * _IDLE**idle
+            * uneven**2
+            * max(min(made), _LEAST_MADE) ** -_MADE
+            * (_ROOM / plan.clearance) ** 0.5
         )
 
     def placed(self, candidate: _Candidate) -> HandDescription:

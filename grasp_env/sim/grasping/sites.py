@@ -15,7 +15,7 @@ from grasp_env import core
 from grasp_env._check import Array, Indices
 from grasp_env.sim.grasping.approach import Approach
 from grasp_env.sim.hand.description import HandDescription
-from grasp_env.sim.hand.kinematics import HandKinematics
+from grasp_env.sim.hand.kinematics import HandKinematics, motor_span
 from grasp_env.sim.hand.limbs import hand_limbs
 from grasp_env.sim.objects.description import ObjectDescription
 
@@ -28,6 +28,7 @@ _CLEAR = 0.001  # [m] of the rest of a finger from the object
 _FLATTER = 1.6  # of a cuboid's ball, against which fingers are kept clear: its sides are flat
 _ALIGNED = 1.0, 3.0  # how much it counts that fingers push along one axis of a cuboid: where all tips go anywhere, else
 _OPPOSED = 0.45  # of the shortest sum of normals whose weights add to 1
+_PUSH = 0.3  # how much it counts that motors make none of the force along a normal
 _APART = 0.004  # [m] between centres that are tried with the same fingers
 _LOOKS = 40  # rotations that are drawn until the palm has a wanted direction
 _PLAIN, _FEW = 2, 20  # rounds in which joints are anywhere in their ranges; sites with which these are too few
@@ -162,6 +163,7 @@ class _Reach:
         self.radii, self.fingers = kinematics.tip_radii, kinematics.hand.finger_count
         self.aligned = _ALIGNED[0] if all(self.limbs.free) else _ALIGNED[1]
         self.locked = one_motor(kinematics)
+        self.pushes = self._pushes()
         # two fingers hold what is narrow between them, more surround it
         self.radius = 0.5 * float(np.min(item.extent) if kinematics.hand.finger_count == 2 else np.median(item.extent))
         self.flatter = _FLATTER if item.shape == "cuboid" else 1.0
@@ -201,8 +203,23 @@ class _Reach:
             axis = np.linalg.eigh(pushing.T @ pushing)[1][:, -1]
             askew = 1.0 - float(np.abs(pushing @ axis).mean()) if item.shape == "cuboid" else 0.0
             score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + self.aligned * askew
+            if self.pushes is not None:
+                made = np.einsum("nij,nj->ni", self.pushes[chosen[row, touching], touching], pushing)
+                score += _PUSH * (1.0 - float(np.linalg.norm(made, axis=1).min()))
             posture = self._posture(centers[row], touching, chosen[row, touching])
             out.append(Site(centers[row], posture, tuple(touching.tolist()), axis, score))
+        return out
+
+    def _pushes(self) -> Array | None:
+        """Projectors (K, N, 3, 3) on the forces that motors make at the tips; None where each finger has three motors or more."""
+        kinematics = self.kinematics
+        if self.locked or kinematics.carries.sum(axis=1).min() > 2:
+            return None
+        out = np.empty((len(self.postures), self.fingers, 3, 3))
+        for row, posture in enumerate(self.postures):
+            for finger in range(self.fingers):
+                span = motor_span(kinematics.jacobian(posture, finger)[:, kinematics.carries[finger]])
+                out[row, finger] = span @ span.T
         return out
 
     def _posture(self, center: Array, fingers: Indices, samples: Indices) -> Array:

@@ -19,6 +19,10 @@ _OTHER_STARTS = 11
 _LIMIT = 1e-6  # [rad] beyond a limit that is none
 
 
+NO_LEVER = 0.01
+"""Singular value of a Jacobian, as a part of its largest, up to which motors push nothing along its direction."""
+
+
 class HandKinematics:
     """The geometry and masses of a hand in the core, with what follows from them; M joints, N fingertips.
 
@@ -300,6 +304,12 @@ class HandKinematics:
             f"finger {name!r} cannot reach tip={target}{together}: the nearest its tip comes is {away[finger]:.4f} m "
             f"away, at {distance:.4f} m from its first joint; move the contact or the finger's base"
         )
+
+
+def motor_span(jacobian: Array) -> Array:
+    """Orthonormal columns (K, R) that span the forces that motors make, of motions (K, J) per motor's speed."""
+    ways, levers, _ = np.linalg.svd(jacobian, full_matrices=False)
+    return ways[:, levers > NO_LEVER * levers[0]]
 
 
 def _ranges(hand: HandDescription) -> tuple[Array, Array]:
