@@ -95,6 +95,17 @@ def test_ranges_efforts_and_rotors_are_those_of_the_file(tmp_path: Path) -> None
     assert more == pytest.approx([0.003, 0.0, 0.0, 0.003, 0.0, 0.003], abs=1e-12)
 
 
+def test_radians_that_mujoco_takes_for_degrees(tmp_path: Path) -> None:
+    text = FINGERS.format(one="", two='ref="0.5"', more="")
+    meant, _ = read(tmp_path, text)
+    hand, told = read(tmp_path, text.replace('angle="radian"', ""))
+    assert "without angle='radian' in <compiler> ranges are degrees" in told
+    ranges = [[(link.lower, link.upper) for link in each.links] for each in (hand, meant)]
+    assert np.array(ranges[0]) == pytest.approx(np.array(ranges[1]), abs=1e-12)
+    tips = [HandKinematics(each).tips([0.3, 0.7, 0.1]) for each in (hand, meant)]
+    assert tips[0] == pytest.approx(tips[1], abs=1e-12)
+
+
 def test_a_scene_is_read_without_its_floor_and_objects(tmp_path: Path) -> None:
     held = '<body name="ball" pos="0 0 1"><freejoint/><geom size="0.03"/></body></worldbody>'
     hand, told = read(tmp_path, CROOKED.replace("</worldbody>", held))

@@ -23,10 +23,14 @@ from grasp_env.sim.hand.kinematics import HandKinematics, motor_span
 from grasp_env.sim.hand.limbs import hand_limbs, touching_pairs
 from grasp_env.sim.objects.description import ObjectDescription
 
-_ATTEMPTS = 3  # to find anything
+_ATTEMPTS, _MORE = 3, 6  # to find a good grasp; to find one that is not weak, where there is one at all
 _SITES, _TURNS = 60, 6  # that are tried each time, and turns of the object at each
 _RAYS = 60  # for each finger there
-_ENOUGH, _GOOD = 24, 30.0  # grasps to choose from; [N] of the best, beyond which easier margins are tried
+_ENOUGH = 24  # grasps to choose from
+_GOOD, _WEAK = (
+    30.0,
+    60.0,
+)  # [N] of the best, beyond which easier margins are tried; at which motors make half of what is asked
 _ROOM = 0.003  # [m] of clearance that costs nothing
 _MEETINGS, _MET = 20, 1e-9  # steps of Newton; [m] from the object at which a tip touches
 _IDLE = 1.3  # of the force, for each finger that does not touch
@@ -102,8 +106,9 @@ def _placed(
     hand = trials.hand
     places = astray = 0
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
-    for _ in range(_ATTEMPTS):
-        sites, facing = find_sites(hand, item, rng, least, _SITES)
+    best: tuple[float, HandDescription] | None = None
+    for attempt in range(_MORE):
+        sites, facing = find_sites(hand, item, rng, least, _SITES, pushed=attempt % 2 == 0)
         places, faced = places + len(sites), faced | facing
         palms = [None if approach is None else trials.palm(site) for site in sites]
         found: list[_Candidate] = []
@@ -122,13 +127,23 @@ def _placed(
             ratings = [trials.rating(candidate) for candidate in found]
             if tries == 0 and min(ratings, default=np.inf) > _GOOD:
                 continue
-            for _, index in sorted(zip(ratings, range(len(found)), strict=True)):
+            for rating, index in sorted(zip(ratings, range(len(found)), strict=True)):
+                if best is not None and rating >= best[0]:
+                    break
                 placed = trials.placed(found[index])
                 try:
                     plan_grasp(item, HandKinematics(placed))
                 except InvalidInputError:
                     continue
-                return placed
+                best = rating, placed
+                break
+            if best is not None:
+                break
+        last = attempt + 1 >= _ATTEMPTS
+        if (best is None and last) or (best is not None and best[0] <= (_WEAK if last else _GOOD)):
+            break
+    if best is not None:
+        return best[1]
     counts = ", ".join(
         f"{count} {what}" for what, count in sorted(trials.faults.items(), key=lambda pair: -pair[1]) if count
     )

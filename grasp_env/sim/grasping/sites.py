@@ -28,7 +28,7 @@ _CLEAR = 0.001  # [m] of the rest of a finger from the object
 _FLATTER = 1.6  # of a cuboid's ball, against which fingers are kept clear: its sides are flat
 _ALIGNED = 1.0, 3.0  # how much it counts that fingers push along one axis of a cuboid: where all tips go anywhere, else
 _OPPOSED = 0.45  # of the shortest sum of normals whose weights add to 1
-_PUSH = 0.3  # how much it counts that motors make none of the force along a normal
+_PUSHED = 0.3  # how much it counts that motors make none of the force along a normal
 _APART = 0.004  # [m] between centres that are tried with the same fingers
 _LOOKS = 40  # rotations that are drawn until the palm has a wanted direction
 _PLAIN, _FEW = 2, 20  # rounds in which joints are anywhere in their ranges; sites with which these are too few
@@ -98,9 +98,17 @@ class Site:
 
 
 def find_sites(
-    hand: HandDescription, item: ObjectDescription, rng: np.random.Generator, least: int, most: int
+    hand: HandDescription, item: ObjectDescription, rng: np.random.Generator, least: int, most: int, pushed: bool = True
 ) -> tuple[list[Site], NDArray[np.bool_]]:
     """Where the hand's fingers can surround an object.
+
+    Args:
+        hand: Where it was described.
+        item: The object.
+        rng: Draws.
+        least: Fingers that touch at least.
+        most: Sites.
+        pushed: Prefer sites at which motors push along the normals; they are rare for some cuboids.
 
     Returns:
         Up to `most` sites at which at least `least` fingers touch, those first at which the most fingers push against one another; and
@@ -132,7 +140,7 @@ def find_sites(
             postures[:, shared] = kinematics.home[shared] if turn % 2 == 0 else postures[0, shared]
         for posture in postures:
             kinematics.tree.couple(posture)
-        reach = _Reach(kinematics, item, postures, rng)
+        reach = _Reach(kinematics, item, postures, rng, pushed)
         found += reach.around(least, faced)
         found.sort(key=lambda site: site.score)
         sites = []
@@ -155,7 +163,12 @@ class _Reach:
     """Where the tips (K, N, 3) are at postures (K, M)."""
 
     def __init__(
-        self, kinematics: HandKinematics, item: ObjectDescription, postures: Array, rng: np.random.Generator
+        self,
+        kinematics: HandKinematics,
+        item: ObjectDescription,
+        postures: Array,
+        rng: np.random.Generator,
+        pushed: bool,
     ) -> None:
         self.kinematics, self.item, self.postures, self.rng = kinematics, item, postures, rng
         self.limbs = core.HandLimbs.make(kinematics.tree, hand_limbs(kinematics.hand), kinematics.home)
@@ -163,7 +176,7 @@ class _Reach:
         self.radii, self.fingers = kinematics.tip_radii, kinematics.hand.finger_count
         self.aligned = _ALIGNED[0] if all(self.limbs.free) else _ALIGNED[1]
         self.locked = one_motor(kinematics)
-        self.pushes = self._pushes()
+        self.pushes = self._pushes() if pushed else None
         # two fingers hold what is narrow between them, more surround it
         self.radius = 0.5 * float(np.min(item.extent) if kinematics.hand.finger_count == 2 else np.median(item.extent))
         self.flatter = _FLATTER if item.shape == "cuboid" else 1.0
@@ -205,7 +218,7 @@ class _Reach:
             score = float(opposed[row]) + 0.1 * (fingers - len(pushing)) + self.aligned * askew
             if self.pushes is not None:
                 made = np.einsum("nij,nj->ni", self.pushes[chosen[row, touching], touching], pushing)
-                score += _PUSH * (1.0 - float(np.linalg.norm(made, axis=1).min()))
+                score += _PUSHED * (1.0 - float(np.linalg.norm(made, axis=1).min()))
             posture = self._posture(centers[row], touching, chosen[row, touching])
             out.append(Site(centers[row], posture, tuple(touching.tolist()), axis, score))
         return out

@@ -26,6 +26,8 @@ from grasp_env.sim.progress import counted
 
 mujoco: Any = compiled  # it has no types
 
+_LEAST_SPAN = 0.1
+"""[rad] of the middle one among the hinges' ranges, at least."""
 _MOST_BODIES = 500
 """Largest number of bodies in a file."""
 _LIGHT = 1e-3
@@ -67,6 +69,7 @@ class MjcfReader:
             raise InvalidInputError(
                 "no joint is in the file; a part that other files include is not read by itself: give the file that includes it"
             )
+        self._mend_degrees()
         self.motors = find_motors(model)
         self._note_motors()
         moving = {motor.joint for motor in self.motors} | {other for motor in self.motors for other in motor.followers}
@@ -106,6 +109,21 @@ class MjcfReader:
             else:
                 shaped[name] = link
         return shaped
+
+    def _mend_degrees(self) -> None:
+        """Take hinges' angles as radians where MuJoCo read them as degrees and that leaves them hardly any range."""
+        model = self.model
+        hinges = np.flatnonzero((model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)) & (model.jnt_limited != 0))
+        spans = np.ptp(model.jnt_range[hinges], axis=1)
+        if len(hinges) == 0 or np.median(spans) > _LEAST_SPAN:
+            return
+        model.jnt_range[hinges] *= 180.0 / math.pi
+        addresses = model.jnt_qposadr[hinges]
+        model.qpos0[addresses] *= 180.0 / math.pi
+        self.said.append(
+            f"without angle='radian' in <compiler> ranges are degrees, and {np.median(spans):.2g} rad, their middle one, is no finger's: "
+            "radians are assumed"
+        )
 
     def _note_motors(self) -> None:
         model = self.model
