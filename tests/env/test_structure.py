@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from grasp_env.errors import GraspWarning
 from grasp_env.force import optimize_force
 from grasp_env.grasp.grasp import Grasp
 from grasp_env.sim import HandDescription, HandKinematics, Scene, SceneConfig
+from grasp_env.sim.grasping import placing, sites
 from grasp_env.sim.hand.description import Mimic
 
 BALL: dict[str, Any] = {"shape": "sphere", "size": (0.06,), "mass": 0.15, "friction": 0.7}
@@ -52,6 +54,16 @@ def coupled_last_joint(scene: Scene, finger: int) -> HandKinematics:
     mimic = Mimic(hand.links[last - 1].joint, 0.5, float(angles[last] - 0.5 * angles[last - 1]))
     links = [replace(link, mimic=mimic) if index == last else link for index, link in enumerate(hand.links)]
     return HandKinematics(replace(hand, links=tuple(links)))
+
+
+@pytest.fixture
+def careless(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Hands are placed as if it did not matter what their motors push."""
+    monkeypatch.setattr(placing, "_MADE", 0.0)
+    monkeypatch.setattr(sites, "_PUSHED", 0.0)
+    placing._placed.cache_clear()
+    yield
+    placing._placed.cache_clear()
 
 
 @pytest.fixture
@@ -95,6 +107,7 @@ def test_the_warning_names_fingers_and_numbers() -> None:
     assert "little" not in said
 
 
+@pytest.mark.usefixtures("careless")
 @pytest.mark.parametrize("engine", [pytest.param("bullet", marks=needs_bullet), "mujoco"])
 def test_a_reset_reports_what_structure_carries_once(engine: str) -> None:
     """Three fingers in planes press a ball through their structure; four do with less."""
@@ -127,6 +140,7 @@ def test_two_soft_contacts_are_measured() -> None:
 
 
 @needs_bullet
+@pytest.mark.usefixtures("careless")
 @pytest.mark.filterwarnings("ignore::grasp_env.errors.GraspWarning")
 def test_bullet_holds_with_fingers_of_one_motor(monkeypatch: pytest.MonkeyPatch) -> None:
     """It does not with the sweeps that suffice for other hands."""

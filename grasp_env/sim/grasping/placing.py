@@ -106,9 +106,11 @@ def _placed(
     hand = trials.hand
     places = astray = 0
     faced = np.zeros((hand.finger_count,) * 2, dtype=bool)
-    best: tuple[float, HandDescription] | None = None
+    best: tuple[float, float, HandDescription] | None = None
     for attempt in range(_MORE):
-        sites, facing = find_sites(hand, item, rng, least, _SITES, pushed=attempt % 2 == 0)
+        sites, facing = find_sites(
+            hand, item, rng, least, _SITES, pushed=(attempt % 2 == 0) == (item.shape != "cuboid")
+        )
         places, faced = places + len(sites), faced | facing
         palms = [None if approach is None else trials.palm(site) for site in sites]
         found: list[_Candidate] = []
@@ -132,18 +134,18 @@ def _placed(
                     break
                 placed = trials.placed(found[index])
                 try:
-                    plan_grasp(item, HandKinematics(placed))
+                    plan = plan_grasp(item, HandKinematics(placed))
                 except InvalidInputError:
                     continue
-                best = rating, placed
+                best = rating, plan.force, placed
                 break
             if best is not None:
                 break
         last = attempt + 1 >= _ATTEMPTS
-        if (best is None and last) or (best is not None and best[0] <= (_WEAK if last else _GOOD)):
+        if (best is None and last) or (best is not None and best[1] <= (_WEAK if last else _GOOD)):
             break
     if best is not None:
-        return best[1]
+        return best[2]
     counts = ", ".join(
         f"{count} {what}" for what, count in sorted(trials.faults.items(), key=lambda pair: -pair[1]) if count
     )
