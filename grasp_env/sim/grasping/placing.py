@@ -240,6 +240,8 @@ class _Trials:
     def rating(self, candidate: _Candidate) -> float:
         """The force that the grasp takes that is found there [N], inf without one.
 
+        With more than two fingers, grasps count as more whose motors do not push along the normals: structure carries such forces.
+
         Grasps count as more that leave little room, or whose tips some directions of motion hardly move: these are slow to close. They
         count as more for each finger that does not touch: of grasps that take nearly the same, the one with more fingers loses less when
         a finger slips.
@@ -250,10 +252,14 @@ class _Trials:
         kinematics = self._part(candidate.fingers)[0]
         moves = [kinematics.jacobian(plan.angles, finger) for finger in range(len(candidate.fingers))]
         levers = [np.linalg.svd(move, compute_uv=False) for move in moves]
-        made = [
-            float(np.linalg.norm(motor_span(move[:, own]).T @ candidate.turn.T @ normal))
-            for move, own, normal in zip(moves, kinematics.carries, plan.normals, strict=True)
-        ]
+        made = (
+            [1.0]
+            if len(moves) == SOFT_PAIR
+            else [
+                float(np.linalg.norm(motor_span(move[:, own]).T @ candidate.turn.T @ normal))
+                for move, own, normal in zip(moves, kinematics.carries, plan.normals, strict=True)
+            ]
+        )
         ratios = [values[-1] / values[0] for values in levers if values[-1] > _PLANAR * values[0]]
         idle = self.hand.finger_count - len(candidate.fingers)
         uneven = max(1.0, _EVEN / min(ratios, default=1.0))
