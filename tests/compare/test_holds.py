@@ -210,7 +210,8 @@ def test_plans_of_hands_and_engines(tmp_path):
 
 def test_hands_and_engines_must_exist_and_differ(tmp_path):
     with pytest.raises(
-        UnknownNameError, match=r"unknown hand 'nobody': choose one of .* or the path of a .urdf file that exists"
+        UnknownNameError,
+        match=r"unknown hand 'nobody': choose one of .* or the path of a URDF, xacro or MJCF file that exists",
     ):
         HoldsConfig("hands", ("nobody",))
     with pytest.raises(InvalidInputError, match="different names"):

@@ -132,10 +132,13 @@ def test_a_hand_without_a_place_holds(name: str) -> None:
 
 
 def test_other_objects_may_need_another_place() -> None:
-    env = around_ball(gripper(3, 2), randomize={"size": (0.045, 0.05)})
+    env = FourFingerGrasp(
+        hand=gripper(4, 2), shape="cuboid", size=(0.06, 0.06, 0.06), friction=0.7, mass=0.15, disturbance="none",
+        randomize={"size": (0.04, 0.042)},
+    )  # fmt: skip
     first = env.scene.config.hand
     with pytest.raises(InvalidInputError):  # from the first place it cannot be grasped
-        plan_grasp(ObjectDescription("sphere", (0.048,), mass=0.15, friction=0.7), env.scene.kinematics)
+        plan_grasp(ObjectDescription("cuboid", (0.041, 0.041, 0.041), mass=0.15, friction=0.7), env.scene.kinematics)
     angles = []
     for seed in (1, 2, 1):  # whatever came between
         env.reset(seed=seed)
