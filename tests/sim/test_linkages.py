@@ -58,12 +58,13 @@ def test_rods_are_no_fingertips(tmp_path: Path) -> None:
     assert "rods that only move a finger are no fingertips: 'left_rod', 'right_rod'" in told
 
 
-def test_a_second_finger_of_the_same_motor_is_no_rod(tmp_path: Path) -> None:
-    short = gripper('lower="-0.5" upper="0.5"').replace(
-        '<box size="0.006 0.006 0.05"/>', '<box size="0.006 0.006 0.03"/>', 1
-    )
-    hand, _ = read(tmp_path, short)
-    assert hand.finger_names == ("left_tip", "right_tip")
+def test_jaws_that_meet_are_no_rods(tmp_path: Path) -> None:
+    text = '<link name="palm"><collision><geometry><box size="0.1 0.02 0.01"/></geometry></collision></link>'
+    text += joint("palm", "left_crank", -0.02, 0.01) + link("left_crank", (0.0, 0.05))
+    text += joint("palm", "short_jaw", 0.02, 0.01, -1.0) + link("short_jaw", (0.0, 0.035))
+    (tmp_path / "jaws.urdf").write_text(f'<robot name="jaws">{text}</robot>')
+    hand = HandDescription.from_urdf(tmp_path / "jaws.urdf")
+    assert hand.finger_names == ("left_crank", "short_jaw")
 
 
 @pytest.mark.parametrize("limits", ['lower="0" upper="0.5"', 'lower="0.4" upper="0.5"'])

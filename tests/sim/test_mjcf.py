@@ -90,6 +90,9 @@ def test_ranges_efforts_and_rotors_are_those_of_the_file(tmp_path: Path) -> None
     assert hand.torque_limits.tolist()[:2] + hand.torque_limits.tolist()[3:] == [6.0, 20.0, 0.9]
     assert "'side'" in told
     assert "torque_limit=" in told
+    weaker, _ = read(tmp_path, CROOKED.replace('axis="0 0 1"', 'axis="0 0 1" actuatorfrcrange="-0.2 0.2"').replace(
+        '<general joint="side"/>', '<general joint="side" forcerange="-3 3"/>'))  # fmt: skip
+    assert weaker.torque_limits[2] == 0.2
     bare, _ = read(tmp_path, CROOKED.replace('armature="0.003"', ""))
     more = np.array(hand.links[0].inertia) - np.array(bare.links[0].inertia)
     assert more == pytest.approx([0.003, 0.0, 0.0, 0.003, 0.0, 0.003], abs=1e-12)
@@ -109,7 +112,7 @@ def test_radians_that_mujoco_takes_for_degrees(tmp_path: Path) -> None:
 def test_a_scene_is_read_without_its_floor_and_objects(tmp_path: Path) -> None:
     held = '<body name="ball" pos="0 0 1"><freejoint/><geom size="0.03"/></body></worldbody>'
     hand, told = read(tmp_path, CROOKED.replace("</worldbody>", held))
-    assert [shape.kind for shape in hand.palm.collision] == ["box"]
+    assert [(shape.kind, shape.size) for shape in hand.palm.collision] == [("box", (0.06, 0.08, 0.02))]
     assert all(link.name != "ball" for link in hand.links)
     free, told = read(
         tmp_path, CROOKED.replace('quat="0.9 0.1 0.3 0.2">', 'quat="0.9 0.1 0.3 0.2"><freejoint name="float"/>')
@@ -118,7 +121,7 @@ def test_a_scene_is_read_without_its_floor_and_objects(tmp_path: Path) -> None:
     assert "joints without a motor hold still where the file has them: 'float'" in told
 
 
-FINGERS = """<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom type="box" size="0.03 0.03 0.01"/>
+FINGERS = """<mujoco><compiler angle="radian"/><option gravity="-300 0 0"/><worldbody><body name="palm"><geom type="box" size="0.03 0.03 0.01"/>
  <body name="p1" pos="0 0 0.02"><joint name="j1" axis="0 1 0" range="0 1.5" {one}/><geom type="capsule" size="0.006" fromto="0 0 0 0 0 0.04"/>
   <body name="p2" pos="0 0 0.04"><joint name="j2" axis="0 1 0" range="0 1.5" {two}/><geom type="capsule" size="0.006" fromto="0 0 0 0 0 0.03"/>
   </body></body>
@@ -154,6 +157,29 @@ def test_joints_that_share_a_motor_are_coupled(
     assert (second.mimic.ratio, second.mimic.offset) == pytest.approx(line, abs=0.03)
     assert first.torque_limit == pytest.approx(limit, rel=0.02)
     assert f"joints that share a motor are coupled as MuJoCo moves them: {pair[1]} = " in told
+
+
+def test_a_hand_on_a_wrist_hangs_on_the_world(tmp_path: Path) -> None:
+    wrist = '<body name="palm"><joint name="wrist" axis="1 0 0" range="-0.5 0.5"/>'
+    hand, _ = read(tmp_path, FINGERS.format(one="", two="", more="").replace('<body name="palm">', wrist))
+    assert (hand.palm.name, hand.joint_names) == ("world", ("wrist", "j1", "j2", "k1"))
+
+
+def test_rods_on_ball_joints_are_left_out(tmp_path: Path) -> None:
+    rod = '<body name="rod" pos="0 0.03 0.02"><joint type="ball"/><geom type="capsule" size="0.003" fromto="0 0 0 0 0 0.04"/></body>'
+    text = FINGERS.format(one="", two="", more="").replace('<body name="q1"', f'{rod}<body name="q1"')
+    hand, told = read(tmp_path, text)
+    assert hand.finger_names == ("p2", "q1")
+    assert len(hand.palm.collision) == 1
+    assert "bodies that move freely, and rods on ball joints, are left out: 'rod'" in told
+    inside = rod.replace(
+        "</body>", '<body name="r2"><joint name="r" axis="0 1 0"/><geom size="0.005" pos="0 0 0.05"/></body></body>'
+    )
+    with pytest.raises(
+        InvalidInputError,
+        match="has no motor and carries joints that motors move: such parallel mechanisms are not read",
+    ):
+        read(tmp_path, FINGERS.format(one="", two="", more="").replace('<body name="q1"', f'{inside}<body name="q1"'))
 
 
 def test_a_closed_loop_is_coupled_and_its_rod_left_out(tmp_path: Path) -> None:
