@@ -60,8 +60,8 @@ def test_rods_are_no_fingertips(tmp_path: Path) -> None:
 
 def test_jaws_that_meet_are_no_rods(tmp_path: Path) -> None:
     text = '<link name="palm"><collision><geometry><box size="0.1 0.02 0.01"/></geometry></collision></link>'
-    text += joint("palm", "left_crank", -0.02, 0.01) + link("left_crank", (0.0, 0.05))
-    text += joint("palm", "short_jaw", 0.02, 0.01, -1.0) + link("short_jaw", (0.0, 0.035))
+    text += joint("palm", "left_crank", -0.012, 0.01) + link("left_crank", (0.0, 0.05))
+    text += joint("palm", "short_jaw", 0.012, 0.01, -1.0) + link("short_jaw", (0.0, 0.035))
     (tmp_path / "jaws.urdf").write_text(f'<robot name="jaws">{text}</robot>')
     hand = HandDescription.from_urdf(tmp_path / "jaws.urdf")
     assert hand.finger_names == ("left_crank", "short_jaw")
