@@ -73,4 +73,5 @@ def finger_structure(snapshot: Snapshot, kinematics: HandKinematics, grasp: Gras
     )
     carried = forces - forces @ span @ span.T
     parts = [(part.reshape(-1, count, 3) ** 2).sum(axis=(0, 2)) for part in (carried, forces)]
-    return FingerStructure(components, np.sqrt(parts[0] / np.maximum(parts[1], np.finfo(float).tiny)))
+    share = np.sqrt(parts[0] / np.maximum(parts[1], np.finfo(float).tiny))
+    return FingerStructure(components, np.minimum(share, 1.0))  # what structure carries of one finger may push another

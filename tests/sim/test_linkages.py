@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from grasp_env.errors import InvalidInputError
 from grasp_env.sim import HandDescription, HandKinematics
 
 INERTIAL = (
@@ -81,3 +82,15 @@ def test_limits_of_coupled_joints_count_otherwise(tmp_path: Path) -> None:
     hand, told = read(tmp_path, text)
     assert "hardly any range" not in told
     assert (HandKinematics(hand).lower[0], HandKinematics(hand).upper[0]) == pytest.approx((-0.3, 0.3))
+
+
+def test_what_a_caller_says_of_coupled_joints(tmp_path: Path) -> None:
+    path = tmp_path / "gripper.urdf"
+    path.write_text(gripper('lower="-0.5" upper="0.5"'))
+    with pytest.warns(UserWarning, match="rods"):
+        hand = HandDescription.from_urdf(path, joint_limits={"left_tip_joint": (0.0, 0.1)})
+    assert HandKinematics(hand).lower[0] == pytest.approx(-0.1)
+    with pytest.raises(
+        InvalidInputError, match="'left_tip_joint' have no motor of their own; give that of 'left_crank_joint'"
+    ):
+        HandDescription.from_urdf(path, torque_limit={"left_tip_joint": 2.0})

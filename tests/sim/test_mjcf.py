@@ -159,6 +159,69 @@ def test_joints_that_share_a_motor_are_coupled(
     assert f"joints that share a motor are coupled as MuJoCo moves them: {pair[1]} = " in told
 
 
+JAWS = """<mujoco><compiler angle="radian"/><option {option}/><worldbody><body name="palm"><geom type="box" size="0.06 0.02 0.01"/>
+ <body name="wheel"><joint name="m" axis="0 0 1" range="0 6"/><geom size="0.01"/></body>
+ <body name="l" pos="-0.05 0 0.05"><joint name="a" type="slide" axis="1 0 0" {a}/><geom type="box" size="0.01 0.01 0.03"/></body>
+ <body name="r" pos="0.05 0 0.05"><joint name="b" type="slide" axis="-1 0 0" {b}/><geom type="box" size="0.01 0.01 0.03"/></body>
+ </body></worldbody><equality>{equality}</equality><actuator><motor joint="{motor}"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "motor", "equality", "lines"),
+    [
+        ('range="0 0.04"', 'range="0 0.025"', "a", '<joint joint1="b" joint2="a"/>', {"b": (1.0, 0.0)}),
+        ("", 'range="0 0.04"', "a", '<joint joint1="b" joint2="a"/>', {"b": (1.0, 0.0)}),
+        ('range="0 0.04"', "", "a", '<joint joint1="b" joint2="a"/>', {"b": (1.0, 0.0)}),
+        ('range="0 0.04"', 'range="0 0.04"', "b", '<joint joint1="b" joint2="a" polycoef="0.004 0.5"/>', {"a": (2.0, -0.008)}),
+        ('range="0 0.04"', 'range="0 0.04"', "m", '<joint joint1="a" joint2="m" polycoef="0 0.0055 0 0 0"/>'
+         '<joint joint1="b" joint2="m" polycoef="0 0.0004 0 0 0"/>', {"a": (0.0055, 0.0), "b": (0.0004, 0.0)}),
+    ],
+    ids=["shorter", "free driver", "free follower", "inverse", "rack"],
+)  # fmt: skip
+def test_equalities_of_jaws_are_read_exactly(
+    tmp_path: Path, a: str, b: str, motor: str, equality: str, lines: dict[str, tuple[float, float]]
+) -> None:
+    for option in ("", 'timestep="0.5"'):
+        hand, _ = read(tmp_path, JAWS.format(option=option, a=a, b=b, motor=motor, equality=equality))
+        found = {link.joint: link.mimic for link in hand.links if link.mimic is not None}
+        assert {joint: (line.ratio, line.offset) for joint, line in found.items()} == {
+            joint: (pytest.approx(ratio, rel=1e-9), pytest.approx(offset, abs=1e-9))
+            for joint, (ratio, offset) in lines.items()
+        }
+
+
+def test_a_jaw_ends_away_from_the_palm_wherever_its_frame_is(tmp_path: Path) -> None:
+    hand, _ = read(
+        tmp_path,
+        JAWS.format(
+            option="", a='range="0 0.04"', b='range="0 0.04"', motor="a", equality='<joint joint1="b" joint2="a"/>'
+        ),
+    )
+    assert all(tip.center[2] > 0.01 for tip in hand.fingertips)
+
+
+def test_names_that_are_made_up_are_free(tmp_path: Path) -> None:
+    text = (
+        FINGERS.format(one="", two="", more="")
+        .replace('name="palm"', 'name="body3"')
+        .replace('name="p2" ', "")
+        .replace('name="p1" ', "")
+    )
+    hand, _ = read(tmp_path, text)
+    assert hand.palm.name == "body3"
+    assert hand.finger_names == ("body3_", "q1")
+
+
+def test_small_ranges_in_radians_stay(tmp_path: Path) -> None:
+    text = (
+        FINGERS.format(one="", two="", more="")
+        .replace('range="0 1.5"', 'range="0 0.04"')
+        .replace('range="-1 1"', 'range="-0.04 0.04"')
+    )
+    hand, _ = read(tmp_path, text)
+    assert [link.upper for link in hand.links] == [0.04] * 3
+
+
 def test_a_hand_on_a_wrist_hangs_on_the_world(tmp_path: Path) -> None:
     wrist = '<body name="palm"><joint name="wrist" axis="1 0 0" range="-0.5 0.5"/>'
     hand, _ = read(tmp_path, FINGERS.format(one="", two="", more="").replace('<body name="palm">', wrist))

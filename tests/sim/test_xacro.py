@@ -40,6 +40,16 @@ def test_a_xacro_file_finds_the_package_beside_its_own(tmp_path: Path) -> None:
     assert hand.links[0].upper == pytest.approx(0.7853981634)
 
 
+@pytest.mark.parametrize(
+    "space", ["http://www.ros.org/wiki/xacro", "http://wiki.ros.org/xacro", "https://example.org/xacro"]
+)
+def test_files_beside_a_xacro_file_are_included_whatever_the_namespace_is_called(tmp_path: Path, space: str) -> None:
+    (tmp_path / "finger.xacro").write_text(FINGER.replace("http://www.ros.org/wiki/xacro", space))
+    text = HAND.replace("$(find parts)/", "").replace("http://www.ros.org/wiki/xacro", space)
+    (tmp_path / "hand.urdf").write_text(text)
+    assert HandDescription.from_urdf(tmp_path / "hand.urdf").finger_names == ("left", "right")
+
+
 def test_what_xacro_refuses_is_said(tmp_path: Path) -> None:
     home = package(tmp_path, "hand", {"macro.xacro": FINGER, "hand.xacro": HAND})
     with pytest.raises(InvalidInputError, match="only defines macros, it has no <link>; give the file that calls them"):

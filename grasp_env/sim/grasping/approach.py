@@ -33,10 +33,11 @@ def as_approach(value: Any, name: str) -> str | tuple[float, float, float]:
     if as_text(value) is not None:
         return choice(value, name, DIRECTIONS, ", or give the direction (3,) from the palm to the object, world frame")
     given = as_array(value, (3,), name)
-    length = float(np.linalg.norm(given))
-    if length == 0.0:
+    largest = float(np.abs(given).max())
+    if largest == 0.0:
         raise InvalidInputError(f"{name}={given.tolist()} must have a direction; 'down' is (0, -1, 0)")
-    x, y, z = (given / length).tolist()
+    direction = given / largest
+    x, y, z = (direction / np.linalg.norm(direction)).tolist()
     return x, y, z
 
 

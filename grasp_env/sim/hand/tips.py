@@ -16,6 +16,7 @@ from grasp_env.sim.hand.tree import Geometry, Link, Vector3
 SMALLEST, LARGEST = 0.004, 0.015
 """Radii of fitted spheres [m]."""
 
+_MIDDLE = 0.25  # of the farthest point: a mean of far points that is nearer says nothing
 _END = 0.03  # [m] of the link that is looked at
 _SHORT = (0.001, 0.002, 0.004)  # [m] by which the sphere may end before the link does
 _PRICE = 0.6  # of its radius that a sphere must gain for ending earlier
@@ -28,16 +29,22 @@ class Ball(NamedTuple):
     radius: float
 
 
-def distal(points: Array, axis: Array) -> Array:
-    """Unit direction (3,) in which a link ends: where its points (K, 3) are farthest from its joint, across the axis of that."""
+def distal(points: Array, axis: Array, outward: Array) -> Array:
+    """Unit direction (3,) in which a link ends: where its points (K, 3) are farthest from its joint, across the axis of that.
+
+    Args:
+        points: [m], link frame.
+        axis: Of the joint, unit, (3,).
+        outward: Away from the palm, (3,): it decides where the points are as far on both sides, as of a jaw whose frame is in its middle.
+    """
     flat = points - np.outer(points @ axis, axis)
     away = np.linalg.norm(flat, axis=1)
-    ends = flat[away >= 0.8 * away.max()].mean(axis=0)
-    length = float(np.linalg.norm(ends))
-    if length < 1e-6:  # the same all around
-        ends = flat[away.argmax()]
-        length = max(float(np.linalg.norm(ends)), 1e-12)
-    return ends / length
+    far = flat[away >= 0.8 * away.max()]
+    ends = far.mean(axis=0)
+    if np.linalg.norm(ends) < _MIDDLE * away.max():
+        beyond = far[far @ (outward - (outward @ axis) * axis) > 0.0]
+        ends = beyond.mean(axis=0) if len(beyond) else far[0]
+    return ends / max(float(np.linalg.norm(ends)), 1e-12)
 
 
 def inscribed(pieces: Sequence[Array], direction: Array, axis: Array) -> Ball:

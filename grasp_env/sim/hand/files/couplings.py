@@ -5,6 +5,7 @@ Hands couple joints by equalities, tendons, springs and closed loops of links. A
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,22 +20,24 @@ _STATIONS = 7
 """Positions of a motor at which the joints are read."""
 _TRAVEL, _REST = 0.2, 0.8
 """[s] from one position to the next, and there before the joints are read."""
-_MOST_STEPS = 4000
-"""Largest number of simulation steps for one motor; a smaller time step than this allows is raised."""
+_MOST_STEPS, _LONGEST_STEP = 4000, 0.005
+"""Largest number of simulation steps for one motor, and longest step [s]; other time steps of files are changed."""
 _HELD = 1e6
 """[kg m^2] of a joint that no constraint shall move."""
 _ROTOR, _SLIDER = 1e-3, 1.0
 """[kg m^2] and [kg] added to every hinge and slide, so that joints on one tendon move alike."""
 _SETTLING = 0.05
 """[s] in which a joint without springs comes to rest."""
-_DIGITS = 3
-"""Decimals of a coupling; the readings are no more exact."""
+_DIGITS = 4
+"""Significant digits of a coupling; the readings are no more exact."""
+_STILL = 1e-6
+"""[rad] or [m] up to which a joint stays where it is."""
 _MOVED = 0.02
 """Part of its range, or [rad] without one, that a coupled joint moves at least."""
-_STRAIGHT = 0.1
-"""[rad] that a coupled joint may be away from its line before the coupling counts as curved."""
-_FREE_RANGE = np.pi
-"""[rad] to which a joint without limits is moved."""
+_STRAIGHT = 0.05
+"""Part of its travel that a coupled joint may be away from its line before the coupling counts as curved."""
+_FREE_TURN, _FREE_WAY = np.pi, 0.1
+"""[rad] and [m], either way, to which a hinge and a slide without limits are moved."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Motor:
         joint: The joint that moves farthest with it.
         followers: The other joints that it moves: the angle of each is ratio * that of `joint` + offset.
         arm: Force of the motor [N or N m] to torque of `joint` [N m], the followers' share included.
-        bend: Largest distance of a follower from its line [rad].
+        bend: Largest distance of a follower from its line, as a part of its travel.
     """
 
     actuator: int
@@ -149,8 +152,17 @@ class _Bench:
         self.movable = _movable(model)
         self.addresses = model.jnt_qposadr[self.movable]
         limited = model.jnt_limited[self.movable].astype(bool)
-        self.low = np.where(limited, model.jnt_range[self.movable, 0], -_FREE_RANGE)
-        self.high = np.where(limited, model.jnt_range[self.movable, 1], _FREE_RANGE)
+        hinge = model.jnt_type[self.movable] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        free = np.where(hinge, _FREE_TURN, _FREE_WAY)
+        self.low = np.where(limited, model.jnt_range[self.movable, 0], -free)
+        self.high = np.where(limited, model.jnt_range[self.movable, 1], free)
+        rows = [row for row in range(model.neq) if _is_joint_pair(model, row) and int(model.eq_obj2id[row]) >= 0]
+        self.paired = {int(end) for row in rows for end in (model.eq_obj1id[row], model.eq_obj2id[row])}
+        self.lines = {
+            (int(model.eq_obj1id[row]), int(model.eq_obj2id[row])): model.eq_data[row, :2].tolist()
+            for row in rows
+            if not model.eq_data[row, 2:5].any()
+        }
 
     def moved_by(self, actuator: int, joint: int, arm: float) -> tuple[Motor, dict[int, float]] | None:
         """An actuator with all joints that it moves, and by which part of its range each; None: none moves, or the simulation fails.
@@ -167,21 +179,33 @@ class _Bench:
         spans = np.ptp(angles, axis=0) / (self.high - self.low)
         column = self.movable.index(joint) if joint >= 0 else int(spans.round(1).argmax())
         driver = angles[:, column]
-        if np.ptp(driver) < 1e-6:
+        if np.ptp(driver) < _STILL:
             return None
         followers, far, bend = dict[int, tuple[float, float]](), {self.movable[column]: float(spans[column])}, 0.0
+        first = self.movable[column]
         for other, name in enumerate(self.movable):
-            if other == column or spans[other] < _MOVED or name in self.held:
+            travel = float(np.ptp(angles[:, other]))
+            moves = travel > _STILL if name in self.paired else spans[other] >= _MOVED
+            if other == column or not moves or name in self.held:
                 continue
             ratio, offset = np.polyfit(driver, angles[:, other], 1)
-            followers[name], far[name] = (
-                (round(float(ratio), _DIGITS), round(float(offset), _DIGITS)),
-                float(spans[other]),
-            )
-            bend = max(bend, float(np.abs(ratio * driver + offset - angles[:, other]).max()))
+            away = float(np.abs(ratio * driver + offset - angles[:, other]).max())
+            # readings are no more exact than that
+            line = float(f"{ratio:.{_DIGITS}g}"), round(float(offset), max(0, 3 - math.floor(math.log10(travel))))
+            followers[name], far[name] = self._equality(name, first) or line, float(spans[other])
+            bend = max(bend, away / travel)
         if joint < 0:
             arm = abs(float(np.polyfit(driver, lengths, 1)[0]))
         return Motor(actuator, self.movable[column], followers, arm, bend), far
+
+    def _equality(self, joint: int, driver: int) -> tuple[float, float] | None:
+        """Ratio and offset of a joint that a linear equality couples to a driver; None: none does."""
+        rest, driven = (float(self.model.qpos0[self.model.jnt_qposadr[each]]) for each in (joint, driver))
+        if (joint, driver) in self.lines:
+            offset, ratio = self.lines[joint, driver]
+            return ratio, rest + offset - ratio * driven
+        offset, ratio = self.lines.get((driver, joint), (0.0, 0.0))
+        return (1.0 / ratio, rest - (driven + offset) / ratio) if ratio != 0.0 else None
 
     def _path(self, actuator: int, joint: int) -> tuple[Array, Array] | None:
         """Angles of the movable joints (K, J) and lengths of the actuator (K,) at the motor's stations."""
@@ -189,6 +213,7 @@ class _Bench:
         model.opt.gravity[:] = 0.0
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         model.opt.timestep = max(float(model.opt.timestep), _STATIONS * (_TRAVEL + _REST) / _MOST_STEPS)
+        model.opt.timestep = min(float(model.opt.timestep), _LONGEST_STEP)
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         model.dof_frictionloss[:] = model.tendon_frictionloss[:] = model.tendon_damping[:] = 0.0
         hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -213,6 +238,7 @@ class _Bench:
             ends = tuple(model.actuator_ctrlrange[actuator]) if model.actuator_ctrllimited[actuator] else (-1.0, 1.0)
             address = dof = -1
         model.jnt_limited[still] = False
+        model.jnt_limited[list(self.paired)] = False  # their limits narrow the motor's range, not its line
         stations = np.linspace(ends[0], ends[1], _STATIONS)
         for _ in range(travel + rest):  # constraints that the model's first posture breaks are met
             mujoco.mj_step(model, data)

@@ -109,21 +109,25 @@ class _Importer:
         ranges = options.ranges([joint.name for joint in joints if not joint.fixed])
         joints, held = arrange(part, [_ranged(joint, ranges.get(joint.name)) for joint in joints])
         joints, wide = judge_ranges(joints, ranges)
-        self.joints, uncoupled = free_ranges(joints)
+        self.joints, uncoupled = free_ranges(joints, ranges)
         self.root = part.root
         self.rotors = 1.0 if options.rotor_inertia is None else 0.0
         self.repairs = [*file.said, *part.left, *held, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
-            raise InvalidInputError("no joint moves; a hand needs joints of type revolute, continuous or prismatic")
+            why = "".join(f"; {sentence}" for sentence in held)
+            raise InvalidInputError(
+                f"no joint moves; a hand needs joints of type revolute, continuous or prismatic{why}"
+            )
         self.links = file.shaped(self.links)  # takes seconds, once for the files' content
         self.places = self._placed()
         for why in dict.fromkeys(file.unseen.values()):
             left = [name for name, reason in file.unseen.items() if reason == why]
             self.repairs.append(f"visual meshes that {why} are left out: {names_of(left)}")
         bodies = [self._body(joint) for joint in self.moving]
+        drivers = {joint.name: joint.mimic.joint for joint in self.moving if joint.mimic is not None}
         torques, inertials, fitted = together(
-            lambda: options.torques([joint.name for joint in self.moving]),
+            lambda: options.torques([joint.name for joint in self.moving], drivers),
             lambda: options.bodies([joint.child for joint in self.moving]),
             lambda: self._tips(asked, options.radius()),
         )
@@ -280,7 +284,7 @@ class _Importer:
         )
         if np.linalg.norm(ends, axis=1).max() < _NEAR and pieces:
             ends = np.vstack(pieces)
-        direction = distal(ends, axis)
+        direction = distal(ends, axis, self._outward(place.carrier, ends))
         if ball is None:
             ball = self._sphere(name, group, pieces, direction)
         if ball is None and radius is not None:
@@ -292,6 +296,19 @@ class _Importer:
                 f"the fingertip {name!r} has no shape to lie in; pass tip_radius=, or fingertips={{{name!r}: (point, radius)}}"
             )
         return Fingertip(name, place.carrier, *ball), direction
+
+    def _outward(self, link: str, points: Array) -> Array:
+        """Direction (3,) from the middle of the palm to points (K, 3) of a link [m], in its frame, all joints at 0."""
+        own = Frame(np.eye(3), np.zeros(3))
+        above: str | None = link
+        while above is not None:
+            joint = next(joint for joint in self.moving if joint.child == above)
+            before = self.places[joint.parent]
+            own = before.frame @ Frame.of(joint.origin, joint.rotation) @ own
+            above = before.carrier
+        palm = [outline(shape) for shape in self._shapes(self.root, None)[0]]
+        middle = np.vstack(palm).mean(axis=0) if palm else np.zeros(3)
+        return own.rotation.T @ (own.rotation @ points.mean(axis=0) + own.origin - middle)
 
     def _sphere(self, name: str, group: list[str], pieces: list[Array], direction: Array) -> Ball | None:
         """The one sphere among the collision shapes of a link, or of what is fixed to it, where it is at the end of the link."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,11 +25,15 @@ _SHORTER = 0.9
 """Reach of a rod over that of the finger that it moves, at most."""
 
 
-def free_ranges(joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]]:
+def free_ranges(joints: Sequence[FileJoint], given: Collection[str]) -> tuple[list[FileJoint], list[str]]:
     """The joints with ranges that fit their couplings, and a sentence on those that were changed.
 
     Other programs only keep the limits of the joint with the motor, so nobody notices wrong limits of coupled joints. Where these would
     leave the motor less than `_LEAST_RANGE` of its range, they become what the motor's range makes of them.
+
+    Args:
+        joints: All of them.
+        given: Names of joints whose ranges a caller gives: these count.
     """
     left = {joint.name: (joint.lower, joint.upper) for joint in joints}
     for joint in joints:
@@ -41,7 +45,7 @@ def free_ranges(joints: Sequence[FileJoint]) -> tuple[list[FileJoint], list[str]
     changed, out = list[str](), list[FileJoint]()
     for joint in joints:
         fitting = joint
-        if joint.mimic is not None:
+        if joint.mimic is not None and joint.name not in given:
             driver, (low, high) = drivers[joint.mimic.joint], left[joint.mimic.joint]
             if math.isfinite(driver.lower) and high - low < _LEAST_RANGE * (driver.upper - driver.lower):
                 lower, upper = sorted((joint.mimic.angle(driver.lower), joint.mimic.angle(driver.upper)))

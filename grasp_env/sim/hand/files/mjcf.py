@@ -56,8 +56,9 @@ class MjcfReader:
 
     def __init__(self, path: str | os.PathLike[str], tips: Sequence[str] = ()) -> None:
         self.path = Path(os.fsdecode(path))
-        self.model = model = load_model(self.path)
-        self.name = model_name(model) or "hand"
+        self.model, degrees = load_model(self.path)
+        model = self.model
+        self.name = model_name(model, self.path)
         self._shapes = MjcfShapes(model, self.path)
         self.unseen = self._shapes.unseen
         self.said: list[str] = []
@@ -69,7 +70,8 @@ class MjcfReader:
             raise InvalidInputError(
                 "no joint is in the file; a part that other files include is not read by itself: give the file that includes it"
             )
-        self._mend_degrees()
+        if degrees:
+            self._mend_degrees()
         self.motors = find_motors(model)
         self._note_motors()
         moving = {motor.joint for motor in self.motors} | {other for motor in self.motors for other in motor.followers}
@@ -139,7 +141,7 @@ class MjcfReader:
         for motor in self.motors:
             for other, (ratio, offset) in motor.followers.items():
                 shift = f" {offset:+g}" if offset else ""
-                bend = f" (misses by up to {motor.bend:.2f} rad)" if motor.curved else ""
+                bend = f" (misses by up to {motor.bend:.0%} of its travel)" if motor.curved else ""
                 lines.append(
                     f"{name_of(model, 'joint', other)} = {ratio:g} * {name_of(model, 'joint', motor.joint)}{shift}{bend}"
                 )

@@ -18,16 +18,24 @@ from grasp_env.sim.objects.apart import apart
 
 mujoco: Any = compiled  # it has no types
 
+# it would write what diverges, which `find_motors` tells, into a file where it runs
+if mujoco.get_mju_user_warning() is None:
+    mujoco.set_mju_user_warning(lambda text: None)
+
 _SECONDS = 30.0
 """Longest time in which MuJoCo may compile a file."""
 _MOST_MEMORY = 8 << 30
 """[bytes] that compiling may take."""
+_UNNAMED = "MuJoCo Model"
+"""Name that MuJoCo gives to a model without one."""
+_COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}
+"""Number of a model's elements of each kind."""
 _PARENTS = 5
 """Folders above the file in which its meshes may be."""
 
 
-def load_model(path: Path) -> Any:
-    """The compiled model of a file.
+def load_model(path: Path) -> tuple[Any, bool]:
+    """The compiled model of a file, and whether its angles are degrees.
 
     Raises:
         InvalidInputError: MuJoCo refuses the file, or takes too long.
@@ -44,7 +52,7 @@ def load_model(path: Path) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "model.mjb")
         file.write_bytes(made["model"].tobytes())
-        return mujoco.MjModel.from_binary_path(str(file))
+        return mujoco.MjModel.from_binary_path(str(file)), bool(made["degrees"])
 
 
 def compile_mjcf(path: Any) -> dict[str, Any]:
@@ -54,7 +62,7 @@ def compile_mjcf(path: Any) -> dict[str, Any]:
         path: Of the file, an array of one text.
 
     Returns:
-        The "model" as MuJoCo writes it, uint8; or the "error" as text.
+        The "model" as MuJoCo writes it, uint8, and whether its angles are "degrees"; or the "error" as text.
     """
     try:
         import resource
@@ -66,34 +74,41 @@ def compile_mjcf(path: Any) -> dict[str, Any]:
     first = ""
     for folder in list(file.parents)[: _PARENTS + 1]:
         try:
-            model = _compiled(file, folder)
+            spec = _spec(file, folder)
+            model = spec.compile()
         except (ValueError, RuntimeError, MemoryError) as error:
             first = first or str(error) or type(error).__name__
             continue
         buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
         mujoco.mj_saveModel(model, None, buffer)
-        return {"model": buffer}
+        return {"model": buffer, "degrees": np.array(bool(spec.compiler.degree))}
     return {"error": np.array(first)}
 
 
-def _compiled(file: Path, folder: Path) -> Any:
-    """The model of a file whose meshes are named from a folder on."""
+def _spec(file: Path, folder: Path) -> Any:
+    """What is in a file whose meshes are named from a folder on."""
     os.chdir(folder)
     if folder == file.parent and file.suffix == ".xml":
-        return mujoco.MjModel.from_xml_path(str(file))
+        return mujoco.MjSpec.from_file(str(file))
     spec = mujoco.MjSpec.from_string(file.read_text())
     spec.modelfiledir = str(folder)
-    return spec.compile()
+    return spec
 
 
-def model_name(model: Any) -> str:
-    """The name of a model; empty without one."""
-    return _text(model.names, 0)
+def model_name(model: Any, path: Path) -> str:
+    """The name of a model; of one without a name that of its file."""
+    name = _text(model.names, 0)
+    return path.stem if name in ("", _UNNAMED) else name
 
 
 def name_of(model: Any, kind: str, number: int) -> str:
     """The name of an element, "body" or "joint" for instance; of one without a name its kind and number."""
-    return getattr(model, kind)(number).name or f"{kind}{number}"
+    name = getattr(model, kind)(number).name or f"{kind}{number}"
+    if not getattr(model, kind)(number).name:
+        taken = {getattr(model, kind)(other).name for other in range(getattr(model, _COUNTS[kind]))}
+        while name in taken:
+            name += "_"
+    return name
 
 
 def mesh_file(model: Any, mesh: int, path: Path) -> Path | None:

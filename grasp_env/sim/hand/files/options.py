@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -78,10 +78,19 @@ class HandOptions:
                 raise InvalidInputError(f"two fingertips are called {name!r}; give each its own link")
         return dict.fromkeys(names)
 
-    def torques(self, joints: Sequence[str]) -> dict[str, float]:
-        """The limits [N m] that are given, of some of the joints."""
+    def torques(self, joints: Sequence[str], drivers: Mapping[str, str]) -> dict[str, float]:
+        """The limits [N m] that are given, of some of the joints.
+
+        Args:
+            joints: Names of all that move.
+            drivers: Of the coupled ones, the joint whose motor moves each.
+        """
         given: Any = self.torque_limit
         if given is None or is_a(given, dict):
+            if idle := [name for name in dict(given or {}) if name in drivers]:
+                raise InvalidInputError(
+                    f"torque_limit: {names_of(idle)} have no motor of their own; give that of {names_of([drivers[name] for name in idle])}"
+                )
             return _by_name(given, joints, "torque_limit", "joint", lambda value, of: positive(value, f"{of} [N m]"))
         if as_list(given) is None and not is_a(given, np.ndarray):
             return dict.fromkeys(joints, positive(given, "torque_limit [N m]"))

@@ -53,7 +53,7 @@ class UrdfReader:
     def __init__(self, path: str | os.PathLike[str], robot: Element) -> None:
         self.path = Path(os.fsdecode(path))
         self.said: list[str] = []
-        if is_xacro(robot):
+        if is_xacro(path, robot):
             robot = expanded(path)
         self.name: str = robot.get("name") or "hand"
         self._links, self._joints = robot.findall("link"), robot.findall("joint")

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import os
+import re
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from grasp_env._extras import need
 from grasp_env._files import parsed, read_xml
 from grasp_env.errors import GraspError, InvalidInputError
 
-_SPACE = "{http://www.ros.org/wiki/xacro}"
-_SHORT_SPACE = "{http://ros.org/wiki/xacro}"
+_ELEMENT = re.compile(r"\{[^}]*xacro/?\}")
+"""How the tag of an element of xacro begins, whatever the address of its namespace."""
 _PARENTS = 5
 """Folders above a file in which the packages are that it finds."""
 
 
-def is_xacro(robot: Element) -> bool:
-    """True if an element of xacro is in a file."""
-    return any(element.tag.startswith((_SPACE, _SHORT_SPACE)) for element in robot.iter())
+def is_xacro(path: str | os.PathLike[str], robot: Element) -> bool:
+    """True if a file is named as xacro files are, or an element of xacro is in it."""
+    return os.fsdecode(path).endswith(".xacro") or any(_ELEMENT.match(element.tag) for element in robot.iter())
 
 
 def expanded(path: str | os.PathLike[str]) -> Element:
@@ -35,13 +37,14 @@ def expanded(path: str | os.PathLike[str]) -> Element:
     """
     file = Path(os.fsdecode(path)).absolute()
     with need("xacro"):
+        import xacro  # which xacrodoc makes find packages without ROS
         import xacrodoc
     xacrodoc.packages.reset()
     xacrodoc.packages.update_package_cache(_packages(file))
     try:
         with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
-            document = xacrodoc.XacroDoc.from_file(str(file), resolve_packages=False)
-            robot = read_xml(document.dom.toxml().encode())
+            document: Any = xacro.process_file(str(file))
+            robot = read_xml(document.toxml().encode())
     except Exception as error:  # xacro lets errors of expressions through as they are
         raise InvalidInputError(
             f"xacro cannot expand {file}: {' '.join(str(error).split()) or type(error).__name__}"
