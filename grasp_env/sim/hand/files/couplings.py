@@ -238,7 +238,8 @@ class _Bench:
             ends = tuple(model.actuator_ctrlrange[actuator]) if model.actuator_ctrllimited[actuator] else (-1.0, 1.0)
             address = dof = -1
         model.jnt_limited[still] = False
-        model.jnt_limited[list(self.paired)] = False  # their limits narrow the motor's range, not its line
+        if joint >= 0:  # the limits of coupled joints narrow the motor's range, not its line
+            model.jnt_limited[list(self.paired)] = False
         stations = np.linspace(ends[0], ends[1], _STATIONS)
         for _ in range(travel + rest):  # constraints that the model's first posture breaks are met
             mujoco.mj_step(model, data)
