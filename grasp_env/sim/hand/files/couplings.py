@@ -34,6 +34,8 @@ _STILL = 1e-6
 """[rad] or [m] up to which a joint stays where it is."""
 _MOVED = 0.02
 """Part of its range, or [rad] without one, that a coupled joint moves at least."""
+_NEARLY = 0.9
+"""Of the largest part of its range that a joint on a tendon moves; the first that moves as far is the driver."""
 _STRAIGHT = 0.05
 """Part of its travel that a coupled joint may be away from its line before the coupling counts as curved."""
 _FREE_TURN, _FREE_WAY = np.pi, 0.1
@@ -177,7 +179,7 @@ class _Bench:
             return None
         angles, lengths = path
         spans = np.ptp(angles, axis=0) / (self.high - self.low)
-        column = self.movable.index(joint) if joint >= 0 else int(spans.round(1).argmax())
+        column = self.movable.index(joint) if joint >= 0 else int((spans >= _NEARLY * spans.max()).argmax())
         driver = angles[:, column]
         if np.ptp(driver) < _STILL:
             return None
