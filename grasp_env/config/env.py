@@ -64,7 +64,7 @@ class EnvConfig(Settings):
     """
 
     hand: str | HandDescription = setting(
-        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_urdf('my_hand.urdf')", lambda value: is_a(value, HandDescription)),
+        "four_finger", one_of(HANDS, "a HandDescription, such as HandDescription.from_file('my_hand.urdf')", lambda value: is_a(value, HandDescription)),
         "The hand; one that is not `placed` is put around the object by `place_hand`.",
     )  # fmt: skip
     object: ObjectDescription = setting(
