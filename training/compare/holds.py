@@ -201,11 +201,15 @@ def trial(
         config = config.override(initial_force=rule)
     row: dict[str, Any] = {"redrawn": redrawn, **_object(config)}
     try:
-        env = FourFingerGrasp(config=config)
-        try:
-            infos = [step.info for step in episode(env, seed)]
-        finally:
-            env.close()
+        with warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore", GraspWarning
+            )  # of structure, once for every episode: the rows tell what it leads to
+            env = FourFingerGrasp(config=config)
+            try:
+                infos = [step.info for step in episode(env, seed)]
+            finally:
+                env.close()
     except GraspError as error:
         failure = NOT_PLACED if isinstance(error, InvalidInputError) else NO_START
         return {**row, "held": False, "failure": failure, "detail": str(error), "status": None}

@@ -55,7 +55,7 @@ class Approach:
         return repr(self.wanted) if isinstance(self.wanted, str) else f"({', '.join(f'{x:.3g}' for x in self.wanted)})"
 
     def allows(self, direction: Array) -> bool:
-        """Whether a direction (3,), unit, is near enough to the wanted one."""
+        """True if a direction (3,), unit, is within `DEVIATION` of the wanted one."""
         wanted = self._vector
         if wanted is None:
             return bool(abs(direction[1]) <= math.sin(DEVIATION))

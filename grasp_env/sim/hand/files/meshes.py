@@ -122,7 +122,7 @@ def why_not_drawn(path: Path) -> str:
 
 
 def _corners_exist(blob: bytes) -> bool:
-    """Whether the faces of an .obj name corners, and textures and normals if any, that stand before them."""
+    """True if the faces of an .obj name corners, and textures and normals if any, that stand before them."""
     text = one_newline(blob)
     faces, *others = (np.fromiter(key_places(text, key), np.int64) for key in (b"f", b"v", b"vt", b"vn"))
     known = np.stack([np.searchsorted(other, faces) for other in others], axis=1)
