@@ -32,7 +32,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"task": "six_directions", "disturbance": "random"}, "pushes by itself"),
     ({"method": "magic"}, "unknown solver.method 'magic'"),
     ({"initial_force": "best"}, r"'linear_combination'.* or give a rule\(grasp, wrench\)"),
-    ({"hand": "six_finger"}, "HandDescription.from_urdf"),
+    ({"hand": "six_finger"}, "HandDescription.from_file"),
     ({"mass": float("nan")}, r"object.mass \[kg\]"),
     ({"mass": "heavy"}, r"object.mass \[kg\] must be a number"),
     ({"size": 30.0}, "object.size"),
