@@ -1,6 +1,12 @@
-"""URDF files of simple hands and of what carries them, as text."""
+"""URDF files of simple hands and of what carries them, as text, and read."""
 
 from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+from grasp_env.sim.hand.description import HandDescription
 
 
 def link(name: str, size: float = 0.04, mass: float = 0.03, moment: float | None = None, place: str = "0 0 0") -> str:
@@ -56,3 +62,14 @@ def hand(palm: str = "palm", before: str = "", **options: object) -> str:
 def robot(text: str) -> str:
     """A file of links and joints."""
     return f'<robot name="robot">{text}</robot>'
+
+
+def read(folder: Path, text: str, **options: Any) -> tuple[HandDescription, str]:
+    """The hand of links and joints in a file, and its warning, "" for none."""
+    path = folder / "hand.urdf"
+    path.write_text(robot(text), encoding="utf-8")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        made = HandDescription.from_urdf(path, rotor_inertia=0.0, **options)
+    assert len(told) <= 1
+    return made, str(told[0].message) if told else ""

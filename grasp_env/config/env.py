@@ -69,8 +69,8 @@ class EnvConfig(Settings):
     )  # fmt: skip
     object: ObjectDescription = setting(
         ObjectDescription(), record(ObjectDescription),
-        "What it holds. Two fingers hold with soft contacts: without `torsional_friction` it gets that of pads of 12 mm radius, and a "
-        "warning says so.",
+        "What it holds. Two fingers hold with soft contacts: without `torsional_friction` it gets that of pads of 12 mm radius, with a "
+        "warning.",
     )  # fmt: skip
     approach: str | tuple[float, float, float] | None = setting(
         None, Kind(as_approach, f"{', '.join(f'`{name}`' for name in DIRECTIONS)}, or 3 numbers"),

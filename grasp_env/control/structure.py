@@ -1,4 +1,4 @@
-"""What motors cannot push: the part of the contact forces that the structure of the fingers' joints carries."""
+"""The part of the contact forces that motors cannot make, so that the structure of the fingers' joints carries it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ the engines agreed below it: Bullet held 26 of 32 trials, MuJoCo 27. Above it Bu
 
 
 class FingerStructure(NamedTuple):
-    """What motors make of the forces of N fingers.
+    """The parts of N fingers' forces that motors make and that structure carries.
 
     Attributes:
         components: (N,) of the three force components of a finger, how many its motors make.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import mujoco as compiled
 import numpy as np
 
 from grasp_env._check import Array, instance
@@ -13,18 +12,14 @@ from grasp_env.sim.config import SceneConfig
 from grasp_env.sim.engine import MujocoEngine
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.mjcf import OBJECT, link_name, scene_mjcf
+from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.simulator import Simulator
 
-mujoco: Any = compiled  # it has no types
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _CLOSED = "the simulation is closed; make a new Scene from its config"
 _LEAST_FORCE = 1e-9
 """[N] below which a contact is one that the solver left open."""
-
-# it would write what diverges, which `Scene.look` tells, into a file where it runs
-if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(lambda text: None)
 
 
 class Mujoco(Simulator):

@@ -1,4 +1,4 @@
-"""What is made of a hand's meshes is kept by content; missing files, progress, the unit of a .dae."""
+"""Pieces of a hand's meshes are kept by content; missing files, progress, the unit of a .dae."""
 
 from __future__ import annotations
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from urdf_text import finger, hand, joint, link, robot
+from urdf_text import finger, hand, joint, link, read
 
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.kinematics import HandKinematics
 
@@ -41,17 +39,6 @@ ROBOT = (
     + hand("lpalm", "l")
     + hand("rpalm", "r")
 )
-
-
-def read(folder: Path, text: str, **options: Any) -> tuple[HandDescription, str]:
-    """The hand of a file, and what its warning says."""
-    path = folder / "robot.urdf"
-    path.write_text(robot(text), encoding="utf-8")
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        made = HandDescription.from_urdf(path, rotor_inertia=0.0, **options)
-    assert len(told) <= 1
-    return made, str(told[0].message) if told else ""
 
 
 def test_a_hand_on_an_arm_is_the_hand_alone(tmp_path: Path) -> None:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from urdf_text import finger, hand, joint, link, robot
+from urdf_text import finger, hand, joint, link, read
 
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand.check import inertia_matrix
@@ -18,17 +17,6 @@ from grasp_env.sim.hand.files.plausible import TIP_FORCE
 
 BOX = link("palm", 0.06, 0.2)
 SOLID = 1000.0 * 0.04 * 0.02 * 0.02  # [kg] of a finger's link at 1 g/cm^3
-
-
-def read(folder: Path, text: str, **options: Any) -> tuple[HandDescription, str]:
-    """The hand of a file, and what its warning says."""
-    path = folder / "hand.urdf"
-    path.write_text(robot(text), encoding="utf-8")
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        made = HandDescription.from_urdf(path, rotor_inertia=0.0, **options)
-    assert len(told) <= 1
-    return made, str(told[0].message) if told else ""
 
 
 def moments(made: HandDescription) -> np.ndarray:

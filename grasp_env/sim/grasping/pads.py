@@ -18,10 +18,8 @@ UNIFORM = 2.0 / 3.0
 """Of friction times patch radius: torsional friction of a disc under uniform pressure (Howe and Cutkosky 1996, Eq. 5)."""
 SOFT_PAIR = 2
 """Fingers of a hand that cannot hold with hard contacts: nothing keeps the object from turning about the line between them."""
-_STANDS, _MOST = (
-    0.0015,
-    0.006,
-)  # [m] by which a pad's sphere stands before the rest of its jaw; that it is moved for that
+_STANDS = 0.0015  # [m] by which a pad's sphere stands before the rest of its jaw
+_MOST = 0.006  # [m] that it is moved for that, at most
 
 
 def torsion_of(friction: float) -> float:

@@ -27,19 +27,15 @@ _ATTEMPTS, _MORE = 3, 6  # to find a good grasp; to find one that is not weak, w
 _SITES, _TURNS = 60, 6  # that are tried each time, and turns of the object at each
 _RAYS = 60  # for each finger there
 _ENOUGH = 24  # grasps to choose from
-_GOOD, _WEAK = (
-    30.0,
-    60.0,
-)  # [N] of the best, beyond which easier margins are tried; at which motors make half of what is asked
+_GOOD = 30.0  # [N] of the best grasp, beyond which easier margins are tried
+_WEAK = 60.0  # [N] at which motors make half of what is asked
 _ROOM = 0.003  # [m] of clearance that costs nothing
 _MEETINGS, _MET = 20, 1e-9  # steps of Newton; [m] from the object at which a tip touches
 _IDLE = 1.3  # of the force, for each finger that does not touch
 _NAMED = 6  # joints and pairs of fingers that a message names
 _WIDE = 2.5  # [rad] of range from which joints are named
-_MADE, _LEAST_MADE = (
-    4.0,
-    0.1,
-)  # power of the part of a normal force that motors make, by which a grasp counts as more; least part
+_MADE = 4.0  # power of the part of a normal force that motors make, by which a grasp counts as more
+_LEAST_MADE = 0.1  # of that part
 _EVEN, _PLANAR = 0.25, 1e-3  # least of a tip's levers over its largest that costs nothing; that is none
 
 
@@ -214,7 +210,7 @@ class _Trials:
         return None
 
     def _met(self, candidate: _Candidate) -> _Candidate:
-        """Where no finger has a motor of its own: the hand shifted, and the motors turned, such that all tips touch at once."""
+        """The candidate shifted, and its motors turned, such that all tips touch at once, if no finger has a motor of its own."""
         kinematics = self._part(candidate.fingers)[0]
         if not one_motor(kinematics):
             return candidate

@@ -32,14 +32,10 @@ _PUSHED = 0.3  # how much it counts that motors make none of the force along a n
 _APART = 0.004  # [m] between centres that are tried with the same fingers
 _LOOKS = 40  # rotations that are drawn until the palm has a wanted direction
 _PLAIN, _FEW = 2, 20  # rounds in which joints are anywhere in their ranges; sites with which these are too few
-_SPAN, _PARTS = (
-    0.8,
-    3,
-)  # [rad] at most, then: at the lower ends of the ranges, in their middles, at the upper ends, in turn
-_BESIDE, _END = (
-    0.1,
-    0.001,
-)  # [rad] that half of them lie beside postures of sites, once there are some; from the ends of the ranges
+_SPAN = 0.8  # [rad] of the ranges at most, in later rounds
+_PARTS = 3  # then in turn: at the lower ends of the ranges, in their middles, at the upper ends
+_BESIDE = 0.1  # [rad] that half of the later postures lie beside those of sites, once there are some
+_END = 0.001  # [rad] of later postures from the ends of the ranges, at least
 _INSIDE = 0.05  # of a joint's range that postures keep from its ends
 
 
@@ -100,7 +96,7 @@ class Site:
 def find_sites(
     hand: HandDescription, item: ObjectDescription, rng: np.random.Generator, least: int, most: int, pushed: bool = True
 ) -> tuple[list[Site], NDArray[np.bool_]]:
-    """Where the hand's fingers can surround an object.
+    """Find places at which the hand's fingers can surround an object.
 
     Args:
         hand: Where it was described.

@@ -138,6 +138,11 @@ def inertia_numbers(matrix: np.ndarray) -> Inertia:
     return xx, xy, xz, float(matrix[1, 1]), float(matrix[1, 2]), float(matrix[2, 2])
 
 
+def with_rotor(values: Inertia, rotor: float) -> Inertia:
+    """An inertia with that of a rotor [kg m^2] about all axes, see `HandDescription.with_rotors`."""
+    return inertia_numbers(inertia_matrix(values) + rotor * np.eye(3))
+
+
 def hull_corners(values: Any, name: str) -> tuple[Vector3, ...]:
     """Corners (K, 3) that span a volume, or `InvalidInputError`."""
     rows = as_array(values, (None, 3), f"{name}: corners")

@@ -16,7 +16,7 @@ import numpy as np
 from grasp_env._check import as_list, flag, instance
 from grasp_env.errors import InvalidInputError
 from grasp_env.sim.hand import presets
-from grasp_env.sim.hand.check import Vector3, inertia_matrix, inertia_numbers, numbers, parts, positive, word
+from grasp_env.sim.hand.check import Vector3, inertia_matrix, numbers, parts, positive, with_rotor, word
 from grasp_env.sim.hand.fingers import FingerDescription
 from grasp_env.sim.hand.frames import Frame
 from grasp_env.sim.hand.tree import Fingertip, Geometry, Link, Mimic, Palm
@@ -171,7 +171,7 @@ class HandDescription:
         if added < 0.0:
             raise InvalidInputError(f"inertia={added} kg m^2 must be 0 or above")
         heavier = [
-            replace(link, inertia=inertia_numbers(inertia_matrix(link.inertia) + added * np.eye(3)))
+            replace(link, inertia=with_rotor(link.inertia, added))
             if not link.sliding and (link.mimic is None if links is None else link.name in links)
             else link
             for link in self.links

@@ -10,11 +10,12 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from grasp_env._check import Array
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.tree import Geometry
+from grasp_env.sim.hand.tree import Geometry, Vector3
 
 MOST_CORNERS = 40
 """Of a hull; one of more is replaced by one of as many that contains it: corners stick out by an eighth of a round end's radius."""
 _FLAT = 3e-8  # [m] of volume over area, about half of the thickness, up to which a shape is flat
+_NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 _THIN = 5e-4  # [m] to which a flat shape is thickened, either way
 
 
@@ -34,6 +35,13 @@ def outline(shape: Geometry) -> Array:
     else:
         points = np.array(shape.corners, dtype=float).reshape(-1, 3)
     return points @ place.rotation.T + place.origin
+
+
+def hull_shape(
+    corners: Array, origin: Vector3 = _NOWHERE, rotation: Vector3 = _NOWHERE, color: Vector3 | None = None
+) -> Geometry:
+    """The hull of corners (K, 3) [m] as a shape at `origin` [m], turned by roll, pitch and yaw `rotation` [rad]."""
+    return Geometry("hull", (), origin, rotation, color, tuple((x, y, z) for x, y, z in corners.tolist()))
 
 
 def hull_of(points: Array) -> ConvexHull:

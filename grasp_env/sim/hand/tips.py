@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from grasp_env._check import Array
-from grasp_env.sim.hand.solids import beneath, few_corners, hull_of, outline
+from grasp_env.sim.hand.solids import beneath, few_corners, hull_of, hull_shape, outline
 from grasp_env.sim.hand.tree import Geometry, Link, Vector3
 
 SMALLEST, LARGEST = 0.004, 0.015
@@ -98,10 +98,7 @@ def freed(link: Link, ball: Ball, direction: Array) -> Link:
             continue
         left = beneath(points, direction, back)
         if len(left):
-            rows = few_corners(left)
-            shapes.append(
-                Geometry("hull", (), color=shape.color, corners=tuple((x, y, z) for x, y, z in rows.tolist()))
-            )
+            shapes.append(hull_shape(few_corners(left), color=shape.color))
     return replace(link, collision=tuple(shapes))
 
 

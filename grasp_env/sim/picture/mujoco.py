@@ -12,7 +12,6 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-import mujoco as compiled
 import numpy as np
 from PIL import Image
 
@@ -21,12 +20,12 @@ from grasp_env.errors import SimulationError
 from grasp_env.sim.hand.description import HandDescription
 from grasp_env.sim.hand.files.meshes import read_mesh
 from grasp_env.sim.mjcf import OBJECT_GROUP, link_name, looks_mjcf
+from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.objects.description import ObjectDescription
 from grasp_env.sim.picture.painter import Painter, before_background
 from grasp_env.sim.picture.view import FAR_PLANE, NEAR_PLANE, View
 from grasp_env.sim.scene import Scene
 
-mujoco: Any = compiled  # it has no types
 _BACKENDS = ("egl", "osmesa", "glfw", "cgl")
 """Modules of MuJoCo that make an OpenGL context, as the variable MUJOCO_GL names them."""
 _MOST_SHAPES = 10_000

@@ -9,12 +9,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-import mujoco as compiled
 import numpy as np
 
 from grasp_env._check import Array
-
-mujoco: Any = compiled  # it has no types
+from grasp_env.sim.mujoco_api import mujoco
 
 _STATIONS = 7
 """Positions of a motor at which the joints are read."""

@@ -20,7 +20,7 @@ from grasp_env._check import Array, together
 from grasp_env._extras import need
 from grasp_env._files import parsed, read_xml, shown_path
 from grasp_env.errors import InvalidInputError
-from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, inertia_numbers
+from grasp_env.sim.hand.check import Inertia, Vector3, inertia_matrix, inertia_numbers, with_rotor
 from grasp_env.sim.hand.files.elements import FileJoint, FileLink, HandFile, names_of
 from grasp_env.sim.hand.files.linkages import find_rods, free_ranges
 from grasp_env.sim.hand.files.options import HandOptions, Inertial
@@ -38,7 +38,7 @@ _NEAR = 1e-3  # [m] of a joint, where there is no direction away from it
 
 @dataclass(frozen=True)
 class ReadHand:
-    """What a file says of a hand.
+    """The parts of a hand in a file.
 
     Attributes:
         repairs: What was assumed, left out or changed, a sentence each.
@@ -53,7 +53,7 @@ class ReadHand:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a link of the file ended up: on a moving link, or None for the palm, and where on it."""
+    """The place of a file's link: the moving link that carries it, None for the palm, and its frame there."""
 
     carrier: str | None
     frame: Frame
@@ -70,7 +70,7 @@ def read_hand(path: str | os.PathLike[str], options: HandOptions) -> ReadHand:
     """
     _, tips, _ = together(options.checked_palm, options.tips, options.radius)
     try:
-        return hand_of(_reader(path, tuple(tips or ())), options)
+        return _Importer(_reader(path, tuple(tips or ())), options).hand
     except InvalidInputError as error:
         message = str(error)
         raise InvalidInputError(message if message.startswith("cannot read") else f"{path}: {message}") from None
@@ -90,15 +90,6 @@ def _reader(path: str | os.PathLike[str], tips: tuple[str, ...]) -> HandFile:
     )
 
 
-def hand_of(file: HandFile, options: HandOptions) -> ReadHand:
-    """The hand in a file.
-
-    Raises:
-        InvalidInputError: The file is no hand that can be simulated.
-    """
-    return _Importer(file, options).hand
-
-
 class _Importer:
     """Puts a hand together."""
 
@@ -111,7 +102,7 @@ class _Importer:
         joints, wide = judge_ranges(joints, ranges)
         self.joints, uncoupled = free_ranges(joints, ranges)
         self.root = part.root
-        self.rotors = 1.0 if options.rotor_inertia is None else 0.0
+        self.own_rotors = options.rotor_inertia is None
         self.repairs = [*file.said, *part.left, *held, *wide, *uncoupled]
         self.moving = [joint for joint in self.joints if not joint.fixed]
         if not self.moving:
@@ -141,7 +132,7 @@ class _Importer:
         self.hand = ReadHand(file.name, palm, tuple(links), tips, tuple(self.repairs))
 
     def _placed(self) -> dict[str, _Place]:
-        """Where each link is carried."""
+        """The place of each link."""
         places = {self.root: _Place(None, Frame.of((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))}
         for joint in self.joints:
             here = places[joint.parent].carrier
@@ -166,7 +157,7 @@ class _Importer:
         return tuple(collision), tuple(visual)
 
     def _body(self, joint: FileJoint) -> Body:
-        """What a joint moves, with all that is fixed to it."""
+        """The body that a joint moves, with all that is fixed to it."""
         before = self.places[joint.parent]
         place, _ = before.frame.carry(joint.origin, joint.rotation)
         collision, _ = self._shapes(joint.child, joint.child)
@@ -181,6 +172,7 @@ class _Importer:
         links = list[Link]()
         for body, own, limit in zip(bodies, judge.inertials(inertials), judge.torques(torques), strict=True):
             joint = body.joint
+            turned = self.own_rotors and joint.rotor > 0.0 and not joint.sliding
             before = self.places[joint.parent]
             origin, rotation = before.frame.carry(joint.origin, joint.rotation)
             links.append(
@@ -195,7 +187,7 @@ class _Importer:
                     torque_limit=limit,
                     mass=own.mass,
                     center=own.center,
-                    inertia=own.inertia if joint.sliding else _with_rotor(own.inertia, self.rotors * joint.rotor),
+                    inertia=with_rotor(own.inertia, joint.rotor) if turned else own.inertia,
                     collision=body.shapes,
                     visual=self._shapes(joint.child, joint.child)[1],
                     color=self.links[joint.child].color or (0.5, 0.5, 0.5),
@@ -336,11 +328,6 @@ class _Importer:
             if not there:
                 link = replace(link, collision=(*link.collision, sphere), visual=(*link.visual, sphere))
         return link
-
-
-def _with_rotor(inertia: Inertia, rotor: float) -> Inertia:
-    """An inertia with that of a motor [kg m^2] about all axes, see `HandDescription.with_rotors`."""
-    return inertia_numbers(inertia_matrix(inertia) + rotor * np.eye(3)) if rotor > 0.0 else inertia
 
 
 def _moved(frame: Frame, point: Vector3) -> Vector3:

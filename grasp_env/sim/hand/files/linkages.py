@@ -62,10 +62,7 @@ def find_rods(links: Sequence[Link], tips: Sequence[Fingertip]) -> set[str]:
     The rod touches that finger in every posture, and the finger reaches farther than the rod.
     """
     chains = [_chain(links, tip.link) for tip in tips]
-    by_joint = {link.joint: link for link in links}
-    motors = [
-        frozenset(by_joint[link.mimic.joint].joint if link.mimic else link.joint for link in chain) for chain in chains
-    ]
+    motors = [frozenset(link.mimic.joint if link.mimic else link.joint for link in chain) for chain in chains]
     alike = [
         (rod, finger)
         for rod in range(len(tips))
@@ -100,7 +97,7 @@ def _chain(links: Sequence[Link], name: str) -> list[Link]:
 
 
 def _frames(links: Sequence[Link], part: float) -> dict[str, Frame]:
-    """Where the links are, palm frame, with all motors at a part of their ranges."""
+    """The frames of the links in the palm's, with all motors at a part of their ranges."""
     angles = {
         link.joint: max(link.lower, -math.pi) + part * (min(link.upper, math.pi) - max(link.lower, -math.pi))
         for link in links

@@ -11,6 +11,7 @@ from typing import NoReturn
 from grasp_env._check import Array, together
 from grasp_env.errors import InvalidInputError, shown
 from grasp_env.sim.hand.files.pieces import pieces_of_file
+from grasp_env.sim.hand.solids import hull_shape
 from grasp_env.sim.hand.tree import Geometry, Vector3
 from grasp_env.sim.progress import counted
 
@@ -55,10 +56,7 @@ def solids_of(shapes: Mapping[str, Sequence[Geometry | MeshUse]], file: str) -> 
 def _solids(shape: Geometry | MeshUse, pieces: Mapping[tuple[Path, Vector3], list[Array]]) -> list[Geometry]:
     if isinstance(shape, Geometry):
         return [shape]
-    return [
-        Geometry("hull", (), shape.origin, shape.rotation, corners=tuple((x, y, z) for x, y, z in piece.tolist()))
-        for piece in pieces[shape.path, shape.scale]
-    ]
+    return [hull_shape(piece, shape.origin, shape.rotation) for piece in pieces[shape.path, shape.scale]]
 
 
 def refuse(fault: str) -> NoReturn:

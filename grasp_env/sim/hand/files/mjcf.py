@@ -7,9 +7,7 @@ import os
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import mujoco as compiled
 import numpy as np
 
 from grasp_env._check import Array
@@ -22,9 +20,8 @@ from grasp_env.sim.hand.files.mjcf_shapes import MjcfShapes
 from grasp_env.sim.hand.frames import Frame, axis_rotation
 from grasp_env.sim.hand.tips import SMALLEST
 from grasp_env.sim.hand.tree import Geometry, Mimic
+from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.progress import counted
-
-mujoco: Any = compiled  # it has no types
 
 _LEAST_SPAN = 0.1
 """[rad] of the middle one among the hinges' ranges, at least."""

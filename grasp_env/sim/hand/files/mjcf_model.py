@@ -7,20 +7,15 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import mujoco as compiled
 import numpy as np
 
 from grasp_env._check import Array
 from grasp_env._files import shown_path
 from grasp_env.errors import InvalidInputError
+from grasp_env.sim.hand.files.meshes import PARENTS
 from grasp_env.sim.hand.frames import Frame
+from grasp_env.sim.mujoco_api import mujoco
 from grasp_env.sim.objects.apart import apart
-
-mujoco: Any = compiled  # it has no types
-
-# it would write what diverges, which `find_motors` tells, into a file where it runs
-if mujoco.get_mju_user_warning() is None:
-    mujoco.set_mju_user_warning(lambda text: None)
 
 _SECONDS = 30.0
 """Longest time in which MuJoCo may compile a file."""
@@ -30,8 +25,6 @@ _UNNAMED = "MuJoCo Model"
 """Name that MuJoCo gives to a model without one."""
 _COUNTS = {"body": "nbody", "joint": "njnt", "actuator": "nu"}
 """Number of a model's elements of each kind."""
-_PARENTS = 5
-"""Folders above the file in which its meshes may be."""
 
 
 def load_model(path: Path) -> tuple[Any, bool]:
@@ -72,7 +65,7 @@ def compile_mjcf(path: Any) -> dict[str, Any]:
         pass
     file = Path(str(path))
     first = ""
-    for folder in list(file.parents)[: _PARENTS + 1]:
+    for folder in list(file.parents)[: PARENTS + 1]:
         try:
             spec = _spec(file, folder)
             model = spec.compile()
@@ -86,7 +79,7 @@ def compile_mjcf(path: Any) -> dict[str, Any]:
 
 
 def _spec(file: Path, folder: Path) -> Any:
-    """What is in a file whose meshes are named from a folder on."""
+    """The specification in a file whose meshes are named from a folder on."""
     os.chdir(folder)
     if folder == file.parent and file.suffix == ".xml":
         return mujoco.MjSpec.from_file(str(file))
@@ -103,11 +96,12 @@ def model_name(model: Any, path: Path) -> str:
 
 def name_of(model: Any, kind: str, number: int) -> str:
     """The name of an element, "body" or "joint" for instance; of one without a name its kind and number."""
-    name = getattr(model, kind)(number).name or f"{kind}{number}"
-    if not getattr(model, kind)(number).name:
-        taken = {getattr(model, kind)(other).name for other in range(getattr(model, _COUNTS[kind]))}
-        while name in taken:
-            name += "_"
+    element = getattr(model, kind)
+    if name := element(number).name:
+        return name
+    name, taken = f"{kind}{number}", {element(other).name for other in range(getattr(model, _COUNTS[kind]))}
+    while name in taken:
+        name += "_"
     return name
 
 

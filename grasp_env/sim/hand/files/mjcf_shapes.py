@@ -5,18 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import mujoco as compiled
-
 from grasp_env._check import Array
 from grasp_env.sim.hand.check import Vector3
 from grasp_env.sim.hand.files.meshes import why_not_drawn
 from grasp_env.sim.hand.files.mjcf_model import frame_of, mesh_file
 from grasp_env.sim.hand.files.pieces import kept_pieces
 from grasp_env.sim.hand.frames import Frame
-from grasp_env.sim.hand.solids import few_corners, outline
+from grasp_env.sim.hand.solids import few_corners, hull_shape, outline
 from grasp_env.sim.hand.tree import Geometry
-
-mujoco: Any = compiled  # it has no types
+from grasp_env.sim.mujoco_api import mujoco
 
 
 class MjcfShapes:
@@ -66,9 +63,9 @@ class MjcfShapes:
         if kind == int(kinds.mjGEOM_BOX):
             return [Geometry("box", (2.0 * a, 2.0 * b, 2.0 * c), origin, rotation, color)]
         if kind == int(kinds.mjGEOM_ELLIPSOID):
-            return [_hull(few_corners(outline(Geometry("sphere", (1.0,))) * (a, b, c)), origin, rotation, color)]
+            return [hull_shape(few_corners(outline(Geometry("sphere", (1.0,))) * (a, b, c)), origin, rotation, color)]
         if kind == int(kinds.mjGEOM_MESH):
-            return [_hull(piece, origin, rotation, color) for piece in self._pieces(int(model.geom_dataid[geom]))]
+            return [hull_shape(piece, origin, rotation, color) for piece in self._pieces(int(model.geom_dataid[geom]))]
         return []
 
     def _pieces(self, mesh: int) -> list[Array]:
@@ -96,10 +93,6 @@ class MjcfShapes:
         back = Frame(moved.rotation.T, -moved.rotation.T @ moved.origin)
         origin, rotation = (self._place(geom, shift) @ back).numbers()
         return [Geometry("mesh", tuple(scale), origin, rotation, _color(model, geom), file=str(file))]
-
-
-def _hull(corners: Array, origin: Vector3, rotation: Vector3, color: Vector3) -> Geometry:
-    return Geometry("hull", (), origin, rotation, color, tuple((x, y, z) for x, y, z in corners.tolist()))
 
 
 def _color(model: Any, geom: int) -> Vector3:

@@ -13,11 +13,10 @@ from xml.etree.ElementTree import Element
 from grasp_env._extras import need
 from grasp_env._files import parsed, read_xml
 from grasp_env.errors import GraspError, InvalidInputError
+from grasp_env.sim.hand.files.meshes import PARENTS
 
 _ELEMENT = re.compile(r"\{[^}]*xacro/?\}")
 """How the tag of an element of xacro begins, whatever the address of its namespace."""
-_PARENTS = 5
-"""Folders above a file in which the packages are that it finds."""
 
 
 def is_xacro(path: str | os.PathLike[str], robot: Element) -> bool:
@@ -57,7 +56,7 @@ def expanded(path: str | os.PathLike[str]) -> Element:
 def _packages(file: Path) -> dict[str, str]:
     """Folders of ROS packages by name, of those that hold the file and those beside them."""
     found = dict[str, str]()
-    for folder in list(file.parents)[: _PARENTS + 1]:
+    for folder in list(file.parents)[: PARENTS + 1]:
         for manifest in [folder / "package.xml", *sorted(folder.glob("*/package.xml"))]:
             if not manifest.is_file():
                 continue
