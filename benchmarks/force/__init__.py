@@ -1,0 +1,1 @@
+"""A benchmark of grasp forces that any solver can enter: `python -m benchmarks.force --help`."""

@@ -1,0 +1,382 @@
+"""The tracks, each made from a seed. A new one is a function of a generator and an entry of `TRACKS`.
+
+Numbers are drawn, then rounded to `DIGITS` significant digits, so that the last digit of another machine's library does not show: a seed
+gives the same bytes everywhere.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.force.problems import Array, Session, Track
+from benchmarks.force.record import FILE
+from grasp_env.errors import GraspError
+from grasp_env.force import ForceLimits
+from grasp_env.grasp import Grasp
+from grasp_env.quality import feasibility
+from training.data.grasps import PRESETS, Recipe
+
+DIGITS = 12
+GRASPS = Recipe(friction=(0.3, 1.0), own_friction=True, margin=0.02, basis=False)
+"""Random grasps: contacts on cuboids, ellipsoids and cylinders, away from losing closure."""
+LOAD = (2.0, 0.05)
+"""[N], [N m] radii of the balls that wrenches are drawn from."""
+TICK = 0.002
+"""[s] between the problems of a path."""
+CLEAR = 1e-3
+"""Depth inside or outside of everything (`feasibility`) from which a problem counts as feasible or not."""
+Arrays = dict[str, Any]
+Made = Iterator[tuple[str, Arrays]]
+
+
+def contacts(positions: Array, normals: Array, friction: Array | float) -> Arrays:
+    """The arrays of contacts (..., N, 3): o is the projection of e_x on the tangent plane, of e_y where abs(n_x) > 0.9."""
+    n = short(normals)
+    n = n / np.sqrt(n[..., :1] * n[..., :1] + n[..., 1:2] * n[..., 1:2] + n[..., 2:] * n[..., 2:])
+    axis = np.where(np.abs(n[..., :1]) > 0.9, np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+    along = np.where(np.abs(n[..., :1]) > 0.9, n[..., 1:2], n[..., :1])
+    o = axis - n * along
+    o = o / np.sqrt(o[..., :1] * o[..., :1] + o[..., 1:2] * o[..., 1:2] + o[..., 2:] * o[..., 2:])
+    t = n[..., [1, 2, 0]] * o[..., [2, 0, 1]] - n[..., [2, 0, 1]] * o[..., [1, 2, 0]]
+    frames = np.stack([n, o, t], axis=-1)
+    return {"positions": short(positions), "frames": frames, "friction": short(np.broadcast_to(friction, n.shape[:-1]))}
+
+
+def of(grasp: Grasp) -> Arrays:
+    """The arrays of one grasp."""
+    return fixed(contacts(np.array(grasp.positions), np.array(grasp.normals), np.array(grasp.friction)))
+
+
+def fixed(arrays: Arrays) -> Arrays:
+    """The same for all problems of a session."""
+    return {name: array[None] for name, array in arrays.items()}
+
+
+def moving(each: list[Arrays]) -> Arrays:
+    """Arrays of one problem each, one after the other."""
+    return {name: np.concatenate([arrays[name] for arrays in each]) for name in each[0]}
+
+
+def short(values: Any) -> Array:
+    """Values with `DIGITS` significant digits."""
+    array = np.asarray(values, dtype=float)
+    return np.array([float(f"{value:.{DIGITS - 1}e}") for value in array.ravel().tolist()]).reshape(array.shape)
+
+
+def ball(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
+    """(count, 6) wrenches: force and moment in balls of radii `size` times `LOAD`."""
+    parts = rng.standard_normal((count, 2, 3))
+    parts /= np.sqrt((parts**2).sum(axis=2, keepdims=True))
+    return short(
+        (parts * rng.random((count, 2, 1)) ** (1.0 / 3.0) * size * np.array(LOAD)[None, :, None]).reshape(count, 6)
+    )
+
+
+def wave(rng: np.random.Generator, count: int, size: float = 1.0) -> Array:
+    """(count, 6) wrenches along a smooth path: four sines of 0.3 to 3 Hz in every component."""
+    time = TICK * np.arange(count)[:, None, None]
+    rate, phase = rng.uniform(0.3, 3.0, (6, 4)), rng.uniform(0.0, 2.0 * np.pi, (6, 4))
+    sines = np.sin(2.0 * np.pi * rate * time + phase) * rng.standard_normal((6, 4))
+    return short(0.35 * size * sines.sum(axis=2) * np.repeat(LOAD, 3))
+
+
+def cold(rng: np.random.Generator) -> Made:
+    """Seven grasps of each size, in turn."""
+    for n, preset in PRESETS.items():
+        grasps = [of(preset()), *(of(GRASPS.closed(rng, n)) for _ in range(6))]
+        yield f"{n}", moving([grasps[k % len(grasps)] for k in range(70)]) | {"wrench": ball(rng, 70)}
+
+
+def smooth(rng: np.random.Generator) -> Made:
+    """Known grasps along a smooth path."""
+    for n, preset in PRESETS.items():
+        yield f"{n}", of(preset()) | {"wrench": wave(rng, 150)}
+
+
+def jumps(rng: np.random.Generator) -> Made:
+    """Known grasps whose wrench jumps towards another one."""
+    for n, preset in PRESETS.items():
+        path, aims, shares = [ball(rng, 1)[0]], ball(rng, 99), rng.choice([0.1, 0.5, 1.0], 99)
+        for aim, share in zip(aims, shares, strict=True):
+            path.append(path[-1] + share * (aim - path[-1]))
+        yield f"{n}", of(preset()) | {"wrench": short(path)}
+
+
+def roll(rng: np.random.Generator) -> Made:
+    """Contacts that move by up to 5 mm, over a surface of 30 mm radius."""
+    for n in PRESETS:
+        grasp, count = GRASPS.closed(rng, n), 100
+        time = TICK * np.arange(count)[:, None, None]
+        rate, phase = rng.uniform(0.5, 3.0, (n, 2)), rng.uniform(0.0, 2.0 * np.pi, (n, 2))
+        moved = 0.0035 * np.sin(2.0 * np.pi * rate * time + phase)  # (count, N, 2) along o and t
+        steps = np.einsum("nak,mnk->mna", grasp.frames[:, :, 1:], moved)
+        yield (
+            f"{n}",
+            contacts(grasp.positions + steps, grasp.normals - steps / 0.03, grasp.friction)
+            | {"wrench": wave(rng, count)},
+        )
+
+
+def lost(rng: np.random.Generator) -> Made:
+    """Every ten problems another finger has let go, or none."""
+    for n in (4, 5, 6):
+        grasp = GRASPS.closed(rng, n)
+        while not all(_closes_without(grasp, k) for k in range(n)):
+            grasp = GRASPS.closed(rng, n)
+        touching = np.ones((100, n), dtype=bool)
+        for k in range(10, 100, 20):
+            touching[k : k + 10, (k // 20) % n] = False
+        yield f"{n}", of(grasp) | {"touching": touching, "wrench": wave(rng, 100)}
+
+
+def random(rng: np.random.Generator) -> Made:
+    """A new grasp for every problem."""
+    for n in range(3, 17):
+        yield f"{n}", moving([of(GRASPS.closed(rng, n)) for _ in range(25)]) | {"wrench": ball(rng, 25)}
+
+
+def hands(rng: np.random.Generator) -> Made:
+    """A hand's contacts with the object's weight and a random wrench."""
+    for name, hand in _hands():
+        yield name, of(_grasp(hand)) | {"wrench": short(_weight(hand) + ball(rng, 15, 0.5))}
+
+
+def own(rng: np.random.Generator) -> Made:
+    """Loads of 0.3 to 1 of the largest that the motors carry in their direction: limits bind at many."""
+    for name, hand in _hands():
+        if not _shares(hand["jacobian"]):
+            yield name, _limited(rng, hand, 20)
+
+
+def shared(rng: np.random.Generator) -> Made:
+    """One motor for each pair of joints of the two last fingers, where a hand has none that fingers share."""
+    for name, hand in _hands():
+        yield name, _limited(rng, hand if _shares(hand["jacobian"]) else _coupled(hand), 15)
+
+
+def soft(rng: np.random.Generator) -> Made:
+    """Two or three soft fingertips around an object of 40 to 80 mm."""
+    for n in (2, 2, 2, 2, 3, 3):
+        angles = np.arange(n) * 2.0 * np.pi / n + rng.uniform(-0.15, 0.15, n)
+        outward = np.stack([np.cos(angles), np.sin(angles), rng.uniform(-0.15, 0.15, n)], axis=1)
+        half, gamma = rng.uniform(0.02, 0.04), short(rng.uniform(0.002, 0.008, n))
+        arrays = contacts(half * outward, -outward, rng.uniform(0.4, 0.9)) | {"torsional_friction": gamma}
+        loads = [w for w in ball(rng, 200, 0.5) if _depth(arrays, w) > CLEAR]
+        yield f"{n}, {1000 * half:.0f} mm, {len(loads)}", fixed(arrays) | {"wrench": np.array(loads[:30])}
+
+
+def infeasible(rng: np.random.Generator) -> Made:
+    """Contacts without force closure, motors that are too weak, and soft pinches that may not be squeezed enough."""
+    for n in (3, 4, 5):
+        each, loads = [], []
+        while len(each) < 25:
+            grasp, load = GRASPS.draw(rng, n), ball(rng, 1)[0]
+            if feasibility(grasp, load).margin < -CLEAR:
+                each.append(of(grasp))
+                loads.append(load)
+        yield f"no closure, {n}", moving(each) | {"wrench": np.array(loads)}
+    for name, hand in _hands()[::4]:
+        arrays = _limited(rng, hand, 12)
+        beyond = short(arrays["wrench"] * (_most(arrays)[:, None] * rng.uniform(1.2, 3.0, (12, 1))))
+        yield f"weak motors, {name}", arrays | {"wrench": beyond}
+    for half in (0.02, 0.03):
+        pinch = contacts(
+            np.array([[half, 0.0, 0.0], [-half, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), 0.5
+        )
+        arrays = pinch | {"torsional_friction": np.full(2, 0.005), "max_normal": np.full(2, 1.0)}
+        loads = [w for w in ball(rng, 200) if _depth(arrays, w) < -CLEAR]
+        yield f"pinch, {1000 * half:.0f} mm", fixed(arrays) | {"wrench": np.array(loads[:20])}
+
+
+def hard(rng: np.random.Generator) -> Made:
+    """Clustered contacts, grasps next to losing closure, objects and loads of all sizes, little friction."""
+    for n in (3, 4, 5, 6):
+        each, loads = [], ball(rng, 24)
+        for power in (2, 2, 3, 3, 4, 4):
+            each.append(_clustered(rng, n, 10.0 ** (-power - 2)))
+        for power in (2, 2, 3, 3, 4, 4):
+            each.append(_next_to_losing_closure(rng, n, 10.0**-power))
+        for k in range(12, 18):
+            length, size, grasp = 10.0 ** rng.uniform(-2.0, 2.0), 10.0 ** rng.uniform(-5.0, 5.0), GRASPS.closed(rng, n)
+            each.append(fixed(contacts(length * grasp.positions, grasp.normals, grasp.friction)))
+            loads[k] *= size * np.repeat([1.0, length], 3)
+        each += [_slippery(rng, n, 0.05) for _ in range(6)]
+        yield f"{n}", moving(each) | {"wrench": short(loads)}
+
+
+@dataclass(frozen=True)
+class Recipes:
+    """A track.
+
+    Attributes:
+        make: makes its sessions, as (name, arrays).
+        text: one line for people.
+        modes: in which it is run.
+        objectives: which it has.
+        digits: "exact": its references are computed in 50 digits.
+    """
+
+    make: Callable[[np.random.Generator], Made]
+    text: str
+    modes: tuple[str, ...] = ("persistent",)
+    objectives: tuple[str, ...] = ("sum", "phi")
+    digits: str = "double"
+
+
+PATH = ("persistent", "warm")
+TRACKS = {
+    "cold": Recipes(cold, "a solver is set up for every problem; 3 to 5 contacts", ("cold",)),
+    "smooth": Recipes(smooth, "the wrench follows a smooth path at 500 Hz; fixed contacts", PATH),
+    "jumps": Recipes(jumps, "the wrench jumps by 10, 50 or 100 %; fixed contacts", PATH),
+    "roll": Recipes(roll, "contacts roll by up to 5 mm along a smooth path of the wrench", PATH),
+    "lost": Recipes(lost, "a contact is lost for ten problems and regained", PATH),
+    "random": Recipes(random, "other contacts in every problem, 3 to 16 of them"),
+    "hands": Recipes(hands, "contacts of real hands holding an object"),
+    "own": Recipes(own, "real hands within their torque limits; each joint moves one finger", objectives=("sum",)),
+    "shared": Recipes(shared, "the same; some joints move two fingers", objectives=("sum",)),
+    "soft": Recipes(soft, "two or three soft fingertips with torsion", objectives=("sum",)),
+    "infeasible": Recipes(infeasible, "no force exists: the answer is a proof", objectives=("sum",)),
+    "hard": Recipes(hard, "clustered, nearly no closure, slippery, tiny and huge", digits="exact"),
+}
+"""In the order of the reports; a track's place is a part of its seed, so new ones go to the end."""
+
+
+def generate(name: str, seed: int) -> Track:
+    """A track without references."""
+    recipe = TRACKS[name]
+    place = list(TRACKS).index(name)
+    rng = np.random.default_rng([seed, place])
+    sessions = [Session(label, arrays, {}) for label, arrays in recipe.make(rng)]
+    about = {
+        "place": place, "seed": seed, "about": recipe.text, "modes": recipe.modes, "objectives": recipe.objectives, "digits": recipe.digits,
+        "made": f"python -m benchmarks.force generate --seed {seed} {name}",
+    }  # fmt: skip
+    return Track(name, sessions, about)
+
+
+def _hands() -> list[tuple[str, dict[str, Any]]]:
+    records = json.loads(FILE.read_text(encoding="utf-8"))
+    return [
+        (f"{each['hand']}, {each['shape']}", {k: np.array(v) if isinstance(v, list) else v for k, v in each.items()})
+        for each in records
+    ]
+
+
+def _grasp(hand: dict[str, Any]) -> Grasp:
+    return Grasp.from_contacts(
+        hand["positions"], hand["normals"] / np.linalg.norm(hand["normals"], axis=1, keepdims=True), hand["friction"]
+    )
+
+
+def _weight(hand: dict[str, Any]) -> Array:
+    return np.concatenate([hand["mass"] * hand["gravity"], np.zeros(3)])
+
+
+def _shares(jacobian: Array) -> bool:
+    """True if a joint moves several contacts."""
+    return bool((np.abs(jacobian).max(axis=1) > 0.0).sum(axis=0).max() > 1)
+
+
+def _coupled(hand: dict[str, Any]) -> dict[str, Any]:
+    """The hand with one motor for each pair of joints of its two last fingers."""
+    jacobian = hand["jacobian"]
+    first, second = (np.flatnonzero(np.abs(jacobian[k]).max(axis=0)) for k in (-2, -1))
+    pairs = list(zip(first.tolist(), second.tolist(), strict=False))
+    joined = np.eye(jacobian.shape[2])
+    for a, b in pairs:
+        joined[b, a] = 1.0
+    joined = np.delete(joined, [b for _, b in pairs], axis=1)
+    return hand | {
+        "jacobian": jacobian @ joined,
+        "torque_bias": hand["torque_bias"] @ joined,
+        "torque_limit": hand["torque_limit"] @ joined,
+    }
+
+
+def _limited(rng: np.random.Generator, hand: dict[str, Any], count: int) -> Arrays:
+    """A hand's contacts and torque limits, with loads of 0.3 to 1 of the largest in their direction."""
+    grasp = _grasp(hand)
+    limits = {name: short(hand[name])[None] for name in ("jacobian", "torque_limit", "torque_bias")}
+    arrays = of(grasp) | limits | {"wrench": ball(rng, count)}
+    return arrays | {"wrench": short(arrays["wrench"] * (_most(arrays) * rng.uniform(0.3, 0.95, count))[:, None])}
+
+
+def _most(arrays: Arrays) -> Array:
+    """(M,) the largest factor of each wrench that is feasible, to 2 %."""
+    out = []
+    one = {name: array[0] for name, array in arrays.items() if name != "wrench"}
+    for wrench in arrays["wrench"]:
+        low, high = 0.0, 1.0
+        while _depth(one, high * wrench) > 0.0 and high < 1e6:
+            low, high = high, 4.0 * high
+        while high - low > 0.02 * high:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if _depth(one, middle * wrench) > 0.0 else (low, middle)
+        out.append(low)
+    return np.array(out)
+
+
+def _depth(arrays: Arrays, wrench: Array) -> float:
+    """`feasibility`'s margin of one problem."""
+    gamma = arrays.get("torsional_friction")
+    grasp = Grasp.from_contacts(
+        arrays["positions"], arrays["frames"][:, :, 0], arrays["friction"], torsional_friction=gamma,
+        contact_model="hard" if gamma is None else "soft",
+    )  # fmt: skip
+    names = ("max_normal", "jacobian", "torque_limit", "torque_bias")
+    given = {name: arrays[name] for name in names if name in arrays}
+    return feasibility(grasp, wrench, ForceLimits(**given) if given else None).margin
+
+
+def _closes_without(grasp: Grasp, contact: int) -> bool:
+    kept = np.arange(grasp.n_contacts) != contact
+    try:
+        return GRASPS.closes(Grasp.from_contacts(grasp.positions[kept], grasp.normals[kept], grasp.friction[kept]))
+    except GraspError:
+        return False
+
+
+def _clustered(rng: np.random.Generator, count: int, apart: float) -> Arrays:
+    """A grasp that closes with its last contact so far [m] from the first; of three contacts any."""
+    while True:
+        grasp = GRASPS.closed(rng, count)
+        places, normals = np.array(grasp.positions), np.array(grasp.normals)
+        if count > 3:
+            places[-1], normals[-1] = places[0] + apart * grasp.frames[0, :, 1], normals[0]
+        arrays = fixed(contacts(places, normals, grasp.friction))
+        if _depth({name: array[0] for name, array in arrays.items()}, np.zeros(6)) > CLEAR:
+            return arrays
+
+
+def _slippery(rng: np.random.Generator, count: int, friction: float) -> Arrays:
+    """A grasp that closes with so little friction; after many tries one with a little more."""
+    while True:
+        for _ in range(200):
+            try:
+                arrays = of(GRASPS.draw(rng, count).with_friction(float(f"{friction:.6g}")))
+            except GraspError:
+                continue
+            if _depth({name: array[0] for name, array in arrays.items()}, np.zeros(6)) > 1e-4:
+                return arrays
+        friction *= 1.5
+
+
+def _next_to_losing_closure(rng: np.random.Generator, count: int, above: float) -> Arrays:
+    """A grasp whose friction is by so much, relatively, above the least with which it closes."""
+    while True:
+        grasp, (low, high) = GRASPS.closed(rng, count), (1e-3, 1.0)
+        if feasibility(grasp.with_friction(low), np.zeros(6)).margin > 0.0:
+            continue
+        if feasibility(grasp.with_friction(high), np.zeros(6)).margin <= 0.0:
+            continue
+        while high - low > 1e-9:
+            middle = 0.5 * (low + high)
+            low, high = (
+                (low, middle) if feasibility(grasp.with_friction(middle), np.zeros(6)).margin > 0.0 else (middle, high)
+            )
+        return of(grasp.with_friction(float(f"{high * (1.0 + above):.7g}")))

@@ -1,0 +1,290 @@
+"""The problems of the benchmark, and the files that hold them.
+
+Balance a wrench w with the forces of N contacts, f = (normal, o, t[, torsion]) of each in its own frame:
+
+    G f + w = 0,   hypot(o, t) <= friction * normal,   abs(torsion) <= torsional_friction * normal,   B f <= b
+
+Objectives: `sum` is the sum of the normal forces [N]. `phi` is the paper's, sum_i 3 u + lambda (1 / u + 2 u / (u^2 - o^2 - t^2)) with
+u = friction * normal and lambda = `BARRIER_WEIGHT`; it is defined for contacts without torsion and limits.
+
+A track is a file NAME.npz with NAME.json beside it. It consists of sessions: problems of one structure in their order. This module needs numpy only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SCHEMA = 1
+BARRIER_WEIGHT = 0.01
+"""lambda of `phi` [N^2]."""
+OBJECTIVES = ("sum", "phi")
+SETS = Path(__file__).with_name("sets")
+FIELDS = {
+    "positions": "(M, N, 3) m, contact points",
+    "frames": "(M, N, 3, 3) columns (n, o, t) of the contact frames, n the inward normal",
+    "friction": "(M, N) Coulomb coefficients",
+    "wrench": "(M, 6) N and N m about the origin, external wrench on the object",
+    "touching": "(M, N) which contacts touch; the force of the others is zero",
+    "torsional_friction": "(M, N) m, abs(torsion) <= torsional_friction * normal; without it contacts transmit no torsion",
+    "min_normal": "(M, N) N",
+    "max_normal": "(M, N) N, inf: no limit",
+    "jacobian": "(M, N, 6, J) joint speeds -> velocity of the contact point and angular velocity of the fingertip",
+    "torque_limit": "(M, J) N m, abs(J^T f + torque_bias) <= torque_limit",
+    "torque_bias": "(M, J) N m",
+}
+"""The arrays of a session, M problems of N contacts and J joints; what does not change has a first dimension of 1. The frame is the object's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A problem as a solver gets it; arrays are read-only.
+
+    Attributes:
+        positions, frames, friction, wrench, touching, torsional_friction, min_normal, max_normal, jacobian, torque_limit, torque_bias:
+            as in `FIELDS` without M; None where a track has none.
+        matrix: G (6, N k), k numbers per contact, moments about the origin; the columns of contacts that do not touch are zero.
+        limit_matrix: B (L, N k): least normal forces > 0, largest normal forces, then each limited joint's upper and lower torque; L may
+            be 0. Rows are zero at contacts that do not touch.
+        limit_bound: b (L,) [N, N m].
+        limit_size: (L,) the limit that a row stands for [N, N m].
+        moved: something besides the wrench differs from the first problem of the session.
+    """
+
+    positions: Array
+    frames: Array
+    friction: Array
+    wrench: Array
+    touching: NDArray[np.bool_] | None = None
+    torsional_friction: Array | None = None
+    min_normal: Array | None = None
+    max_normal: Array | None = None
+    jacobian: Array | None = None
+    torque_limit: Array | None = None
+    torque_bias: Array | None = None
+    moved: bool = False
+    matrix: Array = field(init=False, repr=False)
+    limit_matrix: Array = field(init=False, repr=False)
+    limit_bound: Array = field(init=False, repr=False)
+    limit_size: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        made = dict(
+            zip(("matrix", "limit_matrix", "limit_bound", "limit_size"), (self._matrix(), *self._limits()), strict=True)
+        )
+        for name, array in made.items():
+            object.__setattr__(self, name, array)
+        for array in vars(self).values():
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
+
+    @property
+    def n_contacts(self) -> int:
+        """N."""
+        return len(self.positions)
+
+    @property
+    def width(self) -> int:
+        """k: 4 with torsion, else 3."""
+        return 3 if self.torsional_friction is None else 4
+
+    @cached_property
+    def normals(self) -> Array:
+        """(N, 3) inward unit normals."""
+        return np.ascontiguousarray(self.frames[:, :, 0])
+
+    def _matrix(self) -> Array:
+        moments = np.cross(self.positions[:, :, None], self.frames, axisa=1, axisb=1, axisc=1)
+        made = np.concatenate([self.frames, moments], axis=1)  # (N, 6, 3)
+        if self.width == 4:
+            turning = np.concatenate([np.zeros_like(self.positions), self.frames[:, :, 0]], axis=1)
+            made = np.concatenate([made, turning[:, :, None]], axis=2)
+        if self.touching is not None:
+            made = made * self.touching[:, None, None]
+        return np.ascontiguousarray(made.transpose(1, 0, 2).reshape(6, -1))
+
+    def _limits(self) -> tuple[Array, Array, Array]:
+        n, k = self.n_contacts, self.width
+        rows, bound, size = [], [], []
+        for sign, limits in ((-1.0, self.min_normal), (1.0, self.max_normal)):
+            for i, limit in enumerate(() if limits is None else limits):
+                if 0.0 < limit < np.inf:
+                    row = np.zeros((n, k))
+                    touches = self.touching is None or bool(self.touching[i])
+                    row[i, 0] = sign * touches
+                    rows.append(row)
+                    bound.append(sign * limit if touches or sign > 0.0 else 0.0)
+                    size.append(limit)
+        if self.jacobian is not None and self.torque_limit is not None:
+            bias = np.zeros(len(self.torque_limit)) if self.torque_bias is None else self.torque_bias
+            levers = np.einsum("nab,naj->nbj", self.frames, self.jacobian[:, :3])
+            if k == 4:
+                about = np.einsum("na,naj->nj", self.frames[:, :, 0], self.jacobian[:, 3:])
+                levers = np.concatenate([levers, about[:, None]], axis=1)
+            if self.touching is not None:
+                levers = levers * self.touching[:, None, None]
+            for j, limit in enumerate(self.torque_limit):
+                for sign in (1.0, -1.0) if limit < np.inf else ():
+                    rows.append(sign * levers[:, :, j])
+                    bound.append(limit - sign * bias[j])
+                    size.append(limit)
+        return np.array(rows).reshape(-1, n * k), np.array(bound, dtype=float), np.array(size, dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What is known of the problems of a session for one objective.
+
+    Attributes:
+        value: (M,) the optimum; inf where no force exists.
+        lower, upper: (M,) dual and primal bound by the first source.
+        other: (M,) the optimum by the second source.
+        force: (M, N k) an optimal force; nan where none exists.
+        multipliers: (M, 6 + L) those of balance and limits; the witness where no force exists.
+        rest: force and multipliers (M, N k + 6 + L) below the last digit, of references in many digits (zero where doubles sufficed);
+            else None.
+    """
+
+    value: Array
+    lower: Array
+    upper: Array
+    other: Array
+    force: Array
+    multipliers: Array
+    rest: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """Problems of one structure in their order.
+
+    Attributes:
+        name: within the track.
+        arrays: as in `FIELDS`.
+        references: by objective.
+    """
+
+    name: str
+    arrays: dict[str, NDArray[Any]]
+    references: dict[str, Reference]
+
+    @cached_property
+    def problems(self) -> list[Problem]:
+        """The problems; those of equal contacts and limits differ in the wrench."""
+        count = len(self.arrays["wrench"])
+        each = {name: np.broadcast_to(array, (count, *array.shape[1:])) for name, array in self.arrays.items()}
+        made = []
+        for m in range(count):
+            moved = any(name != "wrench" and not np.array_equal(array[m], array[0]) for name, array in each.items())
+            made.append(Problem(**{name: np.ascontiguousarray(array[m]) for name, array in each.items()}, moved=moved))
+        return made
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A file of problems.
+
+    Attributes:
+        name: of the file.
+        sessions: in their order.
+        about: what the JSON says: schema, seed, how it was made, objectives, hashes.
+    """
+
+    name: str
+    sessions: list[Session]
+    about: dict[str, Any]
+
+    def digest(self) -> str:
+        """SHA-256 of the problems: name, type, shape and bytes of every array."""
+        found = hashlib.sha256()
+        for session in self.sessions:
+            for name in sorted(session.arrays):
+                array = np.ascontiguousarray(session.arrays[name])
+                found.update(f"{session.name}/{name} {array.dtype.str} {array.shape}\n".encode())
+                found.update(array.tobytes())
+        return found.hexdigest()
+
+
+def names(folder: Path = SETS) -> list[str]:
+    """The tracks of a folder, in their order."""
+    found = {
+        path.stem: json.loads(path.read_text(encoding="utf-8"))
+        for path in folder.glob("*.json")
+        if path.with_suffix(".npz").exists()
+    }
+    if not found:
+        raise ValueError(
+            f"{folder} holds no track: NAME.npz with NAME.json beside it; make them with `python -m benchmarks.force generate`"
+        )
+    return sorted(found, key=lambda name: found[name].get("place", 0))
+
+
+def load(name: str, folder: Path = SETS) -> Track:
+    """A track from its files.
+
+    Raises:
+        ValueError: there is none of that name, or the problems are not those whose hash the JSON holds.
+    """
+    path = folder / f"{name}.npz"
+    if not path.is_file():
+        raise ValueError(f"no track {name!r} in {folder}: it holds {', '.join(names(folder))}")
+    about = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    if about.get("schema") != SCHEMA:
+        raise ValueError(f"{path} has schema {about.get('schema')!r}, this version reads {SCHEMA}")
+    sessions: dict[str, tuple[dict[str, Any], dict[str, dict[str, Array]]]] = {
+        name: ({}, {}) for name in about["sessions"]
+    }
+    with np.load(path, allow_pickle=False) as file:
+        for key in file.files:
+            session, *where = key.split("/")
+            arrays, references = sessions[session]
+            if len(where) == 1:
+                arrays[where[0]] = file[key]
+            else:
+                references.setdefault(where[0], {})[where[1]] = file[key]
+    track = Track(name, [
+        Session(name, arrays, {objective: Reference(**each) for objective, each in references.items()})
+        for name, (arrays, references) in sessions.items()
+    ], about)  # fmt: skip
+    if track.digest() != about["sha256"]:
+        raise ValueError(
+            f"{path} does not hold the problems of {path.stem}.json: their SHA-256 is {track.digest()}, expected {about['sha256']}"
+        )
+    return track
+
+
+def save(track: Track, folder: Path = SETS) -> None:
+    """Writes the files of a track, whole or not at all."""
+    folder.mkdir(parents=True, exist_ok=True)
+    arrays: dict[str, Any] = {}
+    for session in track.sessions:
+        arrays |= {f"{session.name}/{name}": array for name, array in session.arrays.items()}
+        for objective, reference in session.references.items():
+            arrays |= {
+                f"{session.name}/{objective}/{name}": array
+                for name, array in vars(reference).items()
+                if array is not None
+            }
+    about = {
+        "schema": SCHEMA,
+        **track.about,
+        "sha256": track.digest(),
+        "sessions": [session.name for session in track.sessions],
+        "arrays": FIELDS,
+    }
+    path = folder / f"{track.name}.npz"
+    temporary = path.with_suffix(".part.npz")
+    np.savez_compressed(temporary, **arrays)
+    temporary.replace(path)
+    written = path.with_suffix(".part.json")
+    written.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    written.replace(path.with_suffix(".json"))
