@@ -1,0 +1,281 @@
+"""What a force, multipliers or a witness prove, computed from the problem alone.
+
+`Measure` holds every formula, for NumPy's floats and for object arrays of `decimal.Decimal`, which `exact.py` gives it. The functions
+below it take a `Problem`. Forces and moments are compared in N: moments are taken about the centre of the contacts that touch and
+divided by their root mean square distance from it.
+
+The multipliers are (nu, p), those of balance (6,) and the prices of the limits (L,) >= 0. The gradient of an objective is
+G^T nu - B^T p plus a part that the cones carry, and d objective / d wrench = -nu. This module needs numpy only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
+
+Numbers = NDArray[Any]
+"""Floats, or Decimals in an object array."""
+REACH = 10**6
+"""A witness excludes forces whose normal forces total up to this many times the wrench."""
+ROUNDING = 1e-15
+"""Of a sum of a few products, relative to their sizes."""
+
+
+def least(low: Numbers, high: Numbers, weight: Any) -> tuple[Numbers, Numbers, Numbers]:
+    """The least over a cone of (low p + high q) / 2 + weight (2 / (p + q) + 1 / p + 1 / q), with p = u + s and q = u - s.
+
+    At a fixed ratio r = q / p the least over p is 2 sqrt(weight c1 c2), c1 = (low + high r) / 2, c2 = 1 + 1 / r + 2 / (1 + r). Over r it
+    is stationary where r^2 ((1 + r)^2 + 2) = k ((1 + r)^2 + 2 r^2), k = low / high.
+
+    Args:
+        low: (N,) >= 0, high: (N,) >= low; both with the price of u in them.
+        weight: lambda.
+
+    Returns:
+        (least, p, r), each (N,).
+    """
+    tiny = 1 / (0 * high + 10**150)
+    k = np.maximum(low, 0) / np.maximum(high, tiny)
+    r = np.sqrt(k)
+    for _ in range(4):  # each contracts the error to less than 0.16 of it
+        r = np.sqrt(k / (1 + 2 * (1 - k) / (1 + r) ** 2))
+    r = np.maximum(r, tiny)
+    for _ in range(6):  # Newton's steps: from 1e-3 to 1e-60
+        q = 1 + r
+        wide = q * q + 2
+        r = r - (r * r * wide - k * (q * q + 2 * r * r)) / (2 * r * wide + 2 * r * r * q - k * (2 * q + 4 * r))
+        r = np.maximum(r, tiny)
+    c1, c2 = (low / r + high) / 2, 1 + r + 2 * r / (1 + r)  # the one divided by r, the other times r
+    return 2 * np.sqrt(weight * c1 * c2), np.sqrt(weight * c2 / np.maximum(c1, tiny)) / r, r
+
+
+@dataclass(frozen=True, eq=False)
+class Measure:
+    """A problem in units of N, moments about `centre` and divided by `length`.
+
+    Attributes:
+        matrix: (6, N, k), zero where a contact does not touch.
+        load: (6,) the wrench.
+        friction, spin: (N,) Coulomb coefficients and torsional friction [m].
+        rows, bound, size: (L, N, k), (L,), (L,) the limits.
+        touching: (N,).
+        centre: (3,) m.
+        length: m.
+        weight: lambda of `phi`.
+    """
+
+    matrix: Numbers
+    load: Numbers
+    friction: Numbers
+    spin: Numbers
+    rows: Numbers
+    bound: Numbers
+    size: Numbers
+    touching: NDArray[np.bool_]
+    centre: Numbers
+    length: Any
+    weight: Any = BARRIER_WEIGHT
+
+    @classmethod
+    def of(cls, problem: Problem) -> Measure:
+        """The problem in floats."""
+        n, k = problem.n_contacts, problem.width
+        touching = np.ones(n, dtype=bool) if problem.touching is None else problem.touching
+        spin = np.zeros(n) if problem.torsional_friction is None else problem.torsional_friction
+        rows = problem.limit_matrix.reshape(-1, n, k)
+        limits = rows, problem.limit_bound, problem.limit_size
+        return cls.around(
+            problem.positions, problem.frames, problem.wrench, problem.friction, spin, limits, touching, k
+        )
+
+    @classmethod
+    def around(
+        cls, positions: Numbers, frames: Numbers, wrench: Numbers, friction: Numbers, spin: Numbers,
+        limits: tuple[Numbers, Numbers, Numbers], touching: NDArray[np.bool_], width: int, weight: Any = BARRIER_WEIGHT,
+    ) -> Measure:  # fmt: skip
+        """From the arrays of a problem, in any numbers."""
+        count = int(touching.sum())
+        centre = positions[touching].sum(axis=0) / count
+        arms = positions - centre
+        length = np.sqrt((arms[touching] ** 2).sum(axis=0).sum() / count)
+        columns = frames.transpose(0, 2, 1)  # (N, 3, 3), one column a row
+        matrix = np.concatenate([columns, np.cross(arms[:, None] / length, columns)], axis=2)
+        if width == 4:
+            turning = np.concatenate([0 * columns[:, :1], columns[:, :1] / length], axis=2)
+            matrix = np.concatenate([matrix, turning], axis=1)
+        matrix = matrix.transpose(2, 0, 1) * touching[:, None]
+        load = np.concatenate([wrench[:3], (wrench[3:] - np.cross(centre, wrench[:3])) / length])
+        return cls(matrix, load, friction, spin, *limits, touching, centre, length, weight)
+
+    def twist(self, nu: Numbers) -> Numbers:
+        """Multipliers nu (6,) about the origin as those about the centre [N per N]."""
+        return np.concatenate([nu[:3] + np.cross(nu[3:], self.centre), nu[3:] * self.length])
+
+    def about_origin(self, twist: Numbers) -> Numbers:
+        """The inverse of `twist`."""
+        turn = twist[3:] / self.length
+        return np.concatenate([twist[:3] - np.cross(turn, self.centre), turn])
+
+    def price(self, name: str) -> Numbers:
+        """(N,) what a newton of normal force costs without the barrier."""
+        return 3 * self.friction if name == "phi" else 1 + 0 * self.friction
+
+    def objective(self, name: str, force: Numbers) -> Any:
+        """See the function."""
+        f = force.reshape(len(self.friction), -1)[self.touching]
+        if name == "sum":
+            return f[:, 0].sum()
+        u, s = self.friction[self.touching] * f[:, 0], np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
+        if not ((u > 0) & (u > s)).all():
+            return np.inf
+        return (3 * u + self.weight * (1 / u + 2 * u / ((u - s) * (u + s)))).sum()
+
+    def missed(self, force: Numbers) -> Numbers:
+        """(6,) G f + w [N]."""
+        return self.matrix.reshape(6, -1) @ force + self.load
+
+    def over(self, force: Numbers) -> Numbers:
+        """(L,) B f - b [N, N m]."""
+        return (self.rows.reshape(len(self.bound), len(force)) * force).sum(axis=1) - self.bound
+
+    def inside(self, force: Numbers) -> Numbers:
+        """The force with normal forces raised into the cones, and without what a contact cannot transmit."""
+        f = force.reshape(len(self.friction), -1) * self.touching[:, None]
+        s = np.sqrt(f[:, 1] ** 2 + f[:, 2] ** 2)
+        f[:, 0] = np.maximum(f[:, 0], s / self.friction)
+        if f.shape[1] == 4:
+            f[:, 3] *= self.spin > 0
+            f[:, 0] = np.maximum(f[:, 0], np.abs(f[:, 3]) / np.where(self.spin > 0, self.spin, 1))
+        return f.reshape(-1)
+
+    def upper(self, name: str, force: Numbers, multipliers: Numbers) -> Any:
+        """See `primal_bound`."""
+        f = self.inside(force) if name == "sum" else force
+        cost = np.abs(self.twist(multipliers[:6])) @ np.abs(self.missed(f))
+        return self.objective(name, f) + cost + (np.abs(multipliers[6:]) * np.maximum(self.over(f), 0)).sum()
+
+    def pull(self, twist: Numbers, prices: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+        """G^T v - B^T p of each contact: along the normal, tangential, and the least price of a newton that outweighs both, (N,) each."""
+        g = np.einsum("rnk,r->nk", self.matrix, twist) - np.einsum("lnk,l->nk", self.rows, prices)
+        sideways = np.sqrt(g[:, 1] ** 2 + g[:, 2] ** 2)
+        spin = self.spin * np.abs(g[:, 3]) if g.shape[1] == 4 else 0 * sideways
+        return g[:, 0], sideways, g[:, 0] + self.friction * sideways + spin
+
+    def lower(self, name: str, multipliers: Numbers) -> Any:
+        """See `dual_bound`."""
+        twist, prices, cost = self.twist(multipliers[:6]), np.maximum(multipliers[6:], 0), self.price(name)
+        along, sideways, need = self.pull(twist, prices)
+        most = (need / cost)[self.touching].max()
+        theta = 1 / most if most > 1 else most * 0 + 1
+        bound = -(theta * (twist @ self.load + (prices * self.bound).sum()))
+        if name == "phi":
+            mu = self.friction
+            low, high = (cost - theta * need) / mu, (cost - theta * along) / mu + theta * sideways
+            bound += least(np.maximum(low, 0)[self.touching], high[self.touching], self.weight)[0].sum()
+        return bound
+
+
+def objective(problem: Problem, name: str, force: Array) -> float:
+    """The objective `name` at a force (N k,) [N]; `phi` is +inf unless the force is strictly inside every cone."""
+    return float(Measure.of(problem).objective(name, np.asarray(force, dtype=float)))
+
+
+def balance(problem: Problem, force: Array) -> float:
+    """What a force (N k,) misses of balance: the largest |component| of G f + w over that of the wrench.
+
+    Without a wrench it is relative to the largest |component| of the force, torsion divided by the length.
+    """
+    measure = Measure.of(problem)
+    size = float(np.abs(measure.load).max())
+    if size == 0.0:
+        size = float(np.abs(_in_newtons(measure, force)).max())
+    return _part(float(np.abs(measure.missed(np.asarray(force, dtype=float))).max()), size)
+
+
+def violation(problem: Problem, force: Array) -> float:
+    """How far a force (N k,) is outside the cones [N], over the largest |normal force|; 0 inside.
+
+    It is the largest of hypot(o, t) - friction * normal, -normal, and abs(torsion) / torsional_friction - normal over contacts that touch,
+    and of |components| of the others. Torsion that a contact cannot transmit is divided by the length.
+    """
+    measure = Measure.of(problem)
+    f = _in_newtons(measure, force)
+    normal = f[:, 0]
+    outside = np.maximum(np.hypot(f[:, 1], f[:, 2]) - measure.friction * normal, -normal)
+    if f.shape[1] == 4:
+        spins, torsion = measure.spin > 0.0, np.abs(f[:, 3])
+        lever = np.where(spins, measure.spin, 1.0) / measure.length
+        outside = np.maximum(outside, np.where(spins, torsion / lever - normal, torsion))
+    outside = np.where(measure.touching, outside, np.abs(f).max(axis=1))
+    return _part(max(float(outside.max()), 0.0), float(np.abs(normal).max()))
+
+
+def excess(problem: Problem, force: Array) -> float:
+    """The largest excess of a limit by a force (N k,), as a part of that limit; 0 within all."""
+    measure = Measure.of(problem)
+    return float((measure.over(np.asarray(force, dtype=float)) / measure.size).max(initial=0.0))
+
+
+def primal_bound(problem: Problem, name: str, force: Array, multipliers: Array) -> float:
+    """An upper bound of the optimum from a force that may miss balance, cones and limits a little.
+
+    Normal forces are raised into the cones first. What the force then misses of balance and limits is added at its multipliers, each
+    component with its absolute value. By convexity that is a bound where the multipliers are the optimal ones.
+    """
+    return float(Measure.of(problem).upper(name, np.asarray(force, dtype=float), np.asarray(multipliers, dtype=float)))
+
+
+def dual_bound(problem: Problem, name: str, multipliers: Array) -> float:
+    """A lower bound of the optimum from any multipliers (6 + L,); no force that the problem allows has a smaller objective.
+
+    It is the least of the Lagrangian over the cones. With a = price - G^T nu + B^T p, the Lagrangian is a . f - nu . w - p . b and the
+    barrier of `phi`. It has a least value where a_n >= friction hypot(a_o, a_t) + torsional_friction abs(a_tau) at every contact: the
+    multipliers are multiplied by the largest theta <= 1 for which that holds. The price of a newton of normal force is 1, or
+    3 friction for `phi`, whose barrier adds its own least value (`least`).
+    """
+    return float(Measure.of(problem).lower(name, np.asarray(multipliers, dtype=float)))
+
+
+def witness(problem: Problem, multipliers: Array) -> float:
+    """How clearly multipliers (v, p) prove that no force exists; <= 0 where they prove nothing, at most 1.
+
+    Where G^T v + B^T p is in the dual cone of every contact, a force would give 0 <= f . (G^T v + B^T p) <= p . b - v . w. The result is
+    v . w - p . b over |v| |w| + p . |b|, with the moments of v and w as everywhere here, so that it does not depend on the scale of
+    (v, p). What a contact may miss of its dual cone, `ROUNDING` included, could be gained by its normal force and is subtracted first,
+    times the largest normal force: that contact's limit, or `REACH` times the wrench (or the largest least normal force, if that is
+    larger) for all contacts without a limit together. So the proof is complete where every contact has a limit or lies inside its dual
+    cone, and else holds up to that total of normal forces.
+    """
+    measure, given = Measure.of(problem), np.asarray(multipliers, dtype=float)
+    if not np.isfinite(given).all():
+        return -np.inf
+    twist, prices, n = measure.twist(given[:6]), np.maximum(given[6:], 0.0), problem.n_contacts
+    length = float(np.linalg.norm(twist))
+    sizes = (1.0 + measure.friction + measure.spin / measure.length) * (
+        length + np.einsum("lnk,l->n", np.abs(measure.rows), prices)
+    )
+    gained = np.maximum(measure.pull(-twist, prices)[2] + ROUNDING * sizes, 0.0) * measure.touching
+    most = np.full(n, np.inf) if problem.max_normal is None else problem.max_normal
+    limited = np.isfinite(most)
+    load = float(np.linalg.norm(measure.load))
+    largest = max(load, 0.0 if problem.min_normal is None else float(problem.min_normal.max()))
+    repair = gained[limited] @ most[limited] + REACH * largest * gained[~limited].max(initial=0.0)
+    size = length * load + prices @ np.abs(measure.bound)
+    return float((twist @ measure.load - prices @ measure.bound - repair) / size) - ROUNDING if size > 0.0 else 0.0
+
+
+def _in_newtons(measure: Measure, force: Array) -> Array:
+    """The force (N, k) with torsion divided by the length."""
+    f = np.array(force, dtype=float).reshape(len(measure.friction), -1)
+    f[:, 3:] /= measure.length
+    return f
+
+
+def _part(value: float, size: float) -> float:
+    """`value` as a part of `size`; 0 of nothing is 0."""
+    return value / size if size > 0.0 else (0.0 if value == 0.0 else np.inf)
