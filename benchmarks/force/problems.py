@@ -78,6 +78,9 @@ class Problem:
     limit_size: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        for name, array in vars(self).items():
+            if isinstance(array, np.ndarray):
+                object.__setattr__(self, name, np.ascontiguousarray(array))
         made = dict(
             zip(("matrix", "limit_matrix", "limit_bound", "limit_size"), (self._matrix(), *self._limits()), strict=True)
         )
