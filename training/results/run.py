@@ -27,7 +27,7 @@ MAX_COUNT = 1_000_000_000
 """Largest number of anything that a setting counts."""
 _PACKAGES = (
     "numpy", "scipy", "pandas", "torch", "gymnasium", "stable-baselines3", "pybullet", "mujoco", "ray",
-    "clarabel", "qoco", "qocogen", "moreau", "ecos",
+    "clarabel", "qoco", "qocogen", "moreau", "ecos", "highspy", "piqp", "cvxpy",
 )  # fmt: skip
 
 

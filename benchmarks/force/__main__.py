@@ -1,0 +1,174 @@
+"""`python -m benchmarks.force run | validate | report | generate | record`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a sub-command; returns 0, or 2 with one line on stderr where something given is wrong."""
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # before numpy comes: every entrant runs on one thread
+    from benchmarks.force.entrants import ENTRANTS
+    from benchmarks.force.problems import SETS
+
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.force", description=__doc__)
+    commands = parser.add_subparsers(required=True)
+
+    def command(name: str, function: Any, text: str) -> argparse.ArgumentParser:
+        made = commands.add_parser(name, help=text, description=text)
+        made.set_defaults(function=function)
+        made.add_argument("--sets", type=Path, default=SETS, help="folder of the tracks")
+        return made
+
+    made = command("run", _run, "time entrants on the tracks and score their answers")
+    made.add_argument(
+        "--solver",
+        action="append",
+        default=[],
+        metavar="FILE.py:CLASS",
+        help="an entrant of your own; FILE.so:FUNCTION is one in C",
+    )
+    made.add_argument(
+        "--against",
+        nargs="*",
+        default=list(ENTRANTS),
+        metavar="NAME",
+        help=f"entrants beside it: {', '.join(ENTRANTS)}; default: all",
+    )
+    made.add_argument("--tracks", nargs="+", default=[], metavar="TRACK")
+    made.add_argument(
+        "--quick", action="store_true", help="a few problems of each session, once: rough numbers within a minute"
+    )
+    made.add_argument("--out", type=Path, default=Path("runs"))
+    made.add_argument("--name", default="")
+    made = command(
+        "validate",
+        _validate,
+        "check the files of the tracks and their references; with --solver also that it answers, without timing",
+    )
+    made.add_argument("--solver", action="append", default=[], metavar="FILE.py:CLASS")
+    made.add_argument("--tracks", nargs="+", default=[], metavar="TRACK")
+    made = command("report", _report, "print the tables of a run, or what changed between two")
+    made.add_argument("runs", nargs="+", type=Path, metavar="RUN")
+    made = command(
+        "generate",
+        _generate,
+        "make tracks and their references from a seed: 0 is the published one, others are for training or held out",
+    )
+    made.add_argument("tracks", nargs="*", default=[], metavar="TRACK")
+    made.add_argument("--seed", type=int, default=0)
+    made = command("record", _record, "write hands.json anew, from hands by name or file; needs the simulator")
+    made.add_argument("hands", nargs="+", metavar="HAND")
+    given = parser.parse_args(arguments)
+    try:
+        return given.function(given)
+    except ValueError as error:
+        sys.stderr.write(f"benchmarks.force: {error}\n")
+        return 2
+
+
+def _tracks(given: Any) -> list[Any]:
+    from benchmarks.force.problems import load, names
+
+    return [load(name, given.sets) for name in given.tracks or names(given.sets)]
+
+
+def _run(given: Any) -> int:
+    from benchmarks.force.report import lines, profiles
+    from benchmarks.force.run import QUICK, Effort, entrants, measured, unit
+    from benchmarks.settings import tick
+    from training.report.page import svg
+    from training.results import Run, default_name
+    from training.results.table import table
+
+    tracks, chosen = _tracks(given), entrants([*given.solver, *given.against])
+    run = Run.create(given.out, given.name or default_name("force"))
+    before, effort = unit(), QUICK if given.quick else Effort()
+    rows, told = measured(tracks, chosen, effort, tick)
+    rows = table(rows)
+    tick("")
+    about = {
+        "kind": "force", "quick": given.quick, "settings": asdict(effort), "unit": min(before, unit()), "load": os.getloadavg(),
+        "tracks": {track.name: track.about["sha256"] for track in tracks}, "entrants": told,
+    }  # fmt: skip
+    run.write_text("profiles.svg", svg(profiles(rows)))
+    run.save(rows, about)
+    sys.stdout.write("\n".join([*lines(rows, about["unit"]), f"{run.folder}\n"]))
+    return 0
+
+
+def _validate(given: Any) -> int:
+    from benchmarks.force.generate import TRACKS, generate
+    from benchmarks.force.reference import check
+    from benchmarks.force.report import answers
+    from benchmarks.force.run import Effort, entrants, measured
+    from training.results.table import table
+
+    tracks = _tracks(given)
+    if given.solver:
+        rows = measured(tracks, entrants(given.solver), Effort(rounds=1, seconds=0.0))[0]
+        sys.stdout.write("\n".join([*answers(table(rows)), ""]))
+        return 0
+    faults = []
+    for track in tracks:
+        faults += check(track)
+        if track.name in TRACKS and generate(track.name, track.about["seed"]).digest() != track.about["sha256"]:
+            faults.append(f"{track.name}: seed {track.about['seed']} gives other problems here")
+        sys.stdout.write(f"{track.name}: {sum(len(session.problems) for session in track.sessions)} problems\n")
+    sys.stdout.write("".join(f"{fault}\n" for fault in faults) or "all references hold\n")
+    return int(bool(faults))
+
+
+def _report(given: Any) -> int:
+    from benchmarks.force.report import beside, lines
+    from training.results import Run, understood
+
+    loaded = []
+    for folder in given.runs:
+        with understood(folder, "run the benchmark again"):
+            loaded.append(Run.open(folder, "run.json").load())
+    rows, about = loaded[-1]
+    sys.stdout.write("\n".join([*lines(rows, about["unit"]), ""]))
+    if len(loaded) > 1:
+        sys.stdout.write(
+            f"{given.runs[-1]} beside {given.runs[0]}, us\n{beside(rows, loaded[0][0]).to_string(index=False)}\n"
+        )
+    return 0
+
+
+def _generate(given: Any) -> int:
+    from dataclasses import replace
+
+    from benchmarks.force.generate import TRACKS, generate
+    from benchmarks.force.problems import save
+    from benchmarks.force.reference import refer
+
+    for name in given.tracks or TRACKS:
+        if name not in TRACKS:
+            raise ValueError(f"no track {name!r}: there are {', '.join(TRACKS)}")
+        track = generate(name, given.seed)
+        sessions = []
+        for session in track.sessions:
+            found = refer(session, track.about["objectives"], track.about["digits"])
+            sessions.append(replace(session, references=found))
+        save(replace(track, sessions=sessions), given.sets)
+        sys.stdout.write(f"{given.sets / name}.npz: {sum(len(session.problems) for session in sessions)} problems\n")
+    return 0
+
+
+def _record(given: Any) -> int:
+    from benchmarks.force.record import write
+
+    write(given.hands)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

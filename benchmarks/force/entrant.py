@@ -1,0 +1,146 @@
+"""The two ways to enter: a Python class, or a C function in a shared library."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from benchmarks.force.problems import Array, Problem
+
+Answer = Any
+"""force (N k,) or (N, k); or (force, multipliers); or (force, multipliers, status), with status one of `STATUSES`."""
+STATUSES = ("solved", "failed", "infeasible")
+"""In the order of the C function's return values."""
+MODES = ("cold", "persistent", "warm")
+"""cold: `setup` is timed with every solve. persistent: `setup` once for a session, untimed. warm: the same, and `start` is the last force."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What `setup` is told of a session.
+
+    Attributes:
+        track: its name.
+        objective: "sum" or "phi".
+        mode: one of `MODES`.
+        first: the first problem: its contacts, friction and limits are those of every problem that has not `moved`.
+    """
+
+    track: str
+    objective: str
+    mode: str
+    first: Problem
+
+
+@runtime_checkable
+class Entrant(Protocol):
+    """A solver.
+
+    Besides these, an entrant may have `objectives` (both by default), `division` ("closed", the default, "learned" or "open"), `note`
+    (settings, for people), `training_seconds` (of a learned one), `iterations` (of the last solve), `solve_many(problems) -> list of
+    answers`, which is timed besides in mode persistent, and `compiled() -> Compiled`, with which it is called and timed in C.
+    """
+
+    name: str
+
+    def setup(self, task: Task) -> None:
+        """Prepares for a session.
+
+        Raises:
+            NotImplementedError: such problems are not entered, for the reason given.
+            ImportError, RuntimeError: it cannot run here.
+        """
+
+    def solve(self, problem: Problem, start: Array | None = None) -> Answer:
+        """The forces of a problem; `start` is the force of the last answer, in mode warm."""
+
+
+class CProblem(ctypes.Structure):
+    """`force_problem` of force.h."""
+
+    _pointers = (
+        "positions", "frames", "normals", "friction", "torsional_friction", "min_normal", "max_normal", "jacobian", "torque_limit",
+        "torque_bias", "wrench", "matrix", "limit_matrix", "limit_bound",
+    )  # fmt: skip
+    _fields_ = (
+        *((name, ctypes.c_int) for name in ("contacts", "width", "joints", "limits", "moved")),
+        ("touching", ctypes.c_ulonglong),
+        *((name, ctypes.c_void_p) for name in _pointers),
+    )
+
+    @classmethod
+    def of(cls, problem: Problem) -> CProblem:
+        """A view of a problem, which must outlive it."""
+        touching = np.ones(problem.n_contacts) if problem.touching is None else problem.touching
+        made = cls(
+            problem.n_contacts, problem.width, 0 if problem.torque_limit is None else len(problem.torque_limit),
+            len(problem.limit_bound), problem.moved, sum(1 << i for i in np.flatnonzero(touching).tolist()),
+        )  # fmt: skip
+        for name in cls._pointers:
+            array = getattr(problem, name)
+            setattr(made, name, None if array is None else array.ctypes.data)
+        return made
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """C functions as force.h declares them.
+
+    Attributes:
+        solve: address of a `force_solve`.
+        context: what it is given first.
+        setup: address of a `force_setup`, called in mode cold before each solve; 0: none.
+        close: address of a `force_close` for what `setup` returned; 0: none.
+        keep: whatever must live as long.
+    """
+
+    solve: int
+    context: int = 0
+    setup: int = 0
+    close: int = 0
+    keep: Any = None
+
+
+class Library:
+    """`FILE.so:FUNCTION` as an entrant: FUNCTION, and FUNCTION_setup and FUNCTION_close where they exist."""
+
+    note = "a shared library, timed in C"
+
+    def __init__(self, path: str, function: str) -> None:
+        self.name = function
+        self._library = ctypes.CDLL(path)
+        self._solve = self._address(function)
+        self._setup, self._close = (self._address(f"{function}_{which}", missing=0) for which in ("setup", "close"))
+        self._context = None
+
+    def setup(self, task: Task) -> None:
+        """Calls FUNCTION_setup; null means that it does not enter."""
+        if not self._setup:
+            return
+        if self._context and self._close:
+            ctypes.CFUNCTYPE(None, ctypes.c_void_p)(self._close)(self._context)
+        call = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_char_p)(self._setup)
+        first = CProblem.of(task.first)
+        self._context = call(ctypes.addressof(first), task.objective.encode())
+        if not self._context:
+            raise NotImplementedError(f"{self.name}_setup returned null")
+
+    def solve(self, problem: Problem, start: Array | None = None) -> Answer:
+        """One call from Python."""
+        force, multipliers = np.zeros(problem.matrix.shape[1]), np.zeros(6 + len(problem.limit_bound))
+        call = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 6)(self._solve)
+        given, view = None if start is None else start.ctypes.data, CProblem.of(problem)
+        status = call(self._context, ctypes.addressof(view), given, force.ctypes.data, multipliers.ctypes.data, None)
+        return force, multipliers, STATUSES[status]
+
+    def compiled(self) -> Compiled:
+        """See `Entrant`."""
+        return Compiled(self._solve, self._context or 0, self._setup, self._close, self._library)
+
+    def _address(self, name: str, missing: int | None = None) -> int:
+        if missing is not None and not hasattr(self._library, name):
+            return missing
+        return ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value or 0

@@ -1,0 +1,270 @@
+"""Tables and profiles of the rows of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from training.results.table import Rows, numbers, pd
+from training.results.words import number
+
+CELL = ["objective", "case", "mode"]
+"""What is compared within: equal problems, asked in the same way."""
+COUNTS = ["solved", "solved_coarse", "proved", "wrong"]
+SHIFT = 1.0
+"""[us] of the shifted geometric mean."""
+PENALTY = 1e5
+"""[us] that a failure counts in the shifted geometric mean."""
+RESAMPLES = 1000
+ENDS = [2.5, 97.5]
+"""[%] of the bootstrap intervals."""
+
+
+def standings(rows: Rows) -> Rows:
+    """One row for each entrant in each cell and language, the fastest first.
+
+    Returns:
+        n; solved_coarse, solved, proved, wrong: how many; p50, p99, max [us] of those that are solved; mean [us], the geometric one
+        shifted by `SHIFT` with `PENALTY` for failures; p50_ratio and p99_ratio to the best entrant of the cell and language with their
+        bootstrap intervals (_low, _high); first: the metrics of success, p50 and p99 in which no other is better, a tie included.
+    """
+    ran = _ran(rows)
+    out = []
+    for key, cell in ran.groupby([*CELL, "language"], sort=False):
+        times = {str(name): _by_problem(part) for name, part in cell.groupby("method", sort=False)}
+        made = [_standing(name, part) for name, part in cell.groupby("method", sort=False)]
+        most = max(row["solved"] for row in made)
+        whole = [row for row in made if row["solved"] == most]
+        for name, percent in (("p50", 50.0), ("p99", 99.0)):
+            best = min(whole, key=lambda row, name=name: row[name])["method"] if most else ""
+            for row in made:
+                ratio, low, high = (
+                    _ratio(times[row["method"]], times[best], percent) if most and row["solved"] else (np.nan,) * 3
+                )
+                row |= {f"{name}_ratio": ratio, f"{name}_low": low, f"{name}_high": high}
+        for row in made:
+            good = row["solved"] == most
+            won = {"success": good, "p50": good and row["p50_low"] <= 1.0, "p99": good and row["p99_low"] <= 1.0}
+            row["first"] = ", ".join(name for name, yes in won.items() if yes)
+            out.append(dict(zip([*CELL, "language"], key, strict=True)) | row)
+    return (
+        pd.DataFrame(out)
+        .sort_values("mean", kind="stable")
+        .sort_values([*CELL, "language"], kind="stable", key=_places(ran))
+    )
+
+
+def lines(rows: Rows, unit: float) -> Iterator[str]:
+    """The standings as text, a table for each cell."""
+    shown = [
+        "n",
+        "solved",
+        "solved_coarse",
+        "proved",
+        "wrong",
+        "p50",
+        "p99",
+        "max",
+        "mean",
+        "units",
+        "p50_ratio",
+        "first",
+    ]
+    made = standings(rows).assign(units=lambda table: table["p50"] / unit)
+    for key, cell in made.groupby(CELL, sort=False):
+        yield ", ".join(key)
+        yield cell.set_index(["language", "method"])[shown].to_string(float_format=number) + "\n"
+    control = rows[rows["method"] == "empty"]["microseconds"].median()
+    yield f"an empty call: {number(control)} us; a unit: {number(unit)} us, SciPy's SLSQP once from cold"
+    yield from _absent(rows)
+
+
+def answers(rows: Rows) -> Iterator[str]:
+    """How many answers of each entrant are right, without times, and what it does not enter."""
+    ran = rows[rows["status"].notna() & (rows["method"] != "empty")]
+    groups = ran.groupby(["method", "objective", "case", "mode"], sort=False)
+    yield groups[COUNTS].sum().assign(n=groups.size()).to_string()
+    for method, status in ran[ran["status"] == "failed"].groupby("method")["event"].unique().items():
+        yield f"{method} failed in the sessions {'; '.join(status)}"
+    yield from _absent(rows)
+
+
+def beside(rows: Rows, earlier: Rows) -> Rows:
+    """The medians of two runs by entrant and cell: `before`, `now`, their ratio and its interval; `tie` where that holds 1."""
+    out = []
+    before = dict(iter(_ran(earlier).groupby([*CELL, "language", "method"])))
+    for key, part in _ran(rows).groupby([*CELL, "language", "method"], sort=False):
+        if key in before:
+            now, then = _by_problem(part), _by_problem(before[key])
+            ratio, low, high = _ratio(now, then, 50.0)
+            out.append(dict(zip([*CELL, "language", "method"], key, strict=True)) | {
+                "before": np.nanmedian(list(then.values())), "now": np.nanmedian(list(now.values())), "ratio": ratio, "low": low, "high": high,
+                "tie": low <= 1.0 <= high,
+            })  # fmt: skip
+    return pd.DataFrame(out)
+
+
+def by_track(rows: Rows, objective: str, ours: set[str]) -> Rows:
+    """A line for each track and mode: ours and the fastest other entrant, p50 / p99 [us], in C and from Python."""
+    made = standings(rows)
+    out = []
+    for (case, mode), cell in made[made["objective"] == objective].groupby(["case", "mode"], sort=False):
+        line = {"track": case, "mode": mode}
+        for language in ("C", "Python"):
+            there = cell[cell["language"] == language]
+            for label, part in (
+                ("ours", there[there["method"].isin(ours)]),
+                ("fastest other", there[~there["method"].isin(ours)]),
+            ):
+                line[f"{label}, {language}"] = _told(part)
+        out.append(line)
+    return pd.DataFrame(out)
+
+
+def by_entrant(rows: Rows, told: dict[str, Any]) -> Rows:
+    """A line for each entrant and objective: how much it solves, and what it says of itself."""
+    ran = _ran(rows)
+    out = []
+    for (objective, method), part in ran.groupby(["objective", "method"], sort=False):
+        row = _standing(method, part)
+        seconds = told.get(str(method), {}).get("training_seconds")
+        division = row["division"] + (f", trained {number(seconds)} s" if seconds else "")
+        out.append({
+            "objective": objective, "entrant": method, "division": division, "solved": f"{row['solved']} of {row['n']}",
+            "to 1e-4": row["solved_coarse"], "proved": row["proved"], "wrong": row["wrong"], "mean [us]": row["mean"],
+            "settings": told.get(str(method), {}).get("note", ""),
+        })  # fmt: skip
+    return pd.DataFrame(out)
+
+
+def by_contacts(rows: Rows) -> Rows:
+    """`sum` on the track `random`: p50 / p99 [us] of each entrant by the number of contacts."""
+    ran = rows[
+        (rows["case"] == "random")
+        & (rows["objective"] == "sum")
+        & rows["microseconds"].notna()
+        & (rows["method"] != "empty")
+    ]
+    cells = ran.groupby(["language", "method", "event"], sort=False)
+    made: Rows = pd.Series({key: _pair(numbers(part, "microseconds")) for key, part in cells}).unstack()
+    order = ran.groupby("method")["microseconds"].median()
+    shown = [event for event in ("3", "4", "5", "6", "8", "12", "16") if event in made.columns]
+    made = made[shown].rename(columns=lambda n: f"N = {n}").reset_index(names=["called from", "entrant"])
+    return made.sort_values("entrant", key=lambda names: names.map(order), kind="stable").sort_values(
+        "called from", kind="stable"
+    )
+
+
+def profiles(rows: Rows) -> Figure:
+    """Profiles of Dolan and More (2002): the share of problems solved within a factor of the best, in time and in iterations."""
+    objectives = list(_ran(rows)["objective"].unique())
+    figure = Figure(figsize=(9.0, 3.4 * len(objectives)), layout="constrained")
+    axes = figure.subplots(len(objectives), 2, squeeze=False, sharey=True)
+    for row, objective in zip(axes, objectives, strict=True):
+        for ax, column in zip(row, ("microseconds", "iterations"), strict=True):
+            for name, (factor, share) in profile(rows[rows["objective"] == objective], column).items():
+                ax.step(factor, share, where="post", label=name)
+            ax.set(
+                xscale="log",
+                xlim=(1.0, 1e4 if column == "microseconds" else 100.0),
+                ylim=(0.0, 1.02),
+                title=f"{objective}: {column}",
+            )
+            ax.set_xlabel("factor of the best")
+        row[0].set_ylabel("share of the problems solved")
+        row[0].legend(fontsize=7.5, loc="lower right")
+    return figure
+
+
+def profile(rows: Rows, column: str) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """By entrant the factors of the best and the share of problems solved within them; entrants without the column are left out."""
+    ran = _ran(rows)
+    keys = [*CELL, "event", "problem"]
+    cost = ran.assign(
+        cost=np.where(ran["solved"].fillna(False).astype(bool), numbers(ran, column), np.nan)
+    ).pivot_table(index=keys, columns="method", values="cost", dropna=False, observed=True)
+    cost = cost.dropna(axis=0, how="all").dropna(axis=1, how="all").clip(lower=1.0 if column == "iterations" else None)
+    factors = cost.div(cost.min(axis=1), axis=0)
+    return {
+        str(name): (
+            np.sort(factors[name].dropna().to_numpy()),
+            np.arange(1, factors[name].notna().sum() + 1) / len(factors),
+        )
+        for name in factors.columns
+    }
+
+
+def _ran(rows: Rows) -> Rows:
+    """The rows of entrants that took part."""
+    return rows[rows["microseconds"].notna() & (rows["method"] != "empty")]
+
+
+def _absent(rows: Rows) -> Iterator[str]:
+    if "reason" in rows:
+        for (name, reason), part in rows[rows["reason"].notna()].groupby(["method", "reason"], sort=False):
+            yield f"{name} did not enter {', '.join(part['case'].unique())}: {reason}"
+
+
+def _told(part: Rows) -> str:
+    """The fastest of those that solve most: p50 / p99, what it fails at, and its name."""
+    best = (
+        part[part["solved"] == part["solved"].max()].sort_values("p50")
+        if len(part) and part["solved"].max()
+        else part.iloc[:0]
+    )
+    if best.empty:
+        return "–"
+    row = best.iloc[0]
+    failed = "" if row["solved"] == row["n"] else f", {row['solved']} of {row['n']}"
+    return f"{number(row['p50'])} / {number(row['p99'])} ({row['method']}{failed})"
+
+
+def _pair(times: np.ndarray) -> str:
+    return " / ".join(number(float(each)) for each in np.percentile(times, [50.0, 99.0]))
+
+
+def _standing(name: Any, part: Rows) -> dict[str, Any]:
+    good = part["solved"].astype(bool).to_numpy()
+    times = numbers(part, "microseconds")
+    solved = times[good]
+    mean = np.exp(np.log(np.where(good, times, PENALTY) + SHIFT).mean()) - SHIFT
+    p50, p99, most = np.percentile(solved, [50.0, 99.0, 100.0]) if len(solved) else (np.nan,) * 3
+    counts = {column: int(part[column].sum()) for column in COUNTS}
+    return {
+        "method": str(name),
+        "division": part["division"].iloc[0],
+        "n": len(part),
+        **counts,
+        "p50": p50,
+        "p99": p99,
+        "max": most,
+        "mean": mean,
+    }
+
+
+def _by_problem(part: Rows) -> dict[Any, float]:
+    """Times of the solved problems."""
+    solved = part[part["solved"].astype(bool)]
+    return dict(zip(zip(solved["event"], solved["problem"], strict=True), numbers(solved, "microseconds"), strict=True))
+
+
+def _ratio(mine: dict[Any, float], other: dict[Any, float], percent: float) -> tuple[float, float, float]:
+    """A percentile of one over that of another on the problems that both solve, with its paired bootstrap interval."""
+    both = [key for key in mine if key in other]
+    if not both:
+        return np.nan, np.nan, np.nan
+    pair = np.array([[mine[key] for key in both], [other[key] for key in both]])
+    picks = np.random.default_rng(0).integers(0, len(both), (RESAMPLES, len(both)))
+    tops, bottoms = np.percentile(pair[:, picks], percent, axis=2)
+    low, high = np.percentile(tops / bottoms, ENDS)
+    top, bottom = np.percentile(pair, percent, axis=1)
+    return float(top / bottom), float(low), float(high)
+
+
+def _places(rows: Rows) -> Any:
+    """A sorting key: values in the order in which they first appear."""
+    order = {column: {value: k for k, value in enumerate(rows[column].unique())} for column in [*CELL, "language"]}
+    return lambda series: series.map(order[series.name])

@@ -1,0 +1,74 @@
+"""What an answer is worth, recomputed from its numbers and the problem alone."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.force import bounds
+from benchmarks.force.entrant import STATUSES, Answer
+from benchmarks.force.problems import Array, Problem
+
+LEVELS = {"solved_coarse": 1e-4, "solved": 1e-6}
+"""Success: the gap to the reference and what is missed of balance, cones and limits are at most this."""
+
+
+class Parted(NamedTuple):
+    """An answer: force (N k,) and multipliers (6,) or (6 + L,), where there are any, and status."""
+
+    force: Array | None
+    multipliers: Array | None
+    status: str
+
+
+def parted(problem: Problem, answer: Answer) -> Parted:
+    """The parts of what a solver returned, copied; what does not fit the problem is a failure."""
+    force, multipliers, status = ((*answer, None, None) if isinstance(answer, tuple) else (answer, None, None))[:3]
+    status = "solved" if status is None else str(status)
+    made = _numbers(force, problem.matrix.shape[1])
+    prices = _numbers(multipliers, 6, 6 + len(problem.limit_bound))
+    if status not in STATUSES or (status == "solved" and made is None):
+        status = "failed"
+    return Parted(made, prices, status)
+
+
+def score(problem: Problem, objective: str, best: float, answer: Parted) -> dict[str, Any]:
+    """The columns of an answer.
+
+    Args:
+        problem: what was asked.
+        objective: "sum" or "phi".
+        best: the reference's optimum; inf: there is no force.
+        answer: the parts.
+
+    Returns:
+        status; gap, balance, violation, limit_excess where there is a force; solved_coarse and solved; proved: the multipliers
+        prove the answer, to 1e-6, or that there is none; wrong: the verdict is the opposite of the truth.
+    """
+    force, multipliers, status = answer
+    row: dict[str, Any] = {"status": status, "wrong": status == ("solved" if best == np.inf else "infeasible")}
+    proved = False
+    missed = np.inf
+    if status == "infeasible" and best == np.inf:
+        proved = multipliers is not None and bounds.witness(problem, multipliers) > 0.0
+        missed = 0.0 if proved else np.inf
+    elif status == "solved" and force is not None and best < np.inf:
+        value = bounds.objective(problem, objective, force)
+        found = {
+            "gap": abs(value - best) / best, "balance": bounds.balance(problem, force), "violation": bounds.violation(problem, force),
+            "limit_excess": bounds.excess(problem, force),
+        }  # fmt: skip
+        missed = max(found.values())
+        row |= found
+        if multipliers is not None:
+            proved = value - bounds.dual_bound(problem, objective, multipliers) <= LEVELS["solved"] * value
+    return row | {"proved": proved} | {name: bool(missed <= level) for name, level in LEVELS.items()}
+
+
+def _numbers(given: Any, *sizes: int) -> Array | None:
+    """A copy as a flat array of one of these sizes; None where it is none, or not finite."""
+    if given is None:
+        return None
+    array = np.array(given, dtype=float).reshape(-1)
+    return array if array.size in sizes and np.isfinite(array).all() else None
