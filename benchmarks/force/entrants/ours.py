@@ -1,0 +1,152 @@
+"""This project's solver: from Python, and as C functions compiled from its C++ front (`ours.cpp`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.force.entrant import Answer, Library, Task
+from benchmarks.force.problems import Array, Problem
+from benchmarks.force.run import library
+from grasp_env.errors import InfeasibleWrenchError
+from grasp_env.force import BarzilaiBorweinStep, ForceLimits, ForceOptimizer
+from grasp_env.force.solution import ForceSolution, Status
+from grasp_env.grasp import Grasp
+
+TOLERANCE = 1e-6
+HERE = Path(__file__).with_name("ours.cpp")
+CORE = HERE.parents[3] / "grasp_env/core"
+
+
+class _FromPython:
+    """`ForceOptimizer.solve`; what is moved comes with the call."""
+
+    objectives: tuple[str, ...] = ("phi",)
+    options: dict[str, Any] = {"method": "newton"}  # noqa: RUF012  it is not changed
+    note = "ForceOptimizer.solve, certified gap 1e-6, certificate included"
+
+    def setup(self, task: Task) -> None:
+        first = task.first
+        gamma = first.torsional_friction  # the frames of the files are those of the package's rule
+        model = "hard" if gamma is None else "soft"
+        grasp = Grasp.from_contacts(
+            first.positions, first.normals, first.friction, contact_model=model, torsional_friction=gamma
+        )
+        names = ("min_normal", "max_normal", "jacobian", "torque_limit", "torque_bias")
+        given = {name: value for name in names if (value := getattr(first, name)) is not None}
+        self._limits, self._soft = ForceLimits(**given) if given else None, gamma is not None
+        self._warm = task.mode == "warm" and task.objective == "phi"
+        self._optimizer = self._make(grasp, "previous" if self._warm else None)
+        self._solve = self._optimizer.solve
+        self._moves = ["positions", "normals", "friction"] + [
+            name for name in ("jacobian", "torque_bias") if name in given
+        ]
+        self._loses = first.touching is not None
+
+    def _make(self, grasp: Grasp, initial: Any) -> ForceOptimizer:
+        return ForceOptimizer(grasp, limits=self._limits, initial=initial, tolerance=TOLERANCE, **self.options)
+
+    def solve(self, problem: Problem, start: Array | None = None) -> Answer:
+        now: dict[str, Any] = {name: getattr(problem, name) for name in self._moves} if problem.moved else {}
+        if self._loses:
+            now["contacts"] = problem.touching
+        if self._warm and start is None:
+            self._optimizer.forget()
+        try:
+            solution = self._solve(problem.wrench, **now)
+        except InfeasibleWrenchError as error:
+            return self._answer(error.solution)
+        self.iterations = solution.iterations
+        return self._answer(solution)
+
+    def solve_many(self, problems: Sequence[Problem]) -> list[Answer]:
+        """Side by side in the vector registers, one thread."""
+        if self._loses or any(problem.moved for problem in problems):
+            raise NotImplementedError
+        return [
+            self._answer(each)
+            for each in self._optimizer.solve_many(np.array([problem.wrench for problem in problems]), workers=1)
+        ]
+
+    def _answer(self, solution: ForceSolution) -> Answer:
+        force = np.column_stack([solution.force, solution.torsion]) if self._soft else solution.force
+        multipliers = (
+            solution.multipliers
+            if self._limits is None
+            else np.concatenate([solution.multipliers, solution.limit_multipliers])
+        )
+        if solution.status is Status.INFEASIBLE:
+            return None, multipliers, "infeasible"
+        return force, multipliers, "solved" if solution.status is Status.OPTIMAL else "failed"
+
+
+class ConicPython(_FromPython):
+    """Least sum of normal forces by the interior point."""
+
+    name, objectives, options = "conic_python", ("sum",), {"method": "conic"}
+
+
+class NewtonPython(_FromPython):
+    """Least Phi by Newton."""
+
+    name = "newton_python"
+
+
+class FlowPython(_FromPython):
+    """Least Phi by the paper's reduced flow from its 12-basis."""
+
+    name, options = "flow_python", {"method": "reduced_flow", "step_rule": BarzilaiBorweinStep()}
+
+
+class LearnedPython(_FromPython):
+    """Newton from the shipped network, which knows four contacts near the paper's cuboid; elsewhere it starts as Newton does."""
+
+    name, division = "learned_python", "learned"
+
+    def _make(self, grasp: Grasp, initial: Any) -> ForceOptimizer:
+        from policies import LearnedInitialForce
+
+        rule = LearnedInitialForce.pretrained(remembers=initial is not None)
+        self.training_seconds = rule.checkpoint.card["seconds"]
+        return super()._make(grasp, rule)
+
+
+class _Compiled(Library):
+    """A function of ours.cpp, compiled once for this machine."""
+
+    note = "the C++ front, -O3 -march=native, timed in C; certified gap 1e-6, certificate included"
+
+    def __init__(self) -> None:
+        include = CORE / "include"
+        flags = [
+            "-std=c++20",
+            "-O3",
+            "-march=native",
+            "-ffp-contract=fast",
+            "-fno-math-errno",
+            "-fno-trapping-math",
+            "-Wno-psabi",
+        ]
+        sources = [HERE.parents[1] / "force.h", *sorted(include.rglob("*.hpp"))]
+        super().__init__(str(library("ours", [HERE], [*flags, f"-I{include}"], sources, cpp=True)), self.name)
+
+
+class Conic(_Compiled):
+    """Least sum of normal forces by the interior point."""
+
+    name, objectives = "conic", ("sum",)
+
+
+class Newton(_Compiled):
+    """Least Phi by Newton; warm: from the last solution."""
+
+    name, objectives = "newton", ("phi",)
+
+
+class Flow(_Compiled):
+    """Least Phi by the paper's reduced flow from its 12-basis, with the short Barzilai-Borwein step."""
+
+    name, objectives = "flow", ("phi",)
