@@ -1,0 +1,50 @@
+"""Clarabel, updated in place."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+import numpy as np
+from scipy import sparse
+
+from benchmarks.force.entrants.forms import Conic, Numbers
+from benchmarks.force.problems import Array
+
+
+class Clarabel(Conic):
+    """Clarabel's interior-point method."""
+
+    name = "clarabel"
+    note = "Dual form (phi and many limits: primal), updated in place; tolerances 1e-8, in the primal 1e-7."
+
+    def build(self) -> None:
+        """See `Conic`."""
+        clarabel, form = import_module("clarabel"), self.form
+        settings = clarabel.DefaultSettings()
+        settings.verbose = False
+        # either of these two would forbid the update
+        settings.presolve_enable = False
+        settings.chordal_decomposition_enable = False
+        # forces are dual variables in the dual form: it needs more for the same accuracy
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-8 if form.in_cost else 1e-7
+        cones = [clarabel.ZeroConeT(form.equations)] if form.equations else []
+        cones += [clarabel.NonnegativeConeT(form.nonneg)] if form.nonneg else []
+        cones += [clarabel.SecondOrderConeT(size) for size in form.cones]
+        self._numbers, nothing = Numbers(form.rows, form.pattern), sparse.csc_matrix((len(form.c), len(form.c)))
+        self._solver = clarabel.DefaultSolver(nothing, form.c, self._numbers.matrix, form.sides, cones, settings)
+        status = clarabel.SolverStatus
+        self._infeasible = status.DualInfeasible if form.in_cost else status.PrimalInfeasible
+        self._statuses = {status.Solved: "solved", self._infeasible: "infeasible"}
+
+    def run(self, moved: bool) -> tuple[Array, Array, str]:
+        """See `Conic`."""
+        form = self.form
+        if moved:
+            self._solver.update(q=form.c, A=self._numbers.refresh(form.rows), b=form.sides)
+        elif form.in_cost:
+            self._solver.update(q=form.c)
+        else:
+            self._solver.update(b=form.sides)
+        found = self._solver.solve()
+        self.iterations = found.iterations
+        return np.array(found.x), np.array(found.z), self._statuses.get(found.status, "failed")

@@ -1,0 +1,172 @@
+"""QOCOGEN: C code generated for a form's pattern, compiled here, called and timed in C."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import hashlib
+import io
+import os
+import shutil
+import subprocess
+import tempfile
+from functools import cache
+from importlib import import_module
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from scipy import sparse
+
+from benchmarks.force.entrant import STATUSES, Answer, Compiled, CProblem, Task
+from benchmarks.force.entrants import forms
+from benchmarks.force.problems import Array, Problem
+
+OURS = Path(__file__).with_name("qocogen.c")
+HEADERS = Path(__file__).parents[1]
+LIBRARIES = Path(__file__).parents[3] / "build/qocogen"
+"""Where libraries of this machine (-march=native) are kept."""
+SIZE = 10.0
+"""Length of the wrench that the solver is given, as `forms.SIZE`: 30 takes 0.6 iterations more, 3 gives less accurate forces."""
+
+
+class Description(ctypes.Structure):
+    """`Description` of qocogen.c."""
+
+    _fields_ = (
+        *((name, ctypes.c_int) for name in ("form", "refinements", "count_a", "count_g")),
+        *((name, ctypes.c_void_p) for name in ("columns_a", "rows_a", "columns_g", "rows_g")),
+        ("size", ctypes.c_double),
+    )
+
+
+class Qocogen:
+    """A generated solver; its code depends on the pattern of the form alone, its numbers come with the problems."""
+
+    name = "qocogen"
+    note = (
+        "C, generated for the dual form (phi and many limits: primal), -O3 -march=native, its default tolerances (1e-7). "
+        "A failed solve is repeated with a finer line search. It detects no infeasibility, and reports some such wrenches as solved. "
+        "Reviewer's note: the call is timed in C, those of the packages for Python include their wrappers."
+    )
+    flags: tuple[str, ...] = ("-O3", "-march=native")
+    refinements = 1
+    """Steps of iterative refinement of each linear solve."""
+    _context: int | None = None
+
+    def setup(self, task: Task) -> None:
+        """See `Entrant`."""
+        if self._context:
+            self._library.qocogen_close(self._context)
+        form = forms.form(task.first, task.objective)
+        self._library = ctypes.CDLL(str(library(form, self.flags)))
+        self._library.qocogen_setup.restype = ctypes.c_void_p
+        self._library.qocogen_setup.argtypes = [ctypes.c_void_p, ctypes.c_char_p]
+        self._library.qocogen.argtypes = [ctypes.c_void_p] * 6
+        self._library.qocogen_close.argtypes = [ctypes.c_void_p]
+        parts = np.split(form.pattern, [form.equations])
+        self._places = [
+            np.array(part.T.nonzero(), dtype=np.int32) for part in parts
+        ]  # columns and rows of the numbers of A and G
+        kind = (forms.Dual, forms.Primal, forms.Barrier).index(type(form))
+        starts = [place[axis].ctypes.data for place in self._places for axis in (0, 1)]
+        counts = [place.shape[1] for place in self._places]
+        given = Description(kind, self.refinements, *counts, *starts, SIZE)
+        self._library.qocogen_describe(ctypes.byref(given))
+        self._context = self._library.qocogen_setup(ctypes.byref(CProblem.of(task.first)), task.objective.encode())
+
+    def solve(self, problem: Problem, start: Array | None = None) -> Answer:
+        """See `Entrant`; `start` is not used."""
+        force, multipliers = np.zeros(problem.matrix.shape[1]), np.zeros(6 + len(problem.limit_bound))
+        iterations = ctypes.c_int()
+        pointers = force.ctypes.data, multipliers.ctypes.data, ctypes.byref(iterations)
+        status = self._library.qocogen(self._context, ctypes.byref(CProblem.of(problem)), None, *pointers)
+        self.iterations = iterations.value
+        return force, multipliers, STATUSES[status]
+
+    def compiled(self) -> Compiled:
+        """See `Entrant`."""
+        solve, setup, close = (
+            ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value or 0
+            for name in ("qocogen", "qocogen_setup", "qocogen_close")
+        )
+        return Compiled(solve, self._context or 0, setup, close, self)
+
+
+class QocogenFast(Qocogen):
+    """The same with the compiler's every liberty."""
+
+    name = "qocogen_fast"
+    note = "qocogen with -Ofast -flto and no iterative refinement of its linear solves."
+    flags = ("-Ofast", "-flto=auto", "-march=native")
+    refinements = 0
+
+
+def compiler() -> str:
+    """The C compiler's path: $CC, gcc, clang or cc.
+
+    Raises:
+        RuntimeError: there is none.
+    """
+    names = (os.environ.get("CC"), "gcc", "clang", "cc")
+    found = next((found for name in names if name and (found := shutil.which(name))), None)
+    if found is None:
+        raise RuntimeError("no C compiler: install gcc or clang, or set CC")
+    return found
+
+
+def library(form: forms.Form, flags: tuple[str, ...]) -> Path:
+    """The shared library for a form's pattern in `LIBRARIES`, generated and compiled if it is not there.
+
+    Raises:
+        RuntimeError: there is no compiler, or it fails.
+    """
+    command = compiler()
+    sizes = f"{form.pattern.shape} {form.equations} {form.nonneg} {form.cones}"
+    key = "\0".join([*_versions(), command, *flags, sizes]).encode() + np.packbits(form.pattern.astype(bool)).tobytes()
+    path = LIBRARIES / f"qocogen_{hashlib.sha256(key).hexdigest()[:16]}.so"
+    if path.exists():
+        return path
+    LIBRARIES.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=LIBRARIES) as scratch:
+        _generate(form, scratch)
+        sources = [Path(scratch, "code", f"{name}.c") for name in ("qoco_custom", "cone", "utils", "ldl", "kkt")] + [
+            OURS
+        ]
+        built = Path(scratch, "built.so")
+        # GCC links -Ofast with code that makes the whole process flush small numbers to zero: compiled with it, linked without
+        objects = [Path(scratch, f"{source.stem}.o") for source in sources]
+        include = [f"-I{scratch}/code", f"-I{HEADERS}"]
+        steps = [
+            [*flags, *include, "-fPIC", "-c", str(source), "-o", str(target)]
+            for source, target in zip(sources, objects, strict=True)
+        ]
+        links = [flag for flag in flags if flag != "-Ofast"]
+        steps.append([*links, "-shared", "-o", str(built), *map(str, objects), "-lm"])
+        for options in steps:
+            answer = subprocess.run([command, *options], capture_output=True, text=True, check=False, timeout=300)
+            if answer.returncode:
+                raise RuntimeError(f"{command} {' '.join(flags)} fails: {answer.stderr.strip()[:300]}")
+        built.replace(path)  # whole or not at all, for two runs that share the folder
+    return path
+
+
+@cache
+def _versions() -> tuple[str, ...]:
+    return version("qocogen"), OURS.read_text(), (HEADERS / "force.h").read_text()
+
+
+def _generate(form: forms.Form, folder: str) -> None:
+    """Writes the code into folder/code; random numbers on the pattern, lest a cancellation look like a zero.
+
+    Numbers that never change, those of the barrier, are the form's.
+    """
+    rows = form.rows if isinstance(form, forms.Barrier) else np.zeros(form.pattern.shape)
+    random = np.random.default_rng(0).uniform(0.5, 1.5, form.pattern.shape)
+    matrix, p = np.where(form.pattern & (rows == 0.0), random, rows), form.equations
+    with contextlib.redirect_stdout(io.StringIO()):
+        import_module("qocogen").generate_solver(
+            n=len(form.c), m=len(form.sides) - p, p=p, P=None, c=form.c, A=sparse.csc_matrix(matrix[:p]) if p else None,
+            b=form.sides[:p], G=sparse.csc_matrix(matrix[p:]), h=form.sides[p:], l=form.nonneg, nsoc=len(form.cones),
+            q=np.array(form.cones), output_dir=folder, name="code",
+        )  # fmt: skip

@@ -1,0 +1,90 @@
+"""SciPy's SLSQP, which people try first, on the problem as it stands."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import minimize
+
+from benchmarks.force.entrant import Answer, Task
+from benchmarks.force.problems import BARRIER_WEIGHT, Array, Problem
+
+ROUND = 1e-16
+"""[N^2] under the root: a gradient at the apex of a cone."""
+
+
+class Slsqp:
+    """Sequential quadratic programming with exact Jacobians."""
+
+    name = "slsqp"
+    note = "scipy.optimize.minimize, exact Jacobians, ftol 1e-8, from the least-norm force lifted into the cones or from the last force."
+
+    def setup(self, task: Task) -> None:
+        """See `Entrant`."""
+        self._objective = _phi if task.objective == "phi" else _sum
+
+    def solve(self, problem: Problem, start: Array | None = None) -> Answer:
+        """See `Entrant`."""
+        touching, k = problem.touching, problem.width
+        on = np.ones(problem.n_contacts, dtype=bool) if touching is None else touching
+        mu, columns = problem.friction[on], np.repeat(on, k)
+        matrix, limits, bound = problem.matrix[:, columns], problem.limit_matrix, problem.limit_bound
+        if problem.torsional_friction is not None:
+            rows = _torsion(problem.torsional_friction)
+            limits, bound = np.concatenate([limits, rows]), np.append(bound, np.zeros(len(rows)))
+        limits = limits[:, columns]
+        begin = start[columns] if start is not None else -np.linalg.pinv(matrix) @ problem.wrench
+        begin[::k] = np.maximum(begin[::k], 1.1 * np.hypot(begin[1::k], begin[2::k]) / mu)
+        found = minimize(
+            self._objective,
+            begin,
+            (mu, k),
+            "SLSQP",
+            jac=True,
+            constraints=[
+                {"type": "eq", "fun": lambda x: matrix @ x + problem.wrench, "jac": lambda x: matrix},
+                {"type": "ineq", "fun": _room, "jac": _room_jacobian, "args": (mu, k)},
+                {"type": "ineq", "fun": lambda x: bound - limits @ x, "jac": lambda x: -limits},
+            ],
+            options={"ftol": 1e-8, "maxiter": 300},
+        )
+        self.iterations = found.nit
+        force = np.zeros(problem.matrix.shape[1])
+        force[columns] = found.x
+        return force, None, "solved" if found.success else "failed"
+
+
+def _room(x: Array, mu: Array, k: int) -> Array:
+    # from the same start, mu^2 n^2 - o^2 - t^2 >= 0 ends as a success far from the optimum on some wrenches
+    return mu * x[::k] - np.sqrt(x[1::k] ** 2 + x[2::k] ** 2 + ROUND)
+
+
+def _room_jacobian(x: Array, mu: Array, k: int) -> Array:
+    o, t, each = x[1::k], x[2::k], np.arange(len(mu))
+    made, size = np.zeros((len(mu), len(mu), k)), np.sqrt(o**2 + t**2 + ROUND)
+    made[each, each, :3] = np.column_stack([mu, -o / size, -t / size])
+    return made.reshape(len(mu), -1)
+
+
+def _torsion(gamma: Array) -> Array:
+    """Rows for abs(torsion) - gamma n <= 0."""
+    each = np.eye(len(gamma))
+    return np.concatenate(
+        [np.kron(each, [[0.0, 0, 0, sign]]) - np.kron(np.diag(gamma), [[1.0, 0, 0, 0]]) for sign in (1, -1)]
+    )
+
+
+def _sum(x: Array, mu: Array, k: int) -> tuple[float, Array]:
+    gradient = np.zeros_like(x)
+    gradient[::k] = 1.0
+    return float(x[::k].sum()), gradient
+
+
+def _phi(x: Array, mu: Array, k: int) -> tuple[float, Array]:
+    u, o, t = mu * x[::k], x[1::k], x[2::k]
+    room = u**2 - o**2 - t**2
+    if min(u.min(), room.min()) <= 0.0:
+        return np.inf, np.zeros_like(x)
+    value = 3.0 * u + BARRIER_WEIGHT * (1.0 / u + 2.0 * u / room)
+    by_u = 3.0 - BARRIER_WEIGHT * (1.0 / u**2 - 2.0 / room + 4.0 * (u / room) ** 2)
+    by_square = 4.0 * BARRIER_WEIGHT * u / room**2
+    return float(value.sum()), np.column_stack([mu * by_u, by_square * o, by_square * t]).ravel()
