@@ -1,0 +1,40 @@
+"""The tracks for benchopt: `PYTHONPATH=. benchopt run benchmarks/force/benchopt -s "entrant[entrant=clarabel]" -d "track[track=smooth]"`."""
+
+from benchopt import BaseObjective
+
+from benchmarks.force.score import parted, score
+
+
+class Objective(BaseObjective):
+    """What is missed of gap, balance, cones and limits, and the share of problems that is not solved to 1e-6."""
+
+    name = "grasp forces"
+    sampling_strategy = "run_once"
+    parameters = {"objective": ["sum", "phi"]}  # noqa: RUF012
+
+    def set_data(self, sessions):  # noqa: D102
+        self.sessions = sessions
+
+    def get_objective(self):  # noqa: D102
+        return {"sessions": self.sessions, "objective": self.objective}
+
+    def evaluate_result(self, answers):  # noqa: D102
+        rows = [
+            score(problem, self.objective, float(best), parted(problem, answer))
+            for session, each in zip(self.sessions, answers, strict=True)
+            for problem, best, answer in zip(
+                session.problems, session.references[self.objective].value, each, strict=True
+            )
+        ]
+        unsolved = 1.0 - sum(row["solved"] for row in rows) / len(rows)
+        return {
+            "value": unsolved,
+            **{name: max(row.get(name, 0.0) for row in rows) for name in ("gap", "balance", "violation")},
+        }
+
+    def get_one_result(self):  # noqa: D102
+        return {"answers": [[None] * len(session.problems) for session in self.sessions]}
+
+    def skip(self, sessions):  # noqa: D102
+        lacking = any(self.objective not in session.references for session in sessions)
+        return lacking, f"the track has no {self.objective}" if lacking else None
